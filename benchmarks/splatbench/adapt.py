@@ -37,7 +37,7 @@ VIEWS = (1, 2, 4)
 JUDGED = (("relight", 2), ("recolor", 1))
 """(kind, how many) edits of every held-out asset and number of views."""
 MIN_UNSEEN = 24
-"""Gaussians that no view shows, below which an edit is not judged."""
+"""Fewest Gaussians that no view shows for an edit to be judged."""
 STOPS = (0.05, 0.15, 0.4, 0.7, 1.0)
 """Shares of the budget after which all carriers are judged, for the curve."""
 CURVE_EVERY = 6
@@ -60,30 +60,30 @@ Folder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
 
 @dataclass(frozen=True)
 class AdaptBench:
-    """Train every carrier of an edit for the same processor time, and ask held-out objects what it is worth.
+    """Train every carrier of an edit for the same CPU time, and judge it on held-out objects.
 
     example:
       splatpainter bench adapt meshes/ --environments hdris/ --seconds 120 --objects 12 --out out/bench-adapt
     """
 
     meshes: Annotated[Positional[Path | None], arg(metavar="MESHES", help_behavior_hint="")] = None
-    """Folder of meshes; those that training keeps out (by name) are judged. None: procedural objects."""
+    """Folder of meshes; those held out of training (by name) are judged. None: procedural objects."""
     environments: Folder = None
     """Folder of HDRIs; none: procedural light."""
     seconds: float = 120.0
-    """Of processor time that each carrier trains."""
+    """CPU time that each carrier trains for."""
     objects: int = 12
     """Held-out objects that are judged."""
     training_objects: int = 0
-    """Of training, the first of a fixed order; 0: all."""
+    """Objects to train on, the first of a fixed order; 0: all."""
     encoder: Folder = None
     """Checkpoint whose LRM and Stage I encode assets; none: the package's."""
     assets: Folder = None
     """Folder in which assets are kept, so that they are fitted once; default: the user's cache."""
     carriers: tuple[str, ...] = TRAINED
-    """Which ones are trained."""
+    """Carriers (ways to carry an edit to unseen Gaussians) to train."""
     seed: int = 0
-    """Of edits, weights and intervals."""
+    """Seed of edits, weights and confidence intervals."""
     out: Path = Path("out/bench-adapt")
     """Folder for adapt.md, adapt.csv (a line per edit), curve.csv, curve.svg and weights/; made if missing."""
 
@@ -94,7 +94,7 @@ class EditScore:
 
     carrier: str
     edit: int
-    """Its number in the list."""
+    """Number of the edit in the list."""
     object: str
     asset: AssetKind
     kind: EditKind
@@ -102,13 +102,13 @@ class EditScore:
     psnr: float
     """dB over the Gaussians that no picture shows."""
     moved: float | None
-    """Rms of what this answer differs from that with adaptation to its own edit, over the rms of that; None: it is
-    that."""
+    """Rms difference from the answer with adaptation to its own edit, over the rms of that answer; None: this is that
+    answer."""
 
 
 @dataclass(frozen=True)
 class CarrierPoint:
-    """A carrier on the way."""
+    """A carrier partway through its training."""
 
     carrier: str
     cpu_seconds: float

@@ -31,7 +31,7 @@ from splatpainter.painter import Mode
 from splatpainter.splats import ATTRIBUTES, Splats
 
 VERSION = 2
-"""Of the files of a case: those of another one are made anew."""
+"""Version of the files of a case: those of another one are made anew."""
 MAX_NAME_CHARS = 80
 Redo = Literal["nothing", "errors", "all"]
 """Which records that are up to date are made anew."""
@@ -64,7 +64,7 @@ class Setup:
     """"traced" (Mitsuba) or "surfels" (dense Gaussians, seconds instead of minutes; approximate light)."""
     base_views: int = 9
     rows: int = 30_000
-    """Of assets that are built here."""
+    """Gaussians of assets that are built here."""
     asset_steps: int = 500
     """Optimisation steps in building an asset from its base views."""
     novel_views: int = 6
@@ -78,7 +78,7 @@ class Budget:
     """What a method may spend, and where it finds what it needs; the same for every method of a run."""
 
     steps: int = 1000
-    """Of methods that optimise."""
+    """Steps of methods that optimise."""
     device: str = "cpu"
     """"cpu" or "cuda"."""
     seed: int = 0
@@ -105,7 +105,7 @@ class RunConfig:
     budget: Budget
     out: Path
     processes: int = 1
-    """That make ground truth at once."""
+    """Processes that make ground truth at once."""
     shard: tuple[int, int] = (0, 1)
     """(k, n): only the objects k, k + n, ...; machines with the other k fill the same folder."""
     redo: Redo = "nothing"
@@ -129,7 +129,7 @@ class CaseKey:
     label: str
     """File-name safe, unique in its table."""
     name: str
-    """Of the object."""
+    """Name of the object."""
     settings: dict[str, Any]
     """JSON values that, with the setup, say everything about it."""
 
@@ -183,16 +183,16 @@ class EditStep:
 
 @dataclass(frozen=True)
 class Case:
-    """One question of a table."""
+    """One task of a table: an asset, its edits and the true views."""
 
     protocol: str
     """Name of the table."""
     name: str
-    """Of the object."""
+    """Name of the object."""
     label: str
-    """Of the case among those of its table: file-name safe and unique, e.g. "gso_dino_3-relight-2views"."""
+    """Label of the case among those of its table: file-name safe and unique, e.g. "gso_dino_3-relight-2views"."""
     asset: Splats = field(repr=False)
-    """As the artist has it: numpy float32, N Gaussians."""
+    """The asset as the artist has it: numpy float32, N Gaussians."""
     base: PosedImages
     """Views of the unedited truth that the asset was built from."""
     steps: tuple[EditStep, ...]
@@ -261,7 +261,7 @@ class Case:
 
     @staticmethod
     def digest(folder: Path) -> str:
-        """Of a saved case: 16 hex digits."""
+        """Digest of a saved case: 16 hex digits."""
         return _sha((folder / "case.json").read_bytes() + (folder / "case.npz").read_bytes())
 
 
@@ -300,11 +300,11 @@ class Record:
     """Name of the table."""
     method: str
     label: str
-    """Of the case."""
+    """Label of the case."""
     name: str
-    """Of the object."""
+    """Name of the object."""
     fingerprint: str
-    """Of case, method and budget (`fingerprint`): a record with another one is out of date."""
+    """Fingerprint of case, method and budget (`fingerprint`): a record with another one is out of date."""
     error: str = ""
     """Why there are no figures: what the method raised, or how its process ended. "": it worked."""
     missing: str = ""
@@ -326,7 +326,7 @@ class Record:
     curve: list[dict[str, float | None]] = field(default_factory=list)
     """Points of quality against time: {"seconds", "steps", column keys ...}."""
     facts: dict[str, Any] = field(default_factory=dict)
-    """Of the case."""
+    """Facts of the case."""
     machine: str = ""
 
     @property
@@ -353,8 +353,8 @@ def records(folder: Path) -> Iterator[Record]:
 
 
 def fingerprint(digest: str, version: str, budget: Budget, perceptual: bool) -> str:
-    """Of a record: digest of its case, and 16 hex digits of what else decides its figures: the method's version, the
-    budget, whether LPIPS was measured."""
+    """Fingerprint of a record: digest of its case, and 16 hex digits of what else decides its figures: the method's
+    version, the budget, whether LPIPS was measured."""
     values = [version, budget.steps, budget.device, budget.seed, budget.curve, perceptual]
     return f"{digest}-{_sha(json.dumps(values).encode())}"
 
@@ -454,7 +454,7 @@ class CaseStore:
         return values["name"], values["facts"]
 
     def digest(self, label: str) -> str:
-        """Of a case that is there: 16 hex digits, as Case.digest."""
+        """Digest of a case that is there: 16 hex digits, as Case.digest."""
         return Case.digest(self.case_folder(label))
 
     def save_failure(self, label: str, name: str, reason: str) -> None:

@@ -23,7 +23,7 @@ MEASUREMENTS = {
     "lift": "quality of local edits on given assets, with a contact sheet",
     "painted": "quality of paint on held-out meshes, in novel views, against the painted surface",
     "adapt": "what carries an edit to Gaussians that no picture shows: test-time training and others, at equal cost",
-    "spread": "how well a recoloured material is found and carried on where the edited view does not look",
+    "spread": "how well mode spread carries a recoloured material on to where the edited view does not look",
     "studio": "what an artist waits for in the studio, and its server's memory",
 }
 TABLES = {
@@ -32,7 +32,7 @@ TABLES = {
     "creative": "the paper's Tab. 3: painted, stickered, lettered and recoloured views",
     "compress": "the paper's Tab. 4: what Stage I keeps of an asset",
     "sequence": "edits in a row: views one after the other, conflicts, forgetting",
-    "ablate": "every switch of the design",
+    "ablate": "ablations: every switch of the design",
 }
 REPORT = {"report": "one HTML page of the paper's tables that were measured"}
 QUICK: dict[str, Any] = {
@@ -53,7 +53,7 @@ QUICK: dict[str, Any] = {
 }
 """--quick: enough that every number is there. Its seconds mean nothing, so that methods may share the machine."""
 QUICK_OF: dict[str, dict[str, Any]] = {"ablate": {"objects": 1}}
-"""Of single tables: ablate has two cases for each object asked for, and the most methods."""
+"""--quick of single tables: ablate has two cases for each object asked for, and the most methods."""
 FULL: dict[str, Any] = {
     "objects": 370,
     "size": 512,
@@ -111,25 +111,26 @@ class TableOptions(Setup):
     textures: Folder = None
     """Folder of photos."""
     objects: int = Setup.objects
-    """How many objects."""
+    """How many objects to measure."""
     held_out: bool = True
-    """Only objects that training never sees (their names decide), or any."""
+    """Only objects that training never sees (their names decide); --no-held-out: any object."""
     truth: Literal["traced", "surfels"] = "traced"
     """traced: by Mitsuba; surfels: of dense Gaussians, in seconds instead of minutes, with approximate light."""
     base_views: int = Setup.base_views
     """Views that an asset is built from."""
     novel_views: int = Setup.novel_views
-    """Views that answers are scored on."""
+    """Views that results are scored on."""
     seed: int = 0
-    """Of objects, views, edits and methods."""
+    """Seed of objects, views, edits and methods."""
     methods: tuple[str, ...] = ()
-    """Rows to measure, by name, or "all"; default: those that belong to the table. "list" names them."""
+    """Methods (rows of the table) to measure, by name, or "all"; default: those that belong to the table. "list" names
+    them."""
     steps: int = 1000
-    """Of methods that optimise."""
+    """Steps of methods that optimise."""
     device: Literal["cpu", "cuda"] = "cpu"
     """Where the methods run."""
     curve: bool = False
-    """Also measure what methods that optimise had on the way, for the plot of quality against seconds."""
+    """Also measure intermediate results of methods that optimise, for the plot of quality against seconds."""
     weights: Annotated[tuple[str, ...], arg(metavar="NAME=FOLDER ...", help_behavior_hint="")] = ()
     """Weights for rows that need others than the package's."""
     adapters: Annotated[Path | None, arg(metavar="TOML", help_behavior_hint="")] = None
@@ -139,7 +140,7 @@ class TableOptions(Setup):
     out: Path = Path("out/bench")
     """Folder for all tables of one setup: cases of other sizes or another seed need another folder, or --redo all."""
     processes: int = 1
-    """How many make ground truth at once."""
+    """Processes that make ground truth at once."""
     parallel_methods: bool = False
     """Let methods run side by side, too (as many as --processes); their seconds then compare less well."""
     shard: str = "0/1"
@@ -149,7 +150,7 @@ class TableOptions(Setup):
     quick: bool = False
     """Two small objects, few views and steps: shows in a minute or two that every part works (out/bench-quick)."""
     full: bool = False
-    """The paper's sizes. Days on a processor."""
+    """The paper's sizes: days on a CPU."""
     json: bool = False
     """Print one JSON object instead of text."""
 

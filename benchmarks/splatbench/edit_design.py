@@ -26,14 +26,14 @@ from splatpainter.data.edits.surface_points import (
 )
 
 KINDS = ("stroke", "sticker", "text", "photo", "recolor")
-"""In turn."""
+"""Kinds of edits, in turn."""
 Framing = Literal["close-up", "whole"]
 PAINTED_SHARE = (0.06, 0.3)
 """Part of the object in view that paint covers: from, to."""
 WINDOW_RADII = (0.7, 1.7)
 """Height of a close-up, in radii of the object."""
 MIN_OBJECT_FRACTION = 0.12
-"""Of an edited view that the object fills."""
+"""Least share of an edited view that the object fills."""
 MIN_EDIT_RMS = 0.1
 """Change of display values in an edit's view, root mean square over the pixels that it changes."""
 BLOCKED_SLACK = 0.02
@@ -44,7 +44,7 @@ RELAXED_AFTER = 0.75
 WINDOW_FRACTIONS = (0.6, 0.4, 0.2, 0.0)
 """Least part of a textured point's window that is object: the first of these that leaves any point."""
 BEST_CONTRAST_SHARE = 0.1
-"""Of all pixels that could be textured points, those with the highest contrast, from which points are drawn."""
+"""Share of all pixels that could be textured points, those with the highest contrast, from which points are drawn."""
 MAX_DEPTH_STEP_PX = 4.0
 """Steps of depth between neighbours above this many pixel widths are edges of the object, not texture."""
 
@@ -166,7 +166,7 @@ def views_beside(
 
 
 def apart(points: Sequence[SurfacePoint], distance: float) -> Callable[[SurfacePoint, np.ndarray], bool]:
-    """For `design_edit`: only points at least this far, world units, from all of these."""
+    """A condition for `design_edit`: only points at least this far, world units, from all of these."""
     return lambda point, mask: all(np.linalg.norm(point.position - other.position) >= distance for other in points)
 
 
@@ -180,7 +180,7 @@ class TexturedPoint:
     position: np.ndarray
     """[3] world."""
     view: int
-    """Of the pictures given: one that sees it."""
+    """Index, among the pictures given, of one that sees it."""
     contrast: float
     """Mean step of luminance between neighbouring pixels around it, 0..1."""
 

@@ -33,28 +33,28 @@ if TYPE_CHECKING:
     from splatpainter.splats import Splats
 
 BACKGROUND = (0.5, 0.5, 0.5)
-"""Of all pictures: a grey that float16 keeps exactly and that hardly any surface has, so that pictures alone tell what
-is object (scoring.object_masks)."""
+"""Background of all pictures: a grey that float16 keeps exactly and that hardly any surface has, so that pictures alone
+tell what is object (scoring.object_masks)."""
 FOV_DEGREES = 40.0
 """Vertical, of views of the whole object."""
 TRUTHS = ("traced", "surfels")
 MIN_SURFELS, MAX_SURFELS = 20_000, 600_000
 SURFELS_PER_PIXEL = 0.6
-"""Of the largest picture: about one per pixel of surface, all around."""
+"""Surfels per pixel of the largest picture: about one per pixel of surface, all around."""
 SURFEL_SH_DEGREE = 2
 ASSET_SH_DEGREE = 1
 ASSET_START = {"opacity": 0.9, "size": 0.6}
-"""Of first Gaussians (fit/start.py): true depth is a surface, not a cloud. Against 3DGS's 0.1 and 1 after 300 steps on
-9 path traced views at 256 px, 30,000 Gaussians (a rover, a coffee packet): novel views 24.1 and 25.6 dB, not 23.1 and
-24.7; base views 29.2 and 29.5, not 28.1 and 28.0. 500 steps: novel 24.4 and 26.0, base 31.4 and 31.6. The asset of
-surfels, whose light is approximate: novel 19.5 and 23.3."""
+"""How first Gaussians start (fit/start.py): true depth is a surface, not a cloud. Against 3DGS's 0.1 and 1 after 300
+steps on 9 path traced views at 256 px, 30,000 Gaussians (a rover, a coffee packet): novel views 24.1 and 25.6 dB, not
+23.1 and 24.7; base views 29.2 and 29.5, not 28.1 and 28.0. 500 steps: novel 24.4 and 26.0, base 31.4 and 31.6. The
+asset of surfels, whose light is approximate: novel 19.5 and 23.3."""
 FIT_BACKGROUNDS = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
-"""That the base views are fitted over. Over the pictures' grey alone, Gaussians of that grey were left hanging beside
-the object, which no view told from holes."""
+"""Backgrounds that the base views are fitted over. Over the pictures' grey alone, Gaussians of that grey were left
+hanging beside the object, which no view told from holes."""
 ASSET_ROUGHNESS = 0.3
-"""Of the asset of surfels."""
+"""Roughness of the asset of surfels."""
 SURFELS_PER_GAUSSIAN = 4
-"""Of that asset, where the truth has no surfels."""
+"""Surfels per Gaussian of that asset, where the truth has no surfels."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class GroundTruth:
     name: str
     mesh: Mesh = field(repr=False)
     radius: float
-    """Of the sphere about the origin that holds it."""
+    """Radius of the sphere about the origin that holds it."""
     surfels: Surfels | None = field(repr=False)
     """Dense; None: it is path traced."""
     light: Light = field(repr=False)
@@ -119,12 +119,12 @@ class GroundTruth:
 
     @property
     def optics(self) -> viewpoints.Optics:
-        """Of views of the whole object."""
+        """Camera settings of views of the whole object."""
         return optics(self.setup)
 
     @property
     def facts(self) -> dict[str, Any]:
-        """Of every case, about its truth."""
+        """Facts about the truth, for every case."""
         traced = self.setup.truth == "traced"
         samples = self.setup.samples if traced else None
         return {"truth": self.setup.truth, "samples": samples, "size": self.setup.size}
@@ -150,7 +150,7 @@ class GroundTruth:
         return GroundTruthViews(PosedImages(tuple(cameras), colors), alphas, depths)
 
     def paint(self, design: EditDesign) -> GroundTruth:
-        """With one more edit. Raises ValueError as data.edits.on_mesh.paint_mesh."""
+        """The truth with one more edit. Raises ValueError as data.edits.on_mesh.paint_mesh."""
         if self.surfels is None:
             from splatpainter.data.edits.on_mesh import paint_mesh
 
@@ -167,7 +167,7 @@ class GroundTruth:
         return replace(self, painted_sh=apply_paint(sh, paint))
 
     def preview(self) -> GroundTruth:
-        """For choices: the same, unpainted, of few surfels; itself where it is of surfels."""
+        """The truth for choices: unpainted and of few surfels; itself where it is of surfels."""
         if self.surfels is not None:
             return self
         from splatpainter.data.surfels import sample_surfels
@@ -194,7 +194,7 @@ class GroundTruth:
 
 
 def optics(setup: Setup) -> viewpoints.Optics:
-    """Of views of the whole object."""
+    """Camera settings of views of the whole object."""
     return viewpoints.Optics(setup.size, FOV_DEGREES, BACKGROUND)
 
 
@@ -243,7 +243,7 @@ class BuiltAsset:
     """Numpy float32, at most `setup.rows` Gaussians."""
     seconds: float
     method: str
-    """In words, for the case's facts."""
+    """How it was made, in words, for the case's facts."""
 
 
 def build_asset(

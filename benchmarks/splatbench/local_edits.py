@@ -67,15 +67,15 @@ class LiftBench:
     size: int = 512
     """Edge of the pictures, pixels."""
     text: str = "PAINT"
-    """What is written on every asset."""
+    """Text to paint on every asset."""
     font: Path | None = None
-    """A TrueType or OpenType font; none: the one that comes with Pillow, made bold."""
+    """TrueType or OpenType font; default: the one that comes with Pillow, made bold."""
     repeats: int = 3
-    """Edits that are timed, for the median."""
+    """Timed edits per asset; the median counts."""
     preset: str = "lift"
     """The painter: "lift", or a preset or folder of weights to compare with it (method ttt)."""
     method: Literal["auto", "lift", "fit", "ttt"] | None = None
-    """Of the edits; none: lift, with a preset of weights ttt."""
+    """Method of the edits; default: lift, or ttt with a preset of weights."""
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ def find_assets(paths: Sequence[Path]) -> list[Path]:
 
 
 def _stem(path: Path) -> str:
-    """Its name up to the first dot."""
+    """The file's name up to the first dot."""
     return path.name.split(".", 1)[0]
 
 

@@ -105,7 +105,7 @@ def table(config: ModelConfig) -> str:
 
 
 def _lrm(config: LrmConfig, views: int, head: bool) -> float:
-    """Per view."""
+    """Flops of the LRM per view."""
     area = config.patch**2
     per_view = (config.image_size // config.patch) ** 2
     dim = config.dim
@@ -130,7 +130,7 @@ def _compress(config: CompressConfig, degree: int, group: float, keep: float) ->
 
 
 def _adapt(config: RefineConfig, dim: int) -> float:
-    """Per picture token."""
+    """Flops of adaptation per picture token."""
     last = _learn(config, dim)
     block = last + 4 * dim**2 + 6 * dim * config.fast_hidden + 6 * dim * config.hidden
     total = 2 * config.patch**2 * config.channels * dim + (config.blocks - 1) * block + last
@@ -152,7 +152,7 @@ def _orthogonalise(config: RefineConfig, dim: int) -> float:
 
 
 def _read(config: RefineConfig, dim: int) -> float:
-    """Per latent."""
+    """Flops of reading the memory per latent."""
     return float(_input_features(config, dim) + config.blocks * _read_block(config, dim))
 
 
@@ -171,7 +171,7 @@ def _teach(config: RefineConfig, dim: int) -> int:
 
 
 def _detail(config: RefineConfig, dim: int) -> float:
-    """Per latent."""
+    """Flops of the detail layer per latent."""
     return float(_learn(config, dim) + 4 * dim**2 + 6 * dim * config.fast_hidden)
 
 

@@ -19,7 +19,7 @@ ROUNDS = 5
 MIN_WEIGHT_PX = 1e-3
 """Gaussians of which a view shows less do not change."""
 MIN_SPLIT_PX = 0.05
-"""Of a Gaussian within the mask, pixels of weight from which it is cut."""
+"""Pixels of weight within the mask from which a Gaussian is cut."""
 CHILD_SCALE, CHILD_STEP = 0.55, 1.1
 """Standard deviation of a child, and distance between two, over the parent's standard deviation."""
 

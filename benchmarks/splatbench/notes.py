@@ -18,7 +18,7 @@ LOAD = re.compile(r"; load [\d.]+ at the start")
 MAX_FAILURES = 5
 """Objects that failed with a line each."""
 MAX_REMARKS = 3
-"""Of one method."""
+"""Most remarks of one method."""
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ def _machines(state: RunState) -> list[str]:
 
 
 def _remarks(state: RunState) -> Iterable[str]:
-    """Of the methods, about their answers."""
+    """Remarks of the methods about their answers."""
     for method in dict.fromkeys(r.method for r in state.records):
         remarks = list(dict.fromkeys(r.note for r in state.records if r.method == method and r.has_figures and r.note))
         if remarks:

@@ -43,20 +43,20 @@ MIN_PAINT_CONTRAST = 0.15
 SPECK_MARGIN = 2.0
 """A speck is this many times nearer to the unpainted truth than to the painted one."""
 MIN_OBJECT_ALPHA = 0.9
-"""Of the asset before the edit: pixels that can crack."""
+"""Alpha of the asset before the edit from which a pixel can crack."""
 MIN_DRAWN_ALPHA = 0.02
-"""Of the asset before or after the edit: pixels that are not only background."""
+"""Alpha of the asset before or after the edit from which a pixel is not only background."""
 MAX_ALPHA_FALL = 0.2
 """Alpha that an edit may take from a pixel before it is a crack."""
 MAX_DEPTH_RISE = 0.05
-"""Of the object's radius: by how much an edit may move a pixel's expected depth away from the camera before one sees
+"""Share of the object's radius by which an edit may move a pixel's expected depth away from the camera before one sees
 through the surface, to the far wall."""
 PAINT_MARGIN_PX = 6
 """Pixels around the true paint that count neither as painted nor as not painted: the asset's Gaussians straddle it."""
 MIN_RANKED = 6
-"""Edits from which a rank correlation is worth a word."""
+"""Fewest edits for which a rank correlation is reported."""
 CELL_PX = 224
-"""Of the contact sheet."""
+"""Pixels of a cell of the contact sheet."""
 MIN_CELL_PX = 96
 """Pixels of a view that its cell of the sheet shows, at least."""
 NOTES = (
@@ -80,19 +80,19 @@ class PaintedBench:
     """
 
     meshes: Annotated[Positional[Path | None], arg(metavar="MESHES", help_behavior_hint="")] = None
-    """Folder of meshes, of which those are taken that training keeps out (by name); none: procedural objects."""
+    """Folder of meshes; only those held out of training (by name) are used. None: procedural objects."""
     assets: AssetKind = "coarse"
     """coarse: as in training data; fitted: by 3DGS on views of the truth (a minute or two per object, kept on disk)."""
     methods: tuple[str, ...] = ("nothing", "rounds", "split", "lift")
-    """Rows: nothing, rounds (five colour rounds), split (2 x 2, then rounds), lift, fit, auto."""
+    """Methods: nothing, rounds (five colour rounds), split (2 x 2, then rounds), lift, fit, auto."""
     objects: int = 12
-    """How many."""
+    """How many objects to measure."""
     size: int = 256
     """Edge of the pictures, pixels."""
     rows: int = 20_000
-    """Of every asset."""
+    """Gaussians of every asset."""
     novel_views: int = 4
-    """Beside the edited view."""
+    """Novel views, besides the edited one."""
     environments: Path | None = None
     """Folder of HDRIs; none: procedural light."""
     decals: Path | None = None
@@ -100,7 +100,7 @@ class PaintedBench:
     fonts: Path | None = None
     """Folder of fonts."""
     seed: int = 0
-    """Of objects, light and paint."""
+    """Seed of objects, light and paint."""
     preset: str = "auto"
     """The painter of the methods lift, fit and auto."""
     perceptual_weights: Path | None = None
@@ -212,7 +212,7 @@ def write_csv(path: Path, scores: Sequence[PaintedScore], heading: str) -> None:
 
 
 def setup_of(config: PaintedBench) -> Setup:
-    """What decides the cases."""
+    """Settings that decide the cases."""
     return Setup(
         data=config.meshes,
         environments=config.environments,
@@ -261,7 +261,7 @@ class Truth:
 
     cameras: list[Camera]
     before: Render
-    """Of the asset, not edited."""
+    """Render of the asset, not edited."""
     unpainted: np.ndarray
     """[V, H, W, 3] the object; of view 0 the asset's render."""
     painted: np.ndarray
@@ -269,7 +269,7 @@ class Truth:
     masks: np.ndarray
     """[V, H, W] bool what the paint changes of the object."""
     radius: float
-    """Of the asset, world units."""
+    """Radius of the asset, world units."""
 
     @staticmethod
     def of(case: Case) -> Truth:
@@ -335,7 +335,7 @@ def specks(colors: np.ndarray, unpainted: np.ndarray, painted: np.ndarray) -> np
 
 
 def percent(hits: np.ndarray, among: np.ndarray) -> float | None:
-    """Of the pixels `among`, how many per cent are hits; None without any."""
+    """Per cent of the pixels `among` that are hits; None without any."""
     total = int(among.sum())
     return 100 * int((hits & among).sum()) / total if total else None
 

@@ -38,12 +38,12 @@ from splatpainter.data.edits.surface_points import SurfacePoint
 from splatpainter.sources.drawing import stack_layers
 
 VERSION = 2
-"""Of how cases are made: those of another one are made anew."""
+"""Version of how cases are made: those of another one are made anew."""
 AssetKind = Literal["coarse", "fitted"]
 SOURCES: dict[AssetKind, Literal["surfels", "fitted"]] = {"coarse": "surfels", "fitted": "fitted"}
 """What ground_truth.build_asset calls them."""
 LAYERS = ("stroke", "text", "sticker")
-"""Of every painted view, lowest first."""
+"""Layers of every painted view, lowest first."""
 LAYER_SHARE = (0.07, 0.18)
 """Part of the object in view that each layer covers: from, to."""
 MIN_FILLED = 0.25

@@ -28,10 +28,10 @@ from splatpainter.kernels.parallel import THREADS_VARIABLE
 
 PIPE, DEVNULL = subprocess.PIPE, subprocess.DEVNULL
 MAX_ERROR_CHARS = 400
-"""Of an error in a table."""
+"""Most characters of an error in a table."""
 MAX_LOG_LINE_CHARS = 160
 LOG_TAIL_BYTES = 65536
-"""Of a log, searched for its last line."""
+"""Bytes at the end of a log that are searched for its last line."""
 FRESH = "from splatbench.process import answer_fresh; answer_fresh()"
 OTHER_ENVIRONMENT = (
     "PYTHONPATH",
@@ -44,7 +44,7 @@ OTHER_ENVIRONMENT = (
 """Variables of this process that other systems do not get: they mean this environment, or this machine's sharing."""
 CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|[\x00-\x08\x0b\x0c\x0e-\x1f]")
 SERVER_PATIENCE_SECONDS = 120
-"""For a server to end after an interrupt."""
+"""Seconds for a server to end after an interrupt."""
 
 
 @contextlib.contextmanager
@@ -71,12 +71,12 @@ def child(command: Sequence[str], *, grace: bool = False, **options: Any) -> Ite
 
 @dataclass(frozen=True)
 class FreshRun:
-    """What a fresh process did."""
+    """Result of a fresh process."""
 
     result: Any
     """What the function returned, through JSON."""
     seconds: float
-    """From the start of the process to its end."""
+    """Seconds from the start of the process to its end."""
     peak_mib: float
     """Largest resident memory of the process; NaN where the system does not tell."""
 
@@ -275,7 +275,7 @@ class WorkerEvent:
 
 
 class Workers:
-    """As a context: no worker outlives the block."""
+    """A pool as a context: no worker outlives the block."""
 
     def __init__(self, command: Sequence[str]) -> None:
         """command: a program that calls `answer_jobs`."""

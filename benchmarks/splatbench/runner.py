@@ -56,7 +56,7 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class RunResult:
-    """What a run left."""
+    """Results of a run."""
 
     folder: Path
     """OUT/TABLE."""

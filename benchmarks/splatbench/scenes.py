@@ -22,7 +22,7 @@ from splatpainter.transforms import quat_to_matrix
 DAB_WIDTH = 64 / 512
 """Diameter of the brush dab, of the picture's size."""
 TEXT_HEIGHT = 90 / 512
-"""Of its capitals, of the picture's size."""
+"""Height of its capitals over the picture's size."""
 SUPERSAMPLING = 4
 """Text is drawn at this many times the size per axis and averaged."""
 PALETTE = ((0.76, 0.09, 0.13), (0.09, 0.26, 0.72), (0.98, 0.82, 0.12), (0.94, 0.95, 0.93), (0.05, 0.45, 0.25))

@@ -27,7 +27,7 @@ Report = Callable[[str], None]
 REFERENCE_GAUSSIANS, REFERENCE_PX = 2000, 64
 """A scene that the torch reference, which holds [Gaussians, pixels] arrays, can draw and differentiate."""
 LARGE_SCENE = 500_000
-"""From this many Gaussians on, only the operations marked `large` are timed, and only at LARGE_PX."""
+"""Gaussians from which on only the operations marked `large` are timed, and only at LARGE_PX."""
 LARGE_PX = 512
 SMALL_SCENE = "small scene"
 EDIT_FILE = "from start to end: open a PLY, edit it (dab), save it"
@@ -78,17 +78,17 @@ class Speed:
 
     operation: str
     rows: int | None
-    """Of the scene; None where there is none."""
+    """Gaussians of the scene; None where there is none."""
     size: int | None
     """Edge of the square picture, pixels; None where there is none."""
     milliseconds: float
-    """Median."""
+    """Milliseconds, median."""
     fastest: float
     """Milliseconds of the fastest repeat: on a busy machine nearer to what the work costs."""
     rows_per_second: float | None
-    """At the median; None where the work is not over the whole asset."""
+    """Gaussians per second at the median; None where the work is not over the whole asset."""
     peak_mib: float | None
-    """Largest resident memory of the process; None where the process is not ours to ask."""
+    """Largest resident memory of the process; None where it cannot be measured."""
     repeats: int
     reference_ratio: float | None = None
     """Time of the torch reference / ours."""

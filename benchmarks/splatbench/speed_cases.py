@@ -20,7 +20,8 @@ from splatbench.timing import measure
 from splatpainter.splats import ATTRIBUTES, Splats
 
 DISC_RADIUS = 0.131
-"""Of the picture: the painted disc that the networks are timed with, about 3,000 of 100,000 Gaussians."""
+"""Radius, over the picture's size, of the painted disc that the networks are timed with, about 3,000 of 100,000
+Gaussians."""
 Work = Callable[[], Any]
 
 

@@ -30,7 +30,7 @@ SEPARABLE = 0.85
 MIN_UNSEEN_PX = 50
 """Pixels of novel views that show the material where the edited view does not, for its PSNR to count."""
 MAX_REST_CHANGE = 1 / 255
-"""Of the truth, display units: pixels that change by less are the rest."""
+"""Change of the truth, display units, below which a pixel counts as one that should stay."""
 CELL_PX = 160
 NOTES = (
     "`iou`: intersection over union, by opacity and area, of the Gaussians that are reached (confidence at the "
@@ -45,32 +45,32 @@ NOTES = (
 
 @dataclass(frozen=True)
 class SpreadBench:
-    """Recolour a material of meshes in one view, and see how well mode spread carries that on.
+    """Recolour a material of meshes in one view, and measure how well mode spread carries that on.
 
     example:
       splatpainter bench spread meshes/ --objects 20 --environments hdris/ --out out/bench-spread
     """
 
     meshes: Annotated[Positional[Path | None], arg(metavar="MESHES", help_behavior_hint="")] = None
-    """Folder of meshes, of which those are taken that are held out (by name); none: procedural objects."""
+    """Folder of meshes; only those held out of training (by name) are used. None: procedural objects."""
     assets: AssetKind = "coarse"
     """coarse: as in training data; fitted: by 3DGS on views of the truth (a minute or two per object)."""
     objects: int = 12
-    """How many."""
+    """How many objects to measure."""
     tuning: bool = False
     """Take the meshes that settings were tuned on instead of those that are held out."""
     threshold: float | None = None
-    """Of mode spread; default: the product's."""
+    """Threshold of mode spread; default: the program's own."""
     size: int = 256
     """Edge of the pictures, pixels."""
     rows: int = 20_000
-    """Of every asset."""
+    """Gaussians of every asset."""
     novel_views: int = 6
-    """From all around."""
+    """Novel views, from all around."""
     environments: Path | None = None
     """Folder of HDRIs; none: procedural light."""
     seed: int = 0
-    """Of objects, light, materials and colours."""
+    """Seed of objects, light, materials and colours."""
     out: Path = Path("out/bench-spread")
     """Folder for spread.csv (a line per object and stroke), spread.md and sheet.png; made if missing."""
 
@@ -137,7 +137,7 @@ def run(config: SpreadBench, report: Callable[[str], None] | None = None) -> lis
 
 
 def setup_of(config: SpreadBench) -> Setup:
-    """What decides the cases."""
+    """Settings that decide the cases."""
     return Setup(
         data=config.meshes,
         environments=config.environments,

@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from splatpainter.data.surfels import Surfels
 
 HELD_OUT_SHARE = 0.5
-"""Of the meshes with several materials, by their names: a superset of those that training keeps out. Nothing is trained
-here; the other half is what settings are tuned on."""
+"""Share of the meshes with several materials, by their names: a superset of those that training keeps out. Nothing is
+trained here; the other half is what settings are tuned on."""
 MATERIAL_SHARE = (0.03, 0.85)
 """Part of the surface that a material may be to be recoloured: from, to."""
 MIN_SEEN, MAX_SEEN = 0.1, 0.8
@@ -53,7 +53,7 @@ MIN_CHANGE = 0.08
 NEIGHBOURS = 6
 """Surfels that say what a Gaussian is made of."""
 CLUSTERS, MIN_CLUSTER_DISTANCE = 5, 0.12
-"""Of base colours, at most; nearer ones (OKLab) are one."""
+"""Most clusters of base colours; closer ones (OKLab) are one."""
 MAX_CLUSTERED = 20_000
 """Surfels that clusters are found from."""
 NEAREST_COLORS = 15
@@ -66,7 +66,7 @@ Stroke = Literal["full", "partial"]
 
 @dataclass(frozen=True)
 class SpreadCase:
-    """One question."""
+    """One case: an asset and a recoloured view."""
 
     name: str
     asset: Splats = field(repr=False)
@@ -105,7 +105,7 @@ def chosen_names(setup: Setup) -> tuple[str, ...]:
 
 
 def material_count(path: Path) -> int:
-    """Of a GLB by its header; 0 where that does not say."""
+    """Materials of a GLB by its header; 0 where that does not say."""
     if path.suffix.lower() not in SUFFIXES or path.suffix.lower() != ".glb":
         return 0
     try:
@@ -277,7 +277,7 @@ def recolored_surfels(surfels: Surfels, inside: np.ndarray, rng: np.random.Gener
 
 
 def _edited_view(truth: GroundTruth, inside: np.ndarray, area: np.ndarray, rng: np.random.Generator) -> Camera | None:
-    """Of CANDIDATE_VIEWS the one that shows most of the material, and not all; None where none will do."""
+    """The one of CANDIDATE_VIEWS that shows most of the material, and not all; None where none will do."""
     best, most = None, MIN_SEEN
     for _ in range(CANDIDATE_VIEWS):
         camera = viewpoints.around(truth.radius, truth.optics, rng.uniform(0, 360), rng.uniform(-10, 40))

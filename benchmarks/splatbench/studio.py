@@ -24,15 +24,16 @@ from splatpainter import text_tables as tables
 
 Report = Callable[[str], None]
 START_MS, PREVIEW_MS, COMMIT_MS, SLIDER_MS = 5000.0, 100.0, 800.0, 300.0
-"""Targets of waits."""
+"""Targets of waits, milliseconds."""
 MEMORY_MIB, GROWTH_MIB, BUNDLE_MIB = 1.5e9 / 2**20, 1.0, 2.5 * 1e6 / 2**20
-"""Targets: of the server with the demo; per 100 edits and undos (what a noisy measurement calls none); of the page."""
+"""Targets: memory of the server with the demo; growth per 100 edits and undos (none, but for noise); size of the
+page."""
 MAX_LOAD_GAUSSIANS = 10_000
-"""Of the asset of the load test: it is about many clients, not about many Gaussians."""
+"""Gaussians of the load test's asset: the test is about many clients, not about many Gaussians."""
 STROKE_BATCHES = 12
 """Dab batches of one stroke."""
 MEMORY_SAMPLES = 20
-"""Over all edits."""
+"""Measurements of memory over all edits."""
 NOTES = (
     "A fresh `splatpainter studio` process, driven over its socket and HTTP as the page drives it; a target is met "
     "when the median meets it. Every time is from sending to the last byte parsed; Gaussians come before answers. "
@@ -59,13 +60,13 @@ class StudioBench:
     asset: Path | None = None
     """A splat file to paint on; none: the bundled demo asset."""
     rows: int = 100_000
-    """Gaussians that it is resampled to."""
+    """Gaussians that the asset is resampled to."""
     sizes: tuple[int, ...] = (512, 1024)
     """Edges of the square views that are painted on, pixels."""
     repeats: int = 9
-    """Strokes, looks and renders of each size."""
+    """Repeats of strokes, looks and renders at each size."""
     edits: int = 1000
-    """Edits, each of them undone, over which memory is watched."""
+    """Edits, each of them undone, over which memory is measured."""
     clients: int = 0
     """Clients of the load test, each with 200 edits; 0: none."""
     quick: bool = False
@@ -83,7 +84,7 @@ class Measurement:
     median: float
     worst: float
     target: float | None
-    """At most, in the same unit; None where nothing was promised."""
+    """Target maximum, in the same unit; None where there is none."""
     met: bool | None
     """Whether the median is not above the target."""
     repeats: int
@@ -231,7 +232,7 @@ class StrokePatch:
 
     @staticmethod
     def of(layer: np.ndarray, box: tuple[float, float, float, float]) -> StrokePatch:
-        """Of a [H, W, 4] layer (scenes.py) within left, top, right, bottom."""
+        """The patch of a [H, W, 4] layer (scenes.py) within left, top, right, bottom."""
         height, width = layer.shape[:2]
         left, top = max(int(box[0]), 0), max(int(box[1]), 0)
         right, bottom = min(math.ceil(box[2]), width), min(math.ceil(box[3]), height)

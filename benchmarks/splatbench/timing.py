@@ -23,7 +23,7 @@ class Timing:
     """Repeats of one piece of work."""
 
     seconds: float
-    """Median."""
+    """Seconds, median."""
     fastest: float
     repeats: int
 

@@ -190,7 +190,7 @@ def test_nothing_installed_is_said_for_every_system(tmp_path):
     }
     path = tmp_path / "adapters.toml"
     path.write_text("[voxhamer]\n")
-    assert "[voxhamer] there is none of voxhammer" in METHODS["voxhammer"].missing(Budget(adapters=path))
+    assert "[voxhamer] is not one of voxhammer" in METHODS["voxhammer"].missing(Budget(adapters=path))
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,5 @@
 """The runner of the paper's tables on a toy table: what is made once, what is made again, and what becomes of methods
-that raise, die, cheat or are not there. Figures are known by hand (paper_stubs.py)."""
+that raise, die, cheat or are not there. Figures are known by hand (support/stubs.py)."""
 
 from __future__ import annotations
 

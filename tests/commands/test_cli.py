@@ -129,9 +129,12 @@ def test_convert_has_the_options_of_the_formats(tmp_path: Path, capfd: pytest.Ca
     made = run(capfd, "convert", asset, tmp_path / "few.sog", "--sh-palette", "64", "--json").json
     assert "at most 64 SH vectors" in made["lost"]
     for words, reason in (
-        (("b.splat", "--sh-degree", "0"), "sh_degree is no option of this format"),
+        (("b.splat", "--sh-degree", "0"), "sh_degree is not an option of this format"),
         (("b.ply", "--turning"), "--turning is for OUT.html"),
-        (("b.html", "--spz-version", "4"), "spz_version is no option of this format; it has sh_degree, antialiased"),
+        (
+            ("b.html", "--spz-version", "4"),
+            "spz_version is not an option of this format; it has sh_degree, antialiased",
+        ),
     ):
         refused = run(capfd, "convert", asset, tmp_path / words[0], *words[1:])
         assert refused.code == 2 and reason in refused.err and not (tmp_path / words[0]).exists()

@@ -115,7 +115,7 @@ def test_what_came_back_is_kept_where_it_is_refused(capfd: Capture, folder: Path
     before = listing(folder)
     done = sourced(capfd, folder, "noise", "--source-report", folder / "report.png")
     first, second = (folder / f"out.ply.answer_{number}.png" for number in (1, 2))
-    assert "shows something else than what was sent" in done.error and f"what came back is kept: {first}" in done.error
+    assert "shows something other than what was sent" in done.error and f"what came back is kept: {first}" in done.error
     assert {*listing(folder)} - {*before} == {first.name, "report.png"}
     noise = np.random.default_rng(0).integers(0, 255, (96, 96, 3), np.uint8)
     with Image.open(first) as picture:

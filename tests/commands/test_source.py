@@ -46,7 +46,7 @@ def test_list(capfd: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     assert records["diffusers"]["ready"] == (is_installed("diffusers") and is_installed("transformers"))
     one = run(capfd, "source", "list", "openai").out
     assert "base_url=" in one and "OPENAI_BASE_URL" in one and "gemini" not in one
-    assert "no source 'x'; there are command, gemini" in run(capfd, "source", "list", "x").error
+    assert "no source 'x'; available: command, gemini" in run(capfd, "source", "list", "x").error
 
 
 def test_try(tmp_path: Path, view: Path, capfd: Capture) -> None:
@@ -76,7 +76,7 @@ def test_try_with_everything(tmp_path: Path, view: Path, capfd: Capture) -> None
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["nowhere"], "source 'nowhere': there is none of this name"),
+        (["nowhere"], "source 'nowhere': no such source"),
         (["upscale"], "does not take an enlargement of 1"),
         (["upscale", "--scale", 2, "--prompt", "moss"], "source upscale: does not take a prompt"),
         (["command", "--source-option", "rum=x"], "source command: no option 'rum'; perhaps you meant run"),

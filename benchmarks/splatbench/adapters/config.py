@@ -37,7 +37,7 @@ class AdapterSection:
     """One table of the file."""
 
     name: str
-    """The system's."""
+    """Name of the system."""
     repository: Path | None = None
     """Checkout of the system."""
     python: str = ""
@@ -51,7 +51,7 @@ class AdapterSection:
     result: str = ""
     """File that `command` leaves, relative to {out}; "": where the system itself leaves it, or "edited.ply"."""
     frame: Literal["", "asset", "gltf", "trellis", "nerfstudio"] = ""
-    """Of that file, as frames.py names them; "": the system's own, and "asset" for edited.ply."""
+    """Axes of that file, as frames.py names them; "": the system's own, and "asset" for edited.ply."""
     prompt: str = ""
     """Instruction for systems that read text; "": the name of the kind of edit."""
     prompts: dict[str, str] = field(default_factory=dict)
@@ -59,9 +59,9 @@ class AdapterSection:
     views: int = 0
     """Rendered pictures of the asset that the system gets; 0: as many as it was made for."""
     size: int = 0
-    """Their edge in pixels; 0: as the system wants."""
+    """Edge of the pictures, pixels; 0: as the system wants."""
     timeout_seconds: float = 3600.0
-    """Of each command."""
+    """Timeout of each command."""
     environment: dict[str, str] = field(default_factory=dict)
     """Variables that its process has besides this one's."""
     device: Literal["cuda", "cpu"] = "cuda"
@@ -114,7 +114,7 @@ def section(path: Path | None, name: str) -> AdapterSection | None:
 
 
 def digest(path: Path | None, name: str) -> str:
-    """Of the system's table (AdapterSection.digest); "none" where there is none that can be read."""
+    """Digest of the system's table (AdapterSection.digest); "none" where there is none that can be read."""
     try:
         values = section(path, name)
     except ValueError:
@@ -126,7 +126,7 @@ def absent(path: Path | None, name: str) -> str:
     """Why a system without a table is not run."""
     line = f"not installed: add [{name}] to the adapters file ({GUIDE})"
     unknown = sorted(set(sections(path)) - {*SYSTEMS, *PROGRAMS}) if path is not None else []
-    return line + (f"; [{unknown[0]}] there is none of {', '.join(SYSTEMS)}" if unknown else "")
+    return line + (f"; [{unknown[0]}] is not one of {', '.join(SYSTEMS)}" if unknown else "")
 
 
 def problem(section: AdapterSection, needs: tuple[str, ...], has_gpu: Callable[[], bool]) -> str:

@@ -39,7 +39,7 @@ TRELLIS_VOXELS = 64
 TRELLIS_FOV = 40.0
 """Degrees."""
 TRELLIS_RADIUS = 2.0
-"""Of the cameras, in edges of the cube."""
+"""Radius of the cameras, in edges of the cube."""
 MIN_REGION_DENSITY = 0.05
 """Density (voxels/footprints.py) from which a Gaussian's footprint counts as the region of an edit."""
 COLMAP_POINTS = 2000

@@ -37,11 +37,11 @@ VINEDRESSER_WRITES = (
 """Folders that it writes to."""
 VINEDRESSER_ASSET = "asset"
 VINEDRESSER_PICTURE_PX = 518
-"""Of the edited picture."""
+"""Pixels of the edited picture."""
 VINEDRESSER_KEYS = ("GEMINI_API_KEY", "GOOGLE_API_KEY")
 DGE_FILES = ("launch.py", "configs/dge.yaml", "threestudio", "gaussiansplatting")
 GS2GS_SETUP_STEPS = 20_000
-"""As its README says."""
+"""Set-up steps, as its README says."""
 GS2GS_GUIDANCE, GS2GS_IMAGE_GUIDANCE = "12.5", "1.5"
 RELITLRM_VIEWS = 8
 """It takes 4 to 8."""
@@ -60,7 +60,7 @@ PLACEHOLDERS = {
     "out": "folder for what the system makes",
     "seed": "a whole number",
 }
-"""Of `command` in the adapters file."""
+"""Placeholders of `command` in the adapters file."""
 DEFAULT_RESULT = "edited.ply"
 """What a command of the user's own leaves in {out}, unless `result` says otherwise."""
 Commands = tuple[tuple[str, ...], ...]
@@ -73,10 +73,10 @@ class Job:
     work: EditTask
     section: AdapterSection
     folder: Path
-    """Its files: in/ (for the system), work/ (where it runs), out/ (what it makes), log.txt."""
+    """Folder of the job's files: in/ (for the system), work/ (where it runs), out/ (what it makes), log.txt."""
     seed: int
     cube: Cube
-    """Of the asset."""
+    """Cube of the asset."""
 
     @property
     def inputs(self) -> Path:
@@ -110,7 +110,7 @@ class Plan:
     result: Path
     """File that is read back."""
     frame: Callable[[], Frame]
-    """Of the result, asked once it is there."""
+    """Axes of the result, asked once it is there."""
     setup: Commands = ()
     """Timed as set-up, with the writing of the files."""
     export: Commands = ()
@@ -125,10 +125,10 @@ class Plan:
 
 @dataclass(frozen=True)
 class System:
-    """A row."""
+    """A system: one row of the tables."""
 
     name: str
-    """Its table in the adapters file, and the method's name."""
+    """Name of its table in the adapters file, and of the method."""
     label: str
     protocols: tuple[str, ...]
     plan: Callable[[Job], Plan]
@@ -389,7 +389,7 @@ def check_gs2gs_steps(start: Path, end: Path) -> None:
 
 
 def _last_checkpoint(folder: Path) -> int:
-    """Its step, -1 where there is none."""
+    """Step of the last checkpoint, -1 where there is none."""
     names = [re.fullmatch(r"step-(\d+)\.ckpt", path.name) for path in folder.glob("step-*.ckpt")]
     return max((int(match[1]) for match in names if match), default=-1)
 

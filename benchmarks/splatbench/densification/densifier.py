@@ -42,7 +42,7 @@ from splatpainter.nn.layers import EPS, Gelu, SelfAttention, linear
 from splatpainter.splats import Splats
 
 CURVE_BITS = 10
-"""Of each coordinate along a curve: 1,024 cells per edge."""
+"""Bits of each coordinate along a curve: 1,024 cells per edge."""
 CURVES = ("z", "hilbert", "z-turned", "hilbert-turned")
 CELL = 3.0
 """Edge of a point's cell along each own axis, in its standard deviations; children stay within half of it."""
@@ -109,7 +109,7 @@ def windows(count: int, window: int) -> list[int]:
 
 @dataclass(frozen=True)
 class Points:
-    """M points on their way."""
+    """M points between two levels of the network."""
 
     features: Tensor = field(repr=False)
     """[M, W]."""
@@ -312,7 +312,7 @@ class Densifier(nn.Module):
         checkpoint.save(folder, self.config, self.state_dict(), notes=self.notes if notes is None else notes)
 
     def forward(self, chosen: Chosen, rng: np.random.Generator | None = None) -> tuple[Splats, Tensor]:
-        """As Network.forward, of Gaussians and features on any device."""
+        """As Network.forward, for Gaussians and features on any device."""
         device = next(self.parameters()).device
         tensors = {name: getattr(chosen, name).to(device) for name in ("axes", "ranks", "features")}
         return self.network(replace(chosen, gaussians=chosen.gaussians.torch(str(device)), **tensors), rng)
@@ -320,7 +320,7 @@ class Densifier(nn.Module):
 
 @dataclass(frozen=True)
 class Densified:
-    """What came out. Torch."""
+    """Finer Gaussians that came out. Torch."""
 
     splats: Splats
     """Gaussians that stayed, then the new ones; differentiable in the weights."""

@@ -21,7 +21,7 @@ class DensifyConfig:
     """The densifier."""
 
     format: ClassVar[str] = "splatpainter densifier"
-    """Of its checkpoints."""
+    """Format name in its checkpoints."""
     preset: str = "paper"
     """Name of these settings."""
     most: int = 12_000
@@ -29,9 +29,9 @@ class DensifyConfig:
     min_opacity: float = 0.005
     """Gaussians at or below this opacity are never chosen."""
     sh_degree: int = 1
-    """Of the harmonics that the network sees and changes, 0..4; higher bands of a Gaussian stay."""
+    """Degree of the harmonics that the network sees and changes, 0..4; higher bands of a Gaussian stay."""
     widths: tuple[int, ...] = (160, 256)
-    """Of a point's features in each level."""
+    """Widths of a point's features in each level."""
     children: tuple[int, ...] = (2, 4)
     """Points that each surviving point of a level becomes: 2 (along its longest axis) or 4 (along its two longest)."""
     blocks: int = 2
@@ -45,7 +45,7 @@ class DensifyConfig:
     keep: float = 0.8
     """Share of a level's points that have children; the others are left as they are."""
     frequencies: int = 15
-    """Of the sine and cosine code of a child's offset."""
+    """Frequencies of the sine and cosine code of a child's offset."""
     resolution: int = 64
     """Cells per edge of the scene box; only head "absolute" needs a cell."""
     head: Head = "absolute"

@@ -32,13 +32,13 @@ if TYPE_CHECKING:
     from splatpainter.data.samples import Sample
 
 MS_SSIM_WEIGHT = 0.5
-"""Of 1 - MS-SSIM in the loss."""
+"""Weight of 1 - MS-SSIM in the loss."""
 MIN_ALPHA = 0.5
 """Alpha from which a pixel is the object's."""
 RECIPES = Path(__file__).with_name("recipes")
 """Folder of the stage's recipes."""
 MS_SSIM_EXPONENTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
-"""Of the scales, from the finest."""
+"""Exponents of the scales, from the finest."""
 MIN_SCALE_MEAN = 1e-3
 """A scale's mean is at least this: a power of it must have a gradient."""
 

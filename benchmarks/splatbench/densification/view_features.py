@@ -88,7 +88,7 @@ class Chosen:
     lo: np.ndarray
     """[3] lowest corner of the asset's cube."""
     size: float
-    """Its edge."""
+    """Edge of the cube."""
 
 
 def feature_count(config: DensifyConfig) -> int:

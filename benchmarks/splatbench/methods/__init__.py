@@ -51,7 +51,7 @@ class EditTask:
 
 @dataclass(frozen=True)
 class EditResult:
-    """What a method made of it."""
+    """Result of a method on one case."""
 
     splats: Splats = field(repr=False)
     """The edited asset; where the method keeps Gaussians, number i is still number i of the asset."""
@@ -66,19 +66,19 @@ class EditResult:
     note: str = ""
     """One line for the table's notes."""
     state: Any = None
-    """For the next step of the same case (a state of the network, an encoded asset)."""
+    """State for the next step of the same case (a state of the network, an encoded asset)."""
     curve: tuple[tuple[float, int, Splats], ...] = field(default=(), repr=False)
     """(seconds since the start of the edit, steps done, asset then), with Budget.curve."""
 
 
 @dataclass(frozen=True)
 class Method:
-    """A row."""
+    """A method: one row of the tables."""
 
     name: str
-    """On the command line: lower case, no spaces."""
+    """Name on the command line: lower case, no spaces."""
     label: str
-    """In tables."""
+    """Label in tables."""
     edit: Callable[[EditTask, Budget], EditResult]
     """Raises ValueError where it cannot do this task; any other exception is a crash. Both become a row's error."""
     protocols: tuple[str, ...]
@@ -111,7 +111,7 @@ class Curve:
     enabled: bool
     """False: collects nothing."""
     start: float = field(default_factory=time.perf_counter)
-    """Of the edit."""
+    """Start of the edit, seconds."""
     overhead: float = 0.0
     """Seconds that taking points took."""
     points: list[tuple[float, int, Splats]] = field(default_factory=list)
@@ -123,7 +123,7 @@ class Curve:
 
     @property
     def watch(self) -> Callable[[int, Callable[[], Splats]], None] | None:
-        """To be called after every step, counted from 1."""
+        """Function to be called after every step, counted from 1."""
         return self._take if self.enabled else None
 
     def _take(self, step: int, current: Callable[[], Splats]) -> None:

@@ -53,8 +53,8 @@ class Change:
 
 
 def altered(model: SplatPainterModel, change: Change) -> SplatPainterModel:
-    """The same weights (shared, not copied) with another setting; tensors that it has no use for are left out. Raises
-    ValueError for a setting that these weights do not fit."""
+    """A model of the same weights (shared, not copied) with another setting; tensors that it has no use for are left
+    out. Raises ValueError for a setting that these weights do not fit."""
     import torch
 
     from splatpainter.models.model import SplatPainterModel
@@ -96,7 +96,7 @@ def _version(budget: Budget, change: Change) -> str:
 
 
 def _changed(name: str, label: str, change: Change) -> Method:
-    """A row."""
+    """A method that is one row: the model with one setting changed."""
     return Method(
         name=f"same-{name}",
         label=f"{label} (same weights)",

@@ -49,9 +49,9 @@ KMEANS_ROUNDS = 20
 ROUNDS = 5
 """Closed-form steps of all Gaussians at once."""
 DAMPING = 0.3
-"""Of SH bands >= 1 in the fit by Gaussians: few views cannot know view dependence."""
+"""Damping of SH bands >= 1 in the fit by Gaussians: few views cannot know view dependence."""
 DEGREE = 3
-"""Of the SH that this fit may change."""
+"""Degree of the SH that this fit may change."""
 MIN_WEIGHT_PX = 0.05
 """Gaussians with less weight than this in all views together keep their colours."""
 MAX_BASE_COLOR = 1.3

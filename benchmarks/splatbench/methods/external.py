@@ -23,9 +23,9 @@ from splatbench.process import run_command
 from splatpainter.splats import Splats
 
 VERSION = "1"
-"""Of what the systems are given."""
+"""Version of what the systems are given."""
 LOG = "log.txt"
-"""Of a job's folder, which stays after a failure; with a scratch folder the log stays in any case."""
+"""Log file of a job's folder, which stays after a failure; with a scratch folder the log stays in any case."""
 
 
 def missing(system: System, budget: Budget) -> str:

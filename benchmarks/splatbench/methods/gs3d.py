@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 ASSET_VIEWS = 48
 """Views of the asset before the edit."""
 EDITED_SHARE = 0.25
-"""Of the steps, which edited views get, at least: as 2 of 59 views they would be seen 34 times in 1,000 steps, of the
+"""Least share of the steps that edited views get: as 2 of 59 views they would be seen 34 times in 1,000 steps, of the
 original's 30,000 a thousand times."""
 APPEARANCE = ("sh", "opacities")
 CONTRADICTED = 2.0

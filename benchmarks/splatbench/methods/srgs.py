@@ -40,9 +40,9 @@ if TYPE_CHECKING:
 
 FACTOR = 4
 MAX_PATCHES = 2
-"""Of each low-resolution picture."""
+"""Most patches of each low-resolution picture."""
 PATCH_EDGE = 2
-"""Of a patch, in edges of the low-resolution picture: a step draws a quarter of the large picture. Measured (one
+"""Edge of a patch, in edges of the low-resolution picture: a step draws a quarter of the large picture. Measured (one
 object, 128 px, 300 steps, dB on novel views near the edit and far from it): a sixteenth 24.9 and 27.2, a quarter 25.5
 and 28.4, all of it 24.9 and 28.6 at 2.7 times the time per step."""
 PAPER, RELEASED = 0.4, 1.0

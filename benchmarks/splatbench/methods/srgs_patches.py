@@ -18,7 +18,7 @@ from splatpainter.rendering import render
 from splatpainter.splats import Splats
 
 SSIM_SHARE = 0.2
-"""Of 1 - SSIM in both parts of the loss; the rest is L1."""
+"""Share of 1 - SSIM in both parts of the loss; the rest is L1."""
 MIN_PATCH_PX = 16
 """Edge of a patch in low-resolution pixels, at least (SSIM's window is 11 wide)."""
 
@@ -55,7 +55,7 @@ def loss_by_kernels(texture: float, factor: int, image: np.ndarray, view: Traini
 
 
 def loss_by_torch(texture: float, factor: int, image: Tensor, view: TrainingView) -> Tensor:
-    """The same, differentiated by torch."""
+    """The loss of `loss_by_kernels`, differentiated by torch."""
 
     def part(render: Tensor, color: np.ndarray, mask: np.ndarray | None) -> Tensor:
         weights = None if mask is None else torch.as_tensor(mask, dtype=torch.float32, device=image.device)

@@ -82,7 +82,7 @@ def _unpooled(size: int, factor: int) -> np.ndarray:
 
 
 def _enlarged(picture: np.ndarray, factor: int) -> np.ndarray:
-    """By Lanczos; values of any sign."""
+    """The picture enlarged by Lanczos; values of any sign."""
     from PIL import Image
 
     size = (picture.shape[1] * factor, picture.shape[0] * factor)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from splatpainter.fit.optimize import TrainingView
 
 SSIM_SHARE = 0.2
-"""Of 1 - SSIM in the loss; the rest is L1."""
+"""Share of 1 - SSIM in the loss; the rest is L1."""
 
 
 def edit(all_attributes: bool, task: EditTask, budget: Budget) -> EditResult:

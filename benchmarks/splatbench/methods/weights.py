@@ -21,7 +21,7 @@ COMPACT = "compact"
 BENCH_WEIGHTS = Path(__file__).parents[1] / "weights"
 """Folder of weights that come with the benches, beside those of splatpainter."""
 VERSION = "1"
-"""Of how methods use their weights."""
+"""Version of how methods use their weights."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Weights:
     config_class: type[ModelConfig] | type[DensifyConfig] = ModelConfig
 
     def folder(self, budget: Budget) -> Path | None:
-        """Of the weights, or None."""
+        """Folder of the weights, or None."""
         for name in self.names:
             if name in budget.weights:
                 return Path(budget.weights[name])
@@ -73,7 +73,7 @@ class Weights:
             return f"{VERSION}-none"
 
     def config(self, budget: Budget) -> Any:
-        """Of the weights, without reading them. Raises ValueError where there are none that fit."""
+        """Config of the weights, without reading them. Raises ValueError where there are none that fit."""
         return self._described(self._existing(budget))[0]
 
     def load(self, budget: Budget) -> Any:

@@ -30,7 +30,7 @@ from splatpainter.contact_sheet import Strip, error_map, sheet, write_sheet
 CELL_PX = 208
 """Edge of a picture in contact sheets."""
 PICTURES_ACROSS = 8
-"""In a line of a contact sheet; more go on below."""
+"""Pictures in a line of a contact sheet; more go on below."""
 WHITE_ERROR = 0.25
 """Error that is white in error maps."""
 
@@ -44,7 +44,7 @@ class Tile:
     method: str = ""
     """"" for what is no method's: the input, the asset before, the truth."""
     figure: float | None = None
-    """Of this answer, in the row's column."""
+    """Figure of this answer, in the row's column."""
     answer: bool = False
     """It is to be compared with the truth."""
 
@@ -60,7 +60,7 @@ class PictureRow:
     tiles: tuple[Tile, ...]
     truth: Path | None
     column: Column
-    """Of the tiles' figures."""
+    """Column of the tiles' figures."""
 
 
 def picture_rows(folder: Path, records: Sequence[Record], names: MethodNames, table: TableLayout) -> list[PictureRow]:
@@ -163,7 +163,7 @@ def _label(tile: Tile, digits: int) -> str:
 
 
 def _tiles(folder: Path, case: str, answers: dict[str, Record], names: MethodNames, column: Column) -> list[Tile]:
-    """Pictures that are there."""
+    """Tiles of the pictures that exist."""
     inputs = _inside(folder / "cases", case)
     tiles = [Tile("Input edit", inputs / "input.png")]
     if "nothing" not in answers:  # whose answer it is

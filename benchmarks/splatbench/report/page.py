@@ -58,11 +58,11 @@ class ReportSection:
     table: TableLayout
     run: StoredRun
     names: MethodNames
-    """Of the whole report, so that a method has one mark on all of the page."""
+    """Names of the whole report, so that a method has one mark on all of the page."""
 
     @property
     def count(self) -> str:
-        """Its size in words."""
+        """The table's size in words."""
         objects, cases = len({r.name for r in self.run.records}), len({r.label for r in self.run.records})
         return f"{objects} object{'s'[: objects != 1]}, {cases} case{'s'[: cases != 1]}"
 
@@ -73,7 +73,7 @@ class ReportSection:
         return grid(self.name, self.table.columns, self.rows(), self.names, self.table.split_by)
 
     def notes(self) -> Sequence[str]:
-        """Of the runner, where it has finished."""
+        """Notes of the runner, where it has finished."""
         return notes(self.rows(), self.table, self.names) if self.run.notes is None else self.run.notes
 
 
@@ -260,5 +260,5 @@ def _svg_uri(text: str) -> str:
 
 
 def _digest(text: str) -> str:
-    """As a content security policy names it."""
+    """Digest as a content security policy names it."""
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()

@@ -79,9 +79,9 @@ FAR_RANGES = 1.5
 MIN_SECONDS = 1e-4
 """What takes less is a line across the plot: a log axis has no position for it."""
 MIN_METHODS = 2
-"""In a plot: one alone is in the table already."""
+"""Fewest methods in a plot: one alone is in the table already."""
 MIN_CURVE_STEP = 0.05
-"""Of log seconds; points of a curve that are nearer to its end are left out."""
+"""Least step, in log seconds; points of a curve that are nearer to its end are left out."""
 STAGES = (("from the LRM", ("gaussians_before", "lrm_gaussians")), ("after Stage I", ("gaussians_kept",)))
 """(stage, keys of Record.numbers that have its count of Gaussians)."""
 RESULT = "in the edited asset"
@@ -99,7 +99,7 @@ class Point:
     x: float
     y: float
     low: float | None = None
-    """Of the interval in y."""
+    """Lower end of the interval in y."""
     high: float | None = None
     note: str = ""
     """Small text above it."""
@@ -112,7 +112,7 @@ class Series:
     """Number of its colour and marker."""
     points: tuple[Point, ...]
     joined: bool = False
-    """By a line."""
+    """Whether the points are joined by a line."""
     hollow: bool = False
 
 
@@ -262,7 +262,7 @@ def _y_label(column: Column) -> str:
 
 
 def _in_brackets(*parts: str) -> str:
-    """Those that are not empty."""
+    """The parts that are not empty, in brackets."""
     given = [part[:1].lower() + part[1:] for part in parts if part]
     return f" ({', '.join(given)})" if given else ""
 
@@ -385,7 +385,7 @@ def _color(style: int) -> str:
 
 
 def _label(text: str, narrow: bool) -> str:
-    """In lines that leave the plot its share."""
+    """The label in lines that leave the plot its share."""
     return textwrap.fill(text, 46 if narrow else 30)
 
 

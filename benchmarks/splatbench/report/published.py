@@ -20,7 +20,7 @@ class Published:
 
     protocol: str
     label: str
-    """As the paper prints it."""
+    """Label as the paper prints it."""
     methods: tuple[str, ...]
     """Names of our methods that are this system; the row stands beside the first of them that a block has."""
     figures: dict[tuple[str, str], float]
@@ -33,7 +33,7 @@ class Published:
 
     @property
     def seconds(self) -> str:
-        """As the paper prints them: "1.54 + 0.64", "323", or ""."""
+        """Seconds as the paper prints them: "1.54 + 0.64", "323", or ""."""
         parts = [f"{value:g}" for value in (self.setup_seconds, self.edit_seconds) if value is not None]
         return " + ".join(parts)
 
@@ -82,7 +82,7 @@ ROWS = (
     Published("compress", "LocalAtt + feats query", ("stage1-feats-query",), _three(34.02, 0.9387, 0.0262)),
     Published("compress", "Pre-Compression (GS-LRM)", ("stage1-before",), _three(34.19, 0.9283, 0.0249)),
 )
-"""In the paper's order."""
+"""Published rows in the paper's order."""
 
 
 def rows(protocol: str) -> tuple[Published, ...]:

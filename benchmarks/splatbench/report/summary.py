@@ -107,7 +107,7 @@ class StoredRun:
 
     records: tuple[Record, ...]
     notes: tuple[str, ...] | None
-    """Of the runner; None: no run has finished there yet."""
+    """Notes of the runner; None: no run has finished there yet."""
 
 
 def read_run(folder: Path) -> StoredRun:
@@ -144,7 +144,7 @@ class Estimate:
     """Lower end of the 95 % interval; None with fewer than two objects, which say nothing about others."""
     high: float | None
     objects: int
-    """How many had this figure."""
+    """Objects that had this figure."""
     cases: int
 
 
@@ -153,24 +153,24 @@ class SummaryRow:
     """One method in one block of a table."""
 
     method: str
-    """Its name."""
+    """Name of the method."""
     block: str
     """Value of the fact that splits the table, as text; "" where the table is not split."""
     state: str
     """"measured" where any case has figures; else why none has: "not installed: ...", "error: ..."."""
     cases: int
-    """With figures."""
+    """Cases with figures."""
     all_cases: int
     """Cases of this block that any method has a record of."""
     objects: int
-    """With figures."""
+    """Objects with figures."""
     figures: dict[str, Estimate] = field(default_factory=dict)
     """Column key -> figure; keys that no case has a number for are left out."""
     setup_seconds: float | None = None
     """Median over cases, as edit_seconds."""
     edit_seconds: float | None = None
     peak_mib: float | None = None
-    """Largest."""
+    """Largest memory of the cases."""
     rows: int | None = None
     """Gaussians of the edited asset, median, as appended."""
     rows_equal: float | None = None
@@ -181,7 +181,7 @@ class SummaryRow:
     errors: tuple[tuple[str, int], ...] = ()
     """(reason, number of cases) of the cases without figures, most frequent first."""
     notes: tuple[str, ...] = ()
-    """Of the cases with figures, each once."""
+    """Notes of the cases with figures, each once."""
 
 
 def summarize(records: Iterable[Record], split_by: str = "", order: Sequence[str] = ()) -> list[SummaryRow]:
@@ -311,7 +311,7 @@ class CurvePoint:
     seconds: float
     """Median over cases."""
     mean: float
-    """Of the figure, over cases."""
+    """Mean of the figure, over cases."""
 
 
 def curve_points(records: Sequence[Record], method: str, key: str) -> list[CurvePoint]:

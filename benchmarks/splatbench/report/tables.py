@@ -62,7 +62,7 @@ class MeanFigure:
 
 @dataclass(frozen=True)
 class Head:
-    """Above a column."""
+    """Heading above a column."""
 
     group: str
     label: str
@@ -78,7 +78,7 @@ class Cell:
     value: float | None = None
     """What rows are sorted by."""
     best: bool = False
-    """Of its block."""
+    """Whether it is the best of its block."""
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,7 @@ def grid(protocol: str, columns: Sequence, rows: Sequence[SummaryRow], names: Me
 
 
 def markdown(table: Grid) -> str:
-    """For people and for GitHub; published figures in italics, since Markdown has no grey."""
+    """The table as Markdown, for people and for GitHub; published figures in italics, since Markdown has no grey."""
     heads = ["Method"] + [
         f"*{MARK}:* {h.label}" if h.published else f"{h.group} {h.label}".strip() for h in table.heads
     ]
@@ -258,7 +258,7 @@ def short(state: str) -> str:
 
 
 def seconds(value: float) -> str:
-    """For people: hundredths, tenths from 10 s on, whole ones from 100 s on."""
+    """Seconds for people: hundredths, tenths from 10 s on, whole ones from 100 s on."""
     if 0 < value < MIN_SECONDS:
         return f"< {MIN_SECONDS:g}"
     return f"{value:,.{2 if 0 < value < 9.995 else 1 if 0 < value < 99.95 else 0}f}"
@@ -288,7 +288,7 @@ def _mean(row: SummaryRow, column: Any, best: bool) -> Cell:
 
 
 def _seconds(row: SummaryRow) -> Cell:
-    """As the paper prints them; set-up is left out where there is none."""
+    """Seconds as the paper prints them; set-up is left out where there is none."""
     if row.edit_seconds is None:
         return Cell()
     text, setup = seconds(row.edit_seconds), row.setup_seconds or 0.0

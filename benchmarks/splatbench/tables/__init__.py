@@ -33,7 +33,7 @@ class Column:
     """One figure of a table."""
 
     key: str
-    """In `score`'s answer."""
+    """Key in `score`'s answer."""
     label: str
     """Above the column, e.g. "PSNR"."""
     group: str = ""

@@ -38,20 +38,20 @@ SHARES = {
     "noise": 0.5,
     "conflict": 0.5,
 }
-"""Of kinds in the list; every beginning of it is in proportion."""
+"""Shares of kinds in the list; every beginning of it is in proportion."""
 SAMPLES_PER_OBJECT = 2
-"""Of `--objects`."""
+"""Samples per object of `--objects`."""
 RELIT_VIEWS = 2
 """Edited views of every relighting."""
 PROCEDURAL = "procedural:64"
 """The data without a folder."""
 SURFELS_PER_GAUSSIAN = 8
-"""Of the truth and of the asset (the training samples have 7.5)."""
+"""Surfels per Gaussian of the truth and of the asset (the training samples have 7.5)."""
 MIN_SURFELS = 60_000
 HELD_OUT_SHARE = 0.1
-"""Of the objects that training holds out (data.object_sources.split's own)."""
+"""Share of the objects that training holds out (data.object_sources.split's own)."""
 MIN_ASSET_ALPHA = 0.5
-"""Of a pixel of the asset."""
+"""Least alpha of a pixel of the asset."""
 UNEDITED_WEIGHT = 0.25
 """Weight of pixels that nobody edited: of the training loss, no figure here depends on it."""
 

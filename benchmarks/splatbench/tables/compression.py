@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from splatbench.methods import EditResult
 
 COUNTS = ("gaussians_before", "voxels", "gaussians_kept")
-"""Of EditResult.numbers; the asset as it is has none of them."""
+"""Keys of EditResult.numbers; the asset as it is has none of them."""
 
 
 class Compression:

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from splatpainter.splats import Splats
 
 FRAMINGS: tuple[Framing, ...] = ("close-up", "whole")
-"""Of edited views, in turn."""
+"""Framings of edited views, in turn."""
 NEAR_DEGREES = (10.0, 35.0)
 """Between the edited view and the novel views near it: from, to."""
 TRUE_NEAR, TRUE_AROUND = 6, 6
@@ -212,9 +212,9 @@ class SplatTruth:
     center: np.ndarray
     """[3] in the asset's frame."""
     scale: float
-    """Of the frame, times the asset's units."""
+    """Scale of the frame, times the asset's units."""
     radius: float
-    """In the frame."""
+    """Radius in the frame."""
 
     def placed(self, camera: Camera) -> Camera:
         """A camera of the frame, in the asset's frame (y down, as files of this kind have it)."""

@@ -25,16 +25,16 @@ if TYPE_CHECKING:
 
 CLOSE_UPS = 2
 TRUE_CLOSE_UPS = 12
-"""For methods that are upper bounds."""
+"""True close-ups for methods that are upper bounds."""
 MAX_TURN_DEGREES = (12.0, 8.0)
-"""By which a close-up's line of sight differs from the base view in which its point was found: around the object, and
-up or down."""
+"""Degrees by which a close-up's line of sight differs from the base view in which its point was found: around the
+object, and up or down."""
 NEAR_DEGREES = (8.0, 30.0)
 """Between a close-up and the novel views near it: from, to."""
 WIDE_DEGREES = (5.0, 45.0)
-"""The same for the true close-ups."""
+"""The same degrees for the true close-ups."""
 TRIES = 20
-"""Of a view that something stands in the way of."""
+"""Tries for a view that something stands in the way of."""
 SLACK = 0.01
 """World units that a surface may lie before a point and still be its own."""
 

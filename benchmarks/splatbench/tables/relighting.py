@@ -29,7 +29,7 @@ VIEW_COUNTS = (1, 2, 4)
 TURN_DEGREES = (0.0, 180.0, 90.0, 270.0)
 """Around the object of each relit view from the first: any of VIEW_COUNTS spreads evenly."""
 ELEVATION_DEGREES = (0.0, 35.0)
-"""Of relit views: from, to."""
+"""Elevations of relit views: from, to."""
 
 
 class Relighting:
@@ -99,12 +99,12 @@ class _Source:
     base: PosedImages
     novel: PosedImages
     edited: tuple[Camera, ...]
-    """As many as the most of VIEW_COUNTS."""
+    """Edited views, as many as the most of VIEW_COUNTS."""
 
 
 @dataclass(frozen=True)
 class _Target:
-    """It in one target light."""
+    """The object in one target light."""
 
     edited: GroundTruthViews
     novel: PosedImages

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 PARTS = ("views", "edits", "conflict")
 EDITS = ("paint", "zoom", "relight")
-"""Of part "views", in turn."""
+"""Edits of part "views", in turn."""
 MAX_VIEWS, MAX_EDITS = 4, 10
 SMALL_SIZE_PX = 128
 """Up to here fewer steps are asked, for a quick look."""

@@ -13,19 +13,19 @@ from typing import Any
 SUMMARIES = {
     "demo": "paint on the bundled asset: before, edited picture, after, turntable, receipt",
     "info": "what a splat file holds, and what is odd about it",
-    "convert": "from one splat format to another",
-    "merge": "several assets in one file, each in its own range of rows",
+    "convert": "convert from one splat format to another",
+    "merge": "merge several assets into one file, each in its own range of rows",
     "render": "pictures of an asset that carry their camera",
-    "turntable": "a film of a turn around an asset: MP4 or animated WebP",
+    "turntable": "a video of a turn around an asset: MP4 or animated WebP",
     "compare": "pictures of two assets side by side, their difference, dB per view",
     "edit": "write edited pictures of an asset onto the asset",
-    "refine": "sharper where views are looked at closely: enlarged by a model, lifted together",
-    "fill": "remove a part and fill what it leaves, or fill a hole: surface, tone and texture go on",
+    "refine": "make an asset sharper in close-ups: views enlarged by a model, lifted together",
+    "fill": "remove a part and fill the gap, or fill a hole: surface, tone and texture continue",
     "grade": "new colours for an asset or a region of it: sliders, LUTs, a picture's colours",
     "batch": "the edits of a JOBS.yaml on many assets, in variants: resumable, with a page of all results",
     "watch": "lift every edited picture that is saved into a folder onto an asset",
     "source": "where edited pictures come from: programs, image services, local models",
-    "verify": "prove which rows of an edited asset are the same; exit 1 if a wrong one differs",
+    "verify": "prove that an edit changed only the rows in its receipt; exit 1 if another differs",
     "fit": "optimise an asset from a mesh, from pictures with cameras, or from another asset",
     "data": "training and evaluation data: render, check, list",
     "train": "train the networks: stages lrm, compress, predict, rows, refine",
@@ -51,7 +51,7 @@ class Outcome:
     """Exit code."""
 
     def as_json(self) -> Outcome:
-        """The same, its lines replaced by the record as JSON."""
+        """The outcome, its lines replaced by the record as JSON."""
         from splatpainter.commands.terminal import to_json
 
         return Outcome(self.record, [to_json(self.record)], self.code)

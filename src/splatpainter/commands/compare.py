@@ -42,7 +42,7 @@ class Config:
     """Render two assets from the same cameras: a ring around the first, or the cameras that you give.
 
     Every view becomes a picture (first asset, second asset, their difference amplified); sheet.png shows all of them,
-    compare.json has dB and SSIM per view. Numbers of rows may differ; colours are compared as they are displayed.
+    compare.json has dB and SSIM per view. Numbers of Gaussians may differ; colours are compared as they are displayed.
 
     example:
       splatpainter compare vase.ply painted.ply --out compared --views 8
@@ -50,9 +50,9 @@ class Config:
     """
 
     first: Annotated[Positional[Path], arg(metavar="A")]
-    """The one asset."""
+    """The first asset."""
     second: Annotated[Positional[Path], arg(metavar="B")]
-    """The other one."""
+    """The second asset."""
     out: Annotated[Path, arg(metavar="DIR")]
     """Folder for view_000.png, ..., sheet.png and compare.json; made if missing."""
     views: int = 8
@@ -64,9 +64,9 @@ class Config:
     background: Annotated[str | None, arg(metavar="R,G,B", help_behavior_hint="")] = None
     """Colour behind both, 0..1 or #rrggbb; default: 0.25,0.25,0.25, or what the camera says."""
     profile: Profile = "inria"
-    """Whose picture, as in `render`."""
+    """Which renderer to match, as in `render`."""
     amplify: float = 8.0
-    """The difference is shown times this."""
+    """Factor by which the difference is amplified."""
     up: Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"] = "auto"
     """Direction that is up in the pictures, as in `render`."""
     elevation: float = 15.0
@@ -81,17 +81,17 @@ class Config:
 
 @dataclass(frozen=True)
 class Likeness:
-    """How alike two pictures of a view are; decibels are infinite (null in JSON) for equal ones."""
+    """How similar two pictures of a view are; decibels are infinite (null in JSON) for equal ones."""
 
     psnr: float
-    """Of all pixels, dB."""
+    """PSNR of all pixels, dB."""
     psnr_covered: float | None
-    """Of the pixels that either asset covers, dB; None where neither shows."""
+    """PSNR of the pixels that either asset covers, dB; None where neither is visible."""
     ssim: float
     lpips: float | None
     """None where there are no weights for it."""
     largest_difference: float
-    """Of a channel of a pixel, 0..1."""
+    """Largest difference of one channel of one pixel, 0..1."""
     differing: float
     """Part of the pixels that differ by more than half an 8-bit level."""
 

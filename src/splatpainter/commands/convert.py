@@ -22,7 +22,7 @@ HTML = ".html"
 SEEN_IN_THE_FILE = {"sh_degree": None, "antialiased": None, "spz_version": None}
 """Options whose losses are seen in what was read again."""
 LEAST_OPACITY = 1 / 255
-"""Of rows that are drawn. Formats of logits cannot say 0."""
+"""Opacity of rows that are drawn. Formats of logits cannot say 0."""
 PAGE_BACKGROUND = (0.16, 0.17, 0.18)
 
 
@@ -53,17 +53,17 @@ class Config:
     antialiased: Annotated[Literal["auto", "yes", "no"], arg(metavar="auto|yes|no")] = "auto"
     """Mark OUT as trained antialiased (Mip-Splatting), or as not; auto: as ASSET is marked."""
     spz_version: Annotated[int | None, arg(metavar="2|3|4")] = None
-    """Of an .spz: 3 opens everywhere, 4 is about a tenth smaller; default: that of ASSET, else 3."""
+    """Version of an .spz: 3 opens everywhere, 4 is about a tenth smaller; default: that of ASSET, else 3."""
     sh_bits: Annotated[int | None, arg(metavar="4-8")] = None
-    """Of an .spz: bits of each SH coefficient; 4 is the least and smallest; default: 7."""
+    """Bits of each SH coefficient of an .spz; 4 gives the smallest file; default: 7."""
     sh_palette: Annotated[int | None, arg(metavar="64-65536")] = None
-    """Of a .sog: SH vectors at most; fewer make it smaller; default: half as many as rows, or more."""
+    """Most SH vectors of a .sog; fewer make it smaller; default: half as many as rows, or more."""
     remove_hidden: bool = False
-    """Leave out rows that no renderer draws: of an opacity below 1/255."""
+    """Leave out Gaussians that no renderer draws: those of an opacity below 1/255."""
     turning: bool = False
-    """Of an .html: it turns until it is touched."""
+    """In an .html: the asset turns until the user touches it."""
     lenient: bool = False
-    """Also open a file that was cut off behind its last whole row; what is left of the cut part is kept."""
+    """Also open a file that was cut off after its last complete row; what is left of the cut part is kept."""
     overwrite: bool = False
     """Replace OUT if it exists."""
     json: bool = False

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from splatpainter.data.jobs import RenderJob
 
 SUMMARIES = {
-    "render": "samples of every object as WebDataset shards; carries on where it was stopped",
+    "render": "render samples of every object into WebDataset shards; resumes where it stopped",
     "check": "compare shards with their index; exit 1 if one is damaged or scenes are missing",
-    "list": "the objects of a source, what is wrong with bad ones, and the split",
+    "list": "list the objects of a source, why some cannot be read, and the split",
 }
 MAX_LINES = 12
 """Lines of skipped objects and of problems that people see; --json has all."""
@@ -47,7 +47,7 @@ def dispatch(words: Sequence[str]) -> Outcome:
 
 @dataclass(frozen=True)
 class RenderConfig:
-    """Render training samples into shards. Killed and started again, it loses at most the scenes in work.
+    """Render training samples into shards. Stopped and started again, it loses at most the scenes in progress.
 
     example:
       splatpainter data render meshes/ --out shards --environments hdris/ --workers 4
@@ -58,29 +58,29 @@ class RenderConfig:
     source: SourceArgument
     """A folder of meshes (GLB, glTF, OBJ), a folder of splat assets, or procedural:COUNT."""
     out: Annotated[Path, arg(metavar="SHARDS")]
-    """Folder for the shards and their index.json; made if missing, carried on if it holds some of the same options."""
+    """Folder for the shards and their index.json; made if missing, continued if it holds shards of the same options."""
     truth: Literal["surfels", "path"] = "surfels"
     """surfels: milliseconds a view, every kind of edit; path: Mitsuba, seconds a view, relight, zoom and plain."""
     recipe: Literal["unified", "local", "global", "lrm"] = "unified"
-    """Starting point: kinds and their weights, numbers of views."""
+    """Recipe to start from: kinds of edits and their weights, numbers of views."""
     kinds: tuple[str, ...] = ()
-    """Only these kinds, in equal parts; default: the recipe's (path traced: relight and zoom)."""
+    """Only these kinds of edits, in equal parts; default: the recipe's (path traced: relight and zoom)."""
     size: int = 128
     """Pixels of every picture's edge."""
     rows: int = 8000
-    """Of the assets."""
+    """Gaussians of each asset."""
     surfels: int = 60_000
-    """Of the truth."""
+    """Surfels (dense Gaussians) of each ground truth."""
     samples: int = 8
-    """Per scene; they share the object, its light and the asset."""
+    """Samples per scene; they share the object, its light and the asset."""
     scenes: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
-    """How many; default: one per object. More go round again, in other light."""
+    """How many scenes; default: one per object. More go through the objects again, in other light."""
     seed: int = 0
     """Equal seeds and options give equal samples."""
     split: Literal["all", "train", "validation"] = "all"
-    """Which objects (see data list)."""
+    """Which objects: all, or one side of the split (see data list)."""
     share: float = 0.1
-    """Of the objects, for validation."""
+    """Share of the objects that is for validation."""
     environments: Folder = None
     """Folder of .hdr and .exr light; without it, procedural skies."""
     decals: Folder = None
@@ -92,13 +92,13 @@ class RenderConfig:
     spp: int = 64
     """Paths per pixel (path traced)."""
     bounces: int = 5
-    """At most, between light and eye (path traced)."""
+    """Most bounces of a path (path traced)."""
     linear: bool = False
     """Keep 16-bit linear pictures (OpenEXR halves) beside the PNGs (path traced)."""
     per_shard: int = 32
     """Scenes per shard file."""
     workers: int = 1
-    """Processes; with --ray and an address: how many tasks at a time (1: as many as the cluster has CPUs)."""
+    """Worker processes; with --ray and an address: how many tasks at a time (1: as many as the cluster has CPUs)."""
     ray: Annotated[tuple[str, ...] | None, arg(metavar="[ADDRESS]", help_behavior_hint="")] = None
     """Spread scenes by Ray: over the cluster at ADDRESS (auto, HOST:PORT, ray://HOST:PORT), or a local Ray."""
     json: bool = False
@@ -121,7 +121,7 @@ class CheckConfig:
 
 @dataclass(frozen=True)
 class ListConfig:
-    """Show the objects of a source, which cannot be read and why, and which side of the split each is on.
+    """Show the objects of a source, which of them cannot be read and why, and on which side of the split each is.
 
     example:
       splatpainter data list meshes/
@@ -130,11 +130,11 @@ class ListConfig:
     source: SourceArgument
     """A folder of meshes, a folder of splat assets, or procedural:COUNT."""
     share: float = 0.1
-    """Of the objects, for validation."""
+    """Share of the objects that is for validation."""
     seed: int = 0
-    """Of procedural objects."""
+    """Seed of procedural objects."""
     names_only: bool = False
-    """Do not read the files."""
+    """List names only; do not read the files."""
     json: bool = False
     """Print one JSON object instead of text."""
 
@@ -255,7 +255,7 @@ def check(config: CheckConfig) -> Outcome:
     if health.waiting:
         lines.append(f"{count(health.waiting, 'scene')} more, waiting for a full shard")
     if health.finished < health.scenes:
-        lines.append("not complete: run the same data render again to carry on")
+        lines.append("not complete: run the same data render again to resume")
     lines += _some("problem", list(health.problems))
     if health.complete:
         lines.append("all shards are as they were written")

@@ -30,7 +30,7 @@ _Made = TypeVar("_Made")
 
 @dataclass(frozen=True)
 class Config:
-    """Paint on the bundled asset and see everything that comes of it.
+    """Paint on the bundled asset and see all results.
 
     Writes to DIR: asset.ply, before.png, edited.png (painted on in 2D), painted.ply with its receipt, pictures of it
     from three sides, a regraded picture and the whole asset in that light (evening.ply), overview.png, turntable.webp.
@@ -148,7 +148,7 @@ def _panels(
 
 
 class _Steps:
-    """What was done, in how many seconds, with what result."""
+    """Steps of the demo: what was done, in how many seconds, with what result."""
 
     def __init__(self) -> None:
         self.steps: list[dict[str, Any]] = []

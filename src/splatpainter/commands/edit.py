@@ -57,13 +57,13 @@ class Config:
     out: OutFile
     """The file to write; its name says the format."""
     pictures: Annotated[Positional[tuple[Path, ...]], arg(metavar="VIEW.png ...", help_behavior_hint="")] = ()
-    """1 to 16 edited pictures of it; none with a decal or a source."""
+    """1 to 16 edited pictures of ASSET; none with a decal or a source."""
     frame: FrameOption = "auto"
     """Axes of ASSET's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
     out_frame: FrameOption = "auto"
     """Axes of OUT's numbers; auto: those of ASSET if both are of one format, else what OUT's format has."""
     lenient: bool = False
-    """Also open a file that was cut off behind its last whole row; what is left of the cut part is kept."""
+    """Also open a file that was cut off after its last complete row; what is left of the cut part is kept."""
     camera: CameraFiles = ()
     """Cameras of the pictures, in their order, where the pictures lost theirs (CAM.json)."""
     mask: Annotated[tuple[Path, ...], arg(metavar="M.png ...", help_behavior_hint="")] = ()
@@ -72,14 +72,15 @@ class Config:
     """local: only what was painted changes. global: a regraded or relit picture changes the whole asset. spread: the
     painted material changes all around, also where the pictures do not show it."""
     spread_threshold: float | None = None
-    """Of mode spread: how sure (0 to 1) it must be that something is of the painted material; lower reaches further.
+    """Mode spread: confidence (0 to 1) from which a Gaussian counts as the painted material; lower reaches further.
     Default: 0.5."""
     spread_confidence: Annotated[Path | None, arg(metavar="C.png", help_behavior_hint="")] = None
-    """Of mode spread: a picture of how sure it is, from the first edited view and from behind (green: sure, yellow: at
-    the threshold, red and blue: not reached). With --dry-run nothing else is written."""
+    """Mode spread: write a picture of this confidence, from the first edited view and from behind (green: sure, yellow:
+    at the threshold, red and blue: not reached). With --dry-run nothing else is written."""
     method: Method = "auto"
-    """How: lift (analytic, under a second), fit (the lift, then some seconds of optimisation: nearer to the picture,
-    local edits only), ttt (the networks of PRESET); auto: ttt where trained weights are better, else lift."""
+    """Method of the edit: lift (analytic, under a second), fit (the lift, then some seconds of optimisation: nearer to
+    the picture, local edits only), ttt (the networks of PRESET); auto: ttt where trained weights are better, else
+    lift."""
     preset: Annotated[str, arg(metavar="NAME|DIR")] = "auto"
     """Weights: compact, rows, paper, a folder of weights, or lift (none); auto: compact where its weights are, else
     lift."""
@@ -91,11 +92,12 @@ class Config:
     depth_edge_limit: float = LOCAL_DEFAULTS.depth_edge_limit
     """Pixels beside an edge in depth that a local edit leaves out; 0: none."""
     polish: bool = False
-    """After the networks, two colour rounds of the lift: nearer to the picture, further from what was learnt."""
+    """After the networks, two colour rounds of the lift: nearer to the picture, further from what the networks have
+    learnt."""
     decal: Annotated[Path | None, arg(metavar="PICTURE", help_behavior_hint="")] = None
     """Instead of VIEW: a picture to lay on the surface, unwrapped over it; what is transparent stays as it is."""
     decal_text: Annotated[str, arg(metavar="WORD", help_behavior_hint="")] = ""
-    """... or a text to lay there."""
+    """... or a text to lay on the surface."""
     decal_font: Annotated[Path | None, arg(metavar="F.ttf", help_behavior_hint="")] = None
     """Font of the text, TrueType or OpenType."""
     decal_color: Annotated[str, arg(metavar="#RRGGBB")] = "#202020"
@@ -103,45 +105,45 @@ class Config:
     at: Annotated[str, arg(metavar="X,Y", help_behavior_hint="")] = ""
     """Pixel of the camera's picture (--camera CAM.json) under which the decal's centre lies on the surface."""
     width: Annotated[str, arg(metavar="LENGTH|PERCENT", help_behavior_hint="")] = ""
-    """Of the decal along the surface: world units, or like 12% of the diameter of the asset."""
+    """Width of the decal along the surface: world units, or a percentage of the asset's diameter, like 12%."""
     angle: float = 0.0
-    """Degrees by which the decal is turned, counter-clockwise from outside; at 0 its up is the camera's."""
+    """Degrees by which the decal is turned, counter-clockwise as seen from outside; at 0 its up is the camera's."""
     wrap: float = 180.0
-    """Degrees by which the surface may turn away under the decal; 180: as far as it goes."""
+    """Degrees by which the surface may turn away under the decal; 180: no limit."""
     source: Annotated[str, arg(metavar="NAME", help_behavior_hint="")] = ""
     """Instead of VIEW: a view is rendered and sent to this picture source (`splatpainter source list`), whose picture
     is registered, corrected and cut to what changed."""
     prompt: Annotated[str, arg(metavar="TEXT", help_behavior_hint="")] = ""
-    """What the source is to make of the view."""
+    """What the source should do to the view."""
     view: Annotated[Path | None, arg(metavar="CAM.json", help_behavior_hint="")] = None
     """Camera of the view that is sent; default: --azimuth 0 --elevation 15, as the first picture of `render`."""
     azimuth: Annotated[float | None, arg(metavar="DEGREES", help_behavior_hint="")] = None
-    """... or its direction around the asset, degrees."""
+    """... or its direction: degrees around the asset."""
     elevation: Annotated[float | None, arg(metavar="DEGREES", help_behavior_hint="")] = None
-    """... and above the horizon."""
+    """... and degrees above the horizon."""
     size: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
     """Pixels of the longer side of the views that are sent; default: 800, or what --view says."""
     views: Annotated[Literal["", "auto"], arg(metavar="auto", help_behavior_hint="")] = ""
-    """auto: view after view, each for what none before it showed, until the surface is covered."""
+    """auto: one view after another, each for surface that no earlier one showed, until the surface is covered."""
     max_views: Annotated[int | None, arg(metavar="N", help_behavior_hint="")] = None
-    """Of --views auto, at most; default: 8."""
+    """Most views of --views auto; default: 8."""
     reference: Annotated[tuple[Path, ...], arg(metavar="PICTURE ...", help_behavior_hint="")] = ()
-    """Pictures that show the source what is meant."""
+    """Reference pictures for the source."""
     seed: Annotated[int | None, arg(metavar="N", help_behavior_hint="")] = None
-    """For sources that take one."""
+    """Random seed, for sources that take one."""
     enlarge: int = 1
-    """How many times larger the source's picture is to be; the edit is made at that size."""
+    """Factor by which the source enlarges the view; the edit is made at that size."""
     source_option: Annotated[tuple[str, ...], arg(metavar="KEY=VALUE ...", help_behavior_hint="")] = ()
     """Options of the source; `splatpainter source list` names them. Keys come from the environment alone."""
     source_strictness: Strictness = "normal"
-    """Pictures that are refused: strict: edges agree by less than 0.7 of 1, moved by over 1 %, turned by over 0.5
+    """Which pictures are refused. strict: edges agree by less than 0.7 of 1, moved by over 1 %, turned by over 0.5
     degrees, 0.25 stops off, over 10 % changed outside the mask, or cropped; normal: less than 0.38, over 10 %, 6
     degrees, 1.5 stops; loose: less than 0.2, over 30 %, 12 degrees."""
     source_report: Annotated[Path | None, arg(metavar="REPORT.png", help_behavior_hint="")] = None
-    """A page of pictures: sent, came back, mask, what was taken, difference."""
+    """Write a sheet of pictures: sent, received, mask, used, difference."""
     dry_run: bool = False
-    """Print which views would be sent and how many paid calls that are (with mode spread: how far it reaches); ask and
-    write nothing."""
+    """Print which views would be sent and how many paid calls that makes (with mode spread: how far it reaches); send
+    and write nothing."""
     receipt: Annotated[Path | None, arg(metavar="R.json", help_behavior_hint="")] = None
     """Where the receipt goes; default: OUT.receipt.json."""
     overwrite: bool = False
@@ -205,7 +207,7 @@ def _write_confidence(
 
 
 def _reached(config: Config, receipt: Receipt) -> Outcome:
-    """Of a dry run in mode spread."""
+    """What a dry run in mode spread prints."""
     record = {"touched_rows": len(receipt.touched), "rows": receipt.asset_rows, "note": receipt.note}
     lines = [f"{config.asset}: nothing is written", *(f"note: {note}" for note in receipt.note.split("; ") if note)]
     lines.append(f"{len(receipt.touched):,} of {count(receipt.asset_rows, 'Gaussian')} would change")

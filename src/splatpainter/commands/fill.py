@@ -26,9 +26,9 @@ COMMAND = "splatpainter fill"
 
 @dataclass(frozen=True)
 class Config:
-    """Remove what WHERE says and fill what it leaves, or fill a hole, with new Gaussians that continue the surface, the
-    tone and the texture around it (or show what a picture source makes of it). What is removed stays in the file with
-    opacity 0; nothing else changes but by what is appended, and the receipt proves it.
+    """Remove the part that WHERE selects and fill the gap, or fill a hole, with new Gaussians that continue the
+    surface, the tone and the texture around it (or show what a picture source paints there). What is removed stays in
+    the file with opacity 0; the new Gaussians are appended, nothing else changes, and the receipt proves it.
 
     WHERE is as in `splatpainter grade`: sphere=X,Y,Z,R, box=X,Y,Z,X,Y,Z, mask=M.png@CAM.json and others, which all have
     to hold, with `or` between groups.
@@ -44,14 +44,14 @@ class Config:
     out: OutFile
     """The file to write; its name says the format."""
     where: Annotated[tuple[str, ...], arg(metavar="WHERE ...", help_behavior_hint="")] = ()
-    """What is removed first."""
+    """Part to remove; what it leaves is filled."""
     around: Annotated[tuple[str, ...], arg(metavar="WHERE ...", help_behavior_hint="")] = ()
-    """Instead: what surrounds a hole that is there, such as a mask that circles it."""
+    """Instead: what surrounds an existing hole, such as a mask drawn around it."""
     source: Annotated[str, arg(metavar="NAME", help_behavior_hint="")] = ""
     """A picture source (`splatpainter source list`) that is sent a view of the filled hole, which is its mask; default:
     the texture of what surrounds it."""
     prompt: Annotated[str, arg(metavar="TEXT", help_behavior_hint="")] = ""
-    """What the source is to put there."""
+    """What the source should paint there."""
     view: Annotated[Path | None, arg(metavar="CAM.json", help_behavior_hint="")] = None
     """Camera of the view that is sent; default: one that faces the hole."""
     size: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
@@ -59,15 +59,15 @@ class Config:
     source_option: Annotated[tuple[str, ...], arg(metavar="KEY=VALUE ...", help_behavior_hint="")] = ()
     """Options of the source."""
     source_strictness: Strictness = "normal"
-    """Pictures that are refused, as of `splatpainter edit`."""
+    """Which pictures are refused, as in `splatpainter edit`."""
     seed: Annotated[int | None, arg(metavar="N", help_behavior_hint="")] = None
-    """For sources that take one."""
+    """Random seed, for sources that take one."""
     frame: FrameOption = "auto"
     """Axes of ASSET's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
     out_frame: FrameOption = "auto"
     """Axes of OUT's numbers; auto: those of ASSET if both are of one format, else what OUT's format has."""
     lenient: bool = False
-    """Also open a file that was cut off behind its last whole row; what is left of the cut part is kept."""
+    """Also open a file that was cut off after its last complete row; what is left of the cut part is kept."""
     receipt: Annotated[Path | None, arg(metavar="R.json", help_behavior_hint="")] = None
     """Where the receipt goes; default: OUT.receipt.json."""
     overwrite: bool = False

@@ -53,21 +53,21 @@ class Config:
     out: OutFile
     """The splat file to write; its name says the format."""
     steps: int = 1000
-    """Of optimisation, one picture each."""
+    """Optimisation steps; each looks at one picture."""
     rows: int = 20_000
-    """To begin with."""
+    """Gaussians to start with."""
     most_rows: int = 300_000
-    """Densification stops here."""
+    """Most Gaussians; densification stops there."""
     fixed: bool = False
     """Keep the number of Gaussians: no densification."""
     views: int = 48
-    """Rendered around a mesh or an asset."""
+    """Views rendered around a mesh or an asset, to fit to."""
     held_out: int = 8
     """Further views that only judge the result; of a folder's pictures, at most a quarter."""
     size: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
     """Pixels of the longer side; default: 256, or what the pictures have."""
     sh_degree: int = 2
-    """Of the view-dependent colour, 0 to 4."""
+    """SH degree of the view-dependent colour, 0 to 4."""
     seed: int = 0
     """Equal seeds and options give equal Gaussians on the CPU."""
     truth: Literal["surfels", "traced"] = "surfels"
@@ -77,9 +77,9 @@ class Config:
     surfels: int = 200_000
     """Dense Gaussians that a mesh is rendered from."""
     samples: int = 64
-    """Paths per pixel."""
+    """Paths per pixel (--truth traced)."""
     device: Literal["cpu", "cuda"] = "cpu"
-    """Where to optimise."""
+    """Processor that optimises."""
     overwrite: bool = False
     """Replace OUT if it exists."""
     json: bool = False

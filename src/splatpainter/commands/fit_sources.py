@@ -23,9 +23,10 @@ if TYPE_CHECKING:
 FOV = 40.0
 """Degrees, of rendered views."""
 BACKGROUNDS = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
-"""In turn behind rendered views and transparent pictures: over one colour alone, Gaussians of that colour may as well
-be holes, and holes Gaussians. The demo asset (96 px, 600 steps) lost 0.059 of its alpha over its own dark background
-and the space around it gained 0.016; over these two in turn 0.005 and 0.003, held-out views 0.1 dB better."""
+"""Colours that stand in turn behind rendered views and transparent pictures: over one colour alone, Gaussians of that
+colour may as well be holes, and holes Gaussians. The demo asset (96 px, 600 steps) lost 0.059 of its alpha over its own
+dark background and the space around it gained 0.016; over these two in turn 0.005 and 0.003, held-out views 0.1 dB
+better."""
 MESHES = (".glb", ".gltf", ".obj")
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
 TRANSFORMS = ("transforms.json", "transforms_train.json")
@@ -37,7 +38,7 @@ TRIES = 20
 
 @dataclass(frozen=True)
 class Wish:
-    """What the user asked for."""
+    """What the user asked for: settings of the pictures."""
 
     views: int
     held_out: int
@@ -183,7 +184,7 @@ def _from_pictures(folder: Path, wish: Wish) -> FitPictures:
     held = [posed[k][:2] for k in apart]
     rest = [view for k, view in enumerate(posed) if k not in set(apart.tolist())]
     start = _carved([view[0] for view in rest], [view[1] for view in rest], [view[2] for view in rest], wish)
-    notes = ["no depth is known: the first Gaussians are random points that no picture shows empty"]
+    notes = ["no depth maps: the first Gaussians are random points where no picture shows empty space"]
     return FitPictures("pictures", [view[0] for view in rest], [view[1] for view in rest], held, start, notes)
 
 
@@ -202,8 +203,8 @@ def _by_camera(folder: Path, wish: Wish) -> list[PosedPicture]:
 
 
 def _by_table(table: Path, wish: Wish) -> list[PosedPicture]:
-    """As NeRF's synthetic scenes and nerfstudio have it: OpenGL camera-to-world matrices, one field of view or focal
-    lengths for all or for each frame."""
+    """Pictures by a table as NeRF's synthetic scenes and nerfstudio have it: OpenGL camera-to-world matrices, one field
+    of view or focal lengths for all or for each frame."""
     try:
         record = json.loads(files.read_all(table))
         frames = list(record["frames"])

@@ -29,7 +29,7 @@ from splatpainter.sources.picture_reader import read_picture
 
 COMMAND = "splatpainter grade"
 MAX_LOOK_BYTES = 1 << 20
-"""Of a LOOK.json."""
+"""Most bytes of a LOOK.json."""
 ALL_HUES = 1e6
 """Degrees to either side: a band of hues that fades out nowhere."""
 
@@ -70,7 +70,7 @@ class Config:
     out: OutFile
     """The file to write; its name says the format."""
     exposure: float = 0.0
-    """Stops, of linear light."""
+    """Exposure in stops, of linear light."""
     temperature: float = 0.0
     """-1 cold .. 1 warm."""
     tint: float = 0.0
@@ -89,17 +89,17 @@ class Config:
     match: Annotated[Path | None, arg(metavar="PICTURE", help_behavior_hint="")] = None
     """... or the mean and spread of the colours of this picture (linear Monge-Kantorovitch map)."""
     recolor: Annotated[str, arg(metavar="#RRGGBB", help_behavior_hint="")] = ""
-    """... or this colour, under the light and shade of what is there."""
+    """... or one new colour; light and shade stay as they are."""
     strength: float = 1.0
-    """0 .. 1: how much of the change is taken."""
+    """Strength of the change, 0 .. 1."""
     where: Annotated[tuple[str, ...], arg(metavar="WHERE ...", help_behavior_hint="")] = ()
-    """What changes; default: everything."""
+    """Region that changes; default: everything."""
     frame: FrameOption = "auto"
     """Axes of ASSET's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
     out_frame: FrameOption = "auto"
     """Axes of OUT's numbers; auto: those of ASSET if both are of one format, else what OUT's format has."""
     lenient: bool = False
-    """Also open a file that was cut off behind its last whole row; what is left of the cut part is kept."""
+    """Also open a file that was cut off after its last complete row; what is left of the cut part is kept."""
     receipt: Annotated[Path | None, arg(metavar="R.json", help_behavior_hint="")] = None
     """Where the receipt goes; default: OUT.receipt.json."""
     overwrite: bool = False

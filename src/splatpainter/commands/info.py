@@ -28,7 +28,7 @@ class Config:
     frame: FrameOption = "auto"
     """Axes of the file's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
     lenient: bool = False
-    """Also open a file that was cut off behind its last whole row; what is left of the cut part is kept."""
+    """Also open a file that was cut off after its last complete row; what is left of the cut part is kept."""
     json: bool = False
     """Print one JSON object instead of text."""
 
@@ -98,7 +98,7 @@ def _lines(record: dict) -> list[str]:
         "most of it": f"within {around['radius']:.3g} of {_point(around['center'])}" if around else "none can be drawn",
         "sha256": record["sha256"],
         "kept": record["exact"],
-        "lost": f"When written anew: {record['lossy']}" if record["lossy"] else "",
+        "lost": f"When written again: {record['lossy']}" if record["lossy"] else "",
     }
     lines = [f"{name:<10} {text}" for name, text in fields.items() if text]
     return lines + [f"{'problem':<10} {problem}" for problem in record["problems"]]

@@ -1,4 +1,4 @@
-"""`splatpainter merge`: several assets in one file, each in its own range of rows."""
+"""`splatpainter merge`: several assets merged into one file, each in its own range of rows."""
 
 from __future__ import annotations
 
@@ -42,16 +42,16 @@ class Config:
     out: Annotated[Path, arg(metavar="OUT")]
     """The file to write."""
     transform: Annotated[tuple[str, ...], arg(metavar="TRANSFORM ...", help_behavior_hint="")] = ()
-    """One for each asset, in order; default: all as they are."""
+    """One TRANSFORM for each asset, in order; default: none of them moves."""
     side_by_side: bool = False
     """Set each asset to the right of the one before it, after its transform."""
     match_seam: bool = False
     """Match the colours of every asset to the first one, where they are near to each other: a gain and an offset of
     linear light."""
     seam_falloff: float = 0.0
-    """World units from the seam over which the match fades out; 0: it holds for all of the asset."""
+    """World units from the seam over which the match fades out; 0: it holds for the whole asset."""
     lenient: bool = False
-    """Also open files that were cut off behind their last whole row."""
+    """Also open files that were cut off after their last complete row."""
     receipt: Annotated[Path | None, arg(metavar="R.json", help_behavior_hint="")] = None
     """Where the receipt goes; default: OUT.receipt.json."""
     overwrite: bool = False

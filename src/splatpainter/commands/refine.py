@@ -25,7 +25,7 @@ COMMAND = "splatpainter refine"
 
 @dataclass(frozen=True)
 class Config:
-    """Make an asset sharper where views of it are looked at closely. Each view is rendered, enlarged by a
+    """Make an asset sharper in close-up views. Each view is rendered, enlarged by a
     super-resolution model (or another picture source), and all of them are lifted together at the enlarged size:
     Gaussians that are too coarse are split, the others only take new colours.
 
@@ -44,15 +44,15 @@ class Config:
     view: Annotated[tuple[Path, ...], arg(metavar="CAM.json ...", help_behavior_hint="")] = ()
     """1 to 16 cameras of the views (CAM.json, or pictures that `render` made)."""
     upscale: Annotated[Path | None, arg(metavar="MODEL.safetensors", help_behavior_hint="")] = None
-    """Super-resolution model."""
+    """Super-resolution model that enlarges the views."""
     scale: Annotated[Literal[1, 2, 4] | None, arg(metavar="1|2|4", help_behavior_hint="")] = None
-    """How many times larger than the view its picture is made; default: 2, or 1 of sources that do not enlarge."""
+    """Factor by which each view is enlarged; default: 2, or 1 for sources that do not enlarge."""
     source: Annotated[str, arg(metavar="NAME")] = "upscale"
-    """Another picture source (`splatpainter source list`)."""
+    """Picture source that enlarges the views (`splatpainter source list`)."""
     source_option: Annotated[tuple[str, ...], arg(metavar="KEY=VALUE ...", help_behavior_hint="")] = ()
-    """Its options."""
+    """Options of the source."""
     prompt: Annotated[str, arg(metavar="TEXT", help_behavior_hint="")] = ""
-    """For sources that take one."""
+    """Prompt, for sources that take one."""
     size: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
     """Pixels of the longer side at which views are rendered and sent; default: the cameras'."""
     method: Literal["lift", "fit"] = "lift"
@@ -62,7 +62,7 @@ class Config:
     out_frame: FrameOption = "auto"
     """Axes of OUT's numbers; auto: those of ASSET if both are of one format, else what OUT's format has."""
     lenient: bool = False
-    """Also open a file that was cut off behind its last whole row; what is left of the cut part is kept."""
+    """Also open a file that was cut off after its last complete row; what is left of the cut part is kept."""
     receipt: Annotated[Path | None, arg(metavar="R.json", help_behavior_hint="")] = None
     """Where the receipt goes; default: OUT.receipt.json."""
     overwrite: bool = False

@@ -43,11 +43,11 @@ class Config:
     views: int = 8
     """How many views around the asset."""
     camera: CameraFiles = ()
-    """Use these cameras instead (CAM.json, or PNGs that carry one); --views, --up and so on do not count then."""
+    """Use these cameras instead (CAM.json, or PNGs that carry one); --views, --up and so on are then ignored."""
     size: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
     """Pixels of the longer side, up to 8192; default: 800, or what the camera says."""
     width: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
-    """With --height, in place of --size: views around the asset that are not square."""
+    """Pixels; with --height, in place of --size: views around the asset that are not square."""
     height: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
     """See --width."""
     background: Annotated[str | None, arg(metavar="R,G,B", help_behavior_hint="")] = None
@@ -58,26 +58,26 @@ class Config:
     format: Literal["png", "exr"] = "png"
     """PNG of display colours, or EXR of linear light."""
     bits: Annotated[Literal["8", "16", "32"] | None, arg(help_behavior_hint="")] = None
-    """Of each colour sample: PNG 8 (default) or 16, EXR 16 (default) or 32."""
+    """Bits of each colour sample: PNG 8 (default) or 16, EXR 16 (default) or 32."""
     aov: Annotated[str, arg(metavar="NAMES", help_behavior_hint="")] = ""
-    """Files beside each picture, names with commas between: alpha, depth, normal, gaussian-ids. Depth and normal are
-    those of the surface on which edits are laid, weighted means over Gaussians where no surface is trusted."""
+    """More files beside each picture, separated by commas: alpha, depth, normal, gaussian-ids. Depth and normal are
+    those of the surface that edits are painted on; weighted means over Gaussians where no surface is trusted."""
     profile: Profile = "inria"
-    """Whose picture: inria as most assets were trained, playcanvas as PlayCanvas's tools render (about 1 % darker)."""
+    """Which renderer to match: inria, as most assets were trained, or playcanvas (about 1 % darker)."""
     frame: FrameOption = "auto"
     """Axes of the file's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
     lenient: bool = False
-    """Also open a file that was cut off behind its last whole row; what is left of the cut part is kept."""
+    """Also open a file that was cut off after its last complete row; what is left of the cut part is kept."""
     up: Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"] = "auto"
-    """Direction that is up in the pictures; auto: -y, the habit of captures (GLB and SPZ are turned when read)."""
+    """Direction that is up in the pictures; auto: -y, as most captures have it (GLB and SPZ are turned when read)."""
     elevation: float = 15.0
     """Degrees above the horizon."""
     fov: float = 40.0
     """Vertical field of view, degrees."""
     distance: Annotated[float | None, arg(metavar="FLOAT", help_behavior_hint="")] = None
-    """From the asset's centre, world units; default: so that it fills the picture."""
+    """Camera's distance from the asset's centre, world units; default: so that it fills the picture."""
     overwrite: bool = False
-    """Replace pictures that exist (they may have been painted on)."""
+    """Replace pictures that exist, even if they were painted on."""
     json: bool = False
     """Print one JSON object instead of text."""
 

@@ -25,8 +25,8 @@ from splatpainter.sources.registry import SourceStatus, describe_sources, open_s
 from splatpainter.sources.source_options import option_words, options_help
 
 SUMMARIES = {
-    "list": "the sources, what each takes, and what it needs that is not there",
-    "try": "send one picture through a source, and write what comes back",
+    "list": "list the sources, what each takes, and what each still needs",
+    "try": "send one picture through a source, and write the result",
 }
 SourceName: TypeAlias = Annotated[Positional[str], arg(metavar="NAME")]
 SourceOptions: TypeAlias = Annotated[tuple[str, ...], arg(metavar="KEY=VALUE ...", help_behavior_hint="")]
@@ -66,7 +66,7 @@ class SourceListConfig:
 
 @dataclass(frozen=True)
 class SourceTryConfig:
-    """Send one picture through a source and write the answer as it came: nothing is registered, corrected or cut.
+    """Send one picture through a source and write the result unchanged: not registered, corrected or masked.
 
     example:
       splatpainter source try gemini views/view_000.png --prompt "covered in rust" --out rusty.png
@@ -75,21 +75,21 @@ class SourceTryConfig:
     """
 
     name: SourceName
-    """Source, see splatpainter source list."""
+    """Name of the source (splatpainter source list)."""
     picture: Annotated[Positional[Path], arg(metavar="PICTURE")]
     """The picture to be edited: PNG, JPEG, WebP, TIFF or OpenEXR."""
     out: Annotated[Path, arg(metavar="OUT.png")]
-    """The answer, a PNG."""
+    """The file to write, a PNG."""
     prompt: Annotated[str, arg(metavar="TEXT")] = ""
-    """What is to be done to it."""
+    """What the source should do to the picture."""
     mask: Annotated[Path | None, arg(metavar="M.png", help_behavior_hint="")] = None
-    """What is not black may change."""
+    """Mask: only what is not black may change."""
     reference: Pictures = ()
-    """Pictures that show what is meant."""
+    """Reference pictures for the source."""
     seed: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
-    """Of the source's random numbers."""
+    """Seed of the source's random numbers."""
     scale: int = 1
-    """How many times wider and higher the answer is to be."""
+    """Factor by which the source enlarges the picture."""
     source_option: SourceOptions = ()
     """Options of the source, see splatpainter source list NAME."""
     overwrite: bool = False
@@ -104,7 +104,7 @@ def listing(config: SourceListConfig) -> Outcome:
     names = [status.description.name for status in statuses]
     for name in config.names:
         if name not in names:
-            raise ValueError(f"splatpainter source list: no source {name!r}; there are {', '.join(names)}")
+            raise ValueError(f"splatpainter source list: no source {name!r}; available: {', '.join(names)}")
     chosen = [status for status in statuses if not config.names or status.description.name in config.names]
     lines = [line for status in chosen for line in _lines(status, bool(config.names))]
     hint = [] if config.names else ["", "splatpainter source list NAME shows the options of a source."]

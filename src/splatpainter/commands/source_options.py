@@ -98,7 +98,7 @@ class SourceJob:
     source: InterruptibleSource
     brief: SourceBrief
     camera: Camera | None
-    """Of --view; None: of azimuth and elevation, or chosen by the plan."""
+    """Camera of --view; None: of azimuth and elevation, or chosen by the plan."""
     mask: np.ndarray | None
     """[h, w] 0..1 of any size, white where the picture may change."""
     config: SourceConfig
@@ -197,7 +197,7 @@ def paint_from_source(splats: Splats, request: SourceJob, painter: Painter) -> t
 
 
 def notes_of_views(edits: Sequence[SourcedEdit]) -> list[tuple[str, ...]]:
-    """Of each view; what all of several have in common is said once."""
+    """Notes of each view; what all of several have in common is listed once."""
     common = [note for note in edits[0].notes if len(edits) > 1 and all(note in edit.notes for edit in edits)]
     notes = [tuple(note for note in edit.notes if note not in common) for edit in edits]
     return [(*(f"{note} (all {len(edits)} views)" for note in common), *notes[0]), *notes[1:]]
@@ -231,7 +231,7 @@ class InterruptibleSource:
         self.answers: list[tuple[PictureRequest, PictureAnswer]] = []
 
     def edit(self, request: PictureRequest, progress: Progress, cancel: CancelFlag) -> PictureAnswer:
-        """As the source's. An interrupt cancels it, waits for its end and goes on."""
+        """Edit as the source does. An interrupt cancels it, waits for its end and goes on."""
         stop, done, outcome = threading.Event(), threading.Event(), []
 
         class Either:

@@ -30,9 +30,9 @@ class Config:
     """Axes of a splat file's numbers: rub is y up, rdf y down; auto: what it says, else what its format has. In the
     page, one click turns an asset that is upside down."""
     port: Annotated[int | None, arg(metavar="PORT", help_behavior_hint="")] = None
-    """Default: 8750, or the next that is free."""
+    """Port to listen on; default: 8750, or the next one that is free."""
     host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
-    """Address to listen on. On any but this machine's own a token is needed, and printed."""
+    """Address to listen on. Any but this machine's own needs a token, which is printed."""
     folder: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
     """The one folder whose files the page may open and save; pictures saved there are offered as edits."""
     no_browser: bool = False

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 PROGRAM = "splatpainter"
 PATIENCE = 1.0
-"""Seconds without a bar."""
+"""Seconds before a progress bar appears."""
 _Item = TypeVar("_Item")
 
 

@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 SUMMARIES = {
     "lrm": "the Gaussian LRM: views of an asset to tokens and Gaussians",
     "compress": "Stage I: Gaussians and tokens to latents",
-    "predict": "what Gaussians become that no picture shows: beside the other stages, in minutes",
-    "rows": "Stage II without pictures: what Gaussians that are shown say about those that are not",
+    "predict": "the predictor of Gaussians that no picture shows: minutes, beside the other stages",
+    "rows": "Stage II without pictures: from the change of shown Gaussians to that of hidden ones",
     "refine": "Stage II: edits to changes of the asset",
     "densify": "a baseline (GenDen) of splatpainter-bench: close-ups to finer Gaussians",
 }
 AFTERWARDS = {
-    "judge": "what trained weights reach on objects held out of training",
+    "judge": "measure trained weights on objects held out of training",
 }
 
 
@@ -59,7 +59,7 @@ class Config(Recipe):
     from_stage: Stage | None = None
     """Take of --from only what was trained up to this stage, e.g. compress for another Stage II on the same Stage I."""
     minutes: float = 0.0
-    """Stop after this many, and save; 0: no limit."""
+    """Stop after this many minutes, and save; 0: no limit."""
     session_steps: int = 0
     """Stop after this many steps of this session, and save; 0: no limit."""
     resume: bool = False

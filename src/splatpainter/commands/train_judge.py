@@ -46,13 +46,13 @@ class JudgeConfig:
     out: Path = Path("judged")
     """Folder for judged.csv, judged.md and the contact sheet judged.png."""
     samples: int = 48
-    """How many, over all kinds."""
+    """How many samples to judge, over all kinds."""
     kinds: tuple[str, ...] = ()
     """Only these kinds of edits, in equal parts; default: those of the recipe, in its proportions."""
     views: tuple[int, ...] = (1, 2, 4)
     """Numbers of edited views that every relighting is judged with."""
     seed: int = 0
-    """Of the samples and of the intervals."""
+    """Seed of the samples and of the confidence intervals."""
     recipe: Path | None = None
     """JSON file with the recipe whose samples are used; default: the one in the checkpoint."""
     write_notes: bool = False

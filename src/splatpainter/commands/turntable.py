@@ -1,4 +1,4 @@
-"""`splatpainter turntable`: a film of a turn around an asset."""
+"""`splatpainter turntable`: a video of a turn around an asset."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MIN_SIDE_PX = 16
 
 @dataclass(frozen=True)
 class Config:
-    """Write a turntable: an MP4 (AV1) or an animated WebP of a turn around an asset.
+    """Write a turntable: an MP4 (AV1) or animated WebP in which the camera turns around an asset.
 
     The name of OUT says which: .mp4 or .webp. Programs that do not play AV1 want H.264, which ffmpeg makes of it:
     ffmpeg -i turn.mp4 -c:v libx264 -pix_fmt yuv420p turn-h264.mp4.
@@ -43,19 +43,19 @@ class Config:
     asset: AssetFile
     """The splat file."""
     out: OutFile
-    """The film: NAME.mp4 or NAME.webp."""
+    """The video: NAME.mp4 or NAME.webp."""
     seconds: float = 6.0
-    """Of the whole film."""
+    """Length of the video."""
     fps: float = 30.0
     """Frames per second."""
     degrees: float = 360.0
     """How far it turns, counter-clockwise seen from above; negative: the other way."""
     camera: Annotated[Path | None, arg(metavar="CAM.json", help_behavior_hint="")] = None
-    """The first view (CAM.json, or a PNG that carries one); --elevation, --fov and --distance do not count then."""
+    """The first view (CAM.json, or a PNG that carries one); --elevation, --fov and --distance are then ignored."""
     size: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
     """Pixels of the longer side; default: 800, or what the camera says. MP4 has an even number of rows and columns."""
     width: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
-    """With --height, in place of --size."""
+    """Pixels; with --height, in place of --size."""
     height: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
     """See --width."""
     background: Annotated[str | None, arg(metavar="R,G,B", help_behavior_hint="")] = None
@@ -63,21 +63,21 @@ class Config:
     transparent: bool = False
     """No background (WebP only)."""
     quality: int = 80
-    """Of the coded pictures, 1 to 100."""
+    """Quality of the encoding, 1 to 100."""
     profile: Profile = "inria"
-    """Whose picture: inria as most assets were trained, playcanvas as PlayCanvas's tools render (about 1 % darker)."""
+    """Which renderer to match: inria, as most assets were trained, or playcanvas (about 1 % darker)."""
     frame: FrameOption = "auto"
     """Axes of the file's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
     lenient: bool = False
-    """Also open a file that was cut off behind its last whole row; what is left of the cut part is kept."""
+    """Also open a file that was cut off after its last complete row; what is left of the cut part is kept."""
     up: Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"] = "auto"
-    """Axis of the turn, up in the pictures; auto: -y, the habit of captures (GLB and SPZ are turned when read)."""
+    """Axis of the turn, up in the pictures; auto: -y, as most captures have it (GLB and SPZ are turned when read)."""
     elevation: float = 15.0
     """Degrees above the horizon."""
     fov: float = 40.0
     """Field of view of the shorter side, degrees."""
     distance: Annotated[float | None, arg(metavar="FLOAT", help_behavior_hint="")] = None
-    """From the asset's centre, world units; default: so that it fills the picture."""
+    """Camera's distance from the asset's centre, world units; default: so that it fills the picture."""
     overwrite: bool = False
     """Replace OUT if it exists."""
     json: bool = False

@@ -38,9 +38,9 @@ class Config:
     """
 
     original: Annotated[Positional[Path], arg(metavar="ORIGINAL")]
-    """The asset before the edit; with --against the merged asset."""
+    """The asset before the edit; with --against, the merged asset."""
     edited: Annotated[Positional[Path | None], arg(metavar="EDITED", help_behavior_hint="")] = None
-    """The asset after it."""
+    """The edited asset."""
     against: Annotated[tuple[Path, ...], arg(metavar="ASSET ...", help_behavior_hint="")] = ()
     """The files that a merged asset was made of, in any order."""
     receipt: Annotated[Path | None, arg(metavar="R.json", help_behavior_hint="")] = None
@@ -90,12 +90,12 @@ def _against(config: Config) -> Outcome:
 
     merged = config.original
     if config.edited is not None:
-        raise ValueError(f"{config.edited}: with --against one merged asset is expected, and its sources behind it")
+        raise ValueError(f"{config.edited}: expected one merged asset before --against, and its sources after it")
     if (config.frame, config.out_frame) != ("auto", "auto"):
-        raise ValueError("splatpainter verify: --frame and --out-frame do not go with --against")
+        raise ValueError("splatpainter verify: --frame and --out-frame cannot be used with --against")
     path = config.receipt or receipt_of(merged)
     if config.receipt is None and not path.exists():
-        raise ValueError(f"{merged}: has no receipt {path.name} that says where its sources lie; name one by --receipt")
+        raise ValueError(f"{merged}: no receipt {path.name} that says where its sources lie; give one with --receipt")
     receipt = read_receipt(path)
     with stages(1) as bar:
         bar.enter("comparing")

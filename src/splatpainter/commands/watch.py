@@ -26,17 +26,17 @@ from splatpainter.splats import Splats
 MASK_ENDING = ".mask.png"
 """view_000.mask.png is the mask of view_000.png: what is not black was edited."""
 SIDE_FILES = (".mask.", ".reference_", ".depth.", ".normal.", ".alpha.", ".gaussian-ids.", ".coverage.")
-"""In the names of pictures that are no edits."""
+"""Parts of names of pictures that are no edits."""
 
 
 @dataclass(frozen=True)
 class Config:
-    """Lift every edited picture that is saved into a folder onto an asset. OUT and its receipt are written anew after
-    each save, whole or not at all; all pictures count, each as it was saved last, in the order of their first save.
+    """Lift every edited picture that is saved into a folder onto an asset. OUT and its receipt are written again
+    after each save, whole or not at all; all pictures count, each as last saved, in the order of their first save.
     Ctrl-C ends it.
 
     Pictures carry their camera, as those of splatpainter render do, or have it beside them (NAME.json); NAME.mask.png
-    says what of NAME.png was edited. What lies in the folder at the start counts once it is saved again.
+    says what of NAME.png was edited. What is in the folder at the start counts once it is saved again.
 
     example:
       splatpainter watch views --asset vase.ply --out painted.ply
@@ -49,13 +49,13 @@ class Config:
     asset: Annotated[Path, arg(metavar="ASSET")]
     """The splat file that the pictures show; it is not changed."""
     out: Annotated[Path, arg(metavar="OUT")]
-    """The file to write; its name says the format. It lies outside of DIR or is no picture."""
+    """The file to write; its name says the format. It must lie outside of DIR or not be a picture."""
     mode: Mode = "local"
     """local: only what was painted changes. global: a regraded or relit picture changes the whole asset."""
     method: Method = "auto"
-    """How: see splatpainter edit."""
+    """Method of the edit, as in splatpainter edit."""
     preset: Annotated[str, arg(metavar="NAME|DIR")] = "auto"
-    """Weights: see splatpainter edit."""
+    """Weights, as in splatpainter edit."""
     frame: FrameOption = "auto"
     """Axes of ASSET's numbers."""
     out_frame: FrameOption = "auto"
@@ -110,7 +110,7 @@ class _Watch:
 
     def _edit(self, path: Path) -> FileEdit:
         if path.name not in self.edits and len(self.edits) >= MAX_VIEWS:
-            raise ValueError(f"{path}: {MAX_VIEWS} pictures are the most; go on with OUT as the new ASSET")
+            raise ValueError(f"{path}: more than {MAX_VIEWS} pictures; go on with OUT as the new ASSET")
         mask = path.with_name(path.stem + MASK_ENDING)
         edit = edit_from_files(path, mask=mask if mask.is_file() else None)
         made_for = edit.camera.asset_sha256

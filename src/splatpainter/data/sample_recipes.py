@@ -17,19 +17,19 @@ class SampleRecipe:
     """What samples are made of. Gaussians and pixels set the cost."""
 
     kinds: dict[str, float] = field(default_factory=lambda: {"stroke": 1.0})
-    """Kind -> weight; kinds: see KINDS."""
+    """Weight of each kind of edit (see KINDS)."""
     size: int = 128
     """Pixels of every view's edge."""
     rows: int = 8000
-    """Of the asset."""
+    """Gaussians of the asset."""
     surfels: int = 60_000
-    """Of the truth."""
+    """Surfels (dense Gaussians) of the ground truth."""
     detail: tuple[float, float] = (1.0, 1.0)
-    """Drawn per object, evenly in its logarithm: a factor on size, its square on Gaussians and surfels."""
+    """Resolution factor, drawn per object, log-uniform: times `size`; its square times Gaussians and surfels."""
     fuzz: tuple[float, float] = (0.1, 0.5)
     """How rough the asset is, drawn per object; see surfels.coarse_asset."""
     sh_degree: int = 1
-    """Of asset and truth: 0 (matt) to 2."""
+    """SH degree of asset and truth: 0 (matt) to 2."""
     views: tuple[float, ...] = (0.4, 0.3, 0.15, 0.15)
     """Odds of 1, 2, 3, 4 edited views (conflicts have two)."""
     base_views: int = 6
@@ -41,13 +41,13 @@ class SampleRecipe:
     window: tuple[float, float] = (0.7, 1.7)
     """Height of a local edit's close-up, in radii of the object."""
     zoom: tuple[float, float] = (2.0, 4.0)
-    """Of zoom-in tiles, times a view of the whole object."""
+    """Magnification of zoom-in tiles over a view of the whole object."""
     lit_paint: float = 0.4
     """How often paint is shaded by the light that falls on it; otherwise it shows as it was painted."""
     fov: tuple[float, float] = (30.0, 55.0)
-    """Vertical, degrees, drawn per stage."""
+    """Vertical field of view, degrees, drawn per stage."""
     backgrounds: tuple[tuple[float, float, float], ...] = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (0.5, 0.5, 0.5))
-    """One of these per stage."""
+    """Background colours; one of them per stage."""
     steps_per_object: int = 8
     """Samples of one stage (object, light, asset) before the next."""
 

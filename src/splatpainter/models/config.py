@@ -135,12 +135,12 @@ class RefineConfig:
     mask_tokens: bool = False
     """Tokens train the fast weights in proportion to their share of edited pixels; False: all alike."""
     lift_features: bool = False
-    """Latents are told the analytic lift's answer (colour before and after, how much of the Gaussian was seen, the
+    """Latents also get the analytic lift's answer (colour before and after, how much of the Gaussian was seen, the
     colour that its regression predicts) and the Gaussian's normal, turned outwards."""
     row_tokens: int = 0
     """Gaussians that teach the fast weights along with the pictures, those that the edit shows most; 0: none (the
-    paper). They know the lift's answer, so what is seen of an edit is learnt in the words in which unseen Gaussians
-    will ask."""
+    paper). They carry the lift's answer, so what is seen of an edit is learnt in the form in which unseen Gaussians
+    are then asked about it."""
     inputs: Inputs = "raw"
     """What Stage II makes of what it is given. raw (the paper): the sum of latents and of what is known beyond them.
     normalised: latents centred and scaled over the asset, every further term at rms 1, and sines of the Gaussian's
@@ -203,11 +203,11 @@ class PredictConfig:
     """What Gaussians that no picture shows become in a global edit: features for a regression (models/predictor.py)."""
 
     features: int = 0
-    """Of every Gaussian, for lightness and for hue each; 0: no predictor, the lift's own regression (and the paper)."""
+    """Features per Gaussian, for lightness and hue each; 0: no predictor, the lift's regression (as in the paper)."""
     hidden: int = 128
-    """Width of the network that makes them."""
+    """Width of the network that makes the features."""
     alone: bool = False
-    """Global edits are the predictor's, without Stage II and without encoding the asset (`native` only)."""
+    """The predictor alone makes global edits, without Stage II and without encoding the asset (`native` only)."""
 
     def __post_init__(self) -> None:
         _positive(self, "features", least=0)
@@ -219,7 +219,7 @@ class ModelConfig:
     """The whole model."""
 
     format: ClassVar[str] = "splatpainter model"
-    """Of its checkpoints."""
+    """Format name in its checkpoints."""
     preset: str = "paper"
     """Name under which checkpoints of this model are found."""
     representation: Representation = "copy"

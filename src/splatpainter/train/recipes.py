@@ -50,13 +50,13 @@ class Recipe:
     batch: int = 1
     """Samples per step, over all processes; a multiple of their number."""
     learning_rate: float = 4e-4
-    """Peak."""
+    """Peak learning rate."""
     warmup: int = 200
-    """Steps of linear rise."""
+    """Steps over which the learning rate rises linearly."""
     final_rate: float = 0.02
     """Where the cosine ends, as a share of the peak."""
     weight_decay: float = 0.05
-    """Of matrices; not of norms, biases and fast weights."""
+    """Weight decay of matrices; not of norms, biases and fast weights."""
     clip: float = 1.0
     """Gradients are scaled to this norm at most."""
     spike: float = 20.0
@@ -69,7 +69,7 @@ class Recipe:
     """Minimise the logarithm of the loss of pictures, so that every sample counts by what it gains in dB; its gradients
     are some hundred times larger, so give `clip` as much."""
     perceptual_views: int = 1
-    """Views per sample that this term looks at, another choice each time."""
+    """Views per sample that the LPIPS term looks at, chosen anew each time."""
     loss_views: int = 0
     """Stage II and densify: views per sample that are rendered and compared, a third of them edited ones; 0: all."""
     gradient_rows: int = 0
@@ -80,7 +80,7 @@ class Recipe:
     sequence: float = 0.2
     """Probability that an edit of several views comes as two, the second on the state that the first left."""
     train_encoder: Encoder = "nothing"
-    """Stage II only: what is trained along. nothing (the paper), compress (Stage I), all (Stage I and the LRM)."""
+    """Stage II only: what else is trained. nothing (the paper), compress (Stage I), all (Stage I and the LRM)."""
     carrier: Carrier = "stage2"
     """rows only: what learns, Stage II or the predictor."""
     teachers: int = 256
@@ -92,7 +92,7 @@ class Recipe:
     pull_steps: int = 1000
     """LRM without known geometry only: first steps that pull points into place."""
     seed: int = 0
-    """Of weights, data order and random choices."""
+    """Seed of weights, data order and random choices."""
     validation_share: float = 0.1
     """Share of the objects that are never trained on."""
     validation_samples: int = 24

@@ -26,7 +26,7 @@ COMMAND = "splatpainter batch"
 SUMMARY, PAGE, LOCK = "summary.json", "index.html", ".batch"
 """Files in the folder of results."""
 RETRIES = 1
-"""Of a job whose worker died, where another program follows the batch."""
+"""Retries of a job whose worker died, where another program follows the batch."""
 MAX_LISTED = 10
 """Failed jobs that are named in the terminal; the summary names all."""
 
@@ -34,7 +34,7 @@ MAX_LISTED = 10
 @dataclass(frozen=True)
 class Config:
     """Make the results that a JOBS.yaml asks for: assets times variants, each by one or more edits (pictures, decals,
-    new colours, a project's layers). Run it again after a kill or a change: jobs that are done stay.
+    new colours, a project's layers). Run it again after an interruption or a change: jobs that are done stay done.
 
     Every result has its receipt, as `edit` and `grade` write it. OUT/index.html shows all before and after, and
     summary.json says the same to programs. A job that fails stops no other; then the exit code is 1. The format, with
@@ -46,13 +46,13 @@ class Config:
     """
 
     jobs: Annotated[Positional[Path], arg(metavar="JOBS.yaml")]
-    """What to do; paths in it are relative to it."""
+    """The jobs to do; paths in this file are relative to it."""
     workers: int = 1
-    """Processes; with --ray and an address: how many jobs at a time (1: as many as the cluster has CPUs)."""
+    """Worker processes; with --ray and an address: how many jobs at a time (1: as many as the cluster has CPUs)."""
     ray: Annotated[tuple[str, ...] | None, arg(metavar="[ADDRESS]", help_behavior_hint="")] = None
     """Spread jobs by Ray: over the cluster at ADDRESS (auto, HOST:PORT, ray://HOST:PORT), or a local Ray."""
     dry_run: bool = False
-    """Check the file and say what would be done."""
+    """Check the file and print what would be done."""
     overwrite: bool = False
     """Replace results of the same names that no batch made."""
     events: bool = False
@@ -95,7 +95,7 @@ def run(config: Config) -> Outcome:
 
 
 def run_jobs(work: Callable[[int], dict[str, Any]], jobs: tuple[Job, ...], config: Config) -> list[dict[str, Any]]:
-    """Their records, in order; jobs that no worker survived have failed."""
+    """Run the jobs here; returns their records, in order; jobs that no worker survived have failed."""
     records: list[dict[str, Any]] = [{}] * len(jobs)
     results = _results(work, len(jobs), config)
     try:

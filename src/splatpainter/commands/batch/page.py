@@ -16,7 +16,7 @@ from splatpainter.io import files
 
 STATES = ("done", "failed", "cancelled")
 MAX_PREVIEW_BYTES = 1 << 20
-"""Of a picture on the page."""
+"""Most bytes of a picture on the page."""
 
 
 def require_jinja() -> None:

@@ -46,7 +46,7 @@ TURN_SECONDS = 0.1
 """Between looks at whether another worker has made such a step."""
 MAX_RECORD_BYTES = 1 << 20
 PREVIEW_QUALITY = 85
-"""Of WebP, 0..100."""
+"""WebP quality of small pictures, 0..100."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class BatchWork:
 
     jobs: tuple[Job, ...]
     run: str = field(default_factory=lambda: secrets.token_hex(8))
-    """Of this run of the batch: what failed in it is not tried again for every variant."""
+    """Id of this run of the batch: what failed in it is not tried again for every variant."""
 
     def __call__(self, number: int) -> dict[str, Any]:
         job, start = self.jobs[number], time.perf_counter()
@@ -312,7 +312,7 @@ def _option_words(options: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _receipt(job: Job, original: Splats, last: Path) -> Receipt:
-    """From the asset to the result: of one edit that of the command, of several one that is proved anew."""
+    """Receipt from the asset to the result: of one edit that of the command, of several one that is proved anew."""
     if len(job.steps) == 1:
         return read_receipt(receipt_of(last))
     from splatpainter.session.asset_files import receipt_between
@@ -372,7 +372,7 @@ def _clear(job: Job, hashes: list[str]) -> None:
 
 
 def _file_sha256(path: Path) -> str:
-    """As `Splats.sha256` of a file."""
+    """SHA-256 of a file, as `Splats.sha256` has it."""
     return files.sha256(files.read_all(path))
 
 
@@ -395,7 +395,7 @@ def _previews(job: Job, before: Splats, after: Splats) -> None:
 
 
 def _preview_camera(job: Job, splats: Splats) -> Camera:
-    """That of the jobs file, else of the first edit that has one, else from the front."""
+    """Camera of the small pictures: that of the jobs file, else of the first edit that has one, else from the front."""
     from splatpainter.cameras import orbit_cameras
     from splatpainter.sources.edit_files import camera_from
 
