@@ -180,17 +180,17 @@ def test_variants_are_planned_as_a_file_that_the_command_reads(studio: Live, tmp
 REFUSED: tuple[tuple[dict[str, Any], str], ...] = (
     ({}, "batch: expected assets or variants; choose at least one asset, or fill in one row"),
     ({"assets": [{}]}, "batch: expected one of blob, recent or file for each asset"),
-    ({"assets": [{"blob": "0" * 64}]}, "blob 000000000000...: not here (any more); send it again to /api/blobs"),
+    ({"assets": [{"blob": "0" * 64}]}, "blob 000000000000...: no longer available; send it again to /api/blobs"),
     ({"assets": [{"blob": "PICTURE"}]}, "a.png: expected an asset, got a picture"),
     ({"assets": [{"file": "gone.ply"}]}, "gone.ply: no such file in the studio's folder shared"),
     ({"assets": [{"file": ".secret.ply"}]}, "'.secret.ply': expected a plain file name"),
     ({"assets": [{"file": "link.ply"}]}, "link.ply: lies outside the studio's folder"),
     ({"assets": [{"file": "p.splatproj"}]}, "p.splatproj: is a project; expected a splat file"),
-    ({"assets": [{"recent": "../own"}]}, "project '../own': not among the recent ones (any more)"),
+    ({"assets": [{"recent": "../own"}]}, "project '../own': no longer among the recent ones"),
     ({"variants": [{"name": "a/b", "transfer": RED}]}, "batch: expected a name of letters, digits, space and .+-_"),
     ({"variants": [{"name": "a", "transfer": RED}, {"name": "A", "transfer": RED}]}, "batch: 'a' was given twice"),
     ({"variants": [{"name": "a", "transfer": RED, "on": "selected"}]}, "batch: a: nothing is selected; select"),
-    ({"variants": [{"name": "a", "transfer": RED, "on": "selection", "of": "x"}]}, "selection: the project keeps"),
+    ({"variants": [{"name": "a", "transfer": RED, "on": "selection", "of": "x"}]}, "selection: the project holds"),
     ({"variants": [{"name": "a", "transfer": {"kind": "lut"}}]}, "batch: a: expected a file: a .cube table"),
 )
 
@@ -228,7 +228,7 @@ def test_assets_of_recent_projects_stand_as_they_do_there(tmp_path: Path) -> Non
 
 def test_without_a_layer_there_is_nothing_to_put_onto_others(studio: Live, tmp_path: Path) -> None:
     asset = [{"blob": studio.send(splat_bytes(tmp_path), "a.ply")}]
-    assert refusal(studio, "batch.plan", assets=asset).startswith("batch: there is no visible layer to put onto other")
+    assert refusal(studio, "batch.plan", assets=asset).startswith("batch: no visible layer to put onto other")
     assert refusal(studio, "batch.plan", variants=[{"name": "a"}]).startswith("batch: a: changes nothing")
     assert planned(studio, variants=[{"name": "a", "transfer": RED}])["jobs"][0]["name"] == "ball-a.ply"
 
@@ -266,7 +266,7 @@ def test_of_several_assets_the_chosen_one_makes_batches(studio: Live, tmp_path: 
     assert plain.name == "rug-plain.ply" and np.array_equal(read(plain).sh, session.asset_splats(rug).sh)
     assert (read(red).sh[:, 0, 0] > read(red).sh[:, 0, 2]).all() and np.array_equal(read(red).means, read(plain).means)
     studio.post("layer.set", layer=bright.id, visible=False)
-    assert "there is no visible layer of rug.ply to put" in refusal(studio, "batch.plan", assets=other, asset=rug)
+    assert "no visible layer of rug.ply to put" in refusal(studio, "batch.plan", assets=other, asset=rug)
 
 
 def test_a_full_disk_and_too_many_results_are_one_line(
@@ -294,7 +294,7 @@ def test_one_at_a_time_found_again_and_cancelled(studio: Live, tmp_path: Path, f
         batch = planned(studio, variants=variants)
         studio.post("batch.start", batch=batch["id"])
         until(studio, lambda now: states(now) == ["done", "running", "queued"])
-        assert refusal(studio, "batch.plan", variants=variants).startswith("batch: one is at work already; cancel it")
+        assert refusal(studio, "batch.plan", variants=variants).startswith("batch: another one is running; cancel it")
         assert refusal(studio, "batch.start", batch=batch["id"]).startswith("batch: is running already")
         assert refusal(studio, "batch.discard", batch=batch["id"]).startswith("batch: is at work")
         batch = until(studio, lambda now: True)
@@ -318,7 +318,7 @@ def test_one_at_a_time_found_again_and_cancelled(studio: Live, tmp_path: Path, f
     assert again["id"] != batch["id"] and studio.http.get(batch["zip_url"]).status_code == 404, "old results are gone"
     studio.post("batch.discard", batch=again["id"])
     assert studio.post("batch.status")["batch"] is None
-    assert refusal(studio, "batch.start", batch=again["id"]) == "batch: not here (any more); make it again"
+    assert refusal(studio, "batch.start", batch=again["id"]) == "batch: no longer available; make it again"
 
 
 def test_a_program_that_dies_fails_what_is_left(studio: Live, fake: Callable[..., None]) -> None:

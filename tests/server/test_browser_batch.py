@@ -43,7 +43,7 @@ def test_assets_are_sent_planned_made_found_again_and_downloaded(
     live, page = opened
     tab, dialog = page.tab, page.tab.get_by_role("dialog", name="Batch")
     tab.get_by_role("button", name="Batch").click()
-    assert "There is no visible layer yet" in dialog.inner_text() and page.serious() == []
+    assert "No visible layer yet" in dialog.inner_text() and page.serious() == []
     tab.keyboard.press("Escape")
     page.drag((0.45, 0.5), (0.55, 0.5))
     page.wait("the layer", lambda: page.names() == ["Paint"])
@@ -89,7 +89,7 @@ def test_assets_are_sent_planned_made_found_again_and_downloaded(
     page.wait("the choice", lambda: dialog.get_by_label("Of", exact=True).count())
     assert "The visible layers (Paint" in dialog.inner_text()
     dialog.get_by_label("Of", exact=True).select_option(label="hat.ply")
-    page.wait("the other's layers", lambda: "There is no visible layer yet" in dialog.inner_text())
+    page.wait("the other's layers", lambda: "No visible layer yet" in dialog.inner_text())
     assert page.serious() == []
     picture(page, "several")
 
@@ -107,10 +107,10 @@ def test_variants_from_a_table_and_from_csv(opened: tuple[studio_scenes.Live, Pa
     dialog.get_by_role("button", name="From CSV").click()
     text = dialog.get_by_label("CSV: a name and a colour in each line")
     text.fill("name,colour\nnavy,#1f2a44\nbrick,red")
-    dialog.get_by_role("button", name="Make rows of it").click()
+    dialog.get_by_role("button", name="Make rows").click()
     assert 'Line 3: expected a colour like #2040a0, got "red".' in dialog.get_by_role("alert").first.inner_text()
     text.fill("name,colour,what\nnavy,#1f2a44\nbrick;A0432C;sole\n\nmoss\t3f6b35\n")
-    dialog.get_by_role("button", name="Make rows of it").click()
+    dialog.get_by_role("button", name="Make rows").click()
     assert [dialog.get_by_label(f"Name {k}", exact=True).input_value() for k in (1, 2, 3)] == ["navy", "brick", "moss"]
     assert dialog.get_by_label("What changes 2").input_value() == "selection:sole"
     dialog.get_by_role("button", name="Row", exact=True).click()

@@ -44,7 +44,7 @@ def test_brushes_are_sized_chosen_kept_and_loaded(opened: tuple[studio_scenes.Li
     page.wait("a stroke", lambda: page.names() == ["Paint"])
     page.settled()
     tab.get_by_label("Name of the brush").fill("Dusty")
-    tab.get_by_label("Keep this brush under the name, in this browser").click()
+    tab.get_by_label("Save this brush under this name, in this browser").click()
     with tab.expect_download() as download:
         tab.get_by_label("Save your brushes to a file").click()
     saved = json.loads(Path(download.value.path()).read_text(encoding="utf-8"))
@@ -58,8 +58,8 @@ def test_brushes_are_sized_chosen_kept_and_loaded(opened: tuple[studio_scenes.Li
     tab.get_by_role("tab", name="Brush").click()
     assert tab.locator(".presets").get_by_title("Dusty", exact=True).count() == 1
     tab.get_by_role("tab", name="Colours").click()
-    tab.get_by_text("Find them").click()
+    tab.get_by_text("Find", exact=True).click()
     page.wait("a palette", lambda: tab.get_by_role("group", name="Colours of the asset").locator("button").count() > 3)
     tab.get_by_role("group", name="Colours of the asset").locator("button").first.click()
     chosen = tab.get_by_label("Colour", exact=True).input_value()
-    assert tab.get_by_role("group", name="Latest colours").locator("button").first.get_attribute("title") == chosen
+    assert tab.get_by_role("group", name="Recent colours").locator("button").first.get_attribute("title") == chosen

@@ -270,7 +270,7 @@ def test_nothing_seems_lost(browser: Any, tmp_path: Path) -> None:
         tab.get_by_role("button", name="Close").click()
         open_file("two.ply")
         open_file("one.ply")
-        tab.get_by_role("button", name="Start anew").click()
+        tab.get_by_role("button", name="Start over").click()
         page.wait("no dialog", lambda: tab.get_by_role("dialog").count() == 0)
         assert page.names() == [] and page.state()["project"]["id"] != project
 

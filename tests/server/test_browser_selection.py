@@ -150,9 +150,9 @@ def test_what_is_selected_is_hidden_cropped_and_kept(opened: tuple[studio_scenes
     keys.press("m")
     page.drag((0.3, 0.2), (0.5, 0.8))
     selected(page)
-    page.tab.get_by_text("Kept in the project").click()
+    page.tab.get_by_text("Saved in the project").click()
     page.tab.get_by_role("textbox", name="Name of the selection").fill("Left")
-    click(page, "Keep the selection under this name")
+    click(page, "Save the selection under this name")
     page.wait("its name", lambda: page.state()["selection"]["names"] == ["Left"])
     page.tab.locator("#stage").focus()
     keys.press("NumpadDecimal")  # deletes nothing
@@ -182,7 +182,7 @@ def test_what_is_selected_is_hidden_cropped_and_kept(opened: tuple[studio_scenes
     field = page.tab.get_by_role("textbox", name="Y from, number")
     field.fill("0")
     field.press("Enter")
-    click(page, "Crop to it")
+    click(page, "Crop to box")
     page.wait("the crop", lambda: page.names() == ["Crop box"])
     splats = live.studio.session.splats
     assert (splats.opacities[splats.means[:, 1] < -0.01] == 0).all()
@@ -247,7 +247,7 @@ def test_nothing_serious_about_the_card(opened: tuple[studio_scenes.Live, Page])
     page.tab.keyboard.press("m")
     page.drag((0.3, 0.2), (0.5, 0.8))
     selected(page)
-    for name in ("By value", "Floaters", "Box", "Kept in the project"):
+    for name in ("By value", "Floaters", "Box", "Saved in the project"):
         page.tab.locator(".selection-panel summary").get_by_text(name, exact=True).click()
     click(page, "Set a box")
     page.tab.keyboard.press("?")
@@ -328,7 +328,7 @@ def test_what_is_selected_is_filled_from_around(opened: tuple[studio_scenes.Live
     page.drag((0.42, 0.4), (0.58, 0.6))
     selected(page)
     page.tab.get_by_role("tab", name="Select").click()
-    button = page.tab.get_by_title("Fill what is selected of this view from what lies around it")
+    button = page.tab.get_by_title("Fill the selected part of this view from its surroundings")
     page.wait("its picture", button.is_enabled)
     button.click()
     page.wait("the fill", lambda: page.state()["history"][-1]["label"].startswith("Fill from around"))

@@ -47,7 +47,7 @@ def test_the_tour_goes_by_keys_is_skipped_and_comes_back(opened: tuple[studio_sc
         box, size = card.bounding_box(), page.tab.viewport_size
         assert box["x"] >= 0 and box["x"] + box["width"] <= size["width"] and box["y"] + box["height"] <= size["height"]
         page.tab.keyboard.press("ArrowRight" if k % 2 else "Enter")
-    assert titles == ["Look around", "Paint", "Layers", "Nothing is lost", "Give it out"]
+    assert titles == ["Look around", "Paint", "Layers", "Nothing is lost", "Share it"]
     page.wait("end", lambda: card.count() == 0)
     assert page.ask("document.activeElement.id") == "stage"
     assert page.ask("localStorage.getItem('splatpainter.tour')") == "seen"

@@ -97,7 +97,7 @@ def test_what_is_wrong_is_said_in_one_line(studio: Live) -> None:
     both = studio.http.post(
         "/api/do/look.commit", json={"transfer": {"kind": "recolor", "color": "#000000"}, "look": {}}
     )
-    assert "one of both" in both.text
+    assert "either sliders or colours" in both.text
     assert studio.post("look.preview")["gaussians"] == 0  # ends a preview
     assert studio.studio.session.layers == ()
 

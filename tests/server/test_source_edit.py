@@ -81,7 +81,7 @@ def test_refused_pictures_are_shown_with_their_reason(studio: Live, tmp_path: Pa
     (tmp_path / "calls").write_text("")
     answer = studio.post("source.edit", source="command", camera=wire(view()))
     (warning,) = answer["warnings"]
-    assert warning["message"].startswith("Refused, and shown as it came: command: the picture shows something else")
+    assert warning["message"].startswith("Refused; shown as received: command: the picture shows something other")
     picture = np.asarray(Image.open(io.BytesIO(studio.http.get(f"/api/blobs/{answer['picture']}").content)))
     assert picture.shape == (96, 96, 3) and np.ptp(picture) > 200 and answer["share"] > 0.2
     cameras = [one["camera"] for one in studio.post("source.plan", source="command", max_views=2)["views"]]

@@ -1,4 +1,4 @@
-"""The studio as an ASGI application: HTTP, socket, the page. `create_app(studio)`; server.py runs it.
+"""The studio as an ASGI application: HTTP, socket, the page. `create_app(studio)`; launch.py runs it.
 
 HTTP has the same commands as the socket (POST /api/do/NAME, described in /api/openapi.json), uploads, and downloads.
 """
@@ -46,7 +46,7 @@ STATUS = {"input": 400, "cancelled": 409, "busy": 503, "schema": 409, "fault": 5
 SOCKET_ONLY: tuple[type[Command], ...] = (Hello, Sync, Cancel)
 NO_STORE = {"cache-control": "no-store"}
 FOREVER = {"cache-control": "private, max-age=31536000, immutable"}
-UNBUILT = "The studio's page is not built: run npm ci && npm run build in web/. The API is here all the same."
+UNBUILT = "The studio's page is not built: run npm ci && npm run build in web/. The API works without it."
 
 
 def create_app(studio: Studio, access: Access | None = None) -> FastAPI:
@@ -154,12 +154,12 @@ def _add_data(app: FastAPI, hub: Hub) -> None:
     """State, Gaussians, pictures, files."""
     studio = hub.studio
 
-    @app.get("/api/state", response_model=State, summary="What every client has")
+    @app.get("/api/state", response_model=State, summary="State that all clients share")
     async def state() -> Response:
         now = hub.with_clients(studio.state)
         return Response(now.model_dump_json(), media_type="application/json", headers=NO_STORE)
 
-    @app.get("/api/version", summary="Of the package and of the protocol")
+    @app.get("/api/version", summary="Versions of the package and of the protocol")
     async def version() -> JSONResponse:
         return JSONResponse({"version": __version__, "schema": schema_hash()}, headers=NO_STORE)
 
@@ -169,7 +169,7 @@ def _add_data(app: FastAPI, hub: Hub) -> None:
         data = await asyncio.to_thread(frames.snapshot, now.splats, now.version)
         return Response(data, media_type="application/octet-stream", headers=NO_STORE)
 
-    @app.get("/api/view.png", response_class=Response, summary="The render of a camera (JSON), with it inside")
+    @app.get("/api/view.png", response_class=Response, summary="A render from a camera (JSON), which the PNG carries")
     async def view(camera: str, which: Literal["now", "original"] = "now") -> Response:
         try:
             command = ViewRender.model_validate({"camera": json.loads(camera), "which": which})
@@ -204,7 +204,7 @@ def _add_data(app: FastAPI, hub: Hub) -> None:
         values = {"blob": blob.sha256, "kind": info.kind, "bytes": blob.size, "name": blob.name}
         return JSONResponse({**values, "width": info.width, "height": info.height, "gaussians": info.gaussians})
 
-    @app.get("/api/blobs/{blob}", response_class=Response, summary="A picture that was sent or made")
+    @app.get("/api/blobs/{blob}", response_class=Response, summary="A picture that was uploaded or made")
     async def picture(blob: str) -> Response:
         try:
             data, media = await asyncio.to_thread(studio.picture_bytes, blob)

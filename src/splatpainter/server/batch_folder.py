@@ -24,11 +24,11 @@ ASSETS, LOOKS, OUT = "assets", "looks", "out"
 """Folders in it."""
 PREVIEW_PX = 240
 MAX_JOBS = 1000
-"""Of one batch of a studio."""
+"""Most jobs of one batch of a studio."""
 MAX_STEM_BYTES = 100
-"""Of the part of a result's name that comes from its asset."""
+"""Most bytes of the part of a result's name that comes from its asset."""
 UNFIT = str.maketrans('*?:"<>|[]{}', "-------()()")
-"""In names: wildcards, where a JOBS.yaml takes other names in, and what Windows forbids."""
+"""Characters that names may not hold: wildcards, where a JOBS.yaml takes other names in, and what Windows forbids."""
 OF_JOBS_FILE = re.compile(rf"(?:.*[/\\])?{re.escape(JOBS)}(?::\d+)?: (?:variants(?:\[\d+\])?: )?")
 """Beginning of what is said of a JOBS.yaml, which clients have never seen."""
 

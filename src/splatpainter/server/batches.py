@@ -30,7 +30,7 @@ PROGRAM = (sys.executable, "-P", "-m", "splatpainter", "batch", JOBS, "--events"
 CANCEL_SECONDS = 15.0
 """Between asking the program to end and ending it."""
 MAX_LINE_BYTES = 4 << 20
-"""Of one event."""
+"""Most bytes of one event."""
 ERRORS = "stderr.txt"
 
 
@@ -43,7 +43,7 @@ class BatchJob:
     """What is done for it."""
     state: JobState = "queued"
     record: dict[str, Any] = field(default_factory=dict)
-    """As in its summary.json, once it is done or failed."""
+    """Record of the job, as in its summary.json, once it is done or failed."""
 
 
 @dataclass
@@ -68,7 +68,7 @@ class StudioBatch:
 
 
 class Batches:
-    """At most one batch; may be used from several threads."""
+    """The studio's one batch, if there is any; may be used from several threads."""
 
     def __init__(self, root: Path) -> None:
         """root: the folder in which its folder is made."""
@@ -86,10 +86,10 @@ class Batches:
         return self._present
 
     def get(self, id: str) -> StudioBatch:
-        """Raises ValueError for one that is not (or no longer) here."""
+        """The batch of this id. Raises ValueError for one that is no longer available."""
         batch = self._present
         if batch is None or batch.id != id:
-            raise ValueError("batch: not here (any more); make it again")
+            raise ValueError("batch: no longer available; make it again")
         return batch
 
     def make(self, prepare: Callable[[Path], tuple[JobList, list[str], str]]) -> StudioBatch:
@@ -97,7 +97,7 @@ class Batches:
         jobs, what is done for each, and the title. Raises ValueError: one is at work, and what `prepare` refuses."""
         with self._lock:
             if self._preparing or (self._present is not None and self._present.at_work):
-                raise ValueError("batch: one is at work already; cancel it, or wait for its end")
+                raise ValueError("batch: another one is running; cancel it, or wait for its end")
             self._preparing = True
         id = secrets.token_hex(8)
         folder = self._root / id
@@ -180,7 +180,7 @@ class Batches:
         shutil.rmtree(batch.folder, ignore_errors=True)
 
     def _tell(self, batch: StudioBatch | None, number: int | None) -> None:
-        """After a change."""
+        """Report a change to `changed`."""
         with self._lock:
             self.revision += 1
         self.changed(batch, number)

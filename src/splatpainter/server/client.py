@@ -50,11 +50,11 @@ MAX_UNSENT_MESSAGES = 1024
 
 
 protocol_hash = cache(schema_hash)
-"""Of the protocol of this process; some milliseconds of work."""
+"""Hash of this process's protocol; takes some milliseconds."""
 
 
 class Socket(Protocol):
-    """What a client is sent through; may wait where the client is slow."""
+    """A connection's sending end; may wait where the client is slow."""
 
     async def send_text(self, data: str) -> None: ...
     async def send_bytes(self, data: bytes) -> None: ...
@@ -243,7 +243,7 @@ class CommandReader:
             if not self.client.greeted and not isinstance(command, Hello):
                 raise CommandError(Problem(kind="input", message="expected hello as the first message"))
             if number in self._active or self._commands.qsize() >= MAX_QUEUED_COMMANDS:
-                why = "is still in work" if number in self._active else "came too fast"
+                why = "is still in progress" if number in self._active else "came too fast"
                 raise CommandError(
                     Problem(kind="busy", message=f"command {number} {why}", hint="Wait for the answers.")
                 )

@@ -98,7 +98,7 @@ def asset_info(session: Session, name: str) -> protocol.AssetInfo:
 
 
 def counted(info: protocol.AssetInfo, original: Splats, now: Splats) -> protocol.AssetInfo:
-    """The same with the counts of now, every Gaussian compared with the original."""
+    """`info` with the present counts; every Gaussian is compared with the original."""
     same = len(original) - len(changes_between(original, now))
     return info.model_copy(update={"gaussians": len(now), "gaussians_unchanged": same})
 
@@ -165,7 +165,7 @@ def layer_info(session: Session, layer: Layer) -> protocol.LayerInfo:
 
 
 def latest_edit(session: Session) -> protocol.EditFigures | None:
-    """Of the newest stroke or layer that is in effect: ids only ever go up."""
+    """Figures of the newest stroke or layer that is in effect: ids only ever go up."""
     latest: tuple[int, Layer, str, dict[str, Any]] | None = None
     for layer in (leaf for one in session.layers if one.visible for leaf in one.leaves()):
         facts = session.facts(layer.id)
@@ -199,7 +199,7 @@ def _mask_info(mask: LayerMask | None) -> protocol.MaskInfo | None:
 
 
 def _placed(layer: Layer) -> protocol.Placed | None:
-    """None also where somebody wrote something else there."""
+    """Where a text or sticker is placed; None for other layers, and where its parameters are damaged."""
     try:
         return protocol.Placed.model_validate(layer.parameters[PLACED])
     except (KeyError, ValidationError):
@@ -225,7 +225,7 @@ class Lists:
         self._bookmarks: dict[int, tuple[Bookmark, protocol.BookmarkInfo]] = {}
 
     def history(self, session: Session) -> list[protocol.StepInfo]:
-        """Oldest first."""
+        """The history's steps, oldest first."""
         earlier = self._steps
         self._steps = {s: earlier.get(s) or protocol.StepInfo(id=s.id, label=s.label) for s in session.history}
         return list(self._steps.values())

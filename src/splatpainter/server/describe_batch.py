@@ -17,11 +17,11 @@ PAGE, RECEIPT = "index.html", ".receipt.json"
 PICTURES = ("before.webp", "after.webp")
 ZIP_PIECE_BYTES = 1 << 18
 BELOW = re.compile(rf"(?<![\w/\\])(?:{ASSETS}|{OUT})[/\\]")
-"""Folders of a batch, in what its program says."""
+"""Folders of a batch in its program's output, which are left out of what users see."""
 
 
 def batch_info(studio: Studio, batch: StudioBatch) -> BatchInfo:
-    """All of it."""
+    """What the page shows of a batch."""
     page = batch.folder / OUT / PAGE
     return BatchInfo(
         id=batch.id,
@@ -34,7 +34,7 @@ def batch_info(studio: Studio, batch: StudioBatch) -> BatchInfo:
 
 
 def job_info(studio: Studio, batch: StudioBatch, number: int) -> BatchJobInfo:
-    """One result."""
+    """What the page shows of one result of a batch."""
     entry = batch.jobs[number]
     done, out, address = entry.state == "done", entry.job.out, _address(batch)
 
@@ -58,7 +58,7 @@ def job_info(studio: Studio, batch: StudioBatch, number: int) -> BatchJobInfo:
 
 
 def zip_url(batch: StudioBatch) -> str | None:
-    """Of everything that is done."""
+    """Address of the ZIP of all results so far; None while there are none."""
     return f"{_address(batch)}/all.zip" if any(job.state == "done" for job in batch.jobs) else None
 
 
@@ -84,14 +84,14 @@ def result_file(batch: StudioBatch, name: str) -> Path:
             return batch.folder / OUT / name
     if name == PAGE and not batch.at_work and (batch.folder / OUT / PAGE).is_file():
         return batch.folder / OUT / PAGE
-    raise ValueError(f"{name[:100]}: is no result of this batch")
+    raise ValueError(f"{name[:100]}: not a result of this batch")
 
 
 def picture_file(batch: StudioBatch, number: int, name: str) -> Path:
     """A small picture of a result. Raises ValueError for any other."""
     if 0 <= number < len(batch.jobs) and name in PICTURES and batch.jobs[number].state == "done":
         return batch.jobs[number].job.folder / name
-    raise ValueError(f"{name[:100]}: is no picture of this batch")
+    raise ValueError(f"{name[:100]}: not a picture of this batch")
 
 
 def zipped(batch: StudioBatch) -> Iterator[bytes]:

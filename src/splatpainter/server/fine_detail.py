@@ -16,9 +16,9 @@ from splatpainter.session.orientation import COVERED_ALPHA, thinned
 from splatpainter.splats import Splats
 
 VIEW_PX = 256
-"""Of the view that is measured."""
+"""Edge, pixels, of the view that is measured."""
 MIN_FINE_DETAIL = 0.006
-"""From which an asset counts as detailed."""
+"""Fine detail from which an asset counts as detailed."""
 LUMA = np.array([0.3, 0.59, 0.11], np.float32)
 
 

@@ -29,10 +29,10 @@ STATIC = Path(__file__).with_name("static")
 MAX_COEFFICIENTS = 16
 """Per Gaussian and channel, SH degree 3: the screen shows no more."""
 HTML_OPTIONS = ("sh_degree", "antialiased")
-"""Of io.WriteOptions that a page can follow."""
+"""Fields of io.WriteOptions that a page can follow."""
 MAX_BYTES = 300_000_000
-"""Of the packed Gaussians before base64: browsers hold no text above half a gigabyte in one element. Three million
-Gaussians of SH degree 3, or ten of degree 0."""
+"""Most bytes of the packed Gaussians before base64: browsers hold no text above half a gigabyte in one element. Three
+million Gaussians of SH degree 3, or ten of degree 0."""
 GZIP_LEVEL = 6
 SAMPLE_ROWS = 16384
 """Gaussians that are packed for an estimate."""
@@ -139,7 +139,7 @@ def estimated_html_bytes(splats: Splats) -> int:
 
 
 def row_bytes(coefficients: int) -> int:
-    """Of one packed Gaussian."""
+    """Bytes of one packed Gaussian."""
     return 12 + 2 + 6 + 4 + 6 + 4 * (coefficients - 1)
 
 

@@ -44,7 +44,7 @@ class Hub:
         self.closing: set[asyncio.Task[None]] = set()
         """Work of clients whose connection was closed, to its end."""
         self._background: set[Ticket] = set()
-        """Of long commands in work."""
+        """Tickets of long commands in work."""
         self._diffs: tuple[State, dict[tuple[int, int], tuple[State, str]]] | None = None
         self._delta: tuple[Session, int, int, asyncio.Future[tuple[int, list[bytes]]]] | None = None
 
@@ -137,7 +137,7 @@ class Hub:
         return answer.model_copy(update={"seconds": round(seconds, 4)})
 
     def _writer(self, loop: asyncio.AbstractEventLoop) -> Callable[[Callable[[], Any]], Any]:
-        """As CommandContext has it."""
+        """CommandContext's `write` for this loop."""
 
         def write(work: Callable[[], Any]) -> Any:
             def job() -> Any:
@@ -211,7 +211,9 @@ def problem_of(error: Exception) -> Problem:
     if isinstance(error, Cancelled):
         return Problem(kind="cancelled", message="Cancelled; nothing was changed.")
     if isinstance(error, Busy):
-        return Problem(kind="busy", message="Too much is waiting.", hint="Wait until the work in progress is done.")
+        return Problem(
+            kind="busy", message="Too many commands are waiting.", hint="Wait until the work in progress is done."
+        )
     if isinstance(error, MemoryError):
         hint = "Use a smaller picture, or an asset of fewer Gaussians."
         return Problem(kind="input", message="Out of memory.", hint=hint)

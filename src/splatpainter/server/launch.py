@@ -106,7 +106,7 @@ class Running:
     """A studio in the background."""
 
     url: str
-    """Open this."""
+    """Address to open in a browser."""
     session: Session
     """The session that was opened; clients may open another."""
     _server: uvicorn.Server

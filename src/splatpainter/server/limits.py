@@ -23,9 +23,9 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 from splatpainter.server.protocol import MAX_VIEW_PIXELS
 
 MAX_COMMAND_BYTES = 1 << 18
-"""Of a command as JSON; all but `paint.dab` fit easily."""
+"""Most bytes of a command as JSON; all but `paint.dab` fit easily."""
 MAX_DAB_BYTES = 6 * MAX_VIEW_PIXELS + MAX_COMMAND_BYTES
-"""Of `paint.dab`: over all of the largest view it is 16/3 bytes a pixel."""
+"""Most bytes of `paint.dab`: over all of the largest view it is 16/3 bytes a pixel."""
 DAB = "paint.dab"
 MAX_JSON_SEPARATORS = 20_000
 """Commas, brackets and braces of a command. Text costs next to nothing to parse; what they separate costs a thousand
@@ -130,14 +130,14 @@ class CommandRoute(APIRoute):
 
 @dataclass(frozen=True)
 class ConnectionLimits:
-    """Of the server."""
+    """Limits of the server's connections."""
 
     connections: int = 256
     """Open at a time, sockets of pages included; one more is answered 503 and closed."""
     head_seconds: float = 10.0
-    """From a connection's beginning, or the end of the request before, until a request's head is complete."""
+    """Seconds from a connection's beginning, or the end of the request before, until a request's head is complete."""
     body_seconds: float = 20.0
-    """In which `body_bytes` of a request's body must come, while the server is ready to take them."""
+    """Seconds in which `body_bytes` of a request's body must come, while the server is ready to take them."""
     body_bytes: int = 1024
     send_seconds: float = 30.0
     """After which a client that has read nothing of what waits for it is closed."""

@@ -22,7 +22,7 @@ from splatpainter.server.work_queue import Ticket
 MAX_OUTCOMES = 128
 """Latest commands of a page whose outcome can be sent again: more than may wait (client.MAX_QUEUED_COMMANDS)."""
 RECONNECT_SECONDS = 120.0
-"""For which a page that lost its connection is remembered."""
+"""Seconds for which a page that lost its connection is remembered."""
 MAX_ABSENT_PAGES = 32
 """Pages without a connection that are remembered at a time; the oldest are forgotten first."""
 
@@ -47,7 +47,7 @@ class PageState:
     def __init__(self, name: str) -> None:
         self.name = name
         self.strokes: dict[str, Stroke] = {}
-        """At most one, by its name."""
+        """The page's stroke by its name, at most one."""
         self.mirrored: dict[str, MirroredStroke] = {}
         """The other half of a stroke under symmetry, by the stroke's name."""
         self.previewed_ids = np.zeros(0, np.int64)
@@ -57,11 +57,11 @@ class PageState:
         self.clear_preview = False
         """Whether they shall show the asset's again, which has not been sent yet."""
         self.client: Connection | None = None
-        """Its connection, the latest if there are several: the older ones are dead, whatever they look like."""
+        """The page's connection, the latest if there are several: the older ones are dead, whatever they look like."""
         self.attachments = 0
         """How often a connection was attached."""
         self.tickets: dict[int, Ticket] = {}
-        """Of its commands that wait or are in work."""
+        """Tickets of the page's commands that wait or are running."""
         self._outcomes: OrderedDict[int, asyncio.Future[Answer]] = OrderedDict()
 
     async def once(self, number: int, work: Callable[[], Awaitable[Answer]]) -> Answer:
@@ -108,7 +108,7 @@ class PageStates:
         return returning
 
     def detach(self, client: Connection) -> None:
-        """A connection was closed."""
+        """Forget a connection that was closed."""
         page = client.page
         if page.client is not client:
             return

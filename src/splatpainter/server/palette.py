@@ -15,7 +15,7 @@ ROUNDS = 12
 MIN_OPACITY = 0.1
 """Fainter Gaussians are haze."""
 MIN_DISTANCE = 0.03
-"""In OKLab, between two colours of a palette; nearer ones look the same."""
+"""Distance in OKLab between two colours of a palette; closer ones look the same."""
 
 
 def main_colors(splats: Splats, count: int) -> np.ndarray:

@@ -12,11 +12,11 @@ from splatpainter.session.conflicts import PREDICTED, SEEN
 from splatpainter.splats import Splats
 
 OVERLAY_OPACITY = 0.65
-"""Of the coverage over the view."""
+"""Opacity of the coverage over the view."""
 ORBIT_VIEWS, ELEVATIONS_DEGREES, VIEW_PX = 12, (-15.0, 15.0, 45.0), 96
 """Views that are tried for the next one: around, at these elevations, of this size."""
 MIN_PREDICTED_PIXELS = 12.0
-"""Of VIEW_PX x VIEW_PX: as much predicted surface makes a view worth showing."""
+"""Predicted pixels, of VIEW_PX x VIEW_PX, that make a view worth showing."""
 
 
 @dataclass(frozen=True)

@@ -87,7 +87,7 @@ class PaintLimits(Message):
     """Pixels beside an edge in depth that are not painted; 0: none."""
 
     def parameters(self) -> dict[str, float]:
-        """As parameters of a layer."""
+        """The limits as parameters of a layer."""
         return self.model_dump(exclude_none=True)
 
 
@@ -98,7 +98,7 @@ class AssetInfo(Message):
     format: str
     """Key of the file format it came from; "" for the demo asset."""
     sha256: str
-    """Of the original."""
+    """Hash of the original."""
     gaussians: int
     """Now, appended ones included."""
     gaussians_original: int
@@ -109,7 +109,7 @@ class AssetInfo(Message):
     color_space: Literal["srgb", "linear"]
     antialiased: bool
     center: Point
-    """Of nearly all opaque Gaussians, world units."""
+    """Centre of nearly all opaque Gaussians, world units."""
     radius: float
     up: Point
     """Unit vector, world axes, that is up on the screen."""
@@ -143,31 +143,31 @@ class Placed(Message):
 
     kind: Literal["text", "sticker"]
     x: float
-    """Its middle, pixels of the view."""
+    """Middle, pixels of the view."""
     y: float
     scale: float = Field(gt=0, le=1e4)
     """View pixels per pixel of the picture, or of the text at its size."""
     angle: float
     """Radians, clockwise."""
     opacity: Unit
-    """Of the paint, beside the layer's."""
+    """Opacity of the paint, besides the layer's."""
     mode: Literal["normal", "color", "darken", "lighten"]
     text: str = Field(max_length=2000)
     font: str = Field(max_length=200)
     size: float = Field(gt=0, le=4096)
-    """Of the letters, pixels."""
+    """Size of the letters, pixels."""
     bold: bool
     italic: bool
     color: str = Field(pattern=r"^#[0-9a-fA-F]{6}$")
     image: Blob | None
-    """Of a sticker."""
+    """Picture of a sticker."""
     unit: float | None = Field(default=None, gt=0, le=1e9)
     """World units per pixel of the picture, where it lies on the surface under its middle; None: it was laid on the
     view."""
     wrap: float = Field(default=180.0, gt=0, le=180)
     """Degrees by which that surface may turn away."""
     view: CameraInfo | None = None
-    """On which x and y are pixels; None: that of the layer's first picture."""
+    """View on which x and y are pixels; None: that of the layer's first picture."""
 
 
 class MaskInfo(Message):
@@ -193,9 +193,9 @@ class SceneAssetInfo(Message):
     """Degrees about x, then y, then z."""
     scale: float
     center: Point
-    """In the scene."""
+    """Centre in the scene."""
     gaussians: int
-    """As it was read."""
+    """Gaussians as the file was read."""
     layers: int
 
 
@@ -213,17 +213,17 @@ class LayerInfo(Message):
     mode: Mode
     method: Method
     views: list[LayerViewInfo]
-    """Of a layer of strokes: that of its latest stroke."""
+    """Views; of a layer of strokes: that of its latest stroke."""
     strokes: int | None = None
     """How many it holds; None: none can be painted into it."""
     placed: Placed | None = None
-    """Of a text or a sticker: what it is and where, to be changed."""
+    """What a text or a sticker is and where, to be changed."""
     mask: MaskInfo | None = None
     parameters: dict[str, Any]
     gaussians_edited: int
     gaussians_appended: int
     seconds: float
-    """That its computation took."""
+    """Seconds that its computation took."""
     note: str = ""
     """Why the method was chosen, or what could not be painted."""
     problem: str = ""
@@ -249,7 +249,7 @@ class EditFigures(Message):
     gaussians: int
     """Edited and appended ones."""
     psnr_before: float | None
-    """As of LayerViewInfo, of its first view."""
+    """PSNR as in LayerViewInfo, of its first view."""
     psnr_after: float | None
     psnr_outside: float | None
 
@@ -262,7 +262,7 @@ class ConflictInfo(Message):
     upper: str
     gaussians: int
     share: Unit
-    """Of those that the lower layer edited."""
+    """Share of the Gaussians that the lower layer edited."""
     policy: Literal["latest", "first", "blend"]
 
 
@@ -278,7 +278,7 @@ class RecentInfo(Message):
     id: str
     name: str
     changed: float
-    """Of its latest edit, seconds since 1970."""
+    """Time of its latest edit, seconds since 1970."""
     layers: int | None
     """None: not known before it is opened."""
     picture: Blob | None
@@ -290,10 +290,10 @@ class ProjectInfo(Message):
     """Where the session lives. There is no unsaved state: every acknowledged command is in the file."""
 
     id: str
-    """The same whenever this project is open, so that a page can tell whether it is back where it was."""
+    """Id, the same whenever this project is open, so that a page can tell whether it is back where it was."""
     name: str
     file: str | None
-    """Its name in the studio's folder; None while it only lives in the studio's own data folder (autosave)."""
+    """Name in the studio's folder; None while it only lives in the studio's own data folder (autosave)."""
     read_only: bool
     """Nothing can be changed: somebody else has it open, or it cannot be written."""
     read_only_reason: str = ""
@@ -312,7 +312,7 @@ class SelectionInfo(Message):
     undo: int
     """How many selections `undo` goes back through before it takes back the step at `cursor`."""
     redo: int
-    """The same forward."""
+    """How many selections `redo` goes forward through before it redoes the step after `cursor`."""
 
 
 class Present(Message):
@@ -321,7 +321,7 @@ class Present(Message):
     session: str
     """Changes when another asset or project is opened: forget all versions and sync."""
     version: int
-    """Of the asset; goes up by one or more with every change of its Gaussians."""
+    """Version of the asset; goes up by one or more with every change of its Gaussians."""
     asset: AssetInfo
     assets: list[SceneAssetInfo]
     """All assets of the scene, that which was opened first."""
@@ -337,7 +337,7 @@ class Present(Message):
     project: ProjectInfo
     selection: SelectionInfo
     methods: list[Method]
-    """That work on this machine with what is installed (trained weights or not)."""
+    """Methods that work on this machine with what is installed (trained weights or not)."""
     folder: str | None
     """Name of the watched folder, for people; None: there is none."""
     clients: int
@@ -369,9 +369,9 @@ class Answer(Message):
     python: str = ""
     """The equivalent Python line; "" where there is none (looking at things)."""
     version: int = 0
-    """Of the asset after the request."""
+    """Version of the asset after the request."""
     seconds: float = 0.0
-    """In the server, waiting for earlier work not included."""
+    """Seconds in the server, waiting for earlier work not included."""
 
 
 class Command(Message):
@@ -406,12 +406,12 @@ class LayerMade(Answer):
 
 class Previewed(Answer):
     gaussians: int
-    """Whose colours the preview changed; they come as a binary frame with the PREVIEW flag."""
+    """Gaussians whose colours the preview changed; they come as a binary frame with the PREVIEW flag."""
 
 
 class Exported(Answer):
     url: str
-    """To download from, once or more, until the studio ends."""
+    """Address of the download, valid until the studio ends."""
     file: str
     bytes: int
     receipt_url: str | None = None
@@ -487,7 +487,7 @@ class BatchJobInfo(Message):
 
     number: int
     name: str
-    """Of its file."""
+    """Name of its file."""
     asset: str
     words: str
     """What is done for it."""
@@ -496,9 +496,9 @@ class BatchJobInfo(Message):
     """What was proved of it, or why it failed; "" before that."""
     warnings: list[str]
     bytes: int | None
-    """Of its file."""
+    """Bytes of its file."""
     url: str | None
-    """To download it from, ..."""
+    """Address of the download, ..."""
     receipt_url: str | None
     """... its receipt, ..."""
     before_url: str | None
@@ -531,7 +531,7 @@ class BatchEvent(Message):
     id: str = ""
     job: BatchJobInfo | None = None
     zip_url: str | None = None
-    """As in BatchInfo, with a job."""
+    """Address of the ZIP as in BatchInfo, with a job."""
 
 
 def first_fault(error: ValidationError, where: str) -> str:

@@ -18,12 +18,12 @@ from typing import Any
 from urllib.parse import parse_qsl, quote, urlencode
 
 COOKIE = "splatpainter"
-"""Of the cookie's name, before the port: a browser gives a cookie to every port of a host."""
+"""Beginning of the cookie's name, before the port: a browser gives a cookie to every port of a host."""
 BRACKETED = re.compile(r"\[([0-9a-f:.]+)\](?::[0-9]{1,5})?")
 NAMED = re.compile(r"([a-z0-9._-]+)(?::[0-9]{1,5})?")
 """Host headers, lower case: an IPv6 address in brackets, any other address or name."""
 SAFE_METHODS = ("GET", "HEAD")
-"""Of requests that a link may make from another site."""
+"""Methods of requests that a link may make from another site."""
 LOCAL = ("127.0.0.1", "localhost", "::1")
 CSP = "; ".join(
     (
@@ -63,7 +63,7 @@ class Access:
 
     @staticmethod
     def of(host: str, token: str | None = None) -> Access:
-        """For a server on `host`: on any but a loopback address a token is needed, and made where none is given.
+        """Access to a server on `host`: on any but a loopback address a token is needed, and made where none is given.
         Raises ValueError where `host` is neither an address nor a name."""
         if not host or any(sign in host for sign in "/@ \\"):
             raise ValueError(f"studio: expected --host as an address or a name, got {host!r}")
@@ -79,7 +79,7 @@ class Access:
         return not is_loopback(self.host) and _is_address(name)
 
     def knows_token(self, given: str | None) -> bool:
-        """Compared in constant time."""
+        """Whether this is the token, compared in constant time."""
         return self.token is None or hmac.compare_digest((given or "").encode(), self.token.encode())
 
 
@@ -152,7 +152,7 @@ class AccessGuard:
 
 
 def cookie_name(scope: MutableMapping[str, Any]) -> str:
-    """Of this server, so that two studios on one host do not take each other's tokens away."""
+    """Name of this server's cookie, so that two studios on one host do not take each other's tokens away."""
     server = scope.get("server")
     return f"{COOKIE}-{server[1] or 0}" if server else COOKIE
 

@@ -12,12 +12,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 MAX_BYTES = 64 << 20
-"""Of remembered selections: the oldest are forgotten first."""
+"""Most bytes of remembered selections: the oldest are forgotten first."""
 
 
 @dataclass(frozen=True)
 class SelectionState:
-    """What was selected, to be selected again."""
+    """A selection to go back to."""
 
     selection: Any
     """A session.selection.Selection; None: nothing."""

@@ -31,7 +31,7 @@ from splatpainter.user_folders import cache_folder
 
 PROJECT = ".splatproj"
 MAX_SUMMARIES = 512
-"""Of project files, in memory."""
+"""Most summaries of project files, in memory."""
 MAX_DOWNLOADS = 16
 """Exported files that are kept for their download."""
 DEMO_FLIP = (-1, -1, 1)
@@ -166,7 +166,7 @@ class Projects:
         for path in self._paths():
             if path.stem == id:
                 return path
-        raise ValueError(f"project {brief(id)}: not among the recent ones (any more)")
+        raise ValueError(f"project {brief(id)}: no longer among the recent ones")
 
     def _paths(self) -> list[Path]:
         paths = self.root.glob(f"*{PROJECT}")
@@ -199,7 +199,7 @@ class Downloads:
         """Raises ValueError for an unknown one."""
         path = self._files.get(key)
         if path is None or path.name != name or not path.is_file():
-            raise ValueError("download: not here (any more); export it again")
+            raise ValueError("download: no longer available; export it again")
         return path
 
 
@@ -209,7 +209,7 @@ class TooLarge(ValueError):
 
 @dataclass(frozen=True)
 class UploadLimits:
-    """Of one studio."""
+    """Limits of what one studio takes in."""
 
     upload: int = 2 << 30
     """Bytes of one upload."""
@@ -218,7 +218,7 @@ class UploadLimits:
     total: int = 4 << 30
     """Bytes kept; beyond that the oldest go. No more than that may be on their way in either."""
     gaussians: int = 20_000_000
-    """That an uploaded asset may claim."""
+    """Most Gaussians that an uploaded asset may claim."""
 
 
 @dataclass(frozen=True)
@@ -262,7 +262,7 @@ class Blobs:
             if blob is not None:
                 self._blobs.move_to_end(sha256)
         if blob is None:
-            raise ValueError(f"blob {sha256[:12]}...: not here (any more); send it again to /api/blobs")
+            raise ValueError(f"blob {sha256[:12]}...: no longer available; send it again to /api/blobs")
         if kind is not None and blob.info.kind != kind:
             raise ValueError(f"{blob.name or 'blob'}: expected {_article(kind)}, got {_article(blob.info.kind)}")
         return blob
@@ -292,7 +292,7 @@ class Blobs:
         """Count bytes on their way in (negative: they have ended). Raises TooLarge where there are too many."""
         with self._lock:
             if count > 0 and self._incoming + count > self.limits.total:
-                raise TooLarge(f"{name}: expected at most {self.limits.total >> 20} MiB on their way in at a time")
+                raise TooLarge(f"{name}: expected at most {self.limits.total >> 20} MiB of uploads at a time")
             self._incoming += count
 
     def _add(self, partial: Path, sha256: str, name: str, size: int) -> StoredBlob:

@@ -259,7 +259,7 @@ class Studio:
         return public_text(text, folders, self.blobs.name_of)
 
     def public_problem(self, problem: Problem) -> Problem:
-        """The same with `public` texts."""
+        """The same problem with `public` texts."""
         return problem.model_copy(update={"message": self.public(problem.message), "hint": self.public(problem.hint)})
 
     def note_source(self, picture: str, record: dict[str, Any] | None) -> None:
@@ -283,7 +283,7 @@ class Studio:
             return blob.path.read_bytes(), blob.info.media
         with contextlib.suppress(ValueError):
             return self.session.blob(sha256), "image/png"
-        raise ValueError(f"blob {sha256[:12]}...: not here (any more)")
+        raise ValueError(f"blob {sha256[:12]}...: no longer available")
 
     def close(self) -> None:
         """Leave nothing but the project file: no thread and no program either."""

@@ -23,7 +23,7 @@ ENDINGS = {"PNG": ".png", "JPEG": ".jpg", "WEBP": ".webp", "TIFF": ".tif"}
 
 @dataclass(frozen=True)
 class UploadInfo:
-    """What a file says of itself."""
+    """What a file's header says of it."""
 
     kind: Kind
     ending: str

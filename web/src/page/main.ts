@@ -36,10 +36,7 @@ export async function show(scene: Scene, data: Uint8Array): Promise<void> {
   const stage = document.createElement("main");
   stage.tabIndex = 0;
   stage.setAttribute("role", "application");
-  stage.setAttribute(
-    "aria-label",
-    `${scene.name}: drag turns it, wheel or plus and minus come closer, arrow keys turn`,
-  );
+  stage.setAttribute("aria-label", `${scene.name}: drag or arrow keys turn it, wheel or plus and minus zoom`);
   const canvas = document.createElement("canvas");
   stage.append(canvas);
   const title = document.createElement("h1");

@@ -122,7 +122,7 @@ export function beginStroke(
   if (readOnly.value) {
     toast(
       "warning",
-      "This project is open elsewhere and can only be looked at.",
+      "This project is open elsewhere and is read-only here.",
       "Close it there, or save a copy under another name.",
     );
     return null;

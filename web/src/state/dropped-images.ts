@@ -43,7 +43,7 @@ async function add(blob: string, name: string): Promise<void> {
   tab.value = "pictures";
   const again = droppedImages.value.find((one) => one.name === name); // saved over: the newer one counts
   if (!again && droppedImages.value.length >= MAX_IMAGES)
-    return toast("warning", `One edit takes at most ${MAX_IMAGES} pictures.`, "Apply these or take one away.");
+    return toast("warning", `One edit takes at most ${MAX_IMAGES} pictures.`, "Apply these or remove one.");
   const image: DroppedImage = { id: again?.id ?? nextId++, name, blob, checked: null, problem: "", threshold: null };
   droppedImages.value = again
     ? droppedImages.value.map((one) => (one.id === again.id ? image : one))
@@ -55,7 +55,7 @@ async function add(blob: string, name: string): Promise<void> {
 export function addChecked(name: string, checked: PictureChecked): void {
   tab.value = "pictures";
   if (droppedImages.value.length >= MAX_IMAGES)
-    return toast("warning", `One edit takes at most ${MAX_IMAGES} pictures.`, "Apply these or take one away.");
+    return toast("warning", `One edit takes at most ${MAX_IMAGES} pictures.`, "Apply these or remove one.");
   const image = { id: nextId++, name, blob: checked.picture, checked, problem: "", threshold: null };
   droppedImages.value = [...droppedImages.value, image];
 }

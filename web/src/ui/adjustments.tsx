@@ -197,7 +197,7 @@ export function Adjustments() {
       {given ? (
         <p class="row">
           <span role="status">{given.name} in place of the sliders</span>
-          <Button icon="close" label={`Without ${given.name}`} onClick={resetSliders} />
+          <Button icon="close" label={`Remove ${given.name}`} onClick={resetSliders} />
         </p>
       ) : (
         <>

@@ -190,7 +190,7 @@ function Adding({ onClose }: { onClose: () => void }) {
           onClick={() => void added(run("scene.add", { demo: true }, "Demo asset"))}
         />
       </p>
-      <p class="quiet">It stands beside what is there. Its layers go with it wherever it is moved.</p>
+      <p class="quiet">It is placed beside the others. Its layers move with it.</p>
       <h3>Recent projects, as they were opened</h3>
       <ul class="list">
         {projects?.recent.map((one) => (

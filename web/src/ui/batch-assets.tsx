@@ -81,7 +81,7 @@ export function BatchAssets() {
         <FileButton label="Choose assets" icon="open" accept={ACCEPTED} multiple onFiles={add} />
         <span class="quiet">or drop them here</span>
         {sent.value.length > 1 && (
-          <Button label="Take all files away" text="Clear" onClick={() => sent.value.forEach(({ stop }) => stop())} />
+          <Button label="Remove all files" text="Clear" onClick={() => sent.value.forEach(({ stop }) => stop())} />
         )}
       </p>
       <ul class="list" aria-label="Files">
@@ -91,7 +91,7 @@ export function BatchAssets() {
             <span class={one.problem ? "problem" : "quiet"} role={one.problem ? "alert" : undefined}>
               {one.problem || (one.blob ? "ready" : "sending ...")}
             </span>
-            <Button icon="close" label={`Take ${one.name} away`} onClick={one.stop} />
+            <Button icon="close" label={`Remove ${one.name}`} onClick={one.stop} />
           </li>
         ))}
       </ul>

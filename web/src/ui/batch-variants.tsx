@@ -119,7 +119,7 @@ export function BatchVariants() {
             onInput={(event) => (csv.value = event.currentTarget.value)}
           />
           <p class="row">
-            <Button label="Make rows of it" text="Make rows of it" disabled={!csv.value.trim()} onClick={importCsv} />
+            <Button label="Make rows" text="Make rows" disabled={!csv.value.trim()} onClick={importCsv} />
             <FileButton
               label="CSV file"
               accept=".csv,.txt,text/csv,text/plain"

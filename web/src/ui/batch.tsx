@@ -32,7 +32,7 @@ const FORMATS: readonly (readonly [Format, string])[] = [
 ];
 const STATES: Record<BatchJobInfo["state"], string> = {
   queued: "Waiting",
-  running: "At work",
+  running: "Running",
   done: "Done",
   failed: "Failed",
   cancelled: "Cancelled",
@@ -131,9 +131,9 @@ function Setup() {
       <p class="quiet">
         {assets
           ? layers.length
-            ? `The visible layers (${layers.map((layer) => layer.name).join(", ")}) are painted anew on each asset, from the same cameras. The assets have to stand where this one does.`
-            : "There is no visible layer yet: paint something first, then put it onto other assets."
-          : "One result for each row: this asset as it is now, with one change more."}
+            ? `The visible layers (${layers.map((layer) => layer.name).join(", ")}) are painted again on each asset, from the same cameras. The assets must be placed as this one is.`
+            : "No visible layer yet: paint something first, then put it onto other assets."
+          : "One result for each row: this asset as it is now, with one more change."}
       </p>
       {assets ? <BatchAssets /> : <BatchVariants />}
       <p class="row">
@@ -141,13 +141,13 @@ function Setup() {
       </p>
       <p class="row">
         <Button
-          label="Say what will be made"
+          label="Show what will be made"
           text="Plan"
           primary
           disabled={busy.value !== "" || count === 0 || (assets && !layers.length)}
           onClick={() => void plan()}
         />
-        <span class="quiet">{count ? `${results(count)}; nothing is made before the plan is seen.` : ""}</span>
+        <span class="quiet">{count ? `${results(count)}; nothing is made before you start the plan.` : ""}</span>
       </p>
     </>
   );

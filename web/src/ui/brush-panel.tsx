@@ -125,7 +125,7 @@ async function choosePicture(file: File): Promise<void> {
   if (!picture.some((v) => v > 12))
     return toast(
       "warning",
-      `${file.name} has nothing dark or opaque to press on the asset.`,
+      `${file.name} has nothing dark or opaque to make a tip of.`,
       "What is dark becomes the tip; in a picture with transparency, what is opaque.",
     );
   setEngine({ tip: "picture", picture, spacing: Math.max(engine.value.spacing, 0.25) });
@@ -182,7 +182,7 @@ export function BrushPanel() {
             {k >= BUILT_IN_PRESETS.length && (
               <Button
                 icon="close"
-                label={`Forget ${one.name}`}
+                label={`Delete ${one.name}`}
                 onClick={() => (presets.value = presets.value.filter((other) => other !== one))}
               />
             )}
@@ -201,7 +201,7 @@ export function BrushPanel() {
             if (event.key === "Enter") save();
           }}
         />
-        <Button label="Keep this brush under the name, in this browser" icon="plus" onClick={save} />
+        <Button label="Save this brush under this name, in this browser" icon="plus" onClick={save} />
         <Button
           label="Save your brushes to a file"
           icon="save"
@@ -258,7 +258,7 @@ export function BrushPanel() {
       />
       <Amount label="Roundness" name="roundness" min={0.05} />
       <Check label="Turns with the stroke" value={e.alongPath} onChange={(alongPath) => setEngine({ alongPath })} />
-      <Check label="Lies on the surface" value={e.follow} onChange={(follow) => setEngine({ follow })} />
+      <Check label="Follows the surface" value={e.follow} onChange={(follow) => setEngine({ follow })} />
       <h3>Dabs</h3>
       <Slider
         label="Spacing"
@@ -297,8 +297,8 @@ export function BrushPanel() {
         </>
       )}
       <SymmetryPanel />
-      <h3>Hand</h3>
-      <Amount label="Steady" name="stabiliser" />
+      <h3>Smoothing</h3>
+      <Amount label="Steadiness" name="stabiliser" />
       <Check
         label="Pressure: size"
         value={b.pressureSize}

@@ -72,7 +72,7 @@ export function BrushSize() {
 
 export function KeepShading() {
   return (
-    <span title="Light, shade and fine relief of what is painted over stay, as far as this">
+    <span title="How much of the light, shade and fine relief stays under the paint">
       <Percent label="Keep shading" value={keepShading.value} onInput={setKeepShading} />
     </span>
   );

@@ -33,7 +33,7 @@ function Swatches({
           type="button"
           key={one}
           aria-label={`Colour ${one}`}
-          title={onForget ? `${one} (Alt-click: forget it)` : one}
+          title={onForget ? `${one} (Alt-click: remove it)` : one}
           style={{ background: one }}
           aria-pressed={one === color.value}
           onClick={(event) => (event.altKey && onForget ? onForget(one) : setColor(one))}
@@ -52,19 +52,19 @@ export function ColorsPanel() {
   const has = swatches.value.includes(color.value);
   return (
     <div class="colors-panel">
-      <h3>Latest</h3>
+      <h3>Recent</h3>
       {recentColors.value.length ? (
-        <Swatches label="Latest colours" colors={recentColors.value} />
+        <Swatches label="Recent colours" colors={recentColors.value} />
       ) : (
         <p class="quiet">None yet</p>
       )}
-      <h3>Of the asset</h3>
+      <h3>From the asset</h3>
       {fresh && <Swatches label="Colours of the asset" colors={fresh.colors} />}
       <p class="row">
         <Button
           label="Find the main colours of the asset"
           icon="pick"
-          text={fresh ? "Again" : "Find them"}
+          text={fresh ? "Again" : "Find"}
           disabled={!state.value}
           onClick={() => void ask()}
         />
@@ -85,16 +85,16 @@ export function ColorsPanel() {
       />
       <p class="row">
         <Button
-          label="Keep the colour in hand"
+          label="Add the current colour"
           icon="plus"
-          text="Keep the colour"
+          text="Add"
           disabled={has}
           onClick={() => (swatches.value = [...swatches.value, color.value].slice(-MAX_SWATCHES))}
         />
         <Button
-          label="Forget the colour in hand"
+          label="Remove the current colour"
           icon="minus"
-          text="Forget it"
+          text="Remove"
           disabled={!has}
           onClick={() => (swatches.value = swatches.value.filter((one) => one !== color.value))}
         />

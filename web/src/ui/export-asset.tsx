@@ -18,7 +18,7 @@ const WORDS: Record<string, readonly [string, string]> = {
   ".spz": ["SPZ", "8 bits and fewer; Niantic, three.js"],
   ".sog": ["SOG", "smallest; one palette for all; PlayCanvas"],
   ".glb": ["glTF", "KHR_gaussian_splatting"],
-  [HTML]: ["Web page", "one file that shows the asset by itself, also from disk"],
+  [HTML]: ["Web page", "one file that shows the asset in any browser, also from disk"],
 };
 
 const chosen = signal("");
@@ -80,7 +80,7 @@ function FormatOptions(given: {
           label="SH precision"
           {...number("sh_bits")}
           options={[
-            [USUAL, "usual"],
+            [USUAL, "default"],
             ["8", "8 bits, largest"],
             ["7", "7 bits"],
             ["6", "6 bits"],
@@ -94,7 +94,7 @@ function FormatOptions(given: {
           label="SH palette"
           {...number("sh_palette")}
           options={[
-            [USUAL, "usual"],
+            [USUAL, "default"],
             ...PALETTES.map((count) => [String(count), `${count.toLocaleString("en")} entries`] as const),
           ]}
         />
@@ -104,7 +104,7 @@ function FormatOptions(given: {
           label="Version"
           {...number("spz_version")}
           options={[
-            [USUAL, "usual"],
+            [USUAL, "default"],
             ["2", "2, oldest viewers"],
             ["3", "3, most viewers"],
             ["4", "4, smaller, newest viewers"],
@@ -116,7 +116,7 @@ function FormatOptions(given: {
           label="Trained antialiased"
           value={value.antialiased === true ? "yes" : value.antialiased === false ? "no" : USUAL}
           options={[
-            [USUAL, `as it is (${given.antialiased ? "yes" : "no"})`],
+            [USUAL, `unchanged (${given.antialiased ? "yes" : "no"})`],
             ["yes", "yes (Mip-Splatting)"],
             ["no", "no"],
           ]}
@@ -216,7 +216,7 @@ export function ExportAsset() {
       )}
       {ending === HTML ? (
         <p class="row">
-          <Check label="Turns until it is touched" value={turning.value} onChange={(on) => (turning.value = on)} />
+          <Check label="Turns until touched" value={turning.value} onChange={(on) => (turning.value = on)} />
         </p>
       ) : (
         now.layers.some((layer) => layer.kind === "hide") && (
@@ -236,7 +236,7 @@ export function ExportAsset() {
         {ending === HTML
           ? "It opens in any browser of 2023 or later, sends nothing anywhere, and starts with this view. Up to 3 million Gaussians with full colours."
           : Object.keys(options).length
-            ? "Gaussians that no layer touched are compared with the asset written the same way; the receipt says what was left out."
+            ? "Gaussians that no layer touched are compared with the asset written the same way; the receipt lists what was left out."
             : "Gaussians that no layer touched are written as they were read, bit for bit, where the format is the same (.sog has one palette for all, which moves with new colours)."}
       </p>
     </>

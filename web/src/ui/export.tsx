@@ -56,7 +56,7 @@ export async function exportView(
     toast(
       "info",
       `${answer.file ?? name} is in the folder ${state.value?.folder ?? ""}.`,
-      "Edit it and save over it: it comes back by itself.",
+      "Edit it and save it there: it is loaded by itself.",
     );
   return true;
 }
@@ -87,7 +87,7 @@ export function ViewExportDialog({ onClose }: { onClose: () => void }) {
       <p class="row">
         <Choice label="File" value={kind.value} options={KINDS} onChange={(value) => (kind.value = value)} />
       </p>
-      <h3>Passes beside it</h3>
+      <h3>Passes</h3>
       <p class="row">
         {AOVS.map(([name, label]) => (
           <Check
@@ -100,15 +100,15 @@ export function ViewExportDialog({ onClose }: { onClose: () => void }) {
       </p>
       <p class="row">
         <Choice
-          label="Drawn as by"
+          label="Rendered like"
           value={profile.value}
           options={PROFILES}
           onChange={(value) => (profile.value = value)}
         />
       </p>
       <p class="quiet">
-        To be painted on, pictures are drawn as by 3DGS. EXR holds linear light, multiplied by alpha. Passes come with
-        the picture in one zip.
+        To be painted on, pictures are rendered like 3DGS. EXR holds linear light, multiplied by alpha. Passes come with
+        the picture in one ZIP.
       </p>
       <p class="row">
         <Button
@@ -121,8 +121,8 @@ export function ViewExportDialog({ onClose }: { onClose: () => void }) {
         />
         {folder && (
           <Button
-            label={`Write it into the folder ${folder}`}
-            text="Into the folder"
+            label={`Save it to the folder ${folder}`}
+            text="Save to folder"
             disabled={!framed}
             onClick={() => void give("folder")}
           />

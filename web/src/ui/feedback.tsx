@@ -65,7 +65,7 @@ export function StatusLine() {
       {edit && (
         <span
           class="last-edit"
-          title="The last edit: its time, how near the view is to the picture inside the mask, and what changed outside"
+          title="The last edit: its time, how well the view matches the picture inside the mask, and what changed outside"
         >
           <b>{edit.name}</b> {edit.seconds.toFixed(2)} s
           {edit.psnr_after !== null &&
@@ -78,7 +78,7 @@ export function StatusLine() {
               title={
                 seen.low
                   ? "Seen 35° from the side the paint differs from the picture: look at it from other views"
-                  : "How near the paint comes to the picture, seen 35° from the side"
+                  : "How well the paint matches the picture, seen 35° from the side"
               }
             >
               , aside {decibels(seen.psnr)}
@@ -90,7 +90,7 @@ export function StatusLine() {
       {refused && (
         <span class="refusal" role="status" title={`${before(refused.hint, refused.message)} ${refused.hint}`}>
           <b>Not done{refused.what && `: ${refused.what}`}</b> {before(refused.hint, refused.message)} {refused.hint}
-          <Button icon="close" label="Close the reason" onClick={() => (refusal.value = null)} />
+          <Button icon="close" label="Close this message" onClick={() => (refusal.value = null)} />
         </span>
       )}
       <span class="gap" />

@@ -145,7 +145,7 @@ export function Continue() {
         ))}
       </ul>
       <p class="row">
-        <Button label="Start anew" text="Start anew" onClick={stay} />
+        <Button label="Start over" text="Start over" onClick={stay} />
         <span class="quiet">What was painted before stays under Open.</span>
       </p>
     </Dialog>

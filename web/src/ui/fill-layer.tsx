@@ -57,8 +57,8 @@ export function FillSettings({ layer }: { layer: LayerInfo | null }) {
         <p class="row wide">
           <input
             type="text"
-            aria-label="What shall be there"
-            placeholder={source.needs_prompt ? "What shall be there" : "Prompt (optional)"}
+            aria-label="What should be there"
+            placeholder={source.needs_prompt ? "What should be there" : "Prompt (optional)"}
             maxLength={4000}
             value={prompt.value}
             onInput={(event) => (prompt.value = event.currentTarget.value)}
@@ -72,7 +72,7 @@ export function FillSettings({ layer }: { layer: LayerInfo | null }) {
       <p class="row">
         {list.length > 0 && (
           <Button
-            label="Send this view, in which the fill is the mask, and colour the fill by the answer"
+            label="Send this view with the fill as its mask, and colour the fill by the answer"
             text="Ask"
             primary
             disabled={!ready}
@@ -81,7 +81,7 @@ export function FillSettings({ layer }: { layer: LayerInfo | null }) {
         )}
         {colored && (
           <Button
-            label="Colours and texture of what surrounds it again"
+            label="Fill from the surroundings again"
             text="Surroundings"
             disabled={readOnly.value}
             onClick={() => void run("fill.surroundings", { layer: layer.id }, `Filling ${layer.name}`)}

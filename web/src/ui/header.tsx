@@ -128,7 +128,7 @@ export function Header() {
       />
       {options.trueColor && (
         <Choice
-          label="Drawn as by"
+          label="Rendered like"
           value={options.profile}
           options={PROFILES}
           onChange={(profile) => set({ profile: profile as typeof options.profile })}

@@ -21,11 +21,11 @@ export function Help() {
   return (
     <Dialog title="Shortcuts" onClose={close}>
       <p class="row">
-        <span class="quiet">Click on a key to change it. The browser remembers the keys.</span>
+        <span class="quiet">Click a key to change it. The browser remembers the keys.</span>
         <span class="gap" />
         <Button label="A tour of five steps" text="Tour" onClick={() => (close(), startTour())} />
         <Button
-          label="Give every command its first keys again"
+          label="Give every command its default keys"
           text="Reset all"
           disabled={Object.keys(changed.value).length === 0}
           onClick={() => change({})}
@@ -106,7 +106,7 @@ function Row({ id, label }: { id: CommandId; label: string }) {
             {clash.takes && (
               <Button label={`Use it for ${label}`} text="Use it here" onClick={() => accept(capture!.chord)} />
             )}
-            <Button label="Leave it" icon="close" onClick={() => (asking.value = null)} />
+            <Button label="Cancel" icon="close" onClick={() => (asking.value = null)} />
           </span>
         )}
         {capture && !clash && (
@@ -120,7 +120,7 @@ function Row({ id, label }: { id: CommandId; label: string }) {
             )}
             {changed.value[id] && (
               <Button
-                label={`The first keys of ${label}`}
+                label={`Default keys of ${label}`}
                 text="Reset"
                 onClick={() => (change(asAtFirst(changed.value, id)), (asking.value = null))}
               />

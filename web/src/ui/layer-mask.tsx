@@ -110,7 +110,7 @@ export function LayerMask({ layer }: { layer: LayerInfo | null }) {
           onClick={() => void set(layer, { mask: "hide" })}
         />
         <Button
-          label="Show the layer in the selection only"
+          label="Show the layer only in the selection"
           text="Selection"
           disabled={off || selectedCount.value === 0}
           onClick={() => void fromSelection(layer)}
@@ -139,7 +139,7 @@ export function LayerMask({ layer }: { layer: LayerInfo | null }) {
         {mask && (
           <>
             <Button
-              label={mask.enabled ? "Leave the mask out of account" : "Use the mask"}
+              label={mask.enabled ? "Disable the mask" : "Enable the mask"}
               text={mask.enabled ? "Off" : "On"}
               disabled={off}
               onClick={() => void set(layer, { mask: mask.enabled ? "off" : "on" })}

@@ -48,8 +48,8 @@ const PAINTS = ["brush", "erase", "line", "clone", "heal", "fill", "text", "stam
 /** Why a tool paints on one side only. */
 const ONE_SIDED: Partial<Record<string, string>> = {
   heal: "healing stays on this side, whose tone and texture it takes",
-  text: "words are laid on this side only",
-  stamp: "pictures are laid on this side only",
+  text: "text is placed on this side only",
+  stamp: "pictures are placed on this side only",
   select: "only this side is selected",
 };
 const limiting = signal(false);
@@ -86,8 +86,8 @@ export function Options() {
       )}
       {current === "orbit" && (
         <span class="hint">
-          Drag to turn about the point under the cursor, Shift-drag to slide, wheel to come closer, double click to look
-          at a point
+          Drag to turn about the point under the cursor, Shift-drag to slide, wheel to zoom, double click to look at a
+          point
         </span>
       )}
       {round && chosenMask() && (
@@ -98,7 +98,7 @@ export function Options() {
       {current === "erase" && !chosenMask() && (
         <span class="hint">This layer's paint; Shift: back to the original</span>
       )}
-      {current === "pick" && <span class="hint">Click: takes the colour as it is seen</span>}
+      {current === "pick" && <span class="hint">Click: pick the colour as it is seen</span>}
       {colored && !placement.value?.anchor && (
         <Choice label="Mode" value={paintMode.value} options={MODES} onChange={(value) => (paintMode.value = value)} />
       )}
@@ -122,7 +122,7 @@ function Round() {
       {shadingApplies() && <KeepShading />}
       {tool.value !== "heal" && <SymmetryButton />}
       <Button
-        label="Tip, dabs, texture and hand of the brush"
+        label="Tip, dabs, texture and smoothing of the brush"
         icon="brush"
         text="Tip"
         pressed={tab.value === "brush"}
@@ -289,7 +289,7 @@ function Place() {
         onClick={() => void commitPlacement()}
       />
       <Button
-        label={editedLayer.value ? "Leave it as it was" : "Discard it"}
+        label={editedLayer.value ? "Leave it unchanged" : "Discard it"}
         command="edit.cancel"
         icon="close"
         onClick={() => void discardPlacement()}
@@ -301,8 +301,8 @@ function Place() {
 const COMBINE: readonly (readonly [Combine, string])[] = [
   ["replace", "New"],
   ["add", "Add (Shift)"],
-  ["subtract", "Take away (Alt)"],
-  ["intersect", "Keep what is in both"],
+  ["subtract", "Subtract (Alt)"],
+  ["intersect", "Intersect (both)"],
 ];
 
 function Select() {
@@ -342,11 +342,7 @@ function Select() {
         onInput={(feather) => (selecting.value = { ...s, feather: Math.round(feather) })}
       />
       {s.kind !== "color" || s.contiguous ? (
-        <Check
-          label="Also what lies behind"
-          value={s.through}
-          onChange={(through) => (selecting.value = { ...s, through })}
-        />
+        <Check label="Select through" value={s.through} onChange={(through) => (selecting.value = { ...s, through })} />
       ) : null}
     </>
   );
@@ -389,7 +385,7 @@ function Spreading() {
   return (
     <>
       <Button
-        label="What is painted is a material: it changes all around, as a layer for each stroke"
+        label="Treat paint as a material, which changes all around; each stroke is a layer"
         text="Spread"
         pressed={s.on}
         onClick={() => set({ on: !s.on })}
@@ -410,7 +406,7 @@ function Limits() {
   return (
     <>
       <Button
-        label="Limits of what one view paints"
+        label="Limits of what one view may paint"
         text="Limits"
         pressed={limiting.value}
         onClick={() => (limiting.value = !limiting.value)}

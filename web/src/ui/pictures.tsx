@@ -26,11 +26,11 @@ import { goTo } from "./views";
 
 const MODES = [
   ["local", "Only what was edited"],
-  ["global", "All of the asset (relit)"],
+  ["global", "The whole asset (relit)"],
   ["spread", "The edited material, all around"],
 ] as const;
 const CAMERA_SOURCES = {
-  given: "the present view",
+  given: "the current view",
   chunk: "its camera is in the file",
   sidecar: "its camera is in the file beside it",
   export: "recognised as an exported view",
@@ -50,7 +50,7 @@ export function Pictures() {
           onFiles={(files) => files.slice(0, MAX_IMAGES).forEach((file) => void addPicture(file))}
         />
         <Button
-          label="Send the present view to a program or an image service"
+          label="Send the current view to a program or an image service"
           text="Edit with a source…"
           onClick={() => (sourcesOpen.value = true)}
         />
@@ -58,7 +58,7 @@ export function Pictures() {
       {sourcesOpen.value && <SourceDialog onClose={() => (sourcesOpen.value = false)} />}
       {list.length === 0 && (
         <p class="quiet">
-          Drop a picture of the asset that you edited in another program. Its camera is found by itself.
+          Drop a picture of the asset that you edited in another program. Its camera is found automatically.
         </p>
       )}
       {list.map((one) => (
@@ -114,7 +114,7 @@ function Entry({ one }: { one: DroppedImage }) {
       <header>
         <b title={one.name}>{one.name}</b>
         {checked && <Button icon="camera" label="Go to this view" onClick={() => goTo(checked.camera)} />}
-        <Button icon="close" label="Take it away" onClick={() => discard(one.id)} />
+        <Button icon="close" label="Remove" onClick={() => discard(one.id)} />
       </header>
       <span class="drop-picture">
         <img src={blobUrl(checked?.picture ?? one.blob)} alt={one.name} />
@@ -165,12 +165,12 @@ function Entry({ one }: { one: DroppedImage }) {
           <p>{one.problem}</p>
           <p class="row">
             <Button
-              label="It shows the present view"
+              label="It shows the current view"
               text="It shows this view"
               onClick={() => void isPresentView(one.id).catch(report)}
             />
             <Button
-              label="Lay it on the view and move it"
+              label="Place it on the view and move it"
               text="Use as stamp"
               onClick={() => void stamp().catch(report)}
             />

@@ -60,13 +60,13 @@ export function SelectionPanel() {
       <p class="row">
         <Button command="select.invert" text="Invert" disabled={none} onClick={() => changeSelection("invert")} />
         <Button
-          label="All that hangs together with what is selected"
+          label="Everything connected to the selection"
           text="Connected"
           disabled={none}
           onClick={() => changeSelection("connected")}
         />
         <Button
-          label="Hide what is selected, as a layer; the Gaussians stay in the file"
+          label="Hide the selection, as a layer; the Gaussians stay in the file"
           command="edit.delete"
           text="Hide"
           disabled={off}
@@ -81,7 +81,7 @@ export function SelectionPanel() {
       </p>
       <p class="row">
         <Button
-          label="Hide what is selected, and continue the surface behind it with new Gaussians"
+          label="Hide the selection, and continue the surface behind it with new Gaussians"
           command="select.fill"
           text="Remove and fill"
           disabled={off}
@@ -94,7 +94,7 @@ export function SelectionPanel() {
           onClick={() => void fillSelected(false)}
         />
         <Button
-          label="Fill what is selected of this view from what lies around it"
+          label="Fill the selected part of this view from its surroundings"
           text="Heal"
           disabled={off || !selection.value}
           onClick={() => void fillFromAround().catch(report)}
@@ -134,7 +134,7 @@ export function SelectionPanel() {
         <p class="quiet">of the surface of the largest part</p>
         <p class="row">
           <Button
-            label="Small parts in the air, and haze that touches nothing"
+            label="Select small loose parts, and haze that touches nothing"
             text="Find floaters"
             onClick={() => changeSelection("floaters", 0, floaterShare.value)}
           />
@@ -223,11 +223,11 @@ function CropBox() {
             <Button label="Select what is in the box" text="Select" onClick={() => void select(false)} />
             <Button
               label="Hide everything outside of the box, as a layer"
-              text="Crop to it"
+              text="Crop to box"
               disabled={readOnly.value}
               onClick={() => void select(true)}
             />
-            <Button label="Take the box away" icon="close" onClick={start} />
+            <Button label="Remove the box" icon="close" onClick={start} />
           </p>
         </>
       )}
@@ -243,7 +243,7 @@ function Kept({ off }: { off: boolean }) {
   };
   return (
     <details open={names.length > 0}>
-      <summary>Kept in the project</summary>
+      <summary>Saved in the project</summary>
       <p class="row">
         <input
           type="text"
@@ -256,7 +256,7 @@ function Kept({ off }: { off: boolean }) {
             if (event.key === "Enter" && !off) save();
           }}
         />
-        <Button label="Keep the selection under this name" icon="save" disabled={off} onClick={save} />
+        <Button label="Save the selection under this name" icon="save" disabled={off} onClick={save} />
       </p>
       <ul class="list">
         {names.map((name) => (
@@ -271,7 +271,7 @@ function Kept({ off }: { off: boolean }) {
             </button>
             <Button
               icon="bin"
-              label={`Forget ${name}`}
+              label={`Delete ${name}`}
               disabled={readOnly.value}
               onClick={() => void run("selection.delete", { name })}
             />

@@ -123,7 +123,7 @@ export function Overlays() {
       )}
       {compare && (
         <div class="compare" style={{ left: `${at * 100}%` }}>
-          <span class="before-label">{before ? "before" : "before: on its way"}</span>
+          <span class="before-label">{before ? "before" : "before: loading"}</span>
           <span class="after-label">after</span>
         </div>
       )}

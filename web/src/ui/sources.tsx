@@ -83,7 +83,7 @@ export function SourceDialog({ onClose }: { onClose: () => void }) {
               <input
                 type="text"
                 aria-label="Prompt"
-                placeholder={source.needs_prompt ? "What shall become of the view" : "Prompt (optional)"}
+                placeholder={source.needs_prompt ? "What to do to the view" : "Prompt (optional)"}
                 maxLength={4000}
                 value={prompt.value}
                 onInput={(event) => (prompt.value = event.currentTarget.value)}
@@ -177,7 +177,7 @@ function Around({ source }: { source: SourceInfo }) {
   return (
     <>
       <Slider
-        label="At most"
+        label="Max. views"
         value={limit}
         min={1}
         max={16}
@@ -185,10 +185,10 @@ function Around({ source }: { source: SourceInfo }) {
         onInput={(value) => (maxViews.value = Math.round(value))}
       />
       <p class="row">
-        <Check label="Begin with the present view" value={begin} onChange={(on) => (fromHere.value = on)} />
+        <Check label="Start with the current view" value={begin} onChange={(on) => (fromHere.value = on)} />
       </p>
       <p class="row">
-        <Check label="One layer of all views" value={oneLayer.value} onChange={(on) => (oneLayer.value = on)} />
+        <Check label="One layer for all views" value={oneLayer.value} onChange={(on) => (oneLayer.value = on)} />
       </p>
       <p role="status">
         {now === null
@@ -198,7 +198,7 @@ function Around({ source }: { source: SourceInfo }) {
             "Nothing was sent yet."}
       </p>
       <p class="quiet">
-        Each view shows what those before it painted, and is asked for the rest. Cancel keeps what is painted.
+        Each view shows what earlier ones painted, and asks for the rest. Cancel keeps what is painted.
       </p>
     </>
   );

@@ -5,7 +5,7 @@ import { readOnly, state } from "../state/store";
 import { Button, Check, Choice, Slider } from "./parts";
 
 const PLANES: readonly (readonly [PlaneChoice, string])[] = [
-  ["found", "Of the asset"],
+  ["found", "From the asset"],
   ["x", "X"],
   ["y", "Y"],
   ["z", "Z"],
@@ -50,8 +50,8 @@ export function SymmetryPanel() {
           {s.plane === "found" && measured && (
             <p class="quiet">
               {measured.agreement < POOR
-                ? "The asset is hardly symmetric: look where strokes arrive."
-                : `The asset meets its mirror image by ${Math.round(100 * measured.agreement)} %.`}
+                ? "The asset is hardly symmetric: check where mirrored strokes land."
+                : `The asset matches its mirror image to ${Math.round(100 * measured.agreement)} %.`}
             </p>
           )}
           <Slider

@@ -22,13 +22,13 @@ const STEPS: readonly Step[] = [
     about: "#stage",
     title: "Look around",
     text: () =>
-      "Hold Alt, Space or the right button and drag to turn the asset about the point under the cursor. The wheel comes closer to it; the axes at the upper right show a side.",
+      "Hold Alt, Space or the right button and drag to turn the asset about the point under the cursor. The wheel zooms to it; click an axis at the upper right to see a side.",
   },
   {
     about: ".toolbar",
     title: "Paint",
     text: () =>
-      `Take the brush (${spoken(keyOf("tool.brush"))}) and paint on the asset. The paint lies on its surface and holds from other sides; text, stickers, clone and heal are here too.`,
+      `Pick the brush (${spoken(keyOf("tool.brush"))}) and paint on the asset. The paint stays on its surface from every side; text, stickers, clone and heal are here too.`,
   },
   {
     about: ".panel.layers",
@@ -40,13 +40,13 @@ const STEPS: readonly Step[] = [
     about: ".panel.tabs",
     title: "Nothing is lost",
     text: () =>
-      `Each edit is saved as it is made, and ${spoken(keyOf("edit.undo"))} takes it back, also tomorrow. Beside the history are adjustments, selections, edited pictures and views.`,
+      `Each edit is saved as it is made, and ${spoken(keyOf("edit.undo"))} undoes it, even tomorrow. Next to the history are adjustments, selections, edited pictures and views.`,
   },
   {
     about: ".header",
-    title: "Give it out",
+    title: "Share it",
     text: () =>
-      `Save, export (${spoken(keyOf("file.save"))}) writes every format with a receipt of what changed, or a page of its own. Drop an asset, a project or an edited picture onto the window to open it. The keys are under ${spoken(keyOf("help"))}.`,
+      `Save, export (${spoken(keyOf("file.save"))}) writes every format with a receipt of what changed, or a web page. Drop an asset, a project or an edited picture onto the window to open it. The keys are under ${spoken(keyOf("help"))}.`,
   },
 ];
 

@@ -33,7 +33,7 @@ async function nextView(): Promise<void> {
   if (!answer) return;
   covered.value = { seen: answer.seen, predicted: answer.predicted, next: answer.next_view as CameraJson | null };
   if (answer.next_view) goTo(answer.next_view);
-  else toast("info", "Nothing is predicted that was not seen.");
+  else toast("info", "Edited views show all that changed.");
 }
 
 export function Views() {
@@ -50,7 +50,7 @@ export function Views() {
           ))}
         </>
       )}
-      <h3>Edit this view elsewhere</h3>
+      <h3>Edit in another program</h3>
       <p class="row">
         <Button
           label="Download the view as a PNG with its camera"
@@ -60,8 +60,8 @@ export function Views() {
         />
         {now.folder && (
           <Button
-            label={`Write it into the folder ${now.folder}`}
-            text="Into the folder"
+            label={`Save it to the folder ${now.folder}`}
+            text="Save to folder"
             onClick={() => void exportView("folder")}
           />
         )}
@@ -71,7 +71,7 @@ export function Views() {
           onClick={() => (exporting.value = true)}
         />
       </p>
-      <p class="quiet">Change it in any program, then drop it onto this window.</p>
+      <p class="quiet">Edit it in any program, then drop it onto this window.</p>
       {exporting.value && <ViewExportDialog onClose={() => (exporting.value = false)} />}
       <h3>Bookmarks</h3>
       <AddBookmark />
@@ -101,7 +101,7 @@ export function Views() {
       <h3>Coverage</h3>
       <p class="row">
         <Button
-          label="Show me the largest unseen area"
+          label="Show the largest unseen area"
           icon="next"
           text="Largest unseen area"
           onClick={() => void nextView()}

@@ -29,7 +29,7 @@ from splatpainter.session.scene_asset import MAIN, SceneAsset
 
 MAX_ASSETS, MAX_VARIANTS = 500, 200
 MAX_LISTED_LAYERS = 5
-"""Whose names a title says."""
+"""Most layers whose names a title lists."""
 
 
 class BatchAsset(Message):
@@ -60,7 +60,7 @@ class BatchAnswer(Answer):
     batch: BatchInfo | None
     """None: there is none."""
     revision: int
-    """As in BatchEvent."""
+    """Revision, as in BatchEvent."""
 
 
 class BatchPlan(Command):
@@ -72,11 +72,11 @@ class BatchPlan(Command):
     assets: list[BatchAsset] = Field(default=[], max_length=MAX_ASSETS)
     variants: list[BatchVariant] = Field(default=[], max_length=MAX_VARIANTS)
     asset: str | None = Field(default=None, max_length=100)
-    """Of several assets in the session, the one whose layers or variants are meant: its id."""
+    """Id of the asset, of several in the session, whose layers or variants are meant."""
     format: Literal["", "ply", "compressed.ply", "splat", "spz", "sog", "glb"] = ""
-    """Of the results; "": that of each asset."""
+    """Format of the results; "": that of each asset."""
     camera: CameraInfo | None = None
-    """Of the small pictures; None: from the front."""
+    """Camera of the small pictures; None: from the front."""
 
 
 class BatchStart(Command):
@@ -129,9 +129,7 @@ def plan_batch(context: CommandContext, request: BatchPlan) -> BatchAnswer:
         if request.assets:
             if not replay:
                 on = f" of {name}" if number else ""
-                raise ValueError(
-                    f"batch: there is no visible layer{on} to put onto other assets; paint something first"
-                )
+                raise ValueError(f"batch: no visible layer{on} to put onto other assets; paint something first")
             batch.edits = replay
             for number, asset in enumerate(request.assets):
                 context.ticket.report(number / len(request.assets), "collecting assets")
@@ -258,7 +256,7 @@ def _grade(
     """(keys of `grade`, words); without any: it stays as it is."""
     transfer = variant.transfer
     if variant.look is not None and transfer is not None:
-        raise ValueError(f"batch: {variant.name}: expected sliders or colours from elsewhere, one of both")
+        raise ValueError(f"batch: {variant.name}: expected either sliders or colours from elsewhere")
     if variant.look is not None:
         folder = batch.root / LOOKS / str(number)
         try:

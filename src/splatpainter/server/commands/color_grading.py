@@ -77,9 +77,9 @@ class ColorTransfer(Message):
 
     kind: Literal["lut", "match", "recolor"]
     file: Blob | None = None
-    """Of lut: a .cube table; of match: a reference picture."""
+    """File of a lut (a .cube table) or a match (a reference picture)."""
     color: str | None = Field(default=None, pattern="^#[0-9a-fA-F]{6}$")
-    """Of recolor."""
+    """Colour of recolor."""
     strength: Unit = 1.0
 
 
@@ -163,7 +163,7 @@ def _parameters(
     if request.transfer is None and request.look is not None:
         return settings_of(context.studio, request.look), []
     if request.transfer is None or request.look is not None:
-        raise ValueError("look: expected sliders or colours from elsewhere, one of both")
+        raise ValueError("look: expected either sliders or colours from elsewhere")
     transfer, studio = request.transfer, context.studio
     weights = studio.selection.weights()
     if reached is not None:

@@ -34,7 +34,7 @@ Result = TypeVar("Result")
 
 @dataclass
 class CommandContext:
-    """One command on its way."""
+    """A command being carried out."""
 
     studio: Studio
     page: PageState
@@ -61,7 +61,7 @@ class CommandContext:
 
 @dataclass(frozen=True)
 class Handler:
-    """How a command is executed."""
+    """The function that carries out a command, and how."""
 
     run: Run
     writes: bool = False
@@ -69,8 +69,8 @@ class Handler:
     background: bool = False
     """Whether the client's next commands need not wait for it (long work that changes nothing by itself)."""
     once: bool = False
-    """Of the background: whether it outlives a lost connection, and is not done again for a page that comes back (it
-    may cost money)."""
+    """For background commands: whether it outlives a lost connection, and is not done again for a page that comes back
+    (it may cost money)."""
 
     @property
     def lane(self) -> Lane:

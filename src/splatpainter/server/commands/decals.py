@@ -36,7 +36,7 @@ class DecalLaid(LayerMade):
     coverage: Unit
     """Share of what is opaque in the picture that lies on the surface; the rest hangs over its edges."""
     views: int
-    """From how many cameras it was painted."""
+    """Number of cameras that it was painted from."""
     note: str = ""
     """What to know of it, one line; "" where nothing is remarkable."""
 
@@ -52,7 +52,7 @@ class DecalLay(Command):
     y: float
     """Pixel under which its middle lies."""
     picture: Blob
-    """With alpha where it is not a rectangle."""
+    """The picture, with alpha where it is not a rectangle."""
     width: float = Field(gt=0)
     """World units along the surface."""
     angle: float = 0.0
@@ -62,9 +62,9 @@ class DecalLay(Command):
     placed: Placed | None = None
     """What can be changed later."""
     replaces: str | None = None
-    """As of paint.end."""
+    """Layer that it replaces, as in paint.end."""
     gesture: Name | None = None
-    """As of layer.set, with `replaces`."""
+    """Gesture as in layer.set, with `replaces`."""
     name: Name = "Decal"
     method: Method = "auto"
     limits: PaintLimits = PaintLimits()

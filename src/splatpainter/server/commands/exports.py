@@ -51,7 +51,7 @@ class ExportEstimate(Command):
     options: ExportOptions = ExportOptions()
     remove_hidden: bool = False
     asset: str | None = None
-    """As in `export`; ".html" always shows all."""
+    """Asset to export, as in `export`; ".html" always shows all."""
 
 
 @command(ExportEstimate, background=True)
@@ -79,7 +79,7 @@ class AssetExport(Command):
     asset: str | None = None
     """One of several assets alone, in its own space; None: all that are visible, each in its own range of rows."""
     options: ExportOptions = ExportOptions()
-    """Of one asset at a time."""
+    """Options of the file; for one asset at a time."""
 
 
 @command(AssetExport, background=True)

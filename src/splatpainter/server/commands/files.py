@@ -227,7 +227,7 @@ def recent_projects(context: CommandContext, request: ProjectRecent) -> RecentPr
 
 class ReceiptMade(Answer):
     receipt: dict[str, Any]
-    """Of the whole session: original against now."""
+    """Receipt of the whole session: original against now."""
     text: str
     """One line for people."""
 

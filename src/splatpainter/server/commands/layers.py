@@ -46,7 +46,7 @@ class LayerNew(Command):
     name: Name | None = None
     above: str | None = None
     asset: str = ""
-    """Of several assets, the one that it belongs to; above a layer: that layer's."""
+    """Asset, of several, that the layer belongs to; above a layer: that layer's."""
 
 
 @command(LayerNew, writes=True)
@@ -72,7 +72,7 @@ class LayerSet(Command):
     opacity: Unit | None = None
     blend: Blend | None = None
     parameters: dict[str, Any] | None = None
-    """Of an adjustment layer: the fields of GradeSliders."""
+    """Parameters of an adjustment layer: the fields of GradeSliders."""
     gesture: Name | None = None
     """Steps of one gesture (a slider that is dragged) that follow each other are one step of the history."""
 
@@ -128,16 +128,16 @@ class MaskSet(Command):
         "reveal", "hide", "remove", "on", "off", "selection", "area", "height", "slope", "coverage", "curvature"
     ]
     camera: CameraInfo | None = None
-    """Of an area."""
+    """Camera of an area."""
     area: Blob | None = None
-    """Of an area: a mask picture of the camera's shape; what is not black is selected, by its brightness."""
+    """Area: a mask picture of the camera's shape; what is not black is selected, by its brightness."""
     low: float = 0.0
-    """Of a rule: share of the height (0..1), degrees from `up` (0..180), coverage (0: as the original, 1: seen in a
-    view of the layers below, 2: predicted), or degrees of bend (-180..180: crevices below 0, edges above)."""
+    """Lower end of a rule: share of the height (0..1), degrees from `up` (0..180), coverage (0: as the original, 1:
+    seen in a view of the layers below, 2: predicted), or degrees of bend (-180..180: crevices below 0, edges above)."""
     high: float = 1.0
     soft: float = Field(default=0.0, ge=0)
     gesture: Name | None = None
-    """As of layer.set."""
+    """Gesture as in layer.set."""
 
 
 @command(MaskSet, writes=True)
@@ -300,7 +300,7 @@ def redo(context: CommandContext, request: Redo) -> Answer:
 
 
 class Jump(Command):
-    """To a step of the history; 0 is as the asset was opened."""
+    """Jump to a step of the history; 0 is the asset as it was opened."""
 
     NAME = "jump"
     cursor: int = Field(ge=0)
@@ -311,7 +311,7 @@ def jump_in_history(context: CommandContext, request: Jump) -> Answer:
     session = context.studio.session
     with progress(context, "history"):
         session.jump(request.cursor)
-    context.news = f"Another window went in the history to: {session.history[session.cursor].label}."
+    context.news = f"Another window jumped in the history to: {session.history[session.cursor].label}."
     context.studio.selection.follow()
     return Answer(python=python_line("session.jump", request.cursor))
 

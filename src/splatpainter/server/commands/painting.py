@@ -91,7 +91,7 @@ class PaintBegin(Command):
     """erase: back to the original; the patches' alpha counts, their colours do not. mask: of the layer that `paint.end`
     names: black hides it, white shows it, alpha is how far; there are no previews."""
     layer: str | None = None
-    """Of an eraser: the paint layer whose paint it takes away; None: back to the original."""
+    """For an eraser: the paint layer whose paint it takes away; None: back to the original."""
     mirror: Symmetry | None = None
     """Paint on the mirrored view, too (not of masks)."""
 
@@ -177,7 +177,7 @@ class PaintEnd(Command):
     placed: Placed | None = None
     """What can be changed later; such a layer takes no strokes."""
     gesture: Name | None = None
-    """As of layer.set, with `replaces`."""
+    """Gesture as in layer.set, with `replaces`."""
     name: Name = "Stroke"
     method: Method = "auto"
     opacity: Unit = 1.0
@@ -342,11 +342,11 @@ class EditAdd(Command):
     opacity: Unit = 1.0
     blend: Blend = "normal"
     within: bool = False
-    """Of mode global: only Gaussians that the masks reach change, and only masked pixels count."""
+    """Mode global: only Gaussians that the masks reach change, and only masked pixels count."""
     limits: PaintLimits = PaintLimits()
-    """Of modes local and spread; an eraser has none."""
+    """Limits in modes local and spread; an eraser has none."""
     spread: Unit | None = None
-    """Of mode spread: its threshold; None: the default."""
+    """Threshold of mode spread; None: the default."""
     stroke: str | None = None
     """A previewed stroke that this edit replaces."""
     replaces: str | None = None
@@ -429,14 +429,14 @@ def edit_from_upload(context: CommandContext, view: EditedView, mode: Mode) -> E
 
 
 def _eraser_from_upload(context: CommandContext, view: EditedView) -> Edit:
-    """Of an eraser only the mask counts: the mask given, else the picture as one."""
+    """An eraser's edit from an upload: only its mask counts, the mask given, else the picture as one."""
     camera = view.camera.to_camera()
     mask = mask_from_upload(context, view.mask or view.picture, camera)
     return Edit(np.zeros((camera.height, camera.width, 3), np.float32), camera, mask, "erase")
 
 
 def _limits(limits: PaintLimits) -> dict[str, Any]:
-    """As keywords of session.add."""
+    """Limits as keywords of session.add."""
     parameters = limits.parameters()
     return {"parameters": parameters} if parameters else {}
 
@@ -446,5 +446,5 @@ def _stroke(context: CommandContext, name: str, session: Session) -> Stroke:
     stroke = context.page.strokes.get(name)
     if stroke is None or not stroke.belongs_to(session):
         context.page.strokes.pop(name, None)
-        raise ValueError("stroke: there is no such stroke (any more); begin a new one")
+        raise ValueError("stroke: no longer available; begin a new one")
     return stroke

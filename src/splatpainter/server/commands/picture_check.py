@@ -44,7 +44,7 @@ class PictureChecked(Answer):
     mask: Blob
     """PNG of the change mask (white: changed), of the camera's size."""
     share: Unit
-    """Of the pixels, changed."""
+    """Share of the pixels that changed."""
     shift: tuple[float, float]
     """Pixels (right, down) that the picture had been moved by, and that were taken back."""
     notes: list[str]

@@ -27,7 +27,7 @@ class ReliefStamp(Command):
     x: float
     y: float
     radius: float = Field(gt=0, le=16384)
-    """Of the brush, pixels of `camera`'s view at the target."""
+    """Radius of the brush, pixels of `camera`'s view at the target."""
     name: Name = "Clone with relief"
 
 

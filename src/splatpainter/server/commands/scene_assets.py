@@ -26,7 +26,7 @@ from splatpainter.session.scratch import scratch_folder
 
 class AssetAdded(Answer):
     asset: str
-    """Its id."""
+    """Id of the asset."""
 
 
 class AssetAdd(Command):
@@ -77,7 +77,7 @@ class AssetSet(Command):
     """Degrees about x, then y, then z."""
     scale: float | None = None
     gesture: Name | None = None
-    """As of layer.set."""
+    """Gesture as in layer.set."""
 
 
 @command(AssetSet, writes=True)

@@ -28,14 +28,14 @@ from splatpainter.session.selection import Attribute, Combine
 from splatpainter.sources.picture_reader import read_picture, resample
 
 MAX_RADIUS_SHARE = 1.0
-"""Of the asset's radius by which a selection may grow, shrink or be feathered at a time."""
+"""Largest share of the asset's radius by which a selection may grow, shrink or be feathered at a time."""
 
 
 class Selected(Answer):
     gaussians: int
-    """By half or more."""
+    """Gaussians that are selected by half or more."""
     share: Unit
-    """Of the visible ones."""
+    """Share of the visible ones."""
 
 
 class SelectArea(Command):
@@ -137,7 +137,7 @@ class SelectChange(Command):
     radius: float = Field(default=0.0, ge=0)
     """World units, of grow, shrink and feather; at most the asset's radius."""
     share: Unit = space.FLOATER_SHARE
-    """Of the largest part's surface that a floater has at most."""
+    """Largest share of the largest part's surface that a floater has at most."""
 
 
 @command(SelectChange, writes=True)

@@ -83,10 +83,10 @@ class SourceList(Command):
 
 
 class SourceEdited(PictureChecked):
-    """As of a picture that was dropped; its camera is the view that was sent."""
+    """The picture that a source made, checked as a dropped one; its camera is the view that was sent."""
 
     name: str
-    """Of the picture."""
+    """Name of the picture."""
 
 
 class SourceEdit(Command):
@@ -207,7 +207,7 @@ def _refused(
         share=float(changed.mean()),
         shift=(0, 0),
         notes=[*answer.notes, *cost],
-        warnings=[PictureWarning(message=f"Refused, and shown as it came: {refusal}")],
+        warnings=[PictureWarning(message=f"Refused; shown as received: {refusal}")],
         name=name,
         python="",
     )
@@ -260,7 +260,7 @@ class SourceCover(Command):
     ANSWER = SourceCovered
     source: str = Field(min_length=1, max_length=100)
     views: list[CameraInfo] = Field(min_length=1, max_length=MAX_VIEWS)
-    """Of `source.plan`."""
+    """Views of `source.plan`."""
     prompt: str = Field(default="", max_length=MAX_PROMPT_CHARACTERS)
     seed: int | None = Field(default=None, ge=0, le=2**32 - 1)
     one_layer: bool = False
@@ -323,7 +323,7 @@ def cover_by_source(context: CommandContext, request: SourceCover) -> SourceCove
         raise Cancelled from None
     notes, costs = list(made.notes), [edit.answer.cost for edit in made.turns.edits if edit.answer.cost]
     if studio.session is not session:
-        notes.append("another project was opened; what was painted is in the one before")
+        notes.append("another project was opened meanwhile; the painted layers are in the previous one")
     brief_line = f"SourceBrief({request.prompt!r})" if request.prompt else "SourceBrief()"
     return SourceCovered(
         layers=[layer_info(session, session.layer(layer.id)) for layer in made.layers],

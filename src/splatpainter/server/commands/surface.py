@@ -65,7 +65,7 @@ class SymmetryPlane(Answer):
     offset: float
     """normal x = offset, world units."""
     agreement: Unit
-    """Of the asset with its mirror image, 1: they are the same."""
+    """Agreement of the asset with its mirror image; 1: they are the same."""
 
 
 class SymmetryFind(Command):

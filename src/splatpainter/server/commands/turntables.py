@@ -36,7 +36,7 @@ class Turntable(Command):
     seconds: float = Field(default=2, gt=0, le=MAX_SECONDS)
     fps: float = Field(default=18, gt=0, le=MAX_FPS)
     frames: int | None = Field(default=None, ge=MIN_FRAMES, le=MAX_FRAMES)
-    """In place of `seconds`."""
+    """Frames, in place of `seconds`."""
     degrees: float = Field(default=360, ge=-3600, le=3600)
     """Counter-clockwise seen from above."""
     transparent: bool = False

@@ -36,9 +36,9 @@ from splatpainter.session.layer_factory import spread_options_of
 from splatpainter.view_files import Aov, PictureOptions
 
 MAX_EXPORT_PIXELS = 1 << 24
-"""Of an exported view: 4096 x 4096."""
+"""Most pixels of an exported view: 4096 x 4096."""
 PREVIEW_SHARE = 0.4
-"""Of the size of a view that is larger than those on the screen: at most MAX_VIEW_PIXELS again."""
+"""Share of the size of a view that is larger than those on the screen: at most MAX_VIEW_PIXELS again."""
 PNG_LEVEL = 1
 """Fast: nobody waits for the last few per cent."""
 
@@ -47,7 +47,7 @@ class PictureMade(Answer):
     picture: Blob
     """A PNG."""
     file: str | None = None
-    """Its name in the watched folder, where it was written there."""
+    """Name in the watched folder, where it was written there."""
 
 
 class ViewRender(Command):
@@ -60,7 +60,7 @@ class ViewRender(Command):
     below: str | None = None
     """Layer whose paint, and what is above it, is left out."""
     profile: Profile = "inria"
-    """Whose formula for alpha; pictures to be painted on have the default."""
+    """Which renderer to match; pictures to be painted on have the default."""
 
 
 @command(ViewRender)
@@ -78,9 +78,9 @@ class ViewExported(PictureMade):
     picture: Blob
     """The exported picture where it is an 8-bit PNG with a background at the view's size, else such a preview."""
     url: str | None = None
-    """To download from: the picture, or a zip of it, its AOVs and its sidecar; None for "folder"."""
+    """Address of the download: the picture, or a zip of it, its AOVs and its sidecar; None for "folder"."""
     name: str = ""
-    """Of what is downloaded."""
+    """Name of what is downloaded."""
 
 
 class ViewExport(Command):
@@ -96,7 +96,7 @@ class ViewExport(Command):
     """Pixels of the longer side; None: as the camera says."""
     format: Literal["png", "exr"] = "png"
     bits: Literal[8, 16, 32] | None = None
-    """Of a colour sample: PNG 8 or 16, OpenEXR 16 or 32; None: the smaller."""
+    """Bits of a colour sample: PNG 8 or 16, OpenEXR 16 or 32; None: the smaller."""
     transparent: Literal["straight", "premultiplied"] | None = None
     """An alpha channel in place of the background; OpenEXR is always premultiplied."""
     aovs: list[Aov] = Field(default_factory=list, max_length=5)
@@ -172,7 +172,7 @@ class Picked(Answer):
     gaussian_id: int | None
     """The Gaussian that gives the pixel most of its colour."""
     color: Rgb
-    """As seen, display sRGB 0..1."""
+    """Colour as seen, display sRGB 0..1."""
 
 
 class Pick(Command):
