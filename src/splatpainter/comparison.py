@@ -46,7 +46,7 @@ class Comparison:
     unexpected_fields: dict[str, np.ndarray] = field(default_factory=dict, repr=False)
     """Stored properties that are no Gaussian's value, and do differ -> [D] rows."""
     differences: tuple[str, ...] = ()
-    """In which stored properties rows differ, one line."""
+    """Stored properties in which rows differ, one line."""
     compared: tuple[str, ...] = ()
     not_compared: tuple[str, ...] = ()
 
@@ -101,7 +101,7 @@ def same_layout(old: Contents, new: Contents) -> bool:
 
 
 def listed(rows: np.ndarray) -> str:
-    """The first of them."""
+    """The first of these row numbers, as text."""
     return ", ".join(map(str, rows[:5].tolist())) + (", ..." if len(rows) > 5 else "")
 
 

@@ -14,7 +14,7 @@ from splatpainter.io import files
 
 PAPER, INK, FAINT = (250, 250, 248), (20, 20, 22), (110, 110, 115)
 GAP_PX = 6
-"""Between pictures."""
+"""Gap between pictures, pixels."""
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,7 @@ MAX_CHANNELS = 1024
 CAMERA_KEYWORD = "splatpainter"
 """Keyword of the PNG tEXt chunk, or name of the OpenEXR header attribute, that carries a camera."""
 MAX_PICTURE_PIXELS = 1 << 26
-"""Of a picture that is opened: a few hundred bytes can claim any number. 8192 x 8192."""
+"""Most pixels of a picture that is opened: a few hundred bytes can claim any number. 8192 x 8192."""
 Alpha = Literal["straight", "premultiplied"]
 """How a picture that was rendered without a background keeps its colours: as they are, or multiplied by alpha."""
 PACKED_WIDTH = 4096

@@ -40,7 +40,7 @@ Method = Literal["auto", "ttt", "lift", "fit"]
 MAX_VIEWS = 16
 LOW_ASIDE_DB = 20.0
 """Paint that scores less from the side is said to; sound paint on 24 held-out meshes has 29 on average."""
-NOT_LOCAL = "Stage II of these weights answers what pictures do not show, in global edits alone: the analytic lift"
+NOT_LOCAL = "Stage II of these weights is for global edits only: the analytic lift"
 """Why a local edit is the lift's, whatever was asked for (ModelConfig.edits_locally)."""
 MIN_ASIDE_COVERED = 0.25
 """Share of the paint that side views must be able to check for that."""
@@ -88,12 +88,12 @@ class Asset:
 
     splats: Splats
     receipt: Receipt | None = None
-    """Of the edit that made it; None for a fresh one."""
+    """Receipt of the edit that made this asset; None for an unedited one."""
     confidence: np.ndarray | None = field(default=None, repr=False)
     """[N] float32 0..1 after a global edit: seen (1) or predicted (towards 0); after one of mode spread: how sure it is
     that a Gaussian is of the painted material."""
     encoding: EncodedAsset | None = field(default=None, repr=False)
-    """For a model's edits; None where none has needed it yet."""
+    """Encoding for a model's edits; None where none has needed it yet."""
     original: Splats | None = field(default=None, repr=False)
     """The first Gaussians of `splats` as they were before all edits, on whose surface sheets are laid; None: `splats`,
     which has not been edited yet."""
@@ -109,7 +109,7 @@ class Asset:
 
     @cached_property
     def surface(self) -> Surface:
-        """That of the original; made on first use, and handed on by edits."""
+        """Surface of the original; made on first use, and handed on by edits."""
         from splatpainter.surface.estimate import Surface
 
         return Surface.of(self.splats if self.original is None else self.original)
@@ -151,7 +151,7 @@ class EncodedAsset:
     model: SplatPainterModel
     """Another one encodes the asset anew."""
     encoded: Encoded
-    """Of the asset as it was before all edits."""
+    """Encoding of the asset as it was before all edits."""
     parent_ids: np.ndarray
     """[N] int64 the encoded Gaussian whose latent each of the asset's reads: itself, or the one it was split from."""
     state: RefineState | None = None

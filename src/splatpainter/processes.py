@@ -18,9 +18,9 @@ from typing import Any
 GRACE_SECONDS = 5.0
 """Between asking processes to end and ending them."""
 BACKGROUND_NICE = 10
-"""Of processes that give way to others; 19 is the most."""
+"""Niceness of processes that give way to others; 19 is the most."""
 BACKGROUND_OOM_SCORE = 500
-"""Of 1000: Linux ends them first where memory runs out."""
+"""Score, of 1000: Linux ends them first where memory runs out."""
 WATCH_WINDOWS = (
     "import subprocess, sys; sys.stdin.buffer.read(); "
     "subprocess.run(['taskkill', '/F', '/T', '/PID', sys.argv[1]], capture_output=True)"

@@ -87,11 +87,11 @@ class Receipt:
     """Where hidden Gaussians were left out for good: of the original, asset (its SHA-256), rows (how many it had), and
     left_out (how many are gone), and appended_left_out. `asset_rows` are then those that remain, renumbered."""
     source: dict[str, Any] | None = None
-    """Of an edit by a picture source (source_edits/edit.py): its name, prompt and strictness, and per view its model,
+    """For an edit by a picture source (source_edits/edit.py): its name, prompt and strictness, and per view its model,
     seed, cost, SHA-256 of the pictures sent and received, and what was corrected. None: pictures were given."""
 
     merge: dict[str, Any] | None = None
-    """Of an asset that several files were merged into, and of its edits: sources, one object per file (name, sha256,
+    """For an asset that several files were merged into, and of its edits: sources, one object per file (name, sha256,
     format, rows, first: the row that it begins at, placement, seam), and notes (scene/merge.py)."""
     merge_touched: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64), repr=False)
     """[M] int64 ascending: rows that edits of the merged asset touched before this one."""
@@ -303,7 +303,7 @@ class Verification:
     exact: str
     """How the rows were compared."""
     differences: tuple[str, ...] = ()
-    """In which stored properties changed rows differ."""
+    """Stored properties in which changed rows differ."""
     compared: tuple[str, ...] = ()
     """What was compared besides the rows."""
     not_compared: tuple[str, ...] = ()
@@ -429,7 +429,7 @@ def prove(original: Splats, written: Path, receipt: Receipt, frame: Frame = "aut
         comparison, receipt if original.source else replace(receipt, asset_sha256=comparison.original_sha256)
     )
     if not verification.ok:
-        raise RuntimeError(f"the file written does not prove its receipt: {'; '.join(verification.problems)}")
+        raise RuntimeError(f"the written file does not match its receipt: {'; '.join(verification.problems)}")
     return receipt, verification
 
 

@@ -1,4 +1,4 @@
-"""`Splats`, the one currency of the package: io/ makes it, render/ and lift/ read it, models/ return it.
+"""`Splats`, the one currency of the package: io/ makes it, rendering/ and lift/ read it, models/ return it.
 
 Knows no files, no cameras and no network. All values are *activated* (what the formulas use), never raw
 (log-scales, logit-opacities): raw and activated are converted exactly once, in io/ and models/decode.py.
@@ -160,7 +160,8 @@ class Source:
     format: str
     """Key of io.FORMATS, e.g. "ply"."""
     splats: Splats = field(repr=False)
-    """As first decoded (without source): an attribute of a Gaussian is untouched if it equals this, bit for bit."""
+    """The rows as first decoded (without source): an attribute of a Gaussian is untouched if it equals this, bit for
+    bit."""
     sha256: str
     """Hex SHA-256 of the file (of a folder: of its files' names and bytes, in name order)."""
     detail: Any = field(default=None, repr=False)

@@ -66,7 +66,8 @@ def matrix_to_quat(matrices: np.ndarray) -> np.ndarray:
 
 
 def principal_axes(covariances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of symmetric matrices [N, 3, 3]: (eigenvalues [N, 3], rising; right-handed axes [N, 3, 3], in columns), float64.
+    """Principal axes of symmetric matrices [N, 3, 3]: (eigenvalues [N, 3], rising; right-handed axes [N, 3, 3], in
+    columns), float64.
 
     Cyclic Jacobi rotations (Golub and Van Loan, Matrix Computations, 8.5), each for all matrices at once: additions,
     products and square roots alone, so that bits are the same on every machine, which LAPACK's are not.
@@ -177,7 +178,7 @@ def snapped(values: np.ndarray) -> np.ndarray:
 
 
 def _stacked(values: list[Any], like: Array) -> Array:
-    """Along a new last axis."""
+    """The arrays stacked along a new last axis."""
     if isinstance(like, np.ndarray):
         return np.stack(values, -1)
     import torch

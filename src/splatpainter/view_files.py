@@ -134,15 +134,15 @@ class PictureOptions:
 
     format: PictureFormat = "png"
     bits: int | None = None
-    """Of a colour sample: PNG 8 or 16, OpenEXR 16 or 32 (floats); None: the first of these."""
+    """Bits of a colour sample: PNG 8 or 16, OpenEXR 16 or 32 (floats); None: the first of these."""
     transparent: Alpha | None = None
     """No background, an alpha channel instead: PNG with colours as they are ("straight", as the PNG specification
     wants) or multiplied by alpha; OpenEXR only the latter."""
     aovs: tuple[Aov, ...] = ()
     profile: Profile = "inria"
-    """Whose picture, as in `render`."""
+    """Which renderer to match, as in `render`."""
     level: int = 6
-    """Of PNG compression; 1 is fast."""
+    """Level of PNG compression; 1 is fast."""
 
     def __post_init__(self) -> None:
         if self.format not in BITS:

@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 from splatpainter import jsonio
 
 MAX_YAML_BYTES = 1 << 20
-"""Of a file."""
+"""Most bytes of a file."""
 MAX_NODES = 50_000
 """Values of a file, anchors written out."""
 MAX_DEPTH = 40

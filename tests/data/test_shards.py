@@ -290,8 +290,8 @@ def test_a_stray_tar_and_a_broken_index_are_problems(tmp_path: Path) -> None:
     (folder / "copy.tar").write_bytes(b"")
     assert "copy.tar: is not in the index" in check(folder).problems[0]
     for text, words in (
-        ("{", "is no index of shards"),
-        ("{}", "is no index"),
+        ("{", "is not an index of shards"),
+        ("{}", "is not an index"),
         (
             '{"format": "x", "version": 1, "shards": [], "skipped": [], "done": 0, "scenes": 0, "per_shard": 1}',
             "expected",

@@ -230,7 +230,7 @@ WRONG_SCALE = node("ImageScale", image=["1", 0], upscale_method="x", width=64, h
         ),
         (
             broken(n3=WRONG_SCALE, n7=node("PreviewImage", images=["1", 0])),
-            "did not take the workflow: node 3 (ImageScale): Value not in list",
+            "refused the workflow: node 3 (ImageScale): Value not in list",
         ),
     ],
 )

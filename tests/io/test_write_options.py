@@ -98,8 +98,12 @@ def test_a_palette_of_fewer_vectors_is_smaller_and_rougher(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("name", "options", "reason"),
     [
-        ("a.splat", WriteOptions(sh_degree=0), "a.splat: sh_degree is no option of this format; it has none"),
-        ("a.ply", WriteOptions(spz_version=4), "spz_version is no option of this format; it has sh_degree, antialias"),
+        ("a.splat", WriteOptions(sh_degree=0), "a.splat: sh_degree is not an option of this format; it has none"),
+        (
+            "a.ply",
+            WriteOptions(spz_version=4),
+            "spz_version is not an option of this format; it has sh_degree, antialias",
+        ),
         ("a.spz", WriteOptions(spz_version=1), "expected spz_version of 2 to 4, got 1"),
         ("a.spz", WriteOptions(sh_bits=9), "expected sh_bits of 4 to 8, got 9"),
         ("a.sog", WriteOptions(sh_palette=0), "expected sh_palette of 64 to 65536, got 0"),

@@ -77,5 +77,5 @@ def test_hidden_gaussians_and_bands_go_together(tmp_path: Path) -> None:
         assert receipt.dropped is not None and receipt.dropped["left_out"] == 100
         assert "100 hidden Gaussians were removed for good" in receipt.note and "SH above degree 1" in receipt.note
         assert len(session.exported(remove_hidden=True)) == 200 and len(session.exported()) == 300
-        with pytest.raises(ValueError, match="b.splat: sh_degree is no option of this format"):
+        with pytest.raises(ValueError, match="b.splat: sh_degree is not an option of this format"):
             session.export(tmp_path / "b.splat", options=WriteOptions(sh_degree=0))

@@ -79,7 +79,7 @@ def test_everything_is_there_again(path):
         session.jump(0)
         assert same_bits(session.splats, asset())
         assert session.verify() == []
-        with pytest.raises(ValueError, match="bookmark: there is none with id '9'"):
+        with pytest.raises(ValueError, match="bookmark: no bookmark with id '9'"):
             session.delete_bookmark("9")
 
 

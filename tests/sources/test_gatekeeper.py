@@ -197,7 +197,7 @@ def test_wrong_pictures_are_refused_with_their_score() -> None:
     request, _ = scene()
     noise = np.random.default_rng(0).uniform(size=(SIZE, SIZE, 3)).astype(np.float32)
     for other in (drawn_scene(SIZE, 9)[0], noise, np.zeros((SIZE, SIZE, 3), np.float32)):
-        with pytest.raises(SourceError, match=r"something else.*agree by -?0\.\d\d of 1, expected 0\.38"):
+        with pytest.raises(SourceError, match=r"something other.*agree by -?0\.\d\d of 1, expected 0\.38"):
             admit(other, request)
 
 

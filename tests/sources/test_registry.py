@@ -234,7 +234,7 @@ def test_two_sources_of_one_name(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_name_that_there_is_not() -> None:
-    with pytest.raises(SourceError, match="'comand': there is none of this name; perhaps you meant command; there are"):
+    with pytest.raises(SourceError, match="'comand': no such source; perhaps you meant command; available:"):
         open_source("comand")
 
 

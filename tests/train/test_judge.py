@@ -169,7 +169,7 @@ def test_goals_say_reached_and_missed() -> None:
     ]
     notes_of = judge.goals(rows)
     assert [line.rsplit(": ", 1)[1] for line in notes_of] == ["missed", "reached", "missed", "missed"]
-    assert "relighting from 1 view: wanted lift +1.0 dB, got +1.00 dB" in notes_of[1]
+    assert "relighting from 1 view: goal +1.0 dB over the lift, measured +1.00 dB" in notes_of[1]
     assert judge.weak_kinds(rows) == ([], ["relight from 1 view", "relight from 2 views"])
     assert judge.from_json(json.loads(json.dumps(judge.as_json(rows)))) == rows
     copied = judge.CopyRow(judge.COPY, 2, 2, "the LRM before compression", 25.0, 24.6, -0.4, None, None)

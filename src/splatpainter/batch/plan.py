@@ -57,7 +57,7 @@ class Job:
     variant: str
     out: Path
     folder: Path
-    """Its record, its pictures, and what is not finished yet."""
+    """Folder of its record, its pictures, and what is not finished yet."""
     steps: tuple[JobStep, ...]
     frame: Frame = "auto"
     preview_camera: str = ""
@@ -65,7 +65,7 @@ class Job:
     overwrite: bool = False
     """Replace a result that no batch made."""
     common: int = 0
-    """Of the steps, the first ones that other variants of the asset have as well."""
+    """How many of the first steps other variants of the asset have as well."""
 
     def hashes(self) -> list[str]:
         """Per step, a hash of all that its result depends on: the asset's bytes and every edit up to it. Raises
@@ -188,7 +188,8 @@ def _suffix(asset: Path) -> str:
 
 
 def _step(edit: JobEdit, path: str, folder: Path, lines: Lines, asset: str, variant: str) -> JobStep:
-    """With {asset} and {variant} written out. Raises ValueError for a missing file whose name holds neither."""
+    """A step of the job, with {asset} and {variant} written out. Raises ValueError for a missing file whose name holds
+    neither."""
     step, kind = edit.step, edit.kind
     files: list[tuple[str, str]] = []
     values: dict[str, Any] = {}
@@ -238,7 +239,7 @@ def _where_term(term: str, folder: Path, line: str, files: list[tuple[str, str]]
 
 
 def _asset_digest(asset: Path) -> str:
-    """Of an asset's bytes; of a folder of SOG planes: of all of them."""
+    """SHA-256 of an asset's bytes; of a folder of SOG planes: of all of them."""
     folder = asset if asset.is_dir() else asset.parent
     if asset.is_dir() or asset.name.lower() == META:
         members = [folder / META, *sorted(path for path in folder.iterdir() if path.suffix.lower() == ".webp")]

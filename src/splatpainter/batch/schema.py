@@ -19,7 +19,7 @@ from splatpainter.splats import Frame
 FILE = {"file": True}
 """Metadata of fields that name files."""
 NAME = re.compile(r"[\w][\w .+-]{0,99}")
-"""Of variants: they become parts of file names."""
+"""Names of variants: they become parts of file names."""
 MIN_PREVIEW_PX, MAX_PREVIEW_PX = 32, 2048
 
 
@@ -97,7 +97,7 @@ class SourceStep:
     name: str
     prompt: str = ""
     options: dict[str, Any] = field(default_factory=dict)
-    """As `--source-option`. A value that names a file beside the jobs file is that file."""
+    """Options as of `--source-option`. A value that names a file beside the jobs file is that file."""
     view: str = field(default="", metadata=FILE)
     """Camera of the view that is sent; without it azimuth and elevation."""
     azimuth: float | None = None
@@ -145,7 +145,7 @@ class LayersEdit:
     only: tuple[str, ...] = ()
     """Names of layers; none: all."""
     asset: str = ""
-    """Of a project with several assets, the name of the one whose layers are meant, or its number ("1": the first)."""
+    """Asset of a project with several: the name of the one whose layers are meant, or its number ("1": the first)."""
 
 
 @dataclass(frozen=True)
@@ -211,11 +211,11 @@ class Batch:
     out: str = "out"
     """Folder of the results; made if missing."""
     edits: tuple[JobEdit, ...] = ()
-    """Of every variant, in this order."""
+    """Edits of every variant, in this order."""
     variants: tuple[Variant, ...] = ()
     """None: one result per asset."""
     format: Literal["", "ply", "compressed.ply", "splat", "spz", "sog", "glb"] = ""
-    """Of the results; "": that of each asset."""
+    """Format of the results; "": that of each asset."""
     frame: Frame = "auto"
     """Axes of the assets' numbers, as `--frame`."""
     preview: Preview = Preview()

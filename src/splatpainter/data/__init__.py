@@ -1,2 +1,2 @@
-"""Data for training and evaluation: objects, surfels, lights, edits, samples, shards. A leaf: only train/, evaluate/
-and the command line stand on it."""
+"""Data for training and evaluation: objects, surfels, lights, edits, samples, shards. A leaf: only train/, the
+benchmarks and the command line use it."""

@@ -22,11 +22,11 @@ from splatpainter.kernels.parallel import cpus
 
 Result = TypeVar("Result")
 RETRIES = 3
-"""Of one piece of work, after its worker died."""
+"""Retries of one piece of work, after its worker died."""
 POLL_SECONDS = 0.1
 """Between two looks at whether it was cancelled."""
 CONNECT_SECONDS = 10.0
-"""That a cluster has to take a connection."""
+"""Seconds that a cluster has to take a connection."""
 AHEAD = 2
 """Pieces handed out per worker: one in work, one waiting, so that results do not pile up."""
 
@@ -39,7 +39,7 @@ class Lost:
 
 
 Results: TypeAlias = Generator[tuple[int, "Result | Lost"]]
-"""To be closed by who stops before the end; what is in work then is ended."""
+"""Closed by whoever stops before the end; what is in work then is ended."""
 
 
 def run_here(work: Callable[[int], Result], numbers: Iterable[int]) -> Results[Result]:
@@ -109,7 +109,7 @@ def _kill_workers(pool: ProcessPoolExecutor) -> None:
 
 
 def _ended_well(future: Future[Any]) -> bool:
-    """Before its pool broke."""
+    """Whether the work ended well before its pool broke."""
     return future.done() and not future.cancelled() and future.exception() is None
 
 

@@ -223,7 +223,7 @@ def _close_up(scene: LitScene, spec: SampleSpec, rng: np.random.Generator) -> tu
 
 
 def _open_surfel(scene: LitScene, rng: np.random.Generator) -> int:
-    """The most open of three."""
+    """The most open surfel of three random ones."""
     ids = rng.integers(0, len(scene.truth), 3)
     openness = scene.object.surfels.occlusion[torch.from_numpy(ids).to(scene.truth.sh.device)]
     return int(ids[int(openness.argmax())])

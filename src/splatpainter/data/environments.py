@@ -16,9 +16,9 @@ from splatpainter import image_files
 from splatpainter.image_files import HALF_MAX
 
 MAX_PIXELS = 1 << 27
-"""Of an environment; a larger size in its header is a fault of the file."""
+"""Most pixels of an environment; a larger size in its header is a fault of the file."""
 MAX_BAD_SHARE = 0.01
-"""Of pixels that are not finite or negative; an environment with more is refused."""
+"""Largest share of pixels that are not finite or negative; an environment with more is refused."""
 CHANNELS = {1: ("Y",), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A")}
 
 

@@ -38,11 +38,11 @@ from splatpainter.transforms import sh_rotations
 RINGS = 3
 """Rings of views per object."""
 VIEWS = 4
-"""Of a ring; an edit is shown in the first, in two that face each other, or in all."""
+"""Views of a ring; an edit is shown in the first, in two that face each other, or in all."""
 VIEW_ODDS = (0.5, 0.3, 0.2)
-"""Of one, two and four views: the fewer, the more has to be predicted."""
+"""Odds of one, two and four views: the fewer, the more has to be predicted."""
 GAUSSIANS_PER_EDIT = 2000
-"""Of an edit of training, a random choice."""
+"""Gaussians of an edit of training, a random choice."""
 LIGHTS = 1024
 """Lights that edits choose from, two at a time: a million pairs."""
 UPRIGHT = (
@@ -58,10 +58,10 @@ class GlobalEdit:
     """One global edit of N Gaussians of an asset. Arrays are numpy float32."""
 
     name: str
-    """Of the object."""
+    """Name of the object."""
     kind: Literal["relight", "regrade"]
     views: int
-    """In how many pictures it is shown."""
+    """Number of pictures that show the edit."""
     asset: Splats
     """Before the edit, SH degree 0."""
     normals: np.ndarray = field(repr=False)

@@ -46,7 +46,7 @@ class RenderJob:
     part: Part = "all"
     """Which objects: see scenes.split."""
     share: float = 0.1
-    """Of the objects, for validation."""
+    """Share of the objects that is for validation."""
     split_seed: int = 0
     environments: tuple[str, ...] = ()
     """Files of light (.hdr, .exr)."""

@@ -58,7 +58,7 @@ class SceneObject:
     coarse: Surfels
     """The asset's Gaussians."""
     radius: float
-    """Of the sphere about the origin that holds it."""
+    """Radius of the sphere about the origin that holds it."""
     two_sided: bool = False
     """The sign of the normals means nothing (splat assets): what faces away is left to the depth test."""
     sh: Tensor | None = field(default=None, repr=False)
@@ -80,7 +80,7 @@ class LitScene:
     asset: Splats
     """What the artist has, numpy float32."""
     coarse: Splats
-    """The same as torch on the truth's device."""
+    """The asset as torch on the truth's device."""
     base: PosedViews
     optics: Optics
 
@@ -144,5 +144,5 @@ def render_views(splats: Splats, cameras: Sequence[Camera]) -> Renders:
 
 
 def recolored(splats: Splats, sh: Tensor) -> Splats:
-    """The same in other colours."""
+    """The Gaussians in other colours."""
     return replace(splats, sh=sh)

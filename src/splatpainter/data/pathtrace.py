@@ -31,7 +31,7 @@ class PathOptions:
     """Longest path: 2 is direct light, each more one bounce."""
     seed: int = 0
     variant: Variant | Literal["auto"] = "auto"
-    """Of Mitsuba; auto: CUDA, else LLVM, else scalar."""
+    """Mitsuba's variant; auto: CUDA, else LLVM, else scalar."""
     model: Literal["principled", "diffuse"] = "principled"
     """Surfaces: Mitsuba's principled BSDF (Burley 2012), or Lambert's with the same base colour, for comparisons."""
 

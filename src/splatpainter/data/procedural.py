@@ -21,7 +21,7 @@ from splatpainter.transforms import quat_to_matrix
 PART_ODDS = (5, 5, 5, 4, 4, 3, 2, 1, 1)
 """Relative odds of 1 to 9 parts."""
 SIDE_PX = 256
-"""Of a texture."""
+"""Edge of a texture."""
 SHAPE = (SIDE_PX, SIDE_PX)
 PATTERNS = ("noise", "stripes", "checks", "spots", "gradient", "bricks", "strokes", "cells", "marble", "plain")
 PICTURES = (".jpg", ".jpeg", ".png", ".webp")

@@ -40,7 +40,7 @@ from splatpainter.transforms import matrix_to_quat, quat_to_matrix
 AssetKind = Literal["coarse", "fitted"]
 ASSET_KINDS: tuple[AssetKind, ...] = ("coarse", "fitted")
 VERSION = 1
-"""Of how assets are made: files of another one are made anew."""
+"""Version of how assets are made: files of another one are made anew."""
 RINGS = 3
 """Rings of views in which an edit may be shown."""
 RING_VIEWS = 4
@@ -48,7 +48,7 @@ RING_VIEWS = 4
 FIT_VIEWS = 9
 """Pictures that an asset is fitted to."""
 FIT_STEPS = 200
-"""Of 3DGS, from points at true depth."""
+"""Steps of 3DGS, from points at true depth."""
 FIT_START = {"opacity": 0.9, "size": 0.6}
 """First Gaussians of a fit: true depth is a surface, not a cloud."""
 FIT_BACKGROUNDS = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
@@ -60,7 +60,7 @@ UPRIGHT = (
 )
 """Turns of the world, one per asset: y up, y down (3DGS captures), z up; files do not say which they have."""
 SURFEL_FIELDS = ("normals", "albedo", "metallic", "roughness", "occlusion", "transfer")
-"""Of a Gaussian's material and place in the light; y up."""
+"""Fields of a Gaussian's material and place in the light; y up."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class RowAsset:
     """An asset under one light. Arrays are numpy float32."""
 
     name: str
-    """Of the object."""
+    """Name of the object."""
     kind: AssetKind
     asset: Splats
     """SH degree 0, turned by one of UPRIGHT."""

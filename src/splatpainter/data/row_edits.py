@@ -33,9 +33,9 @@ less is to be predicted."""
 LIGHTS = 256
 """New lights that relightings choose from."""
 MATERIAL_WIDTH = 0.12
-"""Of a recoloured material: the standard deviation, in display colours, within which Gaussians belong to it."""
+"""Width of a recoloured material: the standard deviation, in display colours, within which Gaussians belong to it."""
 MIN_CHANGED_SHARE = 0.05
-"""Of the Gaussians that a recolouring changes by more than MIN_CHANGE; others are drawn again."""
+"""Least share of the Gaussians that a recolouring changes by more than MIN_CHANGE; others are drawn again."""
 MIN_CHANGE = 0.02
 MAX_TRIES = 8
 """Recolourings that are drawn before the last one is taken as it is."""
@@ -50,7 +50,7 @@ class RowEdit:
     item: RowAsset
     kind: EditKind
     views: int
-    """In how many pictures it is shown: 1, 2 or 4."""
+    """Number of pictures that show it: 1, 2 or 4."""
     change: np.ndarray = field(repr=False)
     """[N, 3] of base colours, between colours within 0..1: the true one."""
     weight: np.ndarray = field(repr=False)
@@ -60,7 +60,7 @@ class RowEdit:
 
     @property
     def name(self) -> str:
-        """Of the object."""
+        """Name of the object."""
         return self.item.name
 
     @property

@@ -41,7 +41,7 @@ class Sample:
     """One training step's data. Everything but `base` and `asset` is about this one edit."""
 
     name: str
-    """Of the object."""
+    """Name of the object."""
     kind: str
     mode: Mode
     asset: Splats
@@ -175,7 +175,7 @@ class SampleStream:
         return mesh_object(self.source.name(i), mesh, *counts, roughness, seed, self.device)
 
     def _resolution_scale(self, i: int) -> float:
-        """Of object i: 1 for splat assets, which are as they are."""
+        """Resolution factor of object i: 1 for splat assets, which are as they are."""
         low, high = np.log(self.recipe.detail)
         return 1.0 if self.splats else float(np.exp(self._generator("detail", i).uniform(low, high)))
 

@@ -50,12 +50,12 @@ Contents = dict[str, dict[str, tuple[int, int]]]
 
 @dataclass(frozen=True)
 class RenderedScene:
-    """What became of one scene."""
+    """Result of rendering one scene."""
 
     name: str
-    """Of its object."""
+    """Name of its object."""
     samples: Sequence[Files] = ()
-    """In order."""
+    """Samples in order."""
     kinds: Sequence[str] = ()
     """One per sample."""
     skipped: Sequence[str] = ()
@@ -190,7 +190,7 @@ def read_index(folder: Path) -> dict[str, Any]:
         if not all(isinstance(v, list) for v in lists) or not all(isinstance(v, int) for v in counts_read):
             raise TypeError("a field of another kind")
     except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError) as error:
-        raise ValueError(f"{path}: is no index of shards ({type(error).__name__}: {error})") from None
+        raise ValueError(f"{path}: is not an index of shards ({type(error).__name__}: {error})") from None
     if version != (FORMAT, VERSION):
         raise ValueError(f"{path}: expected {FORMAT} version {VERSION}, got {version[0]!r} version {version[1]!r}")
     return index
@@ -224,11 +224,11 @@ def _sha256(path: Path) -> str:
 
 @dataclass(frozen=True)
 class Health:
-    """What `check` found."""
+    """Result of `check`."""
 
     shards: int
     samples: int
-    """Of whole shards."""
+    """Samples of whole shards."""
     scenes: int
     """Scenes of the run."""
     finished: int
@@ -365,7 +365,7 @@ class ShardStream:
 
 
 def _contents(folder: Path, entry: Mapping[str, Any], checksums: bool) -> Contents:
-    """Of a shard of the index. Raises ValueError: what is wrong with it."""
+    """Contents of a shard of the index. Raises ValueError: what is wrong with it."""
     if wrong := damage(folder, entry, checksums):
         raise ValueError(wrong)
     contents: Contents = {}

@@ -13,7 +13,7 @@ import numpy as np
 from splatpainter.cameras import FRAME_MARGIN, Camera, look_at
 
 MIN_ELEVATION, MAX_ELEVATION = -25.0, 65.0
-"""Of cameras, degrees."""
+"""Elevations of cameras, degrees."""
 
 
 @dataclass(frozen=True)

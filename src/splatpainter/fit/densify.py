@@ -18,7 +18,7 @@ from splatpainter.fit.parameters import RawGaussians
 from splatpainter.transforms import quat_to_matrix
 
 ORIGINAL_STEPS = 30_000
-"""Of the run that the constants are made for."""
+"""Steps of the run that the constants are made for."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class Pulls:
 
 @dataclass(frozen=True)
 class Round:
-    """What one round of density control made of N Gaussians."""
+    """Result of one round of density control on N Gaussians."""
 
     parameters: RawGaussians
     """Kept Gaussians in their order, then clones, then children."""

@@ -30,10 +30,10 @@ class EditFitOptions:
     steps: int = 60
     """Half of them on edited views."""
     views: int = 4
-    """From around at each of ELEVATIONS, to hold what the edit does not show."""
+    """Views from around at each of ELEVATIONS, to hold what the edit does not show."""
     weight: float = 4.0
-    """Of such a view, against 1 for an edited one. 0.5: 29.2 / 23.5 / 28.2 on the close-ups; 8: 28.4 / 23.5 / 28.6
-    (with held views of 160 px over one background)."""
+    """Weight of such a view, against 1 for an edited one. 0.5: 29.2 / 23.5 / 28.2 on the close-ups; 8: 28.4 / 23.5 /
+    28.6 (with held views of 160 px over one background)."""
     same: float = 0.1
     """Where the lift changed a held view's pixel by less than this (0..1), the asset as it was is held, else the
     lift."""
@@ -42,7 +42,7 @@ class EditFitOptions:
     attributes: tuple[str, ...] = ATTRIBUTES
     """Which ones are optimised; the others keep their bits."""
     rate_scales: float = FitOptions.rate_scales
-    """As of FitOptions."""
+    """Rate as in FitOptions."""
 
 
 SSIM_MARGIN_PX = 5
@@ -87,7 +87,7 @@ def _cropped(splats: Splats, camera: Camera, picture: np.ndarray, gaussian_ids: 
 
 
 def _anchors(before: Splats, lifted: Splats, like: Camera, options: EditFitOptions) -> list[TrainingView]:
-    """The asset from around."""
+    """Views of the unedited asset from around."""
     size = min(options.size, like.width, like.height)
     anchors = []
     for elevation, background in ELEVATIONS.items():

@@ -1,7 +1,7 @@
 """One view of the Gaussians: the loss, the gradients of all attributes, and the pull on each Gaussian's centre on the
 screen.
 
-On the CPU the kernels of render/cpu are called directly: their sums hold the screen-space gradients exactly, and
+On the CPU the kernels of rendering/cpu are called directly: their sums hold the screen-space gradients exactly, and
 nothing goes through autograd but a loss of the caller's own. Elsewhere (CUDA) torch differentiates the renderer, and
 the screen-space gradient is that of the centre in camera axes times z / f: what reaches the centre by its depth and
 through the shape of its projection is counted too, which hardly matters (correlation 0.99, see the tests).
@@ -37,9 +37,9 @@ class Target:
     tiles: np.ndarray | None
     """[TH, TW] bool: where weights are above 0; None: everywhere."""
     share: float
-    """Of SSIM in the loss, 0..1."""
+    """Share of SSIM in the loss, 0..1."""
     weight: float = 1.0
-    """Of the view."""
+    """Weight of the view."""
 
     @staticmethod
     def of(camera: Camera, color: np.ndarray, mask: np.ndarray | None, share: float, weight: float) -> Target:
@@ -107,7 +107,7 @@ class CpuPasses:
 def torch_pass(
     splats: Splats, target: Target, custom_loss: CustomLoss | None, pull: bool, absolute: bool = False
 ) -> Pass:
-    """The same by torch, on the splats' device. absolute: not known here, and left out."""
+    """A pass as of CpuPasses, by torch, on the splats' device. absolute: not known here, and left out."""
     from splatpainter.rendering import render
 
     leaves = {name: getattr(splats, name).detach().requires_grad_() for name in ATTRIBUTES}
@@ -148,8 +148,9 @@ def _image_loss(image: np.ndarray, target: Target, custom_loss: CustomLoss | Non
 
 
 def _pull(frame: ProjectedView, sums: np.ndarray, absolute: bool) -> Pull:
-    """From the sums of backward.py. absolute: magnitudes are summed over 16 x 16 tiles, so that pulls in opposite
-    directions at the two ends of a large Gaussian do not cancel (Ye et al. 2024, "AbsGS", sum them over pixels)."""
+    """The pull, from the sums of backward.py. absolute: magnitudes are summed over 16 x 16 tiles, so that pulls in
+    opposite directions at the two ends of a large Gaussian do not cancel (Ye et al. 2024, "AbsGS", sum them over
+    pixels)."""
     extent = frame.extents.max(1)
     if not len(frame):
         return Pull(frame.gaussian_ids, np.zeros((0, 2), np.float32), extent)

@@ -62,7 +62,7 @@ def picture_loss(
 
 
 def torch_loss(image: Tensor, target: Tensor, weights: Tensor | None, share: float) -> Tensor:
-    """The same as a differentiable tensor, on any device."""
+    """The loss of `picture_loss` as a differentiable tensor, on any device."""
     if weights is None:
         weights = torch.ones_like(image[..., 0])
     image = torch.where(weights[..., None] > 0, image, target)

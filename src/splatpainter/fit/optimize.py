@@ -34,7 +34,7 @@ class TrainingView:
     give views different backgrounds (black and white in turn): over one, Gaussians of its colour and holes look
     alike."""
     weight: float = 1.0
-    """Times the view's loss."""
+    """Factor on the view's loss."""
     mask: np.ndarray | None = field(default=None, repr=False)
     """[H, W] bool, or weights >= 0, of the pixels that count; None: all. Pixels of weight 0 have no influence."""
 
@@ -49,38 +49,38 @@ class FitOptions:
     attributes: tuple[str, ...] = ATTRIBUTES
     """Which ones are optimised; the others keep their bits."""
     sh_degree: int | None = None
-    """Of the result, 0 to 4; None: as the start."""
+    """SH degree of the result, 0 to 4; None: as the start."""
     ssim: float = 0.2
     """s in the loss (1 - s) L1 + s (1 - SSIM)."""
     seed: int = 0
     most_gaussians: int = 500_000
     """Density control adds no Gaussians beyond this."""
     rate_means: float = 1.6e-4
-    """At the start, in extents per step."""
+    """Rate at the start, in extents per step."""
     rate_means_end: float = 1.6e-6
-    """At the end; between them it falls exponentially."""
+    """Rate at the end; between them it falls exponentially."""
     rate_scales: float = 5e-3
-    """Of log-scales."""
+    """Rate of log-scales."""
     rate_quats: float = 1e-3
     rate_opacities: float = 5e-2
-    """Of logit-opacities."""
+    """Rate of logit-opacities."""
     rate_sh: float | None = None
-    """Of the constant band; higher ones get a twentieth. None: 2.5e-3, the original's; runs of fewer than 30,000 steps
-    begin 30,000 / steps times higher, at most HASTE times, and fall to it exponentially. At 2.5e-3 a colour moves by
-    0.0007 a step: a painted region (128 px, 48 more views) is after 300 steps 10.7 dB from its picture and 10.0 dB from
-    the truth in novel views, with 0.02 all along 42.0 and 23.8, falling from 0.05 40.2 and 24.1."""
+    """Rate of the constant band; higher ones get a twentieth. None: 2.5e-3, the original's; runs of fewer than 30,000
+    steps begin 30,000 / steps times higher, at most HASTE times, and fall to it exponentially. At 2.5e-3 a colour moves
+    by 0.0007 a step: a painted region (128 px, 48 more views) is after 300 steps 10.7 dB from its picture and 10.0 dB
+    from the truth in novel views, with 0.02 all along 42.0 and 23.8, falling from 0.05 40.2 and 24.1."""
     extent: float | None = None
     """World units that means' rates and Gaussians' sizes are measured by; None: the asset's own longest side."""
     density: DensityOptions = DensityOptions()
     schedule: Literal["scaled", "original"] | Schedule = "scaled"
-    """Of density control: in proportion to `steps`, or as it is for 30,000 of them."""
+    """Schedule of density control: in proportion to `steps`, or as it is for 30,000 of them."""
     device: str = "cpu"
     """"cpu" or "cuda"."""
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """What came of it."""
+    """Result of a fit."""
 
     splats: Splats = field(repr=False)
     """Numpy float32. Without density control Gaussian i is still Gaussian i, and Gaussians that did not move keep their
@@ -90,7 +90,7 @@ class Fitted:
     losses: list[float] = field(repr=False)
     """Per step, of the step's view before the step."""
     steps: int
-    """That were made."""
+    """Steps that were made."""
 
 
 def optimize(
@@ -225,7 +225,7 @@ class _Run:
 
 
 RATE_SH = 2.5e-3
-"""Of the original."""
+"""Rate of the original."""
 HASTE = 20.0
 """Short runs begin at most this many times faster."""
 

@@ -25,7 +25,7 @@ MIN_SCALE = 1e-9
 
 BETAS = (0.9, 0.999)
 EPSILON = 1e-15
-"""As 3DGS has it: gradients of single Gaussians are tiny."""
+"""Adam's epsilon, as 3DGS has it: gradients of single Gaussians are tiny."""
 BLOCK = 1024
 """Gaussians that a thread takes at a time."""
 

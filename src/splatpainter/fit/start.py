@@ -17,7 +17,7 @@ from splatpainter.kernels.parallel import run
 from splatpainter.splats import MAX_MAGNITUDE, SH_COUNTS, ColorSpace, Splats
 
 OPACITY = 0.1
-"""Of the first Gaussians, as in 3DGS."""
+"""Opacity of the first Gaussians, as in 3DGS."""
 MIN_ALPHA = 0.5
 """Pixels with less alpha have no depth to speak of."""
 MAX_SIZE_RATIO = 16

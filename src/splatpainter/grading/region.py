@@ -38,13 +38,13 @@ MAX_TERMS = 64
 TERM_BREAK = re.compile(r"\s+(?=or\s|(?:not:)?\w+=)|(?<=\bor)\s+")
 """Between the terms of one text; names of selections may hold blanks."""
 SAME_ASSET_SHARE = 0.1
-"""Of an asset's extent by which the median Gaussian may lie elsewhere than in the original of a project."""
+"""Share of an asset's extent by which the median Gaussian may lie elsewhere than in the original of a project."""
 FADE = {"hue": 15.0, "saturation": 0.05, "lightness": 0.05}
 """Beyond the ends of a range, in its unit."""
 DEFAULT_DISTANCE = 0.1
-"""In OKLab; black and white are 1 apart."""
+"""Distance in OKLab; black and white are 1 apart."""
 COLOR_FADE = 0.5
-"""Of a colour's distance, beyond it."""
+"""Share of a colour's distance over which it fades, beyond it."""
 MIN_CHROMA = 0.05
 """Display units between the largest and the smallest channel: what has less is nearly grey, and has a hue by chance."""
 OF_FILES = ("mask", "selection", "layer")

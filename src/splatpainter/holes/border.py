@@ -13,7 +13,7 @@ from splatpainter.transforms import quat_to_matrix
 from splatpainter.voxels.neighbours import components, nearest_within
 
 MIN_OPACITY = 0.05
-"""Of a Gaussian that borders a hole."""
+"""Least opacity of a Gaussian that borders a hole."""
 MIN_BORDER = 12
 """Gaussians of a border."""
 CELL_WIDTHS = 1 / 0.6

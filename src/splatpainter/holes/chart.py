@@ -24,11 +24,11 @@ from splatpainter.voxels.neighbours import components, joined_labels
 CELL_PX = 2
 """Pixels of a chart between neighbouring Gaussians."""
 MAX_SIDE_PX = 400
-"""Of a chart; holes that need more are seen, and filled, more coarsely."""
+"""Longest side of a chart; holes that need more are seen, and filled, more coarsely."""
 MARGIN_RADII, MIN_MARGIN_CELLS = 0.8, 16.0
 """Around the border, in its radii and at least in cells: where texture comes from."""
 DISTANCE_SIDES = 3.0
-"""Of the camera from the border, in widths of the chart."""
+"""Distance of the camera from the border, in widths of the chart."""
 SLAB_RADII, SLAB_CELLS = 1.2, 4.0
 """Gaussians farther above or below the border's centre than this are not in the chart."""
 LATTICE_PX = 3
@@ -40,11 +40,11 @@ SEED_CELLS = 2.0
 SHELL_CELLS = 1.0
 """... and from one that is part of the shell: further ones may be the other side of a thin wall."""
 MIN_SEED_SHARE = 0.1
-"""Of a border's Gaussians that the side must show for the shell to be theirs."""
+"""Least share of a border's Gaussians that the side must show for the shell to be theirs."""
 PART_SEED_SHARE = 0.02
 """... and of those that a separate part of the shell must hold."""
 MIN_RIM_SHARE = 0.3
-"""Of the pixels around a hole that must be shell: else it is the air beside an outline."""
+"""Least share of the pixels around a hole that must be shell: else it is the air beside an outline."""
 MIN_HOLE_PX = 6
 MIN_RIM_ALPHA = 0.3
 NEAR_PX = 12
@@ -60,7 +60,7 @@ class Chart:
 
     camera: Camera
     splats: Splats = field(repr=False)
-    """Those in it."""
+    """Gaussians of the chart."""
     pixel: float
     """World units at the border's centre."""
     picture: np.ndarray = field(repr=False)

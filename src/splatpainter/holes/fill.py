@@ -23,7 +23,7 @@ from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import SH_C0, Splats
 
 MAX_STRETCH = 2.0
-"""Of a Gaussian along a slanted surface."""
+"""Largest stretch of a Gaussian along a slanted surface."""
 MAX_ROW = 3
 """Gaussians that share a cell where it is steeper."""
 BAND_SHARE, MIN_BAND_PX, MAX_BAND_PX = 0.35, 6, 28
@@ -36,13 +36,13 @@ MIN_PAINTED_WALL_CELLS, MIN_WALL_CONTRAST = 0.4, 0.04
 """... or, where the sides show colours that differ so much, from this distance."""
 COLOR_ROUNDS = 6
 MAX_COMPENSATION = 0.08
-"""Of a colour channel, by which a Gaussian may differ from the picture where it lies."""
+"""Largest change of a colour channel, by which a Gaussian may differ from the picture where it lies."""
 RIM_PX, SOFT_RIM_PX = 1, 4
-"""By which the new Gaussians reach under the border."""
+"""Pixels by which the new Gaussians reach under the border."""
 PERSPECTIVE_ROUNDS = 3
 """Heights are functions of place, and a pixel's place depends on its depth: so often one is set by the other."""
 SLOPE_LIMIT = 4.0
-"""Of the continued surface in its chart."""
+"""Steepest slope of the continued surface in its chart."""
 
 
 Picture = tuple[Camera, np.ndarray, np.ndarray]
@@ -60,7 +60,7 @@ class Filled:
     coarse: bool
     """Whether a hole was so large that its Gaussians are coarser than their neighbours."""
     camera: Camera
-    """That faces the largest one, ..."""
+    """Camera that faces the largest hole, ..."""
     size_px: float
     """... which is so wide in it, pixels."""
 
@@ -107,9 +107,9 @@ def fill_hole(splats: Splats, *, removed: np.ndarray | None = None, around: np.n
     if not pieces:
         if not seen:
             raise ValueError(
-                "fill: what surrounds the hole is no surface that can be continued (fog, or loose Gaussians)"
+                "fill: what surrounds the hole is not a surface that can be continued (fog, or loose Gaussians)"
             )
-        raise ValueError("fill: there is no hole; what surrounds it is closed behind it")
+        raise ValueError("fill: there is no hole; the surface is closed behind it")
     appended = pieces[0]
     for piece in pieces[1:]:
         appended = appended.append(piece)

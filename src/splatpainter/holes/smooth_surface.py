@@ -14,12 +14,12 @@ import numpy as np
 MAX_KNOTS = 500
 """Values that a thin plate is fitted to; of more, so many are taken."""
 ROBUST_ROUNDS = 4
-"""Of reweighting by residuals (Cauchy), after which outliers say little."""
+"""Rounds of reweighting by residuals (Cauchy), after which outliers say little."""
 BLOCK = 1 << 22
 """Distances in memory at a time."""
 COARSEST_PX = 6
 SWEEPS = 40
-"""Of a membrane on each level of its pyramid."""
+"""Sweeps of a membrane on each level of its pyramid."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,8 @@ class ThinPlate:
 
 
 MAX_CONDITION = 1e6
-"""Of the knots' linear functions: beyond it they lie on a line, and slopes across it are open (the least are taken)."""
+"""Largest condition number of the knots' linear functions: beyond it they lie on a line, and slopes across it are open
+(the least are taken)."""
 STIFFNESS = 1e-6
 """Weight of the bending energy for each knot (lengths over the extent): noise is smoothed, slopes at the rim stay."""
 

@@ -22,7 +22,7 @@ SPREAD, LAST_SPREAD = 1.2, 0.6
 """Standard deviation, pixels, of the weights of the patches over a pixel; in the last round the middles of patches
 count for most, which keeps the grain."""
 ROUNDS = (4, 14)
-"""Of matching and voting: on all levels but the coarsest, on that."""
+"""Rounds of matching and voting: on all levels but the coarsest, on that."""
 JUMPS = (1, 4)
 """Pixels from which neighbours' matches are tried."""
 TONE_SHARE = 0.35

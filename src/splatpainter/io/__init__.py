@@ -153,8 +153,8 @@ def read(path: str | os.PathLike[str], *, frame: Frame = "auto", lenient: bool =
     frame: axes of the file's numbers, "rub" (right-up-back) or "rdf" (right-down-front), whatever the file or its
     format says; "auto" believes them. Rows always come out right-down-front, so that an asset is upright; `source`
     says how the file was taken, and writing the same format turns them back (signs only, so every bit survives).
-    lenient: also open files that were cut off behind their last whole row (a .splat of 33 bytes, a PLY without the end
-    of a later element); what is left of the cut part is kept and reported in `source.problems`.
+    lenient: also open files that were cut off after their last complete row (a .splat of 33 bytes, a PLY without the
+    end of a later element); what is left of the cut part is kept and reported in `source.problems`.
     Raises ValueError with one line: no such file, unknown format, truncated or contradictory content.
     """
     check_frame(frame)

@@ -57,7 +57,7 @@ class GaussianPrimitive:
 
     mesh: int
     index: int
-    """Of the mesh's primitives."""
+    """Index among the mesh's primitives."""
     names: dict[str, str]
     """ROTATION, SCALE, ... -> the attribute name the file uses."""
     turn: np.ndarray
@@ -75,7 +75,7 @@ class GlbFile:
 
     glb: gltf.Glb
     primitives: tuple[GaussianPrimitive, ...]
-    """In file order, which is the order of their rows."""
+    """Primitives in file order, which is the order of their rows."""
     data: bytes
     """The file."""
 
@@ -136,7 +136,7 @@ def sh_semantics(degree: int) -> list[str]:
 
 @dataclass(frozen=True)
 class Bound:
-    """What all rows together are counted against."""
+    """Limit that the rows of all primitives together count against."""
 
     size: int
     """Bytes of the file."""

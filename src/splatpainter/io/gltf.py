@@ -25,7 +25,7 @@ COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", FLO
 MAX_CHUNKS = 1024
 """Chunks of a file; the standard has two."""
 MAX_NODE_DEPTH = 1024
-"""Nodes above each other."""
+"""Most nodes above each other."""
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
 

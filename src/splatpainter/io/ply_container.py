@@ -45,7 +45,7 @@ TEXT_PIECE_BYTES = 1 << 20
 MAX_BLOCK_WORDS = 1 << 18
 """Words of text that are objects at a time; each takes fifty bytes."""
 MAX_NUMBER_CHARACTERS = 512
-"""Of a number in text; the longest that C prints of a double has 330."""
+"""Most characters of a number in text; the longest that C prints of a double has 330."""
 _IS_BLANK = np.isin(np.arange(256), np.frombuffer(b" \t\n\r\v\f", np.uint8))
 BLOCK_ROWS = 4096
 """Rows handled at a time: a block of wide rows (248 bytes at SH degree 3) stays in the cache while it is split."""
@@ -160,7 +160,7 @@ class Header:
         return _parse(lines, Path("header"))
 
     def with_comment(self, text: str) -> Header:
-        """With one more comment, last, where it overrides earlier ones of its kind."""
+        """The header with one more comment, last, where it overrides earlier ones of its kind."""
         line = b"comment " + text.encode() + self.newline
         return _parse([*self.lines[:-1], line, self.lines[-1]], Path("header"))
 

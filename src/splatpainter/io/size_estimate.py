@@ -14,9 +14,10 @@ from splatpainter.io.write_options import AS_IT_IS, WriteOptions
 from splatpainter.splats import Splats
 
 SAMPLE_ROWS = 8192
-"""Of the smaller sample; the larger has twice as many. Assets of no more rows than that are written as they are."""
+"""Rows of the smaller sample; the larger has twice as many. Assets of no more rows than that are written as they
+are."""
 RUNS = 16
-"""Of neighbouring rows in a sample: what lies beside each other is alike, which compression uses."""
+"""Runs of neighbouring rows in a sample: what lies beside each other is alike, which compression uses."""
 
 
 def estimated_bytes(splats: Splats, ending: str, options: WriteOptions = AS_IT_IS) -> int:

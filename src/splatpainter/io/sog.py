@@ -101,7 +101,7 @@ class Container:
 
 @dataclass(frozen=True)
 class SogFile:
-    """What a SOG asset held, enough to keep what did not change."""
+    """The contents of a SOG asset, enough to keep what did not change."""
 
     container: Container
     meta: dict[str, Any]

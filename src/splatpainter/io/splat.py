@@ -45,7 +45,7 @@ def read_splat(path: Path, lenient: bool = False) -> Splats:
     if rest and not lenient:
         raise ValueError(
             f"{path}: expected a .splat file of 32 bytes a row, got {count} rows and {rest} bytes of one more: cut "
-            "off, or no .splat file (--lenient, or lenient=True, opens it anyway)"
+            "off, or not a .splat file (--lenient, or lenient=True, opens it anyway)"
         )
     record = SplatFile(np.frombuffer(data, ROW, count), data[len(data) - rest :])
     rows = record.rows

@@ -45,7 +45,7 @@ ANTIALIASED, EXTENDED = 1, 2
 COORDINATE_SYSTEM = 0xADBE0003
 NAMES = ("ldb", "rdb", "lub", "rub", "ldf", "rdf", "luf", "ruf", "lfd", "rfd", "lfu", "rfu", "lbd", "rbd", "lbu", "rbu")
 CODES = {name: code for code, name in enumerate(NAMES, 1)}
-"""Of COORDINATE_SYSTEM. Less 1, bits 0-2 say right, up, front; bit 3 says that y and z are exchanged."""
+"""Codes of COORDINATE_SYSTEM. Less 1, bits 0-2 say right, up, front; bit 3 says that y and z are exchanged."""
 RUB, RDF = CODES["rub"], CODES["rdf"]
 QUARTER_TURN = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], float)
 """About x, (x, y, z) -> (x, z, -y): from the frames of bit 3 to the others."""
@@ -53,7 +53,7 @@ SH_BITS = (7, 7)
 """Precision of the SH bytes that we quantise. The reference keeps (5, 4); on a view-dependent asset that costs 6.0/255
 of colour (rms over directions), (7, 7) costs 0.75/255 and 26 % more file, (8, 8) 0.3/255 and 35 %."""
 LEAST_BITS_OF_BAND_1 = 5
-"""As in the reference."""
+"""Least bits of SH band 1, as in the reference."""
 COLOR_SCALE = 0.15
 """A colour byte is 255 * (COLOR_SCALE * sh0 + 0.5): base colours from -0.44 to 1.44 in steps of 1/136."""
 POSITION_LIMIT = 1 << 23
@@ -62,7 +62,7 @@ POSITION_LIMIT = 1 << 23
 
 @dataclass(frozen=True)
 class SpzFile:
-    """What a file said, enough to say it again."""
+    """The contents of an SPZ file, enough to write it again."""
 
     version: int
     degree: int

@@ -54,7 +54,7 @@ class WriteOptions:
         for name, value in self.chosen.items():
             if name not in holds:
                 listed = ", ".join(holds) or "none"
-                raise ValueError(f"{what}: {name} is no option of this format; it has {listed}")
+                raise ValueError(f"{what}: {name} is not an option of this format; it has {listed}")
             valid = ranges.get(name)
             if valid is not None and (type(value) is not int or value not in valid):
                 raise ValueError(f"{what}: expected {name} of {valid[0]} to {valid[-1]}, got {value!r}")

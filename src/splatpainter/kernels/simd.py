@@ -17,7 +17,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic, overload
 
 LANES = 16
-"""Of one inner loop."""
+"""Lanes of one inner loop."""
 
 # No "nnan"/"ninf": NaN must fail its tests, not be assumed away.
 FAST = {"reassoc", "contract", "arcp", "nsz", "afn"}

@@ -28,7 +28,7 @@ SIDE_DEGREES = 35.0
 MAX_SIDE_PX = 256
 """Pixels of a side view's edge."""
 MARGIN_PX = 8
-"""Of the edited picture, around the mask."""
+"""Margin of the edited picture, around the mask, pixels."""
 MIN_ALPHA = 0.5
 """Pixels that the asset covers by less have no surface."""
 MIN_EDITED = 0.25
@@ -38,12 +38,12 @@ SOFT_PX = 1
 SPILL_PX = 2
 """Around the painted pixels: where they should end is compared too."""
 MAX_DB = 60.0
-"""Of a score: renders that agree better agree."""
+"""Highest score; renders that agree better get this."""
 
 
 @dataclass(frozen=True)
 class AsideScore:
-    """An edit from the side."""
+    """Score of an edit seen from the side."""
 
     psnr: float | None
     """dB of the painted pixels and their rim in all side views together; None where none can be compared."""
@@ -89,7 +89,7 @@ class SideView:
 
 
 def side_views(before: Splats, after: Splats, view: EditView) -> list[SideView]:
-    """From SIDE_DEGREES left, right, above and below; none where no edited pixel has a surface."""
+    """Side views from SIDE_DEGREES left, right, above and below; none where no edited pixel has a surface."""
     window = _Window.of(before, view)
     if window is None:
         return []

@@ -174,7 +174,7 @@ def _measure(picture, depth, ys, xs, directions, reaches, out):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _choose(ys, xs, directions, along, across, order, covered, chosen):
-    """In this order, pixels that no ellipse of a chosen one covers yet."""
+    """Choose, in this order, pixels that no ellipse of a chosen one covers yet."""
     height, width = covered.shape
     for n in order:
         y, x = ys[n], xs[n]

@@ -248,7 +248,7 @@ def _on_surface(
 
 @dataclass(frozen=True)
 class _Painted:
-    """What the views so far made of N Gaussians: S of them now."""
+    """The Gaussians after the views so far: of N originals, S now."""
 
     splats: Splats
     changed: np.ndarray

@@ -22,7 +22,8 @@ MAX_DOUBT = 2.5
 
 @dataclass(frozen=True)
 class Evidence:
-    """Of M Gaussians; sums over pixels p of the drawn tiles, by the weights w_ip with which they make the picture."""
+    """What one view says about M Gaussians: sums over pixels p of the drawn tiles, by the weights w_ip with which they
+    make the picture."""
 
     visible: np.ndarray
     """[M] sum w: pixels' worth of the Gaussian in this view."""
@@ -59,7 +60,7 @@ class Evidence:
 
     @property
     def doubt(self) -> float:
-        """Of the edit, the energy that the Gaussians cannot follow over that which they can."""
+        """Energy of the edit that the Gaussians cannot follow over that which they can."""
         followed = self.followed
         return (1 - followed) / max(followed, 1e-3)
 

@@ -20,7 +20,7 @@ FRINGE_PX = 2
 MIN_FRINGE_ALPHA = 0.5
 """Alpha of a pixel below which it has no fringe."""
 MAX_BEND_PX = 2.0
-"""By how much the depth of a fringe may differ from that of the nearest covered pixel, pixels."""
+"""Most by which the depth of a fringe may differ from that of the nearest covered pixel, pixels."""
 MAX_MIX_ERROR = 0.1
 """Distance of a fringe pixel's colour, 0..1, from the mixtures of paint and background up to which it is one."""
 

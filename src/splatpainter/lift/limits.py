@@ -16,7 +16,7 @@ from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import VisibleSurface, visible_surface
 
 SOFT_DEGREES = 10.0
-"""From the angle limit on, over which paint fades."""
+"""Degrees from the angle limit on, over which paint fades."""
 EDGE_WINDOWS = 1.5
 """A step in depth between neighbouring pixels by more than this, in windows of the surface, is an edge."""
 

@@ -19,7 +19,7 @@ MIN_UPPER_CHANGE = 3.5 / 255
 MIN_SMOOTH_SHARE = 0.6
 """What averaging over 9 x 9 pixels leaves of the median difference, at least: noise averages out, other detail less."""
 MIN_SMOOTH_SHARE_LARGE, LARGE_MEDIAN_CHANGE = 0.52, 4.4 / 255
-"""The same where the median difference is larger than JPEG's mostly is."""
+"""The least share where the median difference is larger than JPEG's mostly is."""
 RISE, MIN_RISEN_SHARE = 1.1, 0.75
 """Detail is added where contrast, a mean over 9 x 9 pixels, is RISE times what it was; and the share of the asset's
 pixels where it is, from which all of the picture was made anew. JPEG takes detail away, or adds some to what is flat.

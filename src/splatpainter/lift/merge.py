@@ -35,12 +35,13 @@ MAX_LOSS = 0.3
 MAX_COST = 0.1
 """Variance of the wanted colour (0..1) that joining a pair loses, summed over the pixels that show it."""
 SHAPE_COST = 0.02
-"""Of a nat of lost shape, per pixel that shows it, in the same units."""
+"""Cost of a nat of lost shape, per pixel that shows it, in the same units."""
 UNSEEN_PX = 0.02
 """Pixels as which hidden Gaussians count."""
 OVERLAP = 0.15
-"""Of a sum A of peaks at one place, A - OVERLAP A^2 is left: between what Gaussians beside one another (split.py: 0.1)
-and what those behind one another (0.25) would want. Of 0.15, 0.1 and 0.25 none was better by more than 0.1 dB."""
+"""What overlap costs: of a sum A of peaks at one place, A - OVERLAP A^2 is left: between what Gaussians beside one
+another (split.py: 0.1) and what those behind one another (0.25) would want. Of 0.15, 0.1 and 0.25 none was better by
+more than 0.1 dB."""
 MIN_FLATNESS = 1e-4
 """Thickness over length, at least."""
 _CELLS = 1 << 20
@@ -206,7 +207,7 @@ def _put_together(
 def _picture_space(
     splats: Splats, camera: Camera, colors: np.ndarray, pixels: np.ndarray, slots: np.ndarray
 ) -> _Mixture:
-    """Of M Gaussians before the camera."""
+    """M Gaussians before the camera, in the picture's space."""
     turn = camera.world_to_camera[:3, :3]
     axes = turn @ (quat_to_matrix(splats.quats.astype(np.float64)) * splats.scales[:, None, :])
     x, y, z = camera.to_camera(splats.means.astype(np.float64)).T

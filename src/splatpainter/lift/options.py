@@ -27,7 +27,7 @@ class LocalOptions:
     min_share: float = 0.05
     """Only Gaussians that give some masked pixel at least this share of its colour are halved."""
     max_halvings: int = 7
-    """Of one Gaussian."""
+    """Most halvings of one Gaussian."""
     max_appended: int = 40_000
     """About how many Gaussians splitting may append, before those that want one colour are joined again."""
     max_error: float = 0.03
@@ -76,7 +76,7 @@ class GlobalOptions:
     ridge: float = 1e-3
     """Ridge weight of the affine part, relative to the total weight of the Gaussians that are seen."""
     ridge_normals: float = 1e-2
-    """The same for the part that depends on the normal (light directions that no view shows stay unchanged)."""
+    """Ridge for the part that depends on the normal (light directions that no view shows stay unchanged)."""
     far_side: float = 0.4
     """Share of the mean change that goes the other way on what no view shows, where all views come from one side: what
     a light takes from the front it tends to give to the back, as exposure is set for the whole. From one view, assets

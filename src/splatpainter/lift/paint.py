@@ -25,7 +25,7 @@ from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import SightEstimates, visible_surface
 
 MIN_ALPHA = 0.1
-"""Of a pixel that is painted at all: up to this it shows the faint rims of what lies beside it."""
+"""Least alpha of a pixel that is painted at all: up to this it shows the faint rims of what lies beside it."""
 MIN_PAINT = 1 / 64
 """Share of a pixel's paint below which the limits leave it out."""
 MIN_FINE_SHARE = 0.15

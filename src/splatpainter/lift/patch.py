@@ -31,7 +31,7 @@ LARGE_WIDTH_GOALS = 3.0
 MIN_INSIDE_LARGE = 0.6
 """... so they are written only if this share of their weight lies inside the mask."""
 MIN_INSIDE_SMALL = 0.05
-"""The same for small ones: those at the mask's edge settle between both sides."""
+"""As MIN_INSIDE_LARGE, for small Gaussians: those at the mask's edge settle between both sides."""
 ADDED_PER_SPLIT = 6
 """About how many Gaussians a split adds."""
 MIN_DETAIL_ALPHA = 0.9
@@ -55,13 +55,13 @@ class Patch:
     """S Gaussians, of which the edited view shows M."""
 
     lattice: Lattice
-    """Of the S; of joined ones (`merged`), that of one of them."""
+    """Lattice of the S Gaussians; of joined ones (`merged`), that of one of them."""
     splats: Splats
-    """The same, as Gaussians."""
+    """The S Gaussians of the lattice."""
     widths: np.ndarray = field(repr=False)
     """[S] largest standard deviation of each, pixels."""
     view: ProjectedView = field(repr=False)
-    """Of the tiles that editable ones touch; fewer from split to split."""
+    """View of the tiles that editable Gaussians touch; fewer from split to split."""
     target: np.ndarray = field(repr=False)
     """[H, W, 3] the picture to reach: the edit inside the mask, the render before the edit outside."""
     change: np.ndarray = field(repr=False)
@@ -73,7 +73,7 @@ class Patch:
     share: np.ndarray = field(repr=False)
     """[S] largest share of a masked pixel that the parent gave before the edit."""
     evidence: Evidence = field(repr=False)
-    """Of the M."""
+    """Evidence about the M Gaussians."""
 
     @staticmethod
     def of(
@@ -107,7 +107,8 @@ class Patch:
         return out
 
     def split(self, coarse: np.ndarray, options: LocalOptions) -> Patch:
-        """With the coarse Gaussians ([S] bool) halved; children without a share of the mask are no longer editable."""
+        """The patch with the coarse Gaussians ([S] bool) halved; children without a share of the mask are no longer
+        editable."""
         lattice, source = self.lattice.halved(coarse, MAX_WIDTH_GOALS * options.goal_px)
         splats = lattice.splats()
         view = project(splats, self.view.camera, tiles=self.view.tiles)
@@ -131,8 +132,8 @@ class Patch:
         )
 
     def merged(self) -> Patch:
-        """With split Gaussians joined that want the same colours (merge.py), and without those that are never drawn:
-        for patches that are given a detail layer, which mends what joining costs. (Without one, views of several
+        """The patch with split Gaussians joined that want the same colours (merge.py), and without those that are never
+        drawn: for patches that are given a detail layer, which mends what joining costs. (Without one, views of several
         captures' edits lose up to 0.9 dB from other sides.)"""
         halved = np.asarray(self.lattice.level.any(1))
         if not halved.any():

@@ -53,7 +53,7 @@ CLEAR_RADIUS_PX = 2
 MIN_CLEAR = 0.5
 """... if that leaves less than this share of the pixels, the edit gets no sheet at all."""
 UNEDITED_WEIGHT = 0.35
-"""Of an unedited pixel in colour rounds, beside an edited one."""
+"""Weight of an unedited pixel in colour rounds, beside an edited one."""
 RELAXATION = 0.75
 """Share of a colour round's step that sheets take."""
 MIN_PEAK = 0.02
@@ -77,7 +77,7 @@ HORIZON_DEGREES = 65.0
 
 @dataclass(frozen=True)
 class Resurfaced:
-    """An edit's trusted part, done."""
+    """Result of `resurface`: the edit's trusted part, done."""
 
     edit: SparseEdit
     replaced: np.ndarray = field(repr=False)
@@ -323,7 +323,7 @@ def _sigmas(splats: Splats, ids: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Painted:
-    """After colour rounds."""
+    """The Gaussians after colour rounds."""
 
     fresh: Splats
     """P + C Gaussians: the pieces, then the sheet."""

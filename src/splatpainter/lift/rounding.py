@@ -14,9 +14,9 @@ from splatpainter.splats import Splats
 from splatpainter.transforms import row_max
 
 SIGNIFICANT_BITS = 12
-"""Of quats, scales and opacities: a relative error of 2^-12 at most."""
+"""Significant bits of quats, scales and opacities: a relative error of 2^-12 at most."""
 SH_STEP = 2.0**-11
-"""Of SH coefficients: 0.00007 of a colour where there is one band, 0..1."""
+"""Step of SH coefficients: 0.00007 of a colour where there is one band, 0..1."""
 MEAN_STEPS = 16
 """Steps of a mean within the smallest standard deviation, at least; a power of two."""
 

@@ -26,7 +26,7 @@ EDGE_CONTRAST = 0.15
 EDGE_WIDTH = 0.6
 """... where its Gaussian is narrower by this factor."""
 THICKNESS = 0.1
-"""Of a sheet Gaussian over its width."""
+"""Thickness of a sheet Gaussian over its width."""
 SHEET_OPACITY = 0.97
 MAX_STRETCH = 2.0
 """A sheet Gaussian is stretched along a slanted surface at most this much; where the surface is steeper ..."""
@@ -116,7 +116,7 @@ def _block(values: np.ndarray, size: int, function) -> np.ndarray:
 
 
 def _around(values: np.ndarray, combine) -> np.ndarray:
-    """Of half-size blocks [2H, 2W, C]: each block of the full size with one block around it, [H, W, C]."""
+    """From half-size blocks [2H, 2W, C]: each block of the full size with one block around it, [H, W, C]."""
     padded = np.pad(values, [(2, 2), (2, 2), (0, 0)], mode="edge")
     height, width = values.shape[0] // 2, values.shape[1] // 2
     out = padded[: 2 * height : 2]

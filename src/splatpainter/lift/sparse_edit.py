@@ -15,7 +15,7 @@ from splatpainter.splats import ATTRIBUTES, Splats, float_bits
 
 @dataclass(frozen=True)
 class SparseEdit:
-    """Of N Gaussians."""
+    """An edit of N Gaussians, as the few that it changes, empties and appends."""
 
     ids: np.ndarray = field(repr=False)
     """[T] int64 ascending: those with other values."""
@@ -55,5 +55,5 @@ class SparseEdit:
         return replace(before, **arrays, origin=origin)
 
     def within(self, ids: np.ndarray) -> SparseEdit:
-        """The same of more Gaussians, of which those of this edit are `ids` ([N] int64 ascending)."""
+        """The edit as one of more Gaussians, of which those of this edit are `ids` ([N] int64 ascending)."""
         return replace(self, ids=ids[self.ids], emptied=ids[self.emptied], parents=ids[self.parents])

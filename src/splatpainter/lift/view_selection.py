@@ -29,7 +29,7 @@ from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import SightEstimates, visible_surface
 
 MIN_ALPHA = 0.5
-"""Of a pixel that shows a surface."""
+"""Least alpha of a pixel that shows a surface."""
 MAX_HEIGHT = 0.02
 """Distance of a point from the plane that a view shows in its pixel, of its depth, up to which the view sees it, ..."""
 MAX_SIGHT_DISTANCE = 0.1
@@ -53,7 +53,7 @@ MAJORITY_PX = (3, 6, 12)
 """Reaches of the means by which pixels join the view that paints most around them; the further ones are for pixels
 whose own surface is not known."""
 OVERLAP_PX = 2
-"""By which the pixels of a view reach into those of others."""
+"""Pixels by which the pixels of a view reach into those of others."""
 ALIKE = 0.1
 """A view's pixels that another one paints take part in the joint colours up to this difference, 0..1, ..."""
 ALIKE_PX = 2
@@ -63,7 +63,7 @@ JOINT_ROUNDS = 4
 out), novel / edited views: 30.0 / 33.1 dB without, 30.7 / 34.7 with two, 30.8 / 34.9 with four; split in place of
 sheets 27.3 / 31.0."""
 UNEDITED_WEIGHT = 0.35
-"""Of a pixel that a view does not edit, beside an edited one: it is to stay as it is."""
+"""Weight of a pixel that a view does not edit, beside an edited one: it is to stay as it is."""
 JOINT_HOLD_PX = 0.5
 """Weight of a Gaussian's colour in these rounds, pixels."""
 
@@ -85,7 +85,8 @@ class ViewShare:
 
     @staticmethod
     def of(index: int, mask: np.ndarray, views: Sequence[_ViewOnSurface]) -> ViewShare:
-        """Of view `index`, whose mask it is. From the latest view to the first, each takes what it shows better."""
+        """Shares of view `index`, whose mask it is. From the latest view to the first, each takes what it shows
+        better."""
         window = _window(mask)
         here, mask_here = views[index].cropped(window), mask[window]
         winner, pixels = np.full(mask_here.shape, -1), np.zeros(mask_here.shape, np.int64)
@@ -226,7 +227,7 @@ class _ViewOnSurface:
         return _Moved(self.change, self.mask > 0, self.density, self.margin_px, pixels)
 
     def moved_to(self, other: _ViewOnSurface) -> _Moved:
-        """Of the points that `other` shows."""
+        """What this view shows of the points that `other` shows."""
         pixels, z = self.camera.project(other.camera.unproject(np.where(other.depth > 0, other.depth, 1)))
         height, width = self.depth.shape
         x, y = (np.floor(np.nan_to_num(pixels[..., k], nan=-1, posinf=-1, neginf=-1)).astype(int) for k in (0, 1))

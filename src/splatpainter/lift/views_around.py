@@ -29,10 +29,10 @@ from splatpainter.transforms import fibonacci_sphere
 
 NUM_VIEWS, NUM_DIRECTIONAL_VIEWS = 8, 16
 VIEW_PX = 128
-"""Of their edges."""
+"""Pixels of the views' edges."""
 FOV_DEGREES = 40.0
 BOUNDS_PERCENTILES = (1.0, 99.0)
-"""Of the Gaussians' coordinates: what the views show."""
+"""Percentiles of the Gaussians' coordinates: what the views show."""
 PIXEL_WEIGHT, DIRECTIONAL_PIXEL_WEIGHT = 2.0, 3.0
 """What a pixel of theirs counts."""
 MIN_SURFACE_ALPHA = 0.5
@@ -90,7 +90,7 @@ def _viewed_change(splats: Splats, edit: EditView, pixel: float) -> ViewedChange
 
 
 def _median_depth(splats: Splats, edit: EditView) -> float | None:
-    """Of the surface in the mask, world units; None where there is none."""
+    """Median depth of the surface in the mask, world units; None where there is none."""
     _, alpha, depth = project(splats, edit.camera).rasterize()
     solid = edit.mask & (alpha > MIN_SURFACE_ALPHA)
     return float(np.median(depth[solid] / alpha[solid])) if solid.any() else None

@@ -33,7 +33,7 @@ VARIABLE = "SPLATPAINTER_CACHE"
 MAX_CACHE_BYTES = 2 << 30
 """Bytes of all files together, at most."""
 VERSION = "1"
-"""Of everything between an asset and its latents: to be raised when code changes what an encoding is."""
+"""Version of everything between an asset and its latents; raise it when code changes what an encoding is."""
 SUFFIX = ".safetensors"
 
 
@@ -101,7 +101,7 @@ def _key(model: SplatPainterModel, splats: Splats, weights: str) -> str:
 
 
 def _packed(model: SplatPainterModel, encoded: Encoded) -> dict[str, Tensor]:
-    """What cannot be made again in no time."""
+    """What is stored of an encoding: the parts that take time to make again."""
     import torch
 
     held = {"values": encoded.latents.values}

@@ -139,7 +139,7 @@ def carrying(
 
 
 def _inputs(gaussians: EncodedGaussians, ids: Tensor, change: Tensor, weight: Tensor) -> GaussianInputs:
-    """Of the Gaussians `ids` [J], whose change [J, 3] and weight [J] are what the edit says of them: nothing is
+    """Inputs of the Gaussians `ids` [J], whose change [J, 3] and weight [J] are what the edit says of them: nothing is
     predicted, so that is the colour before."""
     before, normals = gaussians.colors[ids], gaussians.normals[ids]
     lift = torch.cat([before, before + change, _share(weight)[:, None], before, normals], 1)

@@ -47,7 +47,7 @@ class Config(Protocol):
     """What a model's config must have to be kept in a checkpoint."""
 
     format: ClassVar[str]
-    """Of the checkpoint: "splatpainter ..."."""
+    """Format of the checkpoint: "splatpainter ..."."""
 
     @property
     def preset(self) -> str: ...
@@ -61,7 +61,7 @@ AnyConfig = TypeVar("AnyConfig", bound=Config)
 
 @dataclass(frozen=True)
 class Checkpoint(Generic[AnyConfig]):
-    """What a folder held."""
+    """Contents of a checkpoint's folder."""
 
     config: AnyConfig
     tensors: dict[str, torch.Tensor] = field(repr=False)
@@ -165,7 +165,7 @@ def load(folder: Path | str, preset: str | None = None, *, kind: type[Any] = Mod
     tensors = _joined(stored, table, where)
     for name, tensor in _of_base(target, index, where).items():
         if name in tensors:
-            raise ValueError(f"{where}: tensor '{name}' is there and in its base")
+            raise ValueError(f"{where}: tensor '{name}' is both here and in its base")
         tensors[name] = tensor
     return Checkpoint(config, tensors, notes)
 

@@ -38,7 +38,7 @@ class Latents:
 
     @cached_property
     def scale(self) -> LatentScale:
-        """Of all of them, for Stage II; worked out on first use."""
+        """Scale of all latents, for Stage II; worked out on first use."""
         return LatentScale.of(self.values)
 
 

@@ -22,9 +22,9 @@ CHILD_OPACITY = 0.1
 """... and this much fainter, so that appending it hardly changes a picture, yet its pixels have gradients (renderers
 skip alpha below 1/255, so that a child born invisible would never learn)."""
 LIMITS = {"centre": 0.25, "scale": 0.1, "turn": 0.1, "opacity": 0.25, "sh": 2.0}
-"""Of a bounded residual: sizes of the Gaussian, log scale, quaternion of norm 1, logits, SH coefficients. Colours are
-free, the rest is a touch: with wide limits a model learns to fade and thicken the Gaussians of its training assets,
-which ruins assets with finer ones (docs/LOG.md)."""
+"""Limits of a bounded residual: sizes of the Gaussian, log scale, quaternion of norm 1, logits, SH coefficients.
+Colours are free, the rest is a touch: with wide limits a model learns to fade and thicken the Gaussians of its training
+assets, which ruins assets with finer ones (docs/LOG.md)."""
 OPAQUE = 1e-6
 """Opacities this near to 0 or 1 count as this near: from exactly 1 no logit could move."""
 
@@ -81,7 +81,7 @@ def color_change(raw: Tensor, kind: Decoder) -> Tensor:
     """[M, 3] change of base colour, display colours, that raw [M, C] of a residual decoder means. Raises ValueError for
     an absolute one."""
     if kind == "absolute":
-        raise ValueError("decode: expected a residual decoder: an absolute one tells no change")
+        raise ValueError("decode: expected a residual decoder; an absolute one predicts no change")
     return SH_C0 * (bounded(raw) if kind == "bounded" else raw)[:, 11:14]
 
 

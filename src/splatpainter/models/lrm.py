@@ -38,7 +38,7 @@ SCALE_BIAS, SCALE_MOST = -2.3, -1.2
 OPACITY_BIAS = -2.0
 """Logit opacity where the head says 0 (0.12)."""
 SURFACE_OPACITY_BIAS, EMPTY_OPACITY_BIAS = 1.0, -6.0
-"""The same with geometry: on the surface (0.73), and where the views show nothing (0.002: as good as absent)."""
+"""Biases with geometry: on the surface (0.73), and where the views show nothing (0.002: as good as absent)."""
 SURFACE_SCALE_PX = 0.7
 """Scale where the head says 0 and the surface is known, in pixels of the view at that depth: neighbours overlap."""
 

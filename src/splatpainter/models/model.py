@@ -62,7 +62,7 @@ class Refined:
 
 @dataclass(frozen=True)
 class Decoded:
-    """New attributes."""
+    """New attributes of the decoded Gaussians."""
 
     splats: Splats
     """J Gaussians, torch float32."""
@@ -88,7 +88,7 @@ class GaussianInputs:
     """[J, 56] of predictor.described_facts."""
 
     def take(self, run: slice | np.ndarray) -> GaussianInputs:
-        """Of some of them."""
+        """The inputs of some of the Gaussians."""
         return GaussianInputs(*(None if values is None else values[run] for values in vars(self).values()))
 
     def check(self, count: int) -> None:
@@ -338,7 +338,7 @@ class SplatPainterModel(nn.Module):
 
 
 def _joined(parts: list[Decoded]) -> Decoded:
-    """One after the other."""
+    """Batches of inputs, one after the other."""
     if len(parts) == 1:
         return parts[0]
     children = [part.children for part in parts if part.children is not None]

@@ -48,7 +48,7 @@ class RefineState:
     blocks: tuple[Memory, ...] = field(repr=False)
     """One per block."""
     detail: Memory | None = field(repr=False)
-    """Of the extra layer for local detail; None where the model has none."""
+    """Memory of the extra layer for local detail; None where the model has none."""
 
 
 class FastMixer(nn.Module):

@@ -21,7 +21,7 @@ NAMES = (*PRESETS, "rows")
 """Names under which weights are found: the presets, and "rows": `compact` without its predictor, so that Stage II is
 the only carrier of global edits (models/carry.py), as the paper has it."""
 PACKAGED = Path(__file__).parents[1] / "weights"
-"""The same for weights that come with the package."""
+"""Folder of the weights that come with the package."""
 
 
 def weight_folders(preset: str) -> list[Path]:

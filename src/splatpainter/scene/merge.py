@@ -41,23 +41,23 @@ class Part:
     """One asset of a merge."""
 
     splats: Splats
-    """As read."""
+    """Gaussians as read."""
     placement: Placement = field(default_factory=Placement)
     seam: SeamMatch | None = None
 
     @property
     def path(self) -> str:
-        """Of its file; "asset" where it came from none."""
+        """Path of its file; "asset" where it came from none."""
         return "asset" if self.splats.source is None else self.splats.source.path
 
     @property
     def format(self) -> str:
-        """Of its file; "rows" where it came from none."""
+        """Format of its file; "rows" where it came from none."""
         return "rows" if self.splats.source is None else self.splats.source.format
 
     @property
     def name(self) -> str:
-        """Of the file, without folders."""
+        """Name of the file, without folders."""
         return files.printable(Path(self.path).name, 200)
 
     def how(self, key: str) -> str:
@@ -234,7 +234,7 @@ def check_merge(merged: Splats, sources: Sequence[Splats], receipt: Receipt) -> 
     if receipt.dropped is not None:
         problems.append("hidden rows were removed for good, so that ranges have no rows of their own any more")
     ordered, unused = _by_hash(records, sources)
-    problems += [f"{splats.source.path}: is no source of this file" for splats in unused if splats.source]
+    problems += [f"{splats.source.path}: is not a source of this file" for splats in unused if splats.source]
     problems += [
         f"range {k}: its file is missing: {record['name']} (sha256 {record['sha256'][:12]}...)"
         for k, (record, splats) in enumerate(zip(records, ordered, strict=True), 1)
@@ -340,7 +340,7 @@ def _records(receipt: Receipt) -> list[dict[str, Any]]:
     """What a receipt says of each source, checked. Raises ValueError."""
     try:
         if receipt.merge is None:
-            raise ValueError("it is of no merge")
+            raise ValueError("it is not of a merge")
         records, first = [], 0
         for record in receipt.merge["sources"]:
             rows = record["rows"]

@@ -25,8 +25,8 @@ MAX_MOVE = 1e9
 MIN_SCALE, MAX_SCALE = 1e-6, 1e6
 MAX_DEGREES = 36_000.0
 SH_DECIMALS = 10
-"""Of the matrices that turn SH bands: beyond what float32 holds, and short of what libraries of linear algebra differ
-in."""
+"""Decimals of the matrices that turn SH bands: beyond what float32 holds, and short of what libraries of linear algebra
+differ in."""
 NONE = "none"
 EXPECTED = "move=X,Y,Z, turn=X,Y,Z (degrees about x, then y, then z) and scale=S, joined by ':', or none"
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?"
@@ -123,7 +123,7 @@ class Placement:
 
     @property
     def text(self) -> str:
-        """For people: the parts that do something."""
+        """Text for people: the parts that do something."""
         parts = []
         if self.move != (0, 0, 0):
             parts.append(f"moved by {_listed(self.move)}")

@@ -32,19 +32,19 @@ from splatpainter.voxels.neighbours import nearest_within
 LIGHT = "light"
 """Name of the look: {"look": "light", "gain": [3], "offset": [3], "space": "srgb"}."""
 MIN_OPACITY = 0.2
-"""Of Gaussians that count as surface."""
+"""Least opacity of Gaussians that count as surface."""
 MIN_PAIRS = 24
 RADII = 4
 """Distances at which pairs are looked for, each twice the one before, the first twice the median size of a Gaussian."""
 OFFSET_PULL = 4.0
 """How much more than the spread of uncorrelated pairs their mean counts for the gain."""
 NOISE_VARIANCE = 1e-6
-"""Of linear light, added to both sides: black on black is no change."""
+"""Variance of linear light, added to both sides: black on black is no change."""
 MAX_DEVIATIONS = 3.0
 MIN_GAIN, MAX_GAIN, MAX_OFFSET = 0.1, 10.0, 0.5
 """What a match may ask for."""
 MAX_NUMBER = 1e6
-"""Of gains and offsets that a project may name."""
+"""Largest absolute value of gains and offsets that a project may name."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class SeamMatch:
     """What brings the colours of one asset to those of another."""
 
     gain: tuple[float, float, float]
-    """Of linear light, red, green, blue."""
+    """Gain on linear light, red, green, blue."""
     offset: tuple[float, float, float]
     pairs: int
     """Gaussians that it was estimated from."""
@@ -61,13 +61,13 @@ class SeamMatch:
 
     @property
     def text(self) -> str:
-        """For people."""
+        """The match in words, for people."""
         gains, offsets = (" ".join(f"{value:.3g}" for value in values) for values in (self.gain, self.offset))
         reach = f", fading over {self.falloff:g}" if self.falloff else ""
         return f"light x {gains} + {offsets}{reach} (from {self.pairs} pairs)"
 
     def parameters(self, space: ColorSpace) -> dict[str, Any]:
-        """Of an adjustment layer."""
+        """Parameters of an adjustment layer."""
         return {"look": LIGHT, "gain": list(self.gain), "offset": list(self.offset), "space": space}
 
     def record(self) -> dict[str, Any]:

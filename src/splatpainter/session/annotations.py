@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 SELECTION_FACT = "selection "
 """Beginning of the names of facts that hold selections."""
 MAX_SELECTIONS, MAX_SELECTION_NAME = 64, 80
-"""Of a project, and characters of a name."""
+"""Most selections of a project, and most characters of a name."""
 
 
 def keep_selection(project: Path, name: str, png: bytes | str) -> None:
@@ -35,7 +35,7 @@ def keep_selection(project: Path, name: str, png: bytes | str) -> None:
     with contextlib.closing(Project.open(project, readonly=False)) as opened:
         text = opened.fact(SELECTION_FACT + png) if isinstance(png, str) else base64.b64encode(png).decode()
         if text is None:
-            raise ValueError(f"selection: the project keeps none called {brief(png)}")
+            raise ValueError(f"selection: the project holds none called {brief(png)}")
         opened.set_fact(SELECTION_FACT + name, text)
 
 
@@ -100,7 +100,7 @@ class Annotations:
 
     @property
     def has_picture(self) -> bool:
-        """Whether one was set."""
+        """Whether a bookmark's picture was set."""
         return self._project.fact(PICTURE_FACT) is not None
 
     # ---- bookmarks
@@ -110,7 +110,7 @@ class Annotations:
         return self._project.bookmarks()
 
     def add_bookmark(self, name: str, camera: Camera) -> str:
-        """Returns its id."""
+        """Add a bookmark; returns its id."""
         return self._project.add_bookmark(name, camera)
 
     def delete_bookmark(self, bookmark: str) -> None:

@@ -42,7 +42,7 @@ SETTABLE = ("name", "placement", "visible")
 
 
 class AssetCommands(StrokeCommands):
-    """What Session has beside its layers as such; see there."""
+    """Session's commands on assets; a part of Session."""
 
     @property
     def snapshot(self) -> Snapshot:
@@ -61,7 +61,7 @@ class AssetCommands(StrokeCommands):
         return SceneAsset(MAIN, name or "asset")
 
     def asset(self, asset: str) -> SceneAsset:
-        """By its id. Raises ValueError for an unknown one."""
+        """The asset of this id. Raises ValueError for an unknown one."""
         return find_asset(self.assets, asset)
 
     def asset_splats(self, asset: str) -> Splats:
@@ -311,7 +311,7 @@ class AssetCommands(StrokeCommands):
 
 
 def _with_assets(document: Document, assets: tuple[SceneAsset, ...]) -> Document:
-    """With these assets; none where the first one is alone and as it is."""
+    """The document with these assets; none are listed where the first one is alone and unchanged."""
     alone = len(assets) == 1 and assets[0].placement.is_identity and assets[0].visible
     return replace(document, assets=() if alone else assets)
 

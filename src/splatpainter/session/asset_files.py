@@ -60,13 +60,13 @@ LAYER_FILE_ERRORS = (
 )
 """What reading a file that is no layer file raises."""
 MAX_MEMBER_BYTES = 1 << 28
-"""Of one picture in a layer file."""
+"""Most bytes of one picture in a layer file."""
 
 
 MAX_PATH_LENGTH = 300
 """Characters of a path that a project names, in an error."""
 MAX_NAME_BYTES = 255
-"""Of a file name: no usual file system allows more."""
+"""Most bytes of a file name: no usual file system allows more."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class OriginalRule:
 
 
 ANY_FILE = OriginalRule()
-"""Of projects that their user opens by name."""
+"""Rule of projects that their user opens by name."""
 
 
 def file_of(splats: Splats) -> Path | None:
@@ -266,7 +266,7 @@ def is_local_path(name: str, windows: bool = os.name == "nt") -> bool:
 
 
 def numbered(splats: Splats) -> Splats:
-    """With `origin`: of each Gaussian itself."""
+    """The Gaussians with `origin`: each its own row."""
     return splats if splats.origin is not None else replace(splats, origin=np.arange(len(splats)))
 
 

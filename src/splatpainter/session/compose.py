@@ -88,8 +88,8 @@ WITHIN = "within"
 """Name of the parameter {"within": true} of layers of mode global: only Gaussians that
 their views' masks reach change."""
 STROKE_OPTIONS: Mapping[str, Any] = {"fine_px": 0.0}
-"""Of what is painted by hand here, however large: erasing takes a sheet away and brings the original's bits back, which
-split Gaussians cannot."""
+"""Options of what is painted by hand here, however large: erasing takes a sheet away and brings the original's bits
+back, which split Gaussians cannot."""
 MAX_PLACEMENTS = 4
 """Arrangements that are cached of each layer, ..."""
 MAX_PLACED_LAYERS = 1024
@@ -577,7 +577,7 @@ class Replay:
 
     @property
     def surface(self) -> Surface:
-        """That of the original."""
+        """Surface of the original."""
         return self._adapter.surface
 
     def prepare(self, state: LayerState, camera: Camera | None) -> None:

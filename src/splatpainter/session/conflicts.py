@@ -21,7 +21,7 @@ class EditedIds:
 
     layer: Layer
     key: str
-    """Of its result."""
+    """Key of the layer's result."""
     changed: np.ndarray = field(repr=False)
     """[T] int64 ascending: those that were there and that it wants to change (a policy may give them to another)."""
     appended: tuple[int, int] = (0, 0)
@@ -46,7 +46,7 @@ class Conflict:
     gaussian_ids: np.ndarray = field(repr=False)
     """[C] int64 ascending."""
     share: float
-    """Of the Gaussians that the lower layer changed or appended, 0..1."""
+    """Share of the Gaussians that the lower layer changed or appended, 0..1."""
     policy: Policy
 
     @property

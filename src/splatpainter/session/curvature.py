@@ -27,7 +27,7 @@ MIN_SAMPLES = 6
 MAX_SAMPLES = 40_000
 """Gaussians that stand for the surface; of more, so many are taken evenly."""
 MIN_AGREEING_COSINE = -0.2
-"""Of normals: what faces further away is the other side of something thin."""
+"""Cosine between normals below which they do not agree: what faces further away is the other side of something thin."""
 MIN_OPACITY = 0.1
 """Fainter Gaussians are haze."""
 

@@ -29,7 +29,7 @@ FIRST_READABLE = 2
 """Oldest version that can be looked at without being brought up."""
 SUFFIX = ".splatproj"
 MAX_LOG_BYTES = 4 << 20
-"""Of the log beside an open project, after it was folded back into the file."""
+"""Most bytes of the log beside an open project, after it was folded back into the file."""
 
 TABLES = """
 CREATE TABLE facts (name TEXT PRIMARY KEY, value TEXT NOT NULL);

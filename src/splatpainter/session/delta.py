@@ -23,9 +23,9 @@ from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Splats, changed_rows, flo
 PART_BYTES = 1 << 20
 """Bytes before compression of one part of a stored delta: what reading or writing one holds in memory at a time."""
 VERSION = 4
-"""Of the layout that `encode` writes."""
+"""Version of the layout that `encode` writes."""
 MAX_GAUSSIANS = 1 << 27
-"""Of an asset that a delta may speak of."""
+"""Most Gaussians of an asset that a delta may speak of."""
 UNPACKED_FREE_BYTES = 512 << 20
 """Bytes that any delta may unpack to, ..."""
 UNPACKED_RATIO = 100
@@ -40,7 +40,7 @@ GEOMETRY = ("means", "quats", "scales")
 
 @dataclass(frozen=True)
 class Delta:
-    """What has to be done to N Gaussians."""
+    """A change of N Gaussians: values that are written, and Gaussians that are appended."""
 
     count: int
     """N."""
@@ -67,7 +67,7 @@ class Delta:
         return self.gaussian_ids[~self.faded], values[~self.faded]
 
     def complete(self, below: Splats) -> Delta:
-        """The same with all values."""
+        """The delta with all values."""
         if self.faded is None or not self.faded.any():
             return self
         ids, values = self.gaussian_ids[self.faded], {}
@@ -141,7 +141,7 @@ def bare(splats: Splats) -> Splats:
 
 
 def no_delta(below: Splats) -> Delta:
-    """Changes nothing."""
+    """A delta that changes nothing."""
     none = np.zeros(0, np.int64)
     return Delta(len(below), none, bare(below.take(none)), bare(below.take(none)), none)
 
@@ -283,7 +283,7 @@ class VersionLog:
                 self._steps.popleft()
 
     def since(self, version: int | None, now: int, splats: Splats) -> AssetDelta:
-        """From a version (None or unknown: from nothing) to the present one, `now`, which shows `splats`."""
+        """Change from a version (None or unknown: from nothing) to the present one, `now`, which shows `splats`."""
         with self._lock:
             steps = [] if version is None else [step for step in self._steps if version < step[0] <= now]
         if version is None or version > now or len(steps) != now - version:

@@ -25,9 +25,9 @@ Kind = Literal["paint", "picture", "look", "clone", "erase", "hide", "fill", "me
 Blend = Literal["normal", "color", "luminosity", "darken", "lighten"]
 Policy = Literal["latest", "first", "blend"]
 MAX_NESTING = 16
-"""Of merged layers inside merged layers."""
+"""Most levels of merged layers inside merged layers."""
 MAX_STROKES = 10_000
-"""Of one layer."""
+"""Most strokes of one layer."""
 STROKE_KINDS = ("paint", "clone", "erase")
 """Kinds of strokes."""
 PLACED = "placed"
@@ -44,7 +44,7 @@ MAX_VIEW_PIXELS = 64_000_000
 MAX_REASON = 300
 """Characters of a reason that may quote what a damaged layer or document holds."""
 MAX_LISTED_IDS = 20
-"""Of an error."""
+"""Most layer ids that an error lists."""
 
 
 @dataclass(frozen=True)
@@ -88,14 +88,14 @@ class Layer:
     blend: Blend = "normal"
     visible: bool = True
     layers: tuple[Layer, ...] = ()
-    """Of kind "merged": the layers that it is made of, lowest first."""
+    """Layers that one of kind "merged" is made of, lowest first."""
     thumbnail: str | None = None
     """Hash of a small PNG of what was edited."""
     painter: str = ""
     """What of the painter decides its result (fingerprint.py), as it was when the layer was made."""
     strokes: tuple[Layer, ...] = ()
-    """Of kind "paint" without views: what was painted into it, oldest first. Each stroke is a layer of its own views,
-    painted on those before it; its opacity, blend and visibility do not count."""
+    """What was painted into a layer of kind "paint" without views, oldest first. Each stroke is a layer of its own
+    views, painted on those before it; its opacity, blend and visibility do not count."""
     mask: LayerMask | None = None
     """How much of it shows where; None: all."""
     asset: str = MAIN
@@ -133,13 +133,13 @@ class Layer:
 
     @cached_property
     def cameras(self) -> tuple[Camera, ...]:
-        """Of its views and strokes, each once."""
+        """Cameras of the layer's views and strokes, each once."""
         views = (view for layer in (self, *self.strokes) for view in layer.views)
         return tuple({_camera_key(view.camera): view.camera for view in views}.values())
 
     @property
     def title(self) -> str:
-        """Its name in errors, cut."""
+        """The layer's name in errors, cut."""
         return f"layer {printable(self.name, 80)!r}"
 
     def record(self, strokes: bool = True) -> dict[str, Any]:
@@ -207,7 +207,7 @@ class Layer:
         return self.direct_blobs().union(*(layer.blobs() for layer in (*self.layers, *self.strokes)))
 
     def direct_blobs(self) -> set[str]:
-        """The same without those of strokes and merged layers."""
+        """`blobs` without those of strokes and merged layers."""
         names = [self.thumbnail, *(name for view in self.views for name in (view.picture, view.mask))]
         placed = self.parameters.get(PLACED)
         image = placed.get("image") if isinstance(placed, dict) else None
@@ -226,7 +226,7 @@ class Layer:
 
 @dataclass(frozen=True)
 class Document:
-    """What the asset is made of, next to the original."""
+    """The layers that make the asset from the original, with their settings."""
 
     layers: tuple[Layer, ...] = ()
     """Lowest first."""
@@ -261,7 +261,8 @@ class Document:
 
 
 def add_layer(document: Document, layer: Layer, index: int | None = None) -> tuple[Document, Layer]:
-    """With a new layer at `index` (0 the lowest; None: on top). The layer and those inside it get new ids."""
+    """The document with a new layer at `index` (0 the lowest; None: on top). The layer and those inside it get new
+    ids."""
     new, next_id = _numbered(layer, document.next_id)
     layers = list(document.layers)
     layers.insert(len(layers) if index is None else _checked_index(index, len(layers) + 1), new)
@@ -269,7 +270,7 @@ def add_layer(document: Document, layer: Layer, index: int | None = None) -> tup
 
 
 def change_layer(document: Document, layer: str, **fields: Any) -> Document:
-    """With other values of a layer's fields (Layer's names)."""
+    """The document with other values of a layer's fields (Layer's names)."""
     at = document.index(layer)
     layers = list(document.layers)
     layers[at] = replace(layers[at], **fields)
@@ -277,15 +278,16 @@ def change_layer(document: Document, layer: str, **fields: Any) -> Document:
 
 
 def move_layer(document: Document, layer: str, index: int) -> Document:
-    """With a layer at another index, 0 the lowest."""
+    """The document with a layer at another index, 0 the lowest."""
     layers = list(document.layers)
     layers.insert(_checked_index(index, len(layers)), layers.pop(document.index(layer)))
     return replace(document, layers=tuple(layers))
 
 
 def add_stroke(document: Document, layer: str, stroke: Layer) -> tuple[Document, Layer]:
-    """With one more stroke in a layer: (the document, the stroke with its id). A paint layer of local views becomes
-    one that holds strokes, with what it was as the first. Raises ValueError where the layer takes none."""
+    """The document with one more stroke in a layer: (the document, the stroke with its id). A paint layer of local
+    views becomes one that holds strokes, with what it was as the first. Raises ValueError where the layer takes
+    none."""
     at = document.index(layer)
     target = document.layers[at]
     if target.kind in ("paint", "clone") and target.mode == "local" and target.views:
@@ -306,7 +308,7 @@ def add_stroke(document: Document, layer: str, stroke: Layer) -> tuple[Document,
 
 
 def delete_layer(document: Document, layer: str) -> Document:
-    """Without a layer."""
+    """The document without a layer."""
     layers = list(document.layers)
     layers.pop(document.index(layer))
     remaining = replace(document, layers=tuple(layers))
@@ -315,15 +317,16 @@ def delete_layer(document: Document, layer: str) -> Document:
 
 
 def duplicate_layer(document: Document, layer: str) -> tuple[Document, Layer]:
-    """With a copy of a layer right above it."""
+    """The document with a copy of a layer right above it."""
     index = document.index(layer)
     source = document.layers[index]
     return add_layer(document, replace(source, name=f"{source.name} copy"), index + 1)
 
 
 def merge_layers(document: Document, layers: Sequence[str], name: str | None = None) -> tuple[Document, Layer]:
-    """With neighbouring layers as one, which shows what they did. They stay inside it, with their ids, opacities and
-    pictures, so it is still replayed when something below changes. Raises ValueError: fewer than two, gaps between."""
+    """The document with neighbouring layers as one, which shows what they did. They stay inside it, with their ids,
+    opacities and pictures, so it is still replayed when something below changes. Raises ValueError: fewer than two,
+    gaps between."""
     indices = sorted({document.index(layer) for layer in layers})
     if len(indices) < 2 or indices != list(range(indices[0], indices[-1] + 1)):
         raise ValueError("merge: expected two or more layers that lie next to each other; move them together first")
@@ -338,7 +341,8 @@ def merge_layers(document: Document, layers: Sequence[str], name: str | None = N
 
 
 def resolve_conflict(document: Document, lower: str, upper: str, policy: Policy) -> Document:
-    """With another winner where two layers changed the same Gaussians ("latest" is what happens anyway)."""
+    """The document with another winner where two layers changed the same Gaussians ("latest" is what happens
+    anyway)."""
     if policy not in get_args(Policy):
         raise ValueError(f"conflict: expected latest, first or blend, got {brief(policy)}")
     ids = document.leaf_ids()

@@ -36,13 +36,13 @@ from splatpainter.session.delta import Delta, bare
 from splatpainter.splats import ATTRIBUTES, Splats
 
 PAINT_CONTRAST = 0.04
-"""Of a colour channel, 0..1, from which a pixel beside the mask shows paint."""
+"""Change of a colour channel, 0..1, from which a pixel beside the mask shows paint."""
 MAX_OVERLAP = 0.05
 """Share of a footprint."""
 MIN_IN_MASK = 0.02
 """Share of a footprint that the mask must hold of an original that returns."""
 UNSEEN_PAINT_CONTRAST = 0.1
-"""Of base colours, from which a Gaussian that no view of the eraser shows counts as painted."""
+"""Change of base colours, from which a Gaussian that no view of the eraser shows counts as painted."""
 MIN_SEEN_PX = 0.05
 """Pixels of weight from which a view shows a Gaussian."""
 FAINT = 0.05

@@ -28,7 +28,7 @@ from splatpainter.view_files import Aov
 
 
 class ExportCommands(ABC):
-    """What Session has beside its layers; see there."""
+    """Session's exports; a part of Session."""
 
     painter: Painter
     _replay: SceneReplay
@@ -40,7 +40,7 @@ class ExportCommands(ABC):
     def assets(self) -> tuple[SceneAsset, ...]: ...
 
     def receipt(self) -> Receipt:
-        """Of the session: the original against the asset as it is now."""
+        """Receipt of the session: the original against the asset as it is now."""
         return self._receipt(self._snapshot)
 
     def _receipt(self, snapshot: Snapshot, options: WriteOptions = AS_IT_IS) -> Receipt:

@@ -40,7 +40,7 @@ def fill_delta(
 
 
 def fading(delta: Delta, opacity: float, mask: np.ndarray | None) -> Delta:
-    """The same at an opacity of 0..1: new Gaussians are as opaque. mask: [A] 0..1, a factor of it."""
+    """The delta at an opacity of 0..1: new Gaussians are as opaque. mask: [A] 0..1, a factor of it."""
     share = np.full(len(delta.appended), opacity) if mask is None else opacity * mask
     opacities = (delta.appended.opacities * share).astype(np.float32)
     return replace(delta, appended=replace(delta.appended, opacities=opacities))

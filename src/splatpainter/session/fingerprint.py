@@ -24,7 +24,7 @@ SHEETS = "sheets-7"
 """What stands in the fingerprints of painters that lay sheets. Layers of painters that knew none are lifted as they
 were made: split, without sheets, blended and erased from the colours of parents."""
 OLDER_SHEETS = ("sheets-2", "sheets-3", "sheets-4", "sheets-5", "sheets-6")
-"""Of earlier ways to lay sheets: their results are kept; where one is computed anew it is laid as now."""
+"""Names of earlier ways to lay sheets: their results are kept; where one is computed anew it is laid as now."""
 
 
 def fingerprint(painter: Painter, method: Method) -> str:
@@ -50,4 +50,4 @@ def lays_sheets(painter: str) -> bool:
 
 
 _DIGESTS: WeakKeyDictionary[SplatPainterModel, str] = WeakKeyDictionary()
-"""Of the models in use, whose weights do not change meanwhile; hashing one takes longer than a small edit."""
+"""Digests of the models in use, whose weights do not change meanwhile; hashing one takes longer than a small edit."""

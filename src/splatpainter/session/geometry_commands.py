@@ -31,7 +31,7 @@ class SelectedPart:
     weights: np.ndarray = field(repr=False)
     """[N] float32 of `splats`."""
     splats: Splats = field(repr=False)
-    """In its own space, with its layers; `original` without."""
+    """The asset in its own space, with its layers; `original` without."""
     original: Splats = field(repr=False)
 
 

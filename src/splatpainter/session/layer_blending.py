@@ -183,7 +183,7 @@ ADJUSTMENTS: dict[str, AdjustmentFunction] = {
     LIGHT: light_sh,
     **dict.fromkeys(TRANSFERS, transfer_sh),
 }
-"""Those of every session."""
+"""Adjustments that every session has."""
 
 
 def adjust_sh(

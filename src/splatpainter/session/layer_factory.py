@@ -28,13 +28,13 @@ if TYPE_CHECKING:
 
 MAX_PICTURE_PIXELS = 64_000_000
 MAX_RECENT_BYTES = 1 << 22
-"""Of pixels that were encoded lately and are at hand when they are asked for, each; ..."""
+"""Most bytes of pixels that were encoded lately and are at hand when they are asked for, each; ..."""
 _recent: deque[tuple[bytes, np.ndarray]] = deque(maxlen=3)
 """... (bytes, pixels) of the latest picture, its mask, and a third one."""
 THUMBNAIL_PX = 96
 """Longer side of a thumbnail."""
 THUMBNAIL_COLORS = 64
-"""Of the thumbnails of strokes, of which a project may hold hundreds."""
+"""Colours of the thumbnails of strokes, of which a project may hold hundreds."""
 LIMITS = ("angle_limit", "depth_edge_limit")
 """Names of the parameters of layers of modes local and spread that stand in for the painter's LocalOptions of the same
 names."""

@@ -21,7 +21,7 @@ Rule = Literal["height", "slope", "coverage", "curvature"]
 MIN_SEEN_PX = 0.02
 """Pixels of weight from which a view shows a Gaussian."""
 MAX_PARTS = 256
-"""Of one mask. Painting from the same view again changes the part of that view, if it is the last."""
+"""Most parts of one mask. Painting from the same view again changes the part of that view, if it is the last."""
 MAX_NOTE = 80
 """Characters of a wrong value in an error."""
 
@@ -31,7 +31,7 @@ class MaskPart:
     """One change of a mask."""
 
     camera: Camera | None = None
-    """Of a painted part."""
+    """Camera of a painted part."""
     picture: str | None = None
     """Hash of a PNG of the camera's size with two channels: what to show (0: nothing, 255: all), and how far to go
     there (0: as it was)."""

@@ -33,7 +33,7 @@ class LayerResult:
     """(Gaussians below, what the delta makes of them), where the painter has just made these. Never stored."""
 
     def with_computed(self, below: Splats, after: Splats) -> LayerResult:
-        """The same, where `after` has the values of what the delta makes of `below`."""
+        """The result, where `after` has the values of what the delta makes of `below`."""
         if not len(self.delta.appended) or after.means.dtype != np.float32:  # arrays that did not change are shared
             return self
         note_changes(below, after, self.delta.gaussian_ids)

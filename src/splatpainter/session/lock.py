@@ -18,7 +18,7 @@ from splatpainter.io import files
 from splatpainter.session.database import is_unwritable
 
 LOCK_ENDING = "-lock"
-"""Of the lock's file name, after the project's."""
+"""Ending of the lock's file name, after the project's."""
 
 
 class ProjectLock:

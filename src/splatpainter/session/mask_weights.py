@@ -21,7 +21,7 @@ MAX_CACHED = 16
 
 
 class MaskWeights:
-    """Of one session."""
+    """Weights of the masks of one session, cached."""
 
     def __init__(self, store: ResultStore, original: Splats) -> None:
         self._store, self._original = store, original

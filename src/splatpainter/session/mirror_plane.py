@@ -19,13 +19,13 @@ MAX_POINTS = 700
 DIRECTIONS = 48
 """Planes that are tried first, beside those of the axes and of the principal axes."""
 REFINED = 4
-"""Of these, the best that are refined, ..."""
+"""How many of the best of these are refined, ..."""
 ROUNDS = 8
 """... in so many steps."""
 REACH = 2.5
 """Distance in spacings of the points from which a mirrored point counts as having no partner."""
 UPRIGHT_BONUS = 0.06
-"""Of the score (0..1): planes that contain the up axis are taken where others are hardly better."""
+"""Bonus on the score (0..1): planes that contain the up axis win where others are hardly better."""
 MIN_OPACITY = 0.3
 """Fainter Gaussians are not the asset's shape."""
 
@@ -39,7 +39,7 @@ class MirrorPlane:
     offset: float
     """World units."""
     agreement: float = 1.0
-    """Of the asset with its mirror image: 1 where every mirrored point meets one, 0 where none does."""
+    """Agreement of the asset with its mirror image: 1 where every mirrored point meets one, 0 where none does."""
 
     def mirrored(self, points: np.ndarray) -> np.ndarray:
         """[..., 3] points on the other side."""

@@ -18,7 +18,7 @@ from splatpainter.cameras import AUTO_UP, FRAME_MARGIN, UPS, Camera, bounding_sp
 from splatpainter.splats import Splats
 
 VIEW_PX = 64
-"""Of the views that are measured."""
+"""Edge, pixels, of the views that are measured."""
 FOV_DEGREES, ELEVATION_DEGREES = 40.0, 15.0
 SIDES = 8
 """Views around."""
@@ -29,7 +29,7 @@ UNDERSIDE_SHARE = 0.6
 FRONT_FACTOR = 1.15
 """Detail of a front against the side that habit shows, at least."""
 COVERED_ALPHA = 0.9
-"""From which a pixel counts."""
+"""Alpha from which a pixel counts."""
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from splatpainter.voxels.grid import VoxelGrid
 
 NO_OPTIONS: Mapping[str, Any] = {}
-"""Of a layer without local options: those of the painter hold."""
+"""Options of a layer without local options: those of the painter hold."""
 GRID_ATTRIBUTES = ("means", "quats", "scales", "opacities")
 """What a voxel grid depends on."""
 MAX_GRIDS = 2
@@ -75,7 +75,7 @@ class PainterAdapter:
 
     @property
     def surface(self) -> Surface:
-        """That of the original."""
+        """Surface of the original."""
         return self._bare.surface
 
     def _painter_with(self, options: Mapping[str, Any]) -> Painter:

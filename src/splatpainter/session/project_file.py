@@ -30,9 +30,9 @@ from splatpainter.session.scene_asset import MAIN, SceneAsset, parse_assets
 from splatpainter.session.stored_results import loaded_result, store_result
 
 MAX_STEPS = 1000
-"""Of the history."""
-ELSEWHERE = "open elsewhere: this copy can be looked at, not changed; save_as makes one of your own"
-UNWRITABLE = "cannot be written ({}): it can be looked at, not changed; save_as makes one that can"
+"""Steps of the history; older ones are dropped."""
+ELSEWHERE = "open elsewhere: this copy is read-only; save_as makes one of your own"
+UNWRITABLE = "cannot be written ({}): it is read-only; save_as makes a copy that can be changed"
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class Project:
                     if readonly is False:
                         raise ValueError(f"{path}: {why}")
                     if version < database.FIRST_READABLE:
-                        reason = f"project version {version} must be opened for writing once, to be brought up"
+                        reason = f"project version {version} must be opened for writing once, to be upgraded"
                         raise ValueError(f"{path}: {reason}; {why}")
                     bounded = _opened(path, readonly=True)
                 return Project(bounded, lock, why)
@@ -142,7 +142,7 @@ class Project:
                 self._lock = None
 
     def copy(self, path: Path, overwrite: bool = False) -> None:
-        """The same project in another file, compact; it appears complete or not at all. Raises ValueError: it exists,
+        """Copy the project to another file, compact; it appears complete or not at all. Raises ValueError: it exists,
         is open elsewhere, or cannot be written."""
         lock = _lock_target(path, overwrite)
         try:
@@ -234,7 +234,7 @@ class Project:
             yield from (data for (data,) in self.rows(query, key, part, kinds=(bytes,)))
 
     def bookmarks(self) -> list[Bookmark]:
-        """The same objects as long as they are the same."""
+        """Bookmarks in order; the same objects as long as they are the same."""
         with self._mutex:
             if self._bookmarks is None or self.read_only:  # somebody else may write
                 rows = self.rows("SELECT id, name, camera FROM bookmarks ORDER BY id", kinds=(int, str, str))
@@ -272,7 +272,7 @@ class Project:
                 raise ValueError("two layers have one id")
             ids = {asset.id for asset in assets}
             if any(layer.asset not in ids for layer in layers if layer.asset != MAIN):
-                raise ValueError("a layer is of an asset that is not there")
+                raise ValueError("a layer belongs to an asset that is missing")
             return Document(layers, _policies(json.loads(policies[0][0])), highest[0][0], assets)
         except (ValueError, TypeError, AttributeError, KeyError, RecursionError) as error:
             reason = files.printable(str(error).removeprefix(f"{where}: "), MAX_REASON)
@@ -395,7 +395,7 @@ class Project:
             bookmarks = self.bookmarks()
             with self._writing() as db:
                 if not db.execute("DELETE FROM bookmarks WHERE CAST(id AS TEXT) = ?", (bookmark,)).rowcount:
-                    raise ValueError(f"bookmark: there is none with id {brief(bookmark)}")
+                    raise ValueError(f"bookmark: no bookmark with id {brief(bookmark)}")
             self._bookmarks = [entry for entry in bookmarks if entry.id != bookmark]
 
     def set_fact(self, name: str, value: str) -> None:

@@ -68,7 +68,7 @@ def read_set_of(
 
 
 def renumber(delta: Delta, old: ReadSet, new: ReadSet, count: int) -> Delta | None:
-    """The same delta on another asset, of `count` Gaussians, in which `new` are those that `old` were; None where it
+    """The delta on another asset, of `count` Gaussians, in which `new` are those that `old` were; None where it
     speaks of others (never, where `old` is what its lift read)."""
     assert old.digest == new.digest
     gaussian_ids, parent_ids = (_translated(ids, old, new) for ids in (delta.gaussian_ids, delta.parent_ids))

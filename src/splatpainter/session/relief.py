@@ -23,11 +23,11 @@ COPY = "copy"
 MAX_COPIED = 500_000
 """Gaussians of one copy."""
 EDGE_SHARE = 0.25
-"""Of the radius over which the copy and what is under it fade."""
+"""Share of the radius over which the copy and what is under it fade."""
 DEPTH_SHARE = 0.6
-"""Of the radius how deep below the surface Gaussians are copied and fade: what lies behind a thin wall stays."""
+"""Share of the radius how deep below the surface Gaussians are copied and fade: what lies behind a thin wall stays."""
 HEIGHT_SHARE = 1.0
-"""And how high above it, with an edge as soft as that of the disc."""
+"""Share of the radius how high above it, with an edge as soft as that of the disc."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class CopyAnchor:
 
     @staticmethod
     def parse(data: Any) -> CopyAnchor:
-        """Raises ValueError."""
+        """Parse a point and axes. Raises ValueError."""
         try:
             point, axes = np.array(data["point"], np.float64), np.array(data["axes"], np.float64)
         except (TypeError, ValueError, KeyError, OverflowError):
@@ -76,7 +76,7 @@ class Relief:
     source: CopyAnchor
     target: CopyAnchor
     radius: float
-    """Of both discs, world units."""
+    """Radius of both discs, world units."""
 
     def __post_init__(self) -> None:
         if not 0 < self.radius < 1e18:
@@ -87,7 +87,7 @@ class Relief:
 
     @staticmethod
     def parse(parameters: Mapping[str, Any]) -> Relief:
-        """Of a layer. Raises ValueError."""
+        """Relief of a layer, from its parameters. Raises ValueError."""
         data = parameters.get(COPY)
         if not isinstance(data, dict) or type(data.get("radius")) not in (int, float):
             raise ValueError(f"copy: expected source, target and radius, got {brief(data)}")

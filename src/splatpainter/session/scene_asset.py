@@ -19,7 +19,7 @@ from splatpainter.splats import Frame
 MAIN = ""
 """Id of the asset that a session was opened with."""
 MAX_ASSETS = 32
-"""Of a session."""
+"""Most assets of a session."""
 MAX_NAME = 200
 """Characters."""
 
@@ -31,15 +31,15 @@ class SceneAsset:
     id: str
     """Unique within the project, never used again."""
     name: str
-    """For people."""
+    """Name for people."""
     placement: Placement = field(default_factory=Placement)
     visible: bool = True
     file: str = ""
     """Name of its file; of MAIN "": the project's facts name it."""
     sha256: str = ""
-    """Of its file."""
+    """Hash of the asset's file."""
     frame: Frame = "auto"
-    """As its file is read."""
+    """Axes with which its file is read."""
 
     def __post_init__(self) -> None:
         if not (isinstance(self.name, str) and 0 < len(self.name) <= MAX_NAME and self.name.isprintable()):
@@ -86,13 +86,13 @@ def parse_assets(records: Any) -> tuple[SceneAsset, ...]:
 
 
 def changed_asset(assets: Sequence[SceneAsset], asset: str, **values: Any) -> tuple[SceneAsset, ...]:
-    """With other values of one asset. Raises ValueError for an unknown one."""
+    """The assets with other values of one. Raises ValueError for an unknown one."""
     find_asset(assets, asset)
     return tuple(replace(one, **values) if one.id == asset else one for one in assets)
 
 
 def find_asset(assets: Sequence[SceneAsset], asset: str) -> SceneAsset:
-    """By its id. Raises ValueError for an unknown one."""
+    """The asset of this id. Raises ValueError for an unknown one."""
     for one in assets:
         if one.id == asset:
             return one

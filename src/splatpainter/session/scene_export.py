@@ -19,7 +19,7 @@ from splatpainter.splats import changed_rows
 
 
 def scene_receipt(scene: Scene, preset: str, note: str, precision: str, key: str = "ply") -> Receipt:
-    """Of all visible assets against their originals. key: format of the file that is written."""
+    """Receipt of all visible assets against their originals. key: format of the file that is written."""
     sources, edited = [], []
     for part in scene.parts:
         one = Part(part.original, part.asset.placement)
@@ -77,7 +77,7 @@ def export_scene(scene: Scene, receipt: Receipt, path: Path, overwrite: bool) ->
                 receipt = replace(receipt, merge_touched=touched, note="; ".join(filter(None, notes)))
         checked = check_merge(written, [part.original for part in scene.parts], receipt)
         if not checked.ok:
-            raise RuntimeError(f"the file written does not prove its receipt: {'; '.join(checked.problems)}")
+            raise RuntimeError(f"the written file does not match its receipt: {'; '.join(checked.problems)}")
         with files.writing(receipt_path) as file:
             file.write(receipt.to_json().encode())
             files.replace(partial, path)

@@ -38,9 +38,9 @@ class ScenePart:
     asset: SceneAsset
     original: Splats = field(repr=False)
     state: LayerState = field(repr=False)
-    """In the asset's own space."""
+    """State in the asset's own space."""
     first: int
-    """Of the scene's Gaussians: the first of its original, ..."""
+    """Index, among the scene's Gaussians, of the first of its original, ..."""
     first_appended: int
     """... and the first that its layers appended."""
 
@@ -63,7 +63,7 @@ class Scene:
 
 
 class SceneReplay:
-    """What Session composes documents with."""
+    """Composes a session's documents, of one asset or several."""
 
     def __init__(
         self,
@@ -80,10 +80,10 @@ class SceneReplay:
         self._replays: OrderedDict[str, Replay] = OrderedDict()
         self._scenes: OrderedDict[str, Scene] = OrderedDict()
         self._surfaces: OrderedDict[str, Replay] = OrderedDict()
-        """Of scenes as if they were one asset: their surface."""
+        """Replays of scenes as if they were one asset, for their surface."""
 
     def replay(self, document: Document, asset: str) -> Replay:
-        """That of one asset. Raises ValueError: unknown, or its file is damaged."""
+        """Replay of one asset. Raises ValueError: unknown, or its file is damaged."""
         if asset == MAIN:
             return self.main
         entry = find_asset(document.assets, asset)

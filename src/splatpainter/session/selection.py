@@ -28,22 +28,22 @@ Attribute = Literal["size", "opacity", "depth", "height"]
 FAINT = 0.05
 """Peak alpha with which footprints are measured where nothing shall hide anything."""
 DEPTH_MARGIN_SIZES = 3.0
-"""Of its largest scale by which a Gaussian may lie behind the visible surface and be selected with it."""
+"""Multiple of a Gaussian's largest scale by which it may lie behind the visible surface and be selected with it."""
 VISIBLE_SHARE = 0.03
-"""Of a Gaussian's light that reaches the eye, from which it belongs to the visible surface."""
+"""Share of a Gaussian's light that reaches the eye, from which it belongs to the visible surface."""
 COVERED_ALPHA = 0.05
-"""Of a pixel from which it shows the asset."""
+"""Alpha of a pixel from which it shows the asset."""
 MARKED_SHARE = 0.5
-"""Of a pixel that is selected, below which a Gaussian there is marked as a point."""
+"""Share of a pixel that is selected, below which a Gaussian there is marked as a point."""
 MAX_MARKS = 4000
 """Points of a view."""
 EDGE = 0.02
 """Weights within so much of 0 and 1 are 0 and 1."""
 QUANTILE = 0.01
-"""Of depths and heights, below and above which strays lie."""
+"""Quantile of depths and heights, below and above which strays lie."""
 MAGIC = b"SELE"
 MAX_POINTS = 1 << 22
-"""Of a stored selection."""
+"""Most points of a stored selection."""
 SEARCH_STEPS, SEARCH_FACTOR = 6, 4.0
 """Radii in which the nearest point is looked for, and the factor between them."""
 

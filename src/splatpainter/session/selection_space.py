@@ -22,7 +22,7 @@ MAX_STEPS = 6
 CUBE_SPACINGS = 1.5
 """Edge of the cubes in which points hang together."""
 FLOATER_SHARE = 0.01
-"""Of the largest part's surface that a floater has at most."""
+"""Largest share of the largest part's surface that a floater has at most."""
 
 
 def grown(splats: Splats, weights: np.ndarray, radius: float) -> np.ndarray:

@@ -226,7 +226,7 @@ class Session(AssetCommands, ExportCommands, Annotations, GeometryCommands):
 
     @property
     def layers(self) -> tuple[Layer, ...]:
-        """Lowest first."""
+        """The layers, lowest first."""
         return self._snapshot.document.layers
 
     @property
@@ -301,7 +301,7 @@ class Session(AssetCommands, ExportCommands, Annotations, GeometryCommands):
 
     @property
     def surface(self) -> Surface:
-        """That of the original, on which edits are laid."""
+        """Surface of the original, on which edits are laid."""
         return self._replay.surfaces(self._document).surface
 
     def delta(self, since: int | None = None) -> AssetDelta:
@@ -350,7 +350,7 @@ class Session(AssetCommands, ExportCommands, Annotations, GeometryCommands):
             return find_problems(self._project, document, splats, self._replay, repaint, rule)
 
     def refresh(self) -> bool:
-        """For a session that can only be looked at: show what the writer has done since. False: nothing."""
+        """In a read-only session: show what the writer has done since. False: nothing."""
         with self._commands:
             steps, cursor = self._project.steps()
             document = self._project.document(steps[cursor].id)
@@ -437,12 +437,12 @@ class Session(AssetCommands, ExportCommands, Annotations, GeometryCommands):
             return self._replay.blend_preview(change_layer(document, layer, **fields), layer, document)
 
     def move(self, layer: str, index: int) -> None:
-        """Reorder: 0 is the lowest."""
+        """Move a layer: 0 is the lowest index."""
         with self._command():
             self._commit(f"move {self.layer(layer).name}", move_layer(self._snapshot.document, layer, index))
 
     def duplicate(self, layer: str) -> Layer:
-        """A copy right above."""
+        """Add a copy of a layer right above it."""
         with self._command():
             document, copy = duplicate_layer(self._snapshot.document, layer)
             self._commit(f"duplicate {self.layer(layer).name}", document)
@@ -490,7 +490,7 @@ class Session(AssetCommands, ExportCommands, Annotations, GeometryCommands):
         return self._jump(1)
 
     def jump(self, cursor: int) -> None:
-        """To any step of the history. Raises ValueError for one that is not there."""
+        """Jump to any step of the history. Raises ValueError for one that is not there."""
         with self._command():
             self._jump(cursor - self.cursor, strict=True)
 

@@ -1,4 +1,4 @@
-"""What a session shows at a time."""
+"""A version of what a session shows."""
 
 from __future__ import annotations
 

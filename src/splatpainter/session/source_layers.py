@@ -28,7 +28,7 @@ Write = Callable[[Callable[[], Layer]], Layer]
 
 @dataclass(frozen=True)
 class SourceLayers:
-    """What came of a plan."""
+    """Layers made from a plan of views, and what failed."""
 
     layers: tuple[Layer, ...]
     """New ones, lowest first: one per view, or one of all of them."""

@@ -14,7 +14,7 @@ from splatpainter.session.layer_factory import changed_pixels
 from splatpainter.session.scene_replay import Scene, ScenePart
 
 MIN_ALPHA = 0.02
-"""Of a pixel from which it shows an asset."""
+"""Alpha of a pixel from which it shows an asset."""
 MIN_PIXELS, MIN_SHARE = 24, 0.05
 """Pixels of an edit, or their share of what it covers, from which an asset takes part in it: the rim of a stroke on
 one asset mixes with what is behind."""

@@ -92,7 +92,7 @@ def _facts(text: str) -> dict[str, Any]:
     """Facts of a result. Raises ValueError where one that others read is not what it should be."""
     facts = json.loads(text)
     if not isinstance(facts, dict):
-        raise ValueError("its facts are no JSON object")
+        raise ValueError("its facts are not a JSON object")
     for name, kind in FACT_KINDS.items():
         value = facts.get(name, kind() if isinstance(kind, type) else 0)
         if not isinstance(value, kind) or (isinstance(value, (int, float)) and not 0 <= value < 1e15):

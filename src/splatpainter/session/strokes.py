@@ -26,7 +26,7 @@ from splatpainter.splats import ATTRIBUTES
 CACHED_BYTES = 1 << 27
 """Bytes of Gaussians after strokes that are cached to go on from, or back to."""
 MAX_CACHED = 64
-"""And how many at most."""
+"""Most states that are cached."""
 CHECKPOINT = 8
 """Strokes before the last one at which the Gaussians are cached too where many are written in a row: the next undos
 start from there."""
@@ -54,9 +54,9 @@ class Chain:
     """Names of what comes of a layer's strokes on a given state; nothing is computed yet."""
 
     keys: tuple[str, ...]
-    """Of the states: below the layer, after the first stroke, ..."""
+    """Keys of the states: below the layer, after the first stroke, ..."""
     results: tuple[str, ...]
-    """Of the strokes' results."""
+    """Result keys of the strokes."""
 
     @staticmethod
     def of(below_key: str, strokes: tuple[Layer, ...]) -> Chain:
@@ -83,7 +83,7 @@ class Painted:
     changed: np.ndarray = field(repr=False)
     """[T] int64 ascending: Gaussians from below the layer that any stroke changed."""
     facts: dict[str, Any] = field(default_factory=dict)
-    """Of the latest stroke."""
+    """Facts of the latest stroke."""
     problems: tuple[str, ...] = ()
     """Why strokes change nothing, for those that do not."""
     results: tuple[str, ...] = field(default=(), repr=False)
@@ -114,11 +114,11 @@ class Folding:
     """One result in place of those of the first strokes."""
 
     keys: tuple[str, ...]
-    """Of the latter."""
+    """Keys of these strokes' states."""
     key: str
     result: LayerResult
     next_key: str
-    """Of the result of the stroke after them."""
+    """Key of the result of the stroke after them."""
 
 
 class StrokeChains:
@@ -243,7 +243,7 @@ def strokes_to_fold(results: Sequence[str], size_of: Callable[[str], int]) -> in
 
 
 def _after(painted: Painted, below: LayerState, result: LayerResult, chain: Chain, count: int) -> Painted:
-    """With one more stroke, number `count` of the chain."""
+    """The state with one more stroke, number `count` of the chain."""
     delta, before = result.delta, painted.state
     splats = result.apply(before.splats)
     state = replace(

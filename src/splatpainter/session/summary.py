@@ -24,7 +24,7 @@ class ProjectSummary:
 
     original_sha256: str
     name: str
-    """Of the original's file; "asset" without one."""
+    """Name of the original's file; "asset" without one."""
     layers: int
     is_untouched: bool
     """Nothing was done in it: no step, no bookmark, not turned."""

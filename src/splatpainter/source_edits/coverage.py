@@ -25,7 +25,7 @@ CANDIDATE_PX = 96
 CELLS = 48
 """Cells along the asset's radius; the surface has one sample in each, and for each side."""
 FACING = (math.cos(math.radians(75)), math.cos(math.radians(62)))
-"""From which a view reaches a surface, and from which fully; between them the mask is soft."""
+"""Cosines from which a view reaches a surface, and from which fully; between them the mask is soft."""
 MAX_SLOPE = 5.0
 """Change of depth from one pixel to the next, in pixels' widths there, above which it breaks ..."""
 MIN_STEP = 0.008
@@ -42,7 +42,8 @@ generators know less of those."""
 MIN_GAIN = 0.005
 """Share of the surface that a further view must reach for the first time."""
 MAX_DEPTH_DIFFERENCE = 0.015
-"""Of a point and the surface that a view shows in front of it, as a part of the depth; more: it is hidden."""
+"""Largest difference in depth between a point and the surface that a view shows in front of it, as a part of the depth;
+more: it is hidden."""
 SOLID = 0.5
 """Alpha from which a pixel shows the surface."""
 MIN_MASK_SHARE = 0.002

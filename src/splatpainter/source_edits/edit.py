@@ -34,7 +34,7 @@ class SourcedAsset:
     """An asset edited by a source."""
 
     asset: Asset
-    """With the receipt of all views, which names the source."""
+    """The edited asset, with the receipt of all views, which names the source."""
     edits: tuple[SourcedEdit, ...]
     refused: tuple[str, ...] = ()
     """Why pictures of further views were not taken, one line each."""

@@ -33,12 +33,12 @@ VIEW_PX, LOOK_PX = 800, 100
 """Side of a view that is chosen here, and of those among which it is."""
 VIEW_FOV = 35.0
 VIEW_SIDES = 2.5
-"""Its width, in widths of the hole: a source has to see what it continues."""
+"""Width of the view, in widths of the hole: a source has to see what it continues."""
 MIN_SHARE = 0.5
-"""Of a pixel that new Gaussians make from which it is part of the mask."""
+"""Least share of a pixel that new Gaussians make from which it is part of the mask."""
 MASK_MARGIN_PX = 3
 MIN_MASK_PX = 64
-"""Of a hole in the view that a source gets."""
+"""Fewest pixels of a hole in the view that a source gets."""
 
 
 def fill(

@@ -27,7 +27,7 @@ exchanged; with sheets 19.5 to 25.8."""
 
 @dataclass(frozen=True)
 class Turns:
-    """What came of the views of a plan."""
+    """Results of the views of a plan."""
 
     edits: tuple[SourcedEdit, ...]
     """Those that were painted."""
@@ -35,7 +35,7 @@ class Turns:
     """Why further views were not, one line each."""
     cancelled: bool = False
     refused: tuple[RefusedPicture, ...] = ()
-    """With what came back."""
+    """Refusals, with what came back."""
 
 
 def ask_in_turn(

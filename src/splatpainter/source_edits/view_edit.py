@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from splatpainter.surface.estimate import Surface
 
 MAX_PROMPT_CHARACTERS = 4000
-"""Of a prompt in a receipt; longer ones are cut there."""
+"""Most characters of a prompt in a receipt; longer ones are cut there."""
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from splatpainter.sources.picture_reader import Picture, read_picture
 from splatpainter.sources.picture_source import PictureRequest, SourceError
 
 MAX_ANSWER_BYTES = 256 << 20
-"""Of a picture file that a source gives."""
+"""Most bytes of a picture file that a source gives."""
 
 
 def image_png(request: PictureRequest, transparent: bool = False) -> bytes:
@@ -90,7 +90,7 @@ def read_answer(data: bytes, source: str) -> tuple[np.ndarray, tuple[str, ...]]:
 
 
 def read_answer_file(path: Path, source: str) -> tuple[np.ndarray, tuple[str, ...]]:
-    """As `read_answer`, of a file. Raises SourceError in one line: no picture, damaged, too many bytes or pixels,
+    """As `read_answer`, for a file. Raises SourceError in one line: no picture, damaged, too many bytes or pixels,
     animated, inks in place of colours."""
     what = f"source {source}: its picture"
     try:

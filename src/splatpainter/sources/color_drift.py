@@ -19,7 +19,7 @@ from splatpainter.lift.masks import box_mean, largest_channel
 
 DriftKind = Literal["none", "gain", "gain and offset", "matrix"]
 ROUNDS = 30
-"""Of reweighting, at most."""
+"""Most rounds of reweighting."""
 COLOR_LEVELS, MAX_OF_A_COLOR = 16, 250
 """Steps of each channel, and pixels that are fitted of each colour in them: a bare background must not outvote all."""
 MIN_SAMPLES = 64
@@ -87,7 +87,7 @@ class ColorDrift:
         return linear_to_srgb(np.clip(out, 0, 1)).astype(np.float32)
 
     def record(self) -> dict:
-        """For receipts."""
+        """The drift as receipts record it."""
         return {"kind": self.kind, "matrix": np.round(self.matrix, 5).tolist(), "agreeing": round(self.agreeing, 4)}
 
 

@@ -30,7 +30,7 @@ MIN_CURVE_STEP = 1e-6
 GRADE = "grade"
 """The name of `grade_sh` in the parameters of an adjustment layer ({"look": "grade", ...})."""
 JACOBIAN_STEP = 1 / 64
-"""Of the finite differences, display units."""
+"""Step of the finite differences, display units."""
 MAX_JACOBIAN_ENTRY = 4.0
 """Where a curve is a cliff, a highlight must not become a spike."""
 GAUSSIANS_PER_PIECE = 8192
@@ -156,7 +156,7 @@ class GradeSettings:
     """The sliders of an adjustment layer; the defaults change nothing."""
 
     exposure: float = 0.0
-    """Stops, of linear light."""
+    """Exposure in stops, of linear light."""
     temperature: float = 0.0
     """-1 cold .. 1 warm."""
     tint: float = 0.0
@@ -171,7 +171,7 @@ class GradeSettings:
     strength: float = 1.0
     """0..1: how much of the change is taken."""
     space: ColorSpace = "srgb"
-    """Of the asset's colours: "srgb" (display) or "linear"; the sliders act on display colours either way."""
+    """Space of the asset's colours: "srgb" (display) or "linear"; the sliders act on display colours either way."""
 
     def to_dict(self) -> dict[str, Any]:
         """Parameters of a layer."""

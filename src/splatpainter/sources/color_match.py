@@ -29,11 +29,11 @@ NOISE = 4 / 255
 MIN_ALPHA = 0.5
 """Pixels of a reference picture with less alpha do not count."""
 MAX_PIXELS = 1 << 20
-"""Of a reference picture that are looked at; of larger ones every n-th row and column."""
+"""Most pixels of a reference picture that are looked at; of larger ones every n-th row and column."""
 VIEWS, VIEW_PX = 24, 192
 """Views around an asset that say what is seen of it, and the pixels of their sides."""
 MIN_LUMINANCE = 1e-3
-"""Of what is given a new colour, in linear light: black has no light and shade that could be kept."""
+"""Least luminance of what is given a new colour, in linear light: black has no light and shade that could be kept."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ def monge_kantorovitch(source: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 def _power(matrix: np.ndarray, exponent: float) -> np.ndarray:
-    """Of a symmetric positive matrix."""
+    """Power of a symmetric positive matrix."""
     values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
     return (vectors * np.maximum(values, 1e-12) ** exponent) @ vectors.T
 

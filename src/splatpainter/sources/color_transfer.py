@@ -25,9 +25,9 @@ TRANSFERS = (LUT, MATCH, RECOLOR)
 TABLE = "table"
 """Name of the parameter that names a LUT's PNG by its hash; `transfer_sh` wants the PNG itself there."""
 MAX_NUMBER = 1e6
-"""Of matrices and colours."""
+"""Largest absolute value in matrices and colours."""
 MAX_TABLES = 4
-"""That stay decoded."""
+"""Most tables that stay decoded."""
 
 
 def transfer_parameters(

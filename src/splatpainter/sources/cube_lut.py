@@ -26,11 +26,11 @@ from splatpainter.io import files
 MAX_1D_SIZE, MAX_3D_SIZE = 65536, 129
 """Entries of a table along an axis: what the specification allows, and the largest cube that grading programs write."""
 MAX_CUBE_BYTES = 128 << 20
-"""Of a file: 129^3 entries of 60 characters."""
+"""Most bytes of a file: 129^3 entries of 60 characters."""
 MAX_OTHER_LINES = 10_000
 """Keywords, comments and empty lines of a file."""
 MAX_VALUE = 1e6
-"""Of an entry or a domain; tables of light go to about 100."""
+"""Largest absolute value of an entry or a domain; tables of light go to about 100."""
 SIZES = {"LUT_1D_SIZE": MAX_1D_SIZE, "LUT_3D_SIZE": MAX_3D_SIZE}
 RANGES = {"DOMAIN_MIN": 3, "DOMAIN_MAX": 3, "LUT_1D_INPUT_RANGE": 2, "LUT_3D_INPUT_RANGE": 2}
 """Keyword -> how many numbers follow it."""
@@ -38,7 +38,7 @@ Domain = tuple[tuple[float, float, float], tuple[float, float, float]]
 MIN_DOMAIN = 1e-6
 """Between the lowest and the highest input of a table."""
 MAGIC, HEAD_BYTES = b"CLUT", 60
-"""Of the tables in a project: sizes and domains, then entries of three float32."""
+"""Beginning of the tables in a project: sizes and domains, then entries of three float32."""
 UNIT: Domain = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
 
 
@@ -47,7 +47,7 @@ class CubeLut:
     """A table of colours: call it with display colours [..., 3] to have the like, 0..1."""
 
     name: str
-    """For receipts: that of its file."""
+    """Name for receipts: that of its file."""
     shaper: np.ndarray | None = field(default=None, repr=False)
     """[S, 3] float32: the 1D table, applied first; one column per channel."""
     cube: np.ndarray | None = field(default=None, repr=False)
@@ -69,7 +69,7 @@ class CubeLut:
         return f"LUT {self.name}"
 
     def to_png(self) -> bytes:
-        """Its tables, for a project to keep."""
+        """The tables as PNG, for a project to keep."""
         sizes = [0 if table is None else len(table) for table in (self.shaper, self.cube)]
         domains = np.array([*self.shaper_domain, *self.cube_domain], "<f4").tobytes()
         tables = [table.astype("<f4").tobytes() for table in (self.shaper, self.cube) if table is not None]
@@ -85,12 +85,12 @@ class CubeLut:
             size_1d, size_3d = struct.unpack_from("<II", data, 4)
             count = size_1d + size_3d**3
             if 1 in (size_1d, size_3d) or size_1d > MAX_1D_SIZE or size_3d > MAX_3D_SIZE or not count:
-                raise ValueError(f"it says sizes of {size_1d} and {size_3d}")
+                raise ValueError(f"its header gives sizes of {size_1d} and {size_3d}")
             domains = np.frombuffer(data, "<f4", 12, 12).astype(np.float64)
             table = np.frombuffer(data, "<f4", 3 * count, HEAD_BYTES).reshape(count, 3).astype(np.float32)
             low, high = domains.reshape(2, 2, 3).swapaxes(0, 1)
             if not (np.abs(table) <= MAX_VALUE).all() or not (np.abs(domains) <= MAX_VALUE).all():
-                raise ValueError("it holds numbers that are none")
+                raise ValueError("a number in it is not finite or too large")
             if (high - low < MIN_DOMAIN).any():
                 raise ValueError("a domain is empty")
         except (ValueError, struct.error) as error:
@@ -114,7 +114,7 @@ def read_cube(path: Path) -> CubeLut:
 
 
 def parse_cube(text: str, where: Path | str) -> CubeLut:
-    """As `read_cube`, of a file's text."""
+    """As `read_cube`, for a file's text."""
     header: dict[str, tuple[float, ...]] = {}
     table = np.zeros((0, 3), np.float32)
     count = limit = 0

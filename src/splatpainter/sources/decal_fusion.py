@@ -29,18 +29,18 @@ BEHIND = 0.1
 ROUNDS = 3
 """The first one without normals."""
 POWER = 3
-"""Of the cosine of the angle at which a view sees the surface, as its weight: the more a line of sight lies along foggy
-surface, the deeper it sees into it."""
+"""Power of the cosine of the angle at which a view sees the surface, as its weight: the more a line of sight lies along
+foggy surface, the deeper it sees into it."""
 MIN_COSINE = 0.15
-"""In this, at least."""
+"""Least cosine in this weight."""
 BLUR = 1.5
 """Standard deviation of the blur of the distances, voxels."""
 MIN_WEIGHT = 0.1
-"""Of a voxel after the blur, in views that see it frontally."""
+"""Least weight of a voxel after the blur, in views that see it frontally."""
 DIRECTIONS = ((0, 0), (45, 0), (-45, 0), (90, 0), (-90, 0), (135, 0), (-135, 0), (0, 50), (0, -50))
 """Degrees around and over the normal of the first point from which views look."""
 MIN_ALPHA = 0.5
-"""Of pixels that show a surface."""
+"""Least alpha of pixels that show a surface."""
 
 
 def fused_surface(

@@ -41,7 +41,7 @@ SMOOTHED_SPACINGS = 5.0
 SMOOTHED_SIZE = 0.06
 """... and in diagonals of the decal, at least."""
 SMOOTHING_ROUNDS = 2
-"""Of the samples."""
+"""Rounds of smoothing of the samples."""
 MAX_FIT_PX = 3
 """Reach of planes fitted to rendered depth where the surface is not trusted."""
 MIN_OUTLINE_SHARE, MAX_OUTLINE_SHARE = 0.05, 0.85
@@ -54,7 +54,7 @@ MAX_FIT_RESIDUAL = 1.0
 BALL = 0.54
 """Radius of the ball in which views of rough surface are fused, in diagonals of the decal."""
 MAX_SAMPLES = 60_000
-"""Of one decal; from which on no further view is surveyed."""
+"""Most samples of one decal; from which on no further view is surveyed."""
 STRIP_MARGIN = 0.35
 """How far beyond its rectangle's side a turned decal may wind around something, in lengths of the other side."""
 MIN_RIM_ALPHA = 0.15
@@ -68,7 +68,7 @@ MAX_APPROACHES, APPROACH = 4, 0.6
 MAX_SURVEYS = 10
 """Cameras that look for the surface under a decal."""
 PIXELS_PER_SPACING = 1.4
-"""Of these cameras, where they face the surface."""
+"""Resolution of these cameras, where they face the surface."""
 GRAZING = np.cos(np.radians(58.0))
 """Cosine between the normal and the line of sight below which a sample should be seen from elsewhere."""
 LEAN = np.radians(50.0)
@@ -83,23 +83,23 @@ asks along a line."""
 FRONTAL = np.cos(np.radians(42.0))
 """Cosine between normal and line of sight from which a view counts as frontal."""
 SIDE_TURN = np.radians(38.0)
-"""To both sides of a view that paints fog: more cameras that paint the same part."""
+"""Angle to both sides of a view that paints fog: more cameras that paint the same part."""
 MIN_CLEAR = 0.25
 """Share of the pixels of a view that show Gaussians on the surface, below which it paints fog, as on rough surface."""
 CREASE_PX = 10
-"""To both sides of an edge between faces, pixels of the decal that a view from between them paints: for those that face
-them the edge is an outline, and what they see there of the other face they would spoil."""
+"""Width to both sides of an edge between faces, pixels of the decal that a view from between them paints: for those
+that face them the edge is an outline, and what they see there of the other face they would spoil."""
 MAX_CREASE_COSINE = 0.64
 """Between the directions of two views, so that there is an edge between what they face; less its negative: a rim."""
 MIN_FACE_COSINE = 0.85
 """Mean, over what lies beside the edge, of the cosine between normals and the direction of the view that faces it:
 round surfaces have no edge."""
 OVERLAP_PX = 3
-"""By which the parts of neighbouring views overlap."""
+"""Pixels by which the parts of neighbouring views overlap."""
 MARGIN_PX = 24
 """Around the part that a view paints."""
 MIN_SHARE = 0.01
-"""Of a patch: what a view must show best, to be one of those that paint it."""
+"""Least share of a patch: what a view must show best, to be one of those that paint it."""
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ MAX_ROUGH_PX = 50_000
 stickers are averaged down. A sticker of 60 % of a capture's diameter: 94,000 Gaussians and 12 CPU s instead of 176,000
 and 22; with half as many its outline crumbles."""
 SAMPLES = 12_000
-"""Of the surface, under a decal."""
+"""Samples of the surface, under a decal."""
 BALL_SAMPLES = 20_000
 """... and of a disk around it."""
 SPACING_WIDTHS = 0.6
@@ -47,7 +47,7 @@ NEARLY_ALL = 0.97
 MAX_DIAMETERS = 4.0
 """Width and height of a decal, at most, in diameters of the asset."""
 MAX_ASPECT = 40.0
-"""Of a decal's sides."""
+"""Largest aspect ratio of a decal."""
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ class Decal:
 
 @dataclass(frozen=True)
 class LaidDecal:
-    """A decal on an asset."""
+    """A decal that was laid on an asset."""
 
     edits: tuple[Edit, ...]
     size: tuple[float, float]
@@ -204,7 +204,7 @@ def text_picture(text: str, color: tuple[float, float, float], font: Path | None
 
 
 def _picture(source: np.ndarray | Picture | str | Path) -> Picture:
-    """Checked. Raises ValueError, one line."""
+    """The picture, checked. Raises ValueError, one line."""
     if isinstance(source, (str, Path)):
         picture = read_picture(Path(source))
     elif isinstance(source, Picture):

@@ -27,7 +27,7 @@ from splatpainter.splats import Splats
 MAX_ASPECT_ERROR = 0.01
 """A picture's aspect ratio may differ from its camera's by this part (one pixel of rounding, and some)."""
 MIN_MASK = 0.25
-"""Of a mask that was resampled: a thin stroke survives being shrunk."""
+"""Value from which a resampled mask counts: a thin stroke survives being shrunk."""
 MAX_CLEAR_ALPHA = 0.02
 """Alpha up to here is transparent (resampling leaves ripples around an edge)."""
 
@@ -38,7 +38,7 @@ class FileEdit:
 
     path: Path
     picture: Picture
-    """At the camera's size."""
+    """The picture at the camera's size."""
     original_size: tuple[int, int]
     """(width, height) of the file."""
     camera: Camera

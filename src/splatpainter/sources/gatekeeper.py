@@ -38,7 +38,7 @@ FEATHER_PX = 2
 MIN_FEATHER = 0.25
 """Weight on the rim of a mask, and on strokes that are all rim."""
 GROWN_PX = 2
-"""By which the changed region grows before its edge is softened."""
+"""Pixels by which the changed region grows before its edge is softened."""
 RIM_PX = 4
 """Pixels beside a mask that are not compared: generators soften its edge."""
 MAX_UNTOUCHED = 0.02
@@ -51,7 +51,7 @@ SPECK_PX, SPECK_SHARE = 3, 0.4
 """In compressed pictures a changed pixel counts where so large a share of those within this reach changed, too:
 colours that were stored at half the size bleed over edges."""
 SLACK_PX = 0.2
-"""By which a picture that was moved back may still be off: that much of the slope is no change."""
+"""Pixels by which a picture that was moved back may still be off: that much of the slope is no change."""
 MOSTLY = 0.6
 """Share of what may change from which all of it counts as changed: a new style leaves some pixels by chance."""
 MAX_MIRRORED, MIRROR_GAIN = 0.75, 0.2
@@ -59,7 +59,7 @@ MAX_MIRRORED, MIRROR_GAIN = 0.75, 0.2
 MIN_COVER = 0.02
 """Alpha from which a pixel shows the asset."""
 CONSISTENT_ROUNDS = 8
-"""Of back-projection."""
+"""Rounds of back-projection."""
 
 
 class RefusedPicture(SourceError):
@@ -116,7 +116,7 @@ class AdmittedPicture:
     registration: Registration
     drift: ColorDrift
     share: float
-    """Of the asset's pixels, changed."""
+    """Share of the asset's pixels that changed."""
     spilled: float
     """Share of the asset's pixels outside the mask that had changed, and were put back."""
     notes: tuple[str, ...] = ()
@@ -125,7 +125,7 @@ class AdmittedPicture:
     """Whether nothing but the tone of all colours changed, which was then taken as it is."""
 
     def record(self) -> dict:
-        """What receipts say."""
+        """The object that receipts record."""
         laid = self.registration
         return {
             "framing": laid.framing,
@@ -176,7 +176,7 @@ def admit(
         if mask is not None:
             where, advice = " outside the mask", "is the mask the right way round (white may change)? else ask again"
         raise RefusedPicture(
-            f"{name}: the picture shows something else than what was sent: its edges agree{where} by "
+            f"{name}: the picture shows something other than what was sent: its edges agree{where} by "
             f"{registration.score:.2f} of 1, expected {limits.score:g} (strictness {strictness}); {advice}"
         )
     _check_mirror(registration, colors, render, compared, content, name)
@@ -493,8 +493,8 @@ def _tone_notes(toned: bool, mask: np.ndarray | None) -> tuple[str, ...]:
     if not toned:
         return ()
     if mask is not None:
-        return ("its tone changed everywhere and nothing else: taken as it is within the mask",)
-    return ("its tone changed everywhere and nothing else: taken as it is; mode global carries it to all sides",)
+        return ("only its tone changed, everywhere: used as it is within the mask",)
+    return ("only its tone changed, everywhere: used as it is; mode global carries it to all sides",)
 
 
 def _notes(registration: Registration, drift: ColorDrift, spilled: float, moved: bool, factor: int) -> tuple[str, ...]:

@@ -17,11 +17,11 @@ MIN_SCALE = 1.1
 """Pictures that are less larger than their view are resampled to it."""
 MAX_SCALE = 8
 MAX_LARGER_PX = 4096
-"""Of the longer side of a larger view; pictures beyond are shrunk to it."""
+"""Most pixels of the longer side of a larger view; pictures beyond are shrunk to it."""
 KERNELS: tuple[Kernel, ...] = ("nearest", "bilinear", "bicubic", "lanczos")
-"""By which programs enlarge."""
+"""Kernels by which programs enlarge."""
 SLACK = 2 / 255
-"""By which an enlargement may leave the range of those by KERNELS."""
+"""Most by which an enlargement may leave the range of those by KERNELS."""
 REACH_PX = 3
 """Pixels of the view around what surely was edited, in which differences count that may come from enlarging."""
 

@@ -138,7 +138,7 @@ def _opened(path: Path, decode: bool = True) -> Iterator[Image]:
     if path.is_dir():
         raise ValueError(f"{path}: is a folder; expected a picture")
     if not path.is_file():
-        raise ValueError(f"{path}: is no regular file; expected a picture")
+        raise ValueError(f"{path}: is not a regular file; expected a picture")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Pillow's own size warning and remarks about EXIF: judged here or harmless
         try:

@@ -52,7 +52,7 @@ class PictureRequest:
     """Further pictures [h, w, 3] that show what is meant."""
     seed: int | None = None
     scale: int = 1
-    """How many times wider and higher the answer is to be."""
+    """Factor by which the answer is to be wider and higher."""
     camera: Camera | None = None
     depth: Map | None = None
     """Gives [H, W] float32, distances along the view axis in world units, 0 where nothing is."""
@@ -62,7 +62,7 @@ class PictureRequest:
 
 @dataclass(frozen=True)
 class PictureAnswer:
-    """What came back, before anything is judged or corrected."""
+    """A source's answer, before anything is judged or corrected."""
 
     image: np.ndarray
     """[h, w, 3 or 4], display sRGB and alpha, 0..1, float32: of any size."""
@@ -89,7 +89,7 @@ class Capabilities:
     max_seed: int = 2**64 - 1
     """The largest that it takes."""
     maps: frozenset[str] = field(default_factory=frozenset)
-    """Of {"depth", "normal"}: the maps that it takes."""
+    """Maps that it takes, of {"depth", "normal"}."""
     scales: tuple[int, ...] = (1,)
     """Enlargements that it can be asked for."""
     max_side_px: int = 4096

@@ -31,7 +31,7 @@ GRID_PX = 64
 GRID_SCALES = tuple(np.exp(np.linspace(math.log(0.8), math.log(1.25), 13)).tolist())
 GRID_DEGREES = (-8.0, -6.0, -4.0, -2.0, 0.0, 2.0, 4.0, 6.0, 8.0)
 SURE_SCORE = 0.8
-"""From which the first answer is taken without looking further."""
+"""Score from which the first answer is taken without looking further."""
 MAX_STEPS = 20
 """Gauss-Newton steps on one level."""
 STILL_PX = 0.005
@@ -53,7 +53,7 @@ SCORE_PX = 256
 SCORE_BLOCK_PX = 16
 """Side of a block there."""
 MIN_BLOCK_DEVIATION = 0.008
-"""Of a block's edges, below which it has no texture."""
+"""Deviation of a block's edges, below which it has no texture."""
 MIN_BLOCKS = 6
 """Blocks with texture that a score needs."""
 MAX_SHIFT_FRACTION = 0.04
@@ -506,7 +506,7 @@ class Crop:
 
     @property
     def window(self) -> tuple[slice, slice]:
-        """Of an image [H, W]."""
+        """The crop as slices of an image [H, W]."""
         return slice(self.y, self.y + self.height), slice(self.x, self.x + self.width)
 
 

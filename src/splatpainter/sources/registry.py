@@ -36,7 +36,7 @@ ENTRY_POINTS = "splatpainter.sources"
 BUILT_IN = ("command", "gemini", "openai", "comfyui", "diffusers", "upscale", "watch")
 """Modules of splatpainter.sources.backends, imported when they are asked for: DESCRIPTION and open_source(options)."""
 MAX_LINE_CHARACTERS = 600
-"""Of an error or a note that a source gives."""
+"""Most characters of an error or a note that a source gives."""
 MIN_SECRET_CHARACTERS = 6
 """Shorter keys are no keys; taking them out would take words out."""
 
@@ -47,7 +47,7 @@ class SourceStatus:
 
     description: SourceDescription
     distribution: str = ""
-    """That it comes with; "": this one."""
+    """Distribution that it comes with; "": this one."""
     problem: str = ""
     """Why it cannot be loaded, or ""."""
 
@@ -129,7 +129,7 @@ def open_source(name: str, options: Mapping[str, str] | None = None) -> CheckedS
         names = source_names()
         near = difflib.get_close_matches(name, names, 1)
         hint = f"; perhaps you meant {near[0]}" if near else ""
-        raise SourceError(f"source {name[:80]!r}: there is none of this name{hint}; there are {', '.join(names)}")
+        raise SourceError(f"source {name[:80]!r}: no such source{hint}; available: {', '.join(names)}")
     if len(points) > 1:
         brought = " and ".join(sorted(_distribution(point) for point in points))
         raise SourceError(f"source {name}: comes with {brought}; uninstall one of them")

@@ -15,7 +15,7 @@ QUIET_SECONDS = 0.3
 LOOK_SECONDS = 0.1
 """Between looks at a folder."""
 MAX_FILES = 10_000
-"""Of a folder that is watched."""
+"""Most files of a folder that is watched."""
 Signature: TypeAlias = tuple[int, int, int]
 """(nanoseconds of its last change, bytes, inode) of a file."""
 

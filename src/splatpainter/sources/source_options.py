@@ -24,7 +24,7 @@ from typing import Any, TypeVar, get_args, get_type_hints
 from splatpainter.sources.picture_source import Capabilities, SourceError, describe
 
 MAX_OPTION_CHARACTERS = 10_000
-"""Of one value."""
+"""Most characters of one value."""
 TRUTH_VALUES = {"yes": True, "true": True, "1": True, "on": True, "no": False, "false": False, "0": False, "off": False}
 _T = TypeVar("_T")
 
@@ -53,7 +53,7 @@ class SourceDescription:
     options: type | None = None
     """Dataclass of its options."""
     capabilities: Capabilities | None = None
-    """With the options' defaults; None: they depend on the options."""
+    """Capabilities with the options' defaults; None: they depend on the options."""
     takes: str = ""
     """What it takes in words, where `capabilities` is None."""
     keys: tuple[str, ...] = ()

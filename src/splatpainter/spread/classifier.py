@@ -36,7 +36,7 @@ class Projections:
 
     @staticmethod
     def of(inputs: int, seed: int = 0) -> Projections:
-        """For points of `inputs` coordinates, in units of the kernel's standard deviation."""
+        """Projections for points of `inputs` coordinates, in units of the kernel's standard deviation."""
         rng = np.random.default_rng([seed, inputs, 811])
         directions = rng.standard_normal((inputs, FEATURES)) / (2 * np.pi)
         return Projections(directions.astype(np.float32), rng.random(FEATURES).astype(np.float32))

@@ -21,7 +21,7 @@ MIN_LIGHT = 1e-3
 HOLD_MATRIX, HOLD_OFFSET = 0.02, 0.05
 """Pull of A and b towards where they start, in variances of the old colour over its mean luminance."""
 STEP = 0.02
-"""Of the central differences along a SH coefficient, display units."""
+"""Step of the central differences along a SH coefficient, display units."""
 
 
 @dataclass(frozen=True)

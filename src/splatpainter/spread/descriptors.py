@@ -27,7 +27,7 @@ INPUTS = 15
 
 @dataclass(frozen=True)
 class Descriptors:
-    """Of M Gaussians."""
+    """Descriptors of M Gaussians."""
 
     values: np.ndarray = field(repr=False)
     """[M, INPUTS] float32."""

@@ -31,12 +31,12 @@ SAME_MATERIAL = 0.8
 MAX_STEP_PX = 25.0
 """Step in depth across the edge from which the other side is another surface, pixels' worth of length."""
 MIN_OPEN_SHARE = 0.1
-"""Of the paint's edge, from which the paint ends in the middle of a material."""
+"""Least open share of the paint's edge, from which the paint ends in the middle of a material."""
 
 
 @dataclass(frozen=True)
 class Examples:
-    """Of M Gaussians."""
+    """Which of M Gaussians are examples of the painted material, and which are not."""
 
     positive: np.ndarray = field(repr=False)
     """[M] bool: painted in some view."""

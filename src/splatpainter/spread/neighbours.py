@@ -14,7 +14,7 @@ from splatpainter.kernels.parallel import run
 COUNT = 16
 """Neighbours of a point, itself the first."""
 POINTS_PER_CUBE = 4.0
-"""Of the cubes that hold any, about."""
+"""Points per cube, about, of the cubes that hold any."""
 MAX_RINGS = 3
 """Cubes around its own into which a search looks."""
 MAX_TESTED = 4096

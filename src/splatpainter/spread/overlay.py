@@ -1,4 +1,4 @@
-"""How sure it is, drawn: confidence over a view, as a layer of colour, and as a picture for people."""
+"""Confidence of mode spread, drawn over a view as a layer of colour, and as a picture for people."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import Splats
 
 OPACITY = 0.7
-"""Of the colours over the view."""
+"""Opacity of the colours over the view."""
 RAMP_AT = (0.0, 0.5, 1.0, 1.6)
 """Confidence over the threshold ..."""
 RAMP = ((40, 60, 160), (235, 70, 60), (250, 200, 40), (60, 200, 90))

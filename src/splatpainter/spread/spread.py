@@ -31,17 +31,17 @@ from splatpainter.spread.neighbours import smoothed
 from splatpainter.spread.options import SPREAD_DEFAULTS, SpreadOptions
 
 MAX_EXAMPLES = 8192
-"""Of each kind, evenly chosen, that the classifier learns from."""
+"""Most examples of each kind, evenly chosen, that the classifier learns from."""
 WIDTH = 0.4
-"""Of the kernel: units of descriptors are multiplied by it."""
+"""Width of the kernel: units of descriptors are multiplied by it."""
 RIDGE, RIDGE_PARTIAL = 0.3, 1.0
-"""Of both questions (classifier.py)."""
+"""Ridge of both questions (classifier.py)."""
 SMOOTHING_ROUNDS, HOLD, HOLD_EXAMPLES = 12, 0.4, 0.8
 """Over the surface, and how much a Gaussian, and an example, holds on to its own answer in each."""
 SELF_ROUNDS, SELF_NEGATIVE, SELF_POSITIVE = 3, 0.5, 0.6
-"""Of paint that ends in the middle of the material: rounds, and the answers up to which, and from which, what the views
-show is an example of the next one. On 14 training meshes, a stroke over 30 % of the material in view: IoU 0.64 without,
-0.67 after one round, 0.71 after three."""
+"""For paint that ends in the middle of the material: rounds, and the answers up to which, and from which, what the
+views show is an example of the next one. On 14 training meshes, a stroke over 30 % of the material in view: IoU 0.64
+without, 0.67 after one round, 0.71 after three."""
 LIKE = 1.0
 """Units of colour by which neighbours may differ to take much from each other."""
 SOFT = 0.15
@@ -49,14 +49,14 @@ SOFT = 0.15
 MIN_PAINTED_PX, SURE = 0.3, 0.5
 """Pixels that must show a Gaussian under the paint, and confidence, for it to say how the colour changes."""
 MAX_CONFIDENCE = 0.99
-"""Of what is not painted itself."""
+"""Highest confidence of what is not painted itself."""
 MIN_SHARE = 1 / 64
 """Gaussians that would change by less keep their bits."""
 
 
 @dataclass(frozen=True)
 class Reach:
-    """What of an asset is of the painted material."""
+    """Which Gaussians of an asset are of the painted material."""
 
     confidence: np.ndarray = field(repr=False)
     """[N] float32 0..MAX_CONFIDENCE; 0 for Gaussians that cannot be drawn."""

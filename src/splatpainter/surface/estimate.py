@@ -43,9 +43,9 @@ MAX_SHRINKS = 24
 MIN_MASS = 2e-3
 """Patches that weigh less than this share of the heaviest one are left out."""
 ROUNDS = 4
-"""Of reweighting: patches off the surface by one `tau` (in windows) lose 0.4 of their vote."""
+"""Rounds of reweighting: patches off the surface by one `tau` (in windows) lose 0.4 of their vote."""
 FIRST_TAU, TAU_RESIDUALS, MIN_TAU = 0.5, 2.0, 0.25
-"""In the first round; afterwards in residuals of the round before, at least, in windows."""
+"""`tau` in the first round; afterwards in residuals of the round before; its least value, in windows."""
 MIN_SLANT = 0.35
 """Cosine between normal and line of sight below which the step along the latter is bounded."""
 TRUST_WEIGHTS = (3.37, -9.01, 15.02, -5.28, -3.81, -2.40, 2.58, -1.89, -0.49, -0.42)
@@ -67,7 +67,7 @@ PRECISE_RESIDUAL, CLOUDY_RESIDUAL = 0.12, 0.27
 second they are a cloud behind it (an optimised asset shows the front of its Gaussians, not their centres), and the
 surface is where light stops. Between the two the height is a mixture."""
 RAY_SHARE = 0.25
-"""Of the light that has been stopped at the surface of a cloud. On objects fitted from points with noise (density
+"""Share of the light that has been stopped at the surface of a cloud. On objects fitted from points with noise (density
 control, 700 steps) the median error of height is 0.66 widths by centres alone, 0.44, 0.30, 0.28 with 0.5, 0.3, 0.25."""
 RAY_RADIUS = 0.5
 """Distance from the query of the six rays around it, in windows."""
@@ -101,7 +101,7 @@ class SurfacePoints:
 
 @dataclass(frozen=True)
 class Surface:
-    """Of one asset, as it was before all edits."""
+    """The surface of one asset, as it was before all edits."""
 
     samples: SurfaceSamples
 

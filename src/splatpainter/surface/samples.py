@@ -58,7 +58,7 @@ class SurfaceSamples:
 
     @staticmethod
     def of(splats: Splats) -> SurfaceSamples:
-        """Of the Gaussians that can be drawn and are not nearly transparent. splats: numpy, float32."""
+        """Samples of the Gaussians that can be drawn and are not nearly transparent. splats: numpy, float32."""
         arrays = splats.numpy()
         ids = np.flatnonzero(splats.drawable & (arrays.opacities >= MIN_OPACITY))
         means = arrays.means[ids].astype(np.float32)

@@ -24,11 +24,11 @@ from splatpainter.kernels.simd import LANES, scratch
 from splatpainter.kernels.vector_exp import exp64
 
 MIN_DISTANCE = 0.7
-"""Between samples, in spacings."""
+"""Least distance between samples, in spacings."""
 REACH = 2.2
 """Distance up to which samples are neighbours, in spacings."""
 MAX_NEIGHBOURS = 256
-"""Of a sample; beyond them it has none."""
+"""Most neighbours of a sample; beyond them it has none."""
 MAX_CREASE = math.radians(120.0)
 """Angle between the normals of neighbours, at most."""
 HINGE = math.radians(20.0)
@@ -44,7 +44,7 @@ CHORD = 1 - 1e-6
 MIN_AGREEING_COSINE = 0.2
 """Between the normals of a query and of a sample that smooths it."""
 SMOOTHED_TURN = 0.4
-"""By which this cosine is below 1 where a sample's weight has fallen to 1/e."""
+"""Amount by which this cosine is below 1 where a sample's weight has fallen to 1/e."""
 CELL_BITS = 21
 """Bits of a cell's index along each axis."""
 BLOCK = 256
@@ -301,8 +301,8 @@ def _neighbours(points, normals, i, px, py, pz, nx, ny, nz, reach, keys, order, 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _step(point, normal, right, qx, qy, qz, mx, my, mz, out):
-    """From a sample to a neighbour (qx, qy, qz) with normal (mx, my, mz): out = (u, v) of the way, and the direction
-    of right there [5]; returns the way's length."""
+    """The step from a sample to a neighbour (qx, qy, qz) with normal (mx, my, mz): out = (u, v) of the way, and the
+    direction of right there [5]; returns the way's length."""
     dx, dy, dz = qx - point[0], qy - point[1], qz - point[2]
     nx, ny, nz = normal[0], normal[1], normal[2]
     # --- right, turned with the normal by the smallest rotation: v - (v.(n + m)) / (1 + n.m) (n + m), for v.n = 0

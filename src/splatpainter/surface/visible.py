@@ -38,12 +38,12 @@ WINDOW_WIDTHS = 1.3
 MIN_WINDOW_PX = 1.5
 """... and in pixels, at least."""
 MIN_TRUST = 0.3
-"""From which a height is used. Held-out objects: it keeps 99.5 % of what is seen of clean assets (what it drops is off
-by 1.7 widths in the median), 84 to 90 % of fitted ones (dropped: 0.6 widths) and 93 to 99 % of six captures."""
+"""Trust from which a height is used. Held-out objects: it keeps 99.5 % of what is seen of clean assets (what it drops
+is off by 1.7 widths in the median), 84 to 90 % of fitted ones (dropped: 0.6 widths) and 93 to 99 % of six captures."""
 MAX_DISAGREEMENT = 0.6
 """Distance between a plane and its neighbour's, in windows, up to which both are one surface."""
 MIN_AGREEING = 1
-"""Of a lattice point's eight neighbours: those that must lie on its plane."""
+"""How many, of a lattice point's eight neighbours, must lie on its plane."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class VisibleSurface:
     """What it was made of."""
 
     def at(self, pixels: np.ndarray) -> PixelSurface:
-        """At Q places of the picture. pixels: [Q, 2] float64 x, y (centres at .5)."""
+        """Surface at Q places of the picture. pixels: [Q, 2] float64 x, y (centres at .5)."""
         out = np.zeros((len(pixels), 6))
         rays = np.stack(
             [(pixels[:, 0] - self.camera.cx) / self.camera.fx, (pixels[:, 1] - self.camera.cy) / self.camera.fy], 1
@@ -111,7 +111,8 @@ class SightEstimates:
 
 
 def _merged(first: SurfacePoints, at: np.ndarray, second: SurfacePoints, source: np.ndarray) -> SurfacePoints:
-    """At Q queries: `first` at the indices `at`, and `second` where `source` ([Q], its index) is not negative."""
+    """Points at Q queries: `first` at the indices `at`, and `second` where `source` ([Q], its index) is not
+    negative."""
     taken, values = np.flatnonzero(source >= 0), {}
     for attribute in fields(SurfacePoints):
         fresh, old = getattr(first, attribute.name), getattr(second, attribute.name)
@@ -123,7 +124,7 @@ def _merged(first: SurfacePoints, at: np.ndarray, second: SurfacePoints, source:
 
 @dataclass(frozen=True)
 class PixelSurface:
-    """Of Q pixels."""
+    """Depth, normal and trust of the surface at Q pixels."""
 
     depth: np.ndarray = field(repr=False)
     """[Q] float64 z, 0 where no trusted surface is."""

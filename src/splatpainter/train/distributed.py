@@ -45,7 +45,7 @@ class Group:
         return moved.to(values.device)
 
     def wait(self) -> None:
-        """Until every process is here."""
+        """Wait until every process is here."""
         if self.world > 1:
             import torch.distributed as dist
 

@@ -47,14 +47,14 @@ class Trial:
     """One sample of the list."""
 
     number: int
-    """Its place in the list, from 0."""
+    """Index in the list, from 0."""
     kind: str
     sample: Sample | str
     """Or why there is none."""
 
 
 def trials(supply: Supply, kinds: Mapping[str, float], count: int, max_views: int) -> Iterator[Trial]:
-    """`count` samples of objects held out of training, made one at a time. kinds: kind -> weight; most_views: edited
+    """`count` samples of objects held out of training, made one at a time. kinds: kind -> weight; max_views: edited
     views of every "relight" sample (in shards: of those that have them). Raises ValueError where no object is held
     out, or none of the kinds can be made of this data."""
     stream = _validation_stream(supply)
@@ -135,9 +135,9 @@ class Finding:
     """The figures of one sample, or of one number of its edited views."""
 
     sample: int
-    """Its number: findings of one sample share it."""
+    """Number of the sample: findings of one sample share it."""
     name: str
-    """Of the object."""
+    """Name of the object."""
     mode: str
     """local, global; "" where nothing is edited."""
     kind: str
@@ -260,7 +260,7 @@ def looking_tasks(recipe: Recipe, model: SplatPainterModel, folder: Path) -> tup
     tensors = state.read_outs(folder.parent)
     group = {name: tensor for name, tensor in tensors.items() if name in dict(task.named_parameters())}
     if not group:
-        return tasks, f"{folder}: the read-out of hidden colours is in {state.STATE}/ beside it, which is not there"
+        return tasks, f"{folder}: the read-out of hidden colours is in {state.STATE}/ beside it, which is missing"
     task.load_state_dict(group, strict=False)
     return tasks | {HIDDEN: task.to(next(model.parameters()).device)}, ""
 
@@ -395,7 +395,7 @@ def from_json(records: Sequence[dict[str, object]]) -> Rows:
 
 
 def _cells(row: EditRow | CopyRow) -> dict[str, object]:
-    """For people."""
+    """Cells of a row of the table, for people."""
     if isinstance(row, CopyRow):
         return {
             "what": row.what,
@@ -431,7 +431,9 @@ def _trio(*values: float | None) -> str:
 
 
 def _goal_line(what: str, goal: float, gain: float) -> str:
-    return f"{what}: wanted lift {goal:+.1f} dB, got {gain:+.2f} dB: {'reached' if gain >= goal else 'missed'}"
+    return (
+        f"{what}: goal {goal:+.1f} dB over the lift, measured {gain:+.2f} dB: {'reached' if gain >= goal else 'missed'}"
+    )
 
 
 def _view_count(count: int | None) -> str:

@@ -224,7 +224,7 @@ class Loop:
         self.group.wait()
 
     def _numbers(self) -> Iterator[int]:
-        """Of all samples to come."""
+        """Numbers of all samples to come."""
         for step in range(self.progress.step, self.recipe.steps):
             yield from sample_numbers(step, self.recipe.batch, self.recipe.stay, self.group.rank, self.group.world)
 

@@ -46,7 +46,7 @@ class TrainingData:
     validation: list[Any]
     """Fixed; samples, of stage predict edits of Gaussians without pictures."""
     objects: tuple[int, int]
-    """Of training, of validation."""
+    """Numbers of objects for training and for validation."""
 
 
 @dataclass(frozen=True)
@@ -56,9 +56,9 @@ class Supply:
     data: str
     recipe: SampleRecipe
     seed: int
-    """Of order and edits."""
+    """Seed of order and edits."""
     share: float
-    """Of the objects, for validation."""
+    """Share of the objects that is for validation."""
     resources: ResourceFolders
     device: str = "cpu"
     memory: int = 1 << 30

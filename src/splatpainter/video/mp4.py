@@ -16,7 +16,7 @@ MATRIX = struct.pack(">9I", 0x10000, 0, 0, 0, 0x10000, 0, 0, 0, 0x40000000)
 """Identity, in 16.16 and 2.30 fixed point."""
 CONTAINERS = (b"moov", b"trak", b"mdia", b"minf", b"stbl")
 SAMPLE_ENTRY_BYTES = 86
-"""Of a VisualSampleEntry before its boxes, its own header included."""
+"""Bytes of a VisualSampleEntry before its boxes, its own header included."""
 MAX_TIMESCALE = 90_000
 """Ticks per second; frame rates are rounded to a fraction of no larger denominator."""
 
@@ -30,7 +30,7 @@ class CodedFrames:
     entry: bytes
     """The boxes of the AV1 sample entry: av1C (decoder configuration), colr."""
     frames: tuple[bytes, ...]
-    """In the order of decoding, which for AV1 is that of showing."""
+    """Frames in the order of decoding, which for AV1 is that of showing."""
     keys: tuple[int, ...]
     """Indices of frames at which a player can start."""
 

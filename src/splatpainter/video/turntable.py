@@ -23,7 +23,7 @@ from splatpainter.video.mp4 import CodedFrames, avif_samples, mp4
 
 TurntableFormat = Literal["mp4", "webp"]
 MIN_FRAMES, MAX_FRAMES = 2, 7200
-"""Of one turntable."""
+"""Frames of one turntable."""
 MAX_SECONDS = 600.0
 MAX_FPS = 120.0
 MAX_SIDE_PX = 8192
@@ -47,9 +47,9 @@ class TurntableOptions:
     transparent: bool = False
     """No background but an alpha channel: WebP only."""
     quality: int = 80
-    """Of the coded pictures, 1 to 100."""
+    """Quality of the encoding, 1 to 100."""
     profile: Profile = "inria"
-    """Whose picture, as in `render`."""
+    """Which renderer to match, as in `render`."""
 
     def __post_init__(self) -> None:
         for name, value, low, high in (

@@ -20,7 +20,7 @@ from splatpainter.splats import Splats
 SIGMAS = 2.5
 """Half-length of a footprint in standard deviations."""
 MAX_SAMPLES = 4096
-"""Of one Gaussian: larger ones are sampled more coarsely, not longer."""
+"""Most samples of one Gaussian: larger ones are sampled more coarsely, not longer."""
 FIXED_POINT_UNIT = float(1 << 20)
 """Fixed-point steps per unit of optical thickness."""
 MAX_VOLUMES = 4
@@ -169,7 +169,7 @@ def _deposit(means, quats, scales, opacities, gaussian_ids, min_corner, voxel, r
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _floats(total, out, thread, threads):
-    """From fixed point: np.divide, which casts piece by piece, takes six times as long."""
+    """Floats from fixed point: np.divide, which casts piece by piece, takes six times as long."""
     for i in range(total.shape[0] * thread // threads, total.shape[0] * (thread + 1) // threads):
         out[i] = np.float32(total[i] / FIXED_POINT_UNIT)
 

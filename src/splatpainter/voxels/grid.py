@@ -30,7 +30,7 @@ from splatpainter.splats import Splats
 RESOLUTION = 128
 """Voxels along an edge, unless said."""
 MIN_OCCUPIED_DENSITY = 0.25
-"""From which a voxel stops a ray."""
+"""Density from which a voxel stops a ray."""
 
 
 @dataclass(frozen=True)

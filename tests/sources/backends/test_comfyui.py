@@ -211,7 +211,7 @@ def test_without_a_socket(server: tuple[FakeService, FakeComfyUI], workflow: Pat
             "failed validation: node 6 (KSampler): Value not in list (sampler_name: 'x'",
         ),
         ("no such node", "refused the request (400: Cannot execute because node Rusty does not exist. (Node ID '#6'))"),
-        ("our part", "did not take the workflow: node 6 (KSampler): Value not in list (sampler_name: 'x'"),
+        ("our part", "refused the workflow: node 6 (KSampler): Value not in list (sampler_name: 'x'"),
         ("interrupted", "stopped: it was interrupted on the server"),
         ("socket interrupted", "was interrupted on the server"),
         ("error", "stopped in node 6 (KSampler): out of memory"),
@@ -280,7 +280,7 @@ def test_it_takes_what_its_workflow_has(server: tuple[FakeService, FakeComfyUI],
 @pytest.mark.parametrize(
     ("content", "line"),
     [
-        ("{", "expected a workflow, got no JSON"),
+        ("{", "expected a workflow as JSON"),
         ("[]", "expected a workflow in API format"),
         ('{"1": {}}', "expected a workflow in API format"),
         ('{"1": {"class_type": "A"}}', "expected nodes with inputs"),

@@ -76,12 +76,12 @@ def test_it_takes_what_its_template_names() -> None:
     ("template", "line"),
     [
         ("", "run is empty"),
-        ("'", "cannot be split into words (no closing quotation)"),
+        ("'", "cannot be split into arguments (no closing quotation)"),
         ("python {image}", "needs {out}"),
         ("python {picture} {out}", "run has no {picture}; there are {image} {alpha} {mask}"),
-        ("no-such-program-here {out}", "no program 'no-such-program-here' here; give its path"),
+        ("no-such-program-here {out}", "program 'no-such-program-here' not found; give its path"),
         ("{image} {out}", "has to begin with a program"),
-        ("python --refs={references} {out}", "{references} has to be a word of its own"),
+        ("python --refs={references} {out}", "{references} has to be an argument of its own"),
     ],
 )
 def test_templates_that_are_refused(template: str, line: str) -> None:

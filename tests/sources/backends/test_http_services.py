@@ -95,11 +95,11 @@ def test_gemini_there_and_back(service: FakeService) -> None:
         ({"candidates": [{"finishReason": "IMAGE_SAFETY"}]}, "gave no picture (IMAGE_SAFETY)"),
         (
             {"candidates": [{"content": {"parts": [{"text": "I cannot\ndo this"}]}}]},
-            "with words in place of a picture",
+            "with text instead of a picture",
         ),
         ({}, "answered without a picture"),
         ([], "answered without a picture"),
-        ({"candidates": [{"content": {"parts": [{"inlineData": {"data": "%%"}}]}}]}, "a picture that is no base64"),
+        ({"candidates": [{"content": {"parts": [{"inlineData": {"data": "%%"}}]}}]}, "a picture that is not base64"),
         (HTML, "a web page (Log in & pay) in place of JSON"),
         (b"{not json", "expected JSON, got '{not json'"),
         (b"[" * 100_000, "expected JSON"),
@@ -321,7 +321,7 @@ def test_options_that_are_refused(name: str, options: dict[str, str], line: str)
 @pytest.mark.parametrize("key", ["two words", "schlüssel", "a\x01b"])
 def test_keys_that_are_none(service: FakeService, key: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("GEMINI_API_KEY", key)
-    with pytest.raises(SourceError, match="GEMINI_API_KEY is no key") as error:
+    with pytest.raises(SourceError, match="GEMINI_API_KEY is not a valid key") as error:
         gemini(service)
     assert key not in str(error.value) and not service.calls
 

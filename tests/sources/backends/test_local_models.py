@@ -288,19 +288,19 @@ def test_a_pipeline_that_is_cancelled_or_flags(folder: Path, monkeypatch: pytest
     edit("diffusers", request("moss"), progress, model=folder, steps=4, device="cpu")
     assert progress.reports[-1] == (1.0, "step 2 of 2")
     monkeypatch.setattr(Pipeline, "flagged", True)
-    with pytest.raises(SourceError, match="its safety checker took the picture out"):
+    with pytest.raises(SourceError, match="its safety checker removed the picture"):
         edit("diffusers", request("moss"), model=folder, steps=1, device="cpu")
 
 
 @pytest.mark.parametrize(
     ("name", "content", "line"),
     [
-        ("model_index.json", "{", "is no JSON"),
+        ("model_index.json", "{", "is not JSON"),
         ("model_index.json", "[]", "expected _class_name"),
         (
             "model_index.json",
             '{"_class_name": ["code", "Pipeline"]}',
-            "brings code along for its pipeline, which is not",
+            "comes with code of its own for the pipeline, which is not",
         ),
         ("model_index.json", None, "expected a folder with model_index.json"),
         ("unet/model.safetensors", None, "expected weights as safetensors$"),

@@ -168,8 +168,8 @@ class Recoloring:
     seed: int | np.random.Generator = field(repr=False)
 
     def paint(self, points: Tensor, colors: Tensor) -> PaintCoverage:
-        """Of points [N, 3] with display colours [N, 3]; the one next to `position` says what is alike: in chroma first,
-        then in lightness; a tenth of the time, everything within the radius is meant."""
+        """What the edit puts on points [N, 3] with display colours [N, 3]; the one next to `position` says what is
+        alike: in chroma first, then in lightness; a tenth of the time, everything within the radius is meant."""
         rng = np.random.default_rng(self.seed)
         target = points.new_tensor(self.position, dtype=torch.float64)
         nearest = int(((points - target) ** 2).sum(1).argmin())

@@ -23,7 +23,7 @@ DEPTH_TOLERANCE = 0.01
 MIN_PAINT_COSINE, FULL_PAINT_COSINE = 0.08, 0.3
 """Between normal and line of sight: no paint below the first, all of it from the second on."""
 MIN_COVERAGE = 1 / 64
-"""Less is none."""
+"""Least coverage that counts."""
 MIN_LIT_ALBEDO = 0.04
 """Luminance below which the light on a surface cannot be told from its colour."""
 

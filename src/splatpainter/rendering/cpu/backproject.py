@@ -238,7 +238,7 @@ def sirt_tiles(
 
 @kernel
 def reduce_mask_sums(pair_offsets, sums, out, thread, threads):
-    """As `reduce_pairs`, of two masks: the third and the sixth their maximum."""
+    """As `reduce_pairs`, for two masks: the third and the sixth their maximum."""
     F = sums.dtype.type
     m = out.shape[0]
     for i in range(m * thread // threads, m * (thread + 1) // threads):

@@ -35,8 +35,8 @@ from splatpainter.rendering.profiles import MAX_ALPHA
 STATE = 6 * PIXELS
 LANE_SUMS = 10 * LANES
 FIELDS = 10
-"""Of one pair: sums over its pixels of u, u dx, u dy, u dx^2, u dx dy, u dy^2 with u = e^-sigma dL/d alpha; of w v_C
-(3); of w v_D. Stored in 16 columns, one cache line in float32."""
+"""Fields of one pair: sums over its pixels of u, u dx, u dy, u dx^2, u dx dy, u dy^2 with u = e^-sigma dL/d alpha; of w
+v_C (3); of w v_D. Stored in 16 columns, one cache line in float32."""
 
 
 @device

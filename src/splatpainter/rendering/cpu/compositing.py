@@ -35,7 +35,7 @@ SIDE = TILE // 4
 """Blocks along a tile's side."""
 BLOCKS = SIDE * SIDE
 PIXELS = BLOCKS * LANES
-"""Of a tile."""
+"""Pixels of a tile."""
 AHEAD = 6
 """`projected` is asked for this many list entries before it is used."""
 

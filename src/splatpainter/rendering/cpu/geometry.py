@@ -54,8 +54,8 @@ def to_camera(cam, px, py, pz):
 
 @device
 def jacobian(cam, u, v, rz):
-    """Of the pixel with respect to the camera-space point, at (u, v) = (x, y) / z clamped to a little outside the
-    picture (a linearisation far outside explodes): j00, j02, j11, j12 and the clamped u, v."""
+    """Jacobian of the pixel with respect to the camera-space point, at (u, v) = (x, y) / z clamped to a little outside
+    the picture (a linearisation far outside explodes): j00, j02, j11, j12 and the clamped u, v."""
     uc = min(max(u, cam[U_MIN]), cam[U_MAX])
     vc = min(max(v, cam[V_MIN]), cam[V_MAX])
     j00 = cam[FX] * rz

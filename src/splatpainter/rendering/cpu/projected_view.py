@@ -21,7 +21,7 @@ from splatpainter.rendering.profiles import Profile
 from splatpainter.splats import ATTRIBUTES, MAX_MAGNITUDE, Splats
 
 MIN_PRESELECTED = 1 << 16
-"""From so many Gaussians on, a first pass finds those that may touch the drawn tiles, where not all tiles are."""
+"""Gaussians from which on a first pass finds those that may touch the drawn tiles, where not all tiles are."""
 MAX_PAIRS = 1 << 30
 """Pairs of a Gaussian and a tile in one view, 12 GiB of lists; beyond 2^31 their numbers would not fit into int32."""
 

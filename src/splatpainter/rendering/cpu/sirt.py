@@ -40,7 +40,7 @@ from splatpainter.rendering.cpu.projected_view import ProjectedView
 MAX_CACHED_BLOCKS = 1 << 20
 """64 MiB in float32. A Gaussian of 1 px touches about 4 blocks, one of 4 px about 30."""
 FIELDS = 4
-"""Of a tile between steps: what the movable Gaussians are to make up (3), and the pixels' weight m."""
+"""Fields of a tile between steps: what the movable Gaussians are to make up (3), and the pixels' weight m."""
 TILE_STATE = FIELDS * PIXELS
 LANE_SUMS = FIELDS * LANES
 

@@ -61,12 +61,12 @@ INPUTS = {
 """Names of inputs that a slot is written to: all of them that the node has and that are no links."""
 MAX_WORKFLOW_BYTES = 16 << 20
 MAX_MESSAGE_BYTES = 64 << 20
-"""Of a message of the socket: previews come by it too."""
+"""Most bytes of a message of the socket: previews come by it too."""
 HISTORY_SECONDS = 0.5
 """Between looks at the history where the socket is silent or closed."""
 
 CLOSE_SECONDS = 0.3
-"""That a server has to say goodbye."""
+"""Seconds that a server has to say goodbye."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class ComfyUISource:
             seed="seed" in self.slots,
             maps=frozenset({"depth", "normal"} & {*self.slots}),
             max_side_px=8192,
-            hint="its workflow takes what it has nodes for: title one splatpainter:prompt, mask, seed, depth or normal",
+            hint="title a node of the workflow splatpainter:prompt, mask, seed, depth or normal to let it take that",
         )
 
     def edit(self, request: PictureRequest, progress: Progress, cancel: CancelFlag) -> PictureAnswer:
@@ -147,7 +147,7 @@ def read_workflow(path: Path) -> dict[str, Any]:
     except SourceError:
         raise
     except (ValueError, RecursionError):
-        raise SourceError(f"source comfyui: {path}: expected a workflow, got no JSON") from None
+        raise SourceError(f"source comfyui: {path}: expected a workflow as JSON") from None
     if isinstance(data, dict) and isinstance(data.get("prompt"), dict) and "class_type" not in data["prompt"]:
         data = data["prompt"]  # as it was posted
     if isinstance(data, dict) and isinstance(data.get("nodes"), list):
@@ -244,7 +244,7 @@ class ComfyJob:
         if not taken:
             if self._prompt_id:
                 await self._give_up()
-            raise self.service.error(f"did not take the workflow: {errors or 'it gave no number'}")
+            raise self.service.error(f"refused the workflow: {errors or 'it gave no number'}")
         if errors:
             self.notes = (f"the server left out a part of the workflow: {errors}",)
 
@@ -280,7 +280,7 @@ class ComfyJob:
         answer = await self.service.json("POST", "/upload/image", files=files, data={"overwrite": "true"})
         stored, folder = at(answer, "name"), at(answer, "subfolder")
         if not isinstance(stored, str) or not stored:
-            raise self.service.error("took a picture and did not say its name; is this a ComfyUI server?")
+            raise self.service.error("accepted a picture without naming it; is this a ComfyUI server?")
         return f"{folder}/{stored}" if isinstance(folder, str) and folder else stored
 
     @contextlib.asynccontextmanager

@@ -41,7 +41,7 @@ from splatpainter.sources.source_options import SourceDescription, option
 
 POLL_SECONDS = 0.1
 TAIL_BYTES = 8192
-"""Of what a program printed, that is looked at."""
+"""Bytes at the end of what a program printed that are looked at."""
 MAX_REFERENCES = 16
 FILES = {
     "image": "image.png",
@@ -61,8 +61,8 @@ class CommandOptions:
     """Options of the source `command`."""
 
     run: str = option(
-        "The program and its words: {image} {mask} {alpha} {depth} {normal} {camera} are files, {out} the picture to "
-        "write, {prompt} {seed} {scale} words, {references} files as words of their own"
+        "The program and its arguments: {image} {mask} {alpha} {depth} {normal} {camera} are files, {out} the picture "
+        "to write, {prompt} {seed} {scale} values, {references} files, one argument each"
     )
     timeout: float = option("Seconds after which the program is ended", 600.0, least=0.1)
     ending: str = option(
@@ -104,10 +104,10 @@ class CommandSource:
         if PLACEHOLDER.search(self.words[0]):
             raise SourceError("source command: run has to begin with a program, not with a placeholder")
         if any("{references}" in word and word != "{references}" for word in self.words):
-            raise SourceError("source command: {references} has to be a word of its own; it becomes one word per file")
+            raise SourceError("source command: {references} has to be an argument of its own; it becomes one per file")
         program = shutil.which(self.words[0])
         if program is None:
-            raise SourceError(f"source command: no program {self.words[0][:200]!r} here; give its path")
+            raise SourceError(f"source command: program {self.words[0][:200]!r} not found; give its path")
         if sys.platform == "win32" and program.lower().endswith((".bat", ".cmd")) and "prompt" in names:
             raise SourceError("source command: a shell reads batch files, and prompts with it; run a program")
         self.names = names
@@ -138,7 +138,7 @@ class CommandSource:
 
     @property
     def _program(self) -> str:
-        """Its name, with that of the script that an interpreter runs: receipts and errors say so."""
+        """The program's name, with that of the script that an interpreter runs: receipts and errors say so."""
         script = self.words[1] if len(self.words) > 1 else ""
         names = [self.words[0], script] if script[:1] not in ("-", "") and Path(script).is_file() else self.words[:1]
         return " ".join(Path(name).name for name in names)
@@ -161,8 +161,8 @@ class CommandSource:
             path.write_bytes(reference_png(picture))
         if "{prompt}" in self.words and request.prompt.startswith("-"):
             raise SourceError(
-                "source command: a prompt that begins with '-' would be read as an option; write {prompt} as part of a "
-                "word in run (--prompt={prompt}), or begin the prompt with a letter"
+                "source command: a prompt that begins with '-' would be read as an option; write {prompt} as part of "
+                "an argument in run (--prompt={prompt}), or begin the prompt with a letter"
             )
         values = {
             **{name: str(folder / file) for name, file in FILES.items()},
@@ -219,9 +219,9 @@ def split(template: str) -> list[str]:
     try:
         words = list(lexer)
     except ValueError as error:
-        raise SourceError(f"source command: run cannot be split into words ({str(error).lower()})") from None
+        raise SourceError(f"source command: run cannot be split into arguments ({str(error).lower()})") from None
     if not words:
-        raise SourceError("source command: run is empty; expected a program and its words")
+        raise SourceError("source command: run is empty; expected a program and its arguments")
     return words
 
 

@@ -34,7 +34,7 @@ from splatpainter.sources.source_options import SourceDescription, option
 INDEX = "model_index.json"
 PICKLED_WEIGHTS = ("*.bin", "*.ckpt", "*.pt", "*.pth")
 MULTIPLE_PX = 16
-"""Of the sides of pictures that pipelines take: 8 for the autoencoder, 2 for patches of latents."""
+"""What the sides of pictures that pipelines take are multiples of: 8 for the autoencoder, 2 for patches of latents."""
 MAX_INDEX_BYTES = 1 << 20
 CAPABILITIES = Capabilities(prompt=True, mask=True, seed=True, max_seed=2**63 - 1, max_side_px=2048)
 
@@ -48,7 +48,7 @@ class DiffusersOptions:
     steps: int = option("Steps of the sampler", 30, least=1, most=1000)
     strength: float = option("How far it may go from the picture, 0 to 1", 0.75, least=0, most=1)
     guidance: float = option("Guidance scale: how closely it follows the prompt", 7.0, least=0, most=100)
-    negative: str = option("What the picture is not to show", "")
+    negative: str = option("What the picture should not show", "")
     device: str = option("cpu, cuda or auto", "auto", choices=("auto", "cpu", "cuda"))
     precision: str = option(
         "float32, float16, bfloat16 or auto", "auto", choices=("auto", "float32", "float16", "bfloat16")
@@ -129,10 +129,10 @@ class DiffusersSource:
             raise
         except torch.cuda.OutOfMemoryError:
             raise SourceError(
-                "source diffusers: out of memory on the GPU; say offload=yes, or send a smaller view"
+                "source diffusers: out of memory on the GPU; set offload=yes, or send a smaller view"
             ) from None
         if any(getattr(result, "nsfw_content_detected", None) or ()):
-            raise SourceError("source diffusers: its safety checker took the picture out; say it in other words")
+            raise SourceError("source diffusers: its safety checker removed the picture; change the prompt")
         return PictureAnswer(
             cropped(_pixels(result), height, width),
             model=f"{self.options.model.name} ({type(pipeline).__name__})",
@@ -208,10 +208,10 @@ def check_model_folder(path: Path) -> str:
     except SourceError:
         raise
     except (ValueError, RecursionError):
-        raise SourceError(f"source diffusers: {index}: is no JSON") from None
+        raise SourceError(f"source diffusers: {index}: is not JSON") from None
     name = data.get("_class_name") if isinstance(data, dict) else None
     if isinstance(name, list):
-        raise SourceError(f"source diffusers: {path}: brings code along for its pipeline, which is not run")
+        raise SourceError(f"source diffusers: {path}: comes with code of its own for the pipeline, which is not run")
     if not isinstance(name, str):
         raise SourceError(f"source diffusers: {index}: expected _class_name, the pipeline's class")
     if not any(path.rglob("*.safetensors")):

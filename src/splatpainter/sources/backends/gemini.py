@@ -148,7 +148,7 @@ class GeminiSource:
 def picture_of(data: Any) -> bytes:
     """The last picture of an answer (models that think draw drafts first). Raises SourceError: blocked, text, none."""
     if reason := at(data, "promptFeedback", "blockReason"):
-        raise SourceError(f"source gemini: refused the prompt or the picture ({reason}); say it in other words")
+        raise SourceError(f"source gemini: refused the prompt or the picture ({reason}); change the prompt")
     parts = at(data, "candidates", 0, "content", "parts")
     parts = [part for part in parts if isinstance(part, dict)] if isinstance(parts, list) else []
     inline = [part.get("inlineData") or part.get("inline_data") for part in parts if not part.get("thought")]
@@ -158,8 +158,8 @@ def picture_of(data: Any) -> bytes:
     reason, why = at(data, "candidates", 0, "finishReason"), at(data, "candidates", 0, "finishMessage")
     if isinstance(reason, str) and reason not in ("STOP", "FINISH_REASON_UNSPECIFIED"):
         explanation = f": {why}" if isinstance(why, str) and why else ""
-        raise SourceError(f"source gemini: gave no picture ({reason}{explanation}); say it in other words")
+        raise SourceError(f"source gemini: gave no picture ({reason}{explanation}); change the prompt")
     text = " ".join(part["text"] for part in parts if isinstance(part.get("text"), str))
     if text.strip():
-        raise SourceError(f"source gemini: answered with words in place of a picture: {' '.join(text.split())[:200]!r}")
+        raise SourceError(f"source gemini: answered with text instead of a picture: {' '.join(text.split())[:200]!r}")
     raise SourceError("source gemini: answered without a picture")

@@ -30,13 +30,14 @@ CONNECT_SECONDS = 15.0
 FIRST_WAIT_SECONDS = 1.0
 """Before a refused request is sent again, where the service does not say how long; doubled each time."""
 MAX_WAIT_SECONDS = 60.0
-"""That a service may ask to wait before a request is sent again."""
+"""Longest that a service may ask to wait before a request is sent again."""
 MAX_TRIES = 5
 BUSY = {429: "too many requests", 503: "not available now", 529: "overloaded"}
 MAX_JSON_BYTES = 192 << 20
 MAX_FILE_BYTES = 256 << 20
 MAX_ERROR_BYTES = 1 << 20
-"""Of a body that explains an error: ComfyUI's lists all models of its folder beside the one that is missing."""
+"""Most bytes of a body that explains an error: ComfyUI's lists all models of its folder beside the one that is
+missing."""
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 _T = TypeVar("_T")
 
@@ -113,7 +114,7 @@ class Service:
                 except httpx.HTTPError as error:
                     problem = f"cannot be reached at {self.host} ({_reason(error)})"
                 except httpx.InvalidURL:
-                    problem = "was given an address that is none"
+                    problem = "was given an invalid address"
                 else:
                     if status not in BUSY or attempt == MAX_TRIES - 1:
                         raise self._refusal(status, body, kind, target)
@@ -213,7 +214,7 @@ def run(work: Callable[[], Awaitable[_T]], source: str, seconds: float, cancel: 
 
 
 CLEANUP_SECONDS = 5.0
-"""That a cancelled request has to take itself back."""
+"""Seconds that a cancelled request has to clean up."""
 
 
 def require_httpx(source: str) -> None:
@@ -225,11 +226,11 @@ def require_httpx(source: str) -> None:
 
 
 def read_key(source: str, variables: tuple[str, ...]) -> str:
-    """The first key that is set. Raises SourceError: there is none, or it is no key."""
+    """The first key that is set. Raises SourceError: none is set, or it is not a valid one."""
     for name in variables:
         if value := os.environ.get(name, "").strip():
             if not value.isascii() or not value.isprintable() or " " in value:
-                raise SourceError(f"source {source}: {name} is no key: it has characters that no key has")
+                raise SourceError(f"source {source}: {name} is not a valid key: it has characters that no key has")
             return value
     raise SourceError(f"source {source}: needs a key in the environment: set {' or '.join(variables)}")
 
@@ -263,7 +264,7 @@ def decode_base64(data: Any, source: str) -> bytes:
     try:
         return base64.b64decode(data, validate=True)
     except (binascii.Error, ValueError):
-        raise SourceError(f"source {source}: answered with a picture that is no base64") from None
+        raise SourceError(f"source {source}: answered with a picture that is not base64") from None
 
 
 def retry_seconds(header: str | None) -> float | None:
@@ -337,7 +338,8 @@ def _excerpt(body: bytes) -> str:
 
 @functools.cache
 def _certificates(trust_env: bool) -> ssl.SSLContext:
-    """Of the authorities that servers are believed by: read once, which takes 30 ms, and not for every request."""
+    """Certificates of the authorities that servers are believed by: read once, which takes 30 ms, and not for every
+    request."""
     import httpx
 
     return httpx.create_ssl_context(trust_env=trust_env)

@@ -51,11 +51,11 @@ class OpenAIOptions:
 
     model: str = option("Model", "gpt-image-1.5")
     base_url: str = option("Address of the service, up to /v1", OPENAI_URL, environment=("OPENAI_BASE_URL",))
-    size: str = option("Size of the answer as the model names them (auto, 1536x1024, ...); empty: not said", "")
-    quality: str = option("low, medium, high or auto; empty: not said", "")
-    input_fidelity: str = option("high: nearer to the picture; empty: not said", "")
+    size: str = option("Size of the answer as the model names them (auto, 1536x1024, ...); empty: not sent", "")
+    quality: str = option("low, medium, high or auto; empty: not sent", "")
+    input_fidelity: str = option("high: nearer to the picture; empty: not sent", "")
     response_format: str = option(
-        "b64_json or url, for services that have a choice; empty: not said", "", choices=("", "b64_json", "url")
+        "b64_json or url, for services that have a choice; empty: not sent", "", choices=("", "b64_json", "url")
     )
     timeout: float = option("Seconds for one picture, waiting included", 300.0, least=0.1)
 
@@ -113,7 +113,7 @@ class OpenAISource:
         body, data = run(work, "openai", self.options.timeout, cancel)
         image, notes = read_answer(body, "openai")
         if isinstance(revised := at(data, "data", 0, "revised_prompt"), str) and revised:
-            notes = (*notes, f"the service's own words for the prompt: {revised[:300]}")
+            notes = (*notes, f"the service reworded the prompt: {revised[:300]}")
         if key != NO_KEY and is_open(self.base_url):
             notes = (*notes, f"the key went to {service.host} by http, which anybody on the way can read; use https")
         tokens = at(data, "usage", "total_tokens")

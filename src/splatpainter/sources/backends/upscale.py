@@ -33,7 +33,7 @@ SCALES = (2, 4)
 MODEL_SCALES = (1, *SCALES)
 """A model may also be one that restores and does not enlarge."""
 MAX_PASSES = 3
-"""Of a model, to reach a scale."""
+"""Most passes of a model, to reach a scale."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class UpscaleOptions:
 
 DESCRIPTION = SourceDescription(
     name="upscale",
-    summary="larger and sharper: by a model of a file (spandrel), or without one",
+    summary="enlarges and sharpens: with a model file (spandrel), or without one",
     options=UpscaleOptions,
     takes="enlargements of 2, 4; with a model also 1; the library spandrel is for models alone",
 )
@@ -73,7 +73,7 @@ class UpscaleSource:
         self.capabilities = Capabilities(
             scales=SCALES if options.model is None else MODEL_SCALES,
             max_side_px=8192 // 2,
-            hint="say by how much: --enlarge in edit, --scale in refine and source try",
+            hint="set the factor: --enlarge in edit, --scale in refine and source try",
         )
 
     def edit(self, request: PictureRequest, progress: Progress, cancel: CancelFlag) -> PictureAnswer:
@@ -115,7 +115,7 @@ class UpscaleModel:
     run: Callable[[np.ndarray], np.ndarray]
     scale: int
     kind: str
-    """Its architecture."""
+    """The model's architecture."""
 
     def __call__(
         self, image: np.ndarray, options: UpscaleOptions, progress: Progress, cancel: CancelFlag
@@ -187,7 +187,7 @@ def check_model_file(path: Path, pickles: bool) -> None:
     ending = path.suffix.lower()
     if ending in PICKLES and not pickles:
         raise SourceError(
-            f"source upscale: {path}: is a pickle, which can run any code; take a .safetensors file, or say "
+            f"source upscale: {path}: is a pickle, which can run any code; use a .safetensors file, or set "
             "--source-option pickles=yes if you trust where it comes from"
         )
     if ending not in (".safetensors", *PICKLES):

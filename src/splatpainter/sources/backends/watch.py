@@ -43,7 +43,7 @@ class WatchOptions:
 
 DESCRIPTION = SourceDescription(
     name="watch",
-    summary="a person: the view lies in a folder until its edited picture is saved there",
+    summary="a person: the view waits in a folder until its edited picture is saved there",
     options=WatchOptions,
     capabilities=CAPABILITIES,
 )
@@ -86,7 +86,7 @@ class WatchSource:
         folder = self.options.folder
         stem = next((name for name in map("view_{:03d}".format, range(MAX_VIEWS)) if _reserve(folder, name)), None)
         if stem is None:
-            raise SourceError(f"source watch: {folder}: is full; take the views out that are done")
+            raise SourceError(f"source watch: {folder}: is full; remove the views that are done")
         contents = {f"{stem}.mask.png": mask_png(request)} if request.mask is not None else {}
         for index, picture in enumerate(request.references):
             contents[f"{stem}.reference_{index}.png"] = reference_png(picture)

@@ -26,7 +26,7 @@ MIN_SQUARED_ERROR = 1e-5
 
 
 class PredictTask(Task[SplatPainterModel]):
-    """Of the model, the predictor is trained."""
+    """Stage predict: of the model, the predictor is trained."""
 
     def __init__(self, model: SplatPainterModel) -> None:
         """Raises ValueError for a model without a predictor."""

@@ -81,9 +81,9 @@ class PreparedAsset:
     predict: Predict | None
     """What the model says of Gaussians that no view shows, in global edits."""
     encoded: Encoded | None
-    """With a frozen encoder."""
+    """Encoding by a frozen encoder."""
     tokens: Tensor | None
-    """Of the frozen LRM, when Stage I is trained."""
+    """Tokens of the frozen LRM, when Stage I is trained."""
     links: TokenLinks | None
 
 
@@ -264,7 +264,7 @@ class RefineTask(Task[SplatPainterModel]):
         return assemble(part_of(start, order), replace(sampled, **both), None)
 
     def _visible(self, start: LiftedEdit, cameras: Sequence[Camera]) -> LiftedEdit:
-        """The same with only those Gaussians to change that the views show: the others would get no gradient."""
+        """`start` with only those Gaussians to change that the views show: the others would get no gradient."""
         splats = start.splats if self.device.type == "cpu" else start.splats.torch(str(self.device))
         with torch.no_grad():
             weights = torch.as_tensor(render(splats, list(cameras), contributions=True).contributions).sum(0)
@@ -323,7 +323,7 @@ class RefineTask(Task[SplatPainterModel]):
 
 
 def part_of(start: LiftedEdit, positions: np.ndarray) -> LiftedEdit:
-    """The same with only these of its changeable Gaussians (indices into start.ids), in this order."""
+    """`start` with only these of its changeable Gaussians (indices into start.ids), in this order."""
     return replace(
         start, ids=start.ids[positions], parents=start.parents[positions], features=start.features[positions]
     )

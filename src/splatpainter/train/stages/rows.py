@@ -54,7 +54,7 @@ class RowOptions:
 
 
 class RowsTask(Task[SplatPainterModel]):
-    """Of the model, Stage II and the decoder are trained, or the predictor."""
+    """Stage rows: of the model, Stage II and the decoder are trained, or the predictor."""
 
     def __init__(self, model: SplatPainterModel, options: RowOptions = RowOptions()) -> None:
         """Raises ValueError for a model that has no such carrier."""
@@ -180,7 +180,7 @@ def judged(sample: RowEdit) -> np.ndarray:
 
 
 def evenly(values: np.ndarray, most: int) -> np.ndarray:
-    """At most `most` of these, evenly over their order."""
+    """At most `most` of these values, evenly over their order."""
     return values if len(values) <= most else values[np.linspace(0, len(values) - 1, most).astype(np.int64)]
 
 
@@ -195,7 +195,7 @@ def fixed_ridge(sample: RowEdit) -> Tensor:
 
 
 def _digest(model: SplatPainterModel) -> str:
-    """Of what encodes an asset: LRM and Stage I."""
+    """Hash of what encodes an asset: LRM and Stage I."""
     sha = hashlib.sha256(repr((model.config.lrm, model.config.compress, model.config.sh_degree)).encode())
     for part in (model.lrm, model.compressor):
         for name, tensor in sorted(part.state_dict().items()):

@@ -52,7 +52,7 @@ class Task(nn.Module, Generic[_Model]):
     """A stage. Subclasses set `requires_grad` of what they do not train to False."""
 
     model: _Model
-    """With `config` and `notes`; its parameters are what OUT/model holds."""
+    """The model, with `config` and `notes`; its parameters are what OUT/model holds."""
     step: int = 0
     """Optimiser steps done; the loop sets it."""
     problem: str = ""
@@ -86,7 +86,7 @@ class Task(nn.Module, Generic[_Model]):
 
     @property
     def device(self) -> torch.device:
-        """Of the model."""
+        """Device of the model."""
         return next(self.model.parameters()).device
 
     def arithmetic(self) -> torch.autocast:
@@ -106,7 +106,7 @@ def tensor(values: Any, device: torch.device) -> Tensor:
 
 
 def freeze(*modules: nn.Module | None) -> None:
-    """These learn nothing."""
+    """Let these parameters learn nothing."""
     for module in modules:
         if module is not None:
             module.requires_grad_(False)
