@@ -71,7 +71,7 @@ class AdaptBench:
     environments: Folder = None
     """Folder of HDRIs; none: procedural light."""
     seconds: float = 120.0
-    """CPU time that each carrier trains for."""
+    """CPU seconds that each carrier trains for."""
     objects: int = 12
     """Held-out objects that are judged."""
     training_objects: int = 0

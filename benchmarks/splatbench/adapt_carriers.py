@@ -23,7 +23,7 @@ from splatpainter.train.recipes import Carrier, Recipe, load
 from splatpainter.train.stages.rows import RowOptions, RowsTask
 
 SLICE_SECONDS = 5.0
-"""CPU time that a carrier trains before the next one does."""
+"""CPU seconds that a carrier trains before the next one does."""
 STEPS = 10_000
 """Into which the budget is divided for the learning rate's course."""
 STAGE2: dict[str, dict[str, Any]] = {
@@ -48,7 +48,7 @@ class Contestant:
     average: Average = field(repr=False)
     guard: Guard = field(repr=False)
     seconds: float = 0.0
-    """CPU time spent on training steps."""
+    """CPU seconds spent on training steps."""
     steps: int = 0
     problems: int = 0
     """Edits that taught nothing."""

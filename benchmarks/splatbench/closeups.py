@@ -37,7 +37,7 @@ UPPER_PART_HEIGHT = 0.12
 WINDOWS_PER_SIDE = 8
 """Windows of each size that are tried as close-ups."""
 GRAZING_DEGREES = (60.0, 75.0)
-"""Between line of sight and normal of what a grazing close-up shows: from, to."""
+"""Degrees between line of sight and normal of what a grazing close-up shows: from, to."""
 GRAZING_TURNS = (15.0, 30.0, 45.0, 60.0, 75.0)
 """Degrees by which the camera walks around a window, to either side, in looking for a grazing one."""
 GRAZING_WINDOWS = 3
@@ -47,11 +47,12 @@ MIN_GRAZING_FILLED = 0.5
 MIN_GRAZING_CORE = 0.25
 """Part of the middle of that which is seen at GRAZING_DEGREES."""
 MAX_TARGET_OFFSET = 0.1
-"""Between the depth of a window's middle and that of the surface that is seen there, of that depth."""
+"""Largest difference between the depth of a window's middle and that of the surface that is seen there, of that
+depth."""
 DEPTH_MEDIAN_PX = 5
 """Takes single Gaussians out of the depth from which normals are read."""
 ANGLE_MARGIN_PX = 4
-"""Around pixels whose angles are asked for: their own do not depend on what is beyond."""
+"""Margin around pixels whose angles are asked for: their own do not depend on what is beyond."""
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,7 @@ LAYER_SHARE = (0.07, 0.18)
 MIN_FILLED = 0.25
 """Part of the edited view that the object fills."""
 NOVEL_DEGREES = (15.0, 40.0)
-"""Between the edited view and the novel ones: from, to (those of training samples)."""
+"""Degrees between the edited view and the novel ones: from, to (those of training samples)."""
 
 
 def cases(setup: Setup, kind: AssetKind, report: Callable[[str], None] | None = None) -> Iterator[Case]:

@@ -52,7 +52,7 @@ class SpreadBench:
     """
 
     meshes: Annotated[Positional[Path | None], arg(metavar="MESHES", help_behavior_hint="")] = None
-    """Folder of meshes; only those held out of training (by name) are used. None: procedural objects."""
+    """Folder of meshes; only those held out (by name) are used. None: procedural objects."""
     assets: AssetKind = "coarse"
     """coarse: as in training data; fitted: by 3DGS on views of the truth (a minute or two per object)."""
     objects: int = 12

@@ -43,7 +43,7 @@ MIN_SEEN, MAX_SEEN = 0.1, 0.8
 MIN_PICTURE = 0.015
 """Part of the edited view that it fills, at least."""
 CANDIDATE_VIEWS = 12
-"""Around the object, of which the edited one is that which shows most of the material."""
+"""Views around the object, of which the edited one is that which shows most of the material."""
 MIN_COHERENCE = 0.85
 """Share of the surfels nearest to those of a material that are of it too: else it is a pattern, not a material."""
 STROKE_SHARE = 0.3

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from typing import Any
 
 GRACE_SECONDS = 5.0
-"""Between asking processes to end and ending them."""
+"""Seconds between asking processes to end and ending them."""
 BACKGROUND_NICE = 10
 """Niceness of processes that give way to others; 19 is the most."""
 BACKGROUND_OOM_SCORE = 500

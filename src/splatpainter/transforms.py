@@ -15,7 +15,7 @@ from splatpainter.splats import MIN_QUAT, SH_C0, Array
 JACOBI_SWEEPS = 6
 """Off the diagonal of 3 x 3 matrices 1e-16 of the largest eigenvalue is left after five, at most."""
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
-"""Between neighbours of a Fibonacci lattice, radians."""
+"""Angle between neighbours of a Fibonacci lattice, radians."""
 
 
 def quat_to_matrix(quats: Array) -> Array:

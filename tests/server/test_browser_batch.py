@@ -86,9 +86,9 @@ def test_assets_are_sent_planned_made_found_again_and_downloaded(
     dialog.get_by_role("button", name="New batch").click()
     page.wait("the beginning", lambda: dialog.get_by_role("button", name="Plan").count())
     live.post("scene.add", blob=live.send(data, "hat.ply"))  # then one of both makes batches
-    page.wait("the choice", lambda: dialog.get_by_label("Of", exact=True).count())
+    page.wait("the choice", lambda: dialog.get_by_label("Asset", exact=True).count())
     assert "The visible layers (Paint" in dialog.inner_text()
-    dialog.get_by_label("Of", exact=True).select_option(label="hat.ply")
+    dialog.get_by_label("Asset", exact=True).select_option(label="hat.ply")
     page.wait("the other's layers", lambda: "No visible layer yet" in dialog.inner_text())
     assert page.serious() == []
     picture(page, "several")

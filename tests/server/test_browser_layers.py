@@ -373,14 +373,14 @@ def test_masks_hide_and_show_a_layer(opened: tuple[studio_scenes.Live, Page]) ->
     page.wait("the left half", lambda: red(page.pixels(), 0.42) > 0.8)
     assert red(page.pixels(), 0.58) < 0.2
     tab.keyboard.press("Control+d")
-    panel.get_by_label("By").select_option("height")
+    panel.get_by_label("Rule").select_option("height")
     page.wait("the lower half", lambda: page.state()["history"][-1]["label"] == "mask (height) of Paint")
     steps = len(page.state()["history"])
     panel.get_by_role("textbox", name="To, number").fill("100")
     panel.get_by_role("textbox", name="To, number").press("Enter")
     page.wait("all heights", lambda: red(page.pixels(), 0.5) > 0.9)
     assert len(page.state()["history"]) == steps
-    panel.get_by_label("By").select_option("coverage")
+    panel.get_by_label("Rule").select_option("coverage")
     panel.get_by_label("Shows", exact=True).select_option("As in the original")
     page.wait("by coverage", lambda: page.state()["history"][-1]["label"] == "mask (coverage) of Paint")
     page.settled()

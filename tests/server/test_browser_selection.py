@@ -108,7 +108,7 @@ def test_keys_and_the_card_change_it(opened: tuple[studio_scenes.Live, Page]) ->
     assert rest == 600 - lasso
     keys.press("Control+Shift+i")
     page.wait("the lasso's again", lambda: count(page) == lasso)
-    by = page.tab.get_by_role("textbox", name="By, number")
+    by = page.tab.get_by_role("textbox", name="Amount, number")
     by.fill("20")
     by.press("Enter")
     click(page, "Grow")

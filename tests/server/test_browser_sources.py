@@ -82,7 +82,7 @@ def test_views_all_around_are_planned_and_cancelled_on_the_way_and_a_lut_becomes
     dialog = page.tab.get_by_role("dialog", name="Edit with a source")
     page.wait("the sources", lambda: dialog.get_by_label("Source", exact=True).count())
     dialog.get_by_label("Source", exact=True).select_option("command")
-    dialog.get_by_label("What", exact=True).select_option("around")
+    dialog.get_by_label("Send", exact=True).select_option("around")
     dialog.get_by_label("Max. views, number").fill("3")
     dialog.get_by_label("Max. views, number").press("Enter")
     page.wait("the plan", lambda: "3 calls, not paid" in dialog.get_by_role("status").inner_text())

@@ -61,7 +61,7 @@ class AdapterSection:
     size: int = 0
     """Edge of the pictures, pixels; 0: as the system wants."""
     timeout_seconds: float = 3600.0
-    """Timeout of each command."""
+    """Seconds that each command may take."""
     environment: dict[str, str] = field(default_factory=dict)
     """Variables that its process has besides this one's."""
     device: Literal["cuda", "cpu"] = "cuda"

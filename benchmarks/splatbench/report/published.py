@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 MARK = "as published, other data"
-"""Above every column or beside every figure from here."""
+"""Text above every column or beside every figure from here."""
 EDITED, OUTSIDE = "Edited region", "Non-edited region"
 
 

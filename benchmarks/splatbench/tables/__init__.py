@@ -35,9 +35,9 @@ class Column:
     key: str
     """Key in `score`'s answer."""
     label: str
-    """Above the column, e.g. "PSNR"."""
+    """Heading above the column, e.g. "PSNR"."""
     group: str = ""
-    """Above several columns, e.g. "Edited region"."""
+    """Heading above several columns, e.g. "Edited region"."""
     better: str = ""
     """"higher", "lower" or "" (neither)."""
     digits: int = 2

@@ -44,11 +44,11 @@ if TYPE_CHECKING:
 FRAMINGS: tuple[Framing, ...] = ("close-up", "whole")
 """Framings of edited views, in turn."""
 NEAR_DEGREES = (10.0, 35.0)
-"""Between the edited view and the novel views near it: from, to."""
+"""Degrees between the edited view and the novel views near it: from, to."""
 TRUE_NEAR, TRUE_AROUND = 6, 6
 """True edited views for methods that are upper bounds: beside the edited view, and of the whole object."""
 WIDE_DEGREES = (5.0, 45.0)
-"""Between the edited view and the first of these."""
+"""Degrees between the edited view and the first of these."""
 TRIES = 3
 """Edits that are shown in full before an object is given up."""
 EDITED, OUTSIDE, NOVEL, GAUSSIANS = "Edited region", "Non-edited region", "Novel views of the edit", "Gaussians"

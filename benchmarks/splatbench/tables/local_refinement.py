@@ -30,7 +30,7 @@ MAX_TURN_DEGREES = (12.0, 8.0)
 """Degrees by which a close-up's line of sight differs from the base view in which its point was found: around the
 object, and up or down."""
 NEAR_DEGREES = (8.0, 30.0)
-"""Between a close-up and the novel views near it: from, to."""
+"""Degrees between a close-up and the novel views near it: from, to."""
 WIDE_DEGREES = (5.0, 45.0)
 """The same degrees for the true close-ups."""
 TRIES = 20

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 VIEW_COUNTS = (1, 2, 4)
 """Relit views handed in."""
 TURN_DEGREES = (0.0, 180.0, 90.0, 270.0)
-"""Around the object of each relit view from the first: any of VIEW_COUNTS spreads evenly."""
+"""Degrees around the object of each relit view from the first: any of VIEW_COUNTS spreads evenly."""
 ELEVATION_DEGREES = (0.0, 35.0)
 """Elevations of relit views: from, to."""
 

@@ -46,9 +46,9 @@ SMALL_SIZE_PX = 128
 SMALL_VIEWS, SMALL_EDITS = 3, 3
 ROW, CONFLICT = "Steps in a row, PSNR", "Conflicts, PSNR"
 NEAR_DEGREES = (10.0, 35.0)
-"""Between an edited view and the further views of the edit, and the novel views near it: from, to."""
+"""Degrees between an edited view and the further views of the edit, and the novel views near it: from, to."""
 CONFLICT_DEGREES = (5.0, 30.0)
-"""Between two views that conflict."""
+"""Degrees between two views that conflict."""
 MIN_OVERLAP = 0.2
 """Part of the smaller of two edits that conflict which the other one covers."""
 APART_RADII = (0.4, 0.2, 0.0)

@@ -181,7 +181,7 @@ class Variant:
     name: str
     """Part of the file's name: OUT/ASSET-NAME.ply."""
     edits: tuple[JobEdit, ...] = ()
-    """After those of all variants."""
+    """Edits of this variant, after those of all variants."""
 
     def __post_init__(self) -> None:
         if not NAME.fullmatch(self.name):

@@ -42,7 +42,7 @@ class Config:
     out: Annotated[Path, arg(metavar="OUT")]
     """The file to write."""
     transform: Annotated[tuple[str, ...], arg(metavar="TRANSFORM ...", help_behavior_hint="")] = ()
-    """One TRANSFORM for each asset, in order; default: none of them moves."""
+    """One TRANSFORM for each asset, in order; default: all stay as they are."""
     side_by_side: bool = False
     """Set each asset to the right of the one before it, after its transform."""
     match_seam: bool = False

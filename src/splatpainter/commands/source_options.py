@@ -39,7 +39,7 @@ COMMAND = "splatpainter edit"
 BACKGROUND = "0.25,0.25,0.25"
 """Behind the asset in views that are chosen here, as in `render`."""
 POLL_SECONDS = 0.1
-"""Between two looks at whether a source has answered."""
+"""Seconds between two looks at whether a source has answered."""
 MAX_ANSWER_FILES = 1000
 """Names OUT.answer_1.png ... that are tried."""
 CANCEL_SECONDS = 15.0

@@ -45,7 +45,7 @@ class Config:
     out: OutFile
     """The video: NAME.mp4 or NAME.webp."""
     seconds: float = 6.0
-    """Length of the video."""
+    """Length of the video, seconds."""
     fps: float = 30.0
     """Frames per second."""
     degrees: float = 360.0

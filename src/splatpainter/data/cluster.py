@@ -24,7 +24,7 @@ Result = TypeVar("Result")
 RETRIES = 3
 """Retries of one piece of work, after its worker died."""
 POLL_SECONDS = 0.1
-"""Between two looks at whether it was cancelled."""
+"""Seconds between two looks at whether it was cancelled."""
 CONNECT_SECONDS = 10.0
 """Seconds that a cluster has to take a connection."""
 AHEAD = 2

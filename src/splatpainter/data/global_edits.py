@@ -63,7 +63,7 @@ class GlobalEdit:
     views: int
     """Number of pictures that show the edit."""
     asset: Splats
-    """Before the edit, SH degree 0."""
+    """The asset before the edit, SH degree 0."""
     normals: np.ndarray = field(repr=False)
     """[N, 3] unit, outwards, as the painter finds them."""
     transfer: np.ndarray = field(repr=False)

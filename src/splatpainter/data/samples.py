@@ -53,9 +53,9 @@ class Sample:
     masks: np.ndarray
     """[V, H, W] bool: what was edited; where the object is, for a zoom and for global kinds."""
     novel_before: PosedViews
-    """Before the edit (of a zoom: the asset itself)."""
+    """Novel views before the edit (of a zoom: the asset itself)."""
     novel_after: PosedViews
-    """After it, from the same cameras."""
+    """Novel views after it, from the same cameras."""
     near: np.ndarray
     """[W] bool: the view is near the edit."""
 

@@ -50,7 +50,7 @@ class Schedule:
     every: int = 100
     stop: int = 15_000
     reset: int = 3000
-    """Between resets of opacity; 0: none."""
+    """Steps between resets of opacity; 0: none."""
 
     @staticmethod
     def scaled(steps: int, views: int) -> Schedule:

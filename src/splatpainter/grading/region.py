@@ -36,11 +36,11 @@ from splatpainter.splats import Splats
 
 MAX_TERMS = 64
 TERM_BREAK = re.compile(r"\s+(?=or\s|(?:not:)?\w+=)|(?<=\bor)\s+")
-"""Between the terms of one text; names of selections may hold blanks."""
+"""What stands between the terms of one text; names of selections may hold blanks."""
 SAME_ASSET_SHARE = 0.1
 """Share of an asset's extent by which the median Gaussian may lie elsewhere than in the original of a project."""
 FADE = {"hue": 15.0, "saturation": 0.05, "lightness": 0.05}
-"""Beyond the ends of a range, in its unit."""
+"""How far each fades beyond the ends of a range, in its unit."""
 DEFAULT_DISTANCE = 0.1
 """Distance in OKLab; black and white are 1 apart."""
 COLOR_FADE = 0.5

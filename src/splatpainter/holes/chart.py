@@ -26,13 +26,13 @@ CELL_PX = 2
 MAX_SIDE_PX = 400
 """Longest side of a chart; holes that need more are seen, and filled, more coarsely."""
 MARGIN_RADII, MIN_MARGIN_CELLS = 0.8, 16.0
-"""Around the border, in its radii and at least in cells: where texture comes from."""
+"""Margin around the border, in its radii and at least in cells: where texture comes from."""
 DISTANCE_SIDES = 3.0
 """Distance of the camera from the border, in widths of the chart."""
 SLAB_RADII, SLAB_CELLS = 1.2, 4.0
 """Gaussians farther above or below the border's centre than this are not in the chart."""
 LATTICE_PX = 3
-"""Between pixels at which the surface is estimated."""
+"""Step, pixels, between those at which the surface is estimated."""
 MAX_STEP_PX = 3.0
 """Depth by which neighbouring pixels of one shell differ at most, in pixels' widths: a slope of 72 degrees."""
 SEED_CELLS = 2.0
@@ -48,7 +48,7 @@ MIN_RIM_SHARE = 0.3
 MIN_HOLE_PX = 6
 MIN_RIM_ALPHA = 0.3
 NEAR_PX = 12
-"""Around other sheets, within which the largest one says where it would go on there."""
+"""Pixels around other sheets, within which the largest one says where it would go on there."""
 MIN_KNOTS, MAX_KNOTS = 8, 150
 MIN_COVERAGE, MIN_CLEAN_COVERAGE = 0.7, 0.94
 """Alpha of the shell by itself from which it is there, and hides what is behind."""

@@ -31,7 +31,7 @@ BAND_SHARE, MIN_BAND_PX, MAX_BAND_PX = 0.35, 6, 28
 NOISE_CELLS = 0.25
 """Deviation of a border's heights from a smooth surface that is expected, in cells."""
 MIN_WALL_CELLS = 2.0
-"""Between two shells from which a wall has two sides, each filled by itself; ..."""
+"""Distance between two shells from which a wall has two sides, each filled by itself; ..."""
 MIN_PAINTED_WALL_CELLS, MIN_WALL_CONTRAST = 0.4, 0.04
 """... or, where the sides show colours that differ so much, from this distance."""
 COLOR_ROUNDS = 6

@@ -25,12 +25,13 @@ from splatpainter.io.files import printable
 FREE_BYTES = 16 << 20
 """Bytes that any file may unpack to, however small it is (a synthetic asset of equal rows packs very well)."""
 MAX_RATIO = 32
-"""Beyond FREE_BYTES, unpacked bytes per byte of the file. Real splat files pack 1.2 to 5 times, gzip 1032 at most."""
+"""Limit beyond FREE_BYTES: unpacked bytes per byte of the file. Real splat files pack 1.2 to 5 times, gzip 1032 at
+most."""
 FREE_ROW_BYTES = 64 << 20
 """Bytes that the rows of any packed file may take in memory: 1.2 million of SH degree 0, 0.28 million of degree 3."""
 MAX_ROW_RATIO = 96
-"""Beyond FREE_ROW_BYTES, bytes of rows in memory per byte of the file. Scans take 10 to 20; rows on a regular grid, all
-of one size and rotation, with colours of their own and empty SH bands up to degree 3, take 58."""
+"""Limit beyond FREE_ROW_BYTES: bytes of rows in memory per byte of the file. Scans take 10 to 20; rows on a regular
+grid, all of one size and rotation, with colours of their own and empty SH bands up to degree 3, take 58."""
 MAX_TAIL_BYTES = 16 << 20
 """Bytes that may follow the rows (extensions, notes of other programs)."""
 MAX_ENTRIES = 4096

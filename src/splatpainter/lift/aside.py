@@ -24,7 +24,7 @@ from splatpainter.rendering.cpu.projected_view import project, tiles_of_mask
 from splatpainter.splats import Splats
 
 SIDE_DEGREES = 35.0
-"""Between the edited view and those from the side: left, right, above, below."""
+"""Degrees between the edited view and those from the side: left, right, above, below."""
 MAX_SIDE_PX = 256
 """Pixels of a side view's edge."""
 MARGIN_PX = 8
@@ -36,7 +36,7 @@ MIN_EDITED = 0.25
 SOFT_PX = 1
 """Reach of the mean by which errors are blurred: half a pixel beside is not worth a word."""
 SPILL_PX = 2
-"""Around the painted pixels: where they should end is compared too."""
+"""Pixels around the painted pixels: where they should end is compared too."""
 MAX_DB = 60.0
 """Highest score; renders that agree better get this."""
 

@@ -72,7 +72,7 @@ MIN_HOST_FLATNESS = 0.3
 HOST_REACH_PX = 2
 """Pixels around whose Gaussians count as well."""
 HORIZON_DEGREES = 65.0
-"""Between line of sight and normal, from which a surface is near its horizon."""
+"""Degrees between line of sight and normal, from which a surface is near its horizon."""
 
 
 @dataclass(frozen=True)

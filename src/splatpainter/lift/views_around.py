@@ -40,7 +40,7 @@ MIN_SURFACE_ALPHA = 0.5
 MIN_CHANGE_PX = 8
 """Pixels to which an edit's shorter side is shrunk at most."""
 FADE_DEGREES = (45.0, 75.0)
-"""Between the lines of sight of an edit and of a view: from where to where the edit fades."""
+"""Degrees between the lines of sight of an edit and of a view: from where to where the edit fades."""
 
 
 def views_around(

@@ -9,7 +9,8 @@ import numpy as np
 from splatpainter.cameras import Camera
 
 MAX_DEPTH_DIFFERENCE = 0.02
-"""Between a point's depth and that of the surface which a view shows there, of that depth: else something hides it."""
+"""Largest difference between a point's depth and that of the surface which a view shows there, of that depth: else
+something hides it."""
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ JobState = Literal["queued", "running", "done", "failed", "cancelled"]
 PROGRAM = (sys.executable, "-P", "-m", "splatpainter", "batch", JOBS, "--events")
 """Run in the batch's folder: so what it says names files below it, and no others."""
 CANCEL_SECONDS = 15.0
-"""Between asking the program to end and ending it."""
+"""Seconds between asking the program to end and ending it."""
 MAX_LINE_BYTES = 4 << 20
 """Most bytes of one event."""
 ERRORS = "stderr.txt"

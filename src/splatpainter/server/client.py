@@ -40,7 +40,7 @@ from splatpainter.server.work_queue import Ticket
 MAX_QUEUED_COMMANDS = 64
 """Commands of one client that may wait; those beyond fail."""
 PROGRESS_SECONDS = 0.1
-"""Between progress messages of one command."""
+"""Seconds between progress messages of one command."""
 BACKPRESSURE_MESSAGES = 64
 """Messages that may wait for a client that reads slowly, before its next command has to wait too, ..."""
 BACKPRESSURE_BYTES = 64 << 20
@@ -88,7 +88,7 @@ class Client:
         self.hub, self.socket = hub, socket
         self.name = secrets.token_hex(4)
         self.page = PageState("")
-        """Whose connection it is; `hello` says so."""
+        """Page whose connection this is; `hello` says so."""
         self.session, self.version = "", -1
         """Which Gaussians it has; -1: none yet."""
         self.greeted = self._closed = False

@@ -140,9 +140,9 @@ class ConnectionLimits:
     """Seconds in which `body_bytes` of a request's body must come, while the server is ready to take them."""
     body_bytes: int = 1024
     send_seconds: float = 30.0
-    """After which a client that has read nothing of what waits for it is closed."""
+    """Seconds after which a client that has read nothing of what waits for it is closed."""
     check_seconds: float = 1.0
-    """Between two checks of a connection."""
+    """Seconds between two checks of a connection."""
 
 
 class _Watchdog:

@@ -63,7 +63,7 @@ class CameraInfo(Message):
     world_to_camera: list[MatrixRow] = Field(min_length=4, max_length=4)
     """4 x 4, row-major, rigid."""
     background: Rgb
-    """Behind the asset, 0..1, in the asset's colour space."""
+    """Colour behind the asset, 0..1, in the asset's colour space."""
     asset_sha256: str | None = None
 
     @staticmethod
@@ -282,7 +282,7 @@ class RecentInfo(Message):
     layers: int | None
     """None: not known before it is opened."""
     picture: Blob | None
-    """How it looks, a small PNG."""
+    """Thumbnail, a small PNG."""
     is_open: bool = False
 
 
@@ -462,9 +462,9 @@ class StateEvent(Message):
     event: Literal["state"] = "state"
     state: Present
     history: HistoryChange | None = None
-    """Against the state that this connection was told before; None: as it was."""
+    """Against the state that this connection was sent before; None: as it was."""
     bookmarks: list[BookmarkInfo] | None = None
-    """All of them; None: as they were."""
+    """All bookmarks; None: as they were."""
 
 
 class ToastEvent(Message):
@@ -517,7 +517,7 @@ class BatchInfo(Message):
     page_url: str | None
     """The summary page; None: it is not written yet."""
     zip_url: str | None
-    """Everything that is done; None: nothing is."""
+    """Address of the ZIP of all results so far; None: there are none."""
 
 
 class BatchEvent(Message):
@@ -527,7 +527,8 @@ class BatchEvent(Message):
     revision: int
     """Rises with every change: events and answers overtake one another, and the highest one holds."""
     batch: BatchInfo | None = None
-    """All of it, where its state changed; None with a job: only that one changed; without: there is none any more."""
+    """The whole batch, where its state changed; None with a job: only that job changed; None without: there is no batch
+    any more."""
     id: str = ""
     job: BatchJobInfo | None = None
     zip_url: str | None = None

@@ -28,7 +28,7 @@ from splatpainter.splats import Splats
 SIRT_STEPS = 3
 """Per dab; the next dab beside it continues them."""
 DAB_MARGIN_PX = 24
-"""Around a dab, for the Gaussians which straddle its edge."""
+"""Pixels around a dab, for the Gaussians which straddle its edge."""
 MIN_COLOR_CHANGE = 1 / 512
 """Smaller changes of a Gaussian's colour are not sent."""
 Box = tuple[int, int, int, int]

@@ -23,7 +23,7 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
 QUIET_MS = 300
 """Without a change, after which a file counts as saved."""
 RETRY_SECONDS = 5.0
-"""After the watch itself failed (the folder is gone, too many watches), until it is tried again."""
+"""Seconds after the watch itself failed (the folder is gone, too many watches), until it is tried again."""
 
 
 async def watch(hub: Hub, retry_seconds: float = RETRY_SECONDS) -> None:

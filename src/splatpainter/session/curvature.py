@@ -23,7 +23,7 @@ RADIUS_SHARE = 0.025
 MIN_WIDTHS = 3.0
 """... and in typical widths of its Gaussians, at least."""
 MIN_SAMPLES = 6
-"""Around a Gaussian; with fewer it counts as flat."""
+"""Samples around a Gaussian; with fewer it counts as flat."""
 MAX_SAMPLES = 40_000
 """Gaussians that stand for the surface; of more, so many are taken evenly."""
 MIN_AGREEING_COSINE = -0.2

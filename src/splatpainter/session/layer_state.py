@@ -71,7 +71,7 @@ class LayerState:
     splats: Splats
     """`origin`: the original's Gaussian that each comes from."""
     parent_ids: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64), repr=False)
-    """Of those appended to the original: the Gaussian that each was split from, -1: none."""
+    """For the Gaussians appended to the original: the Gaussian that each was split from, -1: none."""
     edited: tuple[EditedIds, ...] = ()
     facts: tuple[tuple[str, dict[str, Any]], ...] = ()
     """(layer id, LayerResult.facts) of the visible layers."""

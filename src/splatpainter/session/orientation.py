@@ -59,7 +59,7 @@ def measure(splats: Splats, up: str | None = None) -> Orientation:
 
 
 def thinned(splats: Splats) -> Splats:
-    """At most MAX_MEASURED Gaussians that cover as much."""
+    """The asset, or a choice of MAX_MEASURED of its Gaussians that cover as much."""
     share = len(splats) / MAX_MEASURED
     if share <= 1:
         return splats

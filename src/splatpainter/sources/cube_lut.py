@@ -36,7 +36,7 @@ RANGES = {"DOMAIN_MIN": 3, "DOMAIN_MAX": 3, "LUT_1D_INPUT_RANGE": 2, "LUT_3D_INP
 """Keyword -> how many numbers follow it."""
 Domain = tuple[tuple[float, float, float], tuple[float, float, float]]
 MIN_DOMAIN = 1e-6
-"""Between the lowest and the highest input of a table."""
+"""Least distance between the lowest and the highest input of a table."""
 MAGIC, HEAD_BYTES = b"CLUT", 60
 """Beginning of the tables in a project: sizes and domains, then entries of three float32."""
 UNIT: Domain = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))

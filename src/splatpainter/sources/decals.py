@@ -37,7 +37,7 @@ SAMPLES = 12_000
 BALL_SAMPLES = 20_000
 """... and of a disk around it."""
 SPACING_WIDTHS = 0.6
-"""Between samples, in widths of the Gaussians, at least."""
+"""Least distance between samples, in widths of the Gaussians."""
 MIN_PAINT_ALPHA = 0.02
 """Alpha below which a pixel of a decal paints nothing."""
 LITTLE_COVERAGE = 0.5

@@ -13,7 +13,7 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr")
 QUIET_SECONDS = 0.3
 """Without a change, after which a file counts as saved."""
 LOOK_SECONDS = 0.1
-"""Between looks at a folder."""
+"""Seconds between looks at a folder."""
 MAX_FILES = 10_000
 """Most files of a folder that is watched."""
 Signature: TypeAlias = tuple[int, int, int]

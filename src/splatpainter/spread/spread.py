@@ -37,7 +37,7 @@ WIDTH = 0.4
 RIDGE, RIDGE_PARTIAL = 0.3, 1.0
 """Ridge of both questions (classifier.py)."""
 SMOOTHING_ROUNDS, HOLD, HOLD_EXAMPLES = 12, 0.4, 0.8
-"""Over the surface, and how much a Gaussian, and an example, holds on to its own answer in each."""
+"""Rounds of smoothing over the surface, and how much a Gaussian, and an example, holds on to its own answer in each."""
 SELF_ROUNDS, SELF_NEGATIVE, SELF_POSITIVE = 3, 0.5, 0.6
 """For paint that ends in the middle of the material: rounds, and the answers up to which, and from which, what the
 views show is an example of the next one. On 14 training meshes, a stroke over 30 % of the material in view: IoU 0.64

@@ -42,7 +42,7 @@ WEIGHT_WIDTH = 0.8
 CHORD = 1 - 1e-6
 """No way is shorter than so many straight lines: where that is too long already, the way need not be measured."""
 MIN_AGREEING_COSINE = 0.2
-"""Between the normals of a query and of a sample that smooths it."""
+"""Cosine between the normals of a query and of a sample that smooths it."""
 SMOOTHED_TURN = 0.4
 """Amount by which this cosine is below 1 where a sample's weight has fallen to 1/e."""
 CELL_BITS = 21

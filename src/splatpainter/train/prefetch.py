@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from splatpainter.data.samples import Sample
 
 ALIVE_CHECK_SECONDS = 5.0
-"""Between looks at whether a worker is still alive."""
+"""Seconds between looks at whether a worker is still alive."""
 VIEWS = ("base", "edited", "novel_before", "novel_after")
 
 

@@ -26,7 +26,7 @@ FIXED_POINT_UNIT = float(1 << 20)
 MAX_VOLUMES = 4
 """Threads that sum at once, each into a volume of its own."""
 MIN_GAUSSIANS_PER_VOLUME = 2000
-"""To clear and add a volume takes as long as to put this many Gaussians into it."""
+"""Fewest Gaussians per volume: to clear and add a volume takes as long as to put this many Gaussians into it."""
 MAX_SAMPLE_THICKNESS = 1e4
 """Cap of one sample's thickness, so that sums over a hundred million Gaussians stay below 2^63."""
 

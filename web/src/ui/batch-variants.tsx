@@ -84,7 +84,7 @@ export function BatchVariants() {
               <th scope="col">Name</th>
               <th scope="col">Change</th>
               <th scope="col">To</th>
-              <th scope="col">Of</th>
+              <th scope="col">Where</th>
               <th scope="col">
                 <span class="unseen">Row</span>
               </th>

@@ -121,7 +121,7 @@ function Setup() {
       {present && (
         <p class="row">
           <Choice
-            label="Of"
+            label="Asset"
             value={present.id}
             options={sceneAssets.value.map((one) => [one.id, one.name] as const)}
             onChange={(id) => (selectedAsset.value = id)}

@@ -182,7 +182,7 @@ export function ExportAsset() {
       {now.assets.length > 1 && (
         <p class="row">
           <Choice
-            label="Which"
+            label="Assets"
             value={which.value}
             options={[[ALL, "All visible"], ...now.assets.map((one) => [one.id, `${one.name} alone`] as const)]}
             onChange={(id) => (which.value = id)}

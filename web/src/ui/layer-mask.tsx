@@ -118,10 +118,10 @@ export function LayerMask({ layer }: { layer: LayerInfo | null }) {
       </p>
       <p class="row">
         <Choice
-          label="By"
+          label="Rule"
           value={r?.name ?? ""}
           options={[
-            ...(r ? [] : ([["", "Rule"]] as const)),
+            ...(r ? [] : ([["", "None"]] as const)),
             ...(Object.keys(RULES) as RuleName[]).map((name) => [name, RULES[name].label] as const),
           ]}
           disabled={off}

@@ -317,7 +317,7 @@ function Select() {
     <>
       <Choice label="Select" value={s.kind} options={kinds} onChange={(kind) => (selecting.value = { ...s, kind })} />
       <Choice
-        label="Which"
+        label="Mode"
         value={s.combine}
         options={COMBINE}
         onChange={(combine) => (selecting.value = { ...s, combine })}

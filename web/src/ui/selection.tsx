@@ -103,7 +103,7 @@ export function SelectionPanel() {
       <details open>
         <summary>Edge</summary>
         <Slider
-          label="By"
+          label="Amount"
           value={amount.value * 100}
           min={0.2}
           max={30}

@@ -71,7 +71,7 @@ export function SourceDialog({ onClose }: { onClose: () => void }) {
             options={usable.map((one) => [one.name, one.paid ? `${one.name} (paid)` : one.name] as const)}
             onChange={(name) => (chosenName.value = name)}
           />
-          <Choice label="What" value={chosen} options={kinds} onChange={(kind) => (what.value = kind)} />
+          <Choice label="Send" value={chosen} options={kinds} onChange={(kind) => (what.value = kind)} />
         </p>
       )}
       {source && (

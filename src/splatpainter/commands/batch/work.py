@@ -43,7 +43,7 @@ RECORD, BEFORE, AFTER = "record.json", "before.webp", "after.webp"
 COMMON = ".common"
 """Folder beside those of the jobs, for steps that variants have in common."""
 TURN_SECONDS = 0.1
-"""Between looks at whether another worker has made such a step."""
+"""Seconds between looks at whether another worker has made such a step."""
 MAX_RECORD_BYTES = 1 << 20
 PREVIEW_QUALITY = 85
 """WebP quality of small pictures, 0..100."""

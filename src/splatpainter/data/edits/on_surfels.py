@@ -21,7 +21,7 @@ from splatpainter.sources.color_grading import ColorGrade, apply_grade
 DEPTH_TOLERANCE = 0.01
 """A surfel is the first that a view meets if it lies at most this part of its depth behind the rendered depth."""
 MIN_PAINT_COSINE, FULL_PAINT_COSINE = 0.08, 0.3
-"""Between normal and line of sight: no paint below the first, all of it from the second on."""
+"""Cosine between normal and line of sight: no paint below the first, all of it from the second on."""
 MIN_COVERAGE = 1 / 64
 """Least coverage that counts."""
 MIN_LIT_ALBEDO = 0.04

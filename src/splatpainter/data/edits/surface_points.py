@@ -10,7 +10,7 @@ import numpy as np
 from splatpainter.cameras import Camera
 
 MIN_VIEW_COSINE = 0.45
-"""Between the normal of a surface point and the line of sight that finds it."""
+"""Cosine between the normal of a surface point and the line of sight that finds it."""
 MIN_SOLID_ALPHA = 0.99
 
 

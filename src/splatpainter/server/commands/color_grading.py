@@ -65,7 +65,7 @@ class GradeSliders(Message):
     """-1 green .. 1 magenta."""
     contrast: float = Field(default=0, ge=-1, le=1)
     saturation: float = Field(default=0, ge=-1, le=1)
-    """-1: grey."""
+    """-1 (grey) to 1."""
     curve: list[tuple[Unit, Unit]] = Field(default=[], max_length=16)
     """Points (in, out) of a tone curve of display values, by ascending `in`; [] is the straight line."""
     hues: list[HueSliders] = Field(default=[], max_length=12)

@@ -114,7 +114,7 @@ class HtmlExport(Command):
     camera: CameraInfo
     """The first view; its background is the page's."""
     turning: bool = False
-    """It turns until it is touched."""
+    """Whether the asset turns until the user touches it."""
     options: ExportOptions = ExportOptions()
 
 

@@ -183,7 +183,7 @@ class PaintEnd(Command):
     opacity: Unit = 1.0
     blend: Blend = "normal"
     limits: PaintLimits = PaintLimits()
-    """An eraser has none."""
+    """Limits; an eraser has none."""
     spread: Unit | None = None
     """Threshold of mode spread, in which the stroke becomes a new layer; None: mode local."""
 

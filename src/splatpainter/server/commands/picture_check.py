@@ -32,7 +32,7 @@ CameraSource = Literal["given", "chunk", "sidecar", "export"]
 class PictureWarning(Message):
     message: str
     picture: Blob | None = None
-    """Shows where, of the camera's size, transparent elsewhere."""
+    """PNG of the camera's size that shows where, transparent elsewhere."""
 
 
 class PictureChecked(Answer):

@@ -71,7 +71,7 @@ class SelectColor(Command):
     """Pixels; the first pixel's centre is 0.5, 0.5."""
     tolerance: Unit = 0.12
     everywhere: bool = True
-    """Also those that the view does not show."""
+    """Whether Gaussians that the view does not show count too."""
     how: Combine = "replace"
 
 

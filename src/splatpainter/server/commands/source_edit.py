@@ -235,7 +235,7 @@ class SourcePlan(Command):
     ANSWER = SourcePlanned
     source: str = Field(min_length=1, max_length=100)
     camera: CameraInfo | None = None
-    """A view to begin with; None: the one that shows most."""
+    """View to start with; None: the one that shows most."""
     max_views: int = Field(default=8, ge=1, le=MAX_VIEWS)
 
 

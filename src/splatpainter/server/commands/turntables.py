@@ -24,7 +24,7 @@ from splatpainter.video.turntable import (
 
 
 class Turntable(Command):
-    """A film of a turn around the asset, from `camera` on."""
+    """A video of a turn around the asset, from `camera` on."""
 
     NAME = "turntable"
     ANSWER = Exported

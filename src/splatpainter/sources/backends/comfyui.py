@@ -63,7 +63,7 @@ MAX_WORKFLOW_BYTES = 16 << 20
 MAX_MESSAGE_BYTES = 64 << 20
 """Most bytes of a message of the socket: previews come by it too."""
 HISTORY_SECONDS = 0.5
-"""Between looks at the history where the socket is silent or closed."""
+"""Seconds between looks at the history where the socket is silent or closed."""
 
 CLOSE_SECONDS = 0.3
 """Seconds that a server has to say goodbye."""

@@ -28,7 +28,7 @@ from splatpainter.sources.picture_source import CancelFlag, Progress, SourceCanc
 POLL_SECONDS = 0.1
 CONNECT_SECONDS = 15.0
 FIRST_WAIT_SECONDS = 1.0
-"""Before a refused request is sent again, where the service does not say how long; doubled each time."""
+"""Seconds before a refused request is sent again, where the service does not say how long; doubled each time."""
 MAX_WAIT_SECONDS = 60.0
 """Longest that a service may ask to wait before a request is sent again."""
 MAX_TRIES = 5
