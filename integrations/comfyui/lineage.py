@@ -19,7 +19,7 @@ from splatpainter.splats import ATTRIBUTES, Splats
 from .values import splat_of, splats_of
 
 ATTRIBUTE = "splatpainter_lineage"
-"""Of the SPLAT's object."""
+"""Attribute of the SPLAT's object that holds its lineage."""
 
 
 @dataclass(frozen=True)
@@ -27,20 +27,20 @@ class Lineage:
     """Where a SPLAT comes from."""
 
     file: Splats
-    """As it was read."""
+    """The asset as it was read."""
     asset: Asset
     """As it is now."""
     receipts: tuple[Receipt, ...] = ()
     """One per edit, oldest first."""
 
     def edited(self, result: Asset) -> Lineage:
-        """With one more edit; result: of `Painter.apply`."""
+        """The lineage with one more edit; result: of `Painter.apply`."""
         assert result.receipt is not None
         return Lineage(self.file, result, (*self.receipts, result.receipt))
 
     @property
     def receipt(self) -> Receipt:
-        """Of all edits together."""
+        """Receipt of all edits together."""
         if len(self.receipts) == 1:
             return self.receipts[0]
         from splatpainter.source_edits.edit import joined_receipt

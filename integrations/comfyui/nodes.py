@@ -38,7 +38,7 @@ def _text(name: str, default: str, tooltip: str, **options: Any) -> Slot:
 
 
 _BACKGROUND = _text("background", "#000000", "Colour behind the splat.")
-_VIEWS = Slot("views", "SPLATPAINTER_VIEWS", True, "Views that are painted already; none: the first one.")
+_VIEWS = Slot("views", "SPLATPAINTER_VIEWS", True, "Views that are painted already; without: this is the first view.")
 _RECEIPT = Slot("receipt", "STRING", tooltip="Which gaussians changed, hashes of all others, dB per view, as JSON.")
 
 NODES = (
@@ -60,7 +60,7 @@ NODES = (
                 "gatekeeper",
                 "COMBO",
                 tooltip="How a picture may differ: it is registered, its colours are corrected, and it is cut to what "
-                "changed. off: taken as it is.",
+                "changed. off: used as it is.",
                 options={"options": ["normal", "strict", "loose", "off"], "default": "normal"},
             ),
             Slot("mask", "MASK", True, "1 where the picture may change the splat; none: what differs."),
@@ -87,12 +87,12 @@ NODES = (
     Node(
         "SplatPainterCoverage",
         "Coverage",
-        "What of a view other views have painted, and what is left.",
+        "Which part of a view other views have painted, and what is left.",
         (_splat(), Slot("views", "SPLATPAINTER_VIEWS"), _camera(), _pixels("width"), _pixels("height")),
         (
             Slot("painted", "MASK"),
             Slot("left", "MASK"),
-            Slot("share", "FLOAT", tooltip="Of what this view can show of the surface, painted, 0..1."),
+            Slot("share", "FLOAT", tooltip="Share of the surface in this view that is painted, 0..1."),
         ),
         coverage,
     ),

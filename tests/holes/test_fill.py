@@ -165,7 +165,7 @@ def test_bad_input_is_one_line() -> None:
         (splats, {"around": none}, "nothing is selected"),
         (splats, {"removed": ~none}, "nothing is left there"),
         (splats, {"removed": ~within(splats, (-1, -1, 0), 0.12)}, "nothing is left there"),
-        (fog, {"removed": middle}, "no surface"),
+        (fog, {"removed": middle}, "not a surface"),
         (few, {"removed": within(few, (0, 0, -1), 0.9)}, "fill: "),
     ]
     for asset, where, words in cases:

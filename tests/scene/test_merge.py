@@ -127,7 +127,7 @@ def test_the_receipt_knows_its_sources(pair: tuple[Path, Path], tmp_path: Path) 
     write(tmp_path / "other.ply", random_splats(200, 1, seed=9))
     verification = verify_merge(out, [pair[0], tmp_path / "other.ply"], receipt)
     assert not verification.ok
-    assert any("other.ply: is no source" in line for line in verification.problems)
+    assert any("other.ply: is not a source" in line for line in verification.problems)
     assert any("range 2: its file is missing: two.ply" in line for line in verification.problems)
     with pytest.raises(ValueError, match="one of a merge"):
         verify_merge(out, pair, replace(receipt, merge=None))
@@ -211,5 +211,5 @@ def test_bad_input_is_refused_in_one_line(tmp_path: Path, capfd: pytest.CaptureF
         assert not out.exists() and not out.with_name("out.ply.receipt.json").exists()
     assert "is an input" in run(capfd, "merge", one, two, "--out", one, "--overwrite").error
     assert "expected ORIGINAL and EDITED" in run(capfd, "verify", one).error
-    assert "has no receipt" in run(capfd, "verify", one, "--against", one, two).error
+    assert "no receipt" in run(capfd, "verify", one, "--against", one, two).error
     assert sp.merge is merge and sp.verify_merge is verify_merge

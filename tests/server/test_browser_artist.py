@@ -249,7 +249,7 @@ def test_forty_steps_of_an_artist_with_a_crash_in_the_middle(studio: tuple[Serve
     page.drag((0.56, 0.3), (0.62, 0.3), (0.62, 0.4), (0.56, 0.4), (0.56, 0.3))
     lasso = page.wait("a selection", a.selected)
     a.did("drew a lasso", changed=False)
-    a.number("By", "4")
+    a.number("Amount", "4")
     tab.locator(".selection-panel").get_by_role("button", name="Grow", exact=True).click()
     page.wait("more of it", lambda: a.selected() > lasso)
     a.did("grew it", changed=False)

@@ -151,7 +151,7 @@ def test_symmetry_mirrors_strokes_and_says_where_it_does_not(opened: tuple[studi
     assert "healing stays on this side" in tab.locator(".options").inner_text()
     left, right = touched([(0.42, 0.6), (0.44, 0.6)])
     assert (left == 0) != (right == 0), "heal: on one side"
-    for key, words in (("t", "words are laid"), ("m", "only this side is selected"), ("p", "pictures are laid")):
+    for key, words in (("t", "text is placed"), ("m", "only this side is selected"), ("p", "pictures are placed")):
         keys.press(key)
         page.wait(words, lambda w=words: w in tab.locator(".options").inner_text())
     keys.press("b")

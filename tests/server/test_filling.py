@@ -91,7 +91,7 @@ def test_the_page_removes_fills_asks_and_takes_it_back(browser: Any, tool: None,
         page.wait("a selection", lambda: page.state()["selection"]["gaussians"])
         page.tab.get_by_role("tab", name="Select").click()
         page.tab.get_by_role("button", name="Fill hole").click()
-        page.wait("a reason", lambda: "there is no hole; what surr" in page.tab.locator(".refusal").inner_text())
+        page.wait("a reason", lambda: "there is no hole; the surface" in page.tab.locator(".refusal").inner_text())
         page.tab.keyboard.press("Shift+F5")
         page.wait("both layers", lambda: page.names() == ["Fill: removed", "Fill"])
         page.settled()

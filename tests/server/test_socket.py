@@ -69,7 +69,7 @@ def test_a_cancelled_stroke_leaves_no_trace_on_the_screen(studio: Live) -> None:
         assert not browser.mirror.agrees(studio.studio.session.splats)
         browser.do("paint.cancel", stroke=started["stroke"])
         assert browser.mirror.agrees(studio.studio.session.splats)
-        assert "no such stroke" in browser.ask("paint.end", stroke=started["stroke"])["error"]["message"]
+        assert "stroke: no longer available" in browser.ask("paint.end", stroke=started["stroke"])["error"]["message"]
 
 
 def test_another_opacity_is_seen_before_it_is_exact(studio: Live, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -491,7 +491,10 @@ def test_a_stroke_ends_with_the_asset_that_it_was_begun_on(studio: Live, tmp_pat
         for do, fields in (("paint.dab", {"rgba": dab(24, RED), **box}), ("paint.end", {})):
             answer = one.ask(do, stroke=started["stroke"], **fields)
             assert not answer["ok"] and answer["error"]["kind"] == "input", answer
-            assert "no such stroke" in answer["error"]["message"] and answer["error"]["hint"] == "begin a new one"
+            assert (
+                "stroke: no longer available" in answer["error"]["message"]
+                and answer["error"]["hint"] == "begin a new one"
+            )
         assert not session.layers
         again = one.do("paint.begin", camera=wire(view()))
         one.do("paint.dab", stroke=again["stroke"], rgba=dab(24, RED), **box)

@@ -112,7 +112,7 @@ def test_errors_of_sources_reach_the_caller() -> None:
     splats = patterned(400)
     with pytest.raises(SourceError, match="does not take a prompt"):
         edit(splats, FunctionSource(exchanged, Capabilities(mask=True)))
-    with pytest.raises(RefusedPicture, match="something else"):
+    with pytest.raises(RefusedPicture, match="something other"):
         edit(splats, FunctionSource(lambda image: np.random.default_rng(0).uniform(size=image.shape)))
     with pytest.raises(RefusedPicture, match="unchanged"):
         edit(splats, FunctionSource(lambda image: image))
@@ -215,7 +215,7 @@ def test_a_refused_view_is_noted_and_the_others_are_painted() -> None:
     result = edit(splats, source, views="auto", max_views=3)
     assert result.receipt is not None and len(result.receipt.views) == 2 and len(source.requests) == 3
     (reason,) = [note for note in result.receipt.note.split("; ") if "view 2" in note]  # one note, one line
-    assert "something else" in reason and reason.endswith("ask again")
+    assert "something other" in reason and reason.endswith("ask again")
     stop = threading.Event()
     stop.set()
     with pytest.raises(SourceCancelled):

@@ -90,8 +90,7 @@ CREASE_PX = 10
 """Width to both sides of an edge between faces, pixels of the decal that a view from between them paints: for those
 that face them the edge is an outline, and what they see there of the other face they would spoil."""
 MAX_CREASE_COSINE = 0.64
-"""Cosine between the directions of two views, so that there is an edge between what they face; less its negative: a
-rim."""
+"""Cosine between the directions of two views for an edge between what they face; less its negative: a rim."""
 MIN_FACE_COSINE = 0.85
 """Mean, over what lies beside the edge, of the cosine between normals and the direction of the view that faces it:
 round surfaces have no edge."""
