@@ -422,6 +422,10 @@ def test_points_are_projected_and_come_back(seed: int) -> None:
     np.testing.assert_array_equal(pixels, expected[..., :2])
     np.testing.assert_array_equal(depths, expected[..., 2])
     np.testing.assert_allclose(camera.unproject(depths, pixels), points, atol=1e-12)
+    local = camera.to_camera(points)
+    np.testing.assert_allclose(camera.to_world(local), points, atol=1e-12)
+    np.testing.assert_allclose(camera.slopes(pixels) * depths[..., None], local[..., :2], atol=1e-12)
+    np.testing.assert_allclose(camera.sight_lines(pixels) * depths[..., None], local, atol=1e-12)
     tensor = torch.from_numpy(points.astype(np.float32))
     for got, values in zip(camera.project(tensor), (pixels, depths), strict=True):
         assert got.dtype == torch.float32

@@ -93,6 +93,10 @@ class Camera:
         matrix = torch.as_tensor(self.world_to_camera, dtype=points.dtype, device=points.device)
         return points @ matrix[:3, :3].T + matrix[:3, 3]
 
+    def to_world(self, points: np.ndarray) -> np.ndarray:
+        """Points [..., 3] in camera axes as world points, float64; the inverse of `to_camera`."""
+        return (points - self.world_to_camera[:3, 3]) @ self.world_to_camera[:3, :3]
+
     def project(self, points: Array) -> tuple[Array, Array]:
         """(pixels x, y [..., 2], depths z [...]) of world points [..., 3]; numbers as of `to_camera`. Pixels mean
         something where z > 0 only."""
@@ -111,10 +115,21 @@ class Camera:
         pixels of all pixel centres, at depths [H, W]."""
         if pixels is None:
             assert depth.shape == (self.height, self.width)
-            pixels = np.stack(np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5), -1)
-        x, y = (pixels[..., 0] - self.cx) / self.fx, (pixels[..., 1] - self.cy) / self.fy
-        local = np.stack([x * depth, y * depth, depth], -1)
-        return (local - self.world_to_camera[:3, 3]) @ self.world_to_camera[:3, :3]
+            pixels = self._pixel_centers()
+        return self.to_world(self.sight_lines(pixels) * depth[..., None])
+
+    def slopes(self, pixels: np.ndarray) -> np.ndarray:
+        """[..., 2] x / z and y / z, in camera axes, of what pixels [..., 2] (x, y; centres at .5) show."""
+        return np.stack([(pixels[..., 0] - self.cx) / self.fx, (pixels[..., 1] - self.cy) / self.fy], -1)
+
+    def sight_lines(self, pixels: np.ndarray) -> np.ndarray:
+        """[..., 3] directions of z = 1, in camera axes, through pixels [..., 2] (x, y; centres at .5)."""
+        slopes = self.slopes(pixels)
+        return np.concatenate([slopes, np.ones_like(slopes[..., :1])], -1)
+
+    def _pixel_centers(self) -> np.ndarray:
+        """[H, W, 2] x, y."""
+        return np.stack(np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5), -1)
 
     def resized(self, width: int, height: int) -> Camera:
         """The same view at another resolution (aspect ratio may differ by rounding only)."""
@@ -132,10 +147,7 @@ class Camera:
         with np.errstate(
             over="ignore", invalid="ignore", divide="ignore"
         ):  # rays of absurd lenses are NaN and hit nothing
-            u = (np.arange(self.width) + 0.5 - self.cx) / self.fx
-            v = (np.arange(self.height) + 0.5 - self.cy) / self.fy
-            local = np.stack([*np.meshgrid(u, v), np.ones((self.height, self.width))], -1)
-            world = local @ self.world_to_camera[:3, :3]
+            world = self.sight_lines(self._pixel_centers()) @ self.world_to_camera[:3, :3]
             world /= np.linalg.norm(world, axis=-1, keepdims=True)
         return self.position.astype(np.float32), world.astype(np.float32)
 

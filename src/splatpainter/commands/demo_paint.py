@@ -107,7 +107,7 @@ def laid_down(
     right, near = np.array([math.cos(turn), 0, -math.sin(turn)]), np.array([math.sin(turn), 0, math.cos(turn)])
     middle = np.array(center)
     world = [middle + radius * (a * right + b * near) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-    seen = np.array([_project(camera, point) for point in world]) * FINE
+    seen = camera.project(np.array(world))[0] * FINE
     flat = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * sticker.width
     solution = _homography(seen, flat)
     big = (camera.width * FINE, camera.height * FINE)
@@ -141,12 +141,6 @@ def painted(picture: np.ndarray, camera: Camera) -> np.ndarray:
 
 def _disc(draw: ImageDraw, x: float, y: float, radius: float, fill: tuple[int, ...]) -> None:
     draw.ellipse([x - radius, y - radius, x + radius, y + radius], fill=fill)
-
-
-def _project(camera: Camera, point: np.ndarray) -> tuple[float, float]:
-    """Pixel coordinates of a world point."""
-    x, y, z = camera.world_to_camera[:3, :3] @ point + camera.world_to_camera[:3, 3]
-    return camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
 
 
 def _homography(source: np.ndarray, target: np.ndarray) -> np.ndarray:

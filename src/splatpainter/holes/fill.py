@@ -159,10 +159,8 @@ def _filled(splats: Splats, chart: Chart, border: Border) -> Splats:
         return none
     depth, normals = _continued(chart, border, pixels)
     camera = chart.camera
-    points = np.stack(
-        [(pixels[:, 0] - camera.cx) / camera.fx, (pixels[:, 1] - camera.cy) / camera.fy, np.ones(len(xs))], 1
-    )
-    facing = -(points * normals).sum(1) / np.linalg.norm(points, axis=1)
+    rays = camera.sight_lines(pixels)
+    facing = -(rays * normals).sum(1) / np.linalg.norm(rays, axis=1)
     stretch = np.clip(1 / np.maximum(facing, 1e-3), 1, MAX_STRETCH * MAX_ROW)
     count = np.clip(np.ceil(stretch / MAX_STRETCH), 1, MAX_ROW).astype(np.int64)
     source = np.repeat(np.arange(len(pixels)), count)
@@ -225,13 +223,13 @@ def _continued(chart: Chart, border: Border, pixels: np.ndarray) -> tuple[np.nda
     band = int(np.clip(BAND_SHARE * np.sqrt(area), MIN_BAND_PX, MAX_BAND_PX))
     ys, xs = np.nonzero(grown(chart.hole, band) & chart.shell)
     z = chart.depth[ys, xs]
-    x, y = (xs + 0.5 - camera.cx) / camera.fx * z, (ys + 0.5 - camera.cy) / camera.fy * z
-    points = np.stack([x, y, -z], 1)  # heights grow towards the camera
+    rays = camera.sight_lines(np.stack([xs, ys], 1) + 0.5)
+    points = rays * np.stack([z, z, -z], 1)  # heights grow towards the camera
     up = chart.normals[ys, xs] * (1, 1, -1)
     noise = NOISE_CELLS * border.cell
-    slope_x, slope_y = (pixels[:, 0] - camera.cx) / camera.fx, (pixels[:, 1] - camera.cy) / camera.fy
+    slopes = camera.slopes(pixels)
     middle = float(np.median(z))
-    queries = np.stack([slope_x, slope_y], 1) * middle
+    queries = slopes * middle
     is_sphere = sphere_heights(points, up, np.concatenate([points[:, :2], queries])) is not None
 
     def base(at: np.ndarray) -> np.ndarray:
@@ -244,7 +242,6 @@ def _continued(chart: Chart, border: Border, pixels: np.ndarray) -> tuple[np.nda
     def depth_at(at: np.ndarray) -> np.ndarray:
         return np.clip(-(base(at) + plate.at(at)), low, high)
 
-    slopes = np.stack([slope_x, slope_y], 1)
     at = slopes * middle
     for _ in range(PERSPECTIVE_ROUNDS):
         depth = depth_at(at)

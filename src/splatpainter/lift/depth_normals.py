@@ -52,11 +52,14 @@ def surface_normals(depth: np.ndarray, ys: np.ndarray, xs: np.ndarray, camera: C
     depth breaks."""
     height, width = depth.shape
 
+    def at(xs: np.ndarray, ys: np.ndarray, z: np.ndarray) -> np.ndarray:
+        return camera.sight_lines(np.stack([xs, ys], 1) + 0.5) * z[:, None]
+
     def slope(dy: int, dx: int) -> tuple[np.ndarray, np.ndarray]:
         y0, y1 = np.clip(ys - dy, 0, height - 1), np.clip(ys + dy, 0, height - 1)
         x0, x1 = np.clip(xs - dx, 0, width - 1), np.clip(xs + dx, 0, width - 1)
         z0, z1 = depth[y0, x0].astype(np.float64), depth[y1, x1].astype(np.float64)
-        step = _camera_points(z1, y1, x1, camera) - _camera_points(z0, y0, x0, camera)
+        step = at(x1, y1, z1) - at(x0, y0, z0)
         flat = np.abs(step[:, 1] if dy else step[:, 0])
         return step, (z0 > 0) & (z1 > 0) & (np.abs(step[:, 2]) < 2.5 * flat)
 
@@ -108,11 +111,6 @@ def warm() -> None:
     splats = Splats(one * 0, np.ones((1, 4), np.float32), one, one[:, 0] * 0.9, one[:, None])
     view = project(splats, look_at((0, 0, -3), (0, 0, 0), width=32, height=32))
     surface(view, np.ones((32, 32), bool))
-
-
-def _camera_points(z: np.ndarray, ys: np.ndarray, xs: np.ndarray, camera: Camera) -> np.ndarray:
-    """[A, 3] camera-space points of pixels at z-depth z."""
-    return np.stack([(xs + 0.5 - camera.cx) / camera.fx * z, (ys + 0.5 - camera.cy) / camera.fy * z, z], 1)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -61,11 +61,11 @@ def paintable(visible: VisibleSurface, pixels: np.ndarray, angle_limit: float, d
     left out, fading over as many again; 0: none. Where the surface is not trusted there is nothing to limit by: 1."""
     out = pixels.astype(np.float32)
     ys, xs = np.nonzero(pixels)
-    at = visible.at(np.stack([xs, ys], 1) + 0.5)
+    centers = np.stack([xs, ys], 1) + 0.5
+    at = visible.at(centers)
     seen = at.depth > 0
-    camera = visible.camera
     if angle_limit > 0:
-        rays = np.stack([(xs + 0.5 - camera.cx) / camera.fx, (ys + 0.5 - camera.cy) / camera.fy, np.ones(len(xs))], 1)
+        rays = visible.camera.sight_lines(centers)
         facing = -(rays * at.normals).sum(1) / np.linalg.norm(rays, axis=1)
         angle = np.degrees(np.arccos(np.clip(facing, 0, 1)))
         soft = min(SOFT_DEGREES, max(90.0 - angle_limit, 1e-3))

@@ -304,8 +304,7 @@ def _within_horizon(
             beside = heaviest[np.clip(ys + dy, 0, height - 1), np.clip(xs + dx, 0, width - 1)]
             outside = (beside < 0) | (_sigmas(hidden, np.maximum(beside, 0), means[far]) > MAX_HOST_SIGMAS)
             far, xs, ys = far[outside], xs[outside], ys[outside]
-    x, y = ((pixels[far] - (camera.cx, camera.cy)) / (camera.fx, camera.fy)).T
-    depth, _ = depths_along(hidden.geometry(hosts[far]), camera, np.stack([x, y, np.ones(len(far))], 1))
+    depth, _ = depths_along(hidden.geometry(hosts[far]), camera, camera.sight_lines(pixels[far]))
     ahead = depth > 0
     out = means.copy()
     out[far[ahead]] = camera.unproject(depth[ahead], pixels[far[ahead]])

@@ -225,9 +225,7 @@ def pixel_gaussians(
     ([G], standard deviation) wide and `stretch` [G] times as long on the surface, or shorter where `count` [G] of them
     share a cell of edge `cell_px` [G], each moved by `shift` [G] (-0.5..0.5) of the cell along the slant. pixels:
     [G, 2]; depth: [G] z."""
-    rays = np.stack(
-        [(pixels[:, 0] - camera.cx) / camera.fx, (pixels[:, 1] - camera.cy) / camera.fy, np.ones(len(pixels))], 1
-    )
+    rays = camera.sight_lines(pixels)
     lengths = np.linalg.norm(rays, axis=1)
     view = rays / lengths[:, None]
     # The axis that the slant shortens lies along the normal's part across the line of sight; the other across both.

@@ -208,7 +208,7 @@ class _ViewOnSurface:
         seen = at.depth > 0
         ys, xs = ys[seen], xs[seen]
         depth[ys, xs], normals[ys, xs] = at.depth[seen], at.normals[seen]
-        rays = _rays(camera, xs, ys)
+        rays = camera.sight_lines(np.stack([xs, ys], 1) + 0.5)
         facing = np.abs((at.normals[seen] * rays).sum(1)) / np.linalg.norm(rays, axis=1)
         density[ys, xs] = facing * camera.fx * camera.fy / at.depth[seen] ** 2
         mask = (view.mask & (depth > 0)).astype(np.float64)
@@ -234,7 +234,8 @@ class _ViewOnSurface:
         inside = (x >= 0) & (x < width) & (y >= 0) & (y < height) & (z > 0) & (other.depth > 0)
         x, y = x.clip(0, width - 1), y.clip(0, height - 1)
         depth = self.depth[y, x]
-        height_over = np.abs((z - depth) * (_rays(self.camera, x, y) * self.normals[y, x]).sum(-1))
+        rays = self.camera.sight_lines(np.stack([x, y], -1) + 0.5)
+        height_over = np.abs((z - depth) * (rays * self.normals[y, x]).sum(-1))
         seen = inside & (depth > 0) & (height_over < MAX_HEIGHT * z) & (np.abs(z - depth) < MAX_SIGHT_DISTANCE * z)
         values = np.concatenate([self.change, self.mask[..., None], self.density[..., None]], -1)
         values = bilinear(values, pixels) * seen[..., None]
@@ -281,11 +282,6 @@ def _distance_px(mask: np.ndarray) -> np.ndarray:
     ys, xs = np.indices(mask.shape)
     distance = np.hypot(ys - nearest // mask.shape[1], xs - nearest % mask.shape[1])
     return np.where((nearest >= 0) & (distance <= MAX_MARGIN_PX), distance, np.inf)
-
-
-def _rays(camera: Camera, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
-    """[..., 3] through the centres of pixels, of z 1, camera space."""
-    return np.stack([(xs + 0.5 - camera.cx) / camera.fx, (ys + 0.5 - camera.cy) / camera.fy, np.ones(xs.shape)], -1)
 
 
 def _float32(values: np.ndarray) -> np.ndarray:

@@ -6,7 +6,6 @@ import json
 import math
 import operator
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import takewhile
 from typing import Any
 
@@ -50,17 +49,7 @@ def home_view(splats: Splats, up: tuple[int, int, int], start: float) -> tuple[n
 
 def small_view(info: protocol.AssetInfo) -> cameras.Camera:
     """The first view of the asset, as small as a list shows it."""
-    camera = info.home.to_camera()
-    scale = PICTURE_PX / camera.width
-    return replace(
-        camera,
-        width=PICTURE_PX,
-        height=PICTURE_PX,
-        fx=camera.fx * scale,
-        fy=camera.fy * scale,
-        cx=camera.cx * scale,
-        cy=camera.cy * scale,
-    )
+    return info.home.to_camera().resized(PICTURE_PX, PICTURE_PX)
 
 
 def drawn(splats: Splats, camera: cameras.Camera) -> np.ndarray:

@@ -71,12 +71,10 @@ class VisibleSurface:
     def at(self, pixels: np.ndarray) -> PixelSurface:
         """Surface at Q places of the picture. pixels: [Q, 2] float64 x, y (centres at .5)."""
         out = np.zeros((len(pixels), 6))
-        rays = np.stack(
-            [(pixels[:, 0] - self.camera.cx) / self.camera.fx, (pixels[:, 1] - self.camera.cy) / self.camera.fy], 1
-        )
+        slopes = self.camera.slopes(pixels)
         planes = (self.index, self.step, self.points, self.normals, self.windows, self.residuals, self.trusted)
         if len(pixels) and len(self.points):
-            run(_interpolate, *planes, np.ascontiguousarray(pixels, np.float64), rays, out)
+            run(_interpolate, *planes, np.ascontiguousarray(pixels, np.float64), slopes, out)
         return PixelSurface(out[:, 0], out[:, 1:4], out[:, 4], out[:, 5])
 
 
@@ -155,11 +153,10 @@ def visible_surface(
     step = step or _lattice_step(splats, view, entry)
     xs, ys, index = _lattice(entry, step)
     ids = view.gaussian_ids[entry[ys, xs]]
-    pixel = np.stack([xs, ys], 1) + 0.5
-    rays = np.stack([(pixel[:, 0] - camera.cx) / camera.fx, (pixel[:, 1] - camera.cy) / camera.fy, np.ones(len(xs))], 1)
+    rays = camera.sight_lines(np.stack([xs, ys], 1) + 0.5)
     depth, width = depths_along(splats.geometry(ids), camera, rays)
     rotation = camera.world_to_camera[:3, :3]
-    starts = (rays * depth[:, None] - camera.world_to_camera[:3, 3]) @ rotation
+    starts = camera.to_world(rays * depth[:, None])
     lengths = np.linalg.norm(rays, axis=1)
     directions = (rays / lengths[:, None]) @ rotation
     window = np.maximum(WINDOW_WIDTHS * width, MIN_WINDOW_PX * depth / camera.fx)
@@ -168,7 +165,7 @@ def visible_surface(
     queries = np.concatenate([starts, directions, window[:, None]], 1)
     estimates = SightEstimates.of(surface, ys * camera.width + xs, queries, earlier, camera.width * camera.height)
     result = estimates.result
-    local = result.points @ rotation.T + camera.world_to_camera[:3, 3]
+    local = camera.to_camera(result.points)
     normals = result.normals @ rotation.T
     sound = (result.trust >= MIN_TRUST) & (local[:, 2] > 0)
     trusted = sound & (_agreeing(index, local, normals, result.windows, sound) >= MIN_AGREEING)
@@ -204,7 +201,7 @@ def _lattice(entry: np.ndarray, step: int) -> tuple[np.ndarray, np.ndarray, np.n
 def depths_along(splats: Splats, camera: Camera, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """([Q] z-depth at which each Gaussian is densest along its ray, [Q] its width sqrt(s1 s2), world units)."""
     turn = camera.world_to_camera[:3, :3]
-    mean = splats.means.astype(np.float64) @ turn.T + camera.world_to_camera[:3, 3]
+    mean = camera.to_camera(splats.means)
     axes = turned(turn, quat_to_matrix(splats.quats.astype(np.float64)))  # columns
     scales = splats.scales.astype(np.float64)
     scales = np.maximum(scales, 1e-3 * scales.max(1, keepdims=True))

@@ -53,9 +53,9 @@ def surface_point(session: Session, camera: Camera, x: float, y: float, what: st
         raise ValueError(f"copy: there is nothing of the asset at the {what}; click on the asset")
     table, block = session.surface_blocks(camera)
     seen = table[min(int(y / block), len(table) - 1), min(int(x / block), table.shape[1] - 1)]
-    ray = np.array([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0])
+    ray = camera.sight_lines(np.array([x, y]))
     trusted = seen[0] > 0
     depth = float(seen[0]) if trusted else float(camera.to_camera(splats.means[hit.gaussian_id])[2])
     normal = seen[1:].astype(float) if trusted else -ray
-    rotation, translation = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
-    return CopyAnchor.of(rotation.T @ (depth * ray - translation), normal @ rotation, rotation[0]), depth
+    rotation = camera.world_to_camera[:3, :3]
+    return CopyAnchor.of(camera.to_world(depth * ray), normal @ rotation, rotation[0]), depth
