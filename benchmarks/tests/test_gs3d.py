@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from splatbench.cases import Budget, EditStep, PosedImages
 from splatbench.methods import EditTask
-from splatbench.methods.gs3d import METHODS, Settings, edit, local_views, reached, share_of, views_of_asset
+from splatbench.methods.gs3d import METHODS, Settings, edit, local_views, reached, views_of_asset
 
 from splatpainter.cameras import Camera, look_at
 from splatpainter.rendering import render
+from splatpainter.rendering.shares import share_of
 from splatpainter.splats import Splats
-from tests.support.lift_scenes import bits, db, dense_weights, disk, front, sheet
+from tests.support.lift_scenes import bits, db, disk, front, sheet
 
 SIZE = 48
 GREEN = np.array([0.1, 0.8, 0.2], np.float32)
@@ -42,16 +43,6 @@ def dab(splats: Splats, x: float, color: np.ndarray = GREEN, kind: str = "stroke
 def work(step: EditStep | None = None, scene: Splats | None = None, state: object = None) -> EditTask:
     scene = scene or asset()
     return EditTask("creative", scene, drawn(asset(), [front(SIZE), beside(1.5)]), step or dab(scene, 17), state=state)
-
-
-def test_shares_are_those_of_a_dense_compositor() -> None:
-    splats, camera = asset(), front(SIZE)
-    chosen = np.random.default_rng(0).random(len(splats)) < 0.3
-    weights, _ = dense_weights(splats, camera)
-    expected = weights[chosen].sum(0).reshape(SIZE, SIZE)
-    np.testing.assert_allclose(
-        share_of(splats, camera, chosen), expected, atol=3e-3
-    )  # ours stops at 1e-4 of transmittance
 
 
 def test_pictures_of_the_old_look_count_only_beside_the_edit() -> None:

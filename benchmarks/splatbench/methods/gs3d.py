@@ -25,7 +25,7 @@ from splatbench.methods import Curve, EditResult, EditTask, Method
 from splatpainter.cameras import Camera, spherical_cameras
 from splatpainter.lift.local_edit import gaussians_in_mask
 from splatpainter.rendering import render
-from splatpainter.rendering.cpu.projected_view import project
+from splatpainter.rendering.shares import share_of
 from splatpainter.splats import ATTRIBUTES, Splats
 
 if TYPE_CHECKING:
@@ -159,12 +159,6 @@ def weights_beside(asset: Splats, images: PosedImages, gaussians: np.ndarray) ->
     """[V, H, W] 0..1: weights of the pictures' pixels by what these Gaussians ([N] bool) do not show of them."""
     shares = np.stack([share_of(asset, camera, gaussians) for camera in images.cameras])
     return np.clip(1 - CONTRADICTED * shares, 0, 1)
-
-
-def share_of(asset: Splats, camera: Camera, gaussians: np.ndarray) -> np.ndarray:
-    """[H, W] part of each pixel's colour that comes from these Gaussians ([N] bool), 0..1."""
-    frame = project(asset, replace(camera, background=(0.0, 0.0, 0.0)))
-    return frame.rasterize(np.repeat(gaussians[frame.gaussian_ids, None].astype(np.float32), 3, 1))[0][..., 0]
 
 
 def _without(asset: Splats, images: PosedImages, gaussians: np.ndarray) -> list[TrainingView]:

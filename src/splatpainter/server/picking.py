@@ -8,6 +8,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera, orbit
 from splatpainter.rendering.cpu.projected_view import project
+from splatpainter.rendering.shares import before_black
 from splatpainter.session.conflicts import PREDICTED, SEEN
 from splatpainter.splats import Splats
 
@@ -44,9 +45,8 @@ def pick(splats: Splats, camera: Camera, x: float, y: float) -> tuple[np.ndarray
         return image[0, 0], None
     sums = frame.backproject(np.zeros((1, 1, 3), np.float32), np.ones((1, 1), np.float32))
     z = float(depth[0, 0])
-    local = np.array([(x - camera.cx) / camera.fx * z, (y - camera.cy) / camera.fy * z, z])
-    rotation, translation = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
-    return image[0, 0], Hit(z, rotation.T @ (local - translation), int(frame.gaussian_ids[sums.weight.argmax()]))
+    point = camera.unproject(np.array(z), np.array([x, y]))
+    return image[0, 0], Hit(z, point, int(frame.gaussian_ids[sums.weight.argmax()]))
 
 
 def coverage_picture(splats: Splats, coverage: np.ndarray, camera: Camera) -> np.ndarray:
@@ -84,7 +84,7 @@ def next_view(
 
 def _shares(splats: Splats, coverage: np.ndarray, camera: Camera) -> np.ndarray:
     """[H, W, 3] parts of each pixel: Gaussians seen, predicted, all others."""
-    frame = project(splats, replace(camera, background=(0.0, 0.0, 0.0)))
+    frame = before_black(splats, camera)
     kinds = coverage[frame.gaussian_ids]
     colors = np.stack([kinds == SEEN, kinds == PREDICTED, np.ones(len(kinds), bool)], -1)
     return frame.rasterize(colors.astype(frame.projected.dtype))[0]

@@ -31,6 +31,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.color import base_color
+from splatpainter.rendering.shares import footprint_mean, share_of
 from splatpainter.session.appearance import fitted_sh, moved_gaussians, picture_of
 from splatpainter.session.delta import Delta, bare
 from splatpainter.splats import ATTRIBUTES, Splats
@@ -45,8 +46,6 @@ UNSEEN_PAINT_CONTRAST = 0.1
 """Change of base colours, from which a Gaussian that no view of the eraser shows counts as painted."""
 MIN_SEEN_PX = 0.05
 """Pixels of weight from which a view shows a Gaussian."""
-FAINT = 0.05
-"""Peak alpha with which footprints are measured, so that nothing hides anything."""
 HIDDEN_IN_MASK = 0.5
 """Share of a footprint that the mask must hold of what is hidden right behind a reached Gaussian, ..."""
 NEAR_SIZES = 3.0
@@ -99,7 +98,7 @@ def erase_delta(below: Splats, original: Splats, views: Views, reached: np.ndarr
     returns[lost] = erased[lost] & ~blocked[lost] & (in_mask > MIN_IN_MASK) & ~sticks_out
 
     # What it replaces.
-    missing = [_share_of(original, camera, moved[:first] & ~returns) for camera, _ in views]
+    missing = [share_of(original, camera, moved[:first] & ~returns) for camera, _ in views]
     complete = _largest_share(below, views, missing) <= MAX_OVERLAP
     hidden = visible & moved & complete & (reached | (has_family & returns[source] & ~paint))
     occupants = np.flatnonzero(returns & visible[:first] & moved[:first] & ~hidden[:first])
@@ -181,25 +180,10 @@ def _families(below: Splats) -> np.ndarray:
 def _largest_share(splats: Splats, views: Views, pictures: Sequence[np.ndarray]) -> np.ndarray:
     """[N] float32 the largest mean of a picture ([H, W] 0..1, one per view) over each footprint; 0 where no view has
     it."""
-    from splatpainter.rendering.cpu.projected_view import project
-
-    faint = replace(bare(splats), opacities=np.minimum(splats.opacities, np.float32(FAINT)))
     out = np.zeros(len(splats), np.float32)
     for (camera, _), picture in zip(views, pictures, strict=True):
-        view = project(faint, camera)
-        zeros = np.zeros((*picture.shape, 3), np.float32)
-        part = view.backproject(zeros, picture.astype(np.float32)).alpha
-        total = view.backproject(zeros, np.ones(picture.shape, np.float32)).alpha
-        out[view.gaussian_ids] = np.maximum(out[view.gaussian_ids], part / np.maximum(total, 1e-9))
+        out = np.maximum(out, footprint_mean(splats, camera, picture))
     return out
-
-
-def _share_of(splats: Splats, camera: Camera, chosen: np.ndarray) -> np.ndarray:
-    """[H, W] float32 0..1: what some Gaussians ([N] bool) have of each pixel."""
-    from splatpainter.rendering.cpu.projected_view import project
-
-    view = project(splats, replace(camera, background=(0.0, 0.0, 0.0)))
-    return view.rasterize(np.repeat(chosen[view.gaussian_ids, None], 3, 1).astype(np.float32))[0][..., 0]
 
 
 def _nearest(points: np.ndarray, candidates: np.ndarray) -> np.ndarray:

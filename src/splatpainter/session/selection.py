@@ -11,7 +11,7 @@ Spatial tools (grow, connected, floaters) are in selection_space.py.
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal, get_args
 
 import numpy as np
@@ -20,13 +20,12 @@ from splatpainter.cameras import Camera
 from splatpainter.color import base_color, to_display
 from splatpainter.image_files import bytes_of_png, bytes_to_png
 from splatpainter.jsonio import brief
+from splatpainter.rendering.shares import FAINT, before_black, footprint_mean
 from splatpainter.splats import Splats
 from splatpainter.voxels.neighbours import nearest_within
 
 Combine = Literal["replace", "add", "subtract", "intersect"]
 Attribute = Literal["size", "opacity", "depth", "height"]
-FAINT = 0.05
-"""Peak alpha with which footprints are measured where nothing shall hide anything."""
 DEPTH_MARGIN_SIZES = 3.0
 """Multiple of a Gaussian's largest scale by which it may lie behind the visible surface and be selected with it."""
 VISIBLE_SHARE = 0.03
@@ -164,19 +163,13 @@ def in_mask(splats: Splats, camera: Camera, mask: np.ndarray, through: bool = Fa
     visible surface and right behind it, or (through) for all along the rays. mask: [H, W] 0..1."""
     from splatpainter.rendering.cpu.projected_view import project
 
-    zeros, ones = np.zeros((*mask.shape, 3), np.float32), np.ones(mask.shape, np.float32)
-    faint = replace(splats, opacities=np.minimum(splats.opacities, np.float32(FAINT)))
-    view = project(faint, camera)
-    inside = view.backproject(zeros, np.ascontiguousarray(mask, np.float32)).alpha
-    total = view.backproject(zeros, ones).alpha
-    out = np.zeros(len(splats), np.float32)
-    out[view.gaussian_ids] = inside / np.maximum(total, 1e-9)
+    out = footprint_mean(splats, camera, mask)
     out[splats.opacities <= 0] = 0
     if through:
         return settled(out)
     real = project(splats, camera)
     _, alpha, depth = real.rasterize()
-    sums = real.backproject(zeros, ones)
+    sums = real.backproject(np.zeros((*mask.shape, 3), np.float32), np.ones(mask.shape, np.float32))
     visible_ids = real.gaussian_ids[sums.weight > VISIBLE_SHARE * sums.alpha]
     hidden = out > 0
     hidden[visible_ids] = False
@@ -274,9 +267,7 @@ def view_and_points(splats: Splats, weights: np.ndarray, camera: Camera) -> tupl
 
 def _viewed(splats: Splats, weights: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(`view_of`, [H, W] alpha, [H, W] depth)."""
-    from splatpainter.rendering.cpu.projected_view import project
-
-    view = project(splats, replace(camera, background=(0.0, 0.0, 0.0)))
+    view = before_black(splats, camera)
     selected = np.repeat(weights[view.gaussian_ids, None], 3, 1).astype(np.float32)
     image, alpha, depth = view.rasterize(np.ascontiguousarray(selected))
     shares = np.where(alpha > COVERED_ALPHA, np.clip(image[..., 0] / np.maximum(alpha, 1e-6), 0, 1), 0)

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from splatpainter.session.selection import FAINT, settled, spacing
+from splatpainter.rendering.shares import FAINT
+from splatpainter.session.selection import settled, spacing
 from splatpainter.splats import Splats
 from splatpainter.transforms import quat_to_matrix
 from splatpainter.voxels.neighbours import components, joined_labels, nearest_within

@@ -4,12 +4,12 @@ own space. Pure."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.painter import Edit
+from splatpainter.rendering.shares import before_black
 from splatpainter.session.layer_factory import changed_pixels
 from splatpainter.session.scene_replay import Scene, ScenePart
 
@@ -51,9 +51,7 @@ def split_edits(scene: Scene, edits: Sequence[Edit], masked: bool = True) -> lis
 
 def asset_numbers(scene: Scene, camera: Camera) -> np.ndarray:
     """[H, W] int64 index in `scene.parts` of the asset that most of each pixel is of; -1: of none."""
-    from splatpainter.rendering.cpu.projected_view import project
-
-    view = project(scene.state.splats, replace(camera, background=(0.0, 0.0, 0.0)))
+    view = before_black(scene.state.splats, camera)
     numbers = scene.asset_numbers[view.gaussian_ids]
     best = np.full((camera.height, camera.width), MIN_ALPHA, np.float32)
     out = np.full(best.shape, -1, np.int64)

@@ -20,7 +20,7 @@ from splatpainter.holes.chart import grown
 from splatpainter.holes.fill import Filled, fill_hole, painted
 from splatpainter.painter import Asset
 from splatpainter.receipts import Receipt, untouched_hashes
-from splatpainter.rendering.cpu.projected_view import project
+from splatpainter.rendering.shares import share_of
 from splatpainter.source_edits.edit import BACKGROUND, source_record
 from splatpainter.source_edits.view_edit import SourceBrief, SourcedEdit, ask_for_edit
 from splatpainter.sources.gatekeeper import Strictness
@@ -146,10 +146,7 @@ def ask_for_fill(
 
 def fill_mask(splats: Splats, new: np.ndarray, camera: Camera) -> np.ndarray:
     """[H, W] bool: where a view shows new Gaussians ([N] bool), and a little around them."""
-    view = project(replace(splats, source=None, origin=None), replace(camera, background=(0.0, 0.0, 0.0)))
-    shares = np.repeat(new[view.gaussian_ids, None], 3, 1).astype(np.float32)
-    image, _, _ = view.rasterize(np.ascontiguousarray(shares))
-    return grown(image[..., 0] > MIN_SHARE, MASK_MARGIN_PX)
+    return grown(share_of(splats, camera, new) > MIN_SHARE, MASK_MARGIN_PX)
 
 
 def _mask_of(made: SourcedEdit) -> np.ndarray:

@@ -1,0 +1,48 @@
+"""Which part of a view's pixels some Gaussians make, and what a picture shows under each Gaussian's footprint.
+
+Knows no layer and no tool. Gaussians and their weights are numpy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from splatpainter.cameras import Camera
+from splatpainter.splats import Splats
+
+if TYPE_CHECKING:
+    from splatpainter.rendering.cpu.projected_view import ProjectedView
+
+FAINT = 0.05
+"""Peak alpha with which footprints are measured where nothing shall hide anything."""
+
+
+def before_black(splats: Splats, camera: Camera) -> ProjectedView:
+    """A view in which the background adds nothing: what is rasterized of weights is their share of each pixel."""
+    from splatpainter.rendering.cpu.projected_view import project
+
+    return project(splats, replace(camera, background=(0.0, 0.0, 0.0)))
+
+
+def share_of(splats: Splats, camera: Camera, weights: np.ndarray) -> np.ndarray:
+    """[H, W] float32 0..1: what Gaussians make of each pixel, each counted by its weight ([N] bool or 0..1)."""
+    view = before_black(splats, camera)
+    return view.rasterize(np.repeat(weights[view.gaussian_ids, None], 3, 1).astype(np.float32))[0][..., 0]
+
+
+def footprint_mean(splats: Splats, camera: Camera, picture: np.ndarray) -> np.ndarray:
+    """[N] float32 mean of a picture ([H, W] 0..1) over each Gaussian's footprint, as if none hid another; 0 beside the
+    view."""
+    from splatpainter.rendering.cpu.projected_view import project
+
+    faint = replace(splats, source=None, origin=None, opacities=np.minimum(splats.opacities, np.float32(FAINT)))
+    view = project(faint, camera)
+    zeros = np.zeros((*picture.shape, 3), np.float32)
+    part = view.backproject(zeros, np.ascontiguousarray(picture, np.float32)).alpha
+    total = view.backproject(zeros, np.ones(picture.shape, np.float32)).alpha
+    out = np.zeros(len(splats), np.float32)
+    out[view.gaussian_ids] = part / np.maximum(total, 1e-9)
+    return out
