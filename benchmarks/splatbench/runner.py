@@ -38,7 +38,7 @@ from splatbench.cases import (
     records,
     to_json,
 )
-from splatbench.methods import EditResult, EditTask, Method, changed
+from splatbench.methods import EditResult, EditTask, Method
 from splatbench.notes import RunState, complete, notes
 from splatbench.process import WorkerJob, Workers, answer_jobs, forget_peak, one_line, peak_mib
 from splatbench.report import tables as report_tables
@@ -48,7 +48,7 @@ from splatpainter import jsonio
 from splatpainter.image_files import write_png
 from splatpainter.io import files
 from splatpainter.kernels.parallel import threads
-from splatpainter.splats import Splats, rows_sha256
+from splatpainter.splats import Splats, changed_rows, rows_sha256
 
 WORKER: tuple[str, ...] = (sys.executable, "-c", "from splatbench.runner import work; work()")
 Say = Callable[[str], None]
@@ -385,7 +385,7 @@ def share_equal(before: Splats, after: Splats) -> float:
     least as many. Raises ValueError where it has fewer."""
     if len(after) < len(before):
         raise ValueError(f"rows equal: an answer that keeps Gaussians has {len(after)} of the asset's {len(before)}")
-    return 1.0 - float(changed(before, after).mean()) if len(before) else 1.0
+    return 1.0 - len(changed_rows(before.numpy(), after.numpy())) / len(before) if len(before) else 1.0
 
 
 def _figures(values: dict[str, float | None]) -> dict[str, float | None]:

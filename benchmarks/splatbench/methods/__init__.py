@@ -12,10 +12,8 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any
 
-import numpy as np
-
 from splatbench.cases import Budget, EditStep, PosedImages
-from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.splats import Splats
 
 MODULES = (
     "unedited",
@@ -139,16 +137,3 @@ def is_curve_point(step: int) -> bool:
     while step >= 100 and step % 10 == 0:
         step //= 10
     return step in (10, 30)
-
-
-def changed(before: Splats, after: Splats) -> np.ndarray:
-    """[N] bool Gaussians of `before` (N) of which an attribute has other bits in the same one of `after` (at least
-    N)."""
-    touched = np.zeros(len(before), bool)
-    for name in ATTRIBUTES:
-        a, b = (np.ascontiguousarray(getattr(splats.numpy(), name), np.float32) for splats in (before, after))
-        if a.shape[1:] != b.shape[1:]:
-            return np.ones(len(before), bool)
-        same = a.view(np.int32) == b[: len(a)].view(np.int32)
-        touched |= np.logical_not(same.reshape(len(a), -1).all(1))
-    return touched

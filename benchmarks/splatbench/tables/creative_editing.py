@@ -36,10 +36,10 @@ from splatpainter.cameras import Camera
 from splatpainter.data import viewpoints
 from splatpainter.data.edits import EditDesign
 from splatpainter.data.edits.surface_points import SurfacePoint
+from splatpainter.splats import Splats, changed_rows
 
 if TYPE_CHECKING:
     from splatbench.methods import EditResult
-    from splatpainter.splats import Splats
 
 FRAMINGS: tuple[Framing, ...] = ("close-up", "whole")
 """Framings of edited views, in turn."""
@@ -114,11 +114,9 @@ TABLE = CreativeEditing()
 
 def changed_gaussians(asset: Splats, result: EditResult) -> dict[str, float | None]:
     """{"touched": Gaussians of the asset whose bits changed, "appended", "equal": per cent}; None for a new asset."""
-    from splatbench import methods
-
     if not result.keeps_gaussians:
         return {"touched": None, "appended": None, "equal": None}
-    count = int(methods.changed(asset, result.splats).sum())
+    count = len(changed_rows(asset.numpy(), result.splats.numpy()))
     share = 100 * (1 - count / len(asset))
     return {"touched": float(count), "appended": float(len(result.splats) - len(asset)), "equal": share}
 

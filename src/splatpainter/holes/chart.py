@@ -15,6 +15,7 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.holes.border import Border
 from splatpainter.holes.smooth_surface import ThinPlate
+from splatpainter.lift.masks import dilated
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
@@ -167,7 +168,7 @@ def _one_surface(labels: np.ndarray, shell: np.ndarray, depth: np.ndarray, margi
     sizes = np.bincount(labels[shell])
     largest = shell & (labels == sizes.argmax())
     rest = shell & ~largest
-    near = largest & grown(rest, NEAR_PX)
+    near = largest & dilated(rest, NEAR_PX)
     if not rest.any() or near.sum() < MIN_KNOTS:
         return largest
     ys, xs = np.nonzero(near)
@@ -190,14 +191,14 @@ def _shadow(
     inside = ((index >= 0) & (index < camera.width)).all(1)
     out = np.zeros((camera.height, camera.width), bool)
     out[index[inside, 1], index[inside, 0]] = True
-    return grown(out, 2 * CELL_PX)
+    return dilated(out, 2 * CELL_PX)
 
 
 def _hole(shell: np.ndarray, guide: np.ndarray, between: np.ndarray, margin: int) -> np.ndarray:
     """[H, W] bool: parts that the shell encloses, or that lie `between` parts of the border, where the guide touches
     them and the shell is around. margin: pixels to every side that some pixel of a part must have: what is smaller is a
     gap between neighbours."""
-    closed = ~grown(~grown(shell, 1), 1)
+    closed = ~dilated(~dilated(shell, 1), 1)
     outside = _labels(~closed)
     frame = np.unique(np.concatenate([outside[0], outside[-1], outside[:, 0], outside[:, -1]]))
     enclosed = (outside >= 0) & ~np.isin(outside, frame)
@@ -205,8 +206,8 @@ def _hole(shell: np.ndarray, guide: np.ndarray, between: np.ndarray, margin: int
     hole = np.zeros_like(shell)
     for label in range(parts.max() + 1):
         part = parts == label
-        rim = grown(part, 1) & ~part
-        wide = not margin or bool((part & ~grown(~part, margin)).any())
+        rim = dilated(part, 1) & ~part
+        wide = not margin or bool((part & ~dilated(~part, margin)).any())
         if wide and part.sum() >= MIN_HOLE_PX and (part & guide).any() and shell[rim].mean() >= MIN_RIM_SHARE:
             hole |= part
     return hole
@@ -217,19 +218,6 @@ def _labels(mask: np.ndarray) -> np.ndarray:
     out = np.full(mask.shape, -1, np.int64)
     ys, xs = np.nonzero(mask)
     out[ys, xs] = components(np.stack([xs, ys, 0 * xs], 1) + 0.5, 1.0)
-    return out
-
-
-def grown(mask: np.ndarray, by: int) -> np.ndarray:
-    """[H, W] bool: with the pixels within `by` in eight directions."""
-    out = mask.copy()
-    for _ in range(by):
-        wide = out.copy()
-        wide[:, 1:] |= out[:, :-1]
-        wide[:, :-1] |= out[:, 1:]
-        out = wide.copy()
-        out[1:] |= wide[:-1]
-        out[:-1] |= wide[1:]
     return out
 
 

@@ -14,10 +14,11 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.holes.border import Border, beside, borders_of
-from splatpainter.holes.chart import CELL_PX, Chart, chart_of, grown
+from splatpainter.holes.chart import CELL_PX, Chart, chart_of
 from splatpainter.holes.smooth_surface import ThinPlate, sphere_heights
 from splatpainter.holes.texture import complete
 from splatpainter.lift.colors import lift_colors, recolor
+from splatpainter.lift.masks import dilated
 from splatpainter.lift.sheet import CELL_WIDTH, SHEET_OPACITY, pixel_gaussians
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import SH_C0, Splats
@@ -131,7 +132,7 @@ def _charts(splats: Splats, remaining: np.ndarray, removed: np.ndarray | None, b
 
 def _is_other(front: Chart, back: Chart, border: Border) -> bool:
     """Whether two sides of a border show two shells, the sides of a wall, and not one from both sides."""
-    near = grown(front.hole, 4) & front.shell
+    near = dilated(front.hole, 4) & front.shell
     if not near.any() or not back.shell.any():
         return False
     ys, xs = np.nonzero(near)
@@ -152,7 +153,7 @@ def _is_other(front: Chart, back: Chart, border: Border) -> bool:
 def _filled(splats: Splats, chart: Chart, border: Border) -> Splats:
     """New Gaussians in a chart's hole."""
     none = replace(splats.take(np.zeros(0, np.int64)), source=None, origin=None)
-    hole = grown(chart.hole, RIM_PX) | (grown(chart.hole, SOFT_RIM_PX) & ~chart.clean & chart.shell)
+    hole = dilated(chart.hole, RIM_PX) | (dilated(chart.hole, SOFT_RIM_PX) & ~chart.clean & chart.shell)
     ys, xs = np.nonzero(_cells(hole, CELL_PX))
     pixels = (np.stack([xs, ys], 1) + 0.5) * CELL_PX
     if not len(pixels):
@@ -221,7 +222,7 @@ def _continued(chart: Chart, border: Border, pixels: np.ndarray) -> tuple[np.nda
     camera = chart.camera
     area = int(chart.hole.sum())
     band = int(np.clip(BAND_SHARE * np.sqrt(area), MIN_BAND_PX, MAX_BAND_PX))
-    ys, xs = np.nonzero(grown(chart.hole, band) & chart.shell)
+    ys, xs = np.nonzero(dilated(chart.hole, band) & chart.shell)
     z = chart.depth[ys, xs]
     rays = camera.sight_lines(np.stack([xs, ys], 1) + 0.5)
     points = rays * np.stack([z, z, -z], 1)  # heights grow towards the camera

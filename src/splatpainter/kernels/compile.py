@@ -43,8 +43,9 @@ WARMUPS: dict[str, tuple[str, ...]] = {
     "splatpainter.lift.detail:warm": ("lift/detail.py",),
     "splatpainter.lift.near_surface:warm": ("lift/near_surface.py", "lift/nearest.py"),
     "splatpainter.lighting:warm": ("lighting.py",),
-    "splatpainter.spread.warm:warm": ("spread",),
+    "splatpainter.spread.warm:warm": ("spread", "kernels/search.py"),
     "splatpainter.voxels.neighbours:warm": ("voxels/neighbours.py", "kernels/search.py"),
+    "splatpainter.session.curvature:warm": ("session/curvature.py", "surface/unwrap.py"),
 }
 """Registry. "module:function" that calls every kernel of its package once with float32 arrays -> files and folders
 (relative to the package) whose edits make its compiled kernels stale. Two processes take entries from the front: those

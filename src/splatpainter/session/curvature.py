@@ -58,6 +58,13 @@ def bend_degrees(splats: Splats) -> np.ndarray:
     return out
 
 
+def warm() -> None:
+    """Compile (or load) the kernel."""
+    points = np.eye(3)
+    cells = PointCells.of(points, 1.0)
+    run(_neighbour_sums, points, points, *cells.arrays, 1.0, points, points, np.zeros((3, 3)))
+
+
 @njit(nogil=True, cache=True, error_model="numpy")
 def _neighbour_sums(samples, facing, keys, order, corner, size, radius, points, normals, out, thread, threads):
     """out: [Q, 3] per point: how many samples are near, and in sum their (n2 - n1) (p2 - p1) and squared distances, in

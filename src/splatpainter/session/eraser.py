@@ -34,7 +34,7 @@ from splatpainter.color import base_color
 from splatpainter.rendering.shares import footprint_mean, share_of
 from splatpainter.session.appearance import fitted_sh, moved_gaussians, picture_of
 from splatpainter.session.delta import Delta, bare
-from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.splats import ATTRIBUTES, Splats, changed_rows
 
 PAINT_CONTRAST = 0.04
 """Change of a colour channel, 0..1, from which a pixel beside the mask shows paint."""
@@ -209,10 +209,5 @@ def _is_near(splats: Splats, visible: Splats) -> np.ndarray:
 
 def _difference(below: Splats, after: Splats, parent_ids: np.ndarray) -> Delta:
     """parent_ids: [A] of what was appended."""
-    n = len(below)
-    differs = np.zeros(n, bool)
-    for name in ATTRIBUTES:
-        old, new = getattr(below, name), getattr(after, name)[:n]
-        differs |= (old.view(np.uint32) != new.view(np.uint32)).reshape(n, -1).any(1)
-    changed = np.flatnonzero(differs)
+    n, changed = len(below), changed_rows(below, after)
     return Delta(n, changed, bare(after.take(changed)), bare(after.take(np.arange(n, len(after)))), parent_ids)

@@ -16,8 +16,8 @@ from dataclasses import replace
 import numpy as np
 
 from splatpainter.cameras import Camera, look_at
-from splatpainter.holes.chart import grown
 from splatpainter.holes.fill import Filled, fill_hole, painted
+from splatpainter.lift.masks import dilated
 from splatpainter.painter import Asset
 from splatpainter.receipts import Receipt, untouched_hashes
 from splatpainter.rendering.shares import share_of
@@ -146,7 +146,7 @@ def ask_for_fill(
 
 def fill_mask(splats: Splats, new: np.ndarray, camera: Camera) -> np.ndarray:
     """[H, W] bool: where a view shows new Gaussians ([N] bool), and a little around them."""
-    return grown(share_of(splats, camera, new) > MIN_SHARE, MASK_MARGIN_PX)
+    return dilated(share_of(splats, camera, new) > MIN_SHARE, MASK_MARGIN_PX)
 
 
 def _mask_of(made: SourcedEdit) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 
 from splatpainter.kernels.parallel import run
+from splatpainter.kernels.search import first_not_below
 
 COUNT = 16
 """Neighbours of a point, itself the first."""
@@ -55,18 +56,6 @@ def _cube_size(points: np.ndarray) -> float:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _first_at(keys, key):
-    low, high = 0, keys.shape[0]
-    while low < high:
-        middle = (low + high) // 2
-        if keys[middle] < key:
-            low = middle + 1
-        else:
-            high = middle
-    return low
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
 def _nearest(points, keys, order, cells, size, out, thread, threads):
     count = out.shape[1]
     best, square = np.empty(count, np.int64), np.empty(count)
@@ -77,7 +66,8 @@ def _nearest(points, keys, order, cells, size, out, thread, threads):
                 for x in range(cells[i, 0] - ring, cells[i, 0] + ring + 1):
                     for y in range(cells[i, 1] - ring, cells[i, 1] + ring + 1):
                         row = (x << 2 * BITS) | (y << BITS)
-                        k, last = _first_at(keys, row | (cells[i, 2] - ring)), row | (cells[i, 2] + ring)
+                        k = first_not_below(keys, 0, keys.shape[0], row | (cells[i, 2] - ring))
+                        last = row | (cells[i, 2] + ring)
                         while k < keys.shape[0] and keys[k] <= last and tested < MAX_TESTED:
                             j = order[k]
                             k += 1
