@@ -206,6 +206,7 @@ def test_json_gives_back_every_bit(numbers, seed, width):
     assert set(data) == KEYS and data["version"] == 1
     assert np.array(data["world_to_camera"]).tobytes() == camera.world_to_camera.tobytes()
     assert same(Camera.from_json(text), camera)
+    assert list(camera.record()) == list(data) and camera.record() == data and same(Camera.from_record(data), camera)
 
 
 def changed(**fields) -> str:
@@ -432,6 +433,13 @@ def test_points_are_projected_and_come_back(seed: int) -> None:
         np.testing.assert_allclose(got.numpy(), values, rtol=1e-3, atol=1e-2)
     np.testing.assert_allclose(camera.camera_to_world @ camera.world_to_camera, np.eye(4), atol=1e-14)
     np.testing.assert_allclose(camera.camera_to_world[:3, 3], camera.position, atol=1e-14)
+
+
+def test_the_longest_side_has_the_pixels_and_the_other_one_at_least() -> None:
+    wide = look_at((0, 0, 3), (0, 0, 0), width=1000, height=300)
+    assert wide.with_longest_side(500) == wide.resized(500, 150)
+    assert wide.cropped(0, 0, 300, 1000).with_longest_side(100).height == 100
+    assert wide.with_longest_side(1).height == 1
 
 
 def test_depth_maps_are_points_on_the_rays_of_their_pixels() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from splatpainter.color import base_color, linear_to_srgb, luminance, sh_from_color, srgb_to_linear
+from splatpainter.color import base_color, from_hex, linear_to_srgb, luminance, sh_from_color, srgb_to_linear
 
 SHADES = np.concatenate([np.linspace(0, 1, 4001), [0.04045, 0.0031308, 1.7]])
 
@@ -52,3 +52,9 @@ def test_base_colours_are_those_of_a_constant_function() -> None:
     np.testing.assert_allclose(base_color(sh), colors, atol=1e-6)
     np.testing.assert_allclose(base_color(torch.from_numpy(sh)).numpy(), base_color(sh))
     assert base_color(np.zeros((1, 3)))[0] == 0.5
+
+
+def test_colours_are_six_hex_digits_with_or_without_a_sign() -> None:
+    assert from_hex("#3380fF") == from_hex("3380ff") == (0.2, 128 / 255, 1.0)
+    for text in ("", "#", "#12345", "#1234567", "##123456", "#+f+f+f", "#12 456", "12345g"):
+        assert from_hex(text) is None

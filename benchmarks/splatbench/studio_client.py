@@ -33,7 +33,7 @@ COLUMNS = (*GEOMETRY, "opacities", "sh")
 
 def wire(camera: Camera) -> dict[str, Any]:
     """A camera as clients send it."""
-    return json.loads(camera.to_json())
+    return camera.record()
 
 
 def encoded(rgba: np.ndarray) -> str:

@@ -138,6 +138,11 @@ class Camera:
             self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy
         )
 
+    def with_longest_side(self, pixels: int) -> Camera:
+        """The same view with so many pixels on its longer side, and at least one on the other."""
+        scale = pixels / max(self.width, self.height)
+        return self.resized(max(1, round(self.width * scale)), max(1, round(self.height * scale)))
+
     def cropped(self, x: int, y: int, width: int, height: int) -> Camera:
         """The window [x, x + width) x [y, y + height) of this view."""
         return replace(self, width=width, height=height, cx=self.cx - x, cy=self.cy - y)
@@ -151,30 +156,37 @@ class Camera:
             world /= np.linalg.norm(world, axis=-1, keepdims=True)
         return self.position.astype(np.float32), world.astype(np.float32)
 
+    def record(self) -> dict[str, Any]:
+        """JSON values of all that it is, in the order in which files have them."""
+        return {
+            "version": VERSION,
+            "width": self.width,
+            "height": self.height,
+            "fx": self.fx,
+            "fy": self.fy,
+            "cx": self.cx,
+            "cy": self.cy,
+            "world_to_camera": self.world_to_camera.tolist(),
+            "background": list(self.background),
+            "asset_sha256": self.asset_sha256,
+        }
+
     def to_json(self) -> str:
         """The object that pictures carry, as one line (docs/CONVENTIONS.md says what each key means)."""
-        return json.dumps(
-            {
-                "version": VERSION,
-                "width": self.width,
-                "height": self.height,
-                "fx": self.fx,
-                "fy": self.fy,
-                "cx": self.cx,
-                "cy": self.cy,
-                "world_to_camera": self.world_to_camera.tolist(),
-                "background": list(self.background),
-                "asset_sha256": self.asset_sha256,
-            }
-        )
+        return json.dumps(self.record())
 
     @staticmethod
     def from_json(text: str, where: str = "camera") -> Camera:
         """Parse `to_json`'s object. Raises ValueError naming `where` and the field that is wrong."""
         try:
-            data: dict[str, Any] = json.loads(text)
+            data = json.loads(text)
         except (ValueError, RecursionError) as error:  # not only JSONDecodeError: digits and depth have limits
             raise ValueError(f"{where}: expected a camera as JSON, got {text[:40]!r} ({error})") from None
+        return Camera.from_record(data, where)
+
+    @staticmethod
+    def from_record(data: Any, where: str = "camera") -> Camera:
+        """The camera of `record`'s values. Raises ValueError naming `where` and the field that is wrong."""
         if not isinstance(data, dict):
             raise ValueError(f"{where}: expected a JSON object, got {type(data).__name__}")
         if data.get("version") != VERSION:

@@ -72,6 +72,15 @@ def sh_from_color(colors: Array) -> Array:
     return (colors - 0.5) / SH_C0
 
 
+def from_hex(text: str) -> tuple[float, float, float] | None:
+    """Red, green and blue 0..1 of "#2040a0" or "2040a0"; None of other text."""
+    digits = text.removeprefix("#")
+    if len(digits) != 6 or any(c not in "0123456789abcdefABCDEF" for c in digits):
+        return None
+    red, green, blue = (int(digits[k : k + 2], 16) / 255 for k in (0, 2, 4))
+    return red, green, blue
+
+
 def _where(condition: Array, one: Array, other: Array) -> Array:
     if isinstance(one, np.ndarray | np.generic):
         return np.where(condition, one, other)

@@ -203,7 +203,7 @@ def view_files(
     passes = draw_passes(
         splats, camera, options.aovs, profile=options.profile, normals=normals, coverage=coverage, surface=surface
     )
-    record: dict[str, Any] = json.loads(camera.to_json())
+    record = camera.record()
     if options.transparent:
         record[ALPHA_KEY] = options.transparent
     text = {CAMERA_KEYWORD: json.dumps(record)}

@@ -14,6 +14,7 @@ from typing import Any
 from splatpainter.atomic import check_name
 from splatpainter.batch.schema import Batch, JobEdit, file_paths, with_values
 from splatpainter.io import FORMATS, format_of_name
+from splatpainter.io.files import file_sha256
 from splatpainter.io.sog import META
 from splatpainter.splats import Frame
 from splatpainter.yamlio import Lines, read
@@ -21,7 +22,6 @@ from splatpainter.yamlio import Lines, read
 MAX_JOBS = 100_000
 MASK, OF_PROJECT = "mask=", ("selection=", "layer=")
 """Terms of `where` that name files: MASK.png@CAMERA.json, and NAME@PROJECT.splatproj."""
-READ_BYTES = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class JobStep:
         text = json.dumps(asdict(self.step), default=str)
         for path in sorted((path for path, _ in self.lines), key=len, reverse=True):
             text = text.replace(json.dumps(path)[1:-1], json.dumps(Path(path).name)[1:-1])
-        return {"kind": self.kind, "files": [_digest(Path(path)) for path, _ in self.lines], **json.loads(text)}
+        return {"kind": self.kind, "files": [file_sha256(Path(path)) for path, _ in self.lines], **json.loads(text)}
 
     def check(self) -> None:
         """Raises ValueError with the line of the jobs file that names a file which is not there."""
@@ -243,16 +243,8 @@ def _asset_digest(asset: Path) -> str:
     folder = asset if asset.is_dir() else asset.parent
     if asset.is_dir() or asset.name.lower() == META:
         members = [folder / META, *sorted(path for path in folder.iterdir() if path.suffix.lower() == ".webp")]
-        return _hash(" ".join(_digest(member) for member in members))
-    return _digest(asset)
-
-
-def _digest(path: Path) -> str:
-    digest = hashlib.sha256()
-    with open(path, "rb") as file:
-        while piece := file.read(READ_BYTES):
-            digest.update(piece)
-    return digest.hexdigest()
+        return _hash(" ".join(file_sha256(member) for member in members))
+    return file_sha256(asset)
 
 
 def _hash(text: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -140,7 +139,7 @@ def run(config: Config) -> Outcome:
         **summary,
         "sheet": config.out / "sheet.png",
         "views": [
-            {"file": config.out / name, "camera": json.loads(camera.to_json()), **asdict(one)}
+            {"file": config.out / name, "camera": camera.record(), **asdict(one)}
             for name, camera, one in zip(names, cameras, results, strict=True)
         ],
     }

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from splatpainter.color import from_hex
 from splatpainter.painter import Asset, Method, Painter
 from splatpainter.sources.decals import Decal, parse_width, text_picture
 from splatpainter.sources.edit_files import camera_from
@@ -75,8 +75,7 @@ def _pixel(text: str) -> tuple[float, float]:
 
 
 def _color(text: str) -> tuple[float, float, float]:
-    if not re.fullmatch("#?[0-9a-fA-F]{6}", text):
+    color = from_hex(text)
+    if color is None:
         raise ValueError(f"{COMMAND}: expected --decal-color like #20406f, got {text!r}")
-    digits = text.removeprefix("#")
-    red, green, blue = (int(digits[k : k + 2], 16) / 255 for k in (0, 2, 4))
-    return red, green, blue
+    return color

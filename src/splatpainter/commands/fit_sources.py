@@ -246,8 +246,7 @@ def _posed_picture(path: Path, camera: Camera, wish: Wish, k: int) -> PosedPictu
     from splatpainter.sources.picture_reader import read_picture
 
     if wish.size is not None:
-        part = wish.size / max(camera.width, camera.height)
-        camera = camera.resized(max(1, round(camera.width * part)), max(1, round(camera.height * part)))
+        camera = camera.with_longest_side(wish.size)
     picture = read_picture(path)
     ratio = picture.size[0] / picture.size[1] / (camera.width / camera.height)
     if abs(ratio - 1) > 0.01 + 1 / min(camera.width, camera.height):

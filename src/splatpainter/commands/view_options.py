@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from splatpainter.cameras import Camera, orbit_cameras
-from splatpainter.color import from_display
+from splatpainter.color import from_display, from_hex
 from splatpainter.rendering import MAX_SIDE_PX
 from splatpainter.splats import Splats
 
@@ -82,22 +82,15 @@ def given_cameras(paths: Sequence[Path], size: int | None) -> list[Camera]:
     from splatpainter.sources.edit_files import camera_from
 
     cameras = [camera_from(path) for path in paths]
-    if size is None:
-        return cameras
-    scales = [size / max(camera.width, camera.height) for camera in cameras]
-    return [
-        camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
-        for camera, scale in zip(cameras, scales, strict=True)
-    ]
+    return cameras if size is None else [camera.with_longest_side(size) for camera in cameras]
 
 
 def rgb(text: str) -> tuple[float, float, float]:
     """Display colour 0..1 from "0.2,0.5,1" or "#3380ff". Raises ValueError."""
     try:
-        if text.startswith("#") and len(text) == 7:
-            red, green, blue = (int(text[k : k + 2], 16) / 255 for k in (1, 3, 5))
-        else:
-            red, green, blue = (float(part) for part in text.split(","))
+        if text.startswith("#") and (parsed := from_hex(text)) is not None:
+            return parsed
+        red, green, blue = (float(part) for part in text.split(","))
         if all(0 <= value <= 1 for value in (red, green, blue)):
             return red, green, blue
     except ValueError:

@@ -20,6 +20,7 @@ import torch
 from scipy.linalg import block_diag
 from torch import Tensor
 
+from splatpainter.color import base_color, sh_from_color
 from splatpainter.data.edits.on_surfels import grade_sh
 from splatpainter.data.lights import Light, random_light, shade, shade_all
 from splatpainter.data.lit_scenes import SceneObject, render_views
@@ -136,7 +137,7 @@ class GlobalEditStream:
             surfels.quats.numpy(),  # shapes play no part
             surfels.scales.numpy(),
             surfels.opacities.numpy(),
-            ((before - 0.5) / SH_C0)[:, None],
+            sh_from_color(before)[:, None],
         )
         transfer = item.transfer[ids].copy()
         transfer[:, :9] = transfer[:, :9] @ _sh_rotation(tuple(turn.ravel().tolist())).T
@@ -155,7 +156,7 @@ class GlobalEditStream:
         else:
             lit = shade_all(surfels, coefficients[pick[0]], exposures[pick[0]], degree)
             both = torch.stack([lit, grade_sh(lit, random_grade(rng))])
-        before, after = (0.5 + SH_C0 * both[:, :, 0]).numpy()
+        before, after = base_color(both).numpy()
         return before, after
 
     @property

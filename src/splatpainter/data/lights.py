@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from splatpainter.color import LUMA, linear_to_srgb
+from splatpainter.color import LUMA, linear_to_srgb, sh_from_color
 from splatpainter.data.surfels import Surfels
 from splatpainter.splats import SH_C0
 from splatpainter.transforms import fibonacci_sphere, sh_basis
@@ -107,7 +107,7 @@ def shade_all(surfels: Surfels, coefficients: Any, exposure: Any, degree: int = 
     around = sh_basis(surfels.normals, 2)
     if degree == 0:
         mean = (around * reach * _cosine(around) / torch.pi) @ coefficients
-        return ((tone_map(diffuse + gloss * mean.clamp_min(0), lamps) - 0.5) / SH_C0)[..., None, :]
+        return sh_from_color(tone_map(diffuse + gloss * mean.clamp_min(0), lamps))[..., None, :]
     lobe = mirrored_sh(coefficients, surfels.normals) * reach[:, :, None] * gloss[:, None]
     lobe = lobe[..., : (degree + 1) ** 2, :]  # [..., N, K, 3] radiance per direction from the camera
     towards = sh_basis(-surfels.normals, 2)[:, 1 : lobe.shape[-2], None]

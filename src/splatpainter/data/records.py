@@ -44,7 +44,7 @@ def encode_sample(sample: Sample, radiance: Mapping[str, np.ndarray] | None = No
         "kind": sample.kind,
         "mode": sample.mode,
         "near": sample.near.tolist(),
-        "cameras": {name: [json.loads(camera.to_json()) for camera in group.cameras] for name, group in groups.items()},
+        "cameras": {name: [camera.record() for camera in group.cameras] for name, group in groups.items()},
         **more,
     }
     files = {"json": json.dumps(about).encode(), "asset.ply": _encode_ply(sample.asset)}
@@ -110,7 +110,7 @@ def decode_radiance(files: Mapping[str, bytes], name: str, where: str) -> np.nda
 
 
 def _decode_views(files: Mapping[str, bytes], name: str, cameras: list[dict[str, Any]]) -> PosedViews:
-    parsed = tuple(Camera.from_json(json.dumps(camera), f"{name} camera {k}") for k, camera in enumerate(cameras))
+    parsed = tuple(Camera.from_record(camera, f"{name} camera {k}") for k, camera in enumerate(cameras))
     pictures = []
     for k, camera in enumerate(parsed):
         picture = _decode_png(files[f"{name}_{k:02d}.png"])

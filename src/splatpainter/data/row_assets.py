@@ -24,6 +24,7 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from splatpainter.atomic import writing
+from splatpainter.color import base_color, sh_from_color
 from splatpainter.data.lights import Light, random_light, shade_all
 from splatpainter.data.lit_scenes import SceneObject, mesh_object, render_views
 from splatpainter.data.object_sources import MeshSource
@@ -34,7 +35,7 @@ from splatpainter.data.viewpoints import Optics, ring
 from splatpainter.lift.depth_normals import outward_normals
 from splatpainter.lighting import prt_transfer
 from splatpainter.rendering import render
-from splatpainter.splats import SH_C0, Splats
+from splatpainter.splats import Splats
 from splatpainter.transforms import matrix_to_quat, quat_to_matrix
 
 AssetKind = Literal["coarse", "fitted"]
@@ -94,7 +95,7 @@ class RowAsset:
 
 def base_colors(surfels: Surfels, coefficients: Tensor, exposure: Tensor) -> np.ndarray:
     """[..., N, 3] display sRGB of band 0."""
-    return (0.5 + SH_C0 * shade_all(surfels, coefficients, exposure, 0)[..., 0, :]).numpy()
+    return base_color(shade_all(surfels, coefficients, exposure, 0)).numpy()
 
 
 class RowAssets:
@@ -172,7 +173,7 @@ class RowAssets:
             asset = fitted(item, light, optics, recipe.rows, rng)
             surfels = _nearest(item.surfels, asset.means)
             truth = base_colors(surfels, light.coefficients, light.exposure)
-            residual = 0.5 + SH_C0 * asset.sh[:, 0] - truth
+            residual = base_color(asset.sh) - truth
             normals = outward_normals(asset)
         cameras = [ring(item.radius, optics, RING_VIEWS, rng) for _ in range(RINGS)]
         drawn = [render(asset, views, contributions=True).contributions for views in cameras]
@@ -224,7 +225,7 @@ def turned(splats: Splats, turn: np.ndarray) -> Splats:
 
 def _colored(shapes: Surfels, colors: np.ndarray) -> Splats:
     means, quats, scales, opacities = (x.numpy() for x in (shapes.means, shapes.quats, shapes.scales, shapes.opacities))
-    return Splats(means, quats, scales, opacities, (((colors - 0.5) / SH_C0)[:, None]).astype(np.float32))
+    return Splats(means, quats, scales, opacities, sh_from_color(colors)[:, None].astype(np.float32))
 
 
 def _nearest(surfels: Surfels, points: np.ndarray) -> Surfels:

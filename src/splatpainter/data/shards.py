@@ -206,20 +206,12 @@ def damage(folder: Path, entry: Mapping[str, Any], contents: bool = True) -> str
         return f"{path}: has {size:,} bytes, expected {entry['bytes']:,}: cut short, or still being copied"
     if contents:
         try:
-            digest = _sha256(path)
+            digest = files.file_sha256(path)
         except ValueError as error:
             return str(error)
         if digest != entry["sha256"]:
             return f"{path}: has another checksum than when it was written: damaged or changed"
     return None
-
-
-def _sha256(path: Path) -> str:
-    digest = hashlib.sha256()
-    with files.reading(path) as file:
-        while block := file.read(1 << 20):
-            digest.update(block)
-    return digest.hexdigest()
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
+from splatpainter.color import from_hex
 from splatpainter.grading.region import Region
 from splatpainter.painter import Asset
 from splatpainter.receipts import Receipt, untouched_hashes
@@ -67,11 +68,10 @@ def one_look(given: Mapping[str, Any], where: str = "", mark: str = "") -> dict[
 
 def hex_color(text: str, where: str = "", mark: str = "") -> tuple[float, float, float]:
     """0..1 of a --recolor. Raises ValueError, which begins with `where`."""
-    digits = text.removeprefix("#")
-    if len(digits) != 6 or any(c not in "0123456789abcdefABCDEF" for c in digits):
+    color = from_hex(text)
+    if color is None:
         raise ValueError(f"{where}expected {mark}recolor like #2040a0, got {ascii(text[:40])}")
-    red, green, blue = (int(digits[k : k + 2], 16) / 255 for k in (0, 2, 4))
-    return red, green, blue
+    return color
 
 
 def grade(splats: Splats, look: Look, region: Region | None = None, *, strength: float = 1.0) -> Asset:

@@ -30,7 +30,7 @@ from pathlib import Path
 
 import numpy as np
 
-from splatpainter.color import luminance, oklab
+from splatpainter.color import from_hex, luminance, oklab
 from splatpainter.sources.color_match import display_colors
 from splatpainter.splats import Splats
 
@@ -199,13 +199,13 @@ def _color_range(name: str, text: str) -> Weigh:
 
 def _color(name: str, text: str) -> Weigh:
     code, tilde, distance_text = text.partition("~")
-    digits = code.removeprefix("#")
-    if len(digits) != 6 or any(c not in "0123456789abcdefABCDEF" for c in digits):
+    color = from_hex(code)
+    if color is None:
         raise _wrong(name, "#RRGGBB or #RRGGBB~DISTANCE", text)
     limit = _number(name, distance_text) if tilde else DEFAULT_DISTANCE
     if limit <= 0:
         raise _wrong(name, "a distance above 0", text)
-    target = oklab(np.array([[int(digits[k : k + 2], 16) / 255 for k in (0, 2, 4)]]))
+    target = oklab(np.array([color]))
 
     def weigh(splats: Splats) -> np.ndarray:
         distance = np.linalg.norm(oklab(display_colors(splats)) - target, axis=1)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.color import sh_from_color
 from splatpainter.holes.border import Border, beside, borders_of
 from splatpainter.holes.chart import CELL_PX, Chart, chart_of
 from splatpainter.holes.smooth_surface import ThinPlate, sphere_heights
@@ -21,7 +22,7 @@ from splatpainter.lift.colors import lift_colors, recolor
 from splatpainter.lift.masks import dilated
 from splatpainter.lift.sheet import CELL_WIDTH, SHEET_OPACITY, pixel_gaussians
 from splatpainter.rendering.cpu.projected_view import project
-from splatpainter.splats import SH_C0, Splats
+from splatpainter.splats import Splats
 
 MAX_STRETCH = 2.0
 """Largest stretch of a Gaussian along a slanted surface."""
@@ -182,7 +183,7 @@ def _filled(splats: Splats, chart: Chart, border: Border) -> Splats:
     target = complete(chart.picture, chart.shell, chart.clean, hole)
     colors = _means(target, CELL_PX)[ys, xs][source]
     sh = np.zeros((len(source), *splats.sh.shape[1:]), np.float32)
-    sh[:, 0] = (colors - 0.5) / SH_C0
+    sh[:, 0] = sh_from_color(colors)
     fresh = Splats(
         geometry.means.astype(np.float32),
         geometry.quats.astype(np.float32),

@@ -11,10 +11,23 @@ from typing import BinaryIO
 
 from splatpainter.atomic import remove, replace, sync_folder, writing
 
-__all__ = ["read_all", "read_head", "reading", "remove", "replace", "sha256", "sync_folder", "take", "writing"]
+__all__ = [
+    "file_sha256",
+    "read_all",
+    "read_head",
+    "reading",
+    "remove",
+    "replace",
+    "sha256",
+    "sync_folder",
+    "take",
+    "writing",
+]
 
 MAX_HEADER_BYTES = 1 << 20
 """Bytes; no honest text header is longer, and a hostile one must not be searched to its end."""
+PIECE_BYTES = 1 << 20
+"""Read at a time of a file that is hashed."""
 
 
 @contextlib.contextmanager
@@ -59,6 +72,15 @@ def read_all(path: Path) -> bytes:
 def sha256(data: bytes | memoryview) -> str:
     """Hex SHA-256 of `data`."""
     return hashlib.sha256(data).hexdigest()
+
+
+def file_sha256(path: Path) -> str:
+    """Hex SHA-256 of a file, which need not fit into memory. Raises ValueError: as `reading`."""
+    digest = hashlib.sha256()
+    with reading(path) as file:
+        while piece := file.read(PIECE_BYTES):
+            digest.update(piece)
+    return digest.hexdigest()
 
 
 def take(data: bytes | memoryview, offset: int, count: int, where: Path | str, what: str) -> memoryview:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.color import base_color, sh_from_color
 from splatpainter.lift.colors import MAX_COLOR, MIN_SEEN_PX, SolidView, joint_change, total_weight
 from splatpainter.lift.depth_normals import outward_normals, scattered
 from splatpainter.lift.options import GLOBAL_DEFAULTS, GlobalOptions
@@ -70,7 +71,7 @@ def lift_global(
         sh[drawable] = part.splats.sh
         values = (part.confidence, part.seen, part.predicted, part.normals)
         return GlobalLift(replace(splats, sh=sh), *(scattered(value, drawable) for value in values))
-    old = 0.5 + SH_C0 * splats.sh[:, 0]  # [N, 3] base colours
+    old = base_color(splats.sh)  # [N, 3]
     solid = _solid_views(splats, views)
     weight = total_weight(solid)
     change = joint_change(solid, options.rounds)
@@ -87,7 +88,7 @@ def lift_global(
     share = (weight / (weight + options.half_seen))[:, None]
     new = np.clip(old + predicted, np.minimum(old, 0), np.maximum(old, MAX_COLOR))
     sh = splats.sh.copy()
-    sh[:, 0] = (new - 0.5) / SH_C0
+    sh[:, 0] = sh_from_color(new)
     if sh.shape[1] > 1:
         sh[:, 1:] = sh[:, 1:] @ color_matrices(features, solution).transpose(0, 2, 1)
     result = replace(splats, sh=sh.astype(splats.sh.dtype))
@@ -122,7 +123,7 @@ def regressed(
 ) -> np.ndarray:
     """[N, 3] change of base colour of all Gaussians, by the lift's ridge regression on those that are seen (at least
     one). splats: all drawable; normals: [N, 3]; change, weight: of `seen_change`."""
-    features = regression_features(np.clip(0.5 + SH_C0 * splats.sh[:, 0], 0, 1), normals)
+    features = regression_features(np.clip(base_color(splats.sh), 0, 1), normals)
     seen = weight > MIN_SEEN_PX
     return features @ ridge(features[seen], change[seen], weight[seen], options)[0]
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.color import base_color
 from splatpainter.lift.colors import lift_colors, painted_sh, recolor
 from splatpainter.lift.detail import REACHES_PX, SMALLEST_PX, detail_layer
 from splatpainter.lift.evidence import Evidence
@@ -19,7 +20,7 @@ from splatpainter.lift.merge import merge
 from splatpainter.lift.options import LocalOptions
 from splatpainter.lift.split import Lattice, projected_sizes
 from splatpainter.rendering.cpu.projected_view import TILE, ProjectedView, project
-from splatpainter.splats import SH_C0, Splats
+from splatpainter.splats import Splats
 from splatpainter.transforms import row_max
 
 MIN_PIXEL_SHARE = 0.004
@@ -139,7 +140,7 @@ class Patch:
         if not halved.any():
             return self
         ids, visible, count = self.view.gaussian_ids, self.evidence.visible, len(self.splats)
-        pixels, colors = np.zeros(count), np.clip(0.5 + SH_C0 * self.splats.sh[:, 0].astype(np.float64), 0, None)
+        pixels, colors = np.zeros(count), np.clip(base_color(self.splats.sh[:, :1].astype(np.float64)), 0, None)
         solid = _is_solid(self.view, self.view.rasterize()[1])
         pixels[ids] = visible + (UNMENDED_COST - 1) * (visible - self.view.mask_sums(solid, solid)[0].weight)
         mean_change = self.evidence.change / np.maximum(visible, MIN_SEEN_PX)[:, None]

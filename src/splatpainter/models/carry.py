@@ -19,13 +19,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from splatpainter.color import base_color
 from splatpainter.lift.colors import MIN_SEEN_PX
 from splatpainter.lift.features import HALF_SEEN_PX
 from splatpainter.lift.global_edit import Predict
 from splatpainter.models.decode import color_change
 from splatpainter.models.model import GaussianInputs
 from splatpainter.models.predictor import described_facts, gaussian_facts, spread_evenly
-from splatpainter.splats import SH_C0, Splats
+from splatpainter.splats import Splats
 
 if TYPE_CHECKING:
     from splatpainter.models.compress import Latents
@@ -71,7 +72,7 @@ class EncodedGaussians:
         if model.config.refine.facts:
             assert transfer is not None
             facts = described_facts(torch.from_numpy(gaussian_facts(splats, normals, transfer)).to(device))
-        colors = np.clip(0.5 + SH_C0 * splats.sh[:, 0], 0, 1)
+        colors = np.clip(base_color(splats.sh), 0, 1)
         old, outwards, means = (
             torch.from_numpy(np.ascontiguousarray(x, np.float32)).to(device) for x in (colors, normals, splats.means)
         )

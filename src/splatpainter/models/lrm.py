@@ -19,11 +19,12 @@ from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint
 
 from splatpainter.cameras import Camera
+from splatpainter.color import sh_from_color
 from splatpainter.models.config import LrmConfig
 from splatpainter.nn.attention import Groups
 from splatpainter.nn.layers import PackedBlock, layer_norm, linear
 from splatpainter.nn.precision import exact
-from splatpainter.splats import SH_C0, Splats
+from splatpainter.splats import Splats
 
 MAX_VIEWS = 16
 REACH = 1.8
@@ -147,7 +148,7 @@ class GaussianLrm(nn.Module):
             footprint = torch.log(SURFACE_SCALE_PX / focal * along.flatten(0, 1).detach().clamp_min(1e-3))
             scale_bias = torch.where(on_asset, footprint, scale_bias)
             opacity_bias = torch.where(on_asset[:, 0], SURFACE_OPACITY_BIAS, EMPTY_OPACITY_BIAS)
-            base = (patchify(views.colors, patch).reshape(-1, 1, 3) - 0.5) / SH_C0
+            base = sh_from_color(patchify(views.colors, patch).reshape(-1, 1, 3))
             sh = torch.cat([sh[:, :1] + base, sh[:, 1:]], dim=1)
         return Splats(
             means=means.flatten(0, 1) * views.half_extent + center,

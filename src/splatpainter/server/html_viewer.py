@@ -101,7 +101,7 @@ def html_viewer(splats: Splats, camera: Camera, up: tuple[int, int, int], name: 
         "center": center.tolist(),
         "radius": radius,
         "up": list(up),
-        "camera": json.loads(camera.to_json()),
+        "camera": camera.record(),
         "turning": turning,
     }
     color = "#" + "".join(f"{round(255 * value):02x}" for value in background.tolist())

@@ -11,7 +11,6 @@ was).
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import io
 import json
 import os
@@ -93,11 +92,7 @@ def file_of(splats: Splats) -> Path | None:
     try:
         if path.is_dir() or path.name.lower() == "meta.json":
             return path if read(path).sha256 == splats.sha256 else None
-        digest = hashlib.sha256()
-        with files.reading(path) as file:
-            while piece := file.read(PART_BYTES):
-                digest.update(piece)
-        return path if digest.hexdigest() == splats.sha256 else None
+        return path if files.file_sha256(path) == splats.sha256 else None
     except ValueError:
         return None
 

@@ -58,12 +58,11 @@ class View:
     """Hash of the mask, a PNG (white: edited); None: all that the asset covers (mode global)."""
 
     def record(self) -> dict[str, Any]:
-        camera = json.loads(self.camera.to_json())
-        return {"camera": camera, "picture": self.picture, "mask": self.mask}
+        return {"camera": self.camera.record(), "picture": self.picture, "mask": self.mask}
 
     @staticmethod
     def parse(data: dict[str, Any], where: str) -> View:
-        camera = Camera.from_json(json.dumps(data["camera"]), where)
+        camera = Camera.from_record(data["camera"], where)
         if camera.width * camera.height > MAX_VIEW_PIXELS:
             raise ValueError(f"{where}: expected a view of at most {MAX_VIEW_PIXELS // 10**6} megapixels")
         return View(camera, _checked_hash(data["picture"], where), _checked_hash(data["mask"], where))

@@ -40,7 +40,7 @@ from typing import Any
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.color import base_color
+from splatpainter.color import base_color, sh_from_color
 from splatpainter.jsonio import brief
 from splatpainter.scene.seam import LIGHT, light_sh
 from splatpainter.session.delta import Delta, no_delta
@@ -120,7 +120,7 @@ def blend_sh(old: np.ndarray, new: np.ndarray, blend: Blend) -> np.ndarray:
     hue, light = (new, old) if blend == "color" else (old, new)
     out = hue + _luminosity(light - hue)[..., None]
     colors, lights = (above, below) if blend == "color" else (below, above)
-    out[:, 0] = (_with_luminosity(np.clip(colors, 0, 1), _luminosity(np.clip(lights, 0, 1))) - 0.5) / SH_C0
+    out[:, 0] = sh_from_color(_with_luminosity(np.clip(colors, 0, 1), _luminosity(np.clip(lights, 0, 1))))
     return out.astype(np.float32)
 
 

@@ -54,10 +54,8 @@ class MaskPart:
         if self.selection is not None:
             return {"selection": self.selection}
         if self.rule is None:
-            import json
-
             assert self.camera is not None
-            return {"camera": json.loads(self.camera.to_json()), "picture": self.picture}
+            return {"camera": self.camera.record(), "picture": self.picture}
         return {"rule": self.rule, "low": self.low, "high": self.high, "soft": self.soft, "axis": list(self.axis)}
 
 
@@ -109,9 +107,7 @@ def _parsed_part(data: dict[str, Any], where: str) -> MaskPart:
         return by_rule(data["rule"], data["low"], data["high"], data["soft"], data["axis"])
     if "selection" in data:
         return MaskPart(selection=_hash(data["selection"], "selection"))
-    import json
-
-    camera = Camera.from_json(json.dumps(data["camera"]), where)
+    camera = Camera.from_record(data["camera"], where)
     return MaskPart(camera, _hash(data["picture"], "picture"))
 
 

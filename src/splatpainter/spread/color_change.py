@@ -12,9 +12,18 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from splatpainter.color import LUMA, from_display, linear_to_srgb, luminance, srgb_to_linear, to_display
+from splatpainter.color import (
+    LUMA,
+    base_color,
+    from_display,
+    linear_to_srgb,
+    luminance,
+    sh_from_color,
+    srgb_to_linear,
+    to_display,
+)
 from splatpainter.lift.colors import MAX_COLOR
-from splatpainter.splats import SH_C0, Splats
+from splatpainter.splats import Splats
 
 MIN_LIGHT = 1e-3
 """Luminance, linear, that a mean counts as at least."""
@@ -61,9 +70,9 @@ class ColorChange:
         def change(colors: np.ndarray) -> np.ndarray:
             return from_display(self(to_display(colors, space)), space)
 
-        old = np.clip(0.5 + SH_C0 * sh[:, 0], 0, 1)
+        old = np.clip(base_color(sh), 0, 1)
         out = np.empty_like(sh)
-        out[:, 0] = (change(old) - 0.5) / SH_C0
+        out[:, 0] = sh_from_color(change(old))
         if sh.shape[1] > 1:
             bands = sh[:, 1:]
             size = np.maximum(np.abs(bands).max(-1, keepdims=True), 1e-6)

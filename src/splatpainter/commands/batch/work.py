@@ -85,7 +85,7 @@ def finished(job: Job, hashes: list[str]) -> dict[str, Any] | None:
     try:
         record = json.loads(files.read_head(job.folder / RECORD, MAX_RECORD_BYTES))
         receipt = read_receipt(receipt_of(job.out))
-        if record["job_sha256"] != hashes[-1] or _file_sha256(job.out) != receipt.output_sha256:
+        if record["job_sha256"] != hashes[-1] or files.file_sha256(job.out) != receipt.output_sha256:
             return None
         return {**record, **facts(job)} if isinstance(record, dict) else None
     except (ValueError, OSError, KeyError, TypeError, RecursionError):
@@ -304,7 +304,7 @@ def _asset_of(source: Session, step: LayersEdit) -> str:
 def _is_original(original: Splats, asset: Path, frame: Frame) -> bool:
     """Whether a project's original is this very file, read alike."""
     single = not asset.is_dir() and asset.name.lower() != META
-    return single and frame_of(original) == frame and original.sha256 == _file_sha256(asset)
+    return single and frame_of(original) == frame and original.sha256 == files.file_sha256(asset)
 
 
 def _option_words(options: dict[str, Any]) -> tuple[str, ...]:
@@ -349,7 +349,7 @@ def _step_done(job: Job, k: int, digest: str) -> bool:
 def is_proved(target: Path) -> bool:
     """Whether a file is there and is what its receipt says."""
     try:
-        return _file_sha256(target) == read_receipt(receipt_of(target)).output_sha256
+        return files.file_sha256(target) == read_receipt(receipt_of(target)).output_sha256
     except (ValueError, OSError):
         return False
 
@@ -369,11 +369,6 @@ def _clear(job: Job, hashes: list[str]) -> None:
                 shutil.rmtree(path, ignore_errors=True)
             else:
                 files.remove(path)
-
-
-def _file_sha256(path: Path) -> str:
-    """SHA-256 of a file, as `Splats.sha256` has it."""
-    return files.sha256(files.read_all(path))
 
 
 def _path(name: str) -> Path | None:
@@ -411,7 +406,5 @@ def _preview_camera(job: Job, splats: Splats) -> Camera:
             names += step.step.views[:1]
     for name in filter(None, names):
         with contextlib.suppress(ValueError):
-            camera = camera_from(Path(name))
-            scale = job.preview_px / max(camera.width, camera.height)
-            return camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+            return camera_from(Path(name)).with_longest_side(job.preview_px)
     return orbit_cameras(splats, 1, size=job.preview_px)[0]

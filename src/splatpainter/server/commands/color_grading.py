@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import Field
 
 from splatpainter.cameras import Camera
+from splatpainter.color import from_hex
 from splatpainter.grading.grade import fitted
 from splatpainter.io import files
 from splatpainter.painter import Edit
@@ -185,10 +186,10 @@ _latest_fits: WeakKeyDictionary[Session, tuple[tuple, ColorMap]] = WeakKeyDictio
 def _look(context: CommandContext, transfer: ColorTransfer) -> tuple[CubeLut | ColorMatch | Recolor, str]:
     """(what is fitted, its name for people)."""
     if transfer.kind == RECOLOR:
-        if transfer.color is None or transfer.file is not None:
+        color = None if transfer.color is None else from_hex(transfer.color)
+        if transfer.color is None or color is None or transfer.file is not None:
             raise ValueError("look: expected a colour, and no file, to recolour with")
-        red, green, blue = (int(transfer.color[k : k + 2], 16) / 255 for k in (1, 3, 5))
-        return Recolor((red, green, blue)), transfer.color
+        return Recolor(color), transfer.color
     if transfer.file is None or transfer.color is not None:
         raise ValueError("look: expected a file, and no colour: a .cube table, or a reference picture")
     blob = context.studio.blobs.get(transfer.file, "lut" if transfer.kind == LUT else "picture")

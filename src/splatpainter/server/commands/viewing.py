@@ -142,11 +142,11 @@ def export_view(context: CommandContext, request: ViewExport) -> ViewExported:
 
 def resized(camera: Camera, size: int) -> Camera:
     """The same view with `size` pixels on its longer side. Raises ValueError: too many in all."""
-    scale = size / max(camera.width, camera.height)
-    width, height = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
-    if width * height > MAX_EXPORT_PIXELS:
-        raise ValueError(f"view: expected at most {MAX_EXPORT_PIXELS / 1e6:.1f} megapixels, got {width}x{height}")
-    return camera.resized(width, height)
+    view = camera.with_longest_side(size)
+    if view.width * view.height > MAX_EXPORT_PIXELS:
+        got = f"{view.width}x{view.height}"
+        raise ValueError(f"view: expected at most {MAX_EXPORT_PIXELS / 1e6:.1f} megapixels, got {got}")
+    return view
 
 
 def _write_to_folder(context: CommandContext, outputs: Mapping[str, bytes]) -> str:

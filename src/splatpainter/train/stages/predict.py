@@ -12,13 +12,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from splatpainter.color import base_color
 from splatpainter.data.global_edits import GlobalEdit
 from splatpainter.lift.colors import MIN_SEEN_PX
 from splatpainter.lift.global_edit import regressed
 from splatpainter.lift.options import GlobalOptions
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.models.predictor import gaussian_facts
-from splatpainter.splats import SH_C0
 from splatpainter.train.stages.task import Task, Verdict, freeze
 
 MIN_SQUARED_ERROR = 1e-5
@@ -77,7 +77,7 @@ class PredictTask(Task[SplatPainterModel]):
 
 
 def _colors(sample: GlobalEdit) -> np.ndarray:
-    return 0.5 + SH_C0 * sample.asset.sh[:, 0]
+    return base_color(sample.asset.sh)
 
 
 def _decibels(squared: float) -> float:
