@@ -9,7 +9,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -22,6 +22,7 @@ MIN_FRAMED_OPACITY = 0.1
 FRAME_MARGIN = 1.08
 """Room around an asset in a picture of all of it, as a factor of its radius."""
 UPS = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
+UpAxis = Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"]
 AUTO_UP = "-y"
 """Up of every asset in memory unless its maker thought otherwise: structure from motion has y down, so do INRIA's PLY
 files, and the readers of formats with y up (SPZ, GLB) turn what they read into that frame (io/axes.py)."""

@@ -12,9 +12,10 @@ import torch
 
 from splatpainter.data import row_assets, row_edits
 from splatpainter.data.object_sources import ProceduralSource
-from splatpainter.data.row_assets import UPRIGHT, RowAsset, RowAssets, base_colors, turned
+from splatpainter.data.row_assets import RowAsset, RowAssets, base_colors, turned
 from splatpainter.data.row_edits import RowEditStream
 from splatpainter.data.sample_recipes import SampleRecipe
+from splatpainter.data.viewpoints import UPRIGHT
 from splatpainter.splats import SH_C0
 from splatpainter.transforms import quat_to_matrix
 from tests.lift.test_global import ball

@@ -16,7 +16,7 @@ import pytest
 import splatpainter as sp
 from splatpainter.session import database, delta
 from splatpainter.session.asset_files import is_local_path, is_plain_name
-from splatpainter.session.document import Document, Layer, move_layer, resolve_conflict
+from splatpainter.session.document import Document, Layer, View, move_layer, resolve_conflict
 from splatpainter.session.lock import ProjectLock
 from splatpainter.session.project_file import Project
 from splatpainter.session.scratch import OWNER, ScratchFolder, sweep_folder, sweep_scratch
@@ -37,6 +37,13 @@ def changed(path: Path, *statements: str, values: tuple = ()) -> None:
     for statement in statements:
         connection.execute(statement, values if "?" in statement else ())
     connection.close()
+
+
+def test_a_view_has_as_many_pixels_as_a_picture_that_can_be_read() -> None:
+    largest = View(sp.look_at((0, 0, 3), (0, 0, 0), width=8192, height=8192), "0" * 64)
+    assert View.parse(largest.record(), "a layer") == largest
+    with pytest.raises(ValueError, match="a layer: expected a view of at most 67 megapixels"):
+        View.parse(View(largest.camera.resized(8192, 8193), "0" * 64).record(), "a layer")
 
 
 @pytest.mark.parametrize(

@@ -6,12 +6,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
 from splatpainter.atomic import write_text
-from splatpainter.cameras import Camera, orbit_cameras
+from splatpainter.cameras import Camera, UpAxis, orbit_cameras
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import CameraFiles
 from splatpainter.commands.targets import check_folder, check_target, make_folder
@@ -66,7 +66,7 @@ class Config:
     """Which renderer to match, as in `render`."""
     amplify: float = 8.0
     """Factor by which the difference is amplified."""
-    up: Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"] = "auto"
+    up: UpAxis = "auto"
     """Direction that is up in the pictures, as in `render`."""
     elevation: float = 15.0
     """Degrees above the horizon."""

@@ -15,6 +15,7 @@ import numpy as np
 from splatpainter.cameras import FRAME_MARGIN, Camera
 from splatpainter.commands.terminal import reason
 from splatpainter.io import files
+from splatpainter.io.sog import META
 from splatpainter.splats import Splats
 
 if TYPE_CHECKING:
@@ -69,7 +70,7 @@ def fit_pictures(source: Path, wish: Wish) -> FitPictures:
     """Everything that a fit needs. Raises ValueError, in one line: nothing there, or nothing that can be used."""
     if not source.exists():
         raise ValueError(f"{source}: no such file or folder; expected a mesh, a splat file or a folder of pictures")
-    if source.is_dir() and not (source / "meta.json").is_file():
+    if source.is_dir() and not (source / META).is_file():
         return _from_pictures(source, wish)
     return _from_mesh(source, wish) if is_mesh(source) else _from_asset(source, wish)
 

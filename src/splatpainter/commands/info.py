@@ -12,6 +12,7 @@ from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import AssetFile, FrameOption
 from splatpainter.commands.terminal import count, size, stages
 from splatpainter.io import FORMATS, frame_line, read
+from splatpainter.io.sog import META
 from splatpainter.splats import Splats
 
 
@@ -76,7 +77,7 @@ def describe(splats: Splats, path: Path) -> dict:
 
 def file_size(path: Path) -> int:
     """Bytes of a file, or of the files in a folder (of a SOG asset, by its folder or its meta.json)."""
-    folder = path.parent if path.name.lower() == "meta.json" else path
+    folder = path.parent if path.name.lower() == META else path
     if folder.is_dir():
         return sum(file.stat().st_size for file in folder.iterdir() if file.is_file())
     return path.stat().st_size

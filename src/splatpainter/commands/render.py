@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import arg
 
-from splatpainter.cameras import Camera
+from splatpainter.cameras import Camera, UpAxis
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import AssetFile, CameraFiles, FrameOption
 from splatpainter.commands.targets import check_folder, check_target, make_folder
@@ -68,7 +68,7 @@ class Config:
     """Axes of the file's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
     lenient: bool = False
     """Also open a file that was cut off after its last complete row; what is left of the cut part is kept."""
-    up: Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"] = "auto"
+    up: UpAxis = "auto"
     """Direction that is up in the pictures; auto: -y, as most captures have it (GLB and SPZ are turned when read)."""
     elevation: float = 15.0
     """Degrees above the horizon."""

@@ -17,7 +17,7 @@ from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.commands.decal_options import DecalView
 from splatpainter.commands.targets import check_target
 from splatpainter.commands.terminal import complain, count, warn, watched
-from splatpainter.commands.view_options import color, given_cameras
+from splatpainter.commands.view_options import BACKGROUND, color, given_cameras
 from splatpainter.image_files import CAMERA_KEYWORD, encode_png, quantized
 from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
 from splatpainter.rendering import MAX_SIDE_PX
@@ -36,8 +36,6 @@ from splatpainter.sources.picture_source import (
 from splatpainter.splats import Splats
 
 COMMAND = "splatpainter edit"
-BACKGROUND = "0.25,0.25,0.25"
-"""Behind the asset in views that are chosen here, as in `render`."""
 POLL_SECONDS = 0.1
 """Seconds between two looks at whether a source has answered."""
 MAX_ANSWER_FILES = 1000

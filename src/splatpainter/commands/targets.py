@@ -15,9 +15,7 @@ from splatpainter.cameras import Camera
 from splatpainter.commands.terminal import reason
 from splatpainter.image_files import write_png
 from splatpainter.io import FORMATS, Format, files, format_of_name
-
-META = "meta.json"
-"""A target of this name is a folder of SOG planes."""
+from splatpainter.io.sog import META
 
 
 def splat_format(path: Path) -> Format:

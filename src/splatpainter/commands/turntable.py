@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
-from splatpainter.cameras import AUTO_UP, UPS, bounding_sphere
+from splatpainter.cameras import AUTO_UP, UPS, UpAxis, bounding_sphere
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import AssetFile, FrameOption, OutFile
 from splatpainter.commands.targets import check_target
@@ -70,7 +70,7 @@ class Config:
     """Axes of the file's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
     lenient: bool = False
     """Also open a file that was cut off after its last complete row; what is left of the cut part is kept."""
-    up: Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"] = "auto"
+    up: UpAxis = "auto"
     """Axis of the turn, up in the pictures; auto: -y, as most captures have it (GLB and SPZ are turned when read)."""
     elevation: float = 15.0
     """Degrees above the horizon."""

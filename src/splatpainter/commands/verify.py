@@ -11,9 +11,9 @@ from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import FrameOption
-from splatpainter.commands.targets import META
 from splatpainter.commands.terminal import count, stages
 from splatpainter.io import files
+from splatpainter.io.sog import META
 from splatpainter.receipts import Receipt, Verification, verify
 
 MAX_RECEIPT_BYTES = 256 << 20

@@ -27,7 +27,7 @@ from splatpainter.data.lit_scenes import SceneObject, render_views
 from splatpainter.data.recent import Recent
 from splatpainter.data.samples import SampleStream
 from splatpainter.data.surfels import Surfels, to_splats
-from splatpainter.data.viewpoints import Optics, ring
+from splatpainter.data.viewpoints import UPRIGHT, Optics, ring
 from splatpainter.lift.colors import MIN_SEEN_PX
 from splatpainter.lift.depth_normals import outward_normals
 from splatpainter.lift.global_edit import seen_change
@@ -46,12 +46,6 @@ GAUSSIANS_PER_EDIT = 2000
 """Gaussians of an edit of training, a random choice."""
 LIGHTS = 1024
 """Lights that edits choose from, two at a time: a million pairs."""
-UPRIGHT = (
-    ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-    ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)),
-    ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)),
-)
-"""Turns of the world: y up, y down (3DGS captures), z up; files do not say which they have."""
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ from splatpainter.data.object_sources import MeshSource
 from splatpainter.data.recent import Recent
 from splatpainter.data.sample_recipes import SampleRecipe
 from splatpainter.data.surfels import Surfels, to_splats
-from splatpainter.data.viewpoints import Optics, ring
+from splatpainter.data.viewpoints import UPRIGHT, Optics, ring
 from splatpainter.lift.depth_normals import outward_normals
 from splatpainter.lighting import prt_transfer
 from splatpainter.rendering import render
@@ -54,12 +54,6 @@ FIT_START = {"opacity": 0.9, "size": 0.6}
 """First Gaussians of a fit: true depth is a surface, not a cloud."""
 FIT_BACKGROUNDS = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
 """Pictures are fitted over both, so that holes and Gaussians of the background's colour are told apart."""
-UPRIGHT = (
-    ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-    ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)),
-    ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)),
-)
-"""Turns of the world, one per asset: y up, y down (3DGS captures), z up; files do not say which they have."""
 SURFEL_FIELDS = ("normals", "albedo", "metallic", "roughness", "occlusion", "transfer")
 """Fields of a Gaussian's material and place in the light; y up."""
 

@@ -14,6 +14,12 @@ from splatpainter.cameras import FRAME_MARGIN, Camera, look_at
 
 MIN_ELEVATION, MAX_ELEVATION = -25.0, 65.0
 """Elevations of cameras, degrees."""
+UPRIGHT = (
+    ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+    ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)),
+    ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)),
+)
+"""Turns of the world, one per asset: y up, y down (3DGS captures), z up; files do not say which they have."""
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from splatpainter.cameras import Camera
 from splatpainter.io.files import printable
+from splatpainter.painter import Method, Mode
+from splatpainter.session.document import Blend, Kind, Policy
 
 MAX_VIEW_PIXELS = 4_000_000
 """Most pixels of a view that is painted or rendered."""
@@ -28,10 +30,6 @@ Unit = Annotated[float, Field(ge=0, le=1)]
 Rgb = Annotated[list[float], Field(min_length=3, max_length=3)]
 Point = Annotated[list[float], Field(min_length=3, max_length=3)]
 MatrixRow = Annotated[list[float], Field(min_length=4, max_length=4)]
-Mode = Literal["local", "global", "spread"]
-Method = Literal["auto", "ttt", "lift", "fit"]
-Blend = Literal["normal", "color", "luminosity", "darken", "lighten"]
-LayerKind = Literal["paint", "picture", "look", "clone", "erase", "hide", "fill", "merged"]
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 FileName = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^/\\\x00-\x1f:]+$")]
 """A plain name inside the studio's folder, never a path."""
@@ -206,7 +204,7 @@ class LayerInfo(Message):
     name: str
     asset: str
     """Id of the asset that it belongs to."""
-    kind: LayerKind
+    kind: Kind
     visible: bool
     opacity: Unit
     blend: Blend
@@ -263,7 +261,7 @@ class ConflictInfo(Message):
     gaussians: int
     share: Unit
     """Share of the Gaussians that the lower layer edited."""
-    policy: Literal["latest", "first", "blend"]
+    policy: Policy
 
 
 class BookmarkInfo(Message):

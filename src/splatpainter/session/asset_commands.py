@@ -21,6 +21,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.io import files, frame_of, read
+from splatpainter.io.sog import META
 from splatpainter.painter import Edit, Method
 from splatpainter.scene.placement import Placement, beside
 from splatpainter.scene.seam import match_seam
@@ -111,7 +112,7 @@ class AssetCommands(StrokeCommands):
                 there, new = (rows.means[rows.drawable] for rows in (self.splats, splats))
                 placement = Placement(beside(there, new))
             _check_reach(title, splats, placement)
-            stored = "meta.json" if path.is_dir() else path.name
+            stored = META if path.is_dir() else path.name
             made = SceneAsset(str(document.next_id), title, placement, True, stored, splats.sha256, frame_of(splats))
             self._transaction.files = ((made.folder + file, data) for file, data in asset_files.pieces(splats, path))
             self._replay.remember(made, asset_files.numbered(splats))

@@ -28,6 +28,7 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.image_files import Alpha
 from splatpainter.io import FORMATS, files, format_of_name, frame_of, frame_of_target, option, read, write
+from splatpainter.io.sog import META
 from splatpainter.io.write_options import AS_IT_IS, WriteOptions
 from splatpainter.receipts import Receipt, Verification, prove, untouched_hashes
 from splatpainter.rendering.profiles import Profile
@@ -90,7 +91,7 @@ def file_of(splats: Splats) -> Path | None:
         return None
     path = Path(splats.source.path)
     try:
-        if path.is_dir() or path.name.lower() == "meta.json":
+        if path.is_dir() or path.name.lower() == META:
             return path if read(path).sha256 == splats.sha256 else None
         return path if files.file_sha256(path) == splats.sha256 else None
     except ValueError:
@@ -104,7 +105,7 @@ def describe(splats: Splats, path: Path | None, embed: bool) -> dict[str, str]:
         return {**facts, "name": "asset", "format": NO_FILE, "path": ""}
     if frame_of(splats) != "auto":
         facts["frame"] = frame_of(splats)
-    name = "meta.json" if path.is_dir() else path.name
+    name = META if path.is_dir() else path.name
     return {**facts, "name": name, "format": splats.source.format, "path": "" if embed else str(path.absolute())}
 
 
@@ -158,9 +159,9 @@ def write_original(
             format = format_of_name(Path(added.file)) or ""
             facts = {"name": added.file, "format": format, "path": "", "frame": added.frame}
         entry = FORMATS.get(facts["format"])
-        if facts["path"] or entry is None or facts["name"] == "meta.json" or (facts["frame"] and original is None):
+        if facts["path"] or entry is None or facts["name"] == META or (facts["frame"] and original is None):
             splats = restore(project, OriginalRule(embedded=True)) if original is None else original
-            if original is None or entry is None or entry.write is None or facts["name"] == "meta.json":
+            if original is None or entry is None or entry.write is None or facts["name"] == META:
                 file = target.with_name(f"{target.name}.ply")
                 write(file, splats, frame="rdf")
                 return file, "auto"
@@ -287,8 +288,8 @@ def _unpacked(project: Project, name: str, frame: Frame, stored_under: str = "")
 def _members(path: Path) -> list[Path]:
     """The files of an asset: itself, or meta.json and the planes beside it."""
     if path.is_dir():
-        path = path / "meta.json"
-    if path.name.lower() != "meta.json":
+        path = path / META
+    if path.name.lower() != META:
         return [path]
     return [path, *sorted(plane for plane in path.parent.iterdir() if plane.suffix.lower() == ".webp")]
 
@@ -379,7 +380,7 @@ def partial_folder(path: Path) -> Iterator[str]:
 
 def check_target(path: Path, overwrite: bool) -> None:
     key = format_of_name(path)
-    if key is None or FORMATS[key].write is None or path.name.lower() == "meta.json":
+    if key is None or FORMATS[key].write is None or path.name.lower() == META:
         endings = ", ".join(entry.suffixes[0] for entry in FORMATS.values() if entry.write is not None)
         raise ValueError(f"{path}: expected a name ending in {endings}")
     check_free(path, overwrite)

@@ -14,6 +14,7 @@ from functools import cached_property
 from typing import Any, Literal, get_args
 
 from splatpainter.cameras import Camera
+from splatpainter.image_files import MAX_PICTURE_PIXELS
 from splatpainter.io.files import printable
 from splatpainter.jsonio import brief
 from splatpainter.painter import MAX_VIEWS, Method, Mode
@@ -39,8 +40,6 @@ SOURCE = "source"
 """Name of the parameter of layers whose pictures a source made: what receipts say of it."""
 SPREAD_THRESHOLD = "spread_threshold"
 """Name of the parameter of layers of mode spread: confidence 0..1 from which a Gaussian is of the painted material."""
-MAX_VIEW_PIXELS = 64_000_000
-"""Pixels of one view."""
 MAX_REASON = 300
 """Characters of a reason that may quote what a damaged layer or document holds."""
 MAX_LISTED_IDS = 20
@@ -63,8 +62,8 @@ class View:
     @staticmethod
     def parse(data: dict[str, Any], where: str) -> View:
         camera = Camera.from_record(data["camera"], where)
-        if camera.width * camera.height > MAX_VIEW_PIXELS:
-            raise ValueError(f"{where}: expected a view of at most {MAX_VIEW_PIXELS // 10**6} megapixels")
+        if camera.width * camera.height > MAX_PICTURE_PIXELS:
+            raise ValueError(f"{where}: expected a view of at most {MAX_PICTURE_PIXELS // 10**6} megapixels")
         return View(camera, _checked_hash(data["picture"], where), _checked_hash(data["mask"], where))
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.color import from_display, to_display
-from splatpainter.image_files import to_uint8
+from splatpainter.image_files import MAX_PICTURE_PIXELS, to_uint8
 from splatpainter.io import files
 from splatpainter.painter import MAX_VIEWS, Edit
 from splatpainter.session.document import SPREAD_THRESHOLD, Kind, Layer, View
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
     from splatpainter.spread.options import SpreadOptions
 
-MAX_PICTURE_PIXELS = 64_000_000
 MAX_RECENT_BYTES = 1 << 22
 """Most bytes of pixels that were encoded lately and are at hand when they are asked for, each; ..."""
 _recent: deque[tuple[bytes, np.ndarray]] = deque(maxlen=3)

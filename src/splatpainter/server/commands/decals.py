@@ -6,6 +6,7 @@ from typing import Any
 
 from pydantic import Field
 
+from splatpainter.painter import Method
 from splatpainter.server.commands.context import (
     CommandContext,
     RawExpr,
@@ -21,7 +22,6 @@ from splatpainter.server.protocol import (
     CameraInfo,
     Command,
     LayerMade,
-    Method,
     Name,
     PaintLimits,
     Placed,

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pydantic import Field
 
 from splatpainter.server.commands.context import CommandContext, RawExpr, command, layer_made, progress, python_line
-from splatpainter.server.commands.source_edit import MAX_PROMPT_CHARACTERS, TicketFlag, within_limits
+from splatpainter.server.commands.source_edit import TicketFlag, within_limits
 from splatpainter.server.protocol import CameraInfo, Command, LayerMade, Name
 from splatpainter.server.work_queue import Cancelled
 from splatpainter.source_edits.edit import source_record
 from splatpainter.source_edits.fill import ask_for_fill
-from splatpainter.source_edits.view_edit import SourceBrief
+from splatpainter.source_edits.view_edit import MAX_PROMPT_CHARACTERS, SourceBrief
 from splatpainter.sources.picture_source import SourceCancelled
 from splatpainter.sources.registry import open_source
 

@@ -22,7 +22,6 @@ from splatpainter.server.commands.context import (
 from splatpainter.server.describe import conflict_infos, up_axis
 from splatpainter.server.protocol import (
     Answer,
-    Blend,
     Blob,
     CameraInfo,
     Command,
@@ -33,7 +32,7 @@ from splatpainter.server.protocol import (
     Unit,
 )
 from splatpainter.session.delta import GEOMETRY
-from splatpainter.session.document import SELECTION
+from splatpainter.session.document import SELECTION, Blend
 from splatpainter.session.layer_mask import LayerMask, by_rule
 from splatpainter.sources.color_grading import GRADE, GradeSettings
 

@@ -16,7 +16,7 @@ from pydantic import Field
 from splatpainter.color import from_display
 from splatpainter.image_files import find_alpha
 from splatpainter.lift.masks import change_mask
-from splatpainter.painter import Edit
+from splatpainter.painter import Edit, Method, Mode
 from splatpainter.rendering import render
 from splatpainter.server import frames
 from splatpainter.server.commands.context import (
@@ -36,14 +36,11 @@ from splatpainter.server.mirrored_stroke import MirroredStroke, merged
 from splatpainter.server.protocol import (
     MAX_VIEW_PIXELS,
     Answer,
-    Blend,
     Blob,
     CameraInfo,
     Command,
     LayerMade,
     Message,
-    Method,
-    Mode,
     Name,
     PaintLimits,
     Placed,
@@ -55,7 +52,7 @@ from splatpainter.server.stroke import Stroke
 from splatpainter.server.studio import Studio
 from splatpainter.session import Session
 from splatpainter.session.compose import WITHIN
-from splatpainter.session.document import PLACED, SELECTION, SOURCE, SPREAD_THRESHOLD, Kind
+from splatpainter.session.document import PLACED, SELECTION, SOURCE, SPREAD_THRESHOLD, Blend, Kind
 from splatpainter.session.mirror_plane import mirrored_camera, parsed_plane
 from splatpainter.sources.edit_files import FileEdit, unmultiplied
 from splatpainter.sources.picture_reader import read_picture

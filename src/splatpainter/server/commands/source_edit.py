@@ -37,13 +37,12 @@ from splatpainter.session.document import Layer
 from splatpainter.session.source_layers import add_source_views
 from splatpainter.source_edits.coverage import ViewPlan, plan_views
 from splatpainter.source_edits.edit import BACKGROUND, source_record
-from splatpainter.source_edits.view_edit import SourceBrief, ask_for_edit
+from splatpainter.source_edits.view_edit import MAX_PROMPT_CHARACTERS, SourceBrief, ask_for_edit
 from splatpainter.sources.gatekeeper import RefusedPicture
 from splatpainter.sources.picture_reader import resample
 from splatpainter.sources.picture_source import Capabilities, PictureSource, SourceCancelled, SourceError, describe
 from splatpainter.sources.registry import SourceStatus, describe_sources, open_source
 
-MAX_PROMPT_CHARACTERS = 4000
 PLAN_PX = 800
 """Side of the views of a plan, as on the command line."""
 
