@@ -79,15 +79,10 @@ class Closeup:
         return _aimed(self.target + eye, self.target, self.up, self.camera.width, self.camera.background)
 
 
-def closeup(
-    splats: Splats,
-    size: int = 512,
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    up: np.ndarray | None = None,
-) -> Closeup:
-    """The best-rated close-up, size x size pixels. up: [3], by default `default_up`. Raises ValueError when no part of
-    the asset is opaque enough to paint on."""
-    axis = default_up(splats) if up is None else np.asarray(up, np.float64)
+def closeup(splats: Splats, size: int = 512, background: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Closeup:
+    """The best-rated close-up, size x size pixels. Raises ValueError when no part of the asset is opaque enough to
+    paint on."""
+    axis = default_up(splats)
     best, best_rating = None, 0.0
     for window in _best_windows(splats, axis, WINDOWS_PER_SIDE):
         camera = _aimed(window.target + window.eye, window.target, axis, OVERVIEW_PX, background)
@@ -101,14 +96,11 @@ def closeup(
 
 
 def grazing_closeup(
-    splats: Splats,
-    size: int = 512,
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    up: np.ndarray | None = None,
+    splats: Splats, size: int = 512, background: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> Closeup:
     """The close-up whose middle shows most surface at GRAZING_DEGREES, by the same windows as `closeup`; arguments as
     there. Raises ValueError when no view shows enough of it so."""
-    axis = default_up(splats) if up is None else np.asarray(up, np.float64)
+    axis = default_up(splats)
     best, best_rating = None, 0.0
     for window in _best_windows(splats, axis, GRAZING_WINDOWS):
         start = Closeup(

@@ -29,11 +29,11 @@ PALETTE = ((0.76, 0.09, 0.13), (0.09, 0.26, 0.72), (0.98, 0.82, 0.12), (0.94, 0.
 """Crimson, ultramarine, yellow, white, green: paint that is not the colour of what it is put on."""
 
 
-def resampled(splats: Splats, count: int, sh_degree: int, seed: int = 0) -> Splats:
+def resampled(splats: Splats, count: int, sh_degree: int) -> Splats:
     """A surface of the same shape made of `count` Gaussians: parents drawn evenly, each child inside its parent's
     ellipse (a normal offset along the two long axes, so that the mixture keeps the parent's spread) and smaller by the
     square root of the ratio of counts; with fewer than parents, larger by it. SH above `sh_degree` is dropped."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     splats = splats.numpy()
     repeats, rest = divmod(count, len(splats))
     parent_ids = np.repeat(np.arange(len(splats)), repeats)

@@ -31,6 +31,8 @@ from splatpainter.transforms import fibonacci_sphere, matrix_to_quat
 UP = (0.0, 1.0, 0.0)
 RINGS = ((-15.0, 0.25), (15.0, 0.375), (45.0, 0.375))
 """(elevation in degrees, share of the views)."""
+RINGS_FOV = 50.0
+"""Of their views, degrees."""
 RENDERS_AT_ONCE = 8
 """Pictures in memory."""
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -77,14 +79,14 @@ def cameras_on_sphere(cube: Cube, count: int, *, pixels: int, fov: float, radius
     return [look_at(eye, cube.center, UP, width=pixels, height=pixels, fov=fov) for eye in eyes]
 
 
-def cameras_on_rings(cube: Cube, count: int, *, pixels: int, fov: float = 50.0) -> list[Camera]:
+def cameras_on_rings(cube: Cube, count: int, *, pixels: int) -> list[Camera]:
     """`count` cameras on three rings around a cube, as a person walks around an object, so far that all of it shows."""
-    distance = cube.extent * math.sqrt(3) / 2 / math.sin(math.radians(fov / 2))
+    distance = cube.extent * math.sqrt(3) / 2 / math.sin(math.radians(RINGS_FOV / 2))
     counts = [int(count * share) for _, share in RINGS]
     counts[1] += count - sum(counts)
     cameras: list[Camera] = []
     for k, ((elevation, _), number) in enumerate(zip(RINGS, counts, strict=True)):
-        lens = {"width": pixels, "height": pixels, "fov": fov}
+        lens = {"width": pixels, "height": pixels, "fov": RINGS_FOV}
         cameras += orbit(cube.center, distance, number, elevation=elevation, start=17.0 * k, up=UP, **lens)
     return cameras
 

@@ -123,12 +123,12 @@ def recolored(splats: Splats, maps: np.ndarray, labels: np.ndarray | None = None
     return replace(splats, sh=np.where(splats.drawable[:, None, None], sh, splats.sh).astype(splats.sh.dtype))
 
 
-def cluster_features(splats: Splats, ring: int = 8) -> np.ndarray:
+def cluster_features(splats: Splats) -> np.ndarray:
     """[N, 9] float32 base colour, position and outward normal, each group of three centred and scaled to a variance of
-    1 in all. Gaussians that cannot be drawn get zeros (the middle). ring: views that decide which side is outside."""
+    1 in all. Gaussians that cannot be drawn get zeros (the middle)."""
     drawable = splats.drawable
     visible = splats.take(drawable)
-    groups = (np.clip(base_color(visible.sh), 0, 1), visible.means, outward_normals(visible, ring))
+    groups = (np.clip(base_color(visible.sh), 0, 1), visible.means, outward_normals(visible))
     out = np.zeros((len(splats), 9), np.float32)
     out[drawable] = np.concatenate([_scaled(group.astype(np.float64)) for group in groups], 1)
     return out

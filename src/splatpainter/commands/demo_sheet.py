@@ -13,6 +13,8 @@ from splatpainter.image_files import to_uint8
 PAPER, INK, FAINT = (246, 244, 239), (38, 42, 46), (120, 122, 122)
 CROP = (0.0, 0.14, 1.0, 0.94)
 """Left, top, right, bottom of the part shown: the sky above the still life is empty."""
+FRAME_MILLISECONDS = 90
+"""Of the animation."""
 
 
 @dataclass(frozen=True)
@@ -57,14 +59,14 @@ def overview(panels: Sequence[Panel], columns: int = 3, width: int = 1600) -> np
     return np.asarray(sheet)
 
 
-def animation(frames: Sequence[np.ndarray], milliseconds: int = 90) -> tuple[bytes, str]:
+def animation(frames: Sequence[np.ndarray]) -> tuple[bytes, str]:
     """(file, ending) of a looping animation of [H, W, 3] display colours 0..1: WebP, or GIF where this Pillow has no
     WebP."""
     from PIL import Image, features
 
     pictures = [Image.fromarray(to_uint8(frame)) for frame in frames]
     out = io.BytesIO()
-    rest = {"save_all": True, "append_images": pictures[1:], "duration": milliseconds, "loop": 0}
+    rest = {"save_all": True, "append_images": pictures[1:], "duration": FRAME_MILLISECONDS, "loop": 0}
     if features.check("webp"):
         pictures[0].save(out, "WEBP", quality=82, method=4, **rest)
         return out.getvalue(), ".webp"

@@ -26,6 +26,8 @@ WHITE = 0.9
 """Exposed radiance of a white diffuse surface that faces the brighter side of an environment."""
 BALANCE = 0.6
 """Exponent to which random lights are white-balanced: 1 takes their mean colour away wholly."""
+REFLECTANCE_COSINE = 0.7
+"""Between normal and line of sight, for which the specular layer's reflectance is taken."""
 
 
 @dataclass(frozen=True)
@@ -47,11 +49,11 @@ class Light:
         return replace(self, **moved)
 
 
-def uniform_light(device: str = "cpu") -> Light:
+def uniform_light() -> Light:
     """Radiance 1 from everywhere, exposure 1: an open matt surface of albedo a has radiance a."""
-    coefficients = torch.zeros(9, 3, device=device)
+    coefficients = torch.zeros(9, 3)
     coefficients[0] = 4 * torch.pi * SH_C0  # exact, without the error of a projection
-    return Light(torch.ones(8, 16, 3, device=device), coefficients, torch.ones((), device=device), "uniform")
+    return Light(torch.ones(8, 16, 3), coefficients, torch.ones(()), "uniform")
 
 
 def make_light(environment: Any, name: str = "", stops: float = 0.0) -> Light:
@@ -133,12 +135,12 @@ def _diffuse(surfels: Surfels, coefficients: Any) -> Any:
     return (1 - surfels.metallic)[:, None] * surfels.albedo * (received + returned) / torch.pi
 
 
-def _reflectance(surfels: Surfels, cosine: float = 0.7) -> Any:
+def _reflectance(surfels: Surfels) -> Any:
     """[N, 3] share of light that the specular layer reflects: F0 A + B of the split sum (Karis' fit, 2014)."""
     metallic, rough = surfels.metallic[:, None], surfels.roughness[:, None]
     f0 = 0.04 * (1 - metallic) + surfels.albedo * metallic
     x, y, z, w = 1 - rough, 0.0425 - 0.0275 * rough, 1.04 - 0.572 * rough, 0.022 * rough - 0.04
-    a = torch.minimum(x * x, torch.full_like(x, 2.0 ** (-9.28 * cosine))) * x + y
+    a = torch.minimum(x * x, torch.full_like(x, 2.0 ** (-9.28 * REFLECTANCE_COSINE))) * x + y
     return f0 * (-1.04 * a + z) + (1.04 * a + w).clamp_min(0)
 
 

@@ -10,6 +10,8 @@ from numba import njit
 
 SAME_SIDE = 0.25
 """Points whose normals' cosine is below this lie on different sides of an edge or a wall and do not push each other."""
+NEIGHBOURS = 5
+"""Of a point, over which its distance to others is averaged."""
 
 
 def scatter(
@@ -52,12 +54,12 @@ def select(
     return np.flatnonzero(taken)
 
 
-def spacing_around(points: np.ndarray, normals: np.ndarray, typical: float, neighbours: int = 5) -> np.ndarray:
-    """[N] float32 mean distance to the nearest `neighbours` points of the same side, at most 2 * typical."""
+def spacing_around(points: np.ndarray, normals: np.ndarray, typical: float) -> np.ndarray:
+    """[N] float32 mean distance to the nearest NEIGHBOURS points of the same side, at most 2 * typical."""
     cell = np.float32(2 * typical)
     dims = grid_dims(points, cell)
     heads, following = _fill(points, points.min(0), cell, dims)
-    return _mean_distance(points, normals, heads, following, points.min(0), cell, dims, neighbours)
+    return _mean_distance(points, normals, heads, following, points.min(0), cell, dims, NEIGHBOURS)
 
 
 def nearest(

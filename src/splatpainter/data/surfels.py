@@ -82,7 +82,7 @@ def sample_surfels(mesh: Mesh, count: int, seed: int = 0, device: str = "cpu") -
     part = candidates.take(chosen)
     gap = poisson_disk.spacing_around(part.points, part.normals, candidates.spacing)
     width = SIGMA_PER_SPACING * np.clip(gap, 0.5 * candidates.spacing, 1.5 * candidates.spacing)
-    look = _materials(mesh, part.face, part.weights, part.points, part.normals, width)
+    look = _materials(mesh, part.face, part.weights, part.normals, width)
     normals = _upright(look.pop("normals"), part.normals)
     transfer = unoccluded_transfer(normals) - part.blocked
     attributes = {
@@ -204,7 +204,7 @@ TAPS = np.array([[0.0, 0.0], [0.6, 0.3], [-0.3, 0.6], [-0.6, -0.3], [0.3, -0.6]]
 
 
 def _materials(
-    mesh: Mesh, face: np.ndarray, weights: np.ndarray, points: np.ndarray, normals: np.ndarray, width: np.ndarray
+    mesh: Mesh, face: np.ndarray, weights: np.ndarray, normals: np.ndarray, width: np.ndarray
 ) -> dict[str, np.ndarray]:
     """albedo [N, 3], metallic [N], roughness [N], normals [N, 3] (normal map applied) at points of faces."""
     count = len(face)

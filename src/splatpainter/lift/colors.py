@@ -174,13 +174,11 @@ def refine_colors_local(
     return splats
 
 
-def refine_colors_global(
-    splats: Splats, views: Sequence[tuple[Camera, np.ndarray, np.ndarray]], rounds: int = REFINE_ROUNDS
-) -> Splats:
+def refine_colors_global(splats: Splats, views: Sequence[tuple[Camera, np.ndarray, np.ndarray]]) -> Splats:
     """All Gaussians that the views show, from all of them at once. views: (camera, target [H, W, 3], mask [H, W] bool);
     pixels that the asset covers by less than 0.9 do not count."""
     solid = [SolidView.of(splats, *view) for view in views]
-    change = joint_change(solid, rounds, limit=np.inf)
+    change = joint_change(solid, REFINE_ROUNDS, limit=np.inf)
     moved = (total_weight(solid) > MIN_SEEN_PX) & (np.abs(change).max(1) > MIN_CHANGE)
     if not moved.any():
         return splats

@@ -72,15 +72,13 @@ def paintable(visible: VisibleSurface, pixels: np.ndarray, angle_limit: float, d
         share = np.clip(1 - (angle - angle_limit) / soft, 0, 1)
         out[ys, xs] *= np.where(seen, share, 1).astype(np.float32)
     if depth_edge_limit > 0:
-        distance = _distance_to_edges(visible, pixels, at.depth, at.windows)
+        distance = _distance_to_edges(pixels, at.depth, at.windows)
         share = np.clip(distance / depth_edge_limit - 1, 0, 1)
         out *= np.where(np.isfinite(distance), share, 1).astype(np.float32)
     return out
 
 
-def _distance_to_edges(
-    visible: VisibleSurface, pixels: np.ndarray, depth: np.ndarray, windows: np.ndarray
-) -> np.ndarray:
+def _distance_to_edges(pixels: np.ndarray, depth: np.ndarray, windows: np.ndarray) -> np.ndarray:
     """[H, W] pixels (chessboard distance, up to a bound; inf beyond) to the nearest pixel pair whose depths break."""
     full = np.zeros(pixels.shape)
     window = np.zeros(pixels.shape)

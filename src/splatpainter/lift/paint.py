@@ -199,18 +199,15 @@ def is_fine(painted: np.ndarray, reached: np.ndarray, first: int, originals: int
     return int(painted.sum()) <= options.fine_px * count
 
 
-def read_by_edit(
-    splats: Splats, camera: Camera, mask: np.ndarray, view: ProjectedView | None = None
-) -> tuple[np.ndarray, np.ndarray]:
+def read_by_edit(splats: Splats, camera: Camera, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """([TH, TW] bool the tiles that `paint_view` works on: those of the mask and of RING_PX around it, and of all
     Gaussians that make these pixels; [N] bool those that visibly make masked ones, the only ones that may be split).
-    view: the splats in the tiles of the mask and its ring, if at hand.
 
     Of the splats a painted view depends on nothing but the Gaussians of these tiles, in their order, and on how many of
     them lie before `first_appended`; without a surface also on which of those that may be split are `allowed`. Raises
     ValueError where no Gaussian contributes to the masked pixels."""
     reach = dilated(mask, RING_PX)
-    view = view or project(splats, camera, tiles=tiles_of_mask(reach))
+    view = project(splats, camera, tiles=tiles_of_mask(reach))
     return _tiles_at_work(reach, view), gaussians_in_mask(splats, camera, mask, None, view)
 
 

@@ -293,9 +293,9 @@ class SplatPainterModel(nn.Module):
             return Decoded(splats, index, children.take(index[:0]), index[:0])
         return Decoded(splats, index, children, index)
 
-    def decode_latents(self, latents: Latents, gaussians: Splats, latent_ids: np.ndarray | None = None) -> Splats:
-        """What Stage I alone says: the chosen latents (all by default), decoded as they are. J Gaussians."""
-        chosen, values = self._chosen(latents, latent_ids)
+    def decode_latents(self, latents: Latents, gaussians: Splats) -> Splats:
+        """What Stage I alone says: all latents, decoded as they are."""
+        chosen, values = self._chosen(latents, None)
         return self._decoded(latents, values, chosen, gaussians.take(latents.groups.order[chosen]))
 
     def prepared(self, latents: Latents, chosen: np.ndarray, inputs: GaussianInputs, teaching: bool = False) -> Tensor:

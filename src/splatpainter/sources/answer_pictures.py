@@ -19,11 +19,9 @@ MAX_ANSWER_BYTES = 256 << 20
 """Most bytes of a picture file that a source gives."""
 
 
-def image_png(request: PictureRequest, transparent: bool = False) -> bytes:
-    """The view as 8-bit PNG with its camera inside; transparent: with its alpha as a channel."""
+def image_png(request: PictureRequest) -> bytes:
+    """The view as 8-bit PNG with its camera inside."""
     pixels = quantized(request.image)
-    if transparent:
-        pixels = np.concatenate([pixels, quantized(request.alpha)[..., None]], -1)
     return encode_png(pixels, {CAMERA_KEYWORD: request.camera.to_json()} if request.camera is not None else None)
 
 

@@ -17,6 +17,8 @@ import numpy as np
 
 SUPERSAMPLING = 3
 """Text and stickers are drawn this much larger per axis and averaged."""
+OCTAVES = 3
+"""Of value noise."""
 
 
 @dataclass(frozen=True)
@@ -169,12 +171,12 @@ def round_spot(
     return fall * fall * (3 - 2 * fall)
 
 
-def value_noise(shape: tuple[int, int], grain: float, rng: np.random.Generator, octaves: int = 3) -> np.ndarray:
+def value_noise(shape: tuple[int, int], grain: float, rng: np.random.Generator) -> np.ndarray:
     """[H, W, 3] value noise of mean about 0 and standard deviation about 1. grain: pixels of its coarsest spots."""
     from PIL import Image
 
     out, total = np.zeros((*shape, 3), np.float32), 0.0
-    for k in range(octaves):
+    for k in range(OCTAVES):
         step = max(grain / 2**k, 1.0)
         small = (max(math.ceil(shape[0] / step), 2), max(math.ceil(shape[1] / step), 2))
         for c in range(3):

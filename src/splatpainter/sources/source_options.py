@@ -110,16 +110,16 @@ def option(
     return dataclasses.field(default=default, metadata=metadata)
 
 
-def option_words(words: Iterable[str], where: str = "--source-option") -> dict[str, str]:
+def option_words(words: Iterable[str]) -> dict[str, str]:
     """KEY=VALUE words as a dict. Raises ValueError: no "=", no key, a key that stands there twice."""
     options: dict[str, str] = {}
     for word in words:
         key, equals, value = word.partition("=")
         key = key.strip().replace("-", "_")
         if not equals or not key:
-            raise ValueError(f"{where}: expected KEY=VALUE, got {word[:80]!r}")
+            raise ValueError(f"--source-option: expected KEY=VALUE, got {word[:80]!r}")
         if key in options:
-            raise ValueError(f"{where}: {key} was given twice")
+            raise ValueError(f"--source-option: {key} was given twice")
         options[key] = value
     return options
 

@@ -100,7 +100,7 @@ def answered(descriptors: Descriptors, examples: Examples) -> np.ndarray:
 
 def _classified(descriptors: Descriptors, examples: Examples) -> np.ndarray:
     """[M] float32 about 0..1, not clipped."""
-    ids = np.union1d(_some(examples.positive, examples.weights), _some(examples.negative, examples.weights))
+    ids = np.union1d(_some(examples.positive), _some(examples.negative))
     points = WIDTH * descriptors.values
     projections = Projections.of(INPUTS)
     features, positive, weights = projections.features(points[ids]), examples.positive[ids], examples.weights[ids]
@@ -111,7 +111,7 @@ def _classified(descriptors: Descriptors, examples: Examples) -> np.ndarray:
     return ratio / max(typical, 1e-6)
 
 
-def _some(chosen: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def _some(chosen: np.ndarray) -> np.ndarray:
     """Indices of at most MAX_EXAMPLES of the chosen ([M] bool), evenly over their order."""
     ids = np.flatnonzero(chosen)
     if len(ids) <= MAX_EXAMPLES:

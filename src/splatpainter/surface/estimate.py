@@ -89,8 +89,6 @@ class SurfacePoints:
     """[Q] float64 h, world units."""
     residuals: np.ndarray = field(repr=False)
     """[Q] float64 rms distance of the patches' centres from the surface, in windows."""
-    thicknesses: np.ndarray = field(repr=False)
-    """[Q] float64 rms extent of the patches themselves along the normal, in windows."""
     patches: np.ndarray = field(repr=False)
     """[Q] float64 effective number of patches behind the estimate; 0: there is no surface."""
     agreement: np.ndarray = field(repr=False)
@@ -127,7 +125,7 @@ class Surface:
         if count and len(s):
             parallel.run(_estimate, *lists, s.patches, *queries, out)
         trust = _trust(out, queries[0], queries[1])
-        return SurfacePoints(out[:, :3], out[:, 3:6], out[:, 6], out[:, 7], out[:, 8], out[:, 9], out[:, 10], trust)
+        return SurfacePoints(out[:, :3], out[:, 3:6], out[:, 6], out[:, 7], out[:, 9], out[:, 10], trust)
 
 
 def _trust(out: np.ndarray, points: np.ndarray, directions: np.ndarray) -> np.ndarray:

@@ -108,7 +108,7 @@ class Loop:
         self.task, self.progress = task, self.run.progress
         self.config, self.record = task.model.config, recipe.to_dict()
         if resume:
-            state.load(out, self.run, self.config, self.record, group)
+            state.load(out, self.run, self.config, self.record)
         step = self.progress.step
         self.table = StepTable(out / "log.csv", step) if group.first else None
         self.figures = StepTable(out / "validation.csv", step) if group.first else None

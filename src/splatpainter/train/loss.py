@@ -22,6 +22,8 @@ NEGLIGIBLE_ERROR = 2e-4
 """An error of which nothing need be left, where ratios count: 37 dB."""
 MIN_EDITED_SHARE = 0.005
 """Share of a view that counts as edited at least: the loss of a dot must not outweigh everything else."""
+DEPTH_SPREAD = 0.5
+"""Standard deviation of a view's depths in the first steps of a reconstruction, half cubes."""
 
 
 @dataclass(frozen=True)
@@ -130,14 +132,14 @@ def masked_psnr(rendered: Tensor, target: PictureTarget) -> float | None:
     return float(-10 * torch.log10(error.clamp_min(1e-12)))
 
 
-def scattered_depth(distances: Tensor, views: int, spread: float = 0.5) -> Tensor:
+def scattered_depth(distances: Tensor, views: int) -> Tensor:
     """The first steps of a reconstruction from pictures alone (reference recipe of GS-LRM's followers): pulls each
-    view's depths towards a normal of standard deviation `spread` around the camera's distance to the middle, before any
-    colour counts; else points collapse into transparency.
+    view's depths towards a normal of standard deviation DEPTH_SPREAD around the camera's distance to the middle, before
+    any colour counts; else points collapse into transparency.
 
     distances: [V * M] along the rays, minus the camera's distance to the middle, in units of the half cube."""
     per_view = distances.view(views, -1)
     centered = per_view - per_view.mean(1, keepdim=True)
     deviation = centered.detach().std(1, keepdim=True).clamp_min(1e-4)
-    goal = (centered / deviation * spread).detach()
+    goal = (centered / deviation * DEPTH_SPREAD).detach()
     return (per_view - goal).square().mean()

@@ -109,7 +109,7 @@ def save(
     checkpoint.save(folder / STATE, config, tensors, dtype="bfloat16" if compact else "float32", notes=notes)
 
 
-def load(folder: Path, run: TrainingState, config: checkpoint.Config, recipe: dict[str, Any], group: Group) -> None:
+def load(folder: Path, run: TrainingState, config: checkpoint.Config, recipe: dict[str, Any]) -> None:
     """Fill a run from OUT/state, in place. Raises ValueError where there is none, where it is damaged, and where it was
     written with another recipe: the line names what differs."""
     held = checkpoint.load(folder / STATE, kind=type(config))

@@ -16,6 +16,8 @@ from splatpainter.data.edits.content import LAYER_MAKERS, Canvas, EditResources,
 
 MIN_EDIT_FRACTION, MAX_EDIT_FRACTION = 0.004, 0.5
 """Part of the edited view that an edit changes."""
+MIN_CHANGE = 0.02
+"""Of a colour channel, from which a pixel counts as changed."""
 MIN_ON_OBJECT = 0.6
 """Part of a layer's coverage that lies on the object."""
 
@@ -55,14 +57,12 @@ def layer_on_object(
     return layer if on_object >= strictness * MIN_ON_OBJECT * float(layer[..., 3].sum()) else None
 
 
-def change_masks(
-    before: Tensor, after: Tensor, min_change: float = 0.02, grow_px: int = 1, close_px: int = 0
-) -> Tensor:
-    """[V, H, W] bool: pixels whose colours [V, H, W, 3] differ by more than `min_change` in a channel, and those within
+def change_masks(before: Tensor, after: Tensor, grow_px: int = 1, close_px: int = 0) -> Tensor:
+    """[V, H, W] bool: pixels whose colours [V, H, W, 3] differ by more than MIN_CHANGE in a channel, and those within
     `grow_px` of them. Lone pixels do not count: of the nine around a core pixel three must differ. close_px: gaps up to
     about twice as wide are closed first (an edit like grain or sharpening leaves some pixels as they were)."""
     red, green, blue = (after - before).abs().unbind(-1)
-    core = (torch.maximum(torch.maximum(red, green), blue) > min_change).to(before.dtype)[:, None]
+    core = (torch.maximum(torch.maximum(red, green), blue) > MIN_CHANGE).to(before.dtype)[:, None]
     mask = core * (F.avg_pool2d(core, 3, 1, 1) > 2.5 / 9)
     if close_px:
         window = 2 * close_px + 1

@@ -35,9 +35,9 @@ PointPaint: TypeAlias = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.
 once, with all points that may get paint."""
 
 
-def paint_mesh(mesh: Mesh, design: EditDesign, edge: float = MAX_EDGE_PX) -> Mesh:
+def paint_mesh(mesh: Mesh, design: EditDesign) -> Mesh:
     """The mesh with an edit on what its camera sees of it; layers are mixed in display values as painting programs do.
-    edge: pixels. Raises ValueError as `repaint_mesh`, and for a layer of another size than the camera's."""
+    Raises ValueError as `repaint_mesh`, and for a layer of another size than the camera's."""
     camera, content = design.camera, design.content
     if isinstance(content, np.ndarray) and content.shape != (camera.height, camera.width, 4):
         raise ValueError(
@@ -54,7 +54,7 @@ def paint_mesh(mesh: Mesh, design: EditDesign, edge: float = MAX_EDGE_PX) -> Mes
         coat = content.paint(positions, torch.from_numpy(np.asarray(base_colors, np.float32)))
         return coat.colors.numpy(), coat.coverage.numpy()
 
-    return repaint_mesh(mesh, camera, design.region, paint, edge, hides_metal=isinstance(content, np.ndarray))
+    return repaint_mesh(mesh, camera, design.region, paint, hides_metal=isinstance(content, np.ndarray))
 
 
 def repaint_mesh(
@@ -62,7 +62,6 @@ def repaint_mesh(
     camera: Camera,
     region: np.ndarray,
     paint: PointPaint,
-    edge: float = MAX_EDGE_PX,
     hides_metal: bool = False,
 ) -> Mesh:
     """The mesh after `paint`, on surfaces that the camera sees within a pixel of `region` [H, W] bool; less at
@@ -70,7 +69,7 @@ def repaint_mesh(
     covered by half or more are no metal any more. Raises ValueError when it would take more than MAX_PIECES
     triangles."""
     plain = _toned(mesh)
-    pieces = _cut(plain, camera, region, edge)
+    pieces = _cut(plain, camera, region)
     reached = np.flatnonzero(pieces.reached)
     if not len(reached):
         return mesh
@@ -113,7 +112,7 @@ class _Pieces:
     """[F] bool: in the region, and small."""
 
 
-def _cut(mesh: Mesh, camera: Camera, region: np.ndarray, edge: float) -> _Pieces:
+def _cut(mesh: Mesh, camera: Camera, region: np.ndarray) -> _Pieces:
     """Triangles over the region, halved across their longest edge in the picture until all edges are short enough."""
     columns = {name: getattr(mesh, name).astype(np.float64) for name in ("vertices", "normals", "uvs")}
     columns["colors"] = np.ones((len(mesh.vertices), 3)) if mesh.colors is None else mesh.colors.astype(np.float64)
@@ -123,7 +122,7 @@ def _cut(mesh: Mesh, camera: Camera, region: np.ndarray, edge: float) -> _Pieces
     count = 0
     while len(faces):
         reached = _reaches(pixels[faces], sums)
-        lengths, limits = _lengths(pixels[faces], columns["vertices"][faces], edge)
+        lengths, limits = _lengths(pixels[faces], columns["vertices"][faces])
         split = reached & (lengths.max(1) > limits)
         ended = ~split
         straddles = (pixels[faces][..., 2] <= MIN_DEPTH).any(1)
@@ -173,13 +172,13 @@ def _reaches(corners: np.ndarray, sums: np.ndarray) -> np.ndarray:
     return (inside > 0) & ~behind.all(1)
 
 
-def _lengths(pixels: np.ndarray, corners: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
+def _lengths(pixels: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(lengths [F, 3] of the edges corner k to k + 1, limits [F]): pixels, or world units where a triangle reaches
     behind the camera."""
     behind = np.any(pixels[..., 2] <= MIN_DEPTH, axis=1)
     flat = np.linalg.norm(np.roll(pixels[..., :2], -1, 1) - pixels[..., :2], axis=2)
     world = np.linalg.norm(np.roll(corners, -1, 1) - corners, axis=2)
-    return np.where(behind[:, None], world, flat), np.where(behind, MAX_STRADDLING_EDGE, edge)
+    return np.where(behind[:, None], world, flat), np.where(behind, MAX_STRADDLING_EDGE, MAX_EDGE_PX)
 
 
 def _view_visibility(mesh: Mesh, points: np.ndarray, normals: np.ndarray, camera: Camera) -> np.ndarray:
