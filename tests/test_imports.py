@@ -22,7 +22,6 @@ ORDER = (
     ("splats", "transforms", "color"),
     ("cameras",),
     ("image_files",),
-    ("framing",),
     ("kernels",),
     ("io",),
     ("text_tables", "contact_sheet"),

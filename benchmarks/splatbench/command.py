@@ -17,6 +17,7 @@ from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import parse
 from splatpainter.commands.targets import check_folder
 from splatpainter.commands.terminal import PROGRAM, complain, watched
+from splatpainter.io.files import read_all
 
 MEASUREMENTS = {
     "speed": "time and peak memory of every stage, on scenes of several sizes",
@@ -285,7 +286,6 @@ def report(words: Sequence[str]) -> Outcome:
     record, lines = {"page": write_page(folders, config.out), "folders": folders}, []
     if config.markdown is not None:
         from splatbench.report.page import write_markdown
-        from splatpainter.io.files import read_all
 
         about = "" if config.about is None else read_all(config.about).decode(errors="replace")
         record["markdown"] = write_markdown(folders, config.markdown, about)

@@ -20,13 +20,16 @@ from tyro.conf import Positional, arg
 from splatbench import scenes
 from splatbench.closeups import Closeup, closeup, grazing_closeup
 from splatbench.reprojection import reproject, surface_depth
+from splatbench.scoring import decibels
 from splatbench.timing import machine, measure
 from splatpainter import text_tables as tables
 from splatpainter.cameras import Camera
 from splatpainter.contact_sheet import Strip, error_map, sheet, write_sheet
 from splatpainter.image_files import to_uint8
+from splatpainter.io import detect, format_of_name, read, write
+from splatpainter.lift.masks import change_mask
 from splatpainter.painter import Asset, Edit, Method, Painter
-from splatpainter.receipts import score
+from splatpainter.receipts import score, verify
 from splatpainter.sources.drawing import over, solid_layer
 from splatpainter.splats import Splats
 
@@ -140,8 +143,6 @@ def find_assets(paths: Sequence[Path]) -> list[Path]:
     """Files as given; of folders every splat file, but one per name up to the first dot: PLY if there is one, else the
     first by name. A folder that is itself an asset (SOG) is one. Raises ValueError for a missing file and for a folder
     without assets."""
-    from splatpainter.io import detect, format_of_name
-
     assets = []
     for path in paths:
         if not path.is_dir() or (path / "meta.json").is_file():
@@ -173,7 +174,6 @@ def _names(paths: Sequence[Path | None]) -> list[str]:
 def measure_asset(path: Path | None, name: str, config: LiftBench) -> tuple[Lift, list[Strip]]:
     """Paint, edit, score and verify one asset; None: the demo asset. Strips: the close-up's, the grazing one's."""
     from splatpainter.demo_asset import demo_asset
-    from splatpainter.io import read, write
 
     source = demo_asset() if path is None else read(path)
     view = closeup(source, config.size, BACKGROUND)
@@ -289,9 +289,6 @@ def painted_layers(image: np.ndarray, cover: np.ndarray, config: LiftBench) -> l
 
 def _verified(painted: Asset, original: Path, target: Path) -> bool:
     """Write the edited asset and compare the files, Gaussian by Gaussian and against the receipt."""
-    from splatpainter.io import read, write
-    from splatpainter.receipts import verify
-
     write(target, painted.splats)
     assert painted.receipt is not None
     receipt = replace(painted.receipt, output_sha256=read(target).sha256)
@@ -338,21 +335,18 @@ def _scored(
 
 
 def _grazing_caption(line: Lift) -> str:
-    return f"inside {_db(line.grazing_inside)}, other views {_db(line.grazing_novel)} dB"
+    return f"inside {decibels(line.grazing_inside)}, other views {decibels(line.grazing_novel)} dB"
 
 
 def _caption(line: Lift, method: Method) -> str:
     proof = "the rest exact" if line.exact else "UNTOUCHED GAUSSIANS DIFFER"
     return (
-        f"{line.asset}, {line.rows:,} Gaussians, {method}: inside {_db(line.before)} -> {_db(line.inside)} dB, outside "
-        f"{_db(line.outside)}, other views {_db(line.novel_inside)} / {_db(line.novel_outside)}, splitting alone "
-        f"{_db(line.split_inside)} / {_db(line.split_outside)}; {line.touched:,} touched, {line.appended:,} "
-        f"appended, {proof}; {line.edit_seconds:.2f} s"
+        f"{line.asset}, {line.rows:,} Gaussians, {method}: "
+        f"inside {decibels(line.before)} -> {decibels(line.inside)} dB, outside {decibels(line.outside)}, "
+        f"other views {decibels(line.novel_inside)} / {decibels(line.novel_outside)}, "
+        f"splitting alone {decibels(line.split_inside)} / {decibels(line.split_outside)}; "
+        f"{line.touched:,} touched, {line.appended:,} appended, {proof}; {line.edit_seconds:.2f} s"
     )
-
-
-def _db(value: float | None) -> str:
-    return "–" if value is None else f"{value:.1f}"
 
 
 def _novel(
@@ -375,7 +369,6 @@ def _novel(
 
 def _split_alone(asset: Asset, edit: Edit, before: np.ndarray) -> dict[str, float | None]:
     """Scores of a lift that splits but paints nothing."""
-    from splatpainter.lift.masks import change_mask
     from splatpainter.lift.options import LocalOptions
     from splatpainter.rendering import render
 

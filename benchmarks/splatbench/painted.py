@@ -18,12 +18,13 @@ import numpy as np
 from scipy import ndimage
 from tyro.conf import Positional, arg
 
-from splatbench.cases import Case, Setup
+from splatbench.cases import Case, Setup, check_options
 from splatbench.ground_truth import changes
 from splatbench.painted_cases import AssetKind, cases
-from splatbench.scoring import bounding_box, compared
+from splatbench.scoring import bounding_box, compared, decibels
 from splatbench.timing import machine
 from splatpainter import text_tables as tables
+from splatpainter.cameras import bounding_sphere
 from splatpainter.contact_sheet import Strip, sheet, write_sheet
 from splatpainter.image_files import to_uint8
 from splatpainter.painter import Edit, Painter
@@ -181,7 +182,9 @@ def run(config: PaintedBench, report: Callable[[str], None] | None = None) -> li
     called with a line per object. Raises ValueError for options that make no sense, and for data that is not there."""
     from splatpainter.kernels.compile import ensure_compiled
 
-    _check(config)
+    check_options("painted", config, ("meshes", "environments", "decals", "fonts", "perceptual_weights"))
+    if not config.methods:
+        raise ValueError("bench painted: expected at least one of --methods")
     perceptual = _perceptual(config.perceptual_weights)
     available = methods(config.preset)
     if unknown := [name for name in config.methods if name not in available]:
@@ -196,7 +199,7 @@ def run(config: PaintedBench, report: Callable[[str], None] | None = None) -> li
         scores += lines
         strips += pictures
         if report:
-            report("; ".join(f"{line.method} {_db(line.soft)}" for line in lines) + f" dB soft: {case.name}")
+            report("; ".join(f"{line.method} {decibels(line.soft)}" for line in lines) + f" dB soft: {case.name}")
         write_csv(config.out / "painted.csv", scores, where)
     if not scores:
         raise ValueError("bench painted: none of the objects could be painted")
@@ -273,8 +276,6 @@ class Truth:
 
     @staticmethod
     def of(case: Case) -> Truth:
-        from splatpainter.cameras import bounding_sphere
-
         step = case.steps[0]
         cameras = [step.edited.cameras[0], *case.after.cameras]
         before = _drawn(case.asset, cameras)
@@ -373,20 +374,6 @@ def aside_notes(scores: Sequence[PaintedScore]) -> list[str]:
     return [f"Rank correlation of `aside` over objects and methods: {', '.join(notes)}."] if notes else []
 
 
-def _check(config: PaintedBench) -> None:
-    least = {"objects": 1, "size": 64, "rows": 100, "novel_views": 1, "seed": 0}
-    for name, minimum in least.items():
-        if getattr(config, name) < minimum:
-            option = name.replace("_", "-")
-            raise ValueError(f"bench painted: expected --{option} of at least {minimum}, got {getattr(config, name)}")
-    if not config.methods:
-        raise ValueError("bench painted: expected at least one of --methods")
-    for name in ("meshes", "environments", "decals", "fonts", "perceptual_weights"):
-        folder = getattr(config, name)
-        if folder is not None and not folder.is_dir():
-            raise ValueError(f"bench painted: {name.replace('_', ' ')}: {folder}: no such folder")
-
-
 def _perceptual(folder: Path | None) -> Any | None:
     """LPIPS-Alex; None where its weights are not there and were not asked for."""
     from splatpainter.metrics import Lpips, LpipsUnavailable
@@ -415,7 +402,3 @@ def _caption(line: PaintedScore) -> str:
         f"{name} {tables.cell_text(getattr(line, name))}" for name in ("soft", "novel", "specks", "cracks", "added")
     )
     return f"{line.method}: {cells}; {line.seconds:.2f} s"
-
-
-def _db(value: float | None) -> str:
-    return "–" if value is None else f"{value:.1f}"

@@ -15,6 +15,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.image_files import to_uint8
+from splatpainter.io import write
 from splatpainter.sources.drawing import load_font, over, solid_layer
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.transforms import quat_to_matrix
@@ -51,8 +52,6 @@ def resampled(splats: Splats, count: int, sh_degree: int) -> Splats:
 
 def save_scene(folder: Path, splats: Splats) -> None:
     """Arrays (quick to load in a fresh process) and a PLY."""
-    from splatpainter.io import write
-
     folder.mkdir(parents=True)
     for name in ATTRIBUTES:
         np.save(folder / f"{name}.npy", getattr(splats, name))

@@ -24,6 +24,11 @@ MIN_SSIM_PX = 2 * RADIUS + 1
 """Pixels; SSIM's window."""
 
 
+def decibels(value: float | None) -> str:
+    """For people, without the unit."""
+    return "–" if value is None else f"{value:.1f}"
+
+
 def rendered(splats: Splats, cameras: Sequence[Camera]) -> np.ndarray:
     """[V, H, W, 3] float32 renders, clamped to 0..1. cameras: of one size."""
     from splatpainter.rendering import render

@@ -17,6 +17,9 @@ import numpy as np
 
 from splatbench.scenes import SavedScene
 from splatbench.timing import measure
+from splatpainter.io import read, write
+from splatpainter.painter import Edit, Painter
+from splatpainter.sources import edit_from_files
 from splatpainter.splats import ATTRIBUTES, Splats
 
 DISC_RADIUS = 0.131
@@ -96,8 +99,6 @@ def voxels(scene: SavedScene) -> Work:
 
 def edit_lift(scene: SavedScene, kind: str, mode: Any) -> Work:
     """A whole edit: its mask found, lifted, receipt with its hashes and scores. kind: of Scene.edited."""
-    from splatpainter.painter import Edit, Painter
-
     painter = Painter.load("lift")
     asset = painter.encode(scene.splats)
     assert asset.grid is not None  # once per asset; timed as "voxels"
@@ -114,8 +115,6 @@ def encode(scene: SavedScene) -> Work:
 
 def edit_networks(scene: SavedScene, mode: Any) -> Work:
     """A whole edit by the networks: a disc on the pot's belly, or one regraded view."""
-    from splatpainter.painter import Edit
-
     painter = _networks()
     asset = painter.encode(scene.splats)
     assert asset.grid is not None
@@ -138,7 +137,6 @@ def _networks() -> Any:
 
     from splatpainter.models.config import COMPACT
     from splatpainter.models.model import SplatPainterModel
-    from splatpainter.painter import Painter
 
     torch.manual_seed(0)
     model = SplatPainterModel(COMPACT)
@@ -176,15 +174,11 @@ def preview_round(scene: SavedScene, projected: bool) -> Work:
 
 def open_file(scene: SavedScene) -> Work:
     """Read a PLY."""
-    from splatpainter.io import read
-
     return lambda: read(scene.ply)
 
 
 def save_file(scene: SavedScene) -> Work:
     """Write a PLY that was read, with every hundredth Gaussian recoloured."""
-    from splatpainter.io import read, write
-
     splats = read(scene.ply)
     sh = splats.sh.copy()
     sh[::100, 0] += 0.1
@@ -256,9 +250,6 @@ def edit_file(ply: str, picture: str) -> dict[str, float]:
     """Open a PLY, apply one edited picture (a PNG that carries its camera) and save, as a user's script would: seconds
     of each step, imports and loading of kernels included in the first one that needs them."""
     start = time.perf_counter()
-    from splatpainter.io import read, write
-    from splatpainter.painter import Painter
-    from splatpainter.sources import edit_from_files
 
     seconds = {}
 

@@ -16,7 +16,7 @@ from typing import Annotated, get_args
 import numpy as np
 from tyro.conf import Positional, arg
 
-from splatbench.cases import Setup
+from splatbench.cases import Setup, check_options
 from splatbench.painted_cases import AssetKind
 from splatbench.spread_cases import SpreadCase, Stroke, cases
 from splatbench.timing import machine
@@ -115,7 +115,7 @@ def run(config: SpreadBench, report: Callable[[str], None] | None = None) -> lis
     object. Raises ValueError for options that make no sense, and for data that is not there."""
     from splatpainter.kernels.compile import ensure_compiled
 
-    _check(config)
+    check_options("spread", config, ("meshes", "environments"))
     where = machine()
     ensure_compiled()
     config.out.mkdir(parents=True, exist_ok=True)
@@ -244,15 +244,3 @@ def _cells(edited: np.ndarray, novel: np.ndarray) -> tuple[tuple[str, np.ndarray
 def _caption(line: SpreadScore) -> str:
     cells = ", ".join(f"{name} {tables.cell_text(getattr(line, name))}" for name in ("iou", "lift", "spread", "rest"))
     return f"{line.stroke}: {cells}"
-
-
-def _check(config: SpreadBench) -> None:
-    least = {"objects": 1, "size": 64, "rows": 100, "novel_views": 1, "seed": 0}
-    for name, minimum in least.items():
-        if getattr(config, name) < minimum:
-            option = name.replace("_", "-")
-            raise ValueError(f"bench spread: expected --{option} of at least {minimum}, got {getattr(config, name)}")
-    for name in ("meshes", "environments"):
-        folder = getattr(config, name)
-        if folder is not None and not folder.is_dir():
-            raise ValueError(f"bench spread: {name.replace('_', ' ')}: {folder}: no such folder")

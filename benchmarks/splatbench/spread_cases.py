@@ -25,8 +25,10 @@ from splatbench.ground_truth import GroundTruth, GroundTruthViews, build_asset, 
 from splatbench.objects import drawn_lights, environments, generator, objects
 from splatbench.painted_cases import SOURCES, AssetKind
 from splatpainter.cameras import Camera
+from splatpainter.color import linear_to_srgb, luminance, oklab, sh_from_color, srgb_to_linear
 from splatpainter.data import viewpoints
-from splatpainter.data.meshes import SUFFIXES, Mesh
+from splatpainter.data.materials import Material
+from splatpainter.data.meshes import Mesh
 from splatpainter.image_files import to_uint8
 from splatpainter.splats import Splats
 
@@ -106,7 +108,7 @@ def chosen_names(setup: Setup) -> tuple[str, ...]:
 
 def material_count(path: Path) -> int:
     """Materials of a GLB by its header; 0 where that does not say."""
-    if path.suffix.lower() not in SUFFIXES or path.suffix.lower() != ".glb":
+    if path.suffix.lower() != ".glb":
         return 0
     try:
         with open(path, "rb") as file:
@@ -208,7 +210,6 @@ def _mesh(name: str, setup: Setup) -> Mesh:
 
 def material_labels(mesh: Mesh, surfels: Surfels, setup: Setup) -> np.ndarray:
     """[S] int64 the material of each surfel: of the same points, sampled from a mesh whose base colours are numbers."""
-    from splatpainter.data.materials import Material
     from splatpainter.data.surfels import sample_surfels
 
     count = len(mesh.materials)
@@ -252,8 +253,6 @@ def separable(surfels: Surfels, inside: np.ndarray, seen: np.ndarray, area: np.n
 
 def _lab(surfels: Surfels) -> np.ndarray:
     """[S, 3] OKLab of the base colours."""
-    from splatpainter.color import linear_to_srgb, oklab
-
     return oklab(linear_to_srgb(surfels.albedo.numpy().clip(0, 1)))
 
 
@@ -261,8 +260,6 @@ def recolored_surfels(surfels: Surfels, inside: np.ndarray, rng: np.random.Gener
     """One material in another hue: every base colour keeps its luminance over the material's mean (texture stays), and
     takes the hue and saturation of the new colour, whose luminance is near the old mean's."""
     import torch
-
-    from splatpainter.color import luminance, srgb_to_linear
 
     albedo = surfels.albedo.numpy().copy()
     old = albedo[inside]
@@ -304,7 +301,6 @@ def _indicator(truth: GroundTruth, chosen: np.ndarray, cameras: list[Camera]) ->
     """[V, H, W] bool: pixels that show mostly the chosen surfels ([S] bool)."""
     import torch
 
-    from splatpainter.color import sh_from_color
     from splatpainter.data.lit_scenes import render_views
     from splatpainter.data.surfels import to_splats
 

@@ -21,6 +21,8 @@ from splatbench.scenes import DAB_WIDTH, TEXT_HEIGHT, resampled
 from splatbench.studio_client import Browser, Mirror, Server, browsing, encoded, serving
 from splatbench.timing import machine
 from splatpainter import text_tables as tables
+from splatpainter.demo_asset import demo_asset
+from splatpainter.io import read, write
 
 Report = Callable[[str], None]
 START_MS, PREVIEW_MS, COMMIT_MS, SLIDER_MS = 5000.0, 100.0, 800.0, 300.0
@@ -156,9 +158,6 @@ def _checked(config: StudioBench) -> StudioBench:
 
 def _scene(config: StudioBench, folder: Path, gaussians: int) -> Path:
     """A PLY of so many Gaussians."""
-    from splatpainter.demo_asset import demo_asset
-    from splatpainter.io import read, write
-
     path = folder / f"{gaussians}.ply"
     if not path.exists():
         write(path, resampled(demo_asset() if config.asset is None else read(config.asset), gaussians, 1))

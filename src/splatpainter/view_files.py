@@ -28,6 +28,8 @@ from splatpainter.image_files import (
     require_deep,
 )
 from splatpainter.lift.depth_normals import outward_normals
+from splatpainter.rendering import render
+from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.rendering.profiles import Profile
 from splatpainter.sources.picture_reader import straight
 from splatpainter.splats import ColorSpace, Splats
@@ -86,9 +88,6 @@ def draw_passes(
     wanted and not given (the same for all views of an asset). coverage: [N] bool Gaussians predicted and [N] bool
     Gaussians seen, both False for Gaussians as they were. surface: where given, depth and normal are the surface's
     wherever it is trusted. Raises ValueError as `render`, and for "coverage" without one."""
-    from splatpainter.rendering import render
-    from splatpainter.rendering.cpu.projected_view import project
-
     if "coverage" in aovs and coverage is None:
         raise ValueError(
             "coverage: only a session records which Gaussians its edits saw; export the view from a session"

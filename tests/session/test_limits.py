@@ -11,7 +11,7 @@ import splatpainter as sp
 from splatpainter.lift import limits
 from splatpainter.lift.options import LocalOptions
 from splatpainter.painter import Edit, Painter
-from splatpainter.session import Session
+from splatpainter.session import Session, compose
 from splatpainter.splats import Splats
 from splatpainter.transforms import fibonacci_sphere, matrix_to_quat
 from tests.support.lift_scenes import disk, front, same_bits
@@ -135,7 +135,7 @@ def test_limits_and_the_surface_beneath_them_are_both_estimated_once(monkeypatch
     with Session(ball(500), painter=Painter.load("lift")) as session:
         session.add("paint", [off_centre(session.splats)])
         calls, estimate = [], limits.coarse_surface
-        monkeypatch.setattr(limits, "coarse_surface", lambda *a: calls.append(1) or estimate(*a))
+        monkeypatch.setattr(compose, "coarse_surface", lambda *a: calls.append(1) or estimate(*a))
         first = session.left_out(CAMERA, angle_limit=40)
         session.surface_blocks(CAMERA)
         assert np.array_equal(session.left_out(CAMERA, angle_limit=40), first)

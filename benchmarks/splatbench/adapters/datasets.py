@@ -22,7 +22,7 @@ import numpy as np
 from splatbench.adapters.frames import Cube, Frame
 from splatbench.cases import PosedImages
 from splatpainter.cameras import Camera, look_at, orbit
-from splatpainter.color import base_color
+from splatpainter.color import base_color, to_display
 from splatpainter.image_files import to_uint8
 from splatpainter.io import files
 from splatpainter.splats import Splats
@@ -93,7 +93,6 @@ def cameras_on_rings(cube: Cube, count: int, *, pixels: int) -> list[Camera]:
 
 def render_views(splats: Splats, cameras: Sequence[Camera]) -> Iterator[AssetView]:
     """The asset from each camera (all of one size), a few at a time."""
-    from splatpainter.color import to_display
     from splatpainter.rendering import render
 
     for start in range(0, len(cameras), RENDERS_AT_ONCE):

@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from splatpainter.color import sh_from_color
+from splatpainter import io
+from splatpainter.color import linear_to_srgb, sh_from_color
 from splatpainter.io import axes, files
 from splatpainter.splats import Splats
 
@@ -104,8 +105,6 @@ def read_result(path: Path, frame: Frame, seed: int = 0) -> Splats:
     from the system's frame to the asset's; numpy float32.
 
     Raises ValueError: no such file, not readable, nothing that can be drawn."""
-    from splatpainter import io
-
     if not path.is_file():
         raise ValueError(f"{path.name}: the system wrote no such file ({path})")
     binary = path.suffix.lower() == ".glb"
@@ -126,7 +125,6 @@ def splats_of_mesh(path: Path, count: int, seed: int = 0) -> Splats:
     what TRELLIS bakes into them is how the object looks."""
     import trimesh
 
-    from splatpainter.color import linear_to_srgb
     from splatpainter.data.meshes import load_mesh
     from splatpainter.data.surfels import sample_surfels
 

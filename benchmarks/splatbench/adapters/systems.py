@@ -20,6 +20,7 @@ from splatbench.adapters.config import GUIDE, AdapterSection
 from splatbench.adapters.frames import ASSET, Cube, Frame, nerfstudio_frame
 from splatbench.methods import EditTask
 from splatpainter.cameras import Camera
+from splatpainter.color import to_display
 
 TRELLIS_VIEWS, TRELLIS_PX = 150, 512
 """Renders that VoxHammer and VineDresser3D (whose main.py reads so many) get, and their size."""
@@ -142,7 +143,6 @@ class System:
 def write_common(job: Job) -> dict[str, str]:
     """Write what every system gets; the values of the placeholders."""
     from splatpainter import io
-    from splatpainter.color import to_display
     from splatpainter.rendering import render
 
     work, edits = job.work, job.inputs / "edits"

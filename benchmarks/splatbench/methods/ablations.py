@@ -19,6 +19,7 @@ from splatbench.methods import EditResult, EditTask, Method
 from splatbench.methods.lift import painted
 from splatbench.methods.weights import SHIPPED
 from splatpainter.models.config import ModelConfig
+from splatpainter.painter import Painter
 
 if TYPE_CHECKING:
     from splatpainter.models.model import SplatPainterModel
@@ -73,8 +74,6 @@ def altered(model: SplatPainterModel, change: Change) -> SplatPainterModel:
 
 def _row(change: Change) -> Callable[[EditTask, Budget], EditResult]:
     def edit(task: EditTask, budget: Budget) -> EditResult:
-        from splatpainter.painter import Painter
-
         return painted(Painter(model=altered(SHIPPED.load(budget), change)), "ttt", task)
 
     return edit

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from splatbench.cases import Budget
 from splatbench.methods import EditResult, EditTask, Method
+from splatpainter.painter import Edit, Painter
 
 if TYPE_CHECKING:
     from splatpainter.painter import Edit, Painter
@@ -25,8 +26,6 @@ TABLES = ("refine", "relight", "creative", "sequence", "ablate")
 
 def edits_of(task: EditTask) -> list[Edit]:
     """The step's pictures as the painter takes them."""
-    from splatpainter.painter import Edit
-
     step = task.step
     return [Edit(color, camera, step.masks[k], f"view {k + 1}") for k, (camera, color) in enumerate(step.edited)]
 
@@ -61,15 +60,11 @@ def painted(painter: Painter, method: PainterMethod, task: EditTask, note: str =
 
 def edit(task: EditTask, budget: Budget) -> EditResult:
     """The step by the analytic lift alone, on the CPU."""
-    from splatpainter.painter import Painter
-
     return painted(Painter(), "lift", task)
 
 
 def edit_and_fit(task: EditTask, budget: Budget) -> EditResult:
     """The lift, then method "fit"'s steps on what it painted. Global edits are the lift's alone."""
-    from splatpainter.painter import Painter
-
     if task.step.mode == "global":
         return painted(Painter(), "lift", task, "global edits: the lift alone")
     return painted(Painter(), "fit", task)

@@ -25,6 +25,8 @@ from splatbench.cases import Budget, PosedImages
 from splatbench.methods import EditResult, EditTask, Method
 from splatbench.methods.weights import COMPACT, SHIPPED, Weights
 from splatpainter.models.config import Grouping, LrmConfig, ModelConfig
+from splatpainter.nn.precision import autocast
+from splatpainter.splats import ATTRIBUTES
 
 if TYPE_CHECKING:
     import torch
@@ -98,7 +100,6 @@ def dense(model: SplatPainterModel, views: AssetViews) -> Copy:
     from splatpainter.models.gaussian_groups import TokenLinks
     from splatpainter.models.lrm import AssetViews
     from splatpainter.models.model import Copy
-    from splatpainter.splats import ATTRIBUTES
 
     tokens = model.lrm.encode(views)
     parts = []
@@ -134,8 +135,6 @@ def reconstruction(weights: Weights, *, stage_one: bool) -> Callable[[EditTask, 
 
     def edit(task: EditTask, budget: Budget) -> EditResult:
         import torch
-
-        from splatpainter.nn.precision import autocast
 
         model = weights.load(budget)
         start = time.perf_counter()
@@ -184,7 +183,6 @@ def unedited(weights: Weights, *, compress: bool) -> Callable[[EditTask, Budget]
     def edit(task: EditTask, budget: Budget) -> EditResult:
         import torch
 
-        from splatpainter.nn.precision import autocast
         from splatpainter.voxels.grid import voxelize
 
         model = weights.load(budget)

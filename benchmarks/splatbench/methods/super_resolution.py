@@ -20,6 +20,7 @@ import numpy as np
 
 from splatbench.adapters import config
 from splatbench.process import run_command
+from splatpainter.image_files import to_uint8
 
 PROGRAM = "super-resolution"
 """Table of the user's program in the adapters file."""
@@ -117,7 +118,6 @@ def program(adapters: Path | None, factor: int, folder: Path) -> Prior:
     def enlarged(picture: np.ndarray) -> np.ndarray:
         from PIL import Image
 
-        from splatpainter.image_files import to_uint8
         from splatpainter.sources.picture_reader import read_picture
 
         pixels = to_uint8(picture)

@@ -12,6 +12,7 @@ from splatbench.cases import Budget
 from splatbench.methods import EditResult, EditTask, Method
 from splatbench.methods.lift import TABLES, painted
 from splatbench.methods.weights import SHIPPED, Weights
+from splatpainter.painter import Painter
 
 CROSS = Weights(
     ("cross-attention",),
@@ -25,8 +26,6 @@ def refined(weights: Weights, *, polish: bool = False) -> Callable[[EditTask, Bu
     """A row: Stage II with these weights, and two rounds of the lift afterwards with polish."""
 
     def edit(task: EditTask, budget: Budget) -> EditResult:
-        from splatpainter.painter import Painter
-
         return painted(Painter(model=weights.load(budget), polish=polish), "ttt", task)
 
     return edit

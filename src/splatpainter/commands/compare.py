@@ -8,17 +8,20 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 from tyro.conf import Positional, arg
 
 from splatpainter.atomic import write_text
 from splatpainter.cameras import Camera, UpAxis, orbit_cameras
+from splatpainter.color import from_display, to_display
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import CameraFiles
 from splatpainter.commands.targets import check_folder, check_target, make_folder
 from splatpainter.commands.terminal import count, decibels, progress, to_json
 from splatpainter.commands.view_options import BACKGROUND, MOST_VIEWS, check_ranges, color, given_cameras, rgb
+from splatpainter.image_files import to_uint8
 from splatpainter.io import read
-from splatpainter.rendering import MAX_SIDE_PX
+from splatpainter.rendering import MAX_SIDE_PX, render
 from splatpainter.rendering.profiles import Profile
 from splatpainter.splats import Splats
 
@@ -156,12 +159,8 @@ def _compared(
     config: Config, first: Splats, second: Splats, cameras: Sequence[Camera], names: Sequence[str]
 ) -> tuple[list[Likeness], list[list[np.ndarray]]]:
     """(likeness per view, the three pictures per view shrunk for the sheet); saves a picture of each view."""
-    import numpy as np
-
-    from splatpainter.color import from_display, to_display
     from splatpainter.contact_sheet import Strip, sheet, write_sheet
     from splatpainter.kernels.compile import ensure_compiled
-    from splatpainter.rendering import render
 
     ensure_compiled()
     results, thumbs = [], []
@@ -206,8 +205,6 @@ def _labels(config: Config) -> tuple[str, str, str]:
 
 
 def _likeness(a: np.ndarray, b: np.ndarray, covered: np.ndarray) -> Likeness:
-    import numpy as np
-
     from splatpainter.metrics import LpipsUnavailable, lpips, psnr, ssim
 
     try:
@@ -233,10 +230,7 @@ def _pooled(values: Sequence[float]) -> float:
 
 
 def _thumb(picture: np.ndarray) -> np.ndarray:
-    import numpy as np
     from PIL import Image
-
-    from splatpainter.image_files import to_uint8
 
     image = Image.fromarray(to_uint8(picture))
     image.thumbnail((SHEET_CELL_PX, SHEET_CELL_PX), Image.Resampling.LANCZOS)

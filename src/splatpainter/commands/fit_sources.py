@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from splatpainter.cameras import FRAME_MARGIN, Camera
+from splatpainter.cameras import AUTO_UP, FRAME_MARGIN, UPS, Camera, bounding_sphere, spherical_cameras
 from splatpainter.commands.terminal import reason
-from splatpainter.io import files
+from splatpainter.io import files, read
 from splatpainter.io.sog import META
 from splatpainter.splats import Splats
 
@@ -85,8 +85,6 @@ def is_mesh(path: Path) -> bool:
 
 
 def _from_asset(source: Path, wish: Wish) -> FitPictures:
-    from splatpainter.cameras import AUTO_UP, UPS, bounding_sphere
-    from splatpainter.io import read
     from splatpainter.kernels.compile import ensure_compiled
 
     splats = read(source)
@@ -156,7 +154,6 @@ def _rendered(
 ) -> FitPictures:
     """render_views: cameras -> colours [V, H, W, 3], depths and alphas [V, H, W]. frame: [4, 4] from the asset's world
     to the rendered one (a half turn is its own inverse)."""
-    from splatpainter.cameras import spherical_cameras
     from splatpainter.fit.start import from_depths
 
     distance = FRAME_MARGIN * radius / math.sin(math.radians(FOV / 2))

@@ -18,6 +18,7 @@ from torch import Tensor
 
 from splatpainter.cameras import Camera
 from splatpainter.fit.image_loss import picture_loss, torch_loss
+from splatpainter.rendering import render
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
 from splatpainter.splats import ATTRIBUTES, Splats
 
@@ -108,8 +109,6 @@ def torch_pass(
     splats: Splats, target: Target, custom_loss: CustomLoss | None, pull: bool, absolute: bool = False
 ) -> Pass:
     """A pass as of CpuPasses, by torch, on the splats' device. absolute: not known here, and left out."""
-    from splatpainter.rendering import render
-
     leaves = {name: getattr(splats, name).detach().requires_grad_() for name in ATTRIBUTES}
     image = render(replace(splats, **leaves), target.camera).colors[0]
     if custom_loss is None:

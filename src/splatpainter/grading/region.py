@@ -31,7 +31,10 @@ from pathlib import Path
 import numpy as np
 
 from splatpainter.color import from_hex, luminance, oklab
+from splatpainter.image_files import find_camera
 from splatpainter.sources.color_match import display_colors
+from splatpainter.sources.edit_files import camera_from
+from splatpainter.sources.picture_reader import read_mask, resample
 from splatpainter.splats import Splats
 
 MAX_TERMS = 64
@@ -241,10 +244,6 @@ def _sphere(name: str, text: str) -> Weigh:
 
 
 def _mask(name: str, text: str) -> Weigh:
-    from splatpainter.image_files import find_camera
-    from splatpainter.sources.edit_files import camera_from
-    from splatpainter.sources.picture_reader import read_mask, resample
-
     picture, at, camera_name = text.rpartition("@")
     if not at:
         picture, camera_name = text, ""

@@ -11,6 +11,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.lift.local_edit import NothingPaintableError, gaussians_in_mask
+from splatpainter.rendering import render
 from splatpainter.splats import Splats
 from splatpainter.voxels.grid import VoxelGrid
 
@@ -53,8 +54,6 @@ def edit_views(
 ) -> list[EditView]:
     """Edited pictures with the asset rendered from their cameras. splats: numpy or torch; pictures: [H, W, 3] float
     each; masks: [H, W] bool each."""
-    from splatpainter.rendering import render
-
     splats, views = splats.numpy(), []
     for camera, picture, mask in zip(cameras, pictures, masks, strict=True):
         drawn = render(splats, camera)

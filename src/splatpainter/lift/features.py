@@ -8,6 +8,7 @@ import numpy as np
 
 from splatpainter.lift.edit_views import EditView
 from splatpainter.lift.global_edit import GlobalLift
+from splatpainter.rendering.cpu.projected_view import project, tiles_of_mask
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.transforms import quat_to_matrix
 
@@ -48,8 +49,6 @@ def global_features(before: Splats, lift: GlobalLift, ids: np.ndarray) -> np.nda
 
 def _seen(splats: Splats, views: Sequence[EditView]) -> np.ndarray:
     """[N] float32 0..1: how much of each Gaussian the edited pixels show; HALF_SEEN_PX are a half."""
-    from splatpainter.rendering.cpu.projected_view import project, tiles_of_mask
-
     weight = np.zeros(len(splats), np.float32)
     for view in views:
         projected = project(splats, view.camera, tiles=tiles_of_mask(view.mask))

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.rendering import check_views, render
 from splatpainter.splats import Splats
 
 if TYPE_CHECKING:
@@ -45,7 +46,6 @@ class PartialRender:
     ) -> PartialRender:
         """tiles: [TH, TW] bool; None: all of them; beside: more that the `view` is to have; view: one of the splats
         that has these, if at hand. Raises ValueError for sizes that `render` does not draw."""
-        from splatpainter.rendering import check_views, render
         from splatpainter.rendering.cpu.projected_view import project, tile_shape
 
         check_views([camera])

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from splatpainter.io import detect
+from splatpainter.io import FORMATS, detect, gltf, sog
 from splatpainter.io.bounded import Gunzip, zip_directory
 from splatpainter.io.files import read_head, reading
+from splatpainter.io.ply_container import read_header
 from splatpainter.sources.cube_lut import MAX_CUBE_BYTES
 from splatpainter.sources.picture_reader import MAX_PICTURE_PIXELS, PICTURE_KINDS, SIZE_LIMIT
 
@@ -54,7 +55,6 @@ def sniff(path: Path, name: str, max_gaussians: int) -> UploadInfo:
     key = _detected(path, name)
     if key is None:
         raise ValueError(f"{title}: expected a picture (PNG, JPEG, WebP, TIFF), a splat file or a project")
-    from splatpainter.io import FORMATS
 
     try:
         count = _declared_count(path, key)
@@ -107,8 +107,6 @@ def _declared_count(path: Path, key: str) -> int:
     """Gaussians that the header declares."""
     size = path.stat().st_size
     if key in ("ply", "compressed.ply"):
-        from splatpainter.io.ply_container import read_header
-
         with reading(path) as file:
             vertex = read_header(file, path).element("vertex")
         return 0 if vertex is None else vertex.count
@@ -122,9 +120,6 @@ def _declared_count(path: Path, key: str) -> int:
             head = Gunzip(head, path).take(16, "the header")
         return struct.unpack_from("<I", head, 8)[0]
     if key == "sog":
-        from splatpainter.io import sog
-
         return sog.declared_rows(path)
-    from splatpainter.io import gltf
 
     return gltf.declared_rows(path)

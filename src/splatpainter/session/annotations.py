@@ -14,6 +14,7 @@ import numpy as np
 from splatpainter.cameras import UPS, Camera
 from splatpainter.jsonio import brief
 from splatpainter.session.orientation import Orientation, azimuth_of, measure, parsed_direction
+from splatpainter.session.project_file import Project
 from splatpainter.session.selection import Selection
 from splatpainter.session.summary import PICTURE_FACT
 
@@ -30,8 +31,6 @@ MAX_SELECTIONS, MAX_SELECTION_NAME = 64, 80
 def keep_selection(project: Path, name: str, png: bytes | str) -> None:
     """Put a selection into a project that nobody has open. png: its bytes, or the name of one that it keeps already.
     Raises ValueError for an unknown one."""
-    from splatpainter.session.project_file import Project
-
     with contextlib.closing(Project.open(project, readonly=False)) as opened:
         text = opened.fact(SELECTION_FACT + png) if isinstance(png, str) else base64.b64encode(png).decode()
         if text is None:

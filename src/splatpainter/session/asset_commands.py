@@ -24,7 +24,7 @@ from splatpainter.io import files, frame_of, read
 from splatpainter.io.sog import META
 from splatpainter.painter import Edit, Method
 from splatpainter.scene.placement import Placement, beside
-from splatpainter.scene.seam import match_seam
+from splatpainter.scene.seam import match_seam, seam_weights
 from splatpainter.session import asset_files
 from splatpainter.session.document import SELECTION, Document, Kind, Layer, add_layer, add_stroke, change_layer
 from splatpainter.session.fingerprint import fingerprint
@@ -176,8 +176,6 @@ class AssetCommands(StrokeCommands):
             match = match_seam(scene_splats, fixed, falloff)
             parameters = match.parameters(moving.state.splats.color_space)
             if falloff:
-                from splatpainter.scene.seam import seam_weights
-
                 weights = seam_weights(scene_splats, fixed, falloff)
                 data = Selection.of(weights, moving.state.splats, moving.original).to_png()
                 self._transaction.blobs = {files.sha256(data): data}

@@ -24,6 +24,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.lift.limits import coarse_surface, left_out
+from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.painter import Edit, Painter
 from splatpainter.session.appearance import base_of_parents, picture_of, with_base
 from splatpainter.session.conflicts import EditedIds, policy_strength
@@ -75,6 +77,7 @@ from splatpainter.session.strokes import (
 from splatpainter.source_edits import turns
 from splatpainter.sources.color_transfer import with_table
 from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.voxels.raycast import is_inside
 
 if TYPE_CHECKING:
     from splatpainter.surface.estimate import Surface
@@ -558,16 +561,11 @@ class Replay:
 
     def left_out(self, state: LayerState, camera: Camera, limits: Mapping[str, Any]) -> np.ndarray:
         """[H, W] bool: pixels of a view whose paint the limits (a layer's parameters) leave out (lift.limits)."""
-        from splatpainter.lift.limits import left_out
-        from splatpainter.lift.options import LOCAL_DEFAULTS
-
         options = replace(self.painter.local_options or LOCAL_DEFAULTS, **limits_of(limits, "limits"))
         return left_out(self.coarse_surface(state, camera), camera, options.angle_limit, options.depth_edge_limit)
 
     def coarse_surface(self, state: LayerState, camera: Camera) -> VisibleSurface:
         """What a view sees of a state's surface, on blocks of pixels (lift.limits); the latest ones are cached."""
-        from splatpainter.lift.limits import coarse_surface
-
         key = f"{state.key} {camera.to_json()}"
         seen = self._seen.pop(key, None) or coarse_surface(self.surface, state.splats, camera)
         self._seen[key] = seen
@@ -582,8 +580,6 @@ class Replay:
 
     def prepare(self, state: LayerState, camera: Camera | None) -> None:
         """Make what a local edit of a state in a view (None: any) needs before anything else."""
-        from splatpainter.voxels.raycast import is_inside
-
         if camera is None:
             self._adapter.grid(state.splats)
         else:

@@ -17,6 +17,7 @@ from splatpainter.cameras import Camera
 from splatpainter.color import from_display, to_display
 from splatpainter.image_files import MAX_PICTURE_PIXELS, to_uint8
 from splatpainter.io import files
+from splatpainter.lift.masks import edited_mask
 from splatpainter.painter import MAX_VIEWS, Edit
 from splatpainter.session.document import SPREAD_THRESHOLD, Kind, Layer, View
 from splatpainter.splats import ColorSpace, Splats
@@ -186,7 +187,6 @@ def thumbnail(image: np.ndarray, mask: np.ndarray | None, few_colors: bool = Fal
 
 def changed_pixels(splats: Splats, edit: Edit) -> np.ndarray:
     """[H, W] bool: where an edited picture differs from the render. Raises ValueError where it does not."""
-    from splatpainter.lift.masks import edited_mask
     from splatpainter.rendering import render
 
     drawn = render(splats, edit.camera)

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from splatpainter.cameras import bounding_sphere, spherical_cameras
 from splatpainter.color import base_color, linear_to_srgb, luminance, srgb_to_linear, to_display
 from splatpainter.sources.picture_reader import Picture
 from splatpainter.splats import Splats
@@ -141,7 +142,6 @@ def display_colors(splats: Splats) -> np.ndarray:
 
 def seen_weights(splats: Splats) -> np.ndarray:
     """[N] float64 pixels that show each Gaussian in VIEWS views from all around."""
-    from splatpainter.cameras import bounding_sphere, spherical_cameras
     from splatpainter.rendering.cpu.projected_view import project
 
     center, radius = bounding_sphere(splats)

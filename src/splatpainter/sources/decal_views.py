@@ -19,7 +19,7 @@ from splatpainter.sources.decal_fusion import fused_surface
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.unwrap import Unwrapped, smoothed, thinned, unwrap
 from splatpainter.surface.visible import VisibleSurface, visible_surface
-from splatpainter.voxels.raycast import inside
+from splatpainter.voxels.raycast import first_hits, inside
 
 MIN_ALPHA = 0.5
 """Alpha of a pixel from which the surface is seen there."""
@@ -242,8 +242,6 @@ def facing_camera(
 
 def _clear(asset: Asset, target: np.ndarray, direction: np.ndarray, distance: float, radius: float) -> bool:
     """Whether a ray back to the target meets nothing before it."""
-    from splatpainter.voxels.raycast import first_hits
-
     grid = asset.grid
     _, hits = first_hits(grid.occupancy, grid, target + distance * direction, -direction[None])
     return bool(hits[0] < 0 or hits[0] > distance - 0.25 * radius - 3 * grid.voxel)

@@ -10,6 +10,7 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.color import from_display, to_display
 from splatpainter.image_files import Alpha, find_alpha, find_camera
+from splatpainter.lift.masks import change_mask
 from splatpainter.painter import Edit, Mode
 from splatpainter.sources.larger_views import edited_in_larger, larger_view
 from splatpainter.sources.picture_reader import (
@@ -86,8 +87,6 @@ class FileEdit:
     def _changed(self, colors: np.ndarray, render: np.ndarray, cover: np.ndarray, splats: Splats) -> np.ndarray:
         """Pixels that differ from a render that went through the same change of size and back: resampling alone
         moves every edge by more than an edit's tolerance."""
-        from splatpainter.lift.masks import change_mask
-
         if self.view is not None:
             space, small = splats.color_space, _draw(splats, self.view)[0]
             large, small = to_display(render, space), to_display(small, space)

@@ -16,7 +16,7 @@ from splatpainter.cameras import Camera
 from splatpainter.kernels import parallel
 from splatpainter.splats import Splats
 from splatpainter.voxels import footprints
-from splatpainter.voxels.grid import RESOLUTION, VoxelGrid, bounding_cube
+from splatpainter.voxels.grid import RESOLUTION, VoxelGrid, bounding_cube, voxelize
 
 MAX_RAY_THICKNESS = 3.0
 """Optical thickness after which a ray is spent and sees nothing more (exp(-3) = 5 % would get through)."""
@@ -133,8 +133,6 @@ def _is_far(splats: Splats, point: np.ndarray) -> bool:
 
 def warm() -> None:
     """Compile (or load) the kernels of this module and of footprints."""
-    from splatpainter.voxels.grid import voxelize
-
     one = np.ones((1, 3), np.float32)
     splats = Splats(one, np.ones((1, 4), np.float32), one, one[:, 0], one[:, None])
     grid = voxelize(splats, 2)

@@ -24,13 +24,19 @@ from splatpainter.atomic import replace as replace_file
 from splatpainter.atomic import sync_folder, write_text
 from splatpainter.batch.plan import Job, JobStep
 from splatpainter.batch.schema import DecalEdit, GradeEdit, LayersEdit, PicturesEdit, RefineEdit, SourceStep
-from splatpainter.cameras import Camera
+from splatpainter.cameras import Camera, orbit_cameras
+from splatpainter.color import to_display
 from splatpainter.commands import edit, grade, refine
 from splatpainter.commands.verify import read_receipt, receipt_of
+from splatpainter.image_files import to_uint8
 from splatpainter.io import FORMATS, files, format_of_name, frame_of, read
 from splatpainter.io.sog import META
 from splatpainter.receipts import Receipt, prove
+from splatpainter.rendering import render
+from splatpainter.session import Session
+from splatpainter.session.asset_files import receipt_between
 from splatpainter.session.lock import ProjectLock
+from splatpainter.sources.edit_files import camera_from
 from splatpainter.sources.registry import open_source
 from splatpainter.sources.source_options import option_words
 from splatpainter.splats import Frame, Splats
@@ -261,8 +267,6 @@ def calls_of(job: Job, counted: set[Path]) -> list[dict[str, Any]]:
 def replay_layers(step: LayersEdit, asset: Path, target: Path, frame: Frame) -> None:
     """A project's visible layers on another asset, from the same cameras, with the winners that it names where layers
     disagree. Raises ValueError: no such layers, one that cannot be applied to this asset."""
-    from splatpainter.session import Session
-
     with Session.load(step.project, readonly=True) as source, tempfile.TemporaryDirectory() as folder:
         asset_id = _asset_of(source, step)
         layers = [layer for layer in source.layers if layer.asset == asset_id]
@@ -315,7 +319,6 @@ def _receipt(job: Job, original: Splats, last: Path) -> Receipt:
     """Receipt from the asset to the result: of one edit that of the command, of several one that is proved anew."""
     if len(job.steps) == 1:
         return read_receipt(receipt_of(last))
-    from splatpainter.session.asset_files import receipt_between
 
     receipts = [read_receipt(receipt_of(_step_file(job, k))) for k in range(len(job.steps))]
     same = format_of_name(last) == format_of_name(job.asset)
@@ -378,10 +381,6 @@ def _path(name: str) -> Path | None:
 def _previews(job: Job, before: Splats, after: Splats) -> None:
     from PIL import Image
 
-    from splatpainter.color import to_display
-    from splatpainter.image_files import to_uint8
-    from splatpainter.rendering import render
-
     camera = replace(_preview_camera(job, before), background=(0.25, 0.25, 0.25))
     for name, splats in ((BEFORE, before), (AFTER, after)):
         pixels = to_uint8(to_display(render(splats, camera).colors[0].clip(0, 1), splats.color_space))
@@ -391,9 +390,6 @@ def _previews(job: Job, before: Splats, after: Splats) -> None:
 
 def _preview_camera(job: Job, splats: Splats) -> Camera:
     """Camera of the small pictures: that of the jobs file, else of the first edit that has one, else from the front."""
-    from splatpainter.cameras import orbit_cameras
-    from splatpainter.sources.edit_files import camera_from
-
     names = [job.preview_camera]
     for step in job.steps:
         if isinstance(step.step, PicturesEdit):

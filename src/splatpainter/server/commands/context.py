@@ -17,6 +17,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.color import to_display
+from splatpainter.rendering import render
 from splatpainter.rendering.profiles import Profile
 from splatpainter.server.describe import layer_info
 from splatpainter.server.image_registration import same_shape
@@ -118,15 +119,11 @@ def naming_errors(path: Path, name: str) -> Iterator[None]:
 
 def render_display(splats: Splats, camera: Camera, profile: Profile = "inria") -> np.ndarray:
     """[H, W, 3] display colours."""
-    from splatpainter.rendering import render
-
     return to_display(render(splats, camera, profile=profile).colors[0], splats.color_space)
 
 
 def render_alpha(splats: Splats, camera: Camera) -> np.ndarray:
     """[H, W] how much of each pixel the asset covers, 0..1."""
-    from splatpainter.rendering import render
-
     return render(splats, camera).alphas[0, ..., 0]
 
 
