@@ -234,11 +234,11 @@ def test_rows_that_cannot_be_drawn_keep_their_bits():
 def test_normals_point_outwards(opacity):
     # The bottom is seen from nowhere outside, but at 0.8 a hundredth of the light comes through from within.
     splats = replace(ball(), opacities=np.full(3000, opacity, np.float32))
-    normals = outward_normals(splats, 8)
+    normals = outward_normals(splats)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-5)
     assert ((normals * splats.means).sum(1) > 0.99).all()
     # A single sheet has no inside: both sides are seen, and each row still gets a unit normal across it.
-    flat = outward_normals(sheet(20), 8)
+    flat = outward_normals(sheet(20))
     np.testing.assert_allclose(np.abs(flat[:, 2]), 1, atol=1e-5)
 
 

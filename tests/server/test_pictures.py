@@ -15,7 +15,7 @@ from PIL import Image
 from splatpainter.rendering import render
 from splatpainter.server.image_registration import png_bytes
 from splatpainter.server.watched_folder import saved_picture
-from splatpainter.sources import registration
+from splatpainter.sources import crop_search
 from tests.support.studio_scenes import Live, ball, live_with_folder, view, wire
 
 
@@ -129,17 +129,17 @@ def test_parts_are_found_where_much_was_painted_over_and_not_where_nothing_agree
     cut = full[87:287, 61:361].copy()
     cut[50:120, 90:160] = rng.uniform(size=(70, 70, 3))  # what was painted, busier than all the rest
     cut[120:, 90:180] = 0.5
-    crop = registration.find_crop(cut, full)
+    crop = crop_search.find_crop(cut, full)
     assert crop is not None and (crop.x, crop.y, crop.width, crop.height) == (61, 87, 300, 200)
     assert np.array_equal(full[crop.window].shape, cut.shape)
     noisy = np.clip(full[13:213, 61:361] + rng.normal(0, 0.01, (200, 300, 3)), 0, 1)
-    crop = registration.find_crop(noisy, full)
+    crop = crop_search.find_crop(noisy, full)
     assert crop is not None and (crop.x, crop.y) == (61, 13) and 0 < crop.error < 0.02
-    assert registration.find_crop(rng.uniform(size=(200, 300, 3)), full) is None
-    assert registration.find_crop(full[:30, :30], full) is None  # bare background
-    assert registration.find_crop(shot(400, 180)[87:287, 61:361], full) is None
-    assert registration.find_crop(np.zeros((500, 300, 3)), full) is None  # larger than the view
-    assert registration.error_at(full, full) == 0
+    assert crop_search.find_crop(rng.uniform(size=(200, 300, 3)), full) is None
+    assert crop_search.find_crop(full[:30, :30], full) is None  # bare background
+    assert crop_search.find_crop(shot(400, 180)[87:287, 61:361], full) is None
+    assert crop_search.find_crop(np.zeros((500, 300, 3)), full) is None  # larger than the view
+    assert crop_search.error_at(full, full) == 0
 
 
 def test_a_part_of_the_views_own_shape_is_no_smaller_copy(studio: Live) -> None:
@@ -188,14 +188,14 @@ def test_a_picture_of_another_asset_is_warned_of(studio: Live) -> None:
 @pytest.mark.parametrize(("right", "down"), [(0, 0), (1, 0), (-2, 3), (3, -3)])
 def test_whole_pixel_moves_are_measured(right: int, down: int) -> None:
     image, _ = painted(shot())
-    assert registration.find_shift(np.roll(image, (down, right), (0, 1)), shot()) == (right, down)
-    back = registration.undo_shift(np.roll(image, (down, right), (0, 1)), shot(), right, down)
+    assert crop_search.find_shift(np.roll(image, (down, right), (0, 1)), shot()) == (right, down)
+    back = crop_search.undo_shift(np.roll(image, (down, right), (0, 1)), shot(), right, down)
     assert np.array_equal(back[8:-8, 8:-8], image[8:-8, 8:-8])
 
 
 def test_a_regraded_or_foreign_picture_is_not_taken_for_a_moved_one() -> None:
-    assert registration.find_shift(shot() ** 2, shot()) == (0, 0)
-    assert registration.find_shift(np.random.default_rng(0).uniform(size=(96, 96, 3)), shot()) == (0, 0)
+    assert crop_search.find_shift(shot() ** 2, shot()) == (0, 0)
+    assert crop_search.find_shift(np.random.default_rng(0).uniform(size=(96, 96, 3)), shot()) == (0, 0)
 
 
 def test_saved_pictures_are_offered_once_and_whole(studio: Live, tmp_path: Path) -> None:

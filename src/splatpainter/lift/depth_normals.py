@@ -70,22 +70,22 @@ def surface_normals(depth: np.ndarray, ys: np.ndarray, xs: np.ndarray, camera: C
     return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
 
 
-def outward_normals(splats: Splats, views: int = RING_VIEWS) -> np.ndarray:
+def outward_normals(splats: Splats) -> np.ndarray:
     """[N, 3] float32 unit shortest axes, turned towards the side from which a ring of views sees the Gaussian (else
     away from the asset's centre); zeros for those that cannot be drawn. Colours have no part in them. At least one
     Gaussian must be drawable."""
     drawable = splats.drawable
     if not drawable.all():
-        return scattered(outward_normals(splats.take(drawable), views), drawable)
+        return scattered(outward_normals(splats.take(drawable)), drawable)
     n = len(splats)
     normal = quat_to_matrix(splats.quats)[np.arange(n), :, splats.scales.argmin(1)]
     center = np.median(splats.means, 0)
     radius = float(np.quantile(np.linalg.norm(splats.means - center, axis=1), 0.98))
     towards = 1e-3 * (splats.means - center) / max(radius, 1e-9)  # [N, 3] mean direction to the views that see it
     shape = (RING_PX, RING_PX)
-    for k in range(views):
+    for k in range(RING_VIEWS):
         tilt = 35.0 if k % 2 else -20.0
-        start = 360.0 * k / views
+        start = 360.0 * k / RING_VIEWS
         camera = orbit(center, 2.8 * radius, 1, elevation=tilt, start=start, width=RING_PX, height=RING_PX)[0]
         projected = project(splats, camera)
         sums = projected.backproject(np.zeros((*shape, 3), np.float32), np.ones(shape, np.float32))

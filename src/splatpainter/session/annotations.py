@@ -14,12 +14,11 @@ import numpy as np
 from splatpainter.cameras import UPS, Camera
 from splatpainter.jsonio import brief
 from splatpainter.session.orientation import Orientation, azimuth_of, measure, parsed_direction
-from splatpainter.session.project_file import Project
+from splatpainter.session.project_file import Bookmark, Project
 from splatpainter.session.selection import Selection
 from splatpainter.session.summary import PICTURE_FACT
 
 if TYPE_CHECKING:
-    from splatpainter.session.project_file import Bookmark, Project
     from splatpainter.splats import Splats
 
 SELECTION_FACT = "selection "

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,11 +11,11 @@ import numpy as np
 
 from splatpainter.io import files
 from splatpainter.painter import Edit
-from splatpainter.session.document import SELECTION, SOURCE, Document, Layer, View, add_layer, change_layer
+from splatpainter.session.commands import Commands
+from splatpainter.session.document import SELECTION, SOURCE, Layer, View, add_layer, change_layer
 from splatpainter.session.fill_layers import FILL, FillWhere
 from splatpainter.session.layer_factory import encode_mask, encode_picture, thumbnail
 from splatpainter.session.layer_mask import LayerMask, MaskPart
-from splatpainter.session.project_file import Transaction
 from splatpainter.session.relief import Relief
 from splatpainter.session.selection import Selection
 from splatpainter.splats import Splats
@@ -35,10 +34,8 @@ class SelectedPart:
     original: Splats = field(repr=False)
 
 
-class GeometryCommands(ABC):
+class GeometryCommands(Commands):
     """What Session has beside the layers as such; see there."""
-
-    _transaction: Transaction
 
     @property
     @abstractmethod
@@ -48,34 +45,14 @@ class GeometryCommands(ABC):
     @abstractmethod
     def snapshot(self) -> Any: ...
 
-    @property
-    @abstractmethod
-    def splats(self) -> Splats: ...
-
-    @property
-    @abstractmethod
-    def _document(self) -> Document: ...
-
-    @abstractmethod
-    def layer(self, layer: str) -> Layer: ...
-
     @abstractmethod
     def _weights(self, weights: np.ndarray) -> np.ndarray: ...
-
-    @abstractmethod
-    def _command(self) -> AbstractContextManager[None]: ...
-
-    @abstractmethod
-    def _commit(self, label: str, document: Document, *, strict: Any = None, gesture: str | None = None) -> None: ...
 
     @abstractmethod
     def selected_parts(self, weights: np.ndarray) -> list[SelectedPart]: ...
 
     @abstractmethod
     def _relief_of(self, relief: Relief) -> tuple[str, Relief]: ...
-
-    @abstractmethod
-    def _edits_of(self, layer: Layer, edits: Sequence[Edit]) -> list[Edit]: ...
 
     def hide(self, weights: np.ndarray, name: str = "Hide", *, index: int | None = None) -> Layer:
         """A layer that hides what is selected: opacities are multiplied by 1 - weight, and 0 where that is all. The

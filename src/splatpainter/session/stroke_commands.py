@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import replace
 from itertools import count
 from typing import TYPE_CHECKING, Any
@@ -15,12 +14,12 @@ from splatpainter.cameras import Camera
 from splatpainter.io import files
 from splatpainter.jsonio import brief
 from splatpainter.painter import Asset, Edit, Method, Painter
+from splatpainter.session.commands import Commands
 from splatpainter.session.delta import bare
 from splatpainter.session.document import STROKE_KINDS, Document, Kind, Layer, add_layer, add_stroke, change_layer
 from splatpainter.session.fingerprint import fingerprint
 from splatpainter.session.layer_factory import decode_mask, decode_mask_part, encode_mask_part, new_layer
 from splatpainter.session.layer_mask import MAX_PARTS, LayerMask, MaskPart, over
-from splatpainter.session.project_file import Transaction
 from splatpainter.session.scene_asset import MAIN, SceneAsset
 from splatpainter.session.scene_replay import SceneReplay
 from splatpainter.splats import Splats
@@ -30,34 +29,16 @@ if TYPE_CHECKING:
     from splatpainter.sources.decals import Decal, LaidDecal
 
 
-class StrokeCommands(ABC):
+class StrokeCommands(Commands):
     """What Session has beside the layers as such; see there."""
 
     painter: Painter
     _replay: SceneReplay
-    _transaction: Transaction
     _commands: Any
     """Lock of the commands."""
 
-    @property
-    @abstractmethod
-    def splats(self) -> Splats: ...
-
-    @property
-    @abstractmethod
-    def _document(self) -> Document: ...
-
-    @abstractmethod
-    def layer(self, layer: str) -> Layer: ...
-
     @abstractmethod
     def asset(self, asset: str) -> SceneAsset: ...
-
-    @abstractmethod
-    def _command(self) -> AbstractContextManager[None]: ...
-
-    @abstractmethod
-    def _commit(self, label: str, document: Document, *, strict: Any = None, gesture: str | None = None) -> None: ...
 
     @abstractmethod
     def _paint_in_scene(
@@ -69,9 +50,6 @@ class StrokeCommands(ABC):
         method: Method,
         parameters: Mapping[str, Any] | None,
     ) -> Layer: ...
-
-    @abstractmethod
-    def _edits_of(self, layer: Layer, edits: Sequence[Edit]) -> list[Edit]: ...
 
     @abstractmethod
     def _camera_of(self, layer: Layer, camera: Camera) -> Camera: ...

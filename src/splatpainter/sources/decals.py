@@ -18,7 +18,8 @@ import numpy as np
 from splatpainter.cameras import Camera, bounding_sphere
 from splatpainter.color import from_display
 from splatpainter.painter import Asset, Edit
-from splatpainter.sources.decal_views import FacedPart, faced_parts, surface_under, survey
+from splatpainter.sources.decal_surface import surface_under
+from splatpainter.sources.decal_views import FacedPart, faced_parts, survey
 from splatpainter.sources.picture_reader import MAX_PICTURE_PIXELS, SIZE_LIMIT, Picture, read_picture
 from splatpainter.surface.estimate import Surface
 

@@ -16,10 +16,10 @@ from splatpainter.server import image_registration as registration
 from splatpainter.server.commands.context import CommandContext, command, render_alpha, render_display
 from splatpainter.server.protocol import MAX_VIEW_PIXELS, Answer, Blob, CameraInfo, Command, Message, Unit
 from splatpainter.server.storage import StoredBlob
+from splatpainter.sources.crop_search import Crop, error_at, find_crop, find_shift, undo_shift
 from splatpainter.sources.edit_files import over_render, unmultiplied
 from splatpainter.sources.larger_views import edited_in_larger, larger_view
 from splatpainter.sources.picture_reader import Picture, read_picture
-from splatpainter.sources.registration import Crop, error_at, find_crop, find_shift, undo_shift
 
 MAX_CROP_CANDIDATES = 8
 """Latest exported views that a picture without a camera may be a part of."""

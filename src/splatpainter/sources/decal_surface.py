@@ -1,0 +1,160 @@
+"""The surface under a decal as one view sees it, and the camera that faces a point of it. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from splatpainter.cameras import Camera, look_at
+from splatpainter.painter import Asset
+from splatpainter.rendering.cpu.projected_view import ProjectedView, project
+from splatpainter.surface.estimate import Surface
+from splatpainter.surface.visible import VisibleSurface, visible_surface
+from splatpainter.voxels.raycast import first_hits, inside
+
+MIN_ALPHA = 0.5
+"""Alpha of a pixel from which the surface is seen there."""
+ROUGH_RESIDUAL = 0.2
+"""rms distance of Gaussians from the surface, in its windows, from which its points and normals are smoothed: those of
+captures scatter by about half a Gaussian."""
+MAX_FIT_PX = 3
+"""Reach of planes fitted to rendered depth where the surface is not trusted, ..."""
+MAX_FIT_RESIDUAL = 1.0
+"""... and the rms distance of the depths from such a plane, in pixels, up to which it is used."""
+SIZES_AWAY = 2.5
+"""Distance of a camera from a patch, in the patch's diameters: nearly parallel rays."""
+MAX_APPROACHES, APPROACH = 4, 0.6
+"""How often, and by which factor, a camera comes nearer where something else stands in between."""
+
+
+@dataclass(frozen=True)
+class SurfacePixels:
+    """Q pixels of a view that see the surface."""
+
+    ys: np.ndarray = field(repr=False)
+    """[Q] int64."""
+    xs: np.ndarray = field(repr=False)
+    """[Q] int64."""
+    points: np.ndarray = field(repr=False)
+    """[Q, 3] float64 world units."""
+    normals: np.ndarray = field(repr=False)
+    """[Q, 3] float64 unit, towards the camera."""
+    rough: np.ndarray = field(repr=False)
+    """[Q] bool where points and normals scatter, or come from rendered depth: to be smoothed."""
+    visible: VisibleSurface | None = field(default=None, repr=False)
+    """What they come from, if not from rendered depth alone."""
+
+
+def surface_pixels(
+    asset: Asset, surface: Surface, view: ProjectedView, pixels: np.ndarray, depth: np.ndarray
+) -> SurfacePixels:
+    """The surface under some pixels ([H, W] bool, of drawn tiles) of a view of the asset; where it is not trusted,
+    planes through the rendered depth ([H, W] z). Pixels with neither are left out."""
+    camera = view.camera
+    ys, xs = np.nonzero(pixels)
+    seen = visible_surface(surface, asset.splats, view, pixels)
+    at = seen.at(np.stack([xs, ys], 1) + 0.5)
+    trusted = at.depth > 0
+    z = np.where(trusted, at.depth, depth[ys, xs])
+    points = camera.unproject(z, np.stack([xs, ys], 1) + 0.5)
+    normals = at.normals @ camera.world_to_camera[:3, :3]
+    rough = ~trusted | (at.residuals > ROUGH_RESIDUAL * at.windows)
+    position = np.full((*pixels.shape, 3), np.nan)
+    position[ys, xs] = points
+    normals[~trusted], sound = _fitted_normals(position, ys[~trusted], xs[~trusted], camera, z[~trusted])
+    valid = trusted.copy()
+    valid[~trusted] = sound
+    return SurfacePixels(ys[valid], xs[valid], points[valid], normals[valid], rough[valid], seen)
+
+
+def depth_pixels(camera: Camera, pixels: np.ndarray, depth: np.ndarray) -> SurfacePixels:
+    """Some pixels ([H, W] bool) at their rendered depth ([H, W] z), as if they faced the camera."""
+    ys, xs = np.nonzero(pixels)
+    points = camera.unproject(depth[ys, xs], np.stack([xs, ys], 1) + 0.5)
+    line = camera.position - points
+    return SurfacePixels(ys, xs, points, line / np.linalg.norm(line, axis=1, keepdims=True), np.ones(len(ys), bool))
+
+
+def _fitted_normals(
+    position: np.ndarray, ys: np.ndarray, xs: np.ndarray, camera: Camera, z: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(normals [F, 3] towards the camera, [F] bool whether a plane fits) at F pixels of a picture of points ([H, W, 3],
+    NaN: none), of z-depth [F] there, by their neighbours that are near in depth."""
+    steps = np.arange(-MAX_FIT_PX, MAX_FIT_PX + 1)
+    dy, dx = (axis.ravel() for axis in np.meshgrid(steps, steps, indexing="ij"))
+    padded = np.pad(position, [(MAX_FIT_PX, MAX_FIT_PX)] * 2 + [(0, 0)], constant_values=np.nan)
+    near = padded[ys[:, None] + dy + MAX_FIT_PX, xs[:, None] + dx + MAX_FIT_PX] - position[ys, xs][:, None]
+    pixel = z / camera.fx
+    reach = 2 * pixel[:, None] * (1 + np.hypot(dx, dy))
+    weight = (np.linalg.norm(near, axis=2) < reach).astype(float)  # NaN is not near
+    near = np.nan_to_num(near) * weight[..., None]
+    total = np.maximum(weight.sum(1), 1)[:, None]
+    near = (near - (near.sum(1) / total)[:, None]) * weight[..., None]
+    values, vectors = np.linalg.eigh(np.einsum("fki,fkj->fij", near, near) / total[..., None])
+    normals = vectors[:, :, 0]
+    line = camera.position - position[ys, xs]
+    cosine = (normals * line).sum(1) / np.maximum(np.linalg.norm(line, axis=1), 1e-30)
+    normals = np.where(cosine[:, None] < 0, -normals, normals)
+    flat = np.sqrt(np.maximum(values[:, 0], 0)) < MAX_FIT_RESIDUAL * pixel
+    return normals, flat & (np.abs(cosine) > 0.3) & (total[:, 0] >= 0.5 * len(dx)) & (z > 0)
+
+
+def surface_under(
+    asset: Asset, surface: Surface, camera: Camera, at: tuple[float, float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """([3] point, [3] unit normal) of the surface under a pixel (x, y). Raises ValueError where there is none."""
+    x, y = at
+    if not (0 <= x < camera.width and 0 <= y < camera.height):
+        raise ValueError(f"decal: expected a pixel of the camera's {camera.width}x{camera.height}, got {x:g},{y:g}")
+    reach = 12
+    left, top = max(int(x) - reach, 0), max(int(y) - reach, 0)
+    window = camera.cropped(
+        left, top, min(int(x) + reach, camera.width) - left, min(int(y) + reach, camera.height) - top
+    )
+    view = project(asset.splats, window)
+    _, alpha, depth = view.rasterize()
+    visible_part = surface_pixels(asset, surface, view, alpha > MIN_ALPHA, depth)
+    away = np.hypot(visible_part.xs + 0.5 - (x - left), visible_part.ys + 0.5 - (y - top))
+    if not len(away) or away.min() > 2:
+        raise ValueError(f"decal: there is no surface under pixel {x:g},{y:g}; choose one on the asset")
+    first = int(away.argmin())
+    near = away < away.min() + 2
+    normal = visible_part.normals[near & (visible_part.normals @ visible_part.normals[first] > 0.5)].mean(0)
+    return visible_part.points[first], normal / np.linalg.norm(normal)
+
+
+def facing_camera(
+    asset: Asset,
+    target: np.ndarray,
+    direction: np.ndarray,
+    up: np.ndarray,
+    radius: float,
+    pixel: float,
+    *,
+    nearer: bool = True,
+) -> Camera:
+    """A square camera that looks at `target` ([3]) from `direction` ([3] unit, from there to the camera), with room for
+    a ball of `radius` (world units) around it at `pixel` world units per pixel. It stands nearer where something is in
+    between, and where that does not help, or it must not (`nearer`), at the first distance outside the asset."""
+    distance, outside = SIZES_AWAY * 2 * radius, 0.0
+    for _ in range(MAX_APPROACHES):
+        if not inside(asset.grid, asset.grid.occupancy, target + distance * direction):
+            if not nearer or _clear(asset, target, direction, distance, radius):
+                break
+            outside = outside or distance
+        distance *= APPROACH
+    else:
+        distance = outside or distance
+    half = min(radius / max(distance**2 - radius**2, (0.5 * distance) ** 2) ** 0.5, 1.5)
+    size = max(int(np.ceil(2 * half * distance / pixel)), 8)
+    camera = look_at(target + distance * direction, target, up, width=size, height=size)
+    focal = distance / pixel
+    return Camera(size, size, focal, focal, size / 2, size / 2, camera.world_to_camera)
+
+
+def _clear(asset: Asset, target: np.ndarray, direction: np.ndarray, distance: float, radius: float) -> bool:
+    """Whether a ray back to the target meets nothing before it."""
+    grid = asset.grid
+    _, hits = first_hits(grid.occupancy, grid, target + distance * direction, -direction[None])
+    return bool(hits[0] < 0 or hits[0] > distance - 0.25 * radius - 3 * grid.voxel)
