@@ -26,12 +26,12 @@ from splatbench.report.plots import Chart, HorizontalLine, Point, Series, draw
 from splatbench.timing import machine
 from splatpainter import text_tables as tables
 from splatpainter.atomic import write_text
-from splatpainter.data.row_assets import ASSET_KINDS, AssetKind
-from splatpainter.data.row_edits import EditKind, RowEdit, RowEditStream
+from splatpainter.data.gaussian_edits import EditKind, RowEdit, RowEditStream
+from splatpainter.data.lit_assets import ASSET_KINDS, AssetKind
 from splatpainter.metrics.bootstrap import interval
 from splatpainter.models.cache import cache_folder
 from splatpainter.train.recipes import Carrier
-from splatpainter.train.stages.rows import RowsTask, fixed_ridge, unseen
+from splatpainter.train.stages.gaussian_edit_task import RowsTask, fixed_ridge, unseen
 
 VIEWS = (1, 2, 4)
 JUDGED = (("relight", 2), ("recolor", 1))
@@ -324,7 +324,7 @@ def _shipped(carrier: Carrier) -> RowsTask | None:
     """The predictor or Stage II of the package; None where there is none that is asked row by row."""
     from splatpainter.models import weights
     from splatpainter.models.model import SplatPainterModel
-    from splatpainter.train.stages.rows import RowOptions
+    from splatpainter.train.stages.gaussian_edit_task import RowOptions
 
     folder = weights.find("compact")
     model = None if folder is None else SplatPainterModel.load(folder)

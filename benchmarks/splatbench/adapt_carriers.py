@@ -14,13 +14,13 @@ from typing import Any
 
 import torch
 
-from splatpainter.data.row_edits import RowEdit, RowEditStream
+from splatpainter.data.gaussian_edits import RowEdit, RowEditStream
 from splatpainter.models import checkpoint
 from splatpainter.models.config import ModelConfig
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.train.optim import Average, Guard, adamw, rate_at
 from splatpainter.train.recipes import Carrier, Recipe, load
-from splatpainter.train.stages.rows import RowOptions, RowsTask
+from splatpainter.train.stages.gaussian_edit_task import RowOptions, RowsTask
 
 SLICE_SECONDS = 5.0
 """CPU seconds that a carrier trains before the next one does."""

@@ -15,7 +15,7 @@ from tyro.conf import Positional, arg
 from splatbench.cases import DATA_FOLDERS, Budget, RunConfig, Setup
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import parse
-from splatpainter.commands.targets import check_folder
+from splatpainter.commands.output_paths import check_folder
 from splatpainter.commands.terminal import PROGRAM, complain, watched
 from splatpainter.io.files import read_all
 

@@ -67,7 +67,7 @@ NOTES = (
     "`specks`: per cent of the true paint (2 px from its edge, where it differs from what is below) that is at least "
     "twice as near to the unpainted truth as to the painted one. `cracks`: per cent of the object's pixels whose alpha "
     "fell by more than 0.2; `see_through`: whose expected depth rose by more than 5 % of the object's radius. Both in "
-    "novel views. `aside`: PSNR without truth, from +-35 degrees (lift/aside.py). `added`: Gaussians.",
+    "novel views. `aside`: PSNR without truth, from +-35 degrees (lift/side_views.py). `added`: Gaussians.",
 )
 
 
@@ -237,8 +237,8 @@ def measure_case(
     case: Case, chosen: dict[str, Method], perceptual: Any | None
 ) -> tuple[list[PaintedScore], list[Strip]]:
     """Every method's line, and its row of the contact sheet, the truth's first."""
-    from splatpainter.lift.aside import aside_score
     from splatpainter.lift.edit_views import edit_views
+    from splatpainter.lift.side_views import aside_score
 
     truth = Truth.of(case)
     camera, picture = truth.cameras[0], case.steps[0].edited.colors[0]

@@ -14,13 +14,13 @@ from splatbench import adapt, adapt_carriers
 from splatbench.adapt import SHIPPED, SHIPPED_STAGE2, AdaptBench, EditScore, means, relative, remarks
 from splatbench.adapt_carriers import MESA, TRAINED, contestant
 
-from splatpainter.data import row_assets, row_edits
+from splatpainter.data import gaussian_edits, lit_assets
 from splatpainter.models import weights
 from splatpainter.models.config import PredictConfig
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.train.recipes import Recipe
-from tests.models.test_carry import CARRYING
-from tests.train.test_rows import RECIPE
+from tests.models.test_edit_propagation import CARRYING
+from tests.train.test_gaussian_edit_task import RECIPE
 
 TINY_RECIPE: Recipe = replace(RECIPE, model=replace(CARRYING, predict=PredictConfig(features=8, hidden=16)))
 
@@ -30,8 +30,8 @@ def tiny(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A checkpoint with a tiny encoder; recipes, lights and fits as small."""
     monkeypatch.setattr(adapt_carriers, "recipe", lambda: TINY_RECIPE)
     monkeypatch.setattr(adapt_carriers, "SLICE_SECONDS", 0.05)
-    monkeypatch.setattr(row_assets, "FIT_STEPS", 4)
-    monkeypatch.setattr(row_edits, "LIGHTS", 6)
+    monkeypatch.setattr(lit_assets, "FIT_STEPS", 4)
+    monkeypatch.setattr(gaussian_edits, "LIGHTS", 6)
     monkeypatch.setattr(adapt, "STOPS", (0.5, 1.0))
     monkeypatch.setattr(adapt, "MIN_UNSEEN", 8)
     monkeypatch.setattr(weights, "find", lambda preset, *more: tmp_path / "encoder")

@@ -1,4 +1,4 @@
-"""Rows for systems outside the package: config -> files -> command -> read back, against support/standins.py."""
+"""Rows for systems outside the package: config -> files -> command -> read back, against support/fake_systems.py."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
-from splatbench.adapters import config, frames, systems
+from splatbench.adapters import adapters_file, coordinate_frames, systems
 from splatbench.cases import Budget
 from splatbench.methods import external as adapters
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
 from benchmarks.tests.support.blobs import ASSET, answer, edited, flat, moved, same, trellis, work
-from benchmarks.tests.support.standins import installed as installed
-from benchmarks.tests.support.standins import write
+from benchmarks.tests.support.fake_systems import installed as installed
+from benchmarks.tests.support.fake_systems import write
 from splatpainter.cameras import look_at
 from splatpainter.rendering import render
 from splatpainter.voxels.grid import bounding_cube
@@ -31,7 +31,7 @@ METHODS = {method.name: method for method in adapters.METHODS}
 
 
 def test_voxhammer_gets_renders_pictures_and_region_and_its_mesh_comes_back_in_place(installed, tmp_path, monkeypatch):
-    monkeypatch.setattr(frames, "MESH_SURFELS", 6000)
+    monkeypatch.setattr(coordinate_frames, "MESH_SURFELS", 6000)
     lo, size = bounding_cube(ASSET)
     colors = {(0, 1): (1, 0, 0), (0, -1): (0, 1, 0), (1, 1): (0, 0, 1), (1, -1): (1, 1, 0), (2, 1): (0, 1, 1)}
     scene = trimesh.Scene()
@@ -184,7 +184,7 @@ def test_nothing_installed_is_said_for_every_system(tmp_path):
         assert method.missing(Budget()) == f"not installed: add [{name}] to the adapters file (docs/ADAPTERS.md)"
         with pytest.raises(ValueError, match="not installed"):
             method.edit(work(), Budget())
-    assert list(METHODS) == list(config.SYSTEMS)
+    assert list(METHODS) == list(adapters_file.SYSTEMS)
     assert {n: m.protocols for n, m in METHODS.items()} == dict.fromkeys(METHODS, ("creative",)) | {
         "relitlrm": ("relight",)
     }
@@ -213,7 +213,7 @@ def test_nothing_installed_is_said_for_every_system(tmp_path):
     ],
 )
 def test_what_is_wrong_with_a_section_is_said(installed, tmp_path, monkeypatch, text, line):
-    monkeypatch.setattr(config, "has_cuda_gpu", lambda: False)
+    monkeypatch.setattr(adapters_file, "has_cuda_gpu", lambda: False)
     path = tmp_path / "bad.toml"
     path.write_text(f"[dge]\n{text}\n")
     method = METHODS["dge"]
@@ -252,15 +252,15 @@ def test_a_version_changes_with_what_may_change_results(installed, tmp_path):
     (git / "HEAD").write_text("ref: refs/heads/main\n")
     (git / "refs" / "heads" / "main").write_text("7eed0bc57824\n")
     assert version(installed("dge")) != first
-    section = config.section(installed("dge").adapters, "dge")
-    assert section is not None and config.commit(section.repository) == "7eed0bc57824"
+    section = adapters_file.section(installed("dge").adapters, "dge")
+    assert section is not None and adapters_file.commit(section.repository) == "7eed0bc57824"
     assert section.instruction("stroke") == 'Paint it: "red"' and section.instruction("recolor") == "recolor"
 
 
 def test_a_gpu_is_looked_for_on_the_machine(monkeypatch):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "")
-    assert not config.has_cuda_gpu()
+    assert not adapters_file.has_cuda_gpu()
     monkeypatch.setattr(Path, "glob", lambda self, pattern: iter([Path("/dev/nvidia0")]))
-    assert not config.has_cuda_gpu()
+    assert not adapters_file.has_cuda_gpu()
     monkeypatch.delenv("CUDA_VISIBLE_DEVICES")
-    assert config.has_cuda_gpu()
+    assert adapters_file.has_cuda_gpu()

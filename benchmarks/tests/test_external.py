@@ -13,9 +13,9 @@ from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
-from splatbench.adapters import config, datasets, frames, systems
-from splatbench.adapters.frames import ASSET as ASSET_FRAME
-from splatbench.adapters.frames import Cube
+from splatbench.adapters import adapters_file, coordinate_frames, datasets, systems
+from splatbench.adapters.coordinate_frames import ASSET as ASSET_FRAME
+from splatbench.adapters.coordinate_frames import Cube
 from splatbench.process import last_log_line, run_command
 
 from benchmarks.tests.support.blobs import ASSET, MEANS, MIDDLE, SIZE, work
@@ -140,7 +140,7 @@ def test_frames_go_there_and_back(tmp_path):
     for text in ("{}", "[]", '{"transform": [[1, 0, 0, 0]], "scale": 1}', '{"transform": 1, "scale": 0}', "no"):
         (tmp_path / "t.json").write_text(text)
         with pytest.raises(ValueError, match="expected nerfstudio's transform"):
-            frames.nerfstudio_frame(tmp_path / "t.json")
+            coordinate_frames.nerfstudio_frame(tmp_path / "t.json")
 
 
 def test_upright_voxels_agree_with_the_frame():
@@ -160,24 +160,24 @@ def test_an_edit_that_reaches_nothing_has_no_region():
 
 def test_results_are_refused_where_they_are_no_asset(tmp_path):
     with pytest.raises(ValueError, match="the system wrote no such file"):
-        frames.read_result(tmp_path / "none.ply", ASSET_FRAME)
+        coordinate_frames.read_result(tmp_path / "none.ply", ASSET_FRAME)
     broken = replace(ASSET, means=np.full_like(ASSET.means, np.nan))
     io.write(tmp_path / "nan.ply", broken)
     with pytest.raises(ValueError, match="holds nothing that can be drawn"):
-        frames.read_result(tmp_path / "nan.ply", ASSET_FRAME)
+        coordinate_frames.read_result(tmp_path / "nan.ply", ASSET_FRAME)
     # A GLB of Gaussians keeps its file's own axes, as meshes do.
     io.write(tmp_path / "rows.glb", ASSET)
-    result = frames.read_result(tmp_path / "rows.glb", ASSET_FRAME)
+    result = coordinate_frames.read_result(tmp_path / "rows.glb", ASSET_FRAME)
     assert abs(result.means - ASSET.means * [-1, -1, 1]).max() < 1e-6
 
 
 def test_the_guide_names_every_key_and_placeholder():
-    guide = (Path(__file__).parents[2] / config.GUIDE).read_text()
-    for field in dataclasses.fields(config.AdapterSection):
+    guide = (Path(__file__).parents[2] / adapters_file.GUIDE).read_text()
+    for field in dataclasses.fields(adapters_file.AdapterSection):
         assert field.name == "name" or f"`{field.name}`" in guide, field.name
     for name in systems.PLACEHOLDERS:
         assert name in ("python", "repository") or f"`{{{name}}}`" in guide, name
-    for system in config.SYSTEMS:
+    for system in adapters_file.SYSTEMS:
         assert f"[{system}]" in guide or system.replace("-", "") in guide.lower().replace("-", ""), system
-    for frame in get_args(get_type_hints(config.AdapterSection)["frame"]):
+    for frame in get_args(get_type_hints(adapters_file.AdapterSection)["frame"]):
         assert frame == "" or f"| `{frame}` |" in guide, frame

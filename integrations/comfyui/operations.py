@@ -15,8 +15,8 @@ import torch
 from splatpainter.atomic import write_text
 from splatpainter.cameras import AUTO_UP, FRAME_MARGIN, UPS, Camera, bounding_sphere, spherical_cameras
 from splatpainter.color import from_display
-from splatpainter.commands.proved import write_proved
 from splatpainter.commands.terminal import stages
+from splatpainter.commands.verified_write import write_proved
 from splatpainter.commands.verify import receipt_of
 from splatpainter.io import read, write
 from splatpainter.lift.options import LOCAL_DEFAULTS

@@ -23,11 +23,11 @@ from splatpainter.receipts import Receipt, scores, untouched_hashes
 from splatpainter.splats import Splats, changed_rows
 
 if TYPE_CHECKING:
-    from splatpainter.lift.aside import AsideScore
     from splatpainter.lift.edit_views import EditView
     from splatpainter.lift.edits import LiftedEdit
     from splatpainter.lift.global_edit import Predict
     from splatpainter.lift.options import GlobalOptions, LocalOptions
+    from splatpainter.lift.side_views import AsideScore
     from splatpainter.models.encode import Encoded
     from splatpainter.models.model import SplatPainterModel
     from splatpainter.models.refine import RefineState
@@ -177,7 +177,7 @@ class Painter:
     cache: bool = False
     """Keep encoded assets on disk (models/cache.py); for models whose weights stay as they are."""
     aside: bool = False
-    """Score local edits from the side too (lift/aside.py), for the receipt: 0.3 s of one core a view."""
+    """Score local edits from the side too (lift/side_views.py), for the receipt: 0.3 s of one core a view."""
     proof: bool = True
     """Hash the asset and what an edit left alone for the receipt; False: it has empty hashes."""
     why: str = ""
@@ -337,7 +337,7 @@ class Painter:
 
     def _aside(self, asset: Asset, result: Asset, views: Sequence[EditView]) -> list[AsideScore]:
         """Each view's edit from the side; of several the later ones change what the earlier ones show."""
-        from splatpainter.lift.aside import aside_score
+        from splatpainter.lift.side_views import aside_score
 
         return [aside_score(asset.splats, result.splats, view) for view in views]
 
@@ -469,7 +469,7 @@ class Painter:
 
     def _carrying(self, asset: Asset) -> Predict:
         """Stage II's prediction; the asset is encoded."""
-        from splatpainter.models.carry import carrying
+        from splatpainter.models.edit_propagation import carrying
 
         model, encoding = self.model, asset.encoding
         assert model is not None and encoding is not None

@@ -22,7 +22,7 @@ from splatpainter.commands.batch.work import BatchWork
 from splatpainter.painter import Painter
 from tests.support.batch_jobs import CAMERA, colored_ball, jobs_file, write_assets
 from tests.support.cli_scenes import Capture, listing, run, saved
-from tests.support.killers import Killed, Work, attempts
+from tests.support.kill_tests import Killed, Work, attempts
 
 RECOLOR = """\
 out: out

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from splatpainter.commands.source_options import InterruptibleSource, keeping_answers, notes_of_views
+from splatpainter.commands.sourced_edit import InterruptibleSource, keeping_answers, notes_of_views
 from splatpainter.io import read, write
 from splatpainter.source_edits import coverage
 from splatpainter.sources.picture_source import Capabilities, PictureAnswer, SourceCancelled

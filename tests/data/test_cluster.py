@@ -19,7 +19,7 @@ from splatpainter.data.jobs import RenderJob, render_scene
 from splatpainter.data.samples import SampleRecipe
 from splatpainter.data.shards import RenderedScene, ShardWriter, check
 from tests.support.data_meshes import write_box
-from tests.support.killers import Killed, Work, attempts
+from tests.support.kill_tests import Killed, Work, attempts
 
 SQUARES = {n: n * n for n in range(5)}
 
@@ -63,7 +63,7 @@ def test_cancelled_work_ends_with_its_workers(tmp_path: Path) -> None:
 
 def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
     program = (
-        "import sys; from splatpainter.data.cluster import run_in_pool; from tests.support.killers import Work\n"
+        "import sys; from splatpainter.data.cluster import run_in_pool; from tests.support.kill_tests import Work\n"
         "list(run_in_pool(Work(sys.argv[1], hangs=0), range(1), 1))"
     )
     parent = subprocess.Popen([sys.executable, "-c", program, str(tmp_path)], stdout=subprocess.PIPE)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import splatpainter as sp
-from splatpainter.lift import limits
+from splatpainter.lift import view_limits
 from splatpainter.lift.options import LocalOptions
 from splatpainter.painter import Edit, Painter
 from splatpainter.session import Session, compose
@@ -134,7 +134,7 @@ def test_what_will_not_be_painted_follows_the_painter_and_odd_views():
 def test_limits_and_the_surface_beneath_them_are_both_estimated_once(monkeypatch: pytest.MonkeyPatch):
     with Session(ball(500), painter=Painter.load("lift")) as session:
         session.add("paint", [off_centre(session.splats)])
-        calls, estimate = [], limits.coarse_surface
+        calls, estimate = [], view_limits.coarse_surface
         monkeypatch.setattr(compose, "coarse_surface", lambda *a: calls.append(1) or estimate(*a))
         first = session.left_out(CAMERA, angle_limit=40)
         session.surface_blocks(CAMERA)

@@ -15,8 +15,8 @@ from splatpainter.receipts import Receipt
 from splatpainter.source_edits import coverage
 from splatpainter.source_edits.coverage import SurfaceView, plan_views, unreached
 from splatpainter.source_edits.edit import cover, edit_with_source, refine, usual_scale
-from splatpainter.source_edits.turns import ask_in_turn
 from splatpainter.source_edits.view_edit import SourceBrief, SourcedEdit, ask_for_edit, displayed, picture_sha256
+from splatpainter.source_edits.view_sequence import ask_in_turn
 from splatpainter.sources.gatekeeper import RefusedPicture
 from splatpainter.sources.picture_source import Capabilities, PictureAnswer, SourceCancelled, SourceError
 from splatpainter.splats import SH_C0, Splats, changed_rows

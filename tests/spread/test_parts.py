@@ -9,7 +9,7 @@ from splatpainter.color import LUMA, linear_to_srgb, luminance, srgb_to_linear
 from splatpainter.spread.classifier import FEATURES, Projections, density_ratio, two_class
 from splatpainter.spread.color_change import ColorChange
 from splatpainter.spread.descriptors import Descriptors
-from splatpainter.spread.neighbours import COUNT, neighbours, smoothed, weighted_means
+from splatpainter.spread.nearest_neighbours import COUNT, neighbours, smoothed, weighted_means
 from splatpainter.spread.overlay import behind, confidence_overlay, confidence_picture
 from tests.support.spread_scenes import CAMERA, board
 

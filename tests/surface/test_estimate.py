@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from splatpainter.splats import Splats
-from splatpainter.surface import estimate, samples
+from splatpainter.surface import estimate, surface_samples
 from splatpainter.surface.estimate import Surface
-from splatpainter.surface.samples import SurfaceSamples, gather
+from splatpainter.surface.surface_samples import SurfaceSamples, gather
 
 WIDTH = 0.02
 """Of the Gaussians, world units."""
@@ -243,7 +243,7 @@ def test_one_search_looks_at_bounded_numbers_and_finds_what_brute_force_finds():
             reach = s.scales[:, 0].astype(np.float64) ** 2 + window**2
             np.testing.assert_array_equal(np.sort(out[:hits]), np.flatnonzero(square < 2.5**2 * reach))
     assert search(*arrays, np.zeros(3), 10.0, 2.5, np.empty(100, np.int64)) == 101
-    assert samples.MAX_TESTED > 10 * estimate.MAX_NEIGHBOURS
+    assert surface_samples.MAX_TESTED > 10 * estimate.MAX_NEIGHBOURS
 
 
 def test_equal_bits_for_any_number_of_threads_and_any_batch(monkeypatch):

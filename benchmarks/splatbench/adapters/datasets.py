@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from splatbench.adapters.frames import Cube, Frame
+from splatbench.adapters.coordinate_frames import Cube, Frame
 from splatbench.cases import PosedImages
 from splatpainter.cameras import Camera, look_at, orbit
 from splatpainter.color import base_color, to_display

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from splatbench.adapters import datasets
-from splatbench.adapters.config import GUIDE, AdapterSection
-from splatbench.adapters.frames import ASSET, Cube, Frame, nerfstudio_frame
+from splatbench.adapters.adapters_file import GUIDE, AdapterSection
+from splatbench.adapters.coordinate_frames import ASSET, Cube, Frame, nerfstudio_frame
 from splatbench.methods import EditTask
 from splatpainter.cameras import Camera
 from splatpainter.color import to_display

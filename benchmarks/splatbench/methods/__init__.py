@@ -20,7 +20,7 @@ MODULES = (
     "lift",
     "ttt",
     "reconstruction",
-    "color_transfer",
+    "color_fit",
     "gs3d",
     "srgs",
     "genden",

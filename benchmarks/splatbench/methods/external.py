@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from splatbench.adapters import config, frames, systems
+from splatbench.adapters import adapters_file, coordinate_frames, systems
 from splatbench.adapters.systems import Commands, Job, Plan, System
 from splatbench.cases import Budget
 from splatbench.methods import EditResult, EditTask, Method
@@ -31,17 +31,17 @@ LOG = "log.txt"
 def missing(system: System, budget: Budget) -> str:
     """Why the system is not run here, or ""."""
     try:
-        section = config.section(budget.adapters, system.name)
+        section = adapters_file.section(budget.adapters, system.name)
         if section is None:
-            return config.absent(budget.adapters, system.name)
+            return adapters_file.absent(budget.adapters, system.name)
     except ValueError as error:
         return str(error)
-    return system.missing(section) or config.problem(section, system.needs, config.has_cuda_gpu)
+    return system.missing(section) or adapters_file.problem(section, system.needs, adapters_file.has_cuda_gpu)
 
 
 def version(system: System, budget: Budget) -> str:
     """Changes with the section, the commit of the checkout, and this package's files."""
-    return f"{VERSION}-{config.digest(budget.adapters, system.name)}"
+    return f"{VERSION}-{adapters_file.digest(budget.adapters, system.name)}"
 
 
 def edit(system: System, work: EditTask, budget: Budget) -> EditResult:
@@ -50,7 +50,7 @@ def edit(system: System, work: EditTask, budget: Budget) -> EditResult:
     why = missing(system, budget)
     if why:
         raise ValueError(why)
-    section = config.section(budget.adapters, system.name)
+    section = adapters_file.section(budget.adapters, system.name)
     assert section is not None
     if budget.scratch is not None:
         budget.scratch.mkdir(parents=True, exist_ok=True)
@@ -76,9 +76,9 @@ def _keep_only(log: Path) -> None:
             path.unlink(missing_ok=True)
 
 
-def _edit(system: System, work: EditTask, section: config.AdapterSection, seed: int, folder: Path) -> EditResult:
+def _edit(system: System, work: EditTask, section: adapters_file.AdapterSection, seed: int, folder: Path) -> EditResult:
     start = time.perf_counter()
-    job = Job(work, section, folder, seed, frames.Cube.of(work.asset))
+    job = Job(work, section, folder, seed, coordinate_frames.Cube.of(work.asset))
     for path in (job.inputs, job.workplace):
         path.mkdir()
     values = systems.write_common(job)
@@ -93,8 +93,8 @@ def _edit(system: System, work: EditTask, section: config.AdapterSection, seed: 
             f"{system.label} ended without an error but wrote no {plan.result.relative_to(job.out)} in {job.out} "
             f"(log: {folder / LOG})"
         )
-    splats = frames.read_result(plan.result, plan.frame(), seed)
-    frames.check_position(splats, job.cube, plan.result)
+    splats = coordinate_frames.read_result(plan.result, plan.frame(), seed)
+    coordinate_frames.check_position(splats, job.cube, plan.result)
     numbers = {"export_seconds": exporting, "rows": float(len(splats))}
     similarity = unchanged(work, splats)
     if similarity is not None:
@@ -125,8 +125,8 @@ def _run(commands: Commands, job: Job) -> float:
     return sum(run_command(command, job.workplace, job.folder / LOG, **limits) for command in commands)
 
 
-def _note(plan: Plan, section: config.AdapterSection) -> str:
-    commit = config.commit(section.repository)
+def _note(plan: Plan, section: adapters_file.AdapterSection) -> str:
+    commit = adapters_file.commit(section.repository)
     where = f"; checkout {commit[:7]}" if commit else ""
     return f"{plan.note}{where}{'; command of the adapters file' if section.command else ''}"
 

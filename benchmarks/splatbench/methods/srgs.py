@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from splatbench.adapters import config
+from splatbench.adapters import adapters_file
 from splatbench.cases import Budget
 from splatbench.methods import Curve, EditResult, EditTask, Method
 from splatbench.methods.gs3d import (
@@ -119,7 +119,7 @@ def missing(external: bool, budget: Budget) -> str:
 def version(external: bool, budget: Budget) -> str:
     """Changes with the settings and, with a program, with its table of the adapters file."""
     settings = f"2-{FACTOR}-{ASSET_VIEWS}-{MAX_PATCHES}-{PATCH_EDGE}-{EDITED_SHARE:g}"
-    return f"{settings}-{config.digest(budget.adapters, PROGRAM)}" if external else settings
+    return f"{settings}-{adapters_file.digest(budget.adapters, PROGRAM)}" if external else settings
 
 
 def _method(name: str, label: str, texture: float, external: bool) -> Method:

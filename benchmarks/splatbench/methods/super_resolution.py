@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from splatbench.adapters import config
+from splatbench.adapters import adapters_file
 from splatbench.process import run_command
 from splatpainter.image_files import to_uint8
 
@@ -95,22 +95,22 @@ def _enlarged(picture: np.ndarray, factor: int) -> np.ndarray:
 def missing_program(adapters: Path | None) -> str:
     """Why there is no program to call, or ""."""
     try:
-        section = config.section(adapters, PROGRAM)
+        section = adapters_file.section(adapters, PROGRAM)
     except ValueError as error:
         return str(error)
     if section is None:
-        return f"not installed: add [{PROGRAM}] with a `command` to the adapters file ({config.GUIDE})"
+        return f"not installed: add [{PROGRAM}] with a `command` to the adapters file ({adapters_file.GUIDE})"
     if not section.command:
         example = 'a list of words, e.g. ["python", "upscale.py"]'
-        return f"[{PROGRAM}] has no `command`: expected {example} ({config.GUIDE})"
-    return config.problem(section, (), config.has_cuda_gpu)
+        return f"[{PROGRAM}] has no `command`: expected {example} ({adapters_file.GUIDE})"
+    return adapters_file.problem(section, (), adapters_file.has_cuda_gpu)
 
 
 def program(adapters: Path | None, factor: int, folder: Path) -> Prior:
     """The user's program as a prior. folder: for its pictures and its log. Raises ValueError where it is not there
     (`missing_program`); the prior raises where it fails or leaves no picture of the right size."""
     problem = missing_program(adapters)
-    section = None if problem else config.section(adapters, PROGRAM)
+    section = None if problem else adapters_file.section(adapters, PROGRAM)
     if section is None:
         raise ValueError(problem)
     words = [section.python if word == "{python}" else word for word in section.command]

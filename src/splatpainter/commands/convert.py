@@ -12,7 +12,7 @@ from splatpainter.cameras import AUTO_UP, UPS, orbit_cameras
 from splatpainter.commands import Outcome
 from splatpainter.commands.info import file_size
 from splatpainter.commands.option_parsing import AssetFile, FrameOption
-from splatpainter.commands.targets import check_target, placed, splat_format
+from splatpainter.commands.output_paths import check_target, placed, splat_format
 from splatpainter.commands.terminal import count, size, stages
 from splatpainter.io import FORMATS, files, frame_is_news, frame_line, frame_of_target, read, write
 from splatpainter.io.write_options import WriteOptions

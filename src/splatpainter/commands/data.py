@@ -14,7 +14,7 @@ from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import parse
-from splatpainter.commands.targets import check_folder
+from splatpainter.commands.output_paths import check_folder
 from splatpainter.commands.terminal import count, progress, size, warn
 
 if TYPE_CHECKING:

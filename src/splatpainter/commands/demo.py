@@ -15,7 +15,7 @@ from splatpainter.cameras import Camera, look_at
 from splatpainter.commands import Outcome, edit
 from splatpainter.commands.demo_paint import evening, painted
 from splatpainter.commands.demo_sheet import Panel, animation, overview
-from splatpainter.commands.targets import check_folder, make_folder, save_picture
+from splatpainter.commands.output_paths import check_folder, make_folder, save_picture
 from splatpainter.commands.terminal import decibels, size, stages
 from splatpainter.io import files, read, write
 from splatpainter.splats import Splats

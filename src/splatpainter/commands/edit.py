@@ -13,16 +13,16 @@ from tyro.conf import Positional, arg
 from splatpainter.commands import Outcome
 from splatpainter.commands.decal_options import DecalView, decal_from_options, paint_decal
 from splatpainter.commands.option_parsing import AssetFile, CameraFiles, FrameOption, OutFile
-from splatpainter.commands.proved import check_outputs, proved_record, write_proved
-from splatpainter.commands.source_options import (
+from splatpainter.commands.output_paths import check_target
+from splatpainter.commands.sourced_edit import (
     check_source_options,
     keeping_answers,
     paint_from_source,
     plan_lines,
     source_from_options,
 )
-from splatpainter.commands.targets import check_target
 from splatpainter.commands.terminal import count, decibels, seconds, stages, warn
+from splatpainter.commands.verified_write import check_outputs, proved_record, write_proved
 from splatpainter.commands.verify import receipt_of, same_words
 from splatpainter.image_files import write_png
 from splatpainter.io import read

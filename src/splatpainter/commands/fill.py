@@ -12,9 +12,9 @@ from tyro.conf import arg
 
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import AssetFile, FrameOption, OutFile
-from splatpainter.commands.proved import check_outputs, proved_record, write_proved
-from splatpainter.commands.source_options import InterruptibleSource, SourceBar, keeping_answers
+from splatpainter.commands.sourced_edit import InterruptibleSource, SourceBar, keeping_answers
 from splatpainter.commands.terminal import count, seconds, stages
+from splatpainter.commands.verified_write import check_outputs, proved_record, write_proved
 from splatpainter.commands.verify import receipt_of, same_words
 from splatpainter.commands.view_options import given_cameras
 from splatpainter.grading.region import Region

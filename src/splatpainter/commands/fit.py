@@ -13,7 +13,7 @@ from tyro.conf import Positional, arg
 from splatpainter.commands import Outcome
 from splatpainter.commands.info import file_size
 from splatpainter.commands.option_parsing import OutFile
-from splatpainter.commands.targets import check_target, placed, splat_format
+from splatpainter.commands.output_paths import check_target, placed, splat_format
 from splatpainter.commands.terminal import PATIENCE, count, decibels, seconds, size, warn, watched
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ from tyro.conf import arg
 
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import AssetFile, FrameOption, OutFile
-from splatpainter.commands.proved import check_outputs, proved_record, write_proved
 from splatpainter.commands.terminal import count, seconds, stages
+from splatpainter.commands.verified_write import check_outputs, proved_record, write_proved
 from splatpainter.commands.verify import receipt_of, same_words
 from splatpainter.grading.grade import LOOKS, SLIDERS, Look, grade, hex_color, one_look
 from splatpainter.grading.region import Region

@@ -13,7 +13,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
-from splatpainter.commands.targets import check_target, placed, splat_format
+from splatpainter.commands.output_paths import check_target, placed, splat_format
 from splatpainter.commands.terminal import count, seconds, stages
 from splatpainter.commands.verify import receipt_of
 from splatpainter.io import files, read

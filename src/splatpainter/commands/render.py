@@ -12,7 +12,7 @@ from tyro.conf import arg
 from splatpainter.cameras import Camera, UpAxis
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import AssetFile, CameraFiles, FrameOption
-from splatpainter.commands.targets import check_folder, check_target, make_folder
+from splatpainter.commands.output_paths import check_folder, check_target, make_folder
 from splatpainter.commands.terminal import count, progress
 from splatpainter.commands.view_options import MOST_VIEWS, check_ranges, check_ring, color, given_cameras, ring_of_views
 from splatpainter.io import files, frame_is_news, frame_line, read

@@ -16,7 +16,7 @@ from tyro.conf import Positional, arg
 from splatpainter.atomic import writing
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import parse
-from splatpainter.commands.targets import check_target
+from splatpainter.commands.output_paths import check_target
 from splatpainter.commands.terminal import PATIENCE, watched
 from splatpainter.image_files import encode_png, find_camera, quantized
 from splatpainter.sources.picture_reader import read_mask, read_picture, resample

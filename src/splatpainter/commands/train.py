@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import parse
-from splatpainter.commands.targets import check_folder, make_folder
+from splatpainter.commands.output_paths import check_folder, make_folder
 from splatpainter.jsonio import field_types
 from splatpainter.train import recipes
 from splatpainter.train.recipes import Recipe, Stage

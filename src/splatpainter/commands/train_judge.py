@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
-from splatpainter.commands.targets import check_folder
+from splatpainter.commands.output_paths import check_folder
 from splatpainter.commands.terminal import count, progress
 from splatpainter.train import recipes
 from splatpainter.train.recipes import STAGES, Recipe

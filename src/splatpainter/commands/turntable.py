@@ -13,7 +13,7 @@ from tyro.conf import arg
 from splatpainter.cameras import AUTO_UP, UPS, UpAxis, bounding_sphere
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import AssetFile, FrameOption, OutFile
-from splatpainter.commands.targets import check_target
+from splatpainter.commands.output_paths import check_target
 from splatpainter.commands.terminal import progress, size
 from splatpainter.commands.view_options import check_ranges, check_ring, color, given_cameras, ring_of_views
 from splatpainter.io import files, read

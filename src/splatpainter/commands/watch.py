@@ -13,7 +13,7 @@ from tyro.conf import Positional, arg
 from splatpainter.atomic import clash
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import FrameOption
-from splatpainter.commands.targets import check_target, placed, splat_format
+from splatpainter.commands.output_paths import check_target, placed, splat_format
 from splatpainter.commands.terminal import complain, count, decibels
 from splatpainter.commands.verify import receipt_of
 from splatpainter.io import files, read, write

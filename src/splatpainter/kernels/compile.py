@@ -39,7 +39,7 @@ WARMUPS: dict[str, tuple[str, ...]] = {
     "splatpainter.voxels.raycast:warm": ("voxels/raycast.py", "voxels/footprints.py", "rendering/profiles.py"),
     "splatpainter.lift.depth_normals:warm": ("lift/depth_normals.py", "rendering/cpu/geometry.py"),
     "splatpainter.lift.joint_colors:warm": ("lift/joint_colors.py",),
-    "splatpainter.lift.merge:warm": ("lift/merge.py",),
+    "splatpainter.lift.gaussian_merging:warm": ("lift/gaussian_merging.py",),
     "splatpainter.lift.detail:warm": ("lift/detail.py",),
     "splatpainter.lift.near_surface:warm": ("lift/near_surface.py", "lift/nearest.py"),
     "splatpainter.lighting:warm": ("lighting.py",),

@@ -11,13 +11,13 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.kernels.rows import take
-from splatpainter.lift.limits import paintable
 from splatpainter.lift.local_edit import NOTHING_THERE, NothingPaintableError, gaussians_in_mask, is_wide, lift_local
 from splatpainter.lift.masks import dilated
 from splatpainter.lift.options import LOCAL_DEFAULTS, LocalOptions
 from splatpainter.lift.resurface import MIN_COVER, RING_PX, resurface
 from splatpainter.lift.rounding import rounded
 from splatpainter.lift.sparse_edit import SparseEdit
+from splatpainter.lift.view_limits import paintable
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
 from splatpainter.rendering.cpu.recent_views import recent_view
 from splatpainter.splats import ATTRIBUTES, Splats

@@ -15,8 +15,8 @@ from splatpainter.color import base_color
 from splatpainter.lift.colors import lift_colors, painted_sh, recolor
 from splatpainter.lift.detail import REACHES_PX, SMALLEST_PX, detail_layer
 from splatpainter.lift.evidence import Evidence
+from splatpainter.lift.gaussian_merging import merge
 from splatpainter.lift.masks import dilated
-from splatpainter.lift.merge import merge
 from splatpainter.lift.options import LocalOptions
 from splatpainter.lift.split import Lattice, projected_sizes
 from splatpainter.rendering.cpu.projected_view import TILE, ProjectedView, project

@@ -149,7 +149,7 @@ class RefineConfig:
     answers: Answers = "all"
     """Whose inputs hold the lift's answer. all: every Gaussian's. teachers: only those of the Gaussians that teach, so
     that what others learn of the edit comes through the memory alone; global edits are then what that memory predicts
-    for Gaussians that no picture shows (models/carry.py)."""
+    for Gaussians that no picture shows (models/edit_propagation.py)."""
     facts: bool = False
     """Gaussians also come with what the predictor knows of them (predictor.gaussian_facts: normal, size, the light that
     reaches them)."""
@@ -264,7 +264,7 @@ class ModelConfig:
     @property
     def carries(self) -> bool:
         """Whether Stage II alone says what becomes of Gaussians that no picture of a global edit shows, in place of the
-        lift's regression (models/carry.py)."""
+        lift's regression (models/edit_propagation.py)."""
         native = self.representation == "native" and self.decoder != "absolute"
         return native and not self.edits_locally and not self.predictor_only
 

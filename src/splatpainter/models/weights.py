@@ -19,7 +19,7 @@ VARIABLE = "SPLATPAINTER_WEIGHTS"
 """Environment variable: a folder with one folder of weights per preset, looked into before the package."""
 NAMES = (*PRESETS, "rows")
 """Names under which weights are found: the presets, and "rows": `compact` without its predictor, so that Stage II is
-the only carrier of global edits (models/carry.py), as the paper has it."""
+the only carrier of global edits (models/edit_propagation.py), as the paper has it."""
 PACKAGED = Path(__file__).parents[1] / "weights"
 """Folder of the weights that come with the package."""
 

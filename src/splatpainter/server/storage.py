@@ -24,8 +24,8 @@ from splatpainter.io.axes import flip
 from splatpainter.jsonio import brief
 from splatpainter.server.upload_sniffing import UploadInfo, sniff
 from splatpainter.session.asset_files import MAX_NAME_BYTES
+from splatpainter.session.project_summary import ProjectSummary, summarize
 from splatpainter.session.scratch import ScratchFolder
-from splatpainter.session.summary import ProjectSummary, summarize
 from splatpainter.splats import Splats
 from splatpainter.user_folders import cache_folder
 

@@ -15,8 +15,8 @@ from splatpainter.cameras import UPS, Camera
 from splatpainter.jsonio import brief
 from splatpainter.session.orientation import Orientation, azimuth_of, measure, parsed_direction
 from splatpainter.session.project_file import Bookmark, Project
+from splatpainter.session.project_summary import PICTURE_FACT
 from splatpainter.session.selection import Selection
-from splatpainter.session.summary import PICTURE_FACT
 
 if TYPE_CHECKING:
     from splatpainter.splats import Splats

@@ -74,7 +74,7 @@ from splatpainter.session.strokes import (
     folded_key,
     strokes_to_fold,
 )
-from splatpainter.source_edits import turns
+from splatpainter.source_edits import view_sequence
 from splatpainter.sources.color_transfer import with_table
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.voxels.raycast import is_inside
@@ -616,7 +616,7 @@ def _local_options(layer: Layer) -> dict[str, Any]:
     if layer.kind != "picture":
         options |= STROKE_OPTIONS
     if layer.parameters.get(SPLIT_ONLY) is True:
-        options |= turns.WITHOUT_SHEETS
+        options |= view_sequence.WITHOUT_SHEETS
     return options
 
 

@@ -58,12 +58,12 @@ from splatpainter.session.geometry_commands import GeometryCommands
 from splatpainter.session.layer_blending import ADJUSTMENTS, AdjustmentFunction
 from splatpainter.session.layer_factory import limits_of, new_layer, spread_options_of
 from splatpainter.session.layer_state import LayerState, Progress
+from splatpainter.session.project_check import find_problems
 from splatpainter.session.project_file import Project, Step, Transaction
 from splatpainter.session.scene_asset import MAIN
 from splatpainter.session.scene_replay import SceneReplay
 from splatpainter.session.scratch import ScratchFolder
 from splatpainter.session.snapshot import Snapshot
-from splatpainter.session.verify import find_problems
 from splatpainter.splats import Frame, Splats
 
 if TYPE_CHECKING:
@@ -327,7 +327,7 @@ class Session(AssetCommands, ExportCommands, Annotations, GeometryCommands):
         """([rows, columns, 4] float32 z-depth and unit normal towards the camera (camera space) of the surface in the
         middle of each block of a view, depth 0 where it is not trusted or there is none; pixels along a block). Of the
         original, less what is hidden: paint lies on that surface, whatever it is made of."""
-        from splatpainter.lift.limits import blocks_px
+        from splatpainter.lift.view_limits import blocks_px
 
         document, state = self._snapshot.document, self._replay.base_state
         hiding = tuple(layer for layer in document.layers if layer.kind in ("hide", "fill") and layer.visible)

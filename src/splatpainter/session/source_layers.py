@@ -18,8 +18,8 @@ from splatpainter.session.layer_factory import SPLIT_ONLY
 from splatpainter.session.session import Session
 from splatpainter.source_edits.coverage import ViewPlan, ViewShare
 from splatpainter.source_edits.edit import source_record
-from splatpainter.source_edits.turns import Turns, ask_in_turn
 from splatpainter.source_edits.view_edit import SourceBrief, SourcedEdit
+from splatpainter.source_edits.view_sequence import Turns, ask_in_turn
 from splatpainter.sources.picture_source import CancelFlag, PictureSource, Progress, SourceCancelled
 
 Write = Callable[[Callable[[], Layer]], Layer]

@@ -25,7 +25,7 @@ from splatpainter.session.scene_replay import SceneReplay
 from splatpainter.splats import Splats
 
 if TYPE_CHECKING:
-    from splatpainter.lift.aside import AsideScore
+    from splatpainter.lift.side_views import AsideScore
     from splatpainter.sources.decals import Decal, LaidDecal
 
 
@@ -153,10 +153,10 @@ class StrokeCommands(Commands):
             return self._replay.compose(self._document.below(layer)).splats
 
     def aside(self, layer: str) -> list[AsideScore]:
-        """How the latest stroke of a layer, or its edited pictures, look from the side (lift/aside.py), one score
+        """How the latest stroke of a layer, or its edited pictures, look from the side (lift/side_views.py), one score
         per view; without the layer's opacity. Empty for layers that paint nothing or erase."""
-        from splatpainter.lift.aside import aside_score
         from splatpainter.lift.edit_views import edit_views
+        from splatpainter.lift.side_views import aside_score
 
         with self._commands:
             target = self.layer(layer)

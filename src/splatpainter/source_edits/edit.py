@@ -19,8 +19,8 @@ from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
 from splatpainter.receipts import Receipt, untouched_hashes
 from splatpainter.source_edits.coverage import ViewPlan, plan_views
-from splatpainter.source_edits.turns import WITHOUT_SHEETS, ask_in_turn, part_of
 from splatpainter.source_edits.view_edit import MAX_PROMPT_CHARACTERS, SourceBrief, SourcedEdit, ask_for_edit
+from splatpainter.source_edits.view_sequence import WITHOUT_SHEETS, ask_in_turn, part_of
 from splatpainter.sources.gatekeeper import Strictness
 from splatpainter.sources.picture_source import CancelFlag, PictureSource, Progress, SourceCancelled
 from splatpainter.splats import Splats, changed_rows

@@ -13,7 +13,7 @@ import numpy as np
 
 from splatpainter.color import base_color, oklab, to_display
 from splatpainter.splats import Splats
-from splatpainter.spread.neighbours import neighbours, weighted_means
+from splatpainter.spread.nearest_neighbours import neighbours, weighted_means
 
 LIGHTNESS, CHROMA, TEXTURE = 0.2, 0.08, 0.1
 """OKLab lightness, chroma over lightness, and their standard deviations that are one unit."""

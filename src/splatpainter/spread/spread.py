@@ -27,7 +27,7 @@ from splatpainter.spread.classifier import Projections, density_ratio, two_class
 from splatpainter.spread.color_change import ColorChange
 from splatpainter.spread.descriptors import INPUTS, Descriptors
 from splatpainter.spread.examples import Examples
-from splatpainter.spread.neighbours import smoothed
+from splatpainter.spread.nearest_neighbours import smoothed
 from splatpainter.spread.options import SPREAD_DEFAULTS, SpreadOptions
 
 MAX_EXAMPLES = 8192

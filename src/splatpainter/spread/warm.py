@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from splatpainter.spread import classifier, neighbours
+from splatpainter.spread import classifier, nearest_neighbours
 
 
 def warm() -> None:
     """A classifier of eight points, and the neighbours of forty."""
     classifier.warm()
-    neighbours.warm()
+    nearest_neighbours.warm()

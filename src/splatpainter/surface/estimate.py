@@ -26,7 +26,7 @@ from splatpainter.kernels import parallel
 from splatpainter.kernels.simd import LANES, scratch
 from splatpainter.kernels.vector_exp import exp64
 from splatpainter.splats import Splats
-from splatpainter.surface.samples import AXES, MEAN, OPACITY, SCALES, SurfaceSamples, gather
+from splatpainter.surface.surface_samples import AXES, MEAN, OPACITY, SCALES, SurfaceSamples, gather
 
 MAX_NEIGHBOURS = 768
 """Patches in one window; where there are more the window shrinks."""

@@ -14,10 +14,10 @@ from splatpainter.train.loss import perceptual_or_not
 from splatpainter.train.recipes import Recipe, Stage
 from splatpainter.train.report import alex_or_none
 from splatpainter.train.stages.compress import CopyTask, HiddenColors
+from splatpainter.train.stages.gaussian_edit_task import RowOptions, RowsTask
 from splatpainter.train.stages.lrm import LrmTask
 from splatpainter.train.stages.predict import PredictTask
 from splatpainter.train.stages.refine import RefineOptions, RefineTask
-from splatpainter.train.stages.rows import RowOptions, RowsTask
 from splatpainter.train.stages.task import Task
 
 Say = Callable[[str], None]

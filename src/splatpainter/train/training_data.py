@@ -16,7 +16,7 @@ from splatpainter.data.shards import INDEX, ShardStream, read_index
 from splatpainter.train.prefetch import Ahead
 
 if TYPE_CHECKING:
-    from splatpainter.data.row_edits import RowEditStream
+    from splatpainter.data.gaussian_edits import RowEditStream
     from splatpainter.data.samples import Sample
 
 VALIDATION_SEED = 0x5EED
@@ -116,8 +116,8 @@ def open_global_edits(supply: Supply, count: int) -> TrainingData:
 
 
 def open_row_edits(supply: Supply, count: int, folder: Path | None, fitted: bool = True) -> TrainingData:
-    """As `open_training_data`, for stage rows, whose samples have no pictures (data/row_edits.py). Raises ValueError as
-    row_streams."""
+    """As `open_training_data`, for stage rows, whose samples have no pictures (data/gaussian_edits.py). Raises
+    ValueError as row_streams."""
     training, held = row_streams(supply, folder, fitted)
     return TrainingData(training, list(_first(held, count)) if count and held else [], supply.counts())
 
@@ -126,8 +126,8 @@ def row_streams(supply: Supply, folder: Path | None, fitted: bool = True) -> tup
     """(edits of training objects, of those held back, None where there are none). folder: where assets are kept;
     fitted: of 3DGS, too. Raises ValueError as Supply.stream and RowEditStream, and for splat assets."""
     from splatpainter.data.environments import load_environment
-    from splatpainter.data.row_assets import RowAssets
-    from splatpainter.data.row_edits import EDIT_KINDS, RowEditStream
+    from splatpainter.data.gaussian_edits import EDIT_KINDS, RowEditStream
+    from splatpainter.data.lit_assets import RowAssets
 
     if is_shards(supply.data):
         raise ValueError(f"--data {supply.data}: expected meshes or procedural:N for stage rows, got shards")

@@ -25,7 +25,7 @@ from splatpainter.lift.options import ResidualBase
 from splatpainter.lighting import prt_transfer
 from splatpainter.metrics.lpips import Lpips
 from splatpainter.models.apply_edit import assemble, refine_edit
-from splatpainter.models.carry import carrying
+from splatpainter.models.edit_propagation import carrying
 from splatpainter.models.encode import Encoded, encode_asset
 from splatpainter.models.gaussian_groups import GaussianGroups, TokenLinks
 from splatpainter.models.model import SplatPainterModel

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from splatbench.cases import Budget, EditStep, PosedImages
-from splatbench.methods import EditTask, color_transfer, unedited
-from splatbench.methods.color_transfer import (
+from splatbench.methods import EditTask, color_fit, unedited
+from splatbench.methods.color_fit import (
     cluster_features,
     fit_affine,
     fit_clusters,
@@ -25,7 +25,7 @@ from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import Splats
 from tests.support.lift_scenes import SH_C0, back, bits, db, dense_weights, front, row, same_bits, sheet
 
-BY_NAME = {method.name: method for method in (*color_transfer.METHODS, *unedited.METHODS)}
+BY_NAME = {method.name: method for method in (*color_fit.METHODS, *unedited.METHODS)}
 WARM = np.array([[0.8, 0.1, 0.0], [0.05, 0.7, 0.1], [-0.1, 0.0, 0.6], [0.12, 0.06, 0.15]])
 COLD = np.array([[0.5, 0.0, 0.1], [0.0, 0.6, 0.2], [0.1, 0.1, 0.9], [0.02, 0.05, 0.1]])
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.lift.aside import MAX_SIDE_PX, aside_score, side_views
 from splatpainter.lift.edit_views import EditView, edit_views
 from splatpainter.lift.edits import lift_local_views
+from splatpainter.lift.side_views import MAX_SIDE_PX, aside_score, side_views
 from splatpainter.splats import Splats
 from splatpainter.voxels.grid import voxelize
 from tests.support.lift_scenes import SH_C0, disk, front, sheet

@@ -15,10 +15,10 @@ import pytest
 import torch
 
 from splatpainter.cli import main
-from splatpainter.data import row_assets, row_edits
+from splatpainter.data import gaussian_edits, lit_assets
+from splatpainter.data.gaussian_edits import RowEdit, RowEditStream
+from splatpainter.data.lit_assets import RowAssets
 from splatpainter.data.object_sources import ProceduralSource
-from splatpainter.data.row_assets import RowAssets
-from splatpainter.data.row_edits import RowEdit, RowEditStream
 from splatpainter.data.sample_recipes import SampleRecipe
 from splatpainter.models import checkpoint, weights
 from splatpainter.models.config import PredictConfig
@@ -26,8 +26,8 @@ from splatpainter.models.model import SplatPainterModel
 from splatpainter.train import recipes
 from splatpainter.train.build import make_task, start
 from splatpainter.train.recipes import Recipe
-from splatpainter.train.stages.rows import RowOptions, RowsTask, fixed_ridge, judged, unseen
-from tests.models.test_carry import CARRYING
+from splatpainter.train.stages.gaussian_edit_task import RowOptions, RowsTask, fixed_ridge, judged, unseen
+from tests.models.test_edit_propagation import CARRYING
 from tests.support.train_scenes import LIFT, SMALL, loop, model
 
 MODEL = replace(CARRYING, predict=PredictConfig(features=8, hidden=16))
@@ -50,8 +50,8 @@ RECIPE = Recipe(
 @pytest.fixture(autouse=True, scope="module")
 def small(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(row_assets, "FIT_STEPS", 4)
-        patch.setattr(row_edits, "LIGHTS", 6)
+        patch.setattr(lit_assets, "FIT_STEPS", 4)
+        patch.setattr(gaussian_edits, "LIGHTS", 6)
         patch.setenv("SPLATPAINTER_CACHE", str(tmp_path_factory.mktemp("cache")))
         yield
 

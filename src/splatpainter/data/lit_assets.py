@@ -1,5 +1,5 @@
 """Assets whose Gaussians know their materials, so that their colours are known under any light: coarse ones with true
-normals, and ones that 3DGS fitted to pictures. What learning on rows is made of (data/row_edits.py).
+normals, and ones that 3DGS fitted to pictures. What learning on rows is made of (data/gaussian_edits.py).
 
     assets = RowAssets(MeshFolder("meshes"), recipe, seed=0, environments=hdris, folder=cache)
     asset = assets[3, "fitted"]              # made once, kept on disk

@@ -13,10 +13,10 @@ from torch import Tensor
 from splatpainter.lift.depth_normals import outward_normals
 from splatpainter.lighting import prt_transfer
 from splatpainter.models import weights
-from splatpainter.models.carry import EncodedGaussians, carry, carrying
 from splatpainter.models.compress import LatentScale
 from splatpainter.models.config import ModelConfig, RefineConfig
 from splatpainter.models.decode import color_change
+from splatpainter.models.edit_propagation import EncodedGaussians, carry, carrying
 from splatpainter.models.encode import Encoded, encode_asset
 from splatpainter.models.model import GaussianInputs, SplatPainterModel
 from splatpainter.models.refine import position_waves, unit_rms

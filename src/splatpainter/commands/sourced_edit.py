@@ -15,7 +15,7 @@ import numpy as np
 from splatpainter.atomic import writing
 from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.commands.decal_options import DecalView
-from splatpainter.commands.targets import check_target
+from splatpainter.commands.output_paths import check_target
 from splatpainter.commands.terminal import complain, count, warn, watched
 from splatpainter.commands.view_options import BACKGROUND, color, given_cameras
 from splatpainter.image_files import CAMERA_KEYWORD, encode_png, quantized

@@ -1,9 +1,9 @@
 """Learning on rows: an edit is known exactly on the Gaussians that some pictures show, and what becomes of the others
 is learnt. No renderer, no picture: a step takes tens of milliseconds.
 
-Either Stage II learns it (config.refine.answers "teachers": its memory is all that carries the edit, models/carry.py),
-or the predictor. The loss is the logarithm of the mean squared error of Gaussians that were not shown, so every edit
-counts by the dB it gains.
+Either Stage II learns it (config.refine.answers "teachers": its memory is all that carries the edit,
+models/edit_propagation.py), or the predictor. The loss is the logarithm of the mean squared error of Gaussians that
+were not shown, so every edit counts by the dB it gains.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from splatpainter.data.gaussian_edits import RowEdit
+from splatpainter.data.lit_assets import RowAsset
 from splatpainter.data.recent import Recent
-from splatpainter.data.row_assets import RowAsset
-from splatpainter.data.row_edits import RowEdit
 from splatpainter.lift.colors import MAX_COLOR
 from splatpainter.lift.global_edit import regressed
 from splatpainter.models.cache import encode_cached
-from splatpainter.models.carry import EncodedGaussians, carry
+from splatpainter.models.edit_propagation import EncodedGaussians, carry
 from splatpainter.models.encode import encode_asset
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.models.predictor import gaussian_facts

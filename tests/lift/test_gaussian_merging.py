@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from splatpainter.lift.merge import MAX_COST, Merged, merge
+from splatpainter.lift.gaussian_merging import MAX_COST, Merged, merge
 from splatpainter.lift.split import Lattice, projected_sizes
 from splatpainter.rendering import render
 from splatpainter.splats import Splats

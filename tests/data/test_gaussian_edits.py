@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import torch
 
-from splatpainter.data import row_assets, row_edits
+from splatpainter.data import gaussian_edits, lit_assets
+from splatpainter.data.gaussian_edits import RowEditStream
+from splatpainter.data.lit_assets import RowAsset, RowAssets, base_colors, turned
 from splatpainter.data.object_sources import ProceduralSource
-from splatpainter.data.row_assets import RowAsset, RowAssets, base_colors, turned
-from splatpainter.data.row_edits import RowEditStream
 from splatpainter.data.sample_recipes import SampleRecipe
 from splatpainter.data.viewpoints import UPRIGHT
 from splatpainter.splats import SH_C0
@@ -27,8 +27,8 @@ KINDS = {"relight": 1.0, "recolor": 1.0, "regrade": 1.0}
 @pytest.fixture(autouse=True, scope="module")
 def small() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(row_assets, "FIT_STEPS", 6)
-        patch.setattr(row_edits, "LIGHTS", 6)
+        patch.setattr(lit_assets, "FIT_STEPS", 6)
+        patch.setattr(gaussian_edits, "LIGHTS", 6)
         yield
 
 
@@ -49,7 +49,7 @@ def same(one: RowAsset, other: RowAsset) -> bool:
 
 
 @pytest.mark.parametrize("kind", ["coarse", "fitted"])
-def test_an_asset_has_the_colours_of_its_materials_under_its_light(kind: row_assets.AssetKind) -> None:
+def test_an_asset_has_the_colours_of_its_materials_under_its_light(kind: lit_assets.AssetKind) -> None:
     item = assets()[0, kind]
     colors = item.colors(item.surfels, item.coefficients, item.exposure)
     np.testing.assert_allclose(colors, 0.5 + SH_C0 * item.asset.sh[:, 0], atol=1e-5)

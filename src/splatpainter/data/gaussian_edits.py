@@ -4,7 +4,8 @@ to be predicted where they do not.
     edits = RowEditStream(RowAssets(...), kinds={"relight": 1.0}, asset_kinds=("coarse", "fitted"), seed=0)
     edit = edits[17]                         # the same for equal (stream, 17), in any order of access
 
-What is learnt from them (train/stages/rows.py) can know of the edit only what Gaussians that are seen say about it.
+What is learnt from them (train/stages/gaussian_edit_task.py) can know of the edit only what Gaussians that are seen say
+about it.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from torch import Tensor
 
 from splatpainter.color import linear_to_srgb, srgb_to_linear
 from splatpainter.data.lights import random_light
-from splatpainter.data.row_assets import RING_VIEWS, RINGS, AssetKind, RowAsset, RowAssets
+from splatpainter.data.lit_assets import RING_VIEWS, RINGS, AssetKind, RowAsset, RowAssets
 from splatpainter.sources.color_grading import apply_grade, random_grade
 
 EditKind = Literal["relight", "recolor", "regrade"]

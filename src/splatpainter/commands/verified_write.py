@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from splatpainter.atomic import clash
-from splatpainter.commands.targets import check_target, placed, splat_format
+from splatpainter.commands.output_paths import check_target, placed, splat_format
 from splatpainter.commands.terminal import Stages
 from splatpainter.commands.verify import read_receipt, receipt_of
 from splatpainter.io import files, write
