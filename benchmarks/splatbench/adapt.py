@@ -21,17 +21,17 @@ from torch import Tensor
 from tyro.conf import Positional, arg
 
 from splatbench import adapt_carriers as carriers
-from splatbench.adapt_carriers import MESA, STAGE2, TRAINED, Contestant
-from splatbench.report.plots import Chart, HorizontalLine, Point, Series, draw
+from splatbench.adapt_carriers import MESA, STAGE2, TRAINED, CarrierTraining
+from splatbench.report.plots import HorizontalLine, Plot, Point, Series, draw
 from splatbench.timing import machine
 from splatpainter import text_tables as tables
 from splatpainter.atomic import write_text
-from splatpainter.data.gaussian_edits import EditKind, RowEdit, RowEditStream
+from splatpainter.data.gaussian_edits import EditKind, GaussianEdit, GaussianEditStream
 from splatpainter.data.lit_assets import ASSET_KINDS, AssetKind
 from splatpainter.metrics.bootstrap import interval
 from splatpainter.models.cache import cache_folder
 from splatpainter.train.recipes import Carrier
-from splatpainter.train.stages.gaussian_edit_task import RowsTask, fixed_ridge, unseen
+from splatpainter.train.stages.gaussian_edit_task import GaussianEditTask, fixed_ridge, unseen
 
 VIEWS = (1, 2, 4)
 JUDGED = (("relight", 2), ("recolor", 1))
@@ -151,29 +151,31 @@ def run(config: AdaptBench, report: Callable[[str], None] | None = None) -> list
         f"{len(edits)} edits of {len({e.edit.name for e in edits})} held-out objects, {len(training.order)} to train on"
     )
     config.out.mkdir(parents=True, exist_ok=True)
-    contestants = [carriers.contestant(name, encoder, config.seed) for name in config.carriers]
-    carriers.share_rows(contestants)
+    carriers_in_training = [carriers.carrier_training(name, encoder, config.seed) for name in config.carriers]
+    carriers.share_rows(carriers_in_training)
     chosen = [held for held in edits if held.edit.kind == "relight"][::CURVE_EVERY]
     points: list[CarrierPoint] = []
-    for one in contestants:
+    for one in carriers_in_training:
         carriers.load_trained(one, config.out / "weights" / _slug(one.name), config.seconds)
-    trained = all(one.seconds >= config.seconds for one in contestants)
-    stops = () if trained else chain([0.0], carriers.side_by_side(contestants, training, config.seconds, STOPS))
+    trained = all(one.seconds >= config.seconds for one in carriers_in_training)
+    stops = (
+        () if trained else chain([0.0], carriers.side_by_side(carriers_in_training, training, config.seconds, STOPS))
+    )
     for stop in stops:
-        for one in contestants:
+        for one in carriers_in_training:
             value = carriers.judged(
                 one, lambda task: float(np.mean([task.decibels(e.edit, e.ask(task)) for e in chosen]))
             )
             points.append(CarrierPoint(one.name, round(one.seconds, 2), one.steps, value))
             if stop:
                 carriers.save(one, config.out / "weights" / _slug(one.name))
-        say(f"{stop:.0%}: " + ", ".join(f"{p.carrier} {p.psnr:.2f}" for p in points[-len(contestants) :]))
+        say(f"{stop:.0%}: " + ", ".join(f"{p.carrier} {p.psnr:.2f}" for p in points[-len(carriers_in_training) :]))
         tables.write_csv(config.out / "curve.csv", points, where)
-        _write_curve(config.out / "curve.svg", points, chosen, contestants[0].task)
-    scores = all_scores(edits, contestants)
+        _write_curve(config.out / "curve.svg", points, chosen, carriers_in_training[0].task)
+    scores = all_scores(edits, carriers_in_training)
     tables.write_csv(config.out / "adapt.csv", scores, where)
-    rows = means(scores, {one.name: one.seconds for one in contestants}, config.seed)
-    tables.write_markdown(config.out / "adapt.md", rows, where, (*NOTES, *remarks(scores, contestants)))
+    rows = means(scores, {one.name: one.seconds for one in carriers_in_training}, config.seed)
+    tables.write_markdown(config.out / "adapt.md", rows, where, (*NOTES, *remarks(scores, carriers_in_training)))
     return rows
 
 
@@ -181,33 +183,33 @@ def run(config: AdaptBench, report: Callable[[str], None] | None = None) -> list
 class HeldEdit:
     """An edit that is judged, and another one of the same asset, shown by the same Gaussians."""
 
-    edit: RowEdit
-    other: RowEdit
+    edit: GaussianEdit
+    other: GaussianEdit
 
-    def ask(self, task: RowsTask, strength: float | None = None, swapped: bool = False) -> Tensor:
+    def ask(self, task: GaussianEditTask, strength: float | None = None, swapped: bool = False) -> Tensor:
         """[U, 3] the answer of a carrier."""
         return task.answer(self.edit, strength, self.other if swapped else None)
 
 
-def streams(config: AdaptBench) -> tuple[RowEditStream, RowEditStream]:
+def streams(config: AdaptBench) -> tuple[GaussianEditStream, GaussianEditStream]:
     """(edits of training objects, of held-out ones). Raises ValueError for data that is not there, or has no object to
     hold out."""
-    from splatpainter.train.training_data import ResourceFolders, Supply, row_streams
+    from splatpainter.train.training_data import DataSettings, ResourceFolders, gaussian_edit_streams
 
     settings = carriers.recipe()
     data = "procedural:200" if config.meshes is None else str(config.meshes)
     resources = ResourceFolders(environments=config.environments)
-    supply = Supply(data, settings.samples, config.seed, settings.validation_share, resources)
-    training, held = row_streams(supply, config.assets or cache_folder() / "rows", settings.fitted)
+    data_settings = DataSettings(data, settings.samples, config.seed, settings.validation_share, resources)
+    training, held = gaussian_edit_streams(data_settings, config.assets or cache_folder() / "rows", settings.fitted)
     if held is None:
         raise ValueError(f"bench adapt: {data}: no object is held out of training; give more")
-    few = RowEditStream(
-        training.assets, training.kinds, ASSET_KINDS, config.seed, training.stay, config.training_objects
+    few = GaussianEditStream(
+        training.assets, training.kinds, ASSET_KINDS, config.seed, training.samples_per_object, config.training_objects
     )
     return few, held
 
 
-def held_edits(stream: RowEditStream, objects: int, seed: int) -> list[HeldEdit]:
+def held_edits(stream: GaussianEditStream, objects: int, seed: int) -> list[HeldEdit]:
     """The edits that are judged, the same for equal arguments: of the first objects that can be used, on both kinds of
     assets, from 1, 2 and 4 views."""
     made: list[HeldEdit] = []
@@ -231,15 +233,15 @@ def held_edits(stream: RowEditStream, objects: int, seed: int) -> list[HeldEdit]
     return made
 
 
-def in_views_of(other: RowEdit, edit: RowEdit) -> RowEdit:
+def in_views_of(other: GaussianEdit, edit: GaussianEdit) -> GaussianEdit:
     """Another edit, shown in the views of this one."""
-    return RowEdit(other.item, other.kind, edit.views, other.change, edit.weight, edit.counts)
+    return GaussianEdit(other.item, other.kind, edit.views, other.change, edit.weight, edit.counts)
 
 
-def all_scores(edits: Sequence[HeldEdit], contestants: Sequence[Contestant]) -> list[EditScore]:
+def all_scores(edits: Sequence[HeldEdit], carriers_in_training: Sequence[CarrierTraining]) -> list[EditScore]:
     """Every carrier on every edit."""
     scores: list[EditScore] = []
-    task, shipped, adapting = contestants[0].task, _shipped("predictor"), _shipped("stage2")
+    task, shipped, adapting = carriers_in_training[0].task, _shipped("predictor"), _shipped("stage2")
 
     def add(carrier: str, number: int, answer: Tensor | None, moved: float | None = None) -> None:
         edit = edits[number].edit
@@ -252,7 +254,7 @@ def all_scores(edits: Sequence[HeldEdit], contestants: Sequence[Contestant]) -> 
         if shipped is not None:
             add(SHIPPED, number, shipped.answer(held.edit))
 
-    def add_all(carrier: str, carrier_task: RowsTask) -> None:
+    def add_all(carrier: str, carrier_task: GaussianEditTask) -> None:
         for number, held in enumerate(edits):
             answer = held.ask(carrier_task)
             add(carrier, number, answer)
@@ -267,7 +269,7 @@ def all_scores(edits: Sequence[HeldEdit], contestants: Sequence[Contestant]) -> 
 
     if adapting is not None:
         add_all(SHIPPED_STAGE2, adapting)
-    for one in contestants:
+    for one in carriers_in_training:
         one.task.eval()
         with one.average.used_by(one.task), torch.no_grad():
             add_all(one.name, one.task)
@@ -299,7 +301,7 @@ def means(scores: Sequence[EditScore], seconds: dict[str, float], seed: int = 0)
     return rows
 
 
-def remarks(scores: Sequence[EditScore], contestants: Sequence[Contestant]) -> list[str]:
+def remarks(scores: Sequence[EditScore], carriers_in_training: Sequence[CarrierTraining]) -> list[str]:
     """What the figures say about adaptation, and what the training was."""
     lines = []
     for name in (SHIPPED_STAGE2, *STAGE2):
@@ -314,23 +316,23 @@ def remarks(scores: Sequence[EditScore], contestants: Sequence[Contestant]) -> l
                 f"{name}: adapting is worth {gain:+.2f} dB against {label}, which moves the added colours by "
                 f"{moved:.0%} (relit edits)."
             )
-    for one in contestants:
+    for one in carriers_in_training:
         cost = 1000 * one.seconds / max(one.steps, 1)
         lines.append(f"{one.name}: {one.steps:,} steps of {cost:.0f} CPU ms.")
     return lines
 
 
-def _shipped(carrier: Carrier) -> RowsTask | None:
+def _shipped(carrier: Carrier) -> GaussianEditTask | None:
     """The predictor or Stage II of the package; None where there is none that is asked row by row."""
     from splatpainter.models import weights
     from splatpainter.models.model import SplatPainterModel
-    from splatpainter.train.stages.gaussian_edit_task import RowOptions
+    from splatpainter.train.stages.gaussian_edit_task import GaussianEditOptions
 
     folder = weights.find("compact")
     model = None if folder is None else SplatPainterModel.load(folder)
     if model is None or (model.predictor is None if carrier == "predictor" else model.config.edits_locally):
         return None
-    return RowsTask(model, RowOptions(carrier)).eval()
+    return GaussianEditTask(model, GaussianEditOptions(carrier)).eval()
 
 
 def _check(config: AdaptBench) -> Path:
@@ -353,7 +355,9 @@ def _slug(name: str) -> str:
     return "-".join("".join(c if c.isalnum() else " " for c in name.lower()).split())
 
 
-def _write_curve(path: Path, points: Sequence[CarrierPoint], chosen: Sequence[HeldEdit], task: RowsTask) -> None:
+def _write_curve(
+    path: Path, points: Sequence[CarrierPoint], chosen: Sequence[HeldEdit], task: GaussianEditTask
+) -> None:
     """PSNR over processor time, with what needs no training as levels."""
     nothing = float(np.mean([task.decibels(held.edit, None) for held in chosen]))
     ridge = float(np.mean([task.decibels(held.edit, fixed_ridge(held.edit)) for held in chosen]))
@@ -363,5 +367,5 @@ def _write_curve(path: Path, points: Sequence[CarrierPoint], chosen: Sequence[He
         series.append(Series(name, k, tuple(line), joined=True))
     levels = (HorizontalLine("nothing", nothing), HorizontalLine("ridge on fixed features", ridge, 5))
     title = "Gaussians that no picture shows, under a new light"
-    chart = Chart(title, "CPU seconds of training", "PSNR, dB", tuple(series), levels, log_x=True)
+    chart = Plot(title, "CPU seconds of training", "PSNR, dB", tuple(series), levels, log_x=True)
     write_text(path, draw(chart, CURVE_WIDTH_PX))

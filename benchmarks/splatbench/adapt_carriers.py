@@ -1,4 +1,4 @@
-"""What carries an edit from the Gaussians that are shown to those that are not: the contestants of `bench adapt`, and
+"""What carries an edit from the Gaussians that are shown to those that are not: those trained by `bench adapt`, and
 their training side by side. Every one gets the same processor time, inputs and edits.
 
 Carriers of Stage II are one network, blocks, inputs and decoder, that differs in what its memory is alone.
@@ -14,13 +14,13 @@ from typing import Any
 
 import torch
 
-from splatpainter.data.gaussian_edits import RowEdit, RowEditStream
+from splatpainter.data.gaussian_edits import GaussianEdit, GaussianEditStream
 from splatpainter.models import checkpoint
 from splatpainter.models.config import ModelConfig
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.train.optim import Average, Guard, adamw, rate_at
 from splatpainter.train.recipes import Carrier, Recipe, load
-from splatpainter.train.stages.gaussian_edit_task import RowOptions, RowsTask
+from splatpainter.train.stages.gaussian_edit_task import GaussianEditOptions, GaussianEditTask
 
 SLICE_SECONDS = 5.0
 """CPU seconds that a carrier trains before the next one does."""
@@ -39,11 +39,11 @@ TRAINED = (MESA, *STAGE2)
 
 
 @dataclass
-class Contestant:
+class CarrierTraining:
     """A carrier in training."""
 
     name: str
-    task: RowsTask
+    task: GaussianEditTask
     optimizer: torch.optim.AdamW = field(repr=False)
     average: Average = field(repr=False)
     guard: Guard = field(repr=False)
@@ -59,7 +59,7 @@ def recipe() -> Recipe:
     return load("compact", "rows")
 
 
-def contestant(name: str, encoder: Path, seed: int = 0) -> Contestant:
+def carrier_training(name: str, encoder: Path, seed: int = 0) -> CarrierTraining:
     """A carrier before its training. encoder: a checkpoint, of which LRM and Stage I are taken. Raises ValueError for a
     checkpoint of other sizes."""
     settings = recipe()
@@ -68,11 +68,11 @@ def contestant(name: str, encoder: Path, seed: int = 0) -> Contestant:
     torch.manual_seed(seed)
     model = with_encoder(config, encoder)
     carrier: Carrier = "predictor" if name == MESA else "stage2"
-    options = RowOptions(carrier, settings.teachers, settings.readers, objects=1 << 10)
-    task = RowsTask(model, options)
+    options = GaussianEditOptions(carrier, settings.teachers, settings.readers, objects=1 << 10)
+    task = GaussianEditTask(model, options)
     parameters = list(task.named_parameters())
     optimizer = adamw(parameters, settings.learning_rate, settings.weight_decay)
-    return Contestant(name, task, optimizer, Average.of(parameters, settings.average), Guard(settings.spike))
+    return CarrierTraining(name, task, optimizer, Average.of(parameters, settings.average), Guard(settings.spike))
 
 
 def with_encoder(config: ModelConfig, folder: Path) -> SplatPainterModel:
@@ -85,14 +85,18 @@ def with_encoder(config: ModelConfig, folder: Path) -> SplatPainterModel:
 
 
 def side_by_side(
-    contestants: Sequence[Contestant], edits: RowEditStream, budget: float, stops: Sequence[float], batch: int = 1
+    trainings: Sequence[CarrierTraining],
+    edits: GaussianEditStream,
+    budget: float,
+    stops: Sequence[float],
+    batch: int = 1,
 ) -> Iterator[float]:
     """Train all, slice by slice, until each has spent `budget` seconds of processor time. Yields at every share of the
-    budget in `stops` (rising, 0..1), when all have spent that much. Making and encoding assets is not counted: all
-    contestants read the same ones."""
+    budget in `stops` (rising, 0..1), when all have spent that much. Making and encoding assets is not counted:
+    all read the same ones."""
     for stop in stops:
         while True:
-            behind = [one for one in contestants if one.seconds < stop * budget - 1e-6]
+            behind = [one for one in trainings if one.seconds < stop * budget - 1e-6]
             if not behind:
                 break
             for one in behind:
@@ -100,8 +104,8 @@ def side_by_side(
         yield stop
 
 
-def train(one: Contestant, edits: RowEditStream, until: float, budget: float, batch: int) -> None:
-    """Steps until the contestant has spent `until` of its `budget` seconds."""
+def train(one: CarrierTraining, edits: GaussianEditStream, until: float, budget: float, batch: int) -> None:
+    """Steps until the carrier has spent `until` of its `budget` seconds."""
     settings, task = recipe(), one.task
     task.train()
     while one.seconds < until:
@@ -125,28 +129,28 @@ def train(one: Contestant, edits: RowEditStream, until: float, budget: float, ba
         one.seconds += time.process_time() - begun
 
 
-def prepare(task: RowsTask, samples: Sequence[RowEdit]) -> None:
+def prepare(task: GaussianEditTask, samples: Sequence[GaussianEdit]) -> None:
     """Encode what is not encoded yet, outside of what is timed."""
     if task.options.carrier == "stage2":
         for sample in samples:
             task.rows(sample.item)
 
 
-def share_rows(contestants: Sequence[Contestant]) -> None:
+def share_rows(trainings: Sequence[CarrierTraining]) -> None:
     """Contestants of Stage II read the same encoded assets: LRM and Stage I are the same weights in all."""
-    readers = [one for one in contestants if one.task.options.carrier == "stage2"]
+    readers = [one for one in trainings if one.task.options.carrier == "stage2"]
     for one in readers[1:]:
         one.task.share_rows(readers[0].task)
 
 
-def judged(one: Contestant, figures: Callable[[RowsTask], float]) -> float:
+def judged(one: CarrierTraining, figures: Callable[[GaussianEditTask], float]) -> float:
     """A figure of the averaged weights."""
     one.task.eval()
     with one.average.used_by(one.task), torch.no_grad():
         return figures(one.task)
 
 
-def load_trained(one: Contestant, folder: Path, budget: float) -> None:
+def load_trained(one: CarrierTraining, folder: Path, budget: float) -> None:
     """Take the weights of `save`, where they are this carrier's and were trained for the budget. Raises ValueError for
     weights of another model."""
     if not (folder / checkpoint.INDEX).is_file():
@@ -159,7 +163,7 @@ def load_trained(one: Contestant, folder: Path, budget: float) -> None:
     one.seconds, one.steps = max(saved.notes["seconds"], budget), saved.notes["step"]
 
 
-def save(one: Contestant, folder: Path) -> None:
+def save(one: CarrierTraining, folder: Path) -> None:
     """The averaged weights as a checkpoint, with what they are."""
     notes = {"stage": "rows", "step": one.steps, "seconds": round(one.seconds, 1), "carrier": one.name}
     notes["recipe"] = replace(recipe(), model=one.task.model.config, carrier=one.task.options.carrier).to_dict()

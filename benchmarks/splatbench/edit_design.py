@@ -135,7 +135,7 @@ def view_of(
 ) -> Camera:
     """A close-up of the point, or the whole object from its side."""
     if framing == "whole":
-        return viewpoints.around(radius, optics, *viewpoints.view_angles(point.normal, rng))
+        return viewpoints.object_camera(radius, optics, *viewpoints.view_angles(point.normal, rng))
     return viewpoints.facing(point.position, point.normal, radius * rng.uniform(*WINDOW_RADII), optics, rng)
 
 

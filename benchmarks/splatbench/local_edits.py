@@ -186,7 +186,7 @@ def measure_asset(path: Path | None, name: str, config: LiftBench) -> tuple[Lift
         asset = painter.encode(read(ply), method)
         assert asset.grid is not None
         setup = time.perf_counter() - start
-        before = AssetViews(asset.splats, view)
+        before = CloseupViews(asset.splats, view)
         edit, layers = painted_edit(before, config)
         results: list[Asset] = []
         timing = measure(
@@ -205,7 +205,7 @@ def measure_asset(path: Path | None, name: str, config: LiftBench) -> tuple[Lift
     return line, strips
 
 
-class AssetViews:
+class CloseupViews:
     """The close-up of an asset and the other views, drawn."""
 
     def __init__(self, splats: Splats, view: Closeup, directions: Sequence[tuple[float, float]] | None = None) -> None:
@@ -238,14 +238,14 @@ def _grazing(source: Splats, asset: Asset, painter: Painter, method: Method, con
     except ValueError:
         return Grazing()
     turns = _sheet_turns(view)
-    before = AssetViews(asset.splats, view, turns)
+    before = CloseupViews(asset.splats, view, turns)
     edit, layers = painted_edit(before, config)
     try:
         painted = painter.apply(asset, [edit], method=method)
     except ValueError:  # too little of it is solid
         return Grazing()
     assert painted.receipt is not None
-    inside, _ = _novel(asset.splats, layers, before, AssetViews(painted.splats, view, turns))
+    inside, _ = _novel(asset.splats, layers, before, CloseupViews(painted.splats, view, turns))
     cells = _cells(edit, painted.splats, view)
     return Grazing(painted.receipt.views[0].psnr_after, float(np.mean(inside)) if inside else None, cells)
 
@@ -254,7 +254,7 @@ def _sheet_turns(view: Closeup) -> list[tuple[float, float]]:
     return [(view.front_turn * degrees, 0.0) for degrees in SHEET_TURNS]
 
 
-def painted_edit(before: AssetViews, config: LiftBench) -> tuple[Edit, list[np.ndarray]]:
+def painted_edit(before: CloseupViews, config: LiftBench) -> tuple[Edit, list[np.ndarray]]:
     """The close-up with paint on it, and the layers of the paint."""
     layers = painted_layers(before.images[0], before.covers[0], config)
     edited = before.images[0]
@@ -265,7 +265,7 @@ def painted_edit(before: AssetViews, config: LiftBench) -> tuple[Edit, list[np.n
 
 def _cells(edit: Edit, painted: Splats, view: Closeup) -> tuple[tuple[str, np.ndarray], ...]:
     """The edited picture, the edited asset from there and from SHEET_TURNS, and the error."""
-    after = AssetViews(painted, view, _sheet_turns(view))
+    after = CloseupViews(painted, view, _sheet_turns(view))
     way = "left" if view.front_turn < 0 else "right"
     labels = ["after", *(f"after, {degrees:.0f}° {way}" for degrees in SHEET_TURNS)]
     error = ("error (white: 0.25)", error_map(after.images[0], edit.image))
@@ -302,7 +302,7 @@ def _scored(
     exact: bool,
     edit: Edit,
     layers: Sequence[np.ndarray],
-    before: AssetViews,
+    before: CloseupViews,
     closeup_view: Closeup,
     seconds: tuple[float, float],
     grazing: Grazing,
@@ -310,7 +310,7 @@ def _scored(
     receipt = painted.receipt
     assert receipt is not None
     view = receipt.views[0]
-    inside, outside = _novel(asset.splats, layers, before, AssetViews(painted.splats, closeup_view))
+    inside, outside = _novel(asset.splats, layers, before, CloseupViews(painted.splats, closeup_view))
     return Lift(
         asset=name,
         rows=len(asset.splats),
@@ -350,7 +350,7 @@ def _caption(line: Lift, method: Method) -> str:
 
 
 def _novel(
-    splats: Splats, layers: Sequence[np.ndarray], before: AssetViews, after: AssetViews
+    splats: Splats, layers: Sequence[np.ndarray], before: CloseupViews, after: CloseupViews
 ) -> tuple[list[float], list[float]]:
     """PSNR per other view: (under the paint against the expected picture, elsewhere against the render before)."""
     inside, outside = [], []

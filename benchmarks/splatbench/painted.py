@@ -148,16 +148,16 @@ class MethodMeans:
     seconds: float | None
 
 
-Method = Callable[["Splats", Edit], "Splats"]
+EditFunction = Callable[["Splats", Edit], "Splats"]
 
 
-def methods(preset: str) -> dict[str, Method]:
+def methods(preset: str) -> dict[str, EditFunction]:
     """Name -> what makes an edited asset of an asset and an edit. preset: of the painter."""
     from splatbench.naive_edits import color_rounds, split_and_color
 
     painter = Painter.load(preset, modes=("local",))
 
-    def painted_by(method: Any) -> Method:
+    def painted_by(method: Any) -> EditFunction:
         def apply(splats: Splats, edit: Edit) -> Splats:
             return painter.apply(painter.encode(splats, method, ("local",)), [edit], method=method).splats
 
@@ -234,11 +234,11 @@ def setup_of(config: PaintedBench) -> Setup:
 
 
 def measure_case(
-    case: Case, chosen: dict[str, Method], perceptual: Any | None
+    case: Case, chosen: dict[str, EditFunction], perceptual: Any | None
 ) -> tuple[list[PaintedScore], list[Strip]]:
     """Every method's line, and its row of the contact sheet, the truth's first."""
     from splatpainter.lift.edit_views import edit_views
-    from splatpainter.lift.side_views import aside_score
+    from splatpainter.lift.side_views import side_view_score
 
     truth = Truth.of(case)
     camera, picture = truth.cameras[0], case.steps[0].edited.colors[0]
@@ -251,7 +251,7 @@ def measure_case(
         seconds = time.perf_counter() - start
         views = _drawn(after, truth.cameras)
         figures = truth.scores(views, perceptual)
-        figures["aside"] = aside_score(case.asset, after, view).psnr
+        figures["aside"] = side_view_score(case.asset, after, view).psnr
         line = PaintedScore(case.name, name, **figures, added=len(after) - len(case.asset), seconds=seconds)
         lines.append(line)
         strips.append(Strip(_caption(line), truth.cells(_colors(views))))

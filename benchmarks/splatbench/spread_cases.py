@@ -277,7 +277,7 @@ def _edited_view(truth: GroundTruth, inside: np.ndarray, area: np.ndarray, rng: 
     """The one of CANDIDATE_VIEWS that shows most of the material, and not all; None where none will do."""
     best, most = None, MIN_SEEN
     for _ in range(CANDIDATE_VIEWS):
-        camera = viewpoints.around(truth.radius, truth.optics, rng.uniform(0, 360), rng.uniform(-10, 40))
+        camera = viewpoints.object_camera(truth.radius, truth.optics, rng.uniform(0, 360), rng.uniform(-10, 40))
         seen = float(area[inside & _seen(truth, camera)].sum() / area[inside].sum())
         if most <= seen <= MAX_SEEN and _indicator(truth, inside, [camera]).mean() >= MIN_PICTURE:
             best, most = camera, seen

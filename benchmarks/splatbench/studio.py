@@ -266,7 +266,7 @@ def text_patch(size: int, height: float) -> StrokePatch:
 
 
 @dataclass
-class Painted:
+class StrokeTiming:
     """Milliseconds and bytes of one stroke."""
 
     begin: float
@@ -276,7 +276,7 @@ class Painted:
     end_bytes: int
 
 
-def stroke(browser: Browser, camera: dict[str, Any], patches: list[StrokePatch]) -> Painted:
+def stroke(browser: Browser, camera: dict[str, Any], patches: list[StrokePatch]) -> StrokeTiming:
     """Draw and commit. Raises RuntimeError where the paint reached nothing."""
     started, begin = _ask(browser, "paint.begin", camera=camera)
     previews, sizes, reached = [], [], 0
@@ -288,7 +288,7 @@ def stroke(browser: Browser, camera: dict[str, Any], patches: list[StrokePatch])
     made, end = _ask(browser, "paint.end", stroke=started["stroke"])
     if not reached or not made["layer"]["gaussians_edited"]:
         raise RuntimeError("bench: a stroke reached nothing of the asset")
-    return Painted(begin, previews, sizes, end, browser.received)
+    return StrokeTiming(begin, previews, sizes, end, browser.received)
 
 
 def _painting(browser: Browser, camera: dict[str, Any], repeats: int) -> Iterator[Measurement]:

@@ -24,8 +24,8 @@ from splatpainter.models.model import SplatPainterModel
 from splatpainter.nn import fast_weights
 from splatpainter.nn.fast_weights import FastWeights
 from splatpainter.painter import Painter
-from splatpainter.train.judge import refine_task, trials
-from splatpainter.train.training_data import ResourceFolders, Supply
+from splatpainter.train.judge import judged_samples, refine_task
+from splatpainter.train.training_data import DataSettings, ResourceFolders
 from tests.support.model_scenes import grid_of, pictures, shell, with_refine
 from tests.support.painter_scenes import ASSET_BASE, LIFT, built
 from tests.support.train_scenes import LIFT as TRAINED
@@ -47,11 +47,11 @@ def made(index: int) -> Case:
 
 
 @cache
-def judged_samples() -> list[Any]:
+def first_samples() -> list[Any]:
     """The first two that `train judge` would look at, with this data, seed, mixture and sizes."""
-    recipe = ablate._supply(SETUP, ResourceFolders()).recipe
-    supply = Supply(ablate.PROCEDURAL, recipe, SETUP.seed, 0.1, ResourceFolders())
-    return [trial.sample for trial in trials(supply, ablate.SHARES, 2, ablate.RELIT_VIEWS)]
+    recipe = ablate._data_settings(SETUP, ResourceFolders()).recipe
+    settings = DataSettings(ablate.PROCEDURAL, recipe, SETUP.seed, 0.1, ResourceFolders())
+    return [judged.sample for judged in judged_samples(settings, ablate.SHARES, 2, ablate.RELIT_VIEWS)]
 
 
 def test_the_list_begins_with_every_part_of_the_mixture() -> None:
@@ -65,7 +65,7 @@ def test_the_list_begins_with_every_part_of_the_mixture() -> None:
 
 
 def test_cases_are_the_samples_that_training_is_judged_on() -> None:
-    for index, sample in enumerate(judged_samples()):
+    for index, sample in enumerate(first_samples()):
         case = made(index)
         assert case.name == sample.name and case.steps[0].kind == sample.kind and case.steps[0].mode == sample.mode
         assert np.array_equal(case.asset.means, sample.asset.means)
@@ -83,7 +83,7 @@ def split_lift(task: EditTask) -> EditResult:
 @pytest.mark.parametrize("index", [0, 1])
 def test_figures_are_those_of_the_judge(index: int) -> None:
     """Of the asset as it is, and of the lift: train/stages/refine.py measures both beside the network."""
-    case, sample = made(index), judged_samples()[index]
+    case, sample = made(index), first_samples()[index]
     torch.manual_seed(0)
     numbers = (
         refine_task(replace(RECIPE, samples=RECIPE.samples), SplatPainterModel(TRAINED), None).judge(sample).numbers
@@ -114,7 +114,7 @@ def test_bad_data_is_a_line(tmp_path: Path) -> None:
 
 
 def test_an_edit_that_no_novel_view_shows_is_no_case(monkeypatch: pytest.MonkeyPatch) -> None:
-    sample = judged_samples()[1]
+    sample = first_samples()[1]
     hidden = replace(sample, novel_after=sample.novel_before)
     monkeypatch.setattr(ablate, "_of_kind", lambda stream, kind: {1: hidden})
     with pytest.raises(ValueError, match=r"no novel view shows the edit \(stroke\)"):

@@ -12,7 +12,7 @@ import pytest
 import torch
 from splatbench import adapt, adapt_carriers
 from splatbench.adapt import SHIPPED, SHIPPED_STAGE2, AdaptBench, EditScore, means, relative, remarks
-from splatbench.adapt_carriers import MESA, TRAINED, contestant
+from splatbench.adapt_carriers import MESA, TRAINED, carrier_training
 
 from splatpainter.data import gaussian_edits, lit_assets
 from splatpainter.models import weights
@@ -42,7 +42,7 @@ def tiny(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def test_carriers_differ_in_their_memory_alone(tiny: Path) -> None:
-    made = {name: contestant(name, tiny / "encoder") for name in TRAINED}
+    made = {name: carrier_training(name, tiny / "encoder") for name in TRAINED}
     stage2 = [one.task.model for name, one in made.items() if name != MESA]
     for one in stage2[1:]:
         plain = replace(one.config.refine, mixer="ttt", inner_steps=1, newton_schulz_steps=5)

@@ -170,8 +170,8 @@ def test_attention_is_dense_attention_inside_windows_along_the_curve() -> None:
 
 def test_masks_codes_and_even_splits_by_hand() -> None:
     chance = torch.tensor([0.2, 0.9, 0.5, 0.5, 0.1])
-    assert densifier.going_on(chance, 0.4).tolist() == [False, True, True, False, False]  # of equals the first
-    assert densifier.going_on(chance, 0.8).sum() == 4 and densifier.going_on(chance, 1.0).all()
+    assert densifier.split_mask(chance, 0.4).tolist() == [False, True, True, False, False]  # of equals the first
+    assert densifier.split_mask(chance, 0.8).sum() == 4 and densifier.split_mask(chance, 1.0).all()
     code = densifier.wave_code(torch.tensor([[0.5, 0.25, 0.0]]), 2)[0].tolist()
     half = math.sqrt(0.5)
     assert np.allclose(code, [1, 0, 0, -1, half, 1, half, 0, 0, 0, 1, 1], atol=1e-6)

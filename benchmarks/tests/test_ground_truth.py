@@ -16,7 +16,7 @@ from splatbench.objects import drawn_lights, environments, objects
 
 from splatpainter.cameras import look_at
 from splatpainter.data.lights import WHITE, make_light, uniform_light
-from splatpainter.data.viewpoints import around
+from splatpainter.data.viewpoints import object_camera
 from tests.support.data_meshes import MATT, quad, sphere, write_box
 
 SMALL = Setup(size=32, detail=2, samples=4, truth="surfels", rows=200, base_views=3)
@@ -36,12 +36,12 @@ def fake_meshes(folder: Path, count: int, start: int = 0) -> Path:
 def test_held_out_objects_are_those_that_training_holds_out(tmp_path: Path) -> None:
     from splatpainter.data.samples import SampleRecipe
     from splatpainter.train.recipes import Recipe
-    from splatpainter.train.training_data import ResourceFolders, Supply
+    from splatpainter.train.training_data import DataSettings, ResourceFolders
 
     folder = fake_meshes(tmp_path / "meshes", 60)
     chosen = objects(Setup(data=folder, objects=60)).names
-    supply = Supply(str(folder), SampleRecipe({"plain": 1.0}), 5, Recipe.validation_share, ResourceFolders())
-    held, seen = supply.stream(validation=True).source, supply.stream().source
+    settings = DataSettings(str(folder), SampleRecipe({"plain": 1.0}), 5, Recipe.validation_share, ResourceFolders())
+    held, seen = settings.stream(validation=True).source, settings.stream().source
     assert 0 < len(chosen) < 30
     assert list(chosen) == [held.name(i) for i in range(len(held))]
     assert not set(chosen) & {seen.name(i) for i in range(len(seen))}
@@ -172,7 +172,7 @@ def test_a_white_ball_in_even_light_has_the_tone_and_depth_of_the_formulas(sourc
         pytest.importorskip("mitsuba")
     setup = replace(SMALL, truth=source)
     truth = GroundTruth.of("ball", sphere(), make_light(np.ones((8, 16, 3), np.float32)), setup)
-    camera = around(truth.radius, truth.optics, 30, 20)
+    camera = object_camera(truth.radius, truth.optics, 30, 20)
     views = truth.render([camera], "test")
     over = WHITE - 0.8  # lights.tone_map: straight up to 0.8, then s + o / (1 + o / (1 - s)); then sRGB
     linear = 0.8 + over / (1 + over / 0.2)
@@ -190,7 +190,7 @@ def test_noise_of_paths_is_other_for_another_purpose_and_the_same_again() -> Non
     pytest.importorskip("mitsuba")
     setup = replace(SMALL, truth="traced", samples=2)
     truth = GroundTruth.of("ball", sphere(), make_light(np.ones((8, 16, 3), np.float32)), setup)
-    cameras = [around(truth.radius, truth.optics, 30, 20)]
+    cameras = [object_camera(truth.radius, truth.optics, 30, 20)]
     first, again, other = (truth.render(cameras, k).alphas for k in ("base", "base", "novel"))
     assert np.array_equal(first, again) and not np.array_equal(first, other)
 
@@ -239,7 +239,7 @@ def test_nothing_to_see_is_an_error() -> None:
 
 def test_uniform_light_is_the_same_from_everywhere_for_surfels() -> None:
     truth = GroundTruth.of("ball", sphere(level=3), uniform_light(), SMALL)
-    cameras = [around(1, optics(SMALL), turn, 0) for turn in (0, 90, 200)]
+    cameras = [object_camera(1, optics(SMALL), turn, 0) for turn in (0, 90, 200)]
     views = truth.render(cameras, "test")
     means = [views.images.colors[k][views.alphas[k] > 0.99].mean() for k in range(3)]
     assert np.ptp(means) < 0.01

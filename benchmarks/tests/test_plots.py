@@ -10,7 +10,7 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 from splatbench.report import plots
-from splatbench.report.plots import Chart, HorizontalLine, Point, Series, draw
+from splatbench.report.plots import HorizontalLine, Plot, Point, Series, draw
 from splatbench.report.summary import MethodNames, summarize
 
 from benchmarks.tests.support.runs import COLUMNS, METHODS, FakeTable, record
@@ -18,7 +18,7 @@ from benchmarks.tests.support.runs import COLUMNS, METHODS, FakeTable, record
 SVG = "{http://www.w3.org/2000/svg}"
 
 
-def crowd(count: int, joined: bool) -> Chart:
+def crowd(count: int, joined: bool) -> Plot:
     """Methods as near to each other as they come."""
     rng = np.random.default_rng(3)
     series = []
@@ -26,7 +26,7 @@ def crowd(count: int, joined: bool) -> Chart:
         points = [Point(x, y, y - 0.5, y + 0.5, "10") for x, y in zip((1, 2, 4), 20 + rng.random(3), strict=True)]
         label = f"Method & <{k}> with a name that needs two lines"
         series.append(Series(label, k, tuple(points if joined else points[:1]), joined, k == 2))
-    return Chart("A & B", "x", "y", tuple(series), (HorizontalLine("Nothing", 19.9),), log_x=not joined)
+    return Plot("A & B", "x", "y", tuple(series), (HorizontalLine("Nothing", 19.9),), log_x=not joined)
 
 
 def texts(root: ET.Element) -> list[str]:
@@ -74,13 +74,13 @@ def test_colours_know_both_grounds():
 def test_a_level_far_off_is_named_with_its_value_and_does_not_squeeze_the_points():
     series = tuple(Series(f"s{k}", k, (Point(1 + k, 30 + 5 * k),)) for k in range(3))
     levels = (HorizontalLine("Untouched", 100.0), HorizontalLine("Near", 28.0))
-    names = texts(ET.fromstring(draw(Chart("t", "x", "y", series, levels), 720)))
+    names = texts(ET.fromstring(draw(Plot("t", "x", "y", series, levels), 720)))
     assert "Untouched: 100 ↑" in names and "Near" in names
     assert max(float(name) for name in names if name.isdigit()) == 40
 
 
 def test_points_are_where_the_axes_say():
-    chart = Chart("t", "x", "y", (Series("a", 0, (Point(1, 2), Point(100, 4)), True),), log_x=True)
+    chart = Plot("t", "x", "y", (Series("a", 0, (Point(1, 2), Point(100, 4)), True),), log_x=True)
     root = ET.fromstring(draw(chart, 720))
     [line] = [
         g for g in root.iter(f"{SVG}g") if g.get("id", "").startswith("line2d") and len(list(g.iter(f"{SVG}use"))) == 2
@@ -102,9 +102,9 @@ def test_all_styles_differ():
 
 def test_a_chart_of_nothing_is_an_error():
     with pytest.raises(ValueError, match="chart 'Empty': expected at least one point"):
-        draw(Chart("Empty", "x", "y", (Series("a", 0, (Point(1, math.nan),)),)), 720)
+        draw(Plot("Empty", "x", "y", (Series("a", 0, (Point(1, math.nan),)),)), 720)
     with pytest.raises(ValueError, match="chart 'Empty': expected at least one point"):
-        draw(Chart("Empty", "x", "y", (Series("a", 0, (Point(0, 1),)),), log_x=True), 720)
+        draw(Plot("Empty", "x", "y", (Series("a", 0, (Point(0, 1),)),), log_x=True), 720)
 
 
 def test_quality_against_seconds_has_points_curves_and_levels():

@@ -208,10 +208,10 @@ def test_every_row_of_the_four_tables_is_there() -> None:
 
 
 def test_rows_stand_beside_the_method_that_they_are() -> None:
-    one = published.beside("relight", ["ttt", "3dgs"], 1)
+    one = published.published_rows("relight", ["ttt", "3dgs"], 1)
     assert {method: row.label for method, row in one.items()} == {"ttt": "Ours (1 view)", "3dgs": "3DGS"}
-    both = published.beside("relight", ["3dgs", "3dgs-colors"], 2)
+    both = published.published_rows("relight", ["3dgs", "3dgs-colors"], 2)
     assert list(both) == ["3dgs-colors"], "the closest, and once"
     left = [row.label for row in published.unmatched("relight", ["ttt", "3dgs"], 4)]
     assert left == ["RelitLRM", "GS-LRM + CrossAtt"]
-    assert published.beside("relight", ["ttt"], 3) == {}
+    assert published.published_rows("relight", ["ttt"], 3) == {}

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from splatpainter.lift.edits import LiftedEdit
     from splatpainter.lift.global_edit import Predict
     from splatpainter.lift.options import GlobalOptions, LocalOptions
-    from splatpainter.lift.side_views import AsideScore
+    from splatpainter.lift.side_views import SideViewScore
     from splatpainter.models.encode import Encoded
     from splatpainter.models.model import SplatPainterModel
     from splatpainter.models.refine import RefineState
@@ -335,11 +335,11 @@ class Painter:
             precision=self._arithmetic(chosen, mode),
         )
 
-    def _aside(self, asset: Asset, result: Asset, views: Sequence[EditView]) -> list[AsideScore]:
+    def _aside(self, asset: Asset, result: Asset, views: Sequence[EditView]) -> list[SideViewScore]:
         """Each view's edit from the side; of several the later ones change what the earlier ones show."""
-        from splatpainter.lift.side_views import aside_score
+        from splatpainter.lift.side_views import side_view_score
 
-        return [aside_score(asset.splats, result.splats, view) for view in views]
+        return [side_view_score(asset.splats, result.splats, view) for view in views]
 
     def _arithmetic(self, chosen: Method, mode: Mode) -> Arithmetic | Literal[""]:
         """The arithmetic of the networks in an edit; "" where none runs."""
@@ -635,7 +635,7 @@ def _beside(views: Sequence[EditView]) -> str:
     return f"{beside} edited pixels lie beside the asset and cannot be painted" if beside > 0.01 * edited else ""
 
 
-def _seen_aside(scores: Sequence[AsideScore]) -> str:
+def _seen_aside(scores: Sequence[SideViewScore]) -> str:
     """A line about views whose paint looks wrong from the side, or none."""
     low = [
         (k, score.psnr)

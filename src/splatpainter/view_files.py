@@ -31,7 +31,7 @@ from splatpainter.lift.depth_normals import outward_normals
 from splatpainter.rendering import render
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.rendering.profiles import Profile
-from splatpainter.sources.picture_reader import straight
+from splatpainter.sources.picture_reader import unpremultiplied
 from splatpainter.splats import ColorSpace, Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import visible_surface
@@ -226,7 +226,7 @@ def view_files(
 def _picture(passes: Passes, camera: Camera, options: PictureOptions, space: ColorSpace, text: dict[str, str]) -> bytes:
     colors, alpha = passes.colors, passes.alpha[..., None]
     if options.transparent:
-        colors = straight(colors - (1 - alpha) * np.asarray(camera.background, colors.dtype), passes.alpha)
+        colors = unpremultiplied(colors - (1 - alpha) * np.asarray(camera.background, colors.dtype), passes.alpha)
     if options.format == "exr":
         light = np.nan_to_num(to_light(colors, space))
         if options.transparent:

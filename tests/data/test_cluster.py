@@ -14,7 +14,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from splatpainter.data.cluster import Lost, run_here, run_in_pool, run_on_ray
+from splatpainter.data.cluster import LostTask, run_here, run_in_pool, run_on_ray
 from splatpainter.data.jobs import RenderJob, render_scene
 from splatpainter.data.samples import SampleRecipe
 from splatpainter.data.shards import RenderedScene, ShardWriter, check
@@ -46,7 +46,7 @@ def test_a_killed_worker_of_the_pool_costs_a_retry(tmp_path: Path) -> None:
 
 def test_work_that_kills_every_worker_is_lost_and_the_rest_is_not(tmp_path: Path) -> None:
     done = dict(run_in_pool(Work(str(tmp_path), dies_always=2), range(4), 1, retries=2))
-    assert done.pop(2) == Lost("its worker died 3 times (killed, or out of memory)")
+    assert done.pop(2) == LostTask("its worker died 3 times (killed, or out of memory)")
     assert done == {n: n * n for n in (0, 1, 3)} and attempts(tmp_path, 2) == 3
 
 

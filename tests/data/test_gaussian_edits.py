@@ -11,8 +11,8 @@ import pytest
 import torch
 
 from splatpainter.data import gaussian_edits, lit_assets
-from splatpainter.data.gaussian_edits import RowEditStream
-from splatpainter.data.lit_assets import RowAsset, RowAssets, base_colors, turned
+from splatpainter.data.gaussian_edits import GaussianEditStream
+from splatpainter.data.lit_assets import LitAsset, LitAssets, base_colors, turned
 from splatpainter.data.object_sources import ProceduralSource
 from splatpainter.data.sample_recipes import SampleRecipe
 from splatpainter.data.viewpoints import UPRIGHT
@@ -33,16 +33,16 @@ def small() -> Iterator[None]:
 
 
 @cache
-def assets() -> RowAssets:
-    return RowAssets(ProceduralSource(2, seed=3), SAMPLES)
+def assets() -> LitAssets:
+    return LitAssets(ProceduralSource(2, seed=3), SAMPLES)
 
 
 @cache
-def stream() -> RowEditStream:
-    return RowEditStream(assets(), KINDS, stay=2)
+def stream() -> GaussianEditStream:
+    return GaussianEditStream(assets(), KINDS, samples_per_object=2)
 
 
-def same(one: RowAsset, other: RowAsset) -> bool:
+def same(one: LitAsset, other: LitAsset) -> bool:
     pairs = [(getattr(one, name), getattr(other, name)) for name in ("normals", "transfer", "visible_px", "residual")]
     pairs += [(getattr(one.asset, name), getattr(other.asset, name)) for name in ("means", "quats", "sh", "opacities")]
     return all(np.array_equal(a, b) for a, b in pairs)
@@ -60,17 +60,17 @@ def test_an_asset_has_the_colours_of_its_materials_under_its_light(kind: lit_ass
 
 
 def test_assets_are_made_once_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    first = RowAssets(ProceduralSource(2, seed=3), SAMPLES, folder=tmp_path)
+    first = LitAssets(ProceduralSource(2, seed=3), SAMPLES, folder=tmp_path)
     assert not first.has(1, "coarse")
     made = first[1, "coarse"]
-    assert first.has(1, "coarse") and same(made, RowAssets(ProceduralSource(2, seed=3), SAMPLES)[1, "coarse"])
-    monkeypatch.setattr(RowAssets, "_make", lambda *_: pytest.fail("made again"))
-    again = RowAssets(ProceduralSource(2, seed=3), SAMPLES, folder=tmp_path)[1, "coarse"]
+    assert first.has(1, "coarse") and same(made, LitAssets(ProceduralSource(2, seed=3), SAMPLES)[1, "coarse"])
+    monkeypatch.setattr(LitAssets, "_make", lambda *_: pytest.fail("made again"))
+    again = LitAssets(ProceduralSource(2, seed=3), SAMPLES, folder=tmp_path)[1, "coarse"]
     assert same(made, again) and torch.equal(again.exposure, made.exposure)
     monkeypatch.undo()
     (file,) = tmp_path.iterdir()
     file.write_bytes(file.read_bytes()[:400])  # damaged: made anew
-    assert same(made, RowAssets(ProceduralSource(2, seed=3), SAMPLES, folder=tmp_path)[1, "coarse"])
+    assert same(made, LitAssets(ProceduralSource(2, seed=3), SAMPLES, folder=tmp_path)[1, "coarse"])
 
 
 def test_turning_an_asset_turns_its_shapes() -> None:
@@ -84,7 +84,7 @@ def test_turning_an_asset_turns_its_shapes() -> None:
 
 def test_edits_are_the_same_in_any_order() -> None:
     made = [stream()[i] for i in range(12)]
-    again = RowEditStream(assets(), KINDS, stay=2)
+    again = GaussianEditStream(assets(), KINDS, samples_per_object=2)
     for i in (7, 3, 11):
         edit = again[i]
         assert (edit.name, edit.kind, edit.views) == (made[i].name, made[i].kind, made[i].views)
@@ -120,6 +120,6 @@ def test_a_relighting_is_the_shading_under_another_light_and_a_recolouring_leave
 
 def test_what_makes_no_sense_is_one_line() -> None:
     with pytest.raises(ValueError, match="expected kinds of relight, recolor, regrade"):
-        RowEditStream(assets(), {"stroke": 1.0})
+        GaussianEditStream(assets(), {"stroke": 1.0})
     with pytest.raises(IndexError):
         stream()[-1]

@@ -25,7 +25,7 @@ from splatpainter.splats import SH_C0
 from splatpainter.train.build import make_task, start
 from splatpainter.train.recipes import Recipe
 from splatpainter.train.stages.predict import PredictTask
-from splatpainter.train.training_data import ResourceFolders, Supply, open_global_edits
+from splatpainter.train.training_data import DataSettings, ResourceFolders, open_global_edits
 from tests.support.train_scenes import LIFT, FixedSamples, loop, model
 
 SAMPLES = SampleRecipe(
@@ -172,7 +172,7 @@ def test_a_model_without_predictor_and_data_without_meshes_are_refused(tmp_path:
     with pytest.raises(ValueError, match="features"):
         make_task(replace(RECIPE, model=LIFT), model(LIFT), None)
     small = replace(SAMPLES, size=24, rows=90, surfels=600)
-    data = open_global_edits(Supply("procedural:4", small, 0, 0.5, ResourceFolders()), 3)
+    data = open_global_edits(DataSettings("procedural:4", small, 0, 0.5, ResourceFolders()), 3)
     assert len(data.validation) == 3 and all(len(edit.asset) == 90 for edit in data.validation)
     names = {edit.name for edit in data.validation}
     assert data.training[0].name not in names

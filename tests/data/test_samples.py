@@ -282,7 +282,7 @@ def test_a_splat_asset_is_its_own_truth(tmp_path: Path) -> None:
 
 def test_a_crop_is_a_window_of_the_larger_picture() -> None:
     optics = viewpoints.Optics(64)
-    camera = viewpoints.around(1.0, optics, 30, 20)
+    camera = viewpoints.object_camera(1.0, optics, 30, 20)
     part = viewpoints.crop(camera, np.array([0.3, 0.2, 0.1]), 3.0)
     assert (part.width, part.height) == (64, 64) and np.isclose(part.fx, 3 * camera.fx)
     point = part.world_to_camera @ np.array([0.3, 0.2, 0.1, 1])

@@ -22,7 +22,7 @@ from splatpainter.server.app import create_app
 from splatpainter.server.client import protocol_hash
 from splatpainter.server.commands import COMMANDS
 from splatpainter.server.protocol import MAX_VIEW_PIXELS
-from splatpainter.server.studio import Options, Studio
+from splatpainter.server.studio import Studio, StudioOptions
 from splatpainter.session import Session
 from tests.support.session_scenes import FlatPainter
 
@@ -219,7 +219,9 @@ class StudioTarget(Target):
         shutil.rmtree(path, ignore_errors=True)
         (path / "shared").mkdir(parents=True)
         session = Session(sheet(), path / "own.splatproj", painter=FlatPainter())  # type: ignore[arg-type]
-        studio = Studio(session, "sheet", Options(path / "shared" if rng.random() < 0.3 else None, path / "projects"))
+        studio = Studio(
+            session, "sheet", StudioOptions(path / "shared" if rng.random() < 0.3 else None, path / "projects")
+        )
         return asyncio.run(self._play(studio, json.loads(files["script.json"]), files))
 
     async def _play(self, studio: Studio, script: list[dict[str, Any]], files: dict[str, bytes]) -> Verdict:

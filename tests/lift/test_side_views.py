@@ -9,7 +9,7 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.lift.edit_views import EditView, edit_views
 from splatpainter.lift.edits import lift_local_views
-from splatpainter.lift.side_views import MAX_SIDE_PX, aside_score, side_views
+from splatpainter.lift.side_views import MAX_SIDE_PX, side_view_score, side_views
 from splatpainter.splats import Splats
 from splatpainter.voxels.grid import voxelize
 from tests.support.lift_scenes import SH_C0, disk, front, sheet
@@ -38,7 +38,7 @@ def test_paint_on_the_surface_scores_above_paint_before_it_above_none() -> None:
     share = np.float32(1 / 6)
     means = part.means * (1 - share) + np.array([0, 0, 3], np.float32) * share
     floating = splats.append(replace(part, means=means.astype(np.float32), scales=part.scales * (1 - share)))
-    scores = [aside_score(splats, after, view) for after in (on, floating, splats)]
+    scores = [side_view_score(splats, after, view) for after in (on, floating, splats)]
     assert all(score.covered > 0.95 for score in scores)
     right, before, none = (score.psnr for score in scores)
     assert right is not None and before is not None and none is not None
@@ -49,7 +49,7 @@ def test_the_lift_of_a_sheet_holds_from_the_side() -> None:
     splats, camera = sheet(60), front(96)
     view = red_disk(splats, camera, 20)
     lifted = lift_local_views(splats, voxelize(splats), [view], "lift", features=False)
-    before, after = (aside_score(splats, s, view).psnr for s in (splats, lifted.splats))
+    before, after = (side_view_score(splats, s, view).psnr for s in (splats, lifted.splats))
     assert before is not None and after is not None and after > before + 8
 
 
@@ -67,7 +67,7 @@ def test_what_hides_the_paint_is_not_compared() -> None:
     ]
     hidden = splats.append(walls[0]).append(walls[1])
     views = [red_disk(s, camera, 12) for s in (splats, hidden)]
-    free, between = (aside_score(s, s, view).covered for s, view in zip((splats, hidden), views, strict=True))
+    free, between = (side_view_score(s, s, view).covered for s, view in zip((splats, hidden), views, strict=True))
     assert free > 0.95 and 0.4 < between < 0.75  # above and below still see it
 
 
@@ -88,9 +88,9 @@ def test_side_views_are_small_and_keep_to_the_paint() -> None:
     tall = np.zeros((700, 700), bool)
     tall[:, 699] = True  # one column at the border: beside the sheet
     view = edit_views(splats, [camera], [np.zeros((700, 700, 3), np.float32)], [tall])[0]
-    score = aside_score(splats, splats, view)
+    score = side_view_score(splats, splats, view)
     assert side_views(splats, splats, view) == [] and score.psnr is None and score.covered == 0
     tall[:] = False
     tall[2:698, 350] = True  # one column over the sheet
     view = edit_views(splats, [camera], [np.zeros((700, 700, 3), np.float32)], [tall])[0]
-    assert aside_score(splats, splats, view).covered > 0.8
+    assert side_view_score(splats, splats, view).covered > 0.8

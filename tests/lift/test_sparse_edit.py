@@ -92,7 +92,7 @@ def test_a_view_of_what_remains_and_a_sheet_is_that_of_both_projected_anew(share
     splats = splats.take(np.concatenate([np.arange(300), np.arange(60)]))  # some at equal depths
     pieces, lattice, gone = cut_some(splats, 5)
     sheet = splats.take(np.arange(40, 70))
-    rest, owners = pieces.beside(splats)
+    rest, owners = pieces.remaining_gaussians(splats)
     halved = lattice.level.any(1)
     left = np.setdiff1d(np.arange(360), lattice.parent[halved | gone])
     expected = np.sort(np.concatenate([left, lattice.parent[halved & ~gone]]))

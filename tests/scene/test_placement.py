@@ -10,7 +10,7 @@ import pytest
 
 from splatpainter.cameras import orbit
 from splatpainter.rendering import render
-from splatpainter.scene.placement import Placement, beside
+from splatpainter.scene.placement import Placement, shift_to_the_right
 from splatpainter.transforms import quat_to_matrix, sh_basis
 from tests.support.io_assets import random_splats
 from tests.support.lift_scenes import same_bits
@@ -109,5 +109,5 @@ def test_beside_sets_one_to_the_right_of_the_other() -> None:
     rng = np.random.default_rng(0)
     left, right = rng.uniform(-1, 1, (500, 3)), rng.uniform(4, 9, (400, 3))
     left[0] = 1e6  # a stray
-    moved = right + beside(left, right)
+    moved = right + shift_to_the_right(left, right)
     assert 0.3 < moved[:, 0].min() - 1 < 0.7

@@ -16,7 +16,7 @@ from splatpainter.source_edits import coverage
 from splatpainter.source_edits.coverage import SurfaceView, plan_views, unreached
 from splatpainter.source_edits.edit import cover, edit_with_source, refine, usual_scale
 from splatpainter.source_edits.view_edit import SourceBrief, SourcedEdit, ask_for_edit, displayed, picture_sha256
-from splatpainter.source_edits.view_sequence import ask_in_turn
+from splatpainter.source_edits.view_sequence import edit_views_in_order
 from splatpainter.sources.gatekeeper import RefusedPicture
 from splatpainter.sources.picture_source import Capabilities, PictureAnswer, SourceCancelled, SourceError
 from splatpainter.splats import SH_C0, Splats, changed_rows
@@ -259,9 +259,9 @@ def test_a_view_that_cannot_be_painted_is_noted() -> None:
         painted.append(made)
 
     quiet = {"present": lambda: splats, "progress": lambda *_: None, "cancel": threading.Event()}
-    turns = ask_in_turn(splats, FunctionSource(exchanged), SourceBrief("x"), plan, paint=paint, **quiet)
-    assert turns.edits == tuple(painted) and len(painted) == 2
-    assert turns.notes == ("function view 1: not painted (edit: reaches no Gaussian)",)
+    sourced_views = edit_views_in_order(splats, FunctionSource(exchanged), SourceBrief("x"), plan, paint=paint, **quiet)
+    assert sourced_views.edits == tuple(painted) and len(painted) == 2
+    assert sourced_views.notes == ("function view 1: not painted (edit: reaches no Gaussian)",)
 
 
 def test_a_whole_asset_made_anew_is_split_and_a_part_of_it_gets_sheets() -> None:

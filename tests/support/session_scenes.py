@@ -60,8 +60,8 @@ class FlatPainter:
         splats = asset.splats
         sh = splats.sh.copy()
         if mode == "global":
-            wish = (edit.image.reshape(-1, 3).mean(0) - 0.5) / SH_C0
-            sh[:, 0] += np.float32(0.1) * (wish - sh[:, 0])
+            goal = (edit.image.reshape(-1, 3).mean(0) - 0.5) / SH_C0
+            sh[:, 0] += np.float32(0.1) * (goal - sh[:, 0])
             confidence = np.where(splats.means[:, 0] > 0, 1, 0.25).astype(np.float32)
             return replace(asset, splats=replace(splats, sh=sh), confidence=confidence)
         rows, u, v = under(splats, edit.camera, edit.mask)

@@ -19,7 +19,7 @@ from splatpainter.cameras import Camera, look_at
 from splatpainter.server.launch import listen, make_server
 from splatpainter.server.security import Access
 from splatpainter.server.storage import UploadLimits
-from splatpainter.server.studio import Options, Studio
+from splatpainter.server.studio import Studio, StudioOptions
 from splatpainter.session import Session
 from splatpainter.splats import Splats
 
@@ -48,7 +48,7 @@ def make_studio(
     folder: Path, splats: Splats | None = None, *, shared: Path | None = None, limits: UploadLimits | None = None
 ) -> Studio:
     """A studio whose projects lie in `folder`; shared: the folder that clients may name files of."""
-    options = Options(shared, folder / "projects", limits or UploadLimits())
+    options = StudioOptions(shared, folder / "projects", limits or UploadLimits())
     session = Session(ball() if splats is None else splats, folder / "own.splatproj")
     return Studio(session, "ball", options)
 

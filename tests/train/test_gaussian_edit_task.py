@@ -16,8 +16,8 @@ import torch
 
 from splatpainter.cli import main
 from splatpainter.data import gaussian_edits, lit_assets
-from splatpainter.data.gaussian_edits import RowEdit, RowEditStream
-from splatpainter.data.lit_assets import RowAssets
+from splatpainter.data.gaussian_edits import GaussianEdit, GaussianEditStream
+from splatpainter.data.lit_assets import LitAssets
 from splatpainter.data.object_sources import ProceduralSource
 from splatpainter.data.sample_recipes import SampleRecipe
 from splatpainter.models import checkpoint, weights
@@ -26,7 +26,13 @@ from splatpainter.models.model import SplatPainterModel
 from splatpainter.train import recipes
 from splatpainter.train.build import make_task, start
 from splatpainter.train.recipes import Recipe
-from splatpainter.train.stages.gaussian_edit_task import RowOptions, RowsTask, fixed_ridge, judged, unseen
+from splatpainter.train.stages.gaussian_edit_task import (
+    GaussianEditOptions,
+    GaussianEditTask,
+    fixed_ridge,
+    judged,
+    unseen,
+)
 from tests.models.test_edit_propagation import CARRYING
 from tests.support.train_scenes import LIFT, SMALL, loop, model
 
@@ -57,15 +63,17 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 @cache
-def stream() -> RowEditStream:
-    return RowEditStream(RowAssets(ProceduralSource(1, seed=3), SAMPLES), {"relight": 1.0}, ("coarse",), stay=1)
+def stream() -> GaussianEditStream:
+    return GaussianEditStream(
+        LitAssets(ProceduralSource(1, seed=3), SAMPLES), {"relight": 1.0}, ("coarse",), samples_per_object=1
+    )
 
 
-def task(carrier: str = "stage2") -> RowsTask:
-    return RowsTask(model(MODEL), RowOptions(carrier, 60, 60, cached=False))  # type: ignore[arg-type]
+def task(carrier: str = "stage2") -> GaussianEditTask:
+    return GaussianEditTask(model(MODEL), GaussianEditOptions(carrier, 60, 60, cached=False))  # type: ignore[arg-type]
 
 
-def trained(made: RowsTask) -> set[str]:
+def trained(made: GaussianEditTask) -> set[str]:
     return {name.split(".")[1] for name, p in made.named_parameters() if p.requires_grad}
 
 
@@ -73,9 +81,9 @@ def test_one_carrier_is_trained() -> None:
     assert trained(task()) == {"refiner", "head"} and trained(task("predictor")) == {"predictor"}
     for config, message in ((LIFT, "only shown Gaussians teach"), (replace(MODEL, decoder="absolute"), "residual")):
         with pytest.raises(ValueError, match=message):
-            RowsTask(model(config))
+            GaussianEditTask(model(config))
     with pytest.raises(ValueError, match="expected a model with a predictor"):
-        RowsTask(model(SMALL), RowOptions("predictor"))
+        GaussianEditTask(model(SMALL), GaussianEditOptions("predictor"))
 
 
 @pytest.mark.parametrize("carrier", ["stage2", "predictor"])
@@ -85,7 +93,7 @@ def test_what_no_picture_shows_is_not_told(carrier: str) -> None:
     hidden = unseen(sample)
     other = sample.change.copy()
     other[hidden] = 3.0
-    changed = RowEdit(sample.item, sample.kind, sample.views, other, sample.weight, sample.counts)
+    changed = GaussianEdit(sample.item, sample.kind, sample.views, other, sample.weight, sample.counts)
     with torch.no_grad():
         answers = [made.answer(edit) for edit in (sample, changed)]
     torch.testing.assert_close(*answers, atol=0, rtol=0)
@@ -101,7 +109,7 @@ def test_what_no_picture_shows_is_not_told(carrier: str) -> None:
 def test_the_memory_of_another_edit_gives_another_answer() -> None:
     made, sample = task(), stream()[0]
     torch.nn.init.normal_(made.model.head.linear.weight, std=0.1)
-    other = RowEdit(sample.item, sample.kind, sample.views, -sample.change, sample.weight, sample.counts)
+    other = GaussianEdit(sample.item, sample.kind, sample.views, -sample.change, sample.weight, sample.counts)
     with torch.no_grad():
         answer, swapped = made.answer(sample), made.answer(sample, evidence=other)
         fixed = [made.answer(sample, 0.0, edit) for edit in (sample, other)]
@@ -112,7 +120,7 @@ def test_the_memory_of_another_edit_gives_another_answer() -> None:
 class FewEdits:
     """Four edits, again and again."""
 
-    def __getitem__(self, i: int) -> RowEdit:
+    def __getitem__(self, i: int) -> GaussianEdit:
         return stream()[i % 4]
 
 
@@ -137,8 +145,8 @@ def test_the_ridge_is_the_lifts() -> None:
     sample = stream()[1]
     made = task()
     assert fixed_ridge(sample).shape == (len(judged(sample)), 3)
-    verdict = made.judge(sample)
-    assert verdict.kind == f"relight {sample.views} coarse" and set(verdict.numbers) > {"nothing", "lift", "strength 0"}
+    score = made.judge(sample)
+    assert score.kind == f"relight {sample.views} coarse" and set(score.numbers) > {"nothing", "lift", "strength 0"}
 
 
 def test_the_stage_is_a_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -23,9 +23,9 @@ from splatpainter.models.config import ModelConfig, PredictConfig
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.painter import Painter
 from splatpainter.train import judge, state
-from splatpainter.train.judge import apportioned, first_views, trials
+from splatpainter.train.judge import apportioned, first_views, judged_samples
 from splatpainter.train.recipes import Recipe
-from splatpainter.train.training_data import ResourceFolders, Supply
+from splatpainter.train.training_data import DataSettings, ResourceFolders
 from tests.support.train_scenes import LIFT, RECIPE, SAMPLES, SMALL, model
 
 KINDS = {"stroke": 1.0, "relight": 2.0}
@@ -38,14 +38,14 @@ ROWS = replace(
     ),
 )
 """A Stage II as `train rows` makes it."""
-SUPPLY = Supply("procedural:3", JUDGED.samples, 0, 0.1, ResourceFolders())
+DATA_SETTINGS = DataSettings("procedural:3", JUDGED.samples, 0, 0.1, ResourceFolders())
 COPY = replace(SMALL, representation="copy", preset="tiny-copy")
 
 
 @pytest.fixture(scope="module")
 def held() -> list[Any]:
     """Three trials: two relit objects and one with a stroke."""
-    return list(trials(SUPPLY, KINDS, 3, 4))
+    return list(judged_samples(DATA_SETTINGS, KINDS, 3, 4))
 
 
 def spoken(config: ModelConfig = LIFT) -> SplatPainterModel:
@@ -86,28 +86,28 @@ def test_kinds_come_in_proportion_at_every_length() -> None:
 
 
 def test_trials_are_the_same_every_time_and_never_of_training_objects(held: list[Any]) -> None:
-    assert [trial.kind for trial in held] == ["relight", "stroke", "relight"]
-    longer: Any = trials(SUPPLY, KINDS, 4, 4)
-    for trial in held:
+    assert [judged.kind for judged in held] == ["relight", "stroke", "relight"]
+    longer: Any = judged_samples(DATA_SETTINGS, KINDS, 4, 4)
+    for judged in held:
         other = next(longer)
-        assert torch.equal(other.sample.novel_after.colors, trial.sample.novel_after.colors)
-        assert other.sample.asset.sha256 == trial.sample.asset.sha256
-    training = SUPPLY.stream().source
+        assert torch.equal(other.sample.novel_after.colors, judged.sample.novel_after.colors)
+        assert other.sample.asset.sha256 == judged.sample.asset.sha256
+    training = DATA_SETTINGS.stream().source
     names = {training.name(i) for i in range(len(training))}
-    assert not names & {trial.sample.name for trial in held}
+    assert not names & {judged.sample.name for judged in held}
     assert [len(t.sample.edited) for t in held if t.kind == "relight"] == [4, 4]
     with pytest.raises(ValueError, match="no object of it is held out"):
-        next(trials(replace(SUPPLY, share=0.0), KINDS, 1, 4))
+        next(judged_samples(replace(DATA_SETTINGS, share=0.0), KINDS, 1, 4))
 
 
 def test_shards_serve_as_well_with_the_views_that_they_have(tmp_path: Path) -> None:
     small = ["--size", "32", "--rows", "200", "--surfels", "600", "--samples", "3", "--kinds", "stroke", "relight"]
     assert main(["data", "render", "procedural:2", "--out", str(tmp_path), *small]) == 0
-    supply: Any = replace(SUPPLY, data=str(tmp_path), share=0.6)  # one of the two objects
-    results: list[Any] = list(trials(supply, {**KINDS, "zoom": 1.0}, 3, 4))  # no zooms there
+    settings: Any = replace(DATA_SETTINGS, data=str(tmp_path), share=0.6)  # one of the two objects
+    results: list[Any] = list(judged_samples(settings, {**KINDS, "zoom": 1.0}, 3, 4))  # no zooms there
     assert [t.kind for t in results] == ["relight", "stroke", "relight"] == [t.sample.kind for t in results]
-    held = {supply.stream(validation=True)[i].name for i in range(6)}
-    assert held >= {t.sample.name for t in results} and not held & {supply.stream()[i].name for i in range(6)}
+    held = {settings.stream(validation=True)[i].name for i in range(6)}
+    assert held >= {t.sample.name for t in results} and not held & {settings.stream()[i].name for i in range(6)}
 
 
 def test_fewer_views_of_the_same_edit_are_among_the_more(held: list[Any]) -> None:
@@ -133,19 +133,19 @@ def test_intervals_cover_the_mean_as_the_normal_law_says_and_draw_whole_objects(
 
 def test_rows_are_means_of_the_tasks_own_verdicts(held: list[Any]) -> None:
     task = judge.refine_task(JUDGED, spoken(), None)
-    findings = [f for f in judge.judge_edits(task, held, (4, 1, 1)) if isinstance(f, judge.Finding)]
-    assert [(f.kind, f.views) for f in findings] == [("relight", 1), ("relight", 4), ("stroke", None)] + [
+    sample_scores = [f for f in judge.judge_edits(task, held, (4, 1, 1)) if isinstance(f, judge.SampleScore)]
+    assert [(f.kind, f.views) for f in sample_scores] == [("relight", 1), ("relight", 4), ("stroke", None)] + [
         ("relight", 1),
         ("relight", 4),
     ]
-    rows = {(row.kind, row.views): row for row in judge.edit_rows(findings)}
+    rows = {(row.kind, row.views): row for row in judge.edit_rows(sample_scores)}
     assert list(rows) == [("stroke", None), ("relight", 1), ("relight", 4), ("local", None), ("global", None)]
     fresh, relit = judge.refine_task(JUDGED, spoken(), None).eval(), [held[0].sample, held[2].sample]
-    verdicts = {n: [fresh.judge(first_views(sample, n)).numbers for sample in relit] for n in (1, 4)}
+    scores = {n: [fresh.judge(first_views(sample, n)).numbers for sample in relit] for n in (1, 4)}
     for n in (1, 4):
         row = rows["relight", n]
-        assert row.gain == pytest.approx(np.mean([v["ours"] - v["lift"] for v in verdicts[n]]))
-        assert row.lift_ssim == pytest.approx(np.mean([v["lift SSIM"] for v in verdicts[n]]))
+        assert row.gain == pytest.approx(np.mean([v["ours"] - v["lift"] for v in scores[n]]))
+        assert row.lift_ssim == pytest.approx(np.mean([v["lift SSIM"] for v in scores[n]]))
         assert (row.samples, row.objects, row.ours_lpips) == (2, 2, None) and abs(row.gain) > 1e-3
         assert row.gain_low is not None and row.gain_high is not None and row.gain_low <= row.gain <= row.gain_high
     # A sample counts once in its mode, however many numbers of views it was judged with.
@@ -221,7 +221,7 @@ def test_a_predictor_that_stands_alone_is_judged_on_the_lift(held: list[Any]) ->
     """Untrained it leaves the lift as it is, whatever Stage II would start from."""
     config = replace(ROWS, predict=PredictConfig(features=8, hidden=16, alone=True))
     task = judge.refine_task(replace(JUDGED, model=config), spoken(config), None)
-    relit = next(trial.sample for trial in held if trial.kind == "relight")
+    relit = next(judged.sample for judged in held if judged.kind == "relight")
     numbers = task.judge(relit).numbers
     assert numbers["ours"] == pytest.approx(numbers["lift"], abs=1e-4) and numbers["gain"] == pytest.approx(0, abs=1e-4)
 

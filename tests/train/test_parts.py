@@ -31,9 +31,9 @@ from splatpainter.train.loss import (
     weighted_square,
 )
 from splatpainter.train.optim import Average, Guard, adamw, decays, rate_at
-from splatpainter.train.prefetch import Ahead, packed, unpacked
+from splatpainter.train.prefetch import PrefetchedSamples, packed, unpacked
 from splatpainter.train.report import StepTable
-from splatpainter.train.training_data import Lanes, ResourceFolders, Supply, open_training_data
+from splatpainter.train.training_data import DataSettings, Lanes, ResourceFolders, open_training_data
 from tests.support.train_scenes import RECIPE, SAMPLES, stream
 
 
@@ -223,14 +223,14 @@ def test_validation_objects_are_never_trained_on(tmp_path: Path) -> None:
     folder.mkdir()
     for i in range(40):
         (folder / f"m{i}.obj").write_text("v 0 0 0\n")
-    supply = Supply(str(folder), SAMPLES, 0, 0.2, ResourceFolders())
-    train, held = supply.stream(), supply.stream(validation=True)
+    settings = DataSettings(str(folder), SAMPLES, 0, 0.2, ResourceFolders())
+    train, held = settings.stream(), settings.stream(validation=True)
     names = [{s.source.name(i) for i in range(len(s.source))} for s in (train, held)]
     assert not names[0] & names[1] and len(names[0] | names[1]) == 40 and 2 <= len(names[1]) <= 16
-    assert supply.counts() == (len(names[0]), len(names[1]))
-    other = replace(supply, seed=9).stream()
+    assert settings.counts() == (len(names[0]), len(names[1]))
+    other = replace(settings, seed=9).stream()
     assert {other.source.name(i) for i in range(len(other.source))} == names[0]
-    procedural = replace(supply, data="procedural:5")
+    procedural = replace(settings, data="procedural:5")
     seeds = {s.source.seed for s in (procedural.stream(), procedural.stream(validation=True))}
     assert len(seeds) == 2 and not (tmp_path / INDEX).exists()
     for wrong, message in (
@@ -238,20 +238,20 @@ def test_validation_objects_are_never_trained_on(tmp_path: Path) -> None:
         (str(tmp_path / "no"), "expected procedural:N, or a folder"),
     ):
         with pytest.raises(ValueError, match=message):
-            replace(supply, data=wrong).stream()
+            replace(settings, data=wrong).stream()
     with pytest.raises(ValueError, match="no such folder"):
-        replace(supply, resources=ResourceFolders(fonts=tmp_path / "fonts")).stream()
+        replace(settings, resources=ResourceFolders(fonts=tmp_path / "fonts")).stream()
 
 
 def test_validation_samples_are_fixed_and_lanes_are_the_stream() -> None:
-    supply = Supply("procedural:2", replace(SAMPLES, surfels=800), 4, 0.1, ResourceFolders())
-    one, two = (open_training_data(supply, batch=2, count=2) for _ in range(2))
+    settings = DataSettings("procedural:2", replace(SAMPLES, surfels=800), 4, 0.1, ResourceFolders())
+    one, two = (open_training_data(settings, batch=2, count=2) for _ in range(2))
     assert [s.name for s in one.validation] == [s.name for s in two.validation]
     assert all(
         torch.equal(a.edited.colors, b.edited.colors) for a, b in zip(one.validation, two.validation, strict=True)
     )
-    plain = SampleStream(ProceduralSource(2, 4), supply.recipe, 4)
-    lanes = Lanes(supply, 2)
+    plain = SampleStream(ProceduralSource(2, 4), settings.recipe, 4)
+    lanes = Lanes(settings, 2)
     for i in (0, 2, 1, 5):
         assert torch.equal(lanes[i].novel_after.colors, plain[i].novel_after.colors)
 
@@ -266,7 +266,7 @@ class Numbers:
 
 
 def test_samples_made_ahead_are_the_same_in_the_same_order() -> None:
-    ahead = Ahead(partial(Numbers), 1, 2)
+    ahead = PrefetchedSamples(partial(Numbers), 1, 2)
     try:
         order = [0, 2, 1, 3]
         ahead.expect(iter([*order, 5, 8]))

@@ -51,16 +51,16 @@ def gradients(task: Task, sample: Sample, seed: int = 0) -> dict[str, torch.Tens
 
 @pytest.mark.parametrize("kind", ["stroke", "regrade"])
 def test_untrained_refinement_is_the_lift(kind: str, precision: str) -> None:
-    verdict = task_of(RECIPE).eval().judge(samples_of(kind)[0])
-    assert verdict.numbers["gain"] == 0 and verdict.numbers["ours"] == verdict.numbers["lift"]
-    assert verdict.numbers["lift"] != verdict.numbers["nothing"]
-    assert [label.split()[0] for label, _ in verdict.strip] == ["edited", "nothing", "lift", "ours", "truth"]
+    score = task_of(RECIPE).eval().judge(samples_of(kind)[0])
+    assert score.numbers["gain"] == 0 and score.numbers["ours"] == score.numbers["lift"]
+    assert score.numbers["lift"] != score.numbers["nothing"]
+    assert [label.split()[0] for label, _ in score.strip] == ["edited", "nothing", "lift", "ours", "truth"]
 
 
 @pytest.mark.parametrize("kind", ["stroke", "regrade"])
 def test_untrained_refinement_on_own_gaussians_is_nothing(kind: str) -> None:
-    verdict = task_of(RECIPE, SMALL).eval().judge(samples_of(kind)[0])
-    assert verdict.numbers["ours"] == verdict.numbers["nothing"] != verdict.numbers["lift"]
+    score = task_of(RECIPE, SMALL).eval().judge(samples_of(kind)[0])
+    assert score.numbers["ours"] == score.numbers["nothing"] != score.numbers["lift"]
 
 
 def test_refinement_trains_stage_two_and_the_head_alone(precision: str) -> None:
@@ -213,8 +213,8 @@ def test_the_first_stages_learn(tmp_path: Path, stage: Any, config: ModelConfig)
     assert len(pulled) == (3 if stage == "lrm" and config is COPY else 0)
     assert not pulled or pulled[-1] < pulled[0]
     assert np.mean(losses[-4:]) < 0.95 * np.mean(losses[:4])
-    verdict = run.task.eval().judge(supply[1])
-    assert np.isfinite(verdict.numbers["ours"])
+    score = run.task.eval().judge(supply[1])
+    assert np.isfinite(score.numbers["ours"])
 
 
 def test_compress_of_copy_sees_the_lrm_frozen() -> None:

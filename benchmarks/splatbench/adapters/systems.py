@@ -68,7 +68,7 @@ Commands = tuple[tuple[str, ...], ...]
 
 
 @dataclass(frozen=True)
-class Job:
+class AdapterJob:
     """One edit by one system."""
 
     work: EditTask
@@ -103,7 +103,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Plan:
+class AdapterPlan:
     """How the system is run on what has been written for it."""
 
     edit: Commands
@@ -132,7 +132,7 @@ class System:
     """Name of its table in the adapters file, and of the method."""
     label: str
     protocols: tuple[str, ...]
-    plan: Callable[[Job], Plan]
+    plan: Callable[[AdapterJob], AdapterPlan]
     """Writes what the system reads into job.inputs and job.workplace. Raises ValueError where it cannot."""
     needs: tuple[str, ...] = ()
     """Files of its checkout that must be there; (): it has none."""
@@ -140,7 +140,7 @@ class System:
     """What else it needs that is not there, or ""."""
 
 
-def write_common(job: Job) -> dict[str, str]:
+def write_common(job: AdapterJob) -> dict[str, str]:
     """Write what every system gets; the values of the placeholders."""
     from splatpainter import io
     from splatpainter.rendering import render
@@ -186,7 +186,7 @@ def fill_placeholders(command: Iterable[str], values: dict[str, str]) -> tuple[s
     return tuple(re.sub(r"\{([a-z_]+)\}", value, word) for word in command)
 
 
-def with_user_command(plan: Plan, job: Job, values: dict[str, str]) -> Plan:
+def with_user_command(plan: AdapterPlan, job: AdapterJob, values: dict[str, str]) -> AdapterPlan:
     """The plan with the user's own command, where the section has one."""
     section = job.section
     frames: dict[str, Callable[[], Frame]] = {
@@ -206,10 +206,10 @@ def with_user_command(plan: Plan, job: Job, values: dict[str, str]) -> Plan:
         frame = frames[section.frame]
     if not section.command:
         return replace(plan, result=result, frame=frame)
-    return Plan((fill_placeholders(section.command, values),), result, frame, values=plan.values, note=plan.note)
+    return AdapterPlan((fill_placeholders(section.command, values),), result, frame, values=plan.values, note=plan.note)
 
 
-def link_checkout(job: Job, *hidden: str) -> None:
+def link_checkout(job: AdapterJob, *hidden: str) -> None:
     """job.workplace as a folder that looks like the checkout but takes what the system writes: links to all in it,
     except `hidden` (paths in it) and what is there already, which become folders of their own."""
     assert job.section.repository is not None
@@ -245,7 +245,7 @@ def link(path: Path, target: Path) -> None:
 # ---- the systems
 
 
-def voxhammer(job: Job) -> Plan:
+def voxhammer(job: AdapterJob) -> AdapterPlan:
     """VoxHammer (arXiv 2508.19247): an edit in TRELLIS's latents, within a 3D mask, led by an edited picture.
 
     Its inference.py skips Blender where its render folder is filled already; it is filled with renders of the asset
@@ -263,7 +263,7 @@ def voxhammer(job: Job) -> Plan:
         link_checkout(job, "outputs")
     command = (section.python, "inference.py", "--input_model", str(views / "mesh.ply"), "--mask_model", str(region))
     command += ("--image_dir", str(images), "--render_dir", str(views), "--output_dir", str(job.out))
-    return Plan(
+    return AdapterPlan(
         edit=((*command, *section.arguments),),
         result=job.out / "output.glb",
         frame=lambda: job.cube.frame(upright=False),
@@ -273,7 +273,7 @@ def voxhammer(job: Job) -> Plan:
     )
 
 
-def vinedresser(job: Job) -> Plan:
+def vinedresser(job: AdapterJob) -> AdapterPlan:
     """VineDresser3D (arXiv 2602.19542): an edit in TRELLIS's latents, the region found by language models from a text.
 
     Its main.py asks for nothing that is in its outputs folder already, so that folder is filled with renders of the
@@ -299,7 +299,7 @@ def vinedresser(job: Job) -> Plan:
     decode = (Path(__file__).parent / "decode_slat.py").read_text(encoding="utf-8")
     edit = (section.python, "main.py", "--input_file", f"{name}.glb", "--editing_prompt", job.prompt)
     result = job.out / "edited.ply"
-    return Plan(
+    return AdapterPlan(
         setup=((section.python, "-c", encode),),
         edit=((*edit, *section.arguments),),
         export=((section.python, "-c", decode, *latents, str(result)),),
@@ -319,7 +319,7 @@ def missing_of_vinedresser(section: AdapterSection) -> str:
     return f"needs a key for Google's models: set {' or '.join(VINEDRESSER_KEYS)} in the environment"
 
 
-def dge(job: Job) -> Plan:
+def dge(job: AdapterJob) -> AdapterPlan:
     """DGE (arXiv 2404.18929): pictures edited together by InstructPix2Pix, then Gaussians optimised on them. Led by
     text alone. It reads the asset's PLY and a COLMAP scene, and writes a PLY in the same frame."""
     section = job.section
@@ -339,7 +339,7 @@ def dge(job: Job) -> Plan:
     # Its values are read as YAML, of which JSON is a part.
     words = tuple(f"{key}={json.dumps(value)}" for key, value in settings.items())
     edit = (section.python, "launch.py", "--config", "configs/dge.yaml", "--train", *words, *section.arguments)
-    return Plan(
+    return AdapterPlan(
         edit=(edit,),
         result=job.out / "dge" / "edit" / "save" / "last.ply",
         frame=lambda: ASSET,
@@ -347,7 +347,7 @@ def dge(job: Job) -> Plan:
     )
 
 
-def instruct_gs2gs(job: Job) -> Plan:
+def instruct_gs2gs(job: AdapterJob) -> AdapterPlan:
     """Instruct-GS2GS: a nerfstudio plug-in that edits training pictures by InstructPix2Pix while Gaussians are
     optimised. Led by text alone. It starts from a checkpoint of nerfstudio's splatfacto, not from Gaussians: set-up
     trains one on renders of the asset."""
@@ -366,7 +366,7 @@ def instruct_gs2gs(job: Job) -> Plan:
     edit = (*train("igs2gs", "edit"), "--load-dir", str(start), "--pipeline.prompt", job.prompt, *guide)
     setup = (*train("splatfacto", "setup"), "--max-num-iterations", str(GS2GS_SETUP_STEPS), *section.setup_arguments)
     export = (section.python, "-m", "nerfstudio.scripts.exporter", "gaussian-splat")
-    return Plan(
+    return AdapterPlan(
         setup=(setup,),
         edit=((*edit, *section.arguments),),
         export=((*export, "--load-config", str(edited / "config.yml"), "--output-dir", str(out / "export")),),
@@ -394,7 +394,7 @@ def _last_checkpoint(folder: Path) -> int:
     return max((int(match[1]) for match in names if match), default=-1)
 
 
-def relitlrm(job: Job) -> Plan:
+def relitlrm(job: AdapterJob) -> AdapterPlan:
     """RelitLRM (arXiv 2410.06231): Gaussians under a new light from 4 to 8 posed views and an environment map, by
     diffusion.
 
@@ -405,7 +405,7 @@ def relitlrm(job: Job) -> Plan:
     chosen = base.take(np.linspace(0, len(base), count, endpoint=False).astype(int))
     datasets.write_posed(job.inputs / "base", chosen)
     link(job.inputs / "views", Path("base"))
-    return Plan(
+    return AdapterPlan(
         edit=(),
         result=job.out / DEFAULT_RESULT,
         frame=lambda: ASSET,
@@ -432,17 +432,17 @@ SYSTEMS = (
 )
 
 
-def _write_trellis(job: Job, folder: Path) -> None:
+def _write_trellis(job: AdapterJob, folder: Path) -> None:
     views, pixels = job.section.views or TRELLIS_VIEWS, job.section.size or TRELLIS_PX
     datasets.write_trellis(folder, job.work.asset, job.cube, count=views, pixels=pixels)
 
 
-def _photo_cameras(job: Job) -> list[Camera]:
+def _photo_cameras(job: AdapterJob) -> list[Camera]:
     views, pixels = job.section.views or PHOTO_VIEWS, job.section.size or PHOTO_PX
     return datasets.cameras_on_rings(job.cube, views, pixels=pixels)
 
 
-def _one_of(job: Job) -> str:
+def _one_of(job: AdapterJob) -> str:
     """A note's part where the system took one view of several."""
     views = len(job.work.step.edited)
     return f", the one with the largest mask of {views}" if views > 1 else ""

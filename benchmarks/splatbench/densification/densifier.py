@@ -174,7 +174,7 @@ class Level(nn.Module):
         for block, curve in zip(self.blocks, curves, strict=True):
             x = block(x, torch.from_numpy(along(means, lo, size, curve)).to(x.device), groups)
         chance = torch.sigmoid(self.mask(x)[:, 0])
-        on = going_on(chance, self.config.keep)
+        on = split_mask(chance, self.config.keep)
         gate = on.to(chance.dtype) + chance - chance.detach()  # 1 or 0 in value
         going, staying = torch.nonzero(on)[:, 0], torch.nonzero(~on)[:, 0]
         points = replace(points, features=x)
@@ -252,7 +252,7 @@ def even_split(children: int) -> Tensor:
     return torch.tensor([(a, b, 0.0) for a, b in sides])
 
 
-def going_on(chance: Tensor, keep: float) -> Tensor:
+def split_mask(chance: Tensor, keep: float) -> Tensor:
     """[M] bool: the ceil(keep M) points of the largest chance; of equals the first."""
     most = math.ceil(keep * len(chance) - 1e-9)
     chosen = torch.sort(chance.detach(), descending=True, stable=True).indices[:most]

@@ -26,7 +26,7 @@ from splatpainter.models import checkpoint
 from splatpainter.train import recipes, state
 from splatpainter.train.loss import global_target, masked_psnr
 from splatpainter.train.report import figures
-from splatpainter.train.stages.task import Task, Verdict, draw, tensor
+from splatpainter.train.stages.task import Task, ValidationScore, draw, tensor
 
 if TYPE_CHECKING:
     from splatpainter.data.samples import Sample
@@ -82,7 +82,7 @@ class DensifyTask(Task[Densifier]):
         return {"squared": squared, "ms_ssim": likeness, "loss": squared + MS_SSIM_WEIGHT * (1 - likeness)}
 
     @torch.no_grad()
-    def judge(self, sample: Sample) -> Verdict:
+    def judge(self, sample: Sample) -> ValidationScore:
         made = self._made(sample)
         views, near = sample.novel_after, np.asarray(sample.near, bool)
         truth = tensor(views.colors, self.device)
@@ -107,7 +107,7 @@ class DensifyTask(Task[Densifier]):
             (f"{name} {numbers.get(name, float('nan')):.2f} dB", p[first].cpu().numpy()) for name, p in pictures.items()
         ]
         strip.append(("truth", truth[first].cpu().numpy()))
-        return Verdict(sample.kind, numbers, tuple(strip))
+        return ValidationScore(sample.kind, numbers, tuple(strip))
 
     def _made(self, sample: Sample, rng: np.random.Generator | None = None) -> Densified:
         views = (sample.base, sample.edited)

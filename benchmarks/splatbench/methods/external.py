@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from splatbench.adapters import adapters_file, coordinate_frames, systems
-from splatbench.adapters.systems import Commands, Job, Plan, System
+from splatbench.adapters.systems import AdapterJob, AdapterPlan, Commands, System
 from splatbench.cases import Budget
 from splatbench.methods import EditResult, EditTask, Method
 from splatbench.process import run_command
@@ -78,7 +78,7 @@ def _keep_only(log: Path) -> None:
 
 def _edit(system: System, work: EditTask, section: adapters_file.AdapterSection, seed: int, folder: Path) -> EditResult:
     start = time.perf_counter()
-    job = Job(work, section, folder, seed, coordinate_frames.Cube.of(work.asset))
+    job = AdapterJob(work, section, folder, seed, coordinate_frames.Cube.of(work.asset))
     for path in (job.inputs, job.workplace):
         path.mkdir()
     values = systems.write_common(job)
@@ -119,13 +119,13 @@ def unchanged(work: EditTask, splats: Splats) -> float | None:
     return min(psnr(tall[0], tall[1], outside.reshape(-1, width)), 100.0)
 
 
-def _run(commands: Commands, job: Job) -> float:
+def _run(commands: Commands, job: AdapterJob) -> float:
     section = job.section
     limits = {"timeout": section.timeout_seconds, "environment": section.environment, "python": section.python}
     return sum(run_command(command, job.workplace, job.folder / LOG, **limits) for command in commands)
 
 
-def _note(plan: Plan, section: adapters_file.AdapterSection) -> str:
+def _note(plan: AdapterPlan, section: adapters_file.AdapterSection) -> str:
     commit = adapters_file.commit(section.repository)
     where = f"; checkout {commit[:7]}" if commit else ""
     return f"{plan.note}{where}{'; command of the adapters file' if section.command else ''}"

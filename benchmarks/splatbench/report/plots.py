@@ -126,7 +126,7 @@ class HorizontalLine:
 
 
 @dataclass(frozen=True)
-class Chart:
+class Plot:
     title: str
     x_label: str
     y_label: str
@@ -141,9 +141,9 @@ class Chart:
 # ---- what is shown
 
 
-def charts(records: Sequence[Record], table: TableLayout, names: MethodNames) -> list[Chart]:
+def charts(records: Sequence[Record], table: TableLayout, names: MethodNames) -> list[Plot]:
     """All that a table's records have something for, in the order of reading."""
-    drawn: list[Chart | None] = []
+    drawn: list[Plot | None] = []
     parts = blocks(records, table.split_by)
     counted = len(parts) > 1 and all(as_number(part) is not None for part in parts)
     for part in parts[-1:] if counted else parts:
@@ -162,7 +162,7 @@ def charts(records: Sequence[Record], table: TableLayout, names: MethodNames) ->
 
 def against_seconds(
     rows: Sequence[SummaryRow], records: Sequence[Record], column: Column, names: MethodNames, block: str = ""
-) -> Chart | None:
+) -> Plot | None:
     """One point per method at the median seconds of its edits (of the set-up, where that is all it does); methods with
     Record.curve as lines through their steps. rows: one block's. None for fewer than two points to compare."""
     series, levels, timed = [], [], set()
@@ -191,10 +191,10 @@ def against_seconds(
     axis += " (small numbers: steps)" if any(p.note for s in series for p in s.points) else ""
     measure, group = _measure(column)
     title = f"{measure} against seconds{_in_brackets(group, block)}"
-    return Chart(title, axis, _y_label(column), tuple(series), tuple(levels), log_x=True)
+    return Plot(title, axis, _y_label(column), tuple(series), tuple(levels), log_x=True)
 
 
-def against_blocks(rows: Sequence[SummaryRow], column: Column, split_by: str, names: MethodNames) -> Chart | None:
+def against_blocks(rows: Sequence[SummaryRow], column: Column, split_by: str, names: MethodNames) -> Plot | None:
     """One line per method over blocks that are numbers, e.g. of edited views. rows: of all blocks."""
     points: dict[str, list[Point]] = {}
     for row in rows:
@@ -206,10 +206,10 @@ def against_blocks(rows: Sequence[SummaryRow], column: Column, split_by: str, na
         return None
     measure, group = _measure(column)
     title = f"{measure} against number of {split_by}{_in_brackets(group)}"
-    return Chart(title, f"number of {split_by}", _y_label(column), _spread(series), x_ticks=_counts(series))
+    return Plot(title, f"number of {split_by}", _y_label(column), _spread(series), x_ticks=_counts(series))
 
 
-def numbered(rows: Sequence[SummaryRow], columns: Sequence[Column], names: MethodNames, block: str = "") -> list[Chart]:
+def numbered(rows: Sequence[SummaryRow], columns: Sequence[Column], names: MethodNames, block: str = "") -> list[Plot]:
     """Figures beyond the table whose keys end in a number ("psnr_1", "psnr_2", ...), one chart per stem of STEMS."""
     keys = {column.key for column in columns}
     stems: dict[str, dict[str, list[Point]]] = {}
@@ -223,11 +223,11 @@ def numbered(rows: Sequence[SummaryRow], columns: Sequence[Column], names: Metho
         series = [_series(method, points, names) for method, points in by_method.items()]
         if len(series) >= MIN_METHODS and max(len(s.points) for s in series) > 1:
             title, ticks = f"{STEMS[stem]}{_in_brackets(block)}", _counts(series)
-            drawn.append(Chart(title, "step", "PSNR ↑", _spread(series), x_ticks=ticks))
+            drawn.append(Plot(title, "step", "PSNR ↑", _spread(series), x_ticks=ticks))
     return drawn
 
 
-def gaussian_counts(rows: Sequence[SummaryRow], names: MethodNames, block: str = "") -> Chart | None:
+def gaussian_counts(rows: Sequence[SummaryRow], names: MethodNames, block: str = "") -> Plot | None:
     """Counts at each stage, for methods that give them (Record.numbers), and in the edited asset."""
     series = []
     for row in rows:
@@ -240,7 +240,7 @@ def gaussian_counts(rows: Sequence[SummaryRow], names: MethodNames, block: str =
         return None
     ticks = tuple((float(k), text) for k, text in enumerate((*(name for name, _ in STAGES), RESULT)))
     title = f"Gaussians at each stage{_in_brackets(block)}"
-    return Chart(title, "", "Gaussians", _spread(series), log_y=True, x_ticks=ticks)
+    return Plot(title, "", "Gaussians", _spread(series), log_y=True, x_ticks=ticks)
 
 
 def _series(method: str, points: Sequence[Point], names: MethodNames) -> Series:
@@ -286,7 +286,7 @@ def _spread(series: Sequence[Series]) -> tuple[Series, ...]:
 # ---- how it is drawn
 
 
-def draw(chart: Chart, width: int) -> str:
+def draw(chart: Plot, width: int) -> str:
     """An SVG file of this many pixels' width; its legend names series and levels from the highest down. Raises
     ValueError for a chart without a point."""
     from matplotlib import rc_context
@@ -334,7 +334,7 @@ def draw(chart: Chart, width: int) -> str:
     return _with_variables(text.getvalue())
 
 
-def _drawable(chart: Chart) -> Chart:
+def _drawable(chart: Plot) -> Plot:
     """Without points that no axis can show."""
 
     def fits(value: float, log: bool) -> bool:
@@ -350,7 +350,7 @@ def _drawable(chart: Chart) -> Chart:
     return replace(chart, series=tuple(series), levels=levels)
 
 
-def _far(level: HorizontalLine, chart: Chart) -> str:
+def _far(level: HorizontalLine, chart: Plot) -> str:
     """What the legend says of a level so far from all points that an axis with both would show neither; "": it is
     not."""
     values = [v for s in chart.series for p in s.points for v in (p.y, p.low, p.high) if v is not None]
@@ -361,7 +361,7 @@ def _far(level: HorizontalLine, chart: Chart) -> str:
     return f": {level.y:.4g}{ARROWS['higher' if level.y > max(values) else 'lower']}"
 
 
-def _scale(axes, chart: Chart) -> None:
+def _scale(axes, chart: Plot) -> None:
     """Axes with ticks at round values, or at those that the chart has."""
     from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 

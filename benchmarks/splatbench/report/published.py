@@ -90,7 +90,7 @@ def rows(protocol: str) -> tuple[Published, ...]:
     return tuple(row for row in ROWS if row.protocol == protocol)
 
 
-def beside(protocol: str, methods: Sequence[str], views: int | None = None) -> dict[str, Published]:
+def published_rows(protocol: str, methods: Sequence[str], views: int | None = None) -> dict[str, Published]:
     """Method -> the paper's row that stands beside it in a block, each at most once. methods: those of the block.
     views: number of edited views of the block; rows for which the paper states none stand in every block."""
     matches: dict[str, Published] = {}
@@ -104,5 +104,5 @@ def beside(protocol: str, methods: Sequence[str], views: int | None = None) -> d
 
 def unmatched(protocol: str, methods: Sequence[str], views: int | None = None) -> tuple[Published, ...]:
     """The paper's rows that stand beside no method of a block."""
-    matched = {row.label for row in beside(protocol, methods, views).values()}
+    matched = {row.label for row in published_rows(protocol, methods, views).values()}
     return tuple(row for row in rows(protocol) if row.views in (None, views) and row.label not in matched)

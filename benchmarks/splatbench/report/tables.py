@@ -150,13 +150,13 @@ def grid(protocol: str, columns: Sequence, rows: Sequence[SummaryRow], names: Me
         within = [row for row in rows if row.block == block]
         methods = [row.method for row in within]
         views = int(block) if split_by == "views" and block.isdecimal() else None
-        beside = published.beside(protocol, methods, views)
+        matched = published.published_rows(protocol, methods, views)
         best = {c.key: best_methods(within, c, names) for c in columns}
         lines = []
         for row in within:
             cells = [_mean(row, c, row.method in best[c.key]) for c in columns]
             cells += [cost(row) for cost in costs.values()]
-            cells += _published(beside.get(row.method), paper_keys, timed)
+            cells += _published(matched.get(row.method), paper_keys, timed)
             label = names.labels.get(row.method, row.method)
             if 0 < row.cases < row.all_cases:
                 label += f" ({row.cases} of {row.all_cases})"

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from splatbench.methods import EditResult
     from splatpainter.data.samples import PosedViews, SampleStream
     from splatpainter.train.loss import PictureTarget
-    from splatpainter.train.training_data import ResourceFolders, Supply
+    from splatpainter.train.training_data import DataSettings, ResourceFolders
 
 SHARES = {
     "relight": 3.0,
@@ -115,9 +115,9 @@ class Ablation:
 TABLE = Ablation()
 
 
-def _supply(setup: Setup, resources: ResourceFolders) -> Supply:
+def _data_settings(setup: Setup, resources: ResourceFolders) -> DataSettings:
     """The training data's own samples at the setup's sizes. Raises ValueError for a folder of shards."""
-    from splatpainter.train.training_data import Supply, is_shards
+    from splatpainter.train.training_data import DataSettings, is_shards
 
     data = PROCEDURAL if setup.data is None else str(setup.data)
     if is_shards(data):
@@ -131,7 +131,7 @@ def _supply(setup: Setup, resources: ResourceFolders) -> Supply:
         novel_views=setup.novel_views,
         steps_per_object=1,
     )
-    return Supply(data, recipe, setup.seed, HELD_OUT_SHARE, resources, memory=256 << 20)
+    return DataSettings(data, recipe, setup.seed, HELD_OUT_SHARE, resources, memory=256 << 20)
 
 
 @lru_cache(maxsize=2)
@@ -143,17 +143,17 @@ def _stream(setup: Setup, files: bool = True) -> SampleStream:
     resources = (
         ResourceFolders(setup.environments, setup.decals, setup.fonts, setup.textures) if files else ResourceFolders()
     )
-    supply = _supply(setup, resources)
-    stream = supply.stream(validation=setup.held_out)
+    settings = _data_settings(setup, resources)
+    stream = settings.stream(validation=setup.held_out)
     if stream is None:
         raise ValueError(
-            f"{supply.data}: none of its objects is held out of training (a share of {HELD_OUT_SHARE:g}); add some"
+            f"{settings.data}: none of its objects is held out of training (a share of {HELD_OUT_SHARE:g}); add some"
         )
     return stream
 
 
 def _of_kind(stream: SampleStream, kind: str) -> SampleStream:
-    """Samples of one kind, with the numbers, objects and choices of `train.judge.trials`."""
+    """Samples of one kind, with the numbers, objects and choices of `train.judge.judged_samples`."""
     from splatpainter.train.judge import MANY_VIEWS
 
     of_kind = copy(stream)

@@ -265,7 +265,7 @@ def load_splats(name: str, setup: Setup) -> SplatTruth:
 
 
 @dataclass(frozen=True)
-class PaintedView:
+class DesignedView:
     """A picture of the asset with an edit on it."""
 
     design: EditDesign
@@ -277,7 +277,7 @@ class PaintedView:
 
 def painted_view(
     truth: SplatTruth, base: GroundTruthViews, kind: str, framing: Framing, setup: Setup, rng: np.random.Generator
-) -> PaintedView:
+) -> DesignedView:
     """An edit of a kind in a view made for it; as design_edit. base: views in which points are looked for."""
     files = resources(setup)
     for attempt in range(DESIGN_TRIES):
@@ -290,7 +290,7 @@ def painted_view(
         picture = composed(before, design)
         mask = changes(before.images.colors, picture[None])[0]
         if is_visible(before.images.colors[0], picture, mask, strictness(attempt)):
-            return PaintedView(design, picture, mask)
+            return DesignedView(design, picture, mask)
     raise invisible(truth.name, kind)
 
 

@@ -121,7 +121,7 @@ def _close_up(truth: GroundTruth, point: TexturedPoint, base: Camera, rng: np.ra
     for k in range(TRIES + 1):
         turn, tilt = (1 - k / TRIES) * rng.uniform(-1, 1, 2) * MAX_TURN_DEGREES
         height = float(np.clip(elevation + tilt, viewpoints.MIN_ELEVATION, viewpoints.MAX_ELEVATION))
-        full = viewpoints.around(truth.radius, truth.optics, azimuth + turn, height)
+        full = viewpoints.object_camera(truth.radius, truth.optics, azimuth + turn, height)
         if not truth.blocks(full.position, point.position, SLACK):
             break
     return viewpoints.crop(full, point.position, truth.setup.detail)

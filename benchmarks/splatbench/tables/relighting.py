@@ -122,7 +122,7 @@ def _source(name: str, light: str, setup: Setup) -> _Source:
     ring = truth.ring(setup.base_views, rng)
     start = float(rng.uniform(0, 360))
     edited = [
-        viewpoints.around(truth.radius, truth.optics, start + turn, float(rng.uniform(*ELEVATION_DEGREES)))
+        viewpoints.object_camera(truth.radius, truth.optics, start + turn, float(rng.uniform(*ELEVATION_DEGREES)))
         for turn in TURN_DEGREES
     ]
     views = truth.render([*ring, *truth.ring(setup.novel_views, rng)], "source")

@@ -143,14 +143,14 @@ class EditScene:
         base = truth.render(truth.ring(setup.base_views, rng), "base")
         return EditScene(key, truth, base, rng, resources(setup))
 
-    def beside(self, camera: Camera, point: SurfacePoint, count: int) -> list[Camera]:
+    def nearby_cameras(self, camera: Camera, point: SurfacePoint, count: int) -> list[Camera]:
         return views_beside(self.truth, camera, point.position, count, NEAR_DEGREES, self.rng)
 
     def near_and_around(self, camera: Camera, point: SurfacePoint) -> tuple[list[Camera], np.ndarray]:
         """(novel views, [W] bool near): beside an edited view first, then of the whole object."""
         count = self.truth.setup.novel_views
         near = (count + 1) // 2
-        novel = self.beside(camera, point, near) + self.truth.ring(count - near, self.rng)
+        novel = self.nearby_cameras(camera, point, near) + self.truth.ring(count - near, self.rng)
         return novel, np.arange(count) < near
 
     def case(
@@ -182,7 +182,7 @@ def painted_views(scene: EditScene, count: int) -> Case:
     kind, preview = scene.key.settings["kind"], scene.truth.preview()
     for _ in range(TRIES):
         design, point = design_edit(preview, scene.base, kind, "close-up", scene.files, scene.rng)
-        views = [design.camera, *scene.beside(design.camera, point, count - 1)]
+        views = [design.camera, *scene.nearby_cameras(design.camera, point, count - 1)]
         novel, near = scene.near_and_around(design.camera, point)
         before, after = (t.render([*views, *novel], "novel") for t in (scene.truth, scene.truth.paint(design)))
         masks = changed(before, after)
@@ -208,7 +208,7 @@ def zoomed_views(scene: EditScene, count: int) -> Case:
     else:
         raise scene.failure("a close-up")
     zoom = viewpoints.crop(full, point.position, truth.setup.detail)
-    views = [zoom, *scene.beside(zoom, point, count - 1)]
+    views = [zoom, *scene.nearby_cameras(zoom, point, count - 1)]
     novel, near = scene.near_and_around(zoom, point)
     images = truth.render([*views, *novel], "novel")
     steps = [EditStep("local", "zoom", images.images.take([k]), images.masks[k : k + 1]) for k in range(count)]

@@ -141,7 +141,7 @@ class ListConfig:
 
 def render(config: RenderConfig) -> Outcome:
     """Make the scenes that are missing, and write them as they come."""
-    from splatpainter.data.cluster import Lost
+    from splatpainter.data.cluster import LostTask
     from splatpainter.data.jobs import open_source
     from splatpainter.data.shards import RenderedScene, ShardWriter
 
@@ -154,7 +154,7 @@ def render(config: RenderConfig) -> Outcome:
         missing = writer.missing()
         with closing(_results(config, job, missing)) as results:
             for number, scene in progress(results, len(missing), "scenes"):
-                if isinstance(scene, Lost):
+                if isinstance(scene, LostTask):
                     scene = RenderedScene(source.name(number % len(source)), skipped=[scene.reason])
                 writer.add(number, scene)
                 kinds.update(scene.kinds)

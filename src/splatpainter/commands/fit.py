@@ -88,14 +88,14 @@ class Config:
 
 def run(config: Config) -> Outcome:
     """Make the pictures, optimise, write, and judge."""
-    from splatpainter.commands.fit_sources import Wish, fit_pictures
+    from splatpainter.commands.fit_sources import FitPictureSettings, fit_pictures
 
     _check(config)
     entry = splat_format(config.out)
     check_target(config.out, config.overwrite, [config.source])
     clock = time.perf_counter()
-    wish = Wish(**{field.name: getattr(config, field.name) for field in fields(Wish)})
-    made = fit_pictures(config.source, wish)
+    settings = FitPictureSettings(**{field.name: getattr(config, field.name) for field in fields(FitPictureSettings)})
+    made = fit_pictures(config.source, settings)
     for note in made.notes:
         warn(note)
     start, prepared = made.start, time.perf_counter() - clock

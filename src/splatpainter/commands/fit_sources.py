@@ -38,7 +38,7 @@ TRIES = 20
 
 
 @dataclass(frozen=True)
-class Wish:
+class FitPictureSettings:
     """What the user asked for: settings of the pictures."""
 
     views: int
@@ -66,13 +66,13 @@ class FitPictures:
     notes: list[str] = field(default_factory=list)
 
 
-def fit_pictures(source: Path, wish: Wish) -> FitPictures:
+def fit_pictures(source: Path, settings: FitPictureSettings) -> FitPictures:
     """Everything that a fit needs. Raises ValueError, in one line: nothing there, or nothing that can be used."""
     if not source.exists():
         raise ValueError(f"{source}: no such file or folder; expected a mesh, a splat file or a folder of pictures")
     if source.is_dir() and not (source / META).is_file():
-        return _from_pictures(source, wish)
-    return _from_mesh(source, wish) if is_mesh(source) else _from_asset(source, wish)
+        return _from_pictures(source, settings)
+    return _from_mesh(source, settings) if is_mesh(source) else _from_asset(source, settings)
 
 
 def is_mesh(path: Path) -> bool:
@@ -84,7 +84,7 @@ def is_mesh(path: Path) -> bool:
 # Rendered
 
 
-def _from_asset(source: Path, wish: Wish) -> FitPictures:
+def _from_asset(source: Path, settings: FitPictureSettings) -> FitPictures:
     from splatpainter.kernels.compile import ensure_compiled
 
     splats = read(source)
@@ -93,11 +93,11 @@ def _from_asset(source: Path, wish: Wish) -> FitPictures:
     ensure_compiled()
     center, radius = bounding_sphere(splats)
 
-    made = _rendered("asset", partial(_drawn, splats), center, radius, np.array(UPS[AUTO_UP]), wish, np.eye(4))
+    made = _rendered("asset", partial(_drawn, splats), center, radius, np.array(UPS[AUTO_UP]), settings, np.eye(4))
     return replace(made, start=replace(made.start, color_space=splats.color_space))
 
 
-def _from_mesh(source: Path, wish: Wish) -> FitPictures:
+def _from_mesh(source: Path, settings: FitPictureSettings) -> FitPictures:
     try:
         from splatpainter.data.environments import load_environment
         from splatpainter.data.lights import make_light, uniform_light
@@ -106,20 +106,22 @@ def _from_mesh(source: Path, wish: Wish) -> FitPictures:
         mesh = load_mesh(source)
     except ImportError as error:
         raise ValueError(f"{source}: meshes need {error.name}; pip install 'splatpainter[data]'") from None
-    light = make_light(load_environment(wish.environment)) if wish.environment is not None else uniform_light()
-    render_views = _traced(mesh, light, wish) if wish.truth == "traced" else _surfels(mesh, light, wish)
+    light = make_light(load_environment(settings.environment)) if settings.environment is not None else uniform_light()
+    render_views = _traced(mesh, light, settings) if settings.truth == "traced" else _surfels(mesh, light, settings)
     radius = float(np.linalg.norm(mesh.vertices, axis=1).max())
-    return _rendered("mesh", render_views, np.zeros(3), radius, np.array([0.0, 1.0, 0.0]), wish, MESH_FRAME)
+    return _rendered("mesh", render_views, np.zeros(3), radius, np.array([0.0, 1.0, 0.0]), settings, MESH_FRAME)
 
 
-def _surfels(mesh: Mesh, light: Any, wish: Wish) -> Callable[[Sequence[Camera]], tuple[np.ndarray, ...]]:
+def _surfels(
+    mesh: Mesh, light: Any, settings: FitPictureSettings
+) -> Callable[[Sequence[Camera]], tuple[np.ndarray, ...]]:
     from splatpainter.data.lights import shade
     from splatpainter.data.surfels import sample_surfels, to_splats
     from splatpainter.kernels.compile import ensure_compiled
 
     ensure_compiled()
-    dense = sample_surfels(mesh, wish.surfels, wish.seed)
-    truth = to_splats(dense, shade(dense, light, min(wish.sh_degree, 2))).numpy()
+    dense = sample_surfels(mesh, settings.surfels, settings.seed)
+    truth = to_splats(dense, shade(dense, light, min(settings.sh_degree, 2))).numpy()
     return partial(_drawn, truth)
 
 
@@ -130,14 +132,16 @@ def _drawn(splats: Splats, cameras: Sequence[Camera]) -> tuple[np.ndarray, ...]:
     return np.clip(views.colors, 0, 1), views.depths[..., 0], views.alphas[..., 0]
 
 
-def _traced(mesh: Mesh, light: Any, wish: Wish) -> Callable[[Sequence[Camera]], tuple[np.ndarray, ...]]:
+def _traced(
+    mesh: Mesh, light: Any, settings: FitPictureSettings
+) -> Callable[[Sequence[Camera]], tuple[np.ndarray, ...]]:
     from splatpainter.data.pathtrace import PathOptions, display, path_trace
 
     def render_views(cameras: Sequence[Camera]) -> tuple[np.ndarray, ...]:
         from splatpainter.kernels.compile import ensure_compiled
 
         ensure_compiled()
-        traced = path_trace(mesh, light.environment.numpy(), cameras, PathOptions(wish.samples, seed=wish.seed))
+        traced = path_trace(mesh, light.environment.numpy(), cameras, PathOptions(settings.samples, seed=settings.seed))
         return display(traced, float(light.exposure), cameras), traced.depths, traced.alphas
 
     return render_views
@@ -149,7 +153,7 @@ def _rendered(
     center: np.ndarray,
     radius: float,
     up: np.ndarray,
-    wish: Wish,
+    settings: FitPictureSettings,
     frame: np.ndarray,
 ) -> FitPictures:
     """render_views: cameras -> colours [V, H, W, 3], depths and alphas [V, H, W]. frame: [4, 4] from the asset's world
@@ -157,31 +161,31 @@ def _rendered(
     from splatpainter.fit.start import from_depths
 
     distance = FRAME_MARGIN * radius / math.sin(math.radians(FOV / 2))
-    kinds: dict[str, Any] = {"size": wish.size or 256, "fov": FOV, "up": up}
-    cameras = spherical_cameras(center, distance, wish.views, backgrounds=BACKGROUNDS, **kinds)
-    held = spherical_cameras(center, distance, wish.held_out, backgrounds=((0.5, 0.5, 0.5),), between=True, **kinds)
+    kinds: dict[str, Any] = {"size": settings.size or 256, "fov": FOV, "up": up}
+    cameras = spherical_cameras(center, distance, settings.views, backgrounds=BACKGROUNDS, **kinds)
+    held = spherical_cameras(center, distance, settings.held_out, backgrounds=((0.5, 0.5, 0.5),), between=True, **kinds)
     colors, depths, alphas = render_views(cameras)
     unseen = render_views(held)[0] if held else []
     cameras, held = ([replace(c, world_to_camera=c.world_to_camera @ frame) for c in some] for some in (cameras, held))
-    start = from_depths(cameras, colors, depths, alphas, wish.rows, wish.seed, wish.sh_degree, opacity=0.5)
+    start = from_depths(cameras, colors, depths, alphas, settings.rows, settings.seed, settings.sh_degree, opacity=0.5)
     return FitPictures(kind, cameras, list(colors), list(zip(held, unseen, strict=True)), start)
 
 
 # Pictures
 
 
-def _from_pictures(folder: Path, wish: Wish) -> FitPictures:
+def _from_pictures(folder: Path, settings: FitPictureSettings) -> FitPictures:
     table = next((folder / name for name in TRANSFORMS if (folder / name).is_file()), None)
-    posed = _by_table(table, wish) if table is not None else _by_camera(folder, wish)
+    posed = _by_table(table, settings) if table is not None else _by_camera(folder, settings)
     if len(posed) < 2:
         raise ValueError(f"{folder}: expected at least two pictures with cameras, got {len(posed)}")
-    count = min(wish.held_out, len(posed) // 4)
+    count = min(settings.held_out, len(posed) // 4)
     apart = (
         np.unique(np.linspace(0, len(posed) - 1, count + 2)[1:-1].round().astype(int)) if count else np.array([], int)
     )
     held = [posed[k][:2] for k in apart]
     rest = [view for k, view in enumerate(posed) if k not in set(apart.tolist())]
-    start = _carved([view[0] for view in rest], [view[1] for view in rest], [view[2] for view in rest], wish)
+    start = _carved([view[0] for view in rest], [view[1] for view in rest], [view[2] for view in rest], settings)
     notes = ["no depth maps: the first Gaussians are random points where no picture shows empty space"]
     return FitPictures("pictures", [view[0] for view in rest], [view[1] for view in rest], held, start, notes)
 
@@ -190,29 +194,29 @@ PosedPicture = tuple[Camera, np.ndarray, np.ndarray]
 """(camera, colours [H, W, 3], [H, W] bool where something may be)."""
 
 
-def _by_camera(folder: Path, wish: Wish) -> list[PosedPicture]:
+def _by_camera(folder: Path, settings: FitPictureSettings) -> list[PosedPicture]:
     """Pictures that carry their camera, or have it beside them."""
     from splatpainter.image_files import find_camera
 
     paths = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in PICTURES and path.is_file()]
     if not paths:
         raise ValueError(f"{folder}: expected pictures with cameras, or one of {', '.join(TRANSFORMS)}; found neither")
-    return [_posed_picture(path, find_camera(path), wish, k) for k, path in enumerate(paths)]
+    return [_posed_picture(path, find_camera(path), settings, k) for k, path in enumerate(paths)]
 
 
-def _by_table(table: Path, wish: Wish) -> list[PosedPicture]:
+def _by_table(table: Path, settings: FitPictureSettings) -> list[PosedPicture]:
     """Pictures by a table as NeRF's synthetic scenes and nerfstudio have it: OpenGL camera-to-world matrices, one field
     of view or focal lengths for all or for each frame."""
     try:
         record = json.loads(files.read_all(table))
         frames = list(record["frames"])
-        return [_frame(table, {**record, **frame}, wish, k) for k, frame in enumerate(frames)]
+        return [_frame(table, {**record, **frame}, settings, k) for k, frame in enumerate(frames)]
     except (KeyError, TypeError, AttributeError, UnicodeDecodeError, json.JSONDecodeError) as error:
         problem = f"no {error}" if isinstance(error, KeyError) else reason(error)
         raise ValueError(f"{table}: expected a NeRF-style table of frames ({problem})") from None
 
 
-def _frame(table: Path, record: dict[str, Any], wish: Wish, k: int) -> PosedPicture:
+def _frame(table: Path, record: dict[str, Any], settings: FitPictureSettings, k: int) -> PosedPicture:
     from splatpainter.sources.picture_reader import read_picture
 
     name = table.parent / str(record["file_path"])
@@ -235,16 +239,16 @@ def _frame(table: Path, record: dict[str, Any], wish: Wish, k: int) -> PosedPict
         )
     pose = pose @ np.diag([1.0, -1.0, -1.0, 1.0])  # OpenGL looks along -z with y up
     pose[:3, :3] /= np.cbrt(np.linalg.det(pose[:3, :3]))
-    return _posed_picture(path, Camera(width, height, fx, fy, cx, cy, np.linalg.inv(pose)), wish, k)
+    return _posed_picture(path, Camera(width, height, fx, fy, cx, cy, np.linalg.inv(pose)), settings, k)
 
 
-def _posed_picture(path: Path, camera: Camera, wish: Wish, k: int) -> PosedPicture:
+def _posed_picture(path: Path, camera: Camera, settings: FitPictureSettings, k: int) -> PosedPicture:
     """Picture k. Transparent pixels show one of BACKGROUNDS; in pictures without any, those of exactly the camera's
     background count as empty."""
     from splatpainter.sources.picture_reader import read_picture
 
-    if wish.size is not None:
-        camera = camera.with_longest_side(wish.size)
+    if settings.size is not None:
+        camera = camera.with_longest_side(settings.size)
     picture = read_picture(path)
     ratio = picture.size[0] / picture.size[1] / (camera.width / camera.height)
     if abs(ratio - 1) > 0.01 + 1 / min(camera.width, camera.height):
@@ -260,16 +264,18 @@ def _posed_picture(path: Path, camera: Camera, wish: Wish, k: int) -> PosedPictu
     return camera, picture.colors, np.abs(picture.colors - background).max(-1) > 3 / 255
 
 
-def _carved(cameras: list[Camera], colors: list[np.ndarray], solid: list[np.ndarray], wish: Wish) -> Splats:
+def _carved(
+    cameras: list[Camera], colors: list[np.ndarray], solid: list[np.ndarray], settings: FitPictureSettings
+) -> Splats:
     """Random points that lie before something in every picture that they fall into (a visual hull, where backgrounds
     are known), with their mean colour in the pictures."""
     from splatpainter.fit.start import from_points
 
-    rng = np.random.default_rng(wish.seed)
+    rng = np.random.default_rng(settings.seed)
     center, reach = _common_center(cameras)
     candidates: list[np.ndarray] = []
     for _ in range(TRIES):
-        points = center + reach * rng.uniform(-1, 1, (wish.rows, 3))
+        points = center + reach * rng.uniform(-1, 1, (settings.rows, 3))
         count, good = np.zeros(len(points)), np.ones(len(points), bool)
         total = np.zeros((len(points), 3))
         for camera, color, there in zip(cameras, colors, solid, strict=True):
@@ -281,12 +287,12 @@ def _carved(cameras: list[Camera], colors: list[np.ndarray], solid: list[np.ndar
             count[seen] += 1
         good &= count >= min(2, len(cameras))
         candidates.append(np.concatenate([points[good], total[good] / count[good, None]], 1))
-        if sum(map(len, candidates)) >= wish.rows:
+        if sum(map(len, candidates)) >= settings.rows:
             break
-    both = np.concatenate(candidates)[: wish.rows]
+    both = np.concatenate(candidates)[: settings.rows]
     if len(both) < 16:
         raise ValueError("pictures: no point in space is covered in two of them and empty in none; check their cameras")
-    return from_points(both[:, :3], both[:, 3:], wish.sh_degree)
+    return from_points(both[:, :3], both[:, 3:], settings.sh_degree)
 
 
 def _common_center(cameras: list[Camera]) -> tuple[np.ndarray, float]:

@@ -18,7 +18,7 @@ from splatpainter.commands.terminal import count, seconds, stages
 from splatpainter.commands.verify import receipt_of
 from splatpainter.io import files, read
 from splatpainter.scene.merge import MergeVerification, Part, parts_of, write_merged
-from splatpainter.scene.placement import Placement, beside
+from splatpainter.scene.placement import Placement, shift_to_the_right
 from splatpainter.splats import Splats
 
 
@@ -121,7 +121,7 @@ def side_by_side(assets: Sequence[Splats], transforms: Sequence[Placement]) -> l
     left = transforms[0].points(_visible(assets[0]).means)
     for splats, transform in zip(assets[1:], transforms[1:], strict=True):
         points = transform.points(_visible(splats).means)
-        shift = beside(left, points)[0]
+        shift = shift_to_the_right(left, points)[0]
         x, y, z = transform.move
         out.append(replace(transform, move=(x + shift, y, z)))
         left = out[-1].points(_visible(splats).means)

@@ -232,13 +232,13 @@ class InterruptibleSource:
         """Edit as the source does. An interrupt cancels it, waits for its end and goes on."""
         stop, done, outcome = threading.Event(), threading.Event(), []
 
-        class Either:
+        class AnyCancelFlag:
             def is_set(self) -> bool:
                 return stop.is_set() or cancel.is_set()
 
         def work() -> None:
             try:
-                outcome.append(self._source.edit(request, progress, Either()))
+                outcome.append(self._source.edit(request, progress, AnyCancelFlag()))
             except BaseException as error:  # raised again below, where somebody waits for it
                 outcome.append(error)
             done.set()

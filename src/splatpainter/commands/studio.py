@@ -49,7 +49,7 @@ def run(config: Config) -> Outcome:
         raise ValueError(f"splatpainter studio: needs {error.name}; pip install 'splatpainter[studio]'") from None
     from splatpainter.kernels.compile import ensure_compiled
     from splatpainter.server.security import Access
-    from splatpainter.server.studio import Options, Studio
+    from splatpainter.server.studio import Studio, StudioOptions
 
     if config.port is not None and not 0 <= config.port <= 65535:
         raise ValueError(f"splatpainter studio: expected --port from 0 to 65535, got {config.port}")
@@ -59,7 +59,7 @@ def run(config: Config) -> Outcome:
     try:
         ensure_compiled()
         session, name = open_session(config.asset, frame=config.frame)
-        studio = Studio(session, name, Options(config.folder))
+        studio = Studio(session, name, StudioOptions(config.folder))
     except BaseException:
         if session is not None:
             session.close()

@@ -116,10 +116,10 @@ def run(config: Config) -> Outcome:
     from splatpainter.train.loop import Limits, Loop
     from splatpainter.train.state import exists
     from splatpainter.train.training_data import (
+        DataSettings,
         ResourceFolders,
-        Supply,
+        open_gaussian_edits,
         open_global_edits,
-        open_row_edits,
         open_training_data,
     )
 
@@ -139,16 +139,18 @@ def run(config: Config) -> Outcome:
     try:
         say = _say if group.first else lambda line: None
         resources = ResourceFolders(config.environments, config.decals, config.fonts, config.textures)
-        supply = Supply(config.data, recipe.samples, recipe.seed, recipe.validation_share, resources, str(group.device))
+        settings = DataSettings(
+            config.data, recipe.samples, recipe.seed, recipe.validation_share, resources, str(group.device)
+        )
         count = recipe.validation_samples if recipe.validate_every else 0
         if recipe.stage == "predict":
-            data = open_global_edits(supply, count)
+            data = open_global_edits(settings, count)
         elif recipe.stage == "rows":
             from splatpainter.models.cache import cache_folder
 
-            data = open_row_edits(supply, count, config.assets or cache_folder() / "rows", recipe.fitted)
+            data = open_gaussian_edits(settings, count, config.assets or cache_folder() / "rows", recipe.fitted)
         else:
-            data = open_training_data(supply, batch=recipe.batch, count=count, workers=recipe.workers)
+            data = open_training_data(settings, batch=recipe.batch, count=count, workers=recipe.workers)
         task = _task(config, recipe, group, say)
         say(_first_line(recipe, task, data, group))
         kind: Any = {"resume": started, "compact": config.compact_state, "say": say}

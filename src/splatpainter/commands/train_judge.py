@@ -19,8 +19,8 @@ from splatpainter.train.recipes import STAGES, Recipe
 
 if TYPE_CHECKING:
     from splatpainter.models.model import SplatPainterModel
-    from splatpainter.train.judge import Finding
-    from splatpainter.train.training_data import Supply
+    from splatpainter.train.judge import SampleScore
+    from splatpainter.train.training_data import DataSettings
 
 Folder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
 Checkpoint = Annotated[Positional[Path], arg(metavar="CHECKPOINT")]
@@ -95,10 +95,10 @@ def judge(config: JudgeConfig) -> Outcome:
         goals,
         judge_copies,
         judge_edits,
+        judged_samples,
         looking_tasks,
         refine_task,
         table,
-        trials,
         write_table,
     )
 
@@ -111,27 +111,29 @@ def judge(config: JudgeConfig) -> Outcome:
     recipe = _recipe(config, model)
     device = join(config.device).device
     model.to(device)
-    supply = _supply(config, recipe, str(device))
+    source_settings = _data_settings(config, recipe, str(device))
     kinds = _kinds(config, recipe)
-    samples = progress(trials(supply, kinds, config.samples, max(config.views)), config.samples, "judge")
+    samples = progress(
+        judged_samples(source_settings, kinds, config.samples, max(config.views)), config.samples, "judge"
+    )
     remark = ""
     if recipe.stage == "refine":
-        findings_or_lines = judge_edits(
+        scores_or_lines = judge_edits(
             refine_task(recipe, model, config.perceptual_weights).to(device), samples, config.views
         )
     else:
         tasks, remark = looking_tasks(recipe, model, config.checkpoint)
-        findings_or_lines = judge_copies(tasks, samples)
-    findings, problems = _sorted(findings_or_lines)
-    if not findings:
+        scores_or_lines = judge_copies(tasks, samples)
+    scores, problems = _sorted(scores_or_lines)
+    if not scores:
         raise ValueError(f"{config.data}: none of {config.samples} samples could be judged; the first: {problems[0]}")
-    edited = edit_rows(findings, config.seed) if recipe.stage == "refine" else []
-    rows = edited or copy_rows(findings, config.seed)
-    held_names = {f.name for f in findings}
+    edited = edit_rows(scores, config.seed) if recipe.stage == "refine" else []
+    rows = edited or copy_rows(scores, config.seed)
+    held_names = {f.name for f in scores}
     judged = {
         "rows": as_json(rows),
-        "samples": len({f.sample for f in findings}),
-        "objects": dict(zip(("training", "validation"), supply.counts(), strict=True)),
+        "samples": len({f.sample for f in scores}),
+        "objects": dict(zip(("training", "validation"), source_settings.counts(), strict=True)),
         "judged_objects": len(held_names),
         "skipped": len(problems),
         "seed": config.seed,
@@ -145,7 +147,7 @@ def judge(config: JudgeConfig) -> Outcome:
         f"{len(held_names)} held-out objects of {judged['data']}, {recipe.samples.size} px, seed {config.seed}"
     )
     remarks = [*goals(rows), *([remark] if remark else []), *problems]
-    paths = write_table(config.out, rows, findings, heading, ["\n".join(f"- {r}" for r in remarks)])
+    paths = write_table(config.out, rows, scores, heading, ["\n".join(f"- {r}" for r in remarks)])
     if config.write_notes:
         checkpoint.add_notes(config.checkpoint, {**gain, "judged": judged})
     hidden = len(problems) - MAX_PROBLEM_LINES
@@ -173,16 +175,16 @@ def _recipe(config: JudgeConfig, model: SplatPainterModel) -> Recipe:
     stored = model.notes.get("recipe")
     if not isinstance(stored, dict):
         raise ValueError(f"{config.checkpoint}: its notes hold no recipe; name the one it was trained by with --recipe")
-    findings_or_lines = recipes.parse(json.dumps(stored), stage, f"{config.checkpoint}: recipe")
-    return dataclasses.replace(findings_or_lines, stage=as_edits, model=model.config)
+    parsed = recipes.parse(json.dumps(stored), stage, f"{config.checkpoint}: recipe")
+    return dataclasses.replace(parsed, stage=as_edits, model=model.config)
 
 
-def _supply(config: JudgeConfig, recipe: Recipe, device: str) -> Supply:
-    from splatpainter.train.training_data import ResourceFolders, Supply
+def _data_settings(config: JudgeConfig, recipe: Recipe, device: str) -> DataSettings:
+    from splatpainter.train.training_data import DataSettings, ResourceFolders
 
     resources = ResourceFolders(config.environments, config.decals, config.fonts, config.textures)
     share, memory = recipe.validation_share, 64 << 20
-    return Supply(config.data, recipe.samples, config.seed, share, resources, device, memory)
+    return DataSettings(config.data, recipe.samples, config.seed, share, resources, device, memory)
 
 
 def _kinds(config: JudgeConfig, recipe: Recipe) -> dict[str, float]:
@@ -202,16 +204,16 @@ def _kinds(config: JudgeConfig, recipe: Recipe) -> dict[str, float]:
     return dict.fromkeys(config.kinds, 1.0) or stored or dict.fromkeys(possible, 1.0)
 
 
-def _sorted(findings_or_lines: Iterable[Finding | str]) -> tuple[list[Finding], list[str]]:
-    """(findings, lines about the others). Only the first strip of a table row stays in memory."""
-    findings: list[Finding] = []
+def _sorted(scores_or_lines: Iterable[SampleScore | str]) -> tuple[list[SampleScore], list[str]]:
+    """(scores, lines about the others). Only the first strip of a table row stays in memory."""
+    scores: list[SampleScore] = []
     problems: list[str] = []
     strips: set[tuple[str, int | None]] = set()
-    for item in findings_or_lines:
+    for item in scores_or_lines:
         if isinstance(item, str):
             problems.append(item)
             continue
         key = item.kind, item.views
-        findings.append(item if key not in strips else dataclasses.replace(item, strip=()))
+        scores.append(item if key not in strips else dataclasses.replace(item, strip=()))
         strips.add(key)
-    return findings, problems
+    return scores, problems

@@ -1,7 +1,7 @@
 """Numbered work on other processes: a pool on this machine, or Ray on many. Knows no scenes and writes no files.
 
 A worker that dies (killed, out of memory, crashed in native code) costs a retry of what it was doing; work whose worker
-dies again and again comes back as `Lost`, and the rest goes on. Exceptions of the work itself are raised here.
+dies again and again comes back as `LostTask`, and the rest goes on. Exceptions of the work itself are raised here.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ AHEAD = 2
 
 
 @dataclass(frozen=True)
-class Lost:
+class LostTask:
     """Work that no worker survived."""
 
     reason: str
 
 
-Results: TypeAlias = Generator[tuple[int, "Result | Lost"]]
+Results: TypeAlias = Generator[tuple[int, "Result | LostTask"]]
 """Closed by whoever stops before the end; what is in work then is ended."""
 
 
@@ -115,7 +115,7 @@ def _ended_well(future: Future[Any]) -> bool:
 
 def _alone(
     work: Callable[[int], Result], number: int, retries: int, cancelled: Callable[[], bool] | None
-) -> Result | Lost:
+) -> Result | LostTask:
     for _ in range(max(retries, 1)):
         with _pool(1) as pool:
             try:
@@ -125,7 +125,7 @@ def _alone(
             except BaseException:
                 _kill_workers(pool)
                 raise
-    return Lost(f"its worker died {max(retries, 1) + 1} times (killed, or out of memory)")
+    return LostTask(f"its worker died {max(retries, 1) + 1} times (killed, or out of memory)")
 
 
 def _pool(workers: int) -> ProcessPoolExecutor:
@@ -235,4 +235,4 @@ def _ray_results(
             except ray.exceptions.RayTaskError as error:
                 raise error.as_instanceof_cause() from None
             except (ray.exceptions.WorkerCrashedError, ray.exceptions.OutOfMemoryError) as error:
-                yield number, Lost(f"its worker died {retries + 1} times ({type(error).__name__})")
+                yield number, LostTask(f"its worker died {retries + 1} times ({type(error).__name__})")

@@ -125,7 +125,7 @@ def zoom(scene: LitScene, spec: SampleSpec, rng: np.random.Generator) -> EditSam
     for _ in range(spec.views):
         surfel = _open_surfel(scene, rng)
         normal = scene.object.surfels.normals[surfel].cpu().numpy().astype(np.float64)
-        overview = viewpoints.around(scene.object.radius, scene.optics, *viewpoints.view_angles(normal, rng))
+        overview = viewpoints.object_camera(scene.object.radius, scene.optics, *viewpoints.view_angles(normal, rng))
         targets.append(_position(scene, surfel))
         cameras.append(viewpoints.crop(overview, targets[-1], rng.uniform(*spec.recipe.zoom)))
     renders, coarse = render_views(scene.truth, cameras), render_views(scene.coarse, cameras)

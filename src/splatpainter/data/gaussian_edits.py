@@ -1,7 +1,7 @@
 """Edits of Gaussians without pictures: a change that is known exactly where one, two or four views show the asset, and
 to be predicted where they do not.
 
-    edits = RowEditStream(RowAssets(...), kinds={"relight": 1.0}, asset_kinds=("coarse", "fitted"), seed=0)
+    edits = GaussianEditStream(LitAssets(...), kinds={"relight": 1.0}, asset_kinds=("coarse", "fitted"), seed=0)
     edit = edits[17]                         # the same for equal (stream, 17), in any order of access
 
 What is learnt from them (train/stages/gaussian_edit_task.py) can know of the edit only what Gaussians that are seen say
@@ -21,7 +21,7 @@ from torch import Tensor
 
 from splatpainter.color import linear_to_srgb, srgb_to_linear
 from splatpainter.data.lights import random_light
-from splatpainter.data.lit_assets import RING_VIEWS, RINGS, AssetKind, RowAsset, RowAssets
+from splatpainter.data.lit_assets import RING_VIEWS, RINGS, AssetKind, LitAsset, LitAssets
 from splatpainter.sources.color_grading import apply_grade, random_grade
 
 EditKind = Literal["relight", "recolor", "regrade"]
@@ -45,10 +45,10 @@ SMALL_PX = 64
 
 
 @dataclass(frozen=True)
-class RowEdit:
+class GaussianEdit:
     """One edit of the N Gaussians of an asset. Arrays are numpy float32."""
 
-    item: RowAsset
+    item: LitAsset
     kind: EditKind
     views: int
     """Number of pictures that show it: 1, 2 or 4."""
@@ -77,33 +77,34 @@ class RowEdit:
         return np.clip(before, 0, 1).astype(np.float32)
 
 
-class RowEditStream:
+class GaussianEditStream:
     """Endless edits by number: of an object, of its coarse or fitted asset, of one of the kinds."""
 
     def __init__(
         self,
-        assets: RowAssets,
+        assets: LitAssets,
         kinds: Mapping[Any, float],
         asset_kinds: Sequence[AssetKind] = ("coarse", "fitted"),
         seed: int = 0,
-        stay: int = 8,
+        samples_per_object: int = 8,
         objects: int = 0,
     ) -> None:
-        """kinds: kind -> weight; stay: consecutive numbers that share an asset; objects: how many, the first of a fixed
-        order, 0: all. Raises ValueError for kinds that there are not, or none of weight above 0."""
+        """kinds: kind -> weight; samples_per_object: consecutive numbers that share an asset; objects: how many,
+        the first of a fixed order, 0: all. Raises ValueError for kinds that there are not, or none of weight above 0."""
         unknown = sorted(set(kinds) - set(EDIT_KINDS))
         if unknown or not asset_kinds or sum(kinds.values()) <= 0:
             raise ValueError(f"rows: expected kinds of {', '.join(EDIT_KINDS)} with weights, and assets, got {kinds}")
-        self.assets, self.asset_kinds, self.seed, self.stay = assets, tuple(asset_kinds), seed, stay
+        self.assets, self.asset_kinds = assets, tuple(asset_kinds)
+        self.seed, self.samples_per_object = seed, samples_per_object
         self.kinds: dict[EditKind, float] = {kind: kinds[kind] for kind in EDIT_KINDS if kinds.get(kind, 0) > 0}
         order = np.random.default_rng(0).permutation(len(assets))
         self.order = order[:objects] if objects else order
 
-    def __getitem__(self, index: int) -> RowEdit:
+    def __getitem__(self, index: int) -> GaussianEdit:
         """Raises IndexError below 0, and ValueError as RowAssets."""
         if index < 0:
             raise IndexError(f"rows: expected an index from 0, got {index}")
-        block = index // self.stay
+        block = index // self.samples_per_object
         epoch, position = divmod(block, len(self.order) * len(self.asset_kinds))
         pick = int(self._generator("epoch", epoch).permutation(len(self.order) * len(self.asset_kinds))[position])
         which, part = divmod(pick, len(self.asset_kinds))
@@ -114,11 +115,11 @@ class RowEditStream:
         views = int(rng.choice(list(VIEW_ODDS), p=list(VIEW_ODDS.values())))
         return self.edit(item, kind, views, rng)
 
-    def edit(self, item: RowAsset, kind: EditKind, views: int, rng: np.random.Generator) -> RowEdit:
+    def edit(self, item: LitAsset, kind: EditKind, views: int, rng: np.random.Generator) -> GaussianEdit:
         """A random edit of this asset, shown in this many views of one of its rings."""
         pixels = item.visible_px[int(rng.integers(RINGS))][:: RING_VIEWS // views].sum(0)
         counts = item.visible_px.sum((0, 1))
-        edit = RowEdit(item, kind, views, np.zeros_like(item.residual), pixels, counts)
+        edit = GaussianEdit(item, kind, views, np.zeros_like(item.residual), pixels, counts)
         for _ in range(MAX_TRIES):
             after = np.clip(self._after(item, kind, edit.colors, rng), 0, 1)
             change = (after - edit.colors).astype(np.float32)
@@ -126,7 +127,7 @@ class RowEditStream:
                 break
         return replace(edit, change=change)
 
-    def _after(self, item: RowAsset, kind: EditKind, before: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    def _after(self, item: LitAsset, kind: EditKind, before: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """[N, 3] base colours after an edit."""
         if kind == "relight":
             coefficients, exposures = self._lights

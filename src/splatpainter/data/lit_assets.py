@@ -1,7 +1,7 @@
 """Assets whose Gaussians know their materials, so that their colours are known under any light: coarse ones with true
 normals, and ones that 3DGS fitted to pictures. What learning on rows is made of (data/gaussian_edits.py).
 
-    assets = RowAssets(MeshFolder("meshes"), recipe, seed=0, environments=hdris, folder=cache)
+    assets = LitAssets(MeshFolder("meshes"), recipe, seed=0, environments=hdris, folder=cache)
     asset = assets[3, "fitted"]              # made once, kept on disk
 
 A fitted Gaussian takes the material of the surfel of the dense truth that is nearest to it; how its fitted colour
@@ -59,7 +59,7 @@ SURFEL_FIELDS = ("normals", "albedo", "metallic", "roughness", "occlusion", "tra
 
 
 @dataclass(frozen=True)
-class RowAsset:
+class LitAsset:
     """An asset under one light. Arrays are numpy float32."""
 
     name: str
@@ -92,7 +92,7 @@ def base_colors(surfels: Surfels, coefficients: Tensor, exposure: Tensor) -> np.
     return base_color(shade_all(surfels, coefficients, exposure, 0)).numpy()
 
 
-class RowAssets:
+class LitAssets:
     """The assets of a source of meshes, by (number of the object, kind). Equal settings give equal assets."""
 
     def __init__(
@@ -108,7 +108,7 @@ class RowAssets:
         assets are kept, one file each, None: nowhere; cache_bytes: of assets kept in memory."""
         self.source, self.recipe, self.seed, self.folder = source, recipe, seed, folder
         self.environments = tuple(environments)
-        self._assets = Recent[RowAsset](cache_bytes, lambda item: 4 * len(item.asset) * 60)
+        self._assets = Recent[LitAsset](cache_bytes, lambda item: 4 * len(item.asset) * 60)
         self._objects = Recent[SceneObject](1)
         self._bad: dict[int, str] = {}
 
@@ -116,7 +116,7 @@ class RowAssets:
         """Objects."""
         return len(self.source)
 
-    def __getitem__(self, key: tuple[int, AssetKind]) -> RowAsset:
+    def __getitem__(self, key: tuple[int, AssetKind]) -> LitAsset:
         """Raises ValueError, naming the object, where its mesh cannot be used."""
         i, kind = key
         if i in self._bad:
@@ -137,7 +137,7 @@ class RowAssets:
         made = json.dumps([VERSION, self.source.name(i), self.seed, sizes, lights, FIT_STEPS, FIT_VIEWS, kind])
         return self.folder / f"{kind}-{hashlib.sha256(made.encode()).hexdigest()[:20]}.npz"
 
-    def _load_or_make(self, i: int, kind: AssetKind) -> RowAsset:
+    def _load_or_make(self, i: int, kind: AssetKind) -> LitAsset:
         path = self._path(i, kind)
         if path is not None and path.is_file():
             stored = _read(path, self.source.name(i), kind)
@@ -153,7 +153,7 @@ class RowAssets:
             _write(path, made)
         return made
 
-    def _make(self, i: int, kind: AssetKind) -> RowAsset:
+    def _make(self, i: int, kind: AssetKind) -> LitAsset:
         recipe, rng = self.recipe, self._generator(f"asset {kind}", i)
         item = self._objects.get(i, lambda: self._object(i))
         light = random_light(rng, self.environments)
@@ -176,7 +176,7 @@ class RowAssets:
         transfer = prt_transfer(asset.means, normals).astype(np.float32)
         pixels = np.stack([np.asarray(part) for part in drawn]).astype(np.float32)
         arrays = (normals, transfer, pixels, surfels, residual.astype(np.float32))
-        return RowAsset(self.source.name(i), kind, asset, *arrays, light.coefficients, light.exposure)
+        return LitAsset(self.source.name(i), kind, asset, *arrays, light.coefficients, light.exposure)
 
     def _object(self, i: int) -> SceneObject:
         rng, recipe = self._generator("object", i), self.recipe
@@ -228,7 +228,7 @@ def _nearest(surfels: Surfels, points: np.ndarray) -> Surfels:
     return surfels.take(torch.from_numpy(np.asarray(ids, np.int64)))
 
 
-def _write(path: Path, item: RowAsset) -> None:
+def _write(path: Path, item: LitAsset) -> None:
     arrays = {name: getattr(item.asset, name) for name in ("means", "quats", "scales", "opacities", "sh")}
     arrays |= {f"surfel_{name}": getattr(item.surfels, name).numpy() for name in SURFEL_FIELDS}
     arrays |= {name: getattr(item, name) for name in ("normals", "transfer", "visible_px", "residual")}
@@ -237,7 +237,7 @@ def _write(path: Path, item: RowAsset) -> None:
         np.savez_compressed(file, **arrays)
 
 
-def _read(path: Path, name: str, kind: AssetKind) -> RowAsset | None:
+def _read(path: Path, name: str, kind: AssetKind) -> LitAsset | None:
     """None for a file that is damaged, or another program's."""
     try:
         with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
@@ -248,6 +248,6 @@ def _read(path: Path, name: str, kind: AssetKind) -> RowAsset | None:
         shapes = {f.name: torch.from_numpy(getattr(asset, f.name)) for f in fields(Surfels) if f.name not in parts}
         values = (held["normals"], held["transfer"], held["visible_px"], Surfels(**shapes, **parts), held["residual"])
         light = (torch.from_numpy(held["coefficients"]), torch.from_numpy(held["exposure"]))
-        return RowAsset(name, kind, asset, *values, *light)
+        return LitAsset(name, kind, asset, *values, *light)
     except (OSError, KeyError, ValueError, EOFError, BadZipFile):
         return None

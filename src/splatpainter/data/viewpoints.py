@@ -33,7 +33,7 @@ class Optics:
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-def around(radius: float, optics: Optics, azimuth: float, elevation: float) -> Camera:
+def object_camera(radius: float, optics: Optics, azimuth: float, elevation: float) -> Camera:
     """A view of a whole object that fits in a sphere of `radius` about the origin; degrees."""
     distance = FRAME_MARGIN * radius / math.sin(math.radians(optics.fov / 2))
     return _aimed(distance * _direction(azimuth, elevation), np.zeros(3), optics)
@@ -44,7 +44,7 @@ def ring(radius: float, optics: Optics, count: int, rng: np.random.Generator) ->
     start = rng.uniform(0, 360)
     turns = start + (np.arange(count) + rng.uniform(-0.2, 0.2, count)) * 360 / max(count, 1)
     heights = rng.uniform(-15, 50, count)
-    return [around(radius, optics, float(a), float(e)) for a, e in zip(turns, heights, strict=True)]
+    return [object_camera(radius, optics, float(a), float(e)) for a, e in zip(turns, heights, strict=True)]
 
 
 def facing(

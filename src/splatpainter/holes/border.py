@@ -70,7 +70,7 @@ def borders_of(splats: Splats, remaining: np.ndarray, candidates: np.ndarray) ->
     return [_border(splats, part) for part in parts]
 
 
-def beside(splats: Splats, remaining: np.ndarray, removed: np.ndarray) -> np.ndarray:
+def bordering_gaussians(splats: Splats, remaining: np.ndarray, removed: np.ndarray) -> np.ndarray:
     """[N] bool: what remains near to what was removed ([N] bool)."""
     out = np.zeros(len(splats), bool)
     gone, rest = np.flatnonzero(removed), np.flatnonzero(remaining & (splats.opacities >= MIN_OPACITY))

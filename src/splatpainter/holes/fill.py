@@ -14,7 +14,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.color import sh_from_color
-from splatpainter.holes.border import Border, beside, borders_of
+from splatpainter.holes.border import Border, bordering_gaussians, borders_of
 from splatpainter.holes.chart import CELL_PX, Chart, chart_of
 from splatpainter.holes.smooth_surface import ThinPlate, sphere_heights
 from splatpainter.holes.texture import complete
@@ -86,7 +86,7 @@ def fill_hole(splats: Splats, *, removed: np.ndarray | None = None, around: np.n
             raise ValueError("fill: nothing was removed; select something first")
         removed = removed & splats.drawable
         remaining = visible & ~removed
-        candidates = beside(splats, remaining, removed)
+        candidates = bordering_gaussians(splats, remaining, removed)
     else:
         remaining, candidates = visible, np.zeros(len(splats), bool) if around is None else around & visible
         if not candidates.any():

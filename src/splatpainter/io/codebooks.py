@@ -209,10 +209,10 @@ def _quota(shares: np.ndarray, spread: np.ndarray, size: int) -> np.ndarray:
     quota = np.minimum(shares, 1)
     for _ in range(8):
         capacity, remaining = shares - quota, size - int(quota.sum())
-        wish = np.where(capacity > 0, spread + spread.mean() * 1e-3, 0)
-        if remaining <= 0 or not wish.any():
+        share = np.where(capacity > 0, spread + spread.mean() * 1e-3, 0)
+        if remaining <= 0 or not share.any():
             break
-        quota = quota + np.minimum(capacity, np.floor(wish / wish.sum() * remaining).astype(int))
+        quota = quota + np.minimum(capacity, np.floor(share / share.sum() * remaining).astype(int))
     return quota
 
 

@@ -178,7 +178,7 @@ def _one_after_the_other(
     later one shows the same part: from another side its Gaussians stand in the way (SAME_PART)."""
     from splatpainter.voxels.raycast import editable_gaussians
 
-    result = _Painted.of(splats)
+    result = _PaintedSoFar.of(splats)
     again = _shown_again(splats, grid, views)
     for k, view in enumerate(views):
         with errors_name(view.name):
@@ -204,7 +204,7 @@ def _on_surface(
 ) -> LiftedEdit:
     """Sheets on the surface, each from the view that sees it best, and split Gaussians where there is none, each view
     on the result of those before; without features."""
-    result, first = _Painted.of(splats), len(splats) if originals is None else originals
+    result, first = _PaintedSoFar.of(splats), len(splats) if originals is None else originals
 
     def painted_by(
         view: EditView,
@@ -247,7 +247,7 @@ def _on_surface(
 
 
 @dataclass(frozen=True)
-class _Painted:
+class _PaintedSoFar:
     """The Gaussians after the views so far: of N originals, S now."""
 
     splats: Splats
@@ -260,16 +260,16 @@ class _Painted:
     limited: tuple[float, ...] = ()
 
     @staticmethod
-    def of(splats: Splats) -> _Painted:
+    def of(splats: Splats) -> _PaintedSoFar:
         nothing = np.zeros(len(splats), bool)
-        return _Painted(splats, nothing, nothing, np.arange(len(splats)))
+        return _PaintedSoFar(splats, nothing, nothing, np.arange(len(splats)))
 
-    def after(self, painted: PaintedView) -> _Painted:
+    def after(self, painted: PaintedView) -> _PaintedSoFar:
         """painted: made of these `splats`."""
         changed, replaced = self.changed.copy(), self.replaced.copy()
         changed[painted.touched], replaced[painted.replaced] = True, True
         new = np.ones(len(painted.parents), bool)
-        return _Painted(
+        return _PaintedSoFar(
             painted.splats,
             np.append(changed, new),
             np.append(replaced, ~new),
@@ -277,7 +277,7 @@ class _Painted:
             (*self.limited, painted.limited),
         )
 
-    def with_joint_colors(self, count: int, views: Sequence[EditView], shares: Sequence[ViewShare]) -> _Painted:
+    def with_joint_colors(self, count: int, views: Sequence[EditView], shares: Sequence[ViewShare]) -> _PaintedSoFar:
         """count: N."""
         splats = with_joint_colors(self.splats, self.changed, views, shares)
         new = np.flatnonzero(self.replaced | (np.arange(len(splats)) >= count))

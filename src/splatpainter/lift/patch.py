@@ -156,7 +156,7 @@ class Patch:
         editable[view.gaussian_ids] = evidence.peak > MIN_PIXEL_SHARE
         return replace(
             self,
-            lattice=self.lattice.some(result.source),
+            lattice=self.lattice.take(result.source),
             splats=splats,
             widths=widths,
             view=view,

@@ -31,10 +31,10 @@ class Pieces:
         halved = (lattice.level[:, 0] | lattice.level[:, 1]) > 0
         left = np.ones(len(lattice.base), bool)
         left[lattice.parent[halved | gone]] = False
-        pieces = lattice.some(np.flatnonzero(halved & ~gone))
+        pieces = lattice.take(np.flatnonzero(halved & ~gone))
         return Pieces(left, pieces.parent, pieces.slot, pieces.splats())
 
-    def beside(self, base: Splats) -> tuple[Splats, np.ndarray]:
+    def remaining_gaussians(self, base: Splats) -> tuple[Splats, np.ndarray]:
         """(all that remain, in the order of owners, [R] int64 the Gaussian of the base that each is or is of)."""
         ids = np.flatnonzero(self.left)
         owners = np.concatenate([ids, self.owners])

@@ -148,13 +148,13 @@ def resurface(
     cells = Cells(cells.centers[index], cells.sizes[index])
     replaced = np.flatnonzero(gone)
     if len(replaced):
-        hidden, owners = lattice.some(replaced).splats(), lattice.parent[replaced]
+        hidden, owners = lattice.take(replaced).splats(), lattice.parent[replaced]
     else:
-        hidden, owners = pieces.beside(splats)
+        hidden, owners = pieces.remaining_gaussians(splats)
     sheet, hosts = _sheet(hidden, geometry, cells, colors, cover, tiles, camera)
     goal = np.where(covered[..., None], target, _picture(view, around, before, tiles))
     weights = np.where(painted, covered, UNEDITED_WEIGHT).astype(np.float32)
-    result = _painted(splats, pieces, sheet, around, tiles, goal, covered, weights, options)
+    result = _recolored(splats, pieces, sheet, around, tiles, goal, covered, weights, options)
     emptied = lattice.parent[gone & lattice.slot]
     return _assemble(splats, pieces, result, emptied, owners[hosts], covered, first_appended)
 
@@ -233,12 +233,12 @@ def _cut(
     wide = across & seen[ids]
     lattice = Lattice.of(splats, camera, ids, ids[wide])
     for turn in range(MAX_RIM_HALVINGS + 1):
-        wide[wide] = row_max(lattice.some(np.flatnonzero(wide)).widths) > RIM_GOAL_PX
+        wide[wide] = row_max(lattice.take(np.flatnonzero(wide)).widths) > RIM_GOAL_PX
         if turn == MAX_RIM_HALVINGS or not wide.any() or (~lattice.slot).sum() > options.max_pieces:
             break
         lattice, source = lattice.halved(wide, RIM_GOAL_PX)
         ids = np.flatnonzero(touching[source])
-        pieces = lattice.some(ids).splats()
+        pieces = lattice.take(ids).splats()
         view = project(pieces, camera, tiles=tiles)
         under, everywhere = view.mask_sums(covered, np.ones(covered.shape, bool))
         share, touching = np.zeros(len(lattice)), np.zeros(len(lattice), bool)
@@ -321,7 +321,7 @@ def _sigmas(splats: Splats, ids: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class _Painted:
+class _Recolored:
     """The Gaussians after colour rounds."""
 
     fresh: Splats
@@ -332,7 +332,7 @@ class _Painted:
     """[Q, K, 3] ... and their SH."""
 
 
-def _painted(
+def _recolored(
     splats: Splats,
     pieces: Pieces,
     sheet: Splats,
@@ -342,7 +342,7 @@ def _painted(
     covered: np.ndarray,
     weights: np.ndarray,
     options: LocalOptions,
-) -> _Painted:
+) -> _Recolored:
     """Colour rounds of the sheet, of the pieces around it and of what hangs before it. around: of the N `splats`, with
     these tiles."""
     view, count, first = joined_view(pieces, sheet, around, tiles), len(splats), len(splats) + len(pieces.owners)
@@ -363,13 +363,13 @@ def _painted(
         sh[rows] = recolor(sh[rows], before[chosen], lifted[chosen], damping)
     hanging = moved & (ids < count)
     recolored = recolor(splats.sh[ids[hanging]], before[hanging], lifted[hanging], options.damping)
-    return _Painted(replace(fresh, sh=sh), ids[hanging], recolored)
+    return _Recolored(replace(fresh, sh=sh), ids[hanging], recolored)
 
 
 def _assemble(
     splats: Splats,
     pieces: Pieces,
-    painted: _Painted,
+    painted: _Recolored,
     emptied_ids: np.ndarray,
     host: np.ndarray,
     covered: np.ndarray,

@@ -42,7 +42,7 @@ MAX_DB = 60.0
 
 
 @dataclass(frozen=True)
-class AsideScore:
+class SideViewScore:
     """Score of an edit seen from the side."""
 
     psnr: float | None
@@ -51,7 +51,7 @@ class AsideScore:
     """Share of the painted pixels that a side view can check, mean over the views, 0..1."""
 
 
-def aside_score(before: Splats, after: Splats, view: EditView) -> AsideScore:
+def side_view_score(before: Splats, after: Splats, view: EditView) -> SideViewScore:
     """before, after: numpy, the asset without and with the edit of `view`.
 
     On paint over 24 meshes that training never saw, by three methods (`splatpainter bench painted`), this ranks edits
@@ -63,8 +63,8 @@ def aside_score(before: Splats, after: Splats, view: EditView) -> AsideScore:
     covered = float(np.mean([pair.covered for pair in pairs])) if pairs else 0.0
     errors = np.concatenate([np.zeros((0, 3)), *(pair.soft_errors for pair in pairs)])
     if not len(errors):
-        return AsideScore(None, covered)
-    return AsideScore(min(-10 * math.log10(max(float((errors**2).mean()), 1e-12)), MAX_DB), covered)
+        return SideViewScore(None, covered)
+    return SideViewScore(min(-10 * math.log10(max(float((errors**2).mean()), 1e-12)), MAX_DB), covered)
 
 
 @dataclass(frozen=True)

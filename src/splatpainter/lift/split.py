@@ -115,7 +115,7 @@ class Lattice:
         """[S, 2] standard deviations along the two axes, in pixels."""
         return np.ldexp(self.sizes[self.parent].astype(np.float64), -self.level)
 
-    def some(self, ids: np.ndarray) -> Lattice:
+    def take(self, ids: np.ndarray) -> Lattice:
         """A part of them. ids: [K] int64."""
         taken = {name: getattr(self, name)[ids] for name in ("parent", "level", "site", "peak", "slot")}
         return replace(self, **taken)
@@ -184,5 +184,5 @@ def _merged(lattice: Lattice, source: np.ndarray) -> tuple[Lattice, np.ndarray]:
     peak = np.concatenate([lattice.peak[alone], np.where(number > 1, merged_peak(total), lattice.peak[first])])
     slot = np.concatenate([lattice.slot[alone], slot])
     order = np.argsort(key[chosen], kind="stable")  # two ascending rows
-    merged = replace(lattice.some(chosen[order]), peak=peak[order], slot=slot[order])
+    merged = replace(lattice.take(chosen[order]), peak=peak[order], slot=slot[order])
     return merged, source[chosen[order]]

@@ -43,7 +43,7 @@ BASE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 SHARD_NAME = re.compile(r"weights-[0-9a-f]{16}\.safetensors")
 
 
-class Config(Protocol):
+class CheckpointConfig(Protocol):
     """What a model's config must have to be kept in a checkpoint."""
 
     format: ClassVar[str]
@@ -56,7 +56,7 @@ class Config(Protocol):
     def from_json(text: str, where: str = ..., /) -> Any: ...
 
 
-AnyConfig = TypeVar("AnyConfig", bound=Config)
+AnyConfig = TypeVar("AnyConfig", bound=CheckpointConfig)
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Checkpoint(Generic[AnyConfig]):
 
 def save(
     folder: Path | str,
-    config: Config,
+    config: CheckpointConfig,
     tensors: Mapping[str, torch.Tensor],
     *,
     dtype: Literal["float16", "bfloat16", "float32"] = "float16",

@@ -60,7 +60,7 @@ class Part:
         """Name of the file, without folders."""
         return files.printable(Path(self.path).name, 200)
 
-    def how(self, key: str) -> str:
+    def stored_as(self, key: str) -> str:
         """BYTES, VALUES or MADE in a file of the format `key`."""
         if not self.placement.is_identity or self.seam is not None:
             return MADE
@@ -184,7 +184,7 @@ def write_merged(path: Path, parts: Sequence[Part]) -> tuple[Receipt, MergeVerif
                 "rows": len(splats),
                 "first": first,
                 "sh_degree": part.splats.sh_degree,
-                "how": part.how(key),
+                "how": part.stored_as(key),
                 "exact_rows": len(splats) - len(changed_rows(before, after)),
                 "placement": part.placement.record(),
                 "seam": None if part.seam is None else part.seam.record(),
@@ -192,7 +192,7 @@ def write_merged(path: Path, parts: Sequence[Part]) -> tuple[Receipt, MergeVerif
         )
         first += len(splats)
     lead = parts[0].splats
-    stays = parts[0].how(key) == BYTES and merged.sh.shape[1] == lead.sh.shape[1]
+    stays = parts[0].stored_as(key) == BYTES and merged.sh.shape[1] == lead.sh.shape[1]
     touched = np.zeros(0, np.int64) if stays else np.arange(len(lead))
     before, after = untouched_hashes(lead, merged, touched)
     receipt = Receipt(
@@ -274,7 +274,7 @@ def check_merge(merged: Splats, sources: Sequence[Splats], receipt: Receipt) -> 
     for record, part in zip(records, parts, strict=True):
         span = slice(record["first"], record["first"] + record["rows"])
         changed = int(rows[span].sum())
-        how = part.how(merged.source.format)
+        how = part.stored_as(merged.source.format)
         ranges.append(RangeCheck(part.name, span.start, record["rows"], record["rows"] - changed, changed, how))
     return MergeVerification(
         not problems, tuple(ranges), len(merged) - total, tuple(dict.fromkeys(problems)), comparison.exact
@@ -380,7 +380,7 @@ def _stored_differences(part: Part, merged: Splats, first: int) -> tuple[np.ndar
     differ); nothing where bytes are no measure."""
     none = np.zeros(0, np.int64)
     assert merged.source is not None
-    if part.how(merged.source.format) != BYTES:
+    if part.stored_as(merged.source.format) != BYTES:
         return none, []
     assert part.splats.source is not None
     old, new = contents(part.splats.source), contents(merged.source)

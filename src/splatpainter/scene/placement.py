@@ -180,7 +180,7 @@ class Placement:
         return out
 
 
-def beside(fixed: np.ndarray, moving: np.ndarray, gap: float = 0.1) -> tuple[float, float, float]:
+def shift_to_the_right(fixed: np.ndarray, moving: np.ndarray, gap: float = 0.1) -> tuple[float, float, float]:
     """The move along x that sets some points to the right of others. fixed, moving: [P, 3], [Q, 3]; gap: share of the
     wider one's width between them. Strays (1 % at either end) do not count."""
     low, high = (np.quantile(points[:, 0], (0.01, 0.99)) for points in (fixed, moving))

@@ -72,7 +72,7 @@ class CurrentSelection:
         if self:
             self._drawn = (_key(camera), drawn)
 
-    def again(self) -> None:
+    def reselect(self) -> None:
         """Select what was selected before."""
         selection = self._previous
         if selection is not None:

@@ -16,7 +16,7 @@ from splatpainter.server.app import create_app
 from splatpainter.server.limits import MAX_DAB_BYTES, ConnectionLimits, bounded
 from splatpainter.server.security import Access
 from splatpainter.server.storage import PROJECT, Projects, demo
-from splatpainter.server.studio import Options, Studio
+from splatpainter.server.studio import Studio, StudioOptions
 from splatpainter.session import Session
 from splatpainter.splats import Frame, Splats
 from splatpainter.user_folders import projects_folder
@@ -141,7 +141,7 @@ def studio(
     session = None
     try:
         session, name = open_session(asset, projects_path, frame)
-        opened = Studio(session, name, Options(None if folder is None else Path(folder), projects_path))
+        opened = Studio(session, name, StudioOptions(None if folder is None else Path(folder), projects_path))
     except BaseException:
         if session is not None:
             session.close()

@@ -50,7 +50,7 @@ MAX_EXPORTED_VIEWS = 64
 
 
 @dataclass(frozen=True)
-class Options:
+class StudioOptions:
     """How a studio runs."""
 
     folder: Path | None = None
@@ -73,7 +73,7 @@ class ExportedView:
 class Studio:
     """One session at a time; another asset or project replaces it for all clients."""
 
-    def __init__(self, session: Session, name: str = "asset", options: Options = Options()) -> None:
+    def __init__(self, session: Session, name: str = "asset", options: StudioOptions = StudioOptions()) -> None:
         """The session is the studio's from now on: closing the studio closes it. What a studio that was killed left
         behind is removed."""
         self.options = options

@@ -23,7 +23,7 @@ from splatpainter.cameras import Camera
 from splatpainter.io import files, frame_of, read
 from splatpainter.io.sog import META
 from splatpainter.painter import Edit, Method
-from splatpainter.scene.placement import Placement, beside
+from splatpainter.scene.placement import Placement, shift_to_the_right
 from splatpainter.scene.seam import match_seam, seam_weights
 from splatpainter.session import asset_files
 from splatpainter.session.document import SELECTION, Document, Kind, Layer, add_layer, add_stroke, change_layer
@@ -110,7 +110,7 @@ class AssetCommands(StrokeCommands):
                 raise ValueError(f"asset {title}: expected at most {MAX_ASSETS} assets")
             if placement is None:
                 there, new = (rows.means[rows.drawable] for rows in (self.splats, splats))
-                placement = Placement(beside(there, new))
+                placement = Placement(shift_to_the_right(there, new))
             _check_reach(title, splats, placement)
             stored = META if path.is_dir() else path.name
             made = SceneAsset(str(document.next_id), title, placement, True, stored, splats.sha256, frame_of(splats))

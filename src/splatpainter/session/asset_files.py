@@ -33,7 +33,7 @@ from splatpainter.io.write_options import AS_IT_IS, WriteOptions
 from splatpainter.receipts import Receipt, Verification, prove, untouched_hashes
 from splatpainter.rendering.profiles import Profile
 from splatpainter.session import conflicts
-from splatpainter.session.delta import PART_BYTES, Delta, bare, decode, encode
+from splatpainter.session.delta import PART_BYTES, Delta, decode, encode, without_source
 from splatpainter.session.document import MAX_REASON, Layer
 from splatpainter.session.project_file import Project, check_free
 from splatpainter.session.scene_asset import SceneAsset
@@ -113,8 +113,8 @@ def pieces(splats: Splats, path: Path | None) -> Iterator[tuple[str, bytes]]:
     """(file name, bytes) to be kept in the project, a piece at a time."""
     if path is None:
         none = np.zeros(0, np.int64)
-        empty = bare(splats.take(none))
-        everything = Delta(0, none, empty, bare(splats), np.full(len(splats), -1, np.int64))
+        empty = without_source(splats.take(none))
+        everything = Delta(0, none, empty, without_source(splats), np.full(len(splats), -1, np.int64))
         yield from ((NO_FILE, part) for part in encode(everything))
         return
     for file in _members(path):
@@ -353,7 +353,7 @@ def export_visible(
     visible = np.flatnonzero(edited.opacities > 0)
     if not len(visible):
         raise ValueError(f"{path}: expected something visible to export, everything is hidden")
-    base, rest = bare(original).take(visible[visible < len(original)]), bare(edited).take(visible)
+    base, rest = without_source(original).take(visible[visible < len(original)]), without_source(edited).take(visible)
     gone, appended = len(original) - len(base), len(edited) - len(original) - (len(rest) - len(base))
     dropped = {"asset": original.sha256, "rows": len(original), "left_out": gone, "appended_left_out": appended}
     note = f"{receipt.note}; {gone + appended} hidden Gaussians were removed for good"

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.lift.limits import coarse_surface, left_out
+from splatpainter.lift.view_limits import coarse_surface, left_out
 from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.painter import Edit, Painter
 from splatpainter.session.appearance import base_of_parents, picture_of, with_base
@@ -66,10 +66,10 @@ from splatpainter.session.relief import COPY, Relief
 from splatpainter.session.selection import Selection
 from splatpainter.session.strokes import (
     MIN_LATEST,
-    Chain,
-    Folding,
-    Painted,
+    FoldedStrokes,
     StrokeChains,
+    StrokeKeys,
+    StrokesState,
     folded,
     folded_key,
     strokes_to_fold,
@@ -200,7 +200,7 @@ class Replay:
         if not layer.strokes:
             return replace(below, facts=(*below.facts, (layer.id, {})))
         strength, depends = policy_strength(below.edited, layer, document, len(below.splats))
-        chain = Chain.of(below.key, layer.strokes)
+        chain = StrokeKeys.of(below.key, layer.strokes)
         result_key = chain.results[-1]
         key = digest(f"{result_key} {layer.opacity!r} {layer.blend} {json.dumps(depends)}{_mask_text(layer)}")
         cached = self._cached(key, below, layer)
@@ -234,7 +234,7 @@ class Replay:
         )
         return self._remembered(state)
 
-    def _strokes_delta(self, below: LayerState, painted: Painted, layer: Layer) -> Delta:
+    def _strokes_delta(self, below: LayerState, painted: StrokesState, layer: Layer) -> Delta:
         """What all strokes of a layer did, for an opacity, a blend or a policy; the latest one is cached."""
         key = (below.key, painted.state.key)
         if self._merged is None or self._merged[0] != key:
@@ -301,7 +301,7 @@ class Replay:
                 return self._merged[1], state.key, True
             return between(below.splats, state.splats, ancestors(state, len(below.splats))), state.key, False
         if layer.holds_strokes:
-            chain = Chain.of(below.key, layer.strokes)
+            chain = StrokeKeys.of(below.key, layer.strokes)
             painted = self._strokes.compose(below, layer, chain, None, _refuse) if layer.strokes else None
             if painted is None:
                 raise _NotAtHand
@@ -319,10 +319,10 @@ class Replay:
         if stroke.kind == "erase":
             return self._try(state, stroke, below)
         result = self._renumbered(state, stroke) or self._try(state, stroke)
-        self._note_placement(state, stroke, Chain.of(state.key, (stroke,)).results[0])
+        self._note_placement(state, stroke, StrokeKeys.of(state.key, (stroke,)).results[0])
         return result
 
-    def fold(self, document: Document, layer: str, sizes: Callable[[str], int]) -> Folding | None:
+    def fold(self, document: Document, layer: str, sizes: Callable[[str], int]) -> FoldedStrokes | None:
         """What is to be stored in place of the results of a layer's first strokes; None: nothing. sizes: bytes that a
         result takes, by its key."""
         at = document.index(layer)
@@ -330,13 +330,13 @@ class Replay:
         if len(target.strokes) <= MIN_LATEST:
             return None
         below = self.compose(replace(document, layers=document.layers[:at]))
-        chain = Chain.of(below.key, target.strokes)
+        chain = StrokeKeys.of(below.key, target.strokes)
         count = strokes_to_fold(chain.results, sizes)
         if not count:
             return None
         first = replace(target, strokes=target.strokes[:count])
-        painted = self._strokes.compose(below, first, Chain.of(below.key, first.strokes), None, lambda _: None)
-        return Folding(
+        painted = self._strokes.compose(below, first, StrokeKeys.of(below.key, first.strokes), None, lambda _: None)
+        return FoldedStrokes(
             chain.results[:count], folded_key(chain, count), folded(painted, below), next_key=chain.results[count]
         )
 
@@ -347,7 +347,7 @@ class Replay:
         target = document.layers[at]
         if not target.strokes:
             return below.splats
-        chain = Chain.of(below.key, target.strokes)
+        chain = StrokeKeys.of(below.key, target.strokes)
         return self._strokes.compose(below, target, chain, None, lambda _: None).state.splats
 
     def _over_merged(self, below: LayerState, layer: Layer, document: Document, strict, progress, step) -> LayerState:
@@ -560,12 +560,12 @@ class Replay:
         return decode_mask(self._store.blob(view.mask), view.camera, "mask")
 
     def left_out(self, state: LayerState, camera: Camera, limits: Mapping[str, Any]) -> np.ndarray:
-        """[H, W] bool: pixels of a view whose paint the limits (a layer's parameters) leave out (lift.limits)."""
+        """[H, W] bool: pixels of a view whose paint the limits (a layer's parameters) leave out (lift.view_limits)."""
         options = replace(self.painter.local_options or LOCAL_DEFAULTS, **limits_of(limits, "limits"))
         return left_out(self.coarse_surface(state, camera), camera, options.angle_limit, options.depth_edge_limit)
 
     def coarse_surface(self, state: LayerState, camera: Camera) -> VisibleSurface:
-        """What a view sees of a state's surface, on blocks of pixels (lift.limits); the latest ones are cached."""
+        """What a view sees of a state's surface, on blocks of pixels (lift.view_limits); the latest ones are cached."""
         key = f"{state.key} {camera.to_json()}"
         seen = self._seen.pop(key, None) or coarse_surface(self.surface, state.splats, camera)
         self._seen[key] = seen

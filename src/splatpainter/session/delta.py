@@ -116,7 +116,7 @@ def between(
     tail = np.arange(n, len(after))
     parent_ids = np.full(len(tail), -1, np.int64) if parent_ids is None else parent_ids.astype(np.int64)
     values, faded = changed_values(before, after, changed)
-    return Delta(n, changed, values, bare(after.take(tail)), parent_ids, faded=faded)
+    return Delta(n, changed, values, without_source(after.take(tail)), parent_ids, faded=faded)
 
 
 def changed_values(before: Splats, after: Splats, ids: np.ndarray) -> tuple[Splats, np.ndarray]:
@@ -127,15 +127,15 @@ def changed_values(before: Splats, after: Splats, ids: np.ndarray) -> tuple[Spla
     for name in (name for name in ATTRIBUTES if name != "opacities"):
         faded &= ~differing(getattr(before, name), getattr(after, name), ids)
     rest = np.flatnonzero(~faded)
-    written = take(bare(after), ids[rest])
+    written = take(without_source(after), ids[rest])
     for name in ATTRIBUTES:
         values[name] = np.zeros((len(ids), *getattr(after, name).shape[1:]), getattr(after, name).dtype)
         values[name][rest] = getattr(written, name)
     values["opacities"] = after.opacities[ids]
-    return replace(bare(after), **values), faded
+    return replace(without_source(after), **values), faded
 
 
-def bare(splats: Splats) -> Splats:
+def without_source(splats: Splats) -> Splats:
     """The Gaussians without the file they came from."""
     return replace(splats, source=None, origin=None)
 
@@ -143,7 +143,7 @@ def bare(splats: Splats) -> Splats:
 def no_delta(below: Splats) -> Delta:
     """A delta that changes nothing."""
     none = np.zeros(0, np.int64)
-    return Delta(len(below), none, bare(below.take(none)), bare(below.take(none)), none)
+    return Delta(len(below), none, without_source(below.take(none)), without_source(below.take(none)), none)
 
 
 def encode(delta: Delta) -> Iterator[bytes]:
@@ -257,12 +257,12 @@ class AssetDelta:
     @cached_property
     def values(self) -> Splats:
         """T Gaussians; made when they are asked for."""
-        return bare(self.splats.take(self.gaussian_ids))
+        return without_source(self.splats.take(self.gaussian_ids))
 
     @cached_property
     def appended(self) -> Splats:
         """A Gaussians, which become number retained, retained + 1, ..."""
-        return bare(self.splats.take(np.arange(self.retained, len(self.splats))))
+        return without_source(self.splats.take(np.arange(self.retained, len(self.splats))))
 
 
 class VersionLog:

@@ -33,7 +33,7 @@ from splatpainter.cameras import Camera
 from splatpainter.color import base_color
 from splatpainter.rendering.shares import footprint_mean, share_of
 from splatpainter.session.appearance import fitted_sh, moved_gaussians, picture_of
-from splatpainter.session.delta import Delta, bare
+from splatpainter.session.delta import Delta, without_source
 from splatpainter.splats import ATTRIBUTES, Splats, changed_rows
 
 PAINT_CONTRAST = 0.04
@@ -107,13 +107,13 @@ def erase_delta(below: Splats, original: Splats, views: Views, reached: np.ndarr
     arrays = {name: getattr(below, name).copy() for name in ATTRIBUTES}
     old_look = reached & ~hidden & has_family
     arrays["sh"][old_look] = original.sh[source[old_look]]
-    tail = bare(replace(below, sh=arrays["sh"]).take(occupants))
+    tail = without_source(replace(below, sh=arrays["sh"]).take(occupants))
     for name in ATTRIBUTES:
         arrays[name][back] = getattr(original, name)[back]
     returning = np.zeros(n, bool)
     returning[back] = True
     arrays["opacities"][hidden & ~returning] = 0
-    joined = bare(replace(below, **arrays)).append(tail)
+    joined = without_source(replace(below, **arrays)).append(tail)
     look = np.append(reached & moved & ~hidden & ~returning, reached[occupants])
     joined = replace(joined, sh=fitted_sh(joined, look, seen.targets))
     return _difference(below, joined, occupants)
@@ -131,7 +131,7 @@ def fade_delta(below: Splats, original: Splats, views: Views, reached: np.ndarra
     recolored = reached & (family >= 0)
     sh = below.sh.copy()
     sh[recolored] = original.sh[family[recolored]]
-    start = bare(replace(below, sh=sh))
+    start = without_source(replace(below, sh=sh))
     after = replace(start, sh=fitted_sh(start, reached & moved, _Seen.of(below, original, views).targets))
     return _difference(below, after, np.zeros(0, np.int64))
 
@@ -210,4 +210,4 @@ def _is_near(splats: Splats, visible: Splats) -> np.ndarray:
 def _difference(below: Splats, after: Splats, parent_ids: np.ndarray) -> Delta:
     """parent_ids: [A] of what was appended."""
     n, changed = len(below), changed_rows(below, after)
-    return Delta(n, changed, bare(after.take(changed)), bare(after.take(np.arange(n, len(after)))), parent_ids)
+    return Delta(n, changed, without_source(after.take(changed)), without_source(after.take(np.arange(n, len(after)))), parent_ids)

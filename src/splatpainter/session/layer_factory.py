@@ -40,7 +40,7 @@ LIMITS = ("angle_limit", "depth_edge_limit")
 names."""
 SPLIT_ONLY = "split_only"
 """Name of the parameter {"split_only": true} of layers of mode local: their Gaussians are split and recoloured, not
-replaced by sheets (source_edits.turns.WITHOUT_SHEETS), for views that are painted one after the other."""
+replaced by sheets (source_edits.view_sequence.WITHOUT_SHEETS), for views that are painted one after the other."""
 
 
 def new_layer(

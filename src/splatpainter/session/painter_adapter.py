@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from splatpainter.painter import Asset, Edit, Method, Mode, Painter
-from splatpainter.session.delta import bare
+from splatpainter.session.delta import without_source
 from splatpainter.session.layer_state import on_device
 from splatpainter.splats import Splats
 
@@ -36,7 +36,7 @@ class PainterAdapter:
     def __init__(self, original: Splats, painter: Painter) -> None:
         # What a layer did is proved when the asset is exported, from the original: no receipt of a layer is.
         unproved = replace(painter, proof=False) if type(painter) is Painter else painter
-        self._original, self._painter = bare(original), unproved
+        self._original, self._painter = without_source(original), unproved
         self._bare = Asset(self._original)
         self._encoded: Asset | None = None
         self._grids: OrderedDict[tuple[int, ...], tuple[tuple[np.ndarray, ...], VoxelGrid]] = OrderedDict()
@@ -57,7 +57,7 @@ class PainterAdapter:
         results `origin` is the Gaussian of `below` that each comes from. state: what the painter has learnt of the
         edits below; sheets: False for layers of painters that knew none; options: those of the painter's local options
         that are others for this layer; spread: options of mode spread. Raises ValueError as Painter.apply does."""
-        numbered = replace(bare(below), origin=np.arange(len(below)))
+        numbered = replace(without_source(below), origin=np.arange(len(below)))
         asset = Asset(numbered, original=self._original, make_grid=self.grid)
         if mode != "global":
             vars(asset)["surface"] = self._bare.surface if sheets else None
@@ -92,7 +92,7 @@ class PainterAdapter:
         arrays = tuple(getattr(splats, name) for name in GRID_ATTRIBUTES)
         key = tuple(map(id, arrays))
         with self._gridding:
-            entry = self._grids.pop(key, None) or (arrays, Asset(bare(splats)).grid)
+            entry = self._grids.pop(key, None) or (arrays, Asset(without_source(splats)).grid)
             self._grids[key] = entry  # holds the arrays, so that their ids stay theirs
             while len(self._grids) > MAX_GRIDS:
                 self._grids.popitem(last=False)
@@ -100,7 +100,7 @@ class PainterAdapter:
 
     def _base(self) -> Asset:
         if self._encoded is None:
-            original = bare(self._original)
+            original = without_source(self._original)
             encoded = self._painter.encode(original, "ttt")
             if encoded.splats.means is not original.means:
                 raise ValueError(

@@ -147,10 +147,10 @@ def combined(before: np.ndarray | None, new: np.ndarray, how: Combine) -> np.nda
         "subtract": before * (1 - new),
         "intersect": before * new,
     }[how]
-    return settled(joined)
+    return snapped_weights(joined)
 
 
-def settled(weights: np.ndarray) -> np.ndarray:
+def snapped_weights(weights: np.ndarray) -> np.ndarray:
     """[N] float32 0..1 with what is nearly nothing and nearly all made so."""
     out = np.clip(weights, 0, 1).astype(np.float32)
     out[out < EDGE] = 0
@@ -166,7 +166,7 @@ def in_mask(splats: Splats, camera: Camera, mask: np.ndarray, through: bool = Fa
     out = footprint_mean(splats, camera, mask)
     out[splats.opacities <= 0] = 0
     if through:
-        return settled(out)
+        return snapped_weights(out)
     real = project(splats, camera)
     _, alpha, depth = real.rasterize()
     sums = real.backproject(np.zeros((*mask.shape, 3), np.float32), np.ones(mask.shape, np.float32))
@@ -179,7 +179,7 @@ def in_mask(splats: Splats, camera: Camera, mask: np.ndarray, through: bool = Fa
     line = np.clip(np.nan_to_num(pixels[:, 1]), 0, camera.height - 1).astype(np.int64)
     front = np.where(alpha[line, column] > COVERED_ALPHA, depth[line, column], np.inf)
     out[ids[z > front + DEPTH_MARGIN_SIZES * splats.scales[ids].max(1)]] = 0
-    return settled(out)
+    return snapped_weights(out)
 
 
 def by_color(

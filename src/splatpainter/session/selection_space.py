@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from splatpainter.rendering.shares import FAINT
-from splatpainter.session.selection import settled, spacing
+from splatpainter.session.selection import snapped_weights, spacing
 from splatpainter.splats import Splats
 from splatpainter.transforms import quat_to_matrix
 from splatpainter.voxels.neighbours import components, joined_labels, nearest_within
@@ -54,7 +54,7 @@ def feathered(splats: Splats, weights: np.ndarray, radius: float) -> np.ndarray:
         inside = np.isfinite(distance)
         t = 0.5 + 0.5 * sign * distance[inside] / radius
         out[near[inside]] = t * t * (3 - 2 * t)
-    return settled(out)
+    return snapped_weights(out)
 
 
 def parts(splats: Splats) -> np.ndarray:

@@ -37,7 +37,7 @@ from splatpainter.session.annotations import Annotations
 from splatpainter.session.asset_commands import AssetCommands
 from splatpainter.session.asset_files import ANY_FILE, OriginalRule
 from splatpainter.session.database import SUFFIX
-from splatpainter.session.delta import AssetDelta, VersionLog, bare
+from splatpainter.session.delta import AssetDelta, VersionLog, without_source
 from splatpainter.session.document import (
     Blend,
     Document,
@@ -120,7 +120,7 @@ class Session(AssetCommands, ExportCommands, Annotations, GeometryCommands):
             raise ValueError(f"asset: none of the {len(splats)} Gaussians can be drawn ({reasons})")
         source = asset_files.file_of(splats)
         if source is None:
-            splats = asset_files.numbered(bare(splats))
+            splats = asset_files.numbered(without_source(splats))
             if not embed:
                 raise ValueError("session: embed=False needs an asset that was read from a file")
         scratch = None

@@ -19,7 +19,7 @@ from splatpainter.session.session import Session
 from splatpainter.source_edits.coverage import ViewPlan, ViewShare
 from splatpainter.source_edits.edit import source_record
 from splatpainter.source_edits.view_edit import SourceBrief, SourcedEdit
-from splatpainter.source_edits.view_sequence import Turns, ask_in_turn
+from splatpainter.source_edits.view_sequence import SourcedViews, edit_views_in_order
 from splatpainter.sources.picture_source import CancelFlag, PictureSource, Progress, SourceCancelled
 
 Write = Callable[[Callable[[], Layer]], Layer]
@@ -32,7 +32,7 @@ class SourceLayers:
 
     layers: tuple[Layer, ...]
     """New ones, lowest first: one per view, or one of all of them."""
-    turns: Turns
+    sourced_views: SourcedViews
     notes: tuple[str, ...]
     """Why views were not painted, and what else is to say, one line each."""
 
@@ -56,8 +56,8 @@ def add_source_views(
 
     one_layer: merge them at the end, which shows the same. method: of the lift. cancel: where it is set after the first
     view, what was painted stays. allowed: what of each view may change (a selection). write: where commands of the
-    session have to run; None: here. Raises SourceError, SourceCancelled and ValueError, as `ask_in_turn`: then there is
-    no new layer."""
+    session have to run; None: here. Raises SourceError, SourceCancelled and ValueError, as `edit_views_in_order`: then
+    there is no new layer."""
     run = write or (lambda command: command())
     title = " ".join(filter(None, [f"{source.name}:" if brief.prompt else source.name, brief.prompt]))
     title = " ".join(title.split())[:80]
@@ -68,7 +68,7 @@ def add_source_views(
         parameters: dict[str, Any] = {SPLIT_ONLY: True, SOURCE: source_record(source, brief, [made])}
         layers.append(run(lambda: session.add("picture", [made.edit], name=name, method=method, parameters=parameters)))
 
-    turns = ask_in_turn(
+    sourced_views = edit_views_in_order(
         session.splats,
         source,
         brief,
@@ -81,10 +81,10 @@ def add_source_views(
         allowed=allowed,
         keep_when_cancelled=True,
     )
-    notes = list(turns.notes)
+    notes = list(sourced_views.notes)
     if one_layer and len(layers) > 1:
         try:
             layers = [run(lambda: session.merge([layer.id for layer in layers], title))]
         except (ValueError, SourceCancelled) as error:  # somebody moved or deleted one meanwhile
             notes.append(f"the views stay layers of their own ({error})")
-    return SourceLayers(tuple(layers), turns, tuple(notes))
+    return SourceLayers(tuple(layers), sourced_views, tuple(notes))

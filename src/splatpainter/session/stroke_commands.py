@@ -15,7 +15,7 @@ from splatpainter.io import files
 from splatpainter.jsonio import brief
 from splatpainter.painter import Asset, Edit, Method, Painter
 from splatpainter.session.commands import Commands
-from splatpainter.session.delta import bare
+from splatpainter.session.delta import without_source
 from splatpainter.session.document import STROKE_KINDS, Document, Kind, Layer, add_layer, add_stroke, change_layer
 from splatpainter.session.fingerprint import fingerprint
 from splatpainter.session.layer_factory import decode_mask, decode_mask_part, encode_mask_part, new_layer
@@ -25,7 +25,7 @@ from splatpainter.session.scene_replay import SceneReplay
 from splatpainter.splats import Splats
 
 if TYPE_CHECKING:
-    from splatpainter.lift.side_views import AsideScore
+    from splatpainter.lift.side_views import SideViewScore
     from splatpainter.sources.decals import Decal, LaidDecal
 
 
@@ -152,11 +152,11 @@ class StrokeCommands(Commands):
         with self._commands:
             return self._replay.compose(self._document.below(layer)).splats
 
-    def aside(self, layer: str) -> list[AsideScore]:
+    def aside(self, layer: str) -> list[SideViewScore]:
         """How the latest stroke of a layer, or its edited pictures, look from the side (lift/side_views.py), one score
         per view; without the layer's opacity. Empty for layers that paint nothing or erase."""
         from splatpainter.lift.edit_views import edit_views
-        from splatpainter.lift.side_views import aside_score
+        from splatpainter.lift.side_views import side_view_score
 
         with self._commands:
             target = self.layer(layer)
@@ -174,15 +174,19 @@ class StrokeCommands(Commands):
                 before, after = (replay.compose(replace(document, layers=some)).splats for some in (below, layers))
             edits = [replay.edit_of(view, latest) for view in latest.views if view.picture is not None]
         masks = [np.ones(edit.image.shape[:2], bool) if edit.mask is None else edit.mask for edit in edits]
-        views = edit_views(bare(before), [edit.camera for edit in edits], [edit.image for edit in edits], masks)
-        return [aside_score(bare(before), bare(after), view) for view in views]
+        views = edit_views(
+            without_source(before), [edit.camera for edit in edits], [edit.image for edit in edits], masks
+        )
+        return [side_view_score(without_source(before), without_source(after), view) for view in views]
 
     def laid(self, decal: Decal, *, replaces: str | None = None) -> LaidDecal:
         """A decal on the asset as it is now, or on what is below a layer: its edits, for `add("paint", laid.edits)` or
         `replace_views(replaces, laid.edits)`. Raises ValueError as Decal.laid does."""
         splats = self.splats if replaces is None else self.below(replaces)
         surfaces = self._replay.surfaces(self._document)
-        asset = Asset(replace(bare(splats), origin=np.arange(len(splats))), original=bare(surfaces.original))
+        asset = Asset(
+            replace(without_source(splats), origin=np.arange(len(splats))), original=without_source(surfaces.original)
+        )
         return decal.laid(asset, surfaces.surface)
 
     def replace_views(

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.session.delta import Delta, bare, changed_values
+from splatpainter.session.delta import Delta, changed_values, without_source
 from splatpainter.session.document import Layer, digest
 from splatpainter.session.layer_state import LayerResult, LayerState, ResultStore, ancestors
 from splatpainter.splats import ATTRIBUTES
@@ -50,7 +50,7 @@ Paint = Callable[[LayerState, Layer, LayerState], LayerResult]
 
 
 @dataclass(frozen=True)
-class Chain:
+class StrokeKeys:
     """Names of what comes of a layer's strokes on a given state; nothing is computed yet."""
 
     keys: tuple[str, ...]
@@ -59,13 +59,13 @@ class Chain:
     """Result keys of the strokes."""
 
     @staticmethod
-    def of(below_key: str, strokes: tuple[Layer, ...]) -> Chain:
+    def of(below_key: str, strokes: tuple[Layer, ...]) -> StrokeKeys:
         keys, results = [below_key], []
         for stroke in strokes:
             result, key = _linked(keys[-1], stroke.key, f" {below_key}" if stroke.kind == "erase" else "")
             results.append(result)
             keys.append(key)
-        return Chain(tuple(keys), tuple(results))
+        return StrokeKeys(tuple(keys), tuple(results))
 
 
 @lru_cache(maxsize=MAX_LINKS)
@@ -76,7 +76,7 @@ def _linked(key: str, stroke_key: str, base: str) -> tuple[str, str]:
 
 
 @dataclass(frozen=True)
-class Painted:
+class StrokesState:
     """The Gaussians after some strokes of a layer."""
 
     state: LayerState
@@ -95,7 +95,7 @@ class Painted:
         appended = splats.take(np.arange(count, len(splats)))
         parent_ids = ancestors(self.state, count)
         values, faded = changed_values(below.splats, splats, self.changed)
-        return Delta(count, self.changed, values, bare(appended), parent_ids, faded=faded)
+        return Delta(count, self.changed, values, without_source(appended), parent_ids, faded=faded)
 
     def layer_facts(self, layer: Layer, below: LayerState) -> dict[str, Any]:
         """Facts of the layer: the latest stroke's, and the counts of all."""
@@ -110,7 +110,7 @@ class Painted:
 
 
 @dataclass(frozen=True)
-class Folding:
+class FoldedStrokes:
     """One result in place of those of the first strokes."""
 
     keys: tuple[str, ...]
@@ -126,14 +126,14 @@ class StrokeChains:
 
     def __init__(self, store: ResultStore, paint: Paint) -> None:
         self._store, self._paint = store, paint
-        self._cache: OrderedDict[str, Painted] = OrderedDict()
+        self._cache: OrderedDict[str, StrokesState] = OrderedDict()
 
     def state(self, key: str) -> LayerState | None:
         """A cached state after some stroke."""
         painted = self._cache.get(key)
         return None if painted is None else painted.state
 
-    def painted(self, key: str) -> Painted | None:
+    def painted(self, key: str) -> StrokesState | None:
         """What is cached of the strokes up to a state."""
         return self._cache.get(key)
 
@@ -141,10 +141,10 @@ class StrokeChains:
         self,
         below: LayerState,
         layer: Layer,
-        chain: Chain,
+        chain: StrokeKeys,
         strict: str | None,
         progress: Callable[[int], None],
-    ) -> Painted:
+    ) -> StrokesState:
         """The Gaussians after all strokes. strict: id of the stroke whose problem is an error; progress: called with
         the index of each stroke that has to be painted. Raises ValueError for the former, and what `progress` does."""
         count = len(layer.strokes)
@@ -185,7 +185,7 @@ class StrokeChains:
         self._keep(painted)
         return painted
 
-    def _from_folded(self, below: LayerState, chain: Chain) -> tuple[int, Painted]:
+    def _from_folded(self, below: LayerState, chain: StrokeKeys) -> tuple[int, StrokesState]:
         """(strokes that one stored result stands for, the Gaussians after them), where the results of all others are
         stored; else none."""
         count = len(chain.results)
@@ -193,7 +193,7 @@ class StrokeChains:
             count -= 1
         result = self._store.get(folded_key(chain, count)) if count else None
         if result is None or result.delta.count != len(below.splats):
-            return 0, Painted(below, np.zeros(0, np.int64))
+            return 0, StrokesState(below, np.zeros(0, np.int64))
         delta = result.delta
         parent_ids = np.concatenate([below.parent_ids, delta.parent_ids])
         splats = delta.apply(below.splats)
@@ -202,14 +202,14 @@ class StrokeChains:
             state = replace(state, painter_state=result.painter_state)
         facts = {name: value for name, value in result.facts.items() if name != PROBLEMS}
         problems = tuple(str(problem) for problem in result.facts.get(PROBLEMS, ()))
-        return count, Painted(state, delta.gaussian_ids, facts, problems, (folded_key(chain, count),))
+        return count, StrokesState(state, delta.gaussian_ids, facts, problems, (folded_key(chain, count),))
 
     def forget(self, results: set[str]) -> None:
         """Drop states that were made of results which are no longer stored."""
         for key in [key for key, painted in self._cache.items() if results.intersection(painted.results)]:
             del self._cache[key]
 
-    def _keep(self, painted: Painted) -> None:
+    def _keep(self, painted: StrokesState) -> None:
         self._cache[painted.state.key] = painted
         self._cache.move_to_end(painted.state.key)
         size = max(sum(getattr(painted.state.splats, name).nbytes for name in ATTRIBUTES), 1)
@@ -217,12 +217,12 @@ class StrokeChains:
             self._cache.popitem(last=False)
 
 
-def folded_key(chain: Chain, count: int) -> str:
+def folded_key(chain: StrokeKeys, count: int) -> str:
     """Name of the one result of the first `count` strokes."""
     return digest(f"{chain.keys[count]} folded")
 
 
-def folded(painted: Painted, below: LayerState) -> LayerResult:
+def folded(painted: StrokesState, below: LayerState) -> LayerResult:
     """One result of all strokes so far."""
     facts = {**painted.facts, PROBLEMS: list(painted.problems)}
     return LayerResult(painted.delta(below), facts, painter_state=painted.state.painter_state)
@@ -242,7 +242,9 @@ def strokes_to_fold(results: Sequence[str], size_of: Callable[[str], int]) -> in
     return count if total > MAX_RESULT_BYTES else 0
 
 
-def _after(painted: Painted, below: LayerState, result: LayerResult, chain: Chain, count: int) -> Painted:
+def _after(
+    painted: StrokesState, below: LayerState, result: LayerResult, chain: StrokeKeys, count: int
+) -> StrokesState:
     """The state with one more stroke, number `count` of the chain."""
     delta, before = result.delta, painted.state
     splats = result.apply(before.splats)
@@ -256,13 +258,13 @@ def _after(painted: Painted, below: LayerState, result: LayerResult, chain: Chai
     ids = delta.gaussian_ids[: np.searchsorted(delta.gaussian_ids, len(below.splats))]
     changed = np.union1d(painted.changed, ids) if len(ids) else painted.changed
     problems = (*painted.problems, result.problem) if result.problem else painted.problems
-    return Painted(state, changed, result.facts, problems, chain.results[:count])
+    return StrokesState(state, changed, result.facts, problems, chain.results[:count])
 
 
 class _Writer:
     """Writes stored results, one after the other, into one copy of the Gaussians."""
 
-    def __init__(self, painted: Painted, below: LayerState) -> None:
+    def __init__(self, painted: StrokesState, below: LayerState) -> None:
         self._painted, self._below = painted, below
         splats = painted.state.splats
         self.count = len(splats)
@@ -307,7 +309,7 @@ class _Writer:
         self._arrays = {name: longer(array) for name, array in self._arrays.items()}
         self._origin = None if self._origin is None else longer(self._origin)
 
-    def painted(self, chain: Chain, count: int) -> Painted:
+    def painted(self, chain: StrokeKeys, count: int) -> StrokesState:
         """What was written so far, `count` strokes of the chain; it shares nothing with what is written later."""
         before = self._painted.state
         arrays = {name: array[: self.count].copy() for name, array in self._arrays.items()}
@@ -321,4 +323,4 @@ class _Writer:
             painter_state=self._painter_state,
         )
         changed = np.flatnonzero(self._changed)
-        return Painted(state, changed, self._facts, tuple(self._problems), chain.results[:count])
+        return StrokesState(state, changed, self._facts, tuple(self._problems), chain.results[:count])

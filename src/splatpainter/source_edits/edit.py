@@ -20,7 +20,7 @@ from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
 from splatpainter.receipts import Receipt, untouched_hashes
 from splatpainter.source_edits.coverage import ViewPlan, plan_views
 from splatpainter.source_edits.view_edit import MAX_PROMPT_CHARACTERS, SourceBrief, SourcedEdit, ask_for_edit
-from splatpainter.source_edits.view_sequence import WITHOUT_SHEETS, ask_in_turn, part_of
+from splatpainter.source_edits.view_sequence import WITHOUT_SHEETS, edit_views_in_order, part_of
 from splatpainter.sources.gatekeeper import Strictness
 from splatpainter.sources.picture_source import CancelFlag, PictureSource, Progress, SourceCancelled
 from splatpainter.splats import Splats, changed_rows
@@ -218,7 +218,7 @@ def cover(
     cancel: CancelFlag,
     entered: Callable[[int, int], None] | None = None,
 ) -> SourcedAsset:
-    """The views of a plan one after the other (`ask_in_turn`), lifted with WITHOUT_SHEETS.
+    """The views of a plan one after the other (`edit_views_in_order`), lifted with WITHOUT_SHEETS.
 
     A picture that is refused leaves its part as it was, and is noted; if all are, the last one's error is raised. Where
     the source fails later than in the first view (a limit, a lost network), what was paid for is kept: the views before
@@ -232,7 +232,7 @@ def cover(
         assert asset.receipt is not None
         receipts.append(asset.receipt)
 
-    turns = ask_in_turn(
+    sourced_views = edit_views_in_order(
         before.splats,
         source,
         brief,
@@ -245,9 +245,9 @@ def cover(
         entered=entered,
     )
     receipt = joined_receipt(before.splats, asset.splats, receipts)
-    note = "; ".join(filter(None, [receipt.note, *(line.replace("; ", ", ") for line in turns.notes)]))
-    receipt = replace(receipt, source=source_record(source, brief, turns.edits), note=note)
-    return SourcedAsset(replace(asset, receipt=receipt), turns.edits, turns.notes)
+    note = "; ".join(filter(None, [receipt.note, *(line.replace("; ", ", ") for line in sourced_views.notes)]))
+    receipt = replace(receipt, source=source_record(source, brief, sourced_views.edits), note=note)
+    return SourcedAsset(replace(asset, receipt=receipt), sourced_views.edits, sourced_views.notes)
 
 
 def source_record(source: PictureSource, brief: SourceBrief, edits: Sequence[SourcedEdit]) -> dict:

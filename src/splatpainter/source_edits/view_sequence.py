@@ -26,7 +26,7 @@ exchanged; with sheets 19.5 to 25.8."""
 
 
 @dataclass(frozen=True)
-class Turns:
+class SourcedViews:
     """Results of the views of a plan."""
 
     edits: tuple[SourcedEdit, ...]
@@ -38,7 +38,7 @@ class Turns:
     """Refusals, with what came back."""
 
 
-def ask_in_turn(
+def edit_views_in_order(
     splats: Splats,
     source: PictureSource,
     brief: SourceBrief,
@@ -52,7 +52,7 @@ def ask_in_turn(
     allowed: ViewShare | None = None,
     entered: Callable[[int, int], None] | None = None,
     keep_when_cancelled: bool = False,
-) -> Turns:
+) -> SourcedViews:
     """Ask a source for each view of a plan, and have its picture painted before the next one is rendered.
 
     splats: the asset (numpy) before; present: gives it with what was painted since; paint: paints one view's edit, or
@@ -116,10 +116,10 @@ def ask_in_turn(
     except SourceCancelled:
         if not (keep_when_cancelled and edits):
             raise
-        return Turns(tuple(edits), tuple(notes), True, tuple(refused))
+        return SourcedViews(tuple(edits), tuple(notes), True, tuple(refused))
     if not edits:
         raise error or ValueError("views auto: no view shows a surface that could be painted")
-    return Turns(tuple(edits), tuple(notes), refused=tuple(refused))
+    return SourcedViews(tuple(edits), tuple(notes), refused=tuple(refused))
 
 
 def part_of(progress: Progress, index: int, count: int) -> Progress:

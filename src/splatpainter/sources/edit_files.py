@@ -21,7 +21,7 @@ from splatpainter.sources.picture_reader import (
     read_mask,
     read_picture,
     resample,
-    straight,
+    unpremultiplied,
 )
 from splatpainter.splats import Splats
 
@@ -145,7 +145,7 @@ def unmultiplied(picture: Picture, kind: Alpha | None) -> Picture:
     """The picture with straight colours; kind: what `find_alpha` says of its file."""
     if kind != "premultiplied" or picture.alpha is None:
         return picture
-    return replace(picture, colors=np.clip(straight(picture.colors, picture.alpha), 0, 1))
+    return replace(picture, colors=np.clip(unpremultiplied(picture.colors, picture.alpha), 0, 1))
 
 
 def camera_from(path: Path) -> Camera:

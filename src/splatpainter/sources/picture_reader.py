@@ -201,7 +201,7 @@ def _deep(samples: PixelSamples) -> Picture:
     values = values[::down, ::across]
     alpha = values[..., -1] if samples.channels in (2, 4) else None
     colors = values[..., :3] if samples.channels >= 3 else np.repeat(values[..., :1], 3, -1)
-    colors = np.clip(straight(colors, alpha) if alpha is not None and samples.multiplied else colors, 0, 1)
+    colors = np.clip(unpremultiplied(colors, alpha) if alpha is not None and samples.multiplied else colors, 0, 1)
     if alpha is not None and alpha.min() == 1:
         alpha = None
     return Picture(np.ascontiguousarray(colors), None if alpha is None else np.ascontiguousarray(alpha))
@@ -212,12 +212,12 @@ def _light(samples: PixelSamples) -> Picture:
     values = samples.values
     alpha = np.clip(values[..., -1], 0, 1) if samples.channels in (2, 4) else None
     light = values[..., :3] if samples.channels >= 3 else np.repeat(values[..., :1], 3, -1)
-    colors = to_display(light if alpha is None else straight(light, alpha), "linear")
+    colors = to_display(light if alpha is None else unpremultiplied(light, alpha), "linear")
     opaque = alpha is None or alpha.min() == 1
     return Picture(colors.astype(np.float32), None if opaque else alpha)
 
 
-def straight(colors: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+def unpremultiplied(colors: np.ndarray, alpha: np.ndarray) -> np.ndarray:
     """[H, W, 3] colours that were multiplied by alpha [H, W], without it; 0 where alpha is 0."""
     return np.where(alpha[..., None] > 0, colors / np.maximum(alpha, 1e-6)[..., None], 0).astype(colors.dtype)
 

@@ -55,7 +55,7 @@ MIN_SHARE = 1 / 64
 
 
 @dataclass(frozen=True)
-class Reach:
+class SpreadConfidence:
     """Which Gaussians of an asset are of the painted material."""
 
     confidence: np.ndarray = field(repr=False)
@@ -71,7 +71,9 @@ class Reach:
         return np.where(part < MIN_SHARE, 0, np.minimum(part, 1)).astype(np.float32)
 
 
-def reach(splats: Splats, views: Sequence[EditView], options: SpreadOptions = SPREAD_DEFAULTS) -> Reach:
+def spread_confidence(
+    splats: Splats, views: Sequence[EditView], options: SpreadOptions = SPREAD_DEFAULTS
+) -> SpreadConfidence:
     """Which Gaussians are of the material that the views' masks paint. splats: numpy. Raises ValueError as
     `Examples.of`."""
     drawn = np.flatnonzero(splats.drawable)
@@ -79,7 +81,7 @@ def reach(splats: Splats, views: Sequence[EditView], options: SpreadOptions = SP
     examples, descriptors = Examples.of(part, views), Descriptors.of(part)
     confidence = np.zeros(len(splats), np.float32)
     confidence[drawn] = answered(descriptors, examples).clip(0, MAX_CONFIDENCE)
-    return Reach(confidence, options.threshold, examples.is_partial)
+    return SpreadConfidence(confidence, options.threshold, examples.is_partial)
 
 
 def answered(descriptors: Descriptors, examples: Examples) -> np.ndarray:
@@ -142,18 +144,18 @@ class Spread:
     """The asset with it, of N Gaussians."""
     ids: np.ndarray = field(repr=False)
     """[J] int64 ascending: those that it changes."""
-    reach: Reach
+    material: SpreadConfidence
 
     def with_lift(self, lifted: LiftedEdit) -> LiftedEdit:
         """The local lift of the same views, made on `splats`, as an edit of the asset before both."""
         new = np.setdiff1d(self.ids, lifted.ids)
         every = np.concatenate([lifted.ids, new])
         order = np.argsort(every, kind="stable")
-        count, threshold = len(self.splats), self.reach.threshold
-        confidence = np.append(self.reach.confidence, np.ones(len(lifted.splats) - count, np.float32))
+        count, threshold = len(self.splats), self.material.threshold
+        confidence = np.append(self.material.confidence, np.ones(len(lifted.splats) - count, np.float32))
         painted = lifted.ids[lifted.ids < count]
         confidence[painted[confidence[painted] >= threshold]] = 1
-        edge = "ends in the middle of the material" if self.reach.is_partial else "ends where the material does"
+        edge = "ends in the middle of the material" if self.material.is_partial else "ends where the material does"
         return replace(
             lifted,
             ids=every[order],
@@ -167,15 +169,15 @@ class Spread:
 def spread(splats: Splats, views: Sequence[EditView], options: SpreadOptions = SPREAD_DEFAULTS) -> Spread:
     """The change of colour of the painted material, carried on over all of it: also under the paint and around it, so
     that what the local lift then makes of the paint has no rim of old colour. splats: numpy. Raises ValueError as
-    `reach`."""
-    reached = reach(splats, views, options)
-    shares = reached.shares
+    `spread_confidence`."""
+    material = spread_confidence(splats, views, options)
+    shares = material.shares
     ids = np.flatnonzero(shares)
     if not len(ids):
-        return Spread(splats, ids, reached)
+        return Spread(splats, ids, material)
     sh = splats.sh.copy()
-    sh[ids] = _color_change(splats, views, reached.confidence).applied(splats, ids, shares[ids])
-    return Spread(replace(splats, sh=sh), ids, reached)
+    sh[ids] = _color_change(splats, views, material.confidence).applied(splats, ids, shares[ids])
+    return Spread(replace(splats, sh=sh), ids, material)
 
 
 def _color_change(splats: Splats, views: Sequence[EditView], confidence: np.ndarray) -> ColorChange:

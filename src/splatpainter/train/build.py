@@ -14,7 +14,7 @@ from splatpainter.train.loss import perceptual_or_not
 from splatpainter.train.recipes import Recipe, Stage
 from splatpainter.train.report import alex_or_none
 from splatpainter.train.stages.compress import CopyTask, HiddenColors
-from splatpainter.train.stages.gaussian_edit_task import RowOptions, RowsTask
+from splatpainter.train.stages.gaussian_edit_task import GaussianEditOptions, GaussianEditTask
 from splatpainter.train.stages.lrm import LrmTask
 from splatpainter.train.stages.predict import PredictTask
 from splatpainter.train.stages.refine import RefineOptions, RefineTask
@@ -101,7 +101,7 @@ def make_task(recipe: Recipe, model: SplatPainterModel, perceptual_weights: Path
     if recipe.stage == "predict":
         return PredictTask(model)
     if recipe.stage == "rows":
-        return RowsTask(model, RowOptions(recipe.carrier, recipe.teachers, recipe.readers))
+        return GaussianEditTask(model, GaussianEditOptions(recipe.carrier, recipe.teachers, recipe.readers))
     if recipe.stage == "compress" and model.config.representation == "native":
         return HiddenColors(model, objects=2 * recipe.batch)
     loss, problem = perceptual_or_not(recipe.perceptual, perceptual_weights, device)

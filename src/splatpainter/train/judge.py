@@ -33,7 +33,7 @@ from splatpainter.train.report import SHEET_CELL_PX
 from splatpainter.train.stages.compress import HiddenColors
 from splatpainter.train.stages.lrm import LrmTask
 from splatpainter.train.stages.task import Task
-from splatpainter.train.training_data import Supply, is_shards
+from splatpainter.train.training_data import DataSettings, is_shards
 
 COPY, LRM, HIDDEN = "Stage I (copy)", "LRM", "Stage I (hidden colours)"
 MANY_VIEWS = "relight"
@@ -43,7 +43,7 @@ LOCAL_GOAL, RELIGHT_GOAL, COPY_GOAL = 0.5, 1.0, 0.3
 
 
 @dataclass(frozen=True)
-class Trial:
+class JudgedSample:
     """One sample of the list."""
 
     number: int
@@ -53,17 +53,19 @@ class Trial:
     """Or why there is none."""
 
 
-def trials(supply: Supply, kinds: Mapping[str, float], count: int, max_views: int) -> Iterator[Trial]:
+def judged_samples(
+    settings: DataSettings, kinds: Mapping[str, float], count: int, max_views: int
+) -> Iterator[JudgedSample]:
     """`count` samples of objects held out of training, made one at a time. kinds: kind -> weight; max_views: edited
     views of every "relight" sample (in shards: of those that have them). Raises ValueError where no object is held
     out, or none of the kinds can be made of this data."""
-    stream = _validation_stream(supply)
-    if is_shards(supply.data):
-        streams = {kind: stream for kind in kinds if (stream := _shards_of(supply, kind)) is not None}
+    stream = _validation_stream(settings)
+    if is_shards(settings.data):
+        streams = {kind: stream for kind in kinds if (stream := _shards_of(settings, kind)) is not None}
     else:
         streams = {kind: _only(stream, kind, max_views) for kind in kinds if kind in stream.kinds}
     if not streams:
-        raise ValueError(f"--data {supply.data}: none of the kinds {', '.join(kinds)} can be made of it")
+        raise ValueError(f"--data {settings.data}: none of the kinds {', '.join(kinds)} can be made of it")
     order = apportioned({kind: kinds[kind] for kind in streams}, count)
     done = dict.fromkeys(streams, 0)
     for number, kind in enumerate(order):
@@ -75,7 +77,7 @@ def trials(supply: Supply, kinds: Mapping[str, float], count: int, max_views: in
             made: Sample | str = source[index]
         except ValueError as error:
             made = str(error)
-        yield Trial(number, kind, made)
+        yield JudgedSample(number, kind, made)
 
 
 def apportioned(weights: Mapping[str, float], count: int) -> list[str]:
@@ -102,12 +104,12 @@ def first_views(sample: Sample, count: int) -> Sample:
     return dataclasses.replace(sample, edited=edited, masks=sample.masks[indices])
 
 
-def _validation_stream(supply: Supply) -> Any:
-    stream = supply.stream(validation=True)
+def _validation_stream(settings: DataSettings) -> Any:
+    stream = settings.stream(validation=True)
     if stream is None:
         raise ValueError(
-            f"--data {supply.data}: no object of it is held out of training "
-            f"(a share of {supply.share:g} of {supply.counts()[0]}); give more objects"
+            f"--data {settings.data}: no object of it is held out of training "
+            f"(a share of {settings.share:g} of {settings.counts()[0]}); give more objects"
         )
     return stream
 
@@ -121,21 +123,21 @@ def _only(stream: Any, kind: str, max_views: int) -> Any:
     return group
 
 
-def _shards_of(supply: Supply, kind: str) -> Any:
+def _shards_of(settings: DataSettings, kind: str) -> Any:
     """The samples of one kind in shards, or None where they hold none of it."""
-    recipe = dataclasses.replace(supply.recipe, kinds={kind: 1.0})
+    recipe = dataclasses.replace(settings.recipe, kinds={kind: 1.0})
     try:
-        return dataclasses.replace(supply, recipe=recipe).stream(validation=True)
+        return dataclasses.replace(settings, recipe=recipe).stream(validation=True)
     except ValueError:
         return None
 
 
 @dataclass(frozen=True)
-class Finding:
+class SampleScore:
     """The figures of one sample, or of one number of its edited views."""
 
     sample: int
-    """Number of the sample: findings of one sample share it."""
+    """Number of the sample: scores of one sample share it."""
     name: str
     """Name of the object."""
     mode: str
@@ -195,52 +197,52 @@ class CopyRow:
 Rows: TypeAlias = Sequence[EditRow] | Sequence[CopyRow]
 
 
-def judge_edits(task: Task, trials: Iterable[Trial], views: Sequence[int]) -> Iterator[Finding | str]:
+def judge_edits(task: Task, samples: Iterable[JudgedSample], views: Sequence[int]) -> Iterator[SampleScore | str]:
     """Findings of a Stage II task, sample by sample; a line for what could not be used. views: numbers of edited views
     that "relight" samples are judged with, as far as they have them."""
     task.eval()
-    for trial in trials:
-        if isinstance(trial.sample, str):
-            yield f"sample {trial.number} ({trial.kind}): {trial.sample}"
+    for judged in samples:
+        if isinstance(judged.sample, str):
+            yield f"sample {judged.number} ({judged.kind}): {judged.sample}"
             continue
-        sample = trial.sample
+        sample = judged.sample
         view_counts: list[int | None] = [None]
         if sample.kind == MANY_VIEWS:
             view_counts = [n for n in sorted(set(views)) if n <= len(sample.edited.cameras)]
         for count in view_counts:
             try:
-                verdict = task.judge(sample if count is None else first_views(sample, count))
+                score = task.judge(sample if count is None else first_views(sample, count))
             except ValueError as error:
-                yield f"sample {trial.number} ({trial.kind}, {sample.name}): {error}"
+                yield f"sample {judged.number} ({judged.kind}, {sample.name}): {error}"
                 continue
-            if "gain" not in verdict.numbers:
-                yield f"sample {trial.number} ({trial.kind}, {sample.name}): no novel view shows the edit"
+            if "gain" not in score.numbers:
+                yield f"sample {judged.number} ({judged.kind}, {sample.name}): no novel view shows the edit"
                 continue
-            strip = verdict.strip
+            strip = score.strip
             if count is not None:
                 strip = ((f"first of {count} edited", strip[0][1]), *strip[1:])
-            yield Finding(trial.number, sample.name, sample.mode, sample.kind, count, verdict.numbers, strip)
+            yield SampleScore(judged.number, sample.name, sample.mode, sample.kind, count, score.numbers, strip)
 
 
-def judge_copies(tasks: Mapping[str, Task], trials: Iterable[Trial]) -> Iterator[Finding | str]:
+def judge_copies(tasks: Mapping[str, Task], samples: Iterable[JudgedSample]) -> Iterator[SampleScore | str]:
     """Findings of the tasks (name -> task, `looking_tasks`) on samples without edits. A copy is compared with what the
     LRM makes of the same sample."""
     for task in tasks.values():
         task.eval()
-    for trial in trials:
-        if isinstance(trial.sample, str):
-            yield f"sample {trial.number}: {trial.sample}"
+    for judged in samples:
+        if isinstance(judged.sample, str):
+            yield f"sample {judged.number}: {judged.sample}"
             continue
-        sample = trial.sample
+        sample = judged.sample
         try:
-            verdicts = {name: task.judge(sample) for name, task in tasks.items()}
+            scores = {name: task.judge(sample) for name, task in tasks.items()}
         except ValueError as error:
-            yield f"sample {trial.number} ({sample.name}): {error}"
+            yield f"sample {judged.number} ({sample.name}): {error}"
             continue
-        for name, verdict in verdicts.items():
+        for name, score in scores.items():
             stage, figure = {LRM: (LRM, "asset"), COPY: (LRM, "ours"), HIDDEN: (HIDDEN, "mean")}[name]
-            numbers = {"reference": verdicts[stage].numbers[figure], "ours": verdict.numbers["ours"]}
-            yield Finding(trial.number, sample.name, "", name, None, numbers, verdict.strip)
+            numbers = {"reference": scores[stage].numbers[figure], "ours": score.numbers["ours"]}
+            yield SampleScore(judged.number, sample.name, "", name, None, numbers, score.strip)
 
 
 def refine_task(recipe: Recipe, model: SplatPainterModel, perceptual_weights: Path | None) -> Task:
@@ -265,25 +267,25 @@ def looking_tasks(recipe: Recipe, model: SplatPainterModel, folder: Path) -> tup
     return tasks | {HIDDEN: task.to(next(model.parameters()).device)}, ""
 
 
-def edit_rows(findings: Sequence[Finding], seed: int = 0) -> list[EditRow]:
+def edit_rows(scores: Sequence[SampleScore], seed: int = 0) -> list[EditRow]:
     """One row per kind (relighting: and number of views) in the order of KINDS, then one per mode, in which every
     sample counts once whatever the numbers of views that it was judged with. seed: of the intervals."""
-    groups: dict[tuple[str, int | None], list[Finding]] = defaultdict(list)
-    for finding in findings:
-        groups[finding.kind, finding.views].append(finding)
+    groups: dict[tuple[str, int | None], list[SampleScore]] = defaultdict(list)
+    for score in scores:
+        groups[score.kind, score.views].append(score)
     order = sorted(groups, key=lambda key: (KINDS.index(key[0]), key[1] or 0))
     rows = [_edit_row(kind, views, groups[kind, views], seed) for kind, views in order]
     for mode in ("local", "global"):
-        group = merged([f for f in findings if f.mode == mode])
+        group = merged([f for f in scores if f.mode == mode])
         rows += [_edit_row(mode, None, group, seed)] if group else []
     return rows
 
 
-def copy_rows(findings: Sequence[Finding], seed: int = 0) -> list[CopyRow]:
+def copy_rows(scores: Sequence[SampleScore], seed: int = 0) -> list[CopyRow]:
     """One row per task."""
     rows = []
-    for name in dict.fromkeys(f.kind for f in findings):
-        group = [f for f in findings if f.kind == name]
+    for name in dict.fromkeys(f.kind for f in scores):
+        group = [f for f in scores if f.kind == name]
         mean = {key: float(np.mean([f.numbers[key] for f in group])) for key in ("reference", "ours")}
         differences = [f.numbers["ours"] - f.numbers["reference"] for f in group]
         low, high = interval(differences, [f.name for f in group], seed) or (None, None)
@@ -294,11 +296,11 @@ def copy_rows(findings: Sequence[Finding], seed: int = 0) -> list[CopyRow]:
     return rows
 
 
-def merged(findings: Sequence[Finding]) -> list[Finding]:
-    """One finding per sample: the means of its figures over the numbers of views that it was judged with."""
-    by_sample: dict[int, list[Finding]] = defaultdict(list)
-    for finding in findings:
-        by_sample[finding.sample].append(finding)
+def merged(scores: Sequence[SampleScore]) -> list[SampleScore]:
+    """One score per sample: the means of its figures over the numbers of views that it was judged with."""
+    by_sample: dict[int, list[SampleScore]] = defaultdict(list)
+    for score in scores:
+        by_sample[score.sample].append(score)
     return [
         dataclasses.replace(
             group[0], views=None, numbers={k: float(np.mean([f.numbers[k] for f in group])) for k in group[0].numbers}
@@ -314,7 +316,7 @@ def gains(rows: Sequence[EditRow]) -> dict[str, float]:
     return {row.kind: row.gain if row.gain_low is None else row.gain_low for row in modes}
 
 
-def _edit_row(kind: str, views: int | None, group: Sequence[Finding], seed: int) -> EditRow:
+def _edit_row(kind: str, views: int | None, group: Sequence[SampleScore], seed: int) -> EditRow:
     def mean(figure: str) -> float | None:
         some = [f.numbers[figure] for f in group if figure in f.numbers]
         return float(np.mean(some)) if some else None
@@ -335,15 +337,15 @@ def table(rows: Rows) -> str:
 
 
 def write_table(
-    folder: Path, rows: Rows, findings: Sequence[Finding], heading: str, notes: Sequence[str]
+    folder: Path, rows: Rows, scores: Sequence[SampleScore], heading: str, notes: Sequence[str]
 ) -> list[Path]:
     """judged.csv (numbers in full), judged.md and judged.png in the folder; the paths. Raises ValueError where it
     cannot be written."""
     paths = [folder / f"judged.{ending}" for ending in ("csv", "md", "png")]
     write_csv(paths[0], rows, heading)
     write_markdown(paths[1], [_cells(row) for row in rows], heading, notes)
-    first = {(finding.kind, finding.views): finding.strip for finding in reversed(findings)}
-    strips = [Strip("", strip) for key in dict.fromkeys((f.kind, f.views) for f in findings) if (strip := first[key])]
+    first = {(score.kind, score.views): score.strip for score in reversed(scores)}
+    strips = [Strip("", strip) for key in dict.fromkeys((f.kind, f.views) for f in scores) if (strip := first[key])]
     if not strips:
         return paths[:2]
     write_sheet(paths[2], sheet(strips, SHEET_CELL_PX))

@@ -26,9 +26,9 @@ from splatpainter.contact_sheet import Strip, sheet, write_sheet
 from splatpainter.train import state
 from splatpainter.train.distributed import Group, gathered, quiet, spread
 from splatpainter.train.optim import Average, Guard, adamw, rate_at
-from splatpainter.train.prefetch import Ahead
+from splatpainter.train.prefetch import PrefetchedSamples
 from splatpainter.train.report import SHEET_CELL_PX, Board, StepTable
-from splatpainter.train.stages.task import Task, Verdict
+from splatpainter.train.stages.task import Task, ValidationScore
 
 if TYPE_CHECKING:
     from splatpainter.data.samples import Sample
@@ -69,10 +69,13 @@ class Result:
     """Mean of the last hundred steps."""
 
 
-def sample_numbers(step: int, batch: int, stay: int, rank: int = 0, world: int = 1) -> list[int]:
-    """Numbers of the samples of this step that are this process's. stay: consecutive numbers that share an object."""
+def sample_numbers(step: int, batch: int, samples_per_object: int, rank: int = 0, world: int = 1) -> list[int]:
+    """Numbers of the samples of this step that are this process's. samples_per_object:
+    consecutive numbers that share one."""
     lanes = range(rank * batch // world, (rank + 1) * batch // world)
-    return [((step // stay) * batch + lane) * stay + step % stay for lane in lanes]
+    return [
+        ((step // samples_per_object) * batch + lane) * samples_per_object + step % samples_per_object for lane in lanes
+    ]
 
 
 class Loop:
@@ -120,7 +123,7 @@ class Loop:
         """Train until the recipe's steps, a limit or SIGINT / SIGTERM; save; say how it ended."""
         recipe, progress, begun = self.recipe, self.progress, time.monotonic()
         first, saved, ended = progress.step, time.monotonic(), "done"
-        if isinstance(self.samples, Ahead):
+        if isinstance(self.samples, PrefetchedSamples):
             self.samples.expect(self._numbers())
         bar = tqdm(
             total=recipe.steps,
@@ -166,7 +169,7 @@ class Loop:
         optimizer.zero_grad(set_to_none=True)
         task.train()
         task.step = step
-        numbers = sample_numbers(step, recipe.batch, recipe.stay, self.group.rank, self.group.world)
+        numbers = sample_numbers(step, recipe.batch, recipe.samples_per_object, self.group.rank, self.group.world)
         sums: dict[str, float] = defaultdict(float)
         kinds, failed = [], 0
         for k, number in enumerate(numbers):
@@ -203,9 +206,9 @@ class Loop:
         if self.group.first or sharded:  # sharded weights need every process
             self.task.eval()
             with self.run.average.used_by(self.task), _unsharded(self.shared):
-                verdicts = [verdict for sample in self.held if (verdict := self._judge(sample)) is not None]
+                scores = [score for sample in self.held if (score := self._judge(sample)) is not None]
             if self.group.first:
-                self._report(verdicts)
+                self._report(scores)
         self.group.wait()
         return self.validation
 
@@ -226,7 +229,9 @@ class Loop:
     def _numbers(self) -> Iterator[int]:
         """Numbers of all samples to come."""
         for step in range(self.progress.step, self.recipe.steps):
-            yield from sample_numbers(step, self.recipe.batch, self.recipe.stay, self.group.rank, self.group.world)
+            yield from sample_numbers(
+                step, self.recipe.batch, self.recipe.samples_per_object, self.group.rank, self.group.world
+            )
 
     def _sample(self, number: int) -> Sample | str:
         try:
@@ -234,18 +239,18 @@ class Loop:
         except ValueError as error:  # a broken mesh, an object that shows nothing
             return str(error)
 
-    def _judge(self, sample: Sample) -> Verdict | None:
+    def _judge(self, sample: Sample) -> ValidationScore | None:
         try:
             return self.task.judge(sample)
         except ValueError as error:
             self.say(f"validation: {sample.name} ({sample.kind}) skipped: {error}")
             return None
 
-    def _report(self, verdicts: Sequence[Verdict]) -> None:
+    def _report(self, scores: Sequence[ValidationScore]) -> None:
         by_kind: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
-        for verdict in verdicts:
-            for kind in (verdict.kind, "all"):
-                for name, value in verdict.numbers.items():
+        for score in scores:
+            for kind in (score.kind, "all"):
+                for name, value in score.numbers.items():
                     by_kind[kind][name].append(value)
         self.validation = {k: {n: float(np.mean(v)) for n, v in f.items()} for k, f in sorted(by_kind.items())}
         flat = {f"{kind} {name}": v for kind, f in self.validation.items() for name, v in f.items()}
@@ -253,7 +258,7 @@ class Loop:
         if self.figures is not None and self.board is not None:
             self.figures.add(step, flat)
             self.board.add(step, flat, "validation")
-            strips = [verdict.strip for verdict in verdicts if verdict.strip][:SHEET_ROWS]
+            strips = [score.strip for score in scores if score.strip][:SHEET_ROWS]
             if strips:
                 picture = sheet([Strip("", tuple(strip)) for strip in strips], SHEET_CELL_PX)
                 (self.out / "sheets").mkdir(parents=True, exist_ok=True)

@@ -25,14 +25,14 @@ ALIVE_CHECK_SECONDS = 5.0
 VIEWS = ("base", "edited", "novel_before", "novel_after")
 
 
-class Ahead:
+class PrefetchedSamples:
     """Numbered samples from `count` processes."""
 
-    def __init__(self, make: Callable[[], Any], count: int, stay: int) -> None:
-        """make: the stream; called once in each worker, so it must be importable from there; stay: consecutive numbers
-        that share an object."""
+    def __init__(self, make: Callable[[], Any], count: int, samples_per_object: int) -> None:
+        """make: the stream; called once in each worker, so it must be importable from there;
+        samples_per_object: consecutive numbers that share an object."""
         context = multiprocessing.get_context("spawn")  # fork would copy torch's threads half
-        self._stay, self._window = stay, (count + 1) * stay
+        self._samples_per_object, self._window = samples_per_object, (count + 1) * samples_per_object
         self._upcoming: Iterator[int] = iter(())
         self._pending: list[int] = []
         self._ready: dict[int, Any] = {}
@@ -79,7 +79,7 @@ class Ahead:
         self._tasks[self._worker(number)].put(number)
 
     def _worker(self, number: int) -> int:
-        return number // self._stay % len(self._workers)
+        return number // self._samples_per_object % len(self._workers)
 
     def _receive(self, worker: int) -> None:
         try:

@@ -125,7 +125,7 @@ class Recipe:
         object.__setattr__(self, "samples", dataclasses.replace(self.samples, kinds=kinds))
 
     @property
-    def stay(self) -> int:
+    def samples_per_object(self) -> int:
         """Consecutive samples that share an object."""
         return self.samples.steps_per_object
 

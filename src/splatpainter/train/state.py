@@ -70,7 +70,7 @@ class TrainingState:
 def save(
     folder: Path,
     run: TrainingState,
-    config: checkpoint.Config,
+    config: checkpoint.CheckpointConfig,
     recipe: dict[str, Any],
     group: Group,
     *,
@@ -109,7 +109,7 @@ def save(
     checkpoint.save(folder / STATE, config, tensors, dtype="bfloat16" if compact else "float32", notes=notes)
 
 
-def load(folder: Path, run: TrainingState, config: checkpoint.Config, recipe: dict[str, Any]) -> None:
+def load(folder: Path, run: TrainingState, config: checkpoint.CheckpointConfig, recipe: dict[str, Any]) -> None:
     """Fill a run from OUT/state, in place. Raises ValueError where there is none, where it is damaged, and where it was
     written with another recipe: the line names what differs."""
     held = checkpoint.load(folder / STATE, kind=type(config))
@@ -145,7 +145,7 @@ def load(folder: Path, run: TrainingState, config: checkpoint.Config, recipe: di
 
 
 def save_model(
-    folder: Path, run: TrainingState, config: checkpoint.Config, group: Group, notes: dict[str, Any]
+    folder: Path, run: TrainingState, config: checkpoint.CheckpointConfig, group: Group, notes: dict[str, Any]
 ) -> None:
     """Write OUT/model: the averaged weights of the model inside the task (the parameters below `model.`), fp16."""
     tensors = {}
@@ -203,7 +203,9 @@ def _differences(old: Any, new: Any, path: str = "") -> list[tuple[str, Any, Any
     return [] if json.dumps(old) == json.dumps(new) else [(path, old, new)]
 
 
-def differing_config(old: checkpoint.Config, new: checkpoint.Config, free: Callable[[str], bool]) -> list[str]:
+def differing_config(
+    old: checkpoint.CheckpointConfig, new: checkpoint.CheckpointConfig, free: Callable[[str], bool]
+) -> list[str]:
     """What differs between two model configs, one text per key, except keys that `free` accepts."""
     a, b = (json.loads(c.to_json()) for c in (old, new))
     return [f"{key} {was!r} there, {now!r} here" for key, was, now in _differences(a, b) if not free(key)]

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 from splatpainter.data.object_sources import SPLAT_SUFFIXES, MeshFolder, ProceduralSource, SplatFolder, split
 from splatpainter.data.samples import SampleRecipe, SampleStream
 from splatpainter.data.shards import INDEX, ShardStream, read_index
-from splatpainter.train.prefetch import Ahead
+from splatpainter.train.prefetch import PrefetchedSamples
 
 if TYPE_CHECKING:
-    from splatpainter.data.gaussian_edits import RowEditStream
+    from splatpainter.data.gaussian_edits import GaussianEditStream
     from splatpainter.data.samples import Sample
 
 VALIDATION_SEED = 0x5EED
@@ -50,7 +50,7 @@ class TrainingData:
 
 
 @dataclass(frozen=True)
-class Supply:
+class DataSettings:
     """Where samples come from; small, so that it can be sent to other processes."""
 
     data: str
@@ -89,75 +89,79 @@ class Supply:
 
 
 class Lanes:
-    """Streams of one supply, one per lane of a batch (loop.sample_numbers): each stays on its own object."""
+    """Streams of the same settings, one per lane of a batch (loop.sample_numbers): each stays on its own object."""
 
-    def __init__(self, supply: Supply, count: int) -> None:
-        self._supply, self._count = supply, count
+    def __init__(self, settings: DataSettings, count: int) -> None:
+        self._settings, self._count = settings, count
         self._streams: dict[int, Any] = {}
 
     def __getitem__(self, i: int) -> Sample:
-        lane = i // self._supply.recipe.steps_per_object % self._count
+        lane = i // self._settings.recipe.steps_per_object % self._count
         if lane not in self._streams:
-            self._streams[lane] = self._supply.stream()
+            self._streams[lane] = self._settings.stream()
         return self._streams[lane][i]
 
 
-def open_global_edits(supply: Supply, count: int) -> TrainingData:
+def open_global_edits(settings: DataSettings, count: int) -> TrainingData:
     """As `open_training_data`, for stage predict, whose samples have no pictures (data/global_edits.py). Raises
-    ValueError as Supply.stream and GlobalEditStream."""
+    ValueError as DataSettings.stream and GlobalEditStream."""
     from splatpainter.data.global_edits import GlobalEditStream
 
-    if is_shards(supply.data):
-        raise ValueError(f"--data {supply.data}: expected meshes or procedural:N for stage predict, got shards")
-    few = dataclasses.replace(supply, memory=supply.memory >> 4)
+    if is_shards(settings.data):
+        raise ValueError(f"--data {settings.data}: expected meshes or procedural:N for stage predict, got shards")
+    few = dataclasses.replace(settings, memory=settings.memory >> 4)
     validation = few.stream(validation=True) if count else None
     samples = [] if validation is None else list(_first(GlobalEditStream(validation, 0), count))
-    return TrainingData(GlobalEditStream(few.stream(), cache_bytes=supply.memory), samples, supply.counts())
+    return TrainingData(GlobalEditStream(few.stream(), cache_bytes=settings.memory), samples, settings.counts())
 
 
-def open_row_edits(supply: Supply, count: int, folder: Path | None, fitted: bool = True) -> TrainingData:
+def open_gaussian_edits(settings: DataSettings, count: int, folder: Path | None, fitted: bool = True) -> TrainingData:
     """As `open_training_data`, for stage rows, whose samples have no pictures (data/gaussian_edits.py). Raises
-    ValueError as row_streams."""
-    training, held = row_streams(supply, folder, fitted)
-    return TrainingData(training, list(_first(held, count)) if count and held else [], supply.counts())
+    ValueError as gaussian_edit_streams."""
+    training, held = gaussian_edit_streams(settings, folder, fitted)
+    return TrainingData(training, list(_first(held, count)) if count and held else [], settings.counts())
 
 
-def row_streams(supply: Supply, folder: Path | None, fitted: bool = True) -> tuple[RowEditStream, RowEditStream | None]:
+def gaussian_edit_streams(
+    settings: DataSettings, folder: Path | None, fitted: bool = True
+) -> tuple[GaussianEditStream, GaussianEditStream | None]:
     """(edits of training objects, of those held back, None where there are none). folder: where assets are kept;
-    fitted: of 3DGS, too. Raises ValueError as Supply.stream and RowEditStream, and for splat assets."""
+    fitted: of 3DGS, too. Raises ValueError as DataSettings.stream and GaussianEditStream, and for splat assets."""
     from splatpainter.data.environments import load_environment
-    from splatpainter.data.gaussian_edits import EDIT_KINDS, RowEditStream
-    from splatpainter.data.lit_assets import RowAssets
+    from splatpainter.data.gaussian_edits import EDIT_KINDS, GaussianEditStream
+    from splatpainter.data.lit_assets import LitAssets
 
-    if is_shards(supply.data):
-        raise ValueError(f"--data {supply.data}: expected meshes or procedural:N for stage rows, got shards")
-    sources = _sources(supply.data, supply.seed, supply.share, supply.resources)
-    lights = tuple(load_environment(f) for f in _listed(supply.resources.environments, (".hdr", ".exr")))
-    kinds = {kind: supply.recipe.kinds.get(kind, 0.0) for kind in EDIT_KINDS}
+    if is_shards(settings.data):
+        raise ValueError(f"--data {settings.data}: expected meshes or procedural:N for stage rows, got shards")
+    sources = _sources(settings.data, settings.seed, settings.share, settings.resources)
+    lights = tuple(load_environment(f) for f in _listed(settings.resources.environments, (".hdr", ".exr")))
+    kinds = {kind: settings.recipe.kinds.get(kind, 0.0) for kind in EDIT_KINDS}
     streams = []
-    for source, seed in zip(sources, (supply.seed, supply.seed + VALIDATION_SEED), strict=True):
+    for source, seed in zip(sources, (settings.seed, settings.seed + VALIDATION_SEED), strict=True):
         if source is not None and not hasattr(source, "mesh"):
-            raise ValueError(f"--data {supply.data}: expected meshes, whose materials are known, got splat assets")
+            raise ValueError(f"--data {settings.data}: expected meshes, whose materials are known, got splat assets")
         if source is None:
             continue
-        assets = RowAssets(source, supply.recipe, 0, lights, folder, supply.memory)
-        stay = 1 if streams else supply.recipe.steps_per_object
-        streams.append(RowEditStream(assets, kinds, ("coarse", "fitted") if fitted else ("coarse",), seed, stay))
+        assets = LitAssets(source, settings.recipe, 0, lights, folder, settings.memory)
+        samples_per_object = 1 if streams else settings.recipe.steps_per_object
+        streams.append(
+            GaussianEditStream(assets, kinds, ("coarse", "fitted") if fitted else ("coarse",), seed, samples_per_object)
+        )
     return streams[0], streams[1] if len(streams) > 1 else None
 
 
-def open_training_data(supply: Supply, *, batch: int, count: int, workers: int = 0) -> TrainingData:
+def open_training_data(settings: DataSettings, *, batch: int, count: int, workers: int = 0) -> TrainingData:
     """Training samples for batches of this size, and `count` validation samples (0: none are made). workers: processes
-    that make samples ahead. Raises ValueError as Supply.stream."""
-    objects = supply.counts()
-    supply = dataclasses.replace(supply, memory=supply.memory // max(batch, 1))
-    stream = supply.stream(validation=True) if count else None
+    that make samples ahead. Raises ValueError as DataSettings.stream."""
+    objects = settings.counts()
+    settings = dataclasses.replace(settings, memory=settings.memory // max(batch, 1))
+    stream = settings.stream(validation=True) if count else None
     samples = [] if stream is None else list(_first(stream, count))
-    stay = supply.recipe.steps_per_object
+    samples_per_object = settings.recipe.steps_per_object
     if workers:
-        make = partial(Lanes, dataclasses.replace(supply, device="cpu"), batch)
-        return TrainingData(Ahead(make, workers, stay), samples, objects)
-    return TrainingData(Lanes(supply, batch), samples, objects)
+        make = partial(Lanes, dataclasses.replace(settings, device="cpu"), batch)
+        return TrainingData(PrefetchedSamples(make, workers, samples_per_object), samples, objects)
+    return TrainingData(Lanes(settings, batch), samples, objects)
 
 
 def is_shards(data: str) -> bool:

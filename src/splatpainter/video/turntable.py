@@ -17,7 +17,7 @@ from splatpainter.color import to_display
 from splatpainter.image_files import quantized
 from splatpainter.rendering import render
 from splatpainter.rendering.profiles import Profile
-from splatpainter.sources.picture_reader import straight
+from splatpainter.sources.picture_reader import unpremultiplied
 from splatpainter.splats import Splats
 from splatpainter.video.mp4 import CodedFrames, avif_samples, mp4
 
@@ -144,7 +144,7 @@ def frame(splats: Splats, camera: Camera, options: TurntableOptions) -> np.ndarr
     drawn = render(splats, camera, profile=options.profile)
     colors, alpha = drawn.colors[0], drawn.alphas[0, ..., 0]
     if options.transparent:
-        colors = straight(colors - (1 - alpha[..., None]) * np.asarray(camera.background, colors.dtype), alpha)
+        colors = unpremultiplied(colors - (1 - alpha[..., None]) * np.asarray(camera.background, colors.dtype), alpha)
     display = np.clip(to_display(colors, splats.color_space), 0, 1)
     return quantized(np.concatenate([display, alpha[..., None]], -1) if options.transparent else display)
 

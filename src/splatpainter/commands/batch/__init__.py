@@ -131,9 +131,9 @@ def follow_jobs(work: Callable[[int], dict[str, Any]], jobs: tuple[Job, ...], co
 
 def _record(job: Job, result: Any) -> dict[str, Any]:
     from splatpainter.commands.batch.work import failure
-    from splatpainter.data.cluster import Lost
+    from splatpainter.data.cluster import LostTask
 
-    if isinstance(result, Lost):
+    if isinstance(result, LostTask):
         return {**failure(job, result.reason), "warnings": [], "seconds": 0.0}
     return result
 

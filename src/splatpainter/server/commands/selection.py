@@ -151,7 +151,7 @@ def change_selection(context: CommandContext, request: SelectChange) -> Selected
     elif request.to == "none":
         current.choose(None)
     elif request.to == "again":
-        current.again()
+        current.reselect()
     elif request.to == "floaters":
         current.choose(space.floaters(splats, request.share))
         if not current:

@@ -247,14 +247,14 @@ def check_url(source: str, name: str, url: str) -> str:
     return url.strip().rstrip("/")
 
 
-def is_here(url: str) -> bool:
+def is_loopback(url: str) -> bool:
     """Whether an address is one of this machine."""
     return urlsplit(url).hostname in LOOPBACK
 
 
 def is_open(url: str) -> bool:
     """Whether what is sent to an address can be read on its way."""
-    return urlsplit(url).scheme == "http" and not is_here(url)
+    return urlsplit(url).scheme == "http" and not is_loopback(url)
 
 
 def decode_base64(data: Any, source: str) -> bytes:

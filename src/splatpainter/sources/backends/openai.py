@@ -18,7 +18,7 @@ from splatpainter.sources.backends.http import (
     at,
     check_url,
     decode_base64,
-    is_here,
+    is_loopback,
     is_open,
     read_key,
     require_httpx,
@@ -85,7 +85,7 @@ class OpenAISource:
         require_httpx("openai")
         self.base_url = check_url("openai", "base_url", options.base_url)
         self.options = options
-        self.capabilities = replace(CAPABILITIES, paid=not is_here(self.base_url))
+        self.capabilities = replace(CAPABILITIES, paid=not is_loopback(self.base_url))
 
     def edit(self, request: PictureRequest, progress: Progress, cancel: CancelFlag) -> PictureAnswer:
         """One call. Raises SourceError; SourceCancelled."""

@@ -22,7 +22,7 @@ from splatpainter.models.model import SplatPainterModel
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.train.loss import PictureLoss
 from splatpainter.train.stages.lrm import asset_tokens, input_views, judged, truth
-from splatpainter.train.stages.task import Task, Verdict, draw, freeze
+from splatpainter.train.stages.task import Task, ValidationScore, draw, freeze
 from splatpainter.voxels.grid import voxelize
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ class CopyTask(Task[SplatPainterModel]):
         return self.loss(rendered, target, sorted(chosen.tolist()))
 
     @torch.no_grad()
-    def judge(self, sample: Sample) -> Verdict:
+    def judge(self, sample: Sample) -> ValidationScore:
         made, before = self._copy(sample)
         return judged(made, sample, input_views(self.model, sample, self.device), self.device, before)
 
@@ -79,14 +79,14 @@ class HiddenColors(Task[SplatPainterModel]):
         return {"loss": loss}
 
     @torch.no_grad()
-    def judge(self, sample: Sample) -> Verdict:
+    def judge(self, sample: Sample) -> ValidationScore:
         guessed, target, visible = self._guess(sample, 0)
         # Base colours; the floor is what the mean of the colours of the visible Gaussians would get.
         numbers = {
             "mean": _decibels((visible[:, :3].mean(0) - target[:, :3]) * SH_C0),
             "ours": _decibels((guessed[:, :3] - target[:, :3]) * SH_C0),
         }
-        return Verdict("hidden colours", numbers, ())
+        return ValidationScore("hidden colours", numbers, ())
 
     def _guess(self, sample: Sample, seed: int) -> tuple[Tensor, Tensor, Tensor]:
         """SH [M, 3 K] of the hidden Gaussians as guessed and as they are, and of the visible Gaussians."""

@@ -16,8 +16,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from splatpainter.data.gaussian_edits import RowEdit
-from splatpainter.data.lit_assets import RowAsset
+from splatpainter.data.gaussian_edits import GaussianEdit
+from splatpainter.data.lit_assets import LitAsset
 from splatpainter.data.recent import Recent
 from splatpainter.lift.colors import MAX_COLOR
 from splatpainter.lift.global_edit import regressed
@@ -27,7 +27,7 @@ from splatpainter.models.encode import encode_asset
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.models.predictor import gaussian_facts
 from splatpainter.train.recipes import Carrier
-from splatpainter.train.stages.task import Task, Verdict, freeze
+from splatpainter.train.stages.task import Task, ValidationScore, freeze
 
 MIN_SQUARED_ERROR = 1e-5
 """Added to the squared error: 50 dB are enough."""
@@ -38,7 +38,7 @@ MIN_VISIBLE = 16
 
 
 @dataclass(frozen=True)
-class RowOptions:
+class GaussianEditOptions:
     """How much of an edit a step looks at."""
 
     carrier: Carrier = "stage2"
@@ -53,10 +53,10 @@ class RowOptions:
     """Keep encoded assets on disk (models/cache.py)."""
 
 
-class RowsTask(Task[SplatPainterModel]):
+class GaussianEditTask(Task[SplatPainterModel]):
     """Stage rows: of the model, Stage II and the decoder are trained, or the predictor."""
 
-    def __init__(self, model: SplatPainterModel, options: RowOptions = RowOptions()) -> None:
+    def __init__(self, model: SplatPainterModel, options: GaussianEditOptions = GaussianEditOptions()) -> None:
         """Raises ValueError for a model that has no such carrier."""
         super().__init__()
         self.model, self.options = model, options
@@ -80,7 +80,7 @@ class RowsTask(Task[SplatPainterModel]):
         self._rows: Recent[EncodedGaussians] = Recent(options.objects)
         self._frozen = _digest(model)
 
-    def losses(self, sample: RowEdit, seed: int) -> dict[str, Tensor]:  # type: ignore[override]
+    def losses(self, sample: GaussianEdit, seed: int) -> dict[str, Tensor]:  # type: ignore[override]
         rng = np.random.default_rng(seed)
         seen = np.flatnonzero(sample.seen)
         hidden = unseen(sample)
@@ -95,16 +95,18 @@ class RowsTask(Task[SplatPainterModel]):
         return {"loss": torch.log(squared + MIN_SQUARED_ERROR), "squared": squared}
 
     @torch.no_grad()
-    def judge(self, sample: RowEdit) -> Verdict:  # type: ignore[override]
+    def judge(self, sample: GaussianEdit) -> ValidationScore:  # type: ignore[override]
         numbers = {"nothing": self.decibels(sample, None), "lift": self.decibels(sample, fixed_ridge(sample))}
         numbers["ours"] = self.decibels(sample, self.answer(sample))
         if self.options.carrier == "stage2":
             numbers["strength 0"] = self.decibels(sample, self.answer(sample, strength=0.0))
         numbers["gain"] = numbers["ours"] - numbers["lift"]
-        return Verdict(f"{sample.kind} {sample.views} {sample.item.kind}", numbers, ())
+        return ValidationScore(f"{sample.kind} {sample.views} {sample.item.kind}", numbers, ())
 
     @torch.no_grad()
-    def answer(self, sample: RowEdit, strength: float | None = None, evidence: RowEdit | None = None) -> Tensor:
+    def answer(
+        self, sample: GaussianEdit, strength: float | None = None, evidence: GaussianEdit | None = None
+    ) -> Tensor:
         """[U, 3] change of Gaussians that no picture shows (`judged`), after JUDGED_TEACHERS of those that are shown
         have taught. evidence: another edit of the same asset, whose changes of these Gaussians are shown
         instead."""
@@ -113,11 +115,11 @@ class RowsTask(Task[SplatPainterModel]):
 
     def predicted(
         self,
-        sample: RowEdit,
+        sample: GaussianEdit,
         teachers: np.ndarray,
         readers: np.ndarray,
         strength: float | None = None,
-        evidence: RowEdit | None = None,
+        evidence: GaussianEdit | None = None,
     ) -> Tensor:
         """[R, 3] change of the Gaussians `readers`, which know nothing of it, learnt from `teachers` (indices)."""
         change = (sample if evidence is None else evidence).change
@@ -135,7 +137,7 @@ class RowsTask(Task[SplatPainterModel]):
         visible = np.where(weight[:, None] > 0, change[ids], 0)
         return predictor(*(self._tensor(x) for x in (facts[ids], visible, weight)))[len(teachers) :]
 
-    def squared(self, sample: RowEdit, answer: Tensor | None, readers: np.ndarray) -> Tensor:
+    def squared(self, sample: GaussianEdit, answer: Tensor | None, readers: np.ndarray) -> Tensor:
         """[] mean squared error of base colours 0..1 over the Gaussians `readers`, each by how much it counts. answer:
         [R, 3] their change; None: none."""
         before, change = (self._tensor(x[readers]) for x in (sample.colors, sample.change))
@@ -143,20 +145,20 @@ class RowsTask(Task[SplatPainterModel]):
         after = before if answer is None else (before + answer).clamp(0, MAX_COLOR)
         return ((after - before - change).square().mean(1) * counts).sum() / counts.sum().clamp(min=1e-6)
 
-    def decibels(self, sample: RowEdit, answer: Tensor | None) -> float:
+    def decibels(self, sample: GaussianEdit, answer: Tensor | None) -> float:
         """PSNR over Gaussians that no picture shows (`judged`). answer: [U, 3] of these; None: no change."""
         return -10 * math.log10(max(float(self.squared(sample, answer, judged(sample))), 1e-12))
 
-    def rows(self, item: RowAsset) -> EncodedGaussians:
+    def rows(self, item: LitAsset) -> EncodedGaussians:
         """What Stage II knows of an asset, encoded on first use."""
         return self._rows.get((item.name, item.kind), lambda: self._encoded(item))
 
-    def share_rows(self, other: RowsTask) -> None:
+    def share_rows(self, other: GaussianEditTask) -> None:
         """Use the assets that another task has encoded or will encode, with the same LRM and Stage I."""
         assert self._frozen == other._frozen, "other encoders"
         self._rows = other._rows
 
-    def _encoded(self, item: RowAsset) -> EncodedGaussians:
+    def _encoded(self, item: LitAsset) -> EncodedGaussians:
         with torch.no_grad(), self.arithmetic():
             if self.options.cached:
                 encoded = encode_cached(self.model, item.asset, weights=self._frozen)
@@ -169,12 +171,12 @@ class RowsTask(Task[SplatPainterModel]):
         return torch.from_numpy(np.ascontiguousarray(values, np.float32)).to(self.device)
 
 
-def unseen(sample: RowEdit) -> np.ndarray:
+def unseen(sample: GaussianEdit) -> np.ndarray:
     """[U] int64 the Gaussians that no picture of the edit shows, and that can be seen from somewhere."""
     return np.flatnonzero(~sample.seen & (sample.counts > 0))
 
 
-def judged(sample: RowEdit) -> np.ndarray:
+def judged(sample: GaussianEdit) -> np.ndarray:
     """[U] int64 at most JUDGED_READERS of `unseen`, evenly over their order."""
     return evenly(unseen(sample), JUDGED_READERS)
 
@@ -184,7 +186,7 @@ def evenly(values: np.ndarray, most: int) -> np.ndarray:
     return values if len(values) <= most else values[np.linspace(0, len(values) - 1, most).astype(np.int64)]
 
 
-def fixed_ridge(sample: RowEdit) -> Tensor:
+def fixed_ridge(sample: GaussianEdit) -> Tensor:
     """[U, 3] what the lift's regression on fixed features says of the Gaussians `judged`, learnt from all that are
     shown."""
     item = sample.item

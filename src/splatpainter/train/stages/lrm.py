@@ -19,7 +19,7 @@ from splatpainter.models.lrm import AssetViews
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.splats import Splats
 from splatpainter.train.loss import PictureLoss, PictureTarget, global_target, masked_psnr, scattered_depth
-from splatpainter.train.stages.task import Task, Verdict, draw, freeze, tensor
+from splatpainter.train.stages.task import Task, ValidationScore, draw, freeze, tensor
 from splatpainter.voxels.grid import VoxelGrid, voxelize
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ class LrmTask(Task[SplatPainterModel]):
         return self.loss(rendered, target, sorted(chosen.tolist()))
 
     @torch.no_grad()
-    def judge(self, sample: Sample) -> Verdict:
+    def judge(self, sample: Sample) -> ValidationScore:
         views = input_views(self.model, sample, self.device)
         with self.arithmetic():
             made = self.model.lrm(views).splats
@@ -62,7 +62,7 @@ class LrmTask(Task[SplatPainterModel]):
 
 def judged(
     made: Splats, sample: Sample, views: AssetViews, device: torch.device, before: Splats | None = None
-) -> Verdict:
+) -> ValidationScore:
     """What a reconstruction looks like beside the truth, and beside what it was made of (before)."""
     cameras, target = truth(sample, device)
     drawn_views = {"asset": sample.asset, "before": before, "ours": made}
@@ -73,7 +73,7 @@ def judged(
     strip = [("input", views.colors[0].cpu().numpy())]
     strip += [(f"{name} {numbers.get(name, float('nan')):.2f} dB", p[0].cpu().numpy()) for name, p in pictures.items()]
     strip.append(("truth", target.colors[0].cpu().numpy()))
-    return Verdict("reconstruction", numbers, tuple(strip))
+    return ValidationScore("reconstruction", numbers, tuple(strip))
 
 
 @torch.no_grad()

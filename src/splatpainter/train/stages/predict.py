@@ -19,7 +19,7 @@ from splatpainter.lift.global_edit import regressed
 from splatpainter.lift.options import GlobalOptions
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.models.predictor import gaussian_facts
-from splatpainter.train.stages.task import Task, Verdict, freeze
+from splatpainter.train.stages.task import Task, ValidationScore, freeze
 
 MIN_SQUARED_ERROR = 1e-5
 """Added to the squared error: 50 dB are enough."""
@@ -42,7 +42,7 @@ class PredictTask(Task[SplatPainterModel]):
         return {"loss": torch.log(squared + MIN_SQUARED_ERROR), "squared": squared}
 
     @torch.no_grad()
-    def judge(self, sample: GlobalEdit) -> Verdict:  # type: ignore[override]
+    def judge(self, sample: GlobalEdit) -> ValidationScore:  # type: ignore[override]
         ours = self._predicted(sample)
         lift = regressed(sample.asset, sample.normals, sample.observed, sample.weight)
         # Nothing done: a change of 0 wherever a Gaussian is seen, too.
@@ -54,7 +54,7 @@ class PredictTask(Task[SplatPainterModel]):
             "ours": _decibels(float(self._squared(sample, ours))),
         }
         numbers["gain"] = numbers["ours"] - numbers["lift"]
-        return Verdict(f"{sample.kind} {sample.views}", numbers, ())
+        return ValidationScore(f"{sample.kind} {sample.views}", numbers, ())
 
     def _predicted(self, sample: GlobalEdit) -> Tensor:
         predictor = self.model.predictor

@@ -35,7 +35,7 @@ from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.train.loss import PictureLoss, PictureTarget, global_target, joined, local_target
 from splatpainter.train.report import figures
 from splatpainter.train.stages.lrm import asset_tokens
-from splatpainter.train.stages.task import Task, Verdict, draw, freeze, tensor
+from splatpainter.train.stages.task import Task, ValidationScore, draw, freeze, tensor
 from splatpainter.voxels.grid import VoxelGrid, voxelize
 
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ class RefineTask(Task[SplatPainterModel]):
         return self.loss(rendered, target, sorted(chosen.tolist()))
 
     @torch.no_grad()
-    def judge(self, sample: Sample) -> Verdict:
+    def judge(self, sample: Sample) -> ValidationScore:
         prepared = self._remembered(sample)
         views = self._edits(sample, prepared)
         lifted = self._start(sample, prepared, views, analytic=True)
@@ -164,7 +164,7 @@ class RefineTask(Task[SplatPainterModel]):
             (f"{name} {numbers.get(name, float('nan')):.2f} dB", p[best].cpu().numpy()) for name, p in pictures.items()
         ]
         strip.append((f"truth ({sample.kind})", aim.colors[best].cpu().numpy()))
-        return Verdict(sample.kind, numbers, tuple(strip))
+        return ValidationScore(sample.kind, numbers, tuple(strip))
 
     def _remembered(self, sample: Sample) -> PreparedAsset:
         return self._prepared.get(sample.asset.sha256, lambda: self._prepare(sample.asset.numpy()))

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from splatpainter.cameras import Camera
-from splatpainter.models.checkpoint import Config
+from splatpainter.models.checkpoint import CheckpointConfig
 from splatpainter.nn.precision import autocast, setting
 from splatpainter.rendering import render
 from splatpainter.splats import Splats
@@ -27,7 +27,7 @@ class Model(Protocol):
     """What the loop knows of a model, which is also an nn.Module."""
 
     @property
-    def config(self) -> Config: ...
+    def config(self) -> CheckpointConfig: ...
     @property
     def notes(self) -> dict[str, Any]: ...
     def parameters(self, recurse: bool = True) -> Iterator[nn.Parameter]: ...
@@ -37,7 +37,7 @@ _Model = TypeVar("_Model", bound=Model)
 
 
 @dataclass(frozen=True)
-class Verdict:
+class ValidationScore:
     """What validation says about one sample."""
 
     kind: str
@@ -80,7 +80,7 @@ class Task(nn.Module, Generic[_Model]):
         trained = [p for p in self.parameters() if p.requires_grad]
         return {"loss": sum((p.float().sum() * 0 for p in trained), torch.zeros((), device=self.device))}
 
-    def judge(self, sample: Sample) -> Verdict:
+    def judge(self, sample: Sample) -> ValidationScore:
         """Figures of a validation sample, with the weights as they are; without gradients."""
         raise NotImplementedError
 
