@@ -243,7 +243,7 @@ OTHER_CHANGES: dict[str, tuple[str, Change, str]] = {
 }
 
 
-def sound(folder: Path, name: str) -> bytes:
+def valid_file(folder: Path, name: str) -> bytes:
     """A sound file of each kind."""
     splats = random_splats(6, 1, 2)
     path = folder / f"sound-{name}"
@@ -295,7 +295,7 @@ def test_a_text_ply_that_was_tampered_with(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize("case", OTHER_CHANGES)
 def test_another_file_that_was_tampered_with(tmp_path: Path, case: str) -> None:
     name, change, line = OTHER_CHANGES[case]
-    data = sound(tmp_path, name)
+    data = valid_file(tmp_path, name)
     judge(*lines_of(tmp_path, name, data, change(data)), line)
 
 
@@ -307,7 +307,7 @@ def test_a_ply_as_text_is_not_the_same_file(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["a.ply", "text.ply", "a.compressed.ply", "a.splat", "a.spz", "a.sog", "a.glb"])
 def test_recoloured_and_appended_rows_are_counted_and_nothing_else_is_wrong(tmp_path: Path, name: str) -> None:
-    data = {"a.ply": ply(), "text.ply": ply(text=True)}.get(name) or sound(tmp_path, name)
+    data = {"a.ply": ply(), "text.ply": ply(text=True)}.get(name) or valid_file(tmp_path, name)
     original, edited = tmp_path / name, tmp_path / f"edited-{name}"
     original.write_bytes(data)
     splats = sp.read(original)

@@ -140,14 +140,14 @@ def run(config: AdaptBench, report: Callable[[str], None] | None = None) -> list
     """Train, judge, write; return the means. Carriers that OUT/weights holds with as much training are not trained
     again. report: called with a line now and then. Raises ValueError for options
     that make no sense, and for data that is not there."""
-    say = report or (lambda line: None)
+    report = report or (lambda line: None)
     encoder = _check(config)
     where = machine()
     training, held = streams(config)
     edits = held_edits(held, config.objects, config.seed)
     if not edits:
         raise ValueError("bench adapt: no held-out object has Gaussians that its views do not show")
-    say(
+    report(
         f"{len(edits)} edits of {len({e.edit.name for e in edits})} held-out objects, {len(training.order)} to train on"
     )
     config.out.mkdir(parents=True, exist_ok=True)
@@ -169,7 +169,7 @@ def run(config: AdaptBench, report: Callable[[str], None] | None = None) -> list
             points.append(CarrierPoint(one.name, round(one.seconds, 2), one.steps, value))
             if stop:
                 carriers.save(one, config.out / "weights" / _slug(one.name))
-        say(f"{stop:.0%}: " + ", ".join(f"{p.carrier} {p.psnr:.2f}" for p in points[-len(carriers_in_training) :]))
+        report(f"{stop:.0%}: " + ", ".join(f"{p.carrier} {p.psnr:.2f}" for p in points[-len(carriers_in_training) :]))
         tables.write_csv(config.out / "curve.csv", points, where)
         _write_curve(config.out / "curve.svg", points, chosen, carriers_in_training[0].task)
     scores = all_scores(edits, carriers_in_training)

@@ -69,7 +69,7 @@ class RunResult:
     """Whether all rows that could run have all figures, for as many objects as asked."""
 
 
-def run(config: RunConfig, say: Say) -> RunResult:
+def run(config: RunConfig, report: Say) -> RunResult:
     """Make, measure, write the table. say: gets a line whenever something is done.
 
     Raises ValueError before any work: unknown table or method, data that gives no case, a folder with cases of another
@@ -84,9 +84,9 @@ def run(config: RunConfig, say: Say) -> RunResult:
     machine = timing.machine()
     store.claim(config.setup, config.redo, store.folder / RUN_FILE)
     with Workers(WORKER) as workers:
-        _make_cases(config, store, shard_keys, workers, say)
+        _make_cases(config, store, shard_keys, workers, report)
         made = [key.label for key in shard_keys if store.has(key, config.setup)]
-        _answer_cases(config, store, made, chosen, machine, workers, say)
+        _answer_cases(config, store, made, chosen, machine, workers, report)
     return write_table(config, store, keys, shard_keys, methods, machine)
 
 
@@ -157,7 +157,7 @@ def write_table(
 # What the runner asks of its workers.
 
 
-def _make_cases(config: RunConfig, store: CaseStore, keys: Sequence[CaseKey], workers: Workers, say: Say) -> None:
+def _make_cases(config: RunConfig, store: CaseStore, keys: Sequence[CaseKey], workers: Workers, report: Say) -> None:
     by_object: dict[str, list[dict[str, Any]]] = {}
     for key in keys:
         if not store.has(key, config.setup):
@@ -183,7 +183,7 @@ def _make_cases(config: RunConfig, store: CaseStore, keys: Sequence[CaseKey], wo
         reason = event.message or event.crash
         if reason:
             store.save_failure(event.label, names[event.label], reason)
-        say(f"{config.protocol}: case {number} of {len(names)}: {event.label}" + (f": {reason}" if reason else ""))
+        report(f"{config.protocol}: case {number} of {len(names)}: {event.label}" + (f": {reason}" if reason else ""))
 
 
 def _answer_cases(
@@ -193,7 +193,7 @@ def _answer_cases(
     chosen: Sequence[Method],
     machine: str,
     workers: Workers,
-    say: Say,
+    report: Say,
 ) -> None:
     cases = [(label, store.digest(label), *store.describe(label)) for label in labels]
     side_by_side = config.parallel_methods and config.processes > 1 and len(chosen) > 1
@@ -212,7 +212,7 @@ def _answer_cases(
                 pending.append(blank)
                 blanks[method.name, label] = blank
         if missing:
-            say(f"{config.protocol}: {method.name}: {missing}")
+            report(f"{config.protocol}: {method.name}: {missing}")
         if pending:
             jobs.append(edit_job(config, store, method, version, pending, where, side_by_side))
     for number, event in enumerate(workers.run(jobs, config.processes if side_by_side else 1), 1):
@@ -220,7 +220,7 @@ def _answer_cases(
             store.save_record(replace(blanks[event.job.name, event.label], error=event.crash))
         reason = event.crash or event.message
         line = f"{config.protocol}: {number} of {len(blanks)}: {event.job.name} on {event.label}"
-        say(line + (f": {reason}" if reason else ""))
+        report(line + (f": {reason}" if reason else ""))
 
 
 def edit_job(

@@ -253,19 +253,19 @@ def edit_file(ply: str, picture: str) -> dict[str, float]:
 
     seconds = {}
 
-    def lap(name: str) -> None:
+    def record_time(name: str) -> None:
         nonlocal start
         now = time.perf_counter()
         seconds[name], start = now - start, now
 
-    lap("imports")
+    record_time("imports")
     splats = read(ply)
-    lap("open PLY")
+    record_time("open PLY")
     painter = Painter.load("lift")
     asset = painter.encode(splats)
     edited = painter.apply(asset, [edit_from_files(Path(picture)).edit(splats)])
-    lap("edit")
+    record_time("edit")
     with tempfile.TemporaryDirectory() as folder:
         write(Path(folder) / "edited.ply", edited.splats)
-    lap("save PLY")
+    record_time("save PLY")
     return seconds

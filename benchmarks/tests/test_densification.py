@@ -354,7 +354,7 @@ def test_the_trainer_trains_it(tmp_path: Path) -> None:
     stream = SampleStream(ProceduralSource(2, seed=3), samples, seed=1)
     lines: list[str] = []
     torch.manual_seed(0)
-    loop = Loop(training.make_task(recipe, None), recipe, stream, [stream[4]], tmp_path, Group(), say=lines.append)
+    loop = Loop(training.make_task(recipe, None), recipe, stream, [stream[4]], tmp_path, Group(), report=lines.append)
     result = loop()
     assert result.step == 3 and result.failed == 0 and result.ended == "done"
     assert {"nothing", "ours", "gain", "around ours"} <= result.validation["zoom"].keys()

@@ -188,50 +188,50 @@ def _other_parts(
 
 def _layout_problems(old: Contents, new: Contents) -> list[str]:
     """Properties that were dropped, added, retyped or put in another order."""
-    was, now = (dict(f for t in part.tables for f in t.fields) for part in (old, new))
+    before, after = (dict(f for t in part.tables for f in t.fields) for part in (old, new))
     out = []
-    if dropped := [name for name in was if name not in now]:
+    if dropped := [name for name in before if name not in after]:
         out.append(f"dropped properties: {_some(dropped)}")
-    if added := [name for name in now if name not in was]:
+    if added := [name for name in after if name not in before]:
         out.append(f"added properties: {_some(added)}")
-    if retyped := [f"{n} from {was[n]} to {now[n]}" for n in was if n in now and was[n] != now[n]]:
+    if retyped := [f"{n} from {before[n]} to {after[n]}" for n in before if n in after and before[n] != after[n]]:
         out.append(f"retyped properties: {_some(retyped)}")
-    if [name for name in was if name in now] != [name for name in now if name in was]:
+    if [name for name in before if name in after] != [name for name in after if name in before]:
         out.append("the properties stand in another order")
     return out
 
 
-def _setting_problems(name: str, was: Any, now: Any) -> list[str]:
-    if was == now:
+def _setting_problems(name: str, before: Any, after: Any) -> list[str]:
+    if before == after:
         return []
-    if isinstance(was, tuple) and isinstance(now, tuple):
-        missing, new = _without(was, now), _without(now, was)
+    if isinstance(before, tuple) and isinstance(after, tuple):
+        missing, new = _without(before, after), _without(after, before)
         lines = [f"{name}: {_quoted(line)} is missing" for line in missing] + [
             f"{name}: {_quoted(line)} is new" for line in new
         ]
         return lines[:MAX_LINES] or [f"{name}: its lines stand in another order"]
-    if name in ("JSON", "meta.json") and isinstance(was, str) and isinstance(now, str):
-        return [f"{name} differs at {_json_path(json.loads(was), json.loads(now))}"]
-    return [f"{name}: {_quoted(was)} became {_quoted(now)}"]
+    if name in ("JSON", "meta.json") and isinstance(before, str) and isinstance(after, str):
+        return [f"{name} differs at {_json_path(json.loads(before), json.loads(after))}"]
+    return [f"{name}: {_quoted(before)} became {_quoted(after)}"]
 
 
-def _block_problems(name: str, was: bytes | None, now: bytes | None) -> list[str]:
-    if was == now or (not was and not now):
+def _block_problems(name: str, before: bytes | None, after: bytes | None) -> list[str]:
+    if before == after or (not before and not after):
         return []
-    if was is None or now is None or len(was) != len(now):
-        return [f"{_quoted(name)[1:-1]}: {len(was or b'')} bytes became {len(now or b'')}"]
-    at = next(k for k, (a, b) in enumerate(zip(was, now, strict=True)) if a != b)
+    if before is None or after is None or len(before) != len(after):
+        return [f"{_quoted(name)[1:-1]}: {len(before or b'')} bytes became {len(after or b'')}"]
+    at = next(k for k, (a, b) in enumerate(zip(before, after, strict=True)) if a != b)
     return [f"{_quoted(name)[1:-1]} differs at its byte {at}"]
 
 
 def _chunk_problems(
-    name: str, was: np.ndarray, now: np.ndarray, rows: np.ndarray, before: int, after: int
+    name: str, old: np.ndarray, new: np.ndarray, rows: np.ndarray, before: int, after: int
 ) -> list[str]:
     """Chunks that differ although none of their rows does and none was appended to them."""
-    count = min(len(was), len(now))
-    if was.shape[1] != now.shape[1]:
-        return [f"{name}: {was.shape[1]} bytes a row became {now.shape[1]}"]
-    differing = np.flatnonzero((was[:count] != now[:count]).any(1))
+    count = min(len(old), len(new))
+    if old.shape[1] != new.shape[1]:
+        return [f"{name}: {old.shape[1]} bytes a row became {new.shape[1]}"]
+    differing = np.flatnonzero((old[:count] != new[:count]).any(1))
     moved = np.append(np.unique(rows // CHUNK_ROWS), [before // CHUNK_ROWS] if after != before else [])
     unexpected = np.setdiff1d(differing, moved)
     return (
@@ -250,19 +250,19 @@ def _without(lines: tuple[str, ...], excluded: tuple[str, ...]) -> list[str]:
     return out
 
 
-def _json_path(was: Any, now: Any, where: str = "") -> str:
+def _json_path(before: Any, after: Any, where: str = "") -> str:
     """The first place at which two trees differ, and how."""
-    if isinstance(was, dict) and isinstance(now, dict):
-        for key in sorted({*was, *now}):
-            if key not in was or key not in now:
-                return f"{where}.{_quoted(key)[1:-1]} ({'new' if key not in was else 'missing'})"[:200]
-            if was[key] != now[key]:
-                return _json_path(was[key], now[key], f"{where}.{_quoted(key)[1:-1]}")
-    if isinstance(was, list) and isinstance(now, list) and len(was) == len(now):
-        for k, (one, two) in enumerate(zip(was, now, strict=True)):
+    if isinstance(before, dict) and isinstance(after, dict):
+        for key in sorted({*before, *after}):
+            if key not in before or key not in after:
+                return f"{where}.{_quoted(key)[1:-1]} ({'new' if key not in before else 'missing'})"[:200]
+            if before[key] != after[key]:
+                return _json_path(before[key], after[key], f"{where}.{_quoted(key)[1:-1]}")
+    if isinstance(before, list) and isinstance(after, list) and len(before) == len(after):
+        for k, (one, two) in enumerate(zip(before, after, strict=True)):
             if one != two:
                 return _json_path(one, two, f"{where}[{k}]")
-    return f"{where[:200] or 'its root'} ({_quoted(was)} became {_quoted(now)})"
+    return f"{where[:200] or 'its root'} ({_quoted(before)} became {_quoted(after)})"
 
 
 def _quoted(value: Any) -> str:

@@ -266,27 +266,27 @@ class Painter:
         if encodes:
             _one_size(edits)
             asset = self._encoded(asset)
-            clock.lap("encode")
+            clock.record_time("encode")
         partly = mode == "local" and chosen == "lift"
         views = _changed_together([_prepare(asset, edit, mode, partly) for edit in edits], edits)
-        clock.lap("prepare")
+        clock.record_time("prepare")
         lifted = self._lifted(asset, views, mode, chosen)
-        clock.lap("lift")
+        clock.record_time("lift")
         if encodes and not self._carried(chosen, mode):
             result = self._refined(asset, lifted, views)
-            clock.lap("ttt")
+            clock.record_time("ttt")
         else:
             result = asset.child(lifted.splats, lifted.parent_ids(len(asset.splats)))
             result = replace(result, confidence=lifted.confidence)
         if chosen == "fit":
             result = replace(result, splats=self._optimised(asset.splats, lifted, views))
-            clock.lap("fit")
+            clock.record_time("fit")
         if chosen == "ttt" and self.polish:
             recolored = self._recolored(asset.splats, result.splats, lifted, views, mode)
             result = replace(result, splats=recolored)
-            clock.lap("polish")
+            clock.record_time("polish")
         receipt = self._receipt(asset, result, lifted, views, mode, chosen, note)
-        clock.lap("receipt")
+        clock.record_time("receipt")
         return replace(result, receipt=replace(receipt, seconds=clock.seconds)).with_surface_of(asset)
 
     def _receipt(
@@ -666,7 +666,7 @@ class _Clock:
         self.seconds: dict[str, float] = {}
         self._last = time.perf_counter()
 
-    def lap(self, name: str) -> None:
+    def record_time(self, name: str) -> None:
         now = time.perf_counter()
         self.seconds[name] = now - self._last
         self._last = now

@@ -229,8 +229,8 @@ def test_linear_assets_are_shown_in_display_colours(tmp_path: Path, capfd: pytes
 def test_gaussians_that_cannot_be_drawn_do_not_poison_pictures(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    sound, odd = ball(), with_bad_gaussians(ball())
-    for name, splats in (("whole", sound.take(odd.drawable)), ("odd", odd)):
+    valid, odd = ball(), with_bad_gaussians(ball())
+    for name, splats in (("whole", valid.take(odd.drawable)), ("odd", odd)):
         asset = saved(tmp_path / f"{name}.ply", splats)
         camera = ["--camera", tmp_path / "whole" / "view_000.json"] if name == "odd" else ["--views", 1, "--size", 64]
         assert run(capfd, "render", asset, "--out", tmp_path / name, *camera).code == 0

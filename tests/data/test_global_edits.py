@@ -119,7 +119,7 @@ def test_bad_sources() -> None:
 
 
 def test_the_stage_trains_the_predictor_alone_and_learns(tmp_path: Path) -> None:
-    run = loop(RECIPE, tmp_path / "run", samples=FixedSamples(stream()), held=held())
+    run = loop(RECIPE, tmp_path / "run", samples=FixedSamples(stream()), held_out=held())
     assert {name.split(".")[1] for name, p in run.task.named_parameters() if p.requires_grad} == {"predictor"}
     before = run.validate()["all"]
     run()

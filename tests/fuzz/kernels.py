@@ -88,8 +88,8 @@ def drawing(rng: np.random.Generator, dtype: type) -> None:
     splats, camera = rows(rng, dtype, rng.choice([0, 0.01, 0.1, 0.5])), view(rng)
     profile = "playcanvas" if rng.random() < 0.3 else "inria"
     drawn = render_views(splats, [camera], True, keep_views=profile == "inria", profile=profile)
-    sound = splats.take(splats.drawable)
-    again = render_views(sound, [camera], True, keep_views=False, profile=profile)
+    valid = splats.take(splats.drawable)
+    again = render_views(valid, [camera], True, keep_views=False, profile=profile)
     for name in ("colors", "alphas", "depths"):
         assert np.isfinite(getattr(drawn, name)).all(), f"{name}: a value that is not finite"
         assert getattr(drawn, name).tobytes() == getattr(again, name).tobytes(), f"{name}: rows out of range were drawn"

@@ -29,8 +29,8 @@ def test_few_gaussians_follow_an_edge(degrees):
     view = project(splats, CAMERA)
     pixels = disk(CAMERA, 48, 48, 20)
     layer = detail_layer(splats, view, pixels, target)
-    assert layer is not None and len(layer.splats) == len(layer.hosts) < pixels.sum() / 5
-    assert (view.gaussian_ids[layer.hosts] < len(splats)).all()
+    assert layer is not None and len(layer.splats) == len(layer.parent_entries) < pixels.sum() / 5
+    assert (view.gaussian_ids[layer.parent_entries] < len(splats)).all()
     inner = disk(CAMERA, 48, 48, 18)
     picture = render(splats.append(layer.splats), CAMERA).colors[0]
     each = detail_layer(splats, view, pixels, target, SMALLEST_PX)

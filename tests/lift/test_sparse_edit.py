@@ -92,12 +92,12 @@ def test_a_view_of_what_remains_and_a_sheet_is_that_of_both_projected_anew(share
     splats = splats.take(np.concatenate([np.arange(300), np.arange(60)]))  # some at equal depths
     pieces, lattice, gone = cut_some(splats, 5)
     sheet = splats.take(np.arange(40, 70))
-    rest, owners = pieces.remaining_gaussians(splats)
+    rest, parent_ids = pieces.remaining_gaussians(splats)
     halved = lattice.level.any(1)
     left = np.setdiff1d(np.arange(360), lattice.parent[halved | gone])
     expected = np.sort(np.concatenate([left, lattice.parent[halved & ~gone]]))
-    np.testing.assert_array_equal(owners, expected)
-    assert len(pieces.owners) > 50 and len(left) > 100
+    np.testing.assert_array_equal(parent_ids, expected)
+    assert len(pieces.parent_ids) > 50 and len(left) > 100
     tiles = np.random.default_rng(2).random(tile_shape(camera)) < share
     view = joined_view(pieces, sheet, project(splats, camera), tiles)
     anew = project(rest.append(sheet), camera, tiles=tiles)

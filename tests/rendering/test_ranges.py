@@ -48,10 +48,10 @@ def hostile(dtype: type) -> Splats:
 def test_gaussians_out_of_range_are_invisible_and_counted(dtype, size):
     splats, views = hostile(dtype), cameras(*size)
     assert (~splats.drawable).sum() == 2 * sum(map(len, EXTREME.values()))
-    sound = splats.take(splats.drawable)
+    valid = splats.take(splats.drawable)
     for profile in ("inria", "playcanvas"):
         with_them = sp.render(splats, views, contributions=True, profile=profile)
-        without = sp.render(sound, views, contributions=True, profile=profile)
+        without = sp.render(valid, views, contributions=True, profile=profile)
         for name in ("colors", "alphas", "depths"):
             np.testing.assert_array_equal(getattr(with_them, name), getattr(without, name))
         assert not with_them.contributions[:, ~splats.drawable].any()
@@ -94,9 +94,9 @@ def test_huge_footprints_are_drawn_or_left_out_but_never_overflow():
 
 def test_framing_and_voxels_leave_them_out_without_a_warning():
     splats = hostile(np.float32)
-    sound = splats.take(splats.drawable)
-    np.testing.assert_array_equal(bounding_sphere(splats)[0], bounding_sphere(sound)[0])
-    assert (voxelize(splats, 8).index >= 0).sum() == len(sound)
+    valid = splats.take(splats.drawable)
+    np.testing.assert_array_equal(bounding_sphere(splats)[0], bounding_sphere(valid)[0])
+    assert (voxelize(splats, 8).index >= 0).sum() == len(valid)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 3.4e38, -3.4e38, 1e19, -1e19, 0.0, -0.0, 1e-45])

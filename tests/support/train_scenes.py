@@ -70,11 +70,11 @@ def loop(
     out: Path,
     *,
     samples: Any = None,
-    held: tuple[Any, ...] = (),
+    held_out: tuple[Any, ...] = (),
     group: Group | None = None,
     **more: Any,
 ) -> Loop:
     """A loop around the recipe's stage, with fresh weights."""
     task = make_task(recipe, model(recipe.model, recipe.seed), None, lambda line: None)
     out.mkdir(parents=True, exist_ok=True)
-    return Loop(task, recipe, samples or stream(), held, out, group or Group(), **more)
+    return Loop(task, recipe, samples or stream(), held_out, out, group or Group(), **more)

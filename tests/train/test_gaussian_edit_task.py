@@ -125,7 +125,7 @@ class FewEdits:
 
 
 def test_it_learns(tmp_path: Path) -> None:
-    run = loop(RECIPE, tmp_path, samples=FewEdits(), held=(stream()[0],))
+    run = loop(RECIPE, tmp_path, samples=FewEdits(), held_out=(stream()[0],))
     before = run.validate()["all"]
     result = run()
     assert result.ended == "done" and result.failed == 0

@@ -154,7 +154,7 @@ def test_bad_samples_are_counted_and_change_no_weight(tmp_path: Path) -> None:
             return stream()[i]
 
     messages: list[str] = []
-    run = loop(replace(RECIPE, batch=1, steps=3), tmp_path, samples=Broken(), say=messages.append)
+    run = loop(replace(RECIPE, batch=1, steps=3), tmp_path, samples=Broken(), report=messages.append)
     before = [p.detach().clone() for p in run.task.parameters()]
     run.step()
     assert all(torch.equal(a, b) for a, b in zip(before, run.task.parameters(), strict=True))

@@ -127,7 +127,7 @@ class DensifyTask(Task[Densifier]):
         return cameras, torch.cat([novel_pictures, tensor(sample.edited.colors, self.device)[edited.tolist()]])
 
 
-def make_task(recipe: DensifyRecipe, weights: Path | None, say: Callable[[str], None] = print) -> DensifyTask:
+def make_task(recipe: DensifyRecipe, weights: Path | None, report: Callable[[str], None] = print) -> DensifyTask:
     """The task with a new model (seed torch before) or that of a checkpoint. Raises ValueError naming what differs
     where the checkpoint is of another densifier."""
     model = Densifier(recipe.densifier)
@@ -140,7 +140,7 @@ def make_task(recipe: DensifyRecipe, weights: Path | None, say: Callable[[str], 
             raise ValueError(f"{weights}: weights of another model: {'; '.join(differing[:3])}")
         checkpoint.fill(model, saved.tensors, str(weights))
         model.notes = {"history": state.history(weights, saved.notes)}
-        say(f"starting from {weights}")
+        report(f"starting from {weights}")
     return DensifyTask(model, recipe.loss_views, recipe.gradient_rows)
 
 

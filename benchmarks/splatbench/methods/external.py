@@ -47,9 +47,9 @@ def version(system: System, budget: Budget) -> str:
 def edit(system: System, work: EditTask, budget: Budget) -> EditResult:
     """The asset as the system edits it. Raises ValueError: it is not there (`missing`), it fails or takes too long (the
     last line of its log, and where that is), what it leaves is not an asset in the asset's place."""
-    why = missing(system, budget)
-    if why:
-        raise ValueError(why)
+    reason = missing(system, budget)
+    if reason:
+        raise ValueError(reason)
     section = adapters_file.section(budget.adapters, system.name)
     assert section is not None
     if budget.scratch is not None:

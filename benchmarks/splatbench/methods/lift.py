@@ -33,9 +33,9 @@ def edits_of(task: EditTask) -> list[Edit]:
 def painted(painter: Painter, method: PainterMethod, task: EditTask, note: str = "") -> EditResult:
     """The step as this painter makes it; it goes on from the painter's asset in task.state, where there is one. Raises
     ValueError for a step that networks were asked for and that these leave to the lift."""
-    chosen, why = painter.choose(method, task.step.mode)
+    chosen, reason = painter.choose(method, task.step.mode)
     if method == "ttt" and chosen != "ttt":
-        raise ValueError(why)
+        raise ValueError(reason)
     start = time.perf_counter()
     if task.state is None:
         asset = painter.encode(task.asset, method)

@@ -61,14 +61,14 @@ def run(config: Config) -> Outcome:
     out, clock = config.out, _Steps()
     with stages(6) as bar:
         bar.enter("asset")
-        made = clock.lap("unpack the asset", lambda: flip(demo_asset(), HALF_TURN))
-        clock.lap("write it", lambda: write(out / "asset.ply", made, overwrite=True))
+        made = clock.timed("unpack the asset", lambda: flip(demo_asset(), HALF_TURN))
+        clock.timed("write it", lambda: write(out / "asset.ply", made, overwrite=True))
         splats = read(out / "asset.ply")
         hero = replace(view(0, 0, config.size, BACKGROUND), asset_sha256=splats.sha256)
-        before = clock.lap("render a view", lambda: _shot(splats, hero))
+        before = clock.timed("render a view", lambda: _shot(splats, hero))
         save_picture(out / "before.png", before, hero)
         bar.enter("paint")
-        edited = clock.lap("paint on the picture (2D)", lambda: painted(before, hero))
+        edited = clock.timed("paint on the picture (2D)", lambda: painted(before, hero))
         save_picture(out / "edited.png", edited, hero)
         bar.enter("edit")
         local = _edit(out / "asset.ply", out / "edited.png", out / "painted.ply", "local")
@@ -93,7 +93,7 @@ def run(config: Config) -> Outcome:
         save_picture(out / "overview.png", overview(_panels(before, edited, regraded, renders, local["receipt"])))
         bar.enter("turntable")
         frames = [_shot(last, view(360 * k / FRAMES, 4, config.size // 2, DUSK)) for k in range(FRAMES)]
-        film, ending = clock.lap(f"turntable, {FRAMES} views", lambda: animation(frames))
+        film, ending = clock.timed(f"turntable, {FRAMES} views", lambda: animation(frames))
         with files.writing(out / f"turntable{ending}") as file:
             file.write(film)
     record = {"out": out, "steps": clock.steps, "turntable_bytes": len(film), "rows": len(last)}
@@ -153,7 +153,7 @@ class _Steps:
     def __init__(self) -> None:
         self.steps: list[dict[str, Any]] = []
 
-    def lap(self, name: str, work: Callable[[], _Made]) -> _Made:
+    def timed(self, name: str, work: Callable[[], _Made]) -> _Made:
         start = time.perf_counter()
         made = work()
         self.steps.append({"what": name, "seconds": round(time.perf_counter() - start, 3)})

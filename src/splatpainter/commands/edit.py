@@ -238,15 +238,15 @@ def _painter(config: Config) -> Painter:
         from splatpainter.spread.options import SpreadOptions
 
         painter = replace(painter, spread_options=SpreadOptions(config.spread_threshold))
-    method, why = painter.choose(config.method, config.mode)
+    method, reason = painter.choose(config.method, config.mode)
     if method == "ttt" and painter.model is not None and painter.model.config.representation == "copy":
         raise ValueError(
             f"preset '{painter.preset}': paints on a copy of the asset (representation copy), of which no "
             "Gaussian could be verified; use it from Python, or a preset of representation native"
         )
     if config.polish and method != "ttt":
-        reason = f" ({why})" if config.method == "ttt" else ""
-        raise ValueError(f"splatpainter edit: --polish is for method ttt alone: it adds rounds of the lift{reason}")
+        remark = f" ({reason})" if config.method == "ttt" else ""
+        raise ValueError(f"splatpainter edit: --polish is for method ttt alone: it adds rounds of the lift{remark}")
     return painter
 
 
@@ -271,8 +271,8 @@ def _check(config: Config, receipt_path: Path) -> None:
     if config.spread_confidence is not None:
         check_target(config.spread_confidence, config.overwrite, [config.asset], config.pictures)
     if not (decal or config.source) and not 1 <= len(config.pictures) <= MAX_VIEWS:
-        got = len(config.pictures) or "none"
-        raise ValueError(f"splatpainter edit: expected 1 to {MAX_VIEWS} pictures (VIEW.png) after ASSET, got {got}")
+        count = len(config.pictures) or "none"
+        raise ValueError(f"splatpainter edit: expected 1 to {MAX_VIEWS} pictures (VIEW.png) after ASSET, got {count}")
     for name, given in (("--camera", config.camera), ("--mask", config.mask)):
         if given and len(given) != len(config.pictures) and not (decal or config.source):
             expected = f"as many {name} files as pictures ({len(config.pictures)})"

@@ -85,8 +85,10 @@ def run(config: Config) -> Outcome:
 
     receipt_path = config.receipt or receipt_of(config.out)
     if bool(config.where) == bool(config.around):
-        got = "both" if config.where else "none"
-        raise ValueError(f"{COMMAND}: expected --where (what to remove) or --around (what surrounds a hole), got {got}")
+        given = "both" if config.where else "none"
+        raise ValueError(
+            f"{COMMAND}: expected --where (what to remove) or --around (what surrounds a hole), got {given}"
+        )
     region = Region.parse(config.where or config.around)
     check_outputs(
         config.out, receipt_path, config.overwrite, config.asset, [config.view] if config.view is not None else []

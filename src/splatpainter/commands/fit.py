@@ -106,8 +106,8 @@ def run(config: Config) -> Outcome:
 
         write(partial, fitted)
     training = _psnr(fitted, list(zip(made.cameras, made.colors, strict=True)))
-    held = _psnr(fitted, made.held) if made.held else None
-    laps = {"pictures": prepared, "fit": fitting}
+    held_out = _psnr(fitted, made.held_out) if made.held_out else None
+    timings = {"pictures": prepared, "fit": fitting}
     record = {
         "source": {"file": config.source, "kind": made.kind},
         "output": {
@@ -118,16 +118,18 @@ def run(config: Config) -> Outcome:
             "first_rows": len(start),
         },
         "steps": config.steps,
-        "views": {"training": len(made.cameras), "held_out": len(made.held)},
-        "psnr": {"training": training, "held_out": held},
-        "seconds": laps,
+        "views": {"training": len(made.cameras), "held_out": len(made.held_out)},
+        "psnr": {"training": training, "held_out": held_out},
+        "seconds": timings,
     }
-    summary = f"training views {decibels(training)}" + ("" if held is None else f", held-out views {decibels(held)}")
+    summary = f"training views {decibels(training)}" + (
+        "" if held_out is None else f", held-out views {decibels(held_out)}"
+    )
     lines = [
         f"{config.source} -> {config.out}",
         f"{count(len(fitted), 'Gaussian')} from {len(start):,}; {size(record['output']['bytes'])}",
-        f"{summary} ({len(made.cameras)} and {len(made.held)} views)",
-        seconds(laps),
+        f"{summary} ({len(made.cameras)} and {len(made.held_out)} views)",
+        seconds(timings),
     ]
     return Outcome(record, lines)
 

@@ -61,7 +61,7 @@ class FitPictures:
     cameras: list[Camera]
     colors: list[np.ndarray] = field(repr=False)
     """Each [H, W, 3] float32 0..1."""
-    held: list[tuple[Camera, np.ndarray]] = field(repr=False)
+    held_out: list[tuple[Camera, np.ndarray]] = field(repr=False)
     start: Splats = field(repr=False)
     notes: list[str] = field(default_factory=list)
 
@@ -163,12 +163,16 @@ def _rendered(
     distance = FRAME_MARGIN * radius / math.sin(math.radians(FOV / 2))
     kinds: dict[str, Any] = {"size": settings.size or 256, "fov": FOV, "up": up}
     cameras = spherical_cameras(center, distance, settings.views, backgrounds=BACKGROUNDS, **kinds)
-    held = spherical_cameras(center, distance, settings.held_out, backgrounds=((0.5, 0.5, 0.5),), between=True, **kinds)
+    held_out = spherical_cameras(
+        center, distance, settings.held_out, backgrounds=((0.5, 0.5, 0.5),), between=True, **kinds
+    )
     colors, depths, alphas = render_views(cameras)
-    unseen = render_views(held)[0] if held else []
-    cameras, held = ([replace(c, world_to_camera=c.world_to_camera @ frame) for c in some] for some in (cameras, held))
+    unseen = render_views(held_out)[0] if held_out else []
+    cameras, held_out = (
+        [replace(c, world_to_camera=c.world_to_camera @ frame) for c in some] for some in (cameras, held_out)
+    )
     start = from_depths(cameras, colors, depths, alphas, settings.rows, settings.seed, settings.sh_degree, opacity=0.5)
-    return FitPictures(kind, cameras, list(colors), list(zip(held, unseen, strict=True)), start)
+    return FitPictures(kind, cameras, list(colors), list(zip(held_out, unseen, strict=True)), start)
 
 
 # Pictures
@@ -183,11 +187,11 @@ def _from_pictures(folder: Path, settings: FitPictureSettings) -> FitPictures:
     apart = (
         np.unique(np.linspace(0, len(posed) - 1, count + 2)[1:-1].round().astype(int)) if count else np.array([], int)
     )
-    held = [posed[k][:2] for k in apart]
+    held_out = [posed[k][:2] for k in apart]
     rest = [view for k, view in enumerate(posed) if k not in set(apart.tolist())]
     start = _carved([view[0] for view in rest], [view[1] for view in rest], [view[2] for view in rest], settings)
     notes = ["no depth maps: the first Gaussians are random points where no picture shows empty space"]
-    return FitPictures("pictures", [view[0] for view in rest], [view[1] for view in rest], held, start, notes)
+    return FitPictures("pictures", [view[0] for view in rest], [view[1] for view in rest], held_out, start, notes)
 
 
 PosedPicture = tuple[Camera, np.ndarray, np.ndarray]

@@ -73,7 +73,7 @@ def run(config: Config) -> Outcome:
     with stages(3) as bar:
         bar.enter("reading")
         assets = [read(path, lenient=config.lenient) for path in config.assets]
-        laps = {"read": time.perf_counter() - clock}
+        timings = {"read": time.perf_counter() - clock}
         if config.side_by_side and 2 <= len(assets) and len(transforms or assets) == len(assets):
             transforms = side_by_side(assets, transforms or [Placement()] * len(assets))
         bar.enter("placing")
@@ -82,8 +82,8 @@ def run(config: Config) -> Outcome:
         with files.writing(receipt_path) as file, placed(config.out) as partial:
             bar.enter("writing")
             receipt, verification = write_merged(partial, parts)
-            laps["write"] = time.perf_counter() - placing
-            receipt = replace(receipt, seconds=laps)
+            timings["write"] = time.perf_counter() - placing
+            receipt = replace(receipt, seconds=timings)
             file.write(receipt.to_json().encode())
             file.flush()
             os.fsync(file.fileno())
@@ -99,7 +99,7 @@ def run(config: Config) -> Outcome:
         *part_lines(parts, verification),
         *([f"note: {receipt.note}"] if receipt.note else []),
         f"receipt: {receipt_path}",
-        seconds(laps),
+        seconds(timings),
         "verified",
     ]
     return Outcome(record, lines)

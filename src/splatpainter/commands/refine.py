@@ -81,8 +81,8 @@ def run(config: Config) -> Outcome:
 
     receipt_path = config.receipt or receipt_of(config.out)
     if not 1 <= len(config.view) <= MAX_VIEWS:
-        got = len(config.view) or "none"
-        raise ValueError(f"{COMMAND}: expected 1 to {MAX_VIEWS} cameras (--view CAM.json ...), got {got}")
+        given = len(config.view) or "none"
+        raise ValueError(f"{COMMAND}: expected 1 to {MAX_VIEWS} cameras (--view CAM.json ...), got {given}")
     if config.upscale is not None and config.source != "upscale":
         raise ValueError(f"{COMMAND}: --upscale is the model of source upscale, not of {config.source}")
     inputs = [*config.view, *filter(None, [config.upscale])]

@@ -122,9 +122,9 @@ def size(number: int) -> str:
     return f"{number} bytes"
 
 
-def seconds(laps: dict[str, float]) -> str:
+def seconds(timings: dict[str, float]) -> str:
     """`read 0.12 s, lift 0.31 s`."""
-    return ", ".join(f"{name} {value:.2f} s" for name, value in laps.items())
+    return ", ".join(f"{name} {value:.2f} s" for name, value in timings.items())
 
 
 def decibels(value: float | None) -> str:

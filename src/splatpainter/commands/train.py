@@ -137,7 +137,7 @@ def run(config: Config) -> Outcome:
     make_folder(config.out)
     group = join(config.device)
     try:
-        say = _say if group.first else lambda line: None
+        report = _say if group.first else lambda line: None
         resources = ResourceFolders(config.environments, config.decals, config.fonts, config.textures)
         settings = DataSettings(
             config.data, recipe.samples, recipe.seed, recipe.validation_share, resources, str(group.device)
@@ -151,9 +151,9 @@ def run(config: Config) -> Outcome:
             data = open_gaussian_edits(settings, count, config.assets or cache_folder() / "rows", recipe.fitted)
         else:
             data = open_training_data(settings, batch=recipe.batch, count=count, workers=recipe.workers)
-        task = _task(config, recipe, group, say)
-        say(_first_line(recipe, task, data, group))
-        kind: Any = {"resume": started, "compact": config.compact_state, "say": say}
+        task = _task(config, recipe, group, report)
+        report(_first_line(recipe, task, data, group))
+        kind: Any = {"resume": started, "compact": config.compact_state, "report": report}
         loop = Loop(task, recipe, data.training, data.validation, config.out, group, **kind)
         if group.first:
             (config.out / "recipe.json").write_text(recipe.to_json() + "\n", encoding="utf-8", newline="\n")
@@ -171,7 +171,7 @@ def run(config: Config) -> Outcome:
     return Outcome({**dataclasses.asdict(result), "out": config.out}, lines)
 
 
-def _task(config: Config, recipe: Recipe, group: Group, say: Any) -> Task:
+def _task(config: Config, recipe: Recipe, group: Group, report: Any) -> Task:
     """The stage with its model on its device."""
     import torch
 
@@ -179,9 +179,9 @@ def _task(config: Config, recipe: Recipe, group: Group, say: Any) -> Task:
 
     torch.manual_seed(recipe.seed)
     if stage := recipes.additional_stage(recipe.stage):
-        return stage.make_task(recipe, config.weights, say).to(group.device)
-    model: SplatPainterModel = start(recipe, config.weights, say, config.from_stage)
-    return make_task(recipe, model.to(group.device), config.perceptual_weights, say).to(group.device)
+        return stage.make_task(recipe, config.weights, report).to(group.device)
+    model: SplatPainterModel = start(recipe, config.weights, report, config.from_stage)
+    return make_task(recipe, model.to(group.device), config.perceptual_weights, report).to(group.device)
 
 
 def _named(words: Sequence[str]) -> str:

@@ -43,9 +43,9 @@ def write_proved(
         written = time.perf_counter()
         bar.enter("verifying")
         receipt, verification = prove(original, partial, edited.receipt, out_frame)
-        laps = {"write": written - clock, "verify": time.perf_counter() - written}
+        timings = {"write": written - clock, "verify": time.perf_counter() - written}
         receipt = carried(receipt, _receipt_beside(original))
-        receipt = replace(receipt, seconds={"read": read_seconds, **receipt.seconds, **laps})
+        receipt = replace(receipt, seconds={"read": read_seconds, **receipt.seconds, **timings})
         file.write(receipt.to_json().encode())
         file.flush()
         os.fsync(file.fileno())

@@ -90,7 +90,8 @@ class GaussianEditStream:
         objects: int = 0,
     ) -> None:
         """kinds: kind -> weight; samples_per_object: consecutive numbers that share an asset; objects: how many,
-        the first of a fixed order, 0: all. Raises ValueError for kinds that there are not, or none of weight above 0."""
+        the first of a fixed order, 0: all. Raises ValueError for kinds that there are not, or none of a weight above
+        0."""
         unknown = sorted(set(kinds) - set(EDIT_KINDS))
         if unknown or not asset_kinds or sum(kinds.values()) <= 0:
             raise ValueError(f"rows: expected kinds of {', '.join(EDIT_KINDS)} with weights, and assets, got {kinds}")

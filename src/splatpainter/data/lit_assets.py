@@ -241,13 +241,19 @@ def _read(path: Path, name: str, kind: AssetKind) -> LitAsset | None:
     """None for a file that is damaged, or another program's."""
     try:
         with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
-            held = {key: file[key] for key in file.files}
-        means, quats, scales, opacities, sh = (held[key] for key in ("means", "quats", "scales", "opacities", "sh"))
+            cached = {key: file[key] for key in file.files}
+        means, quats, scales, opacities, sh = (cached[key] for key in ("means", "quats", "scales", "opacities", "sh"))
         asset = Splats(means, quats, scales, opacities, sh)
-        parts = {key: torch.from_numpy(held[f"surfel_{key}"]) for key in SURFEL_FIELDS}
+        parts = {key: torch.from_numpy(cached[f"surfel_{key}"]) for key in SURFEL_FIELDS}
         shapes = {f.name: torch.from_numpy(getattr(asset, f.name)) for f in fields(Surfels) if f.name not in parts}
-        values = (held["normals"], held["transfer"], held["visible_px"], Surfels(**shapes, **parts), held["residual"])
-        light = (torch.from_numpy(held["coefficients"]), torch.from_numpy(held["exposure"]))
+        values = (
+            cached["normals"],
+            cached["transfer"],
+            cached["visible_px"],
+            Surfels(**shapes, **parts),
+            cached["residual"],
+        )
+        light = (torch.from_numpy(cached["coefficients"]), torch.from_numpy(cached["exposure"]))
         return LitAsset(name, kind, asset, *values, *light)
     except (OSError, KeyError, ValueError, EOFError, BadZipFile):
         return None

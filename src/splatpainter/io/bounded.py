@@ -87,34 +87,34 @@ class Gunzip:
             raise ValueError(f"{self._where}: truncated: the gzip stream does not end")
         return piece, self._stream.unused_data
 
-    def _short(self, count: int, have: int, what: str) -> ValueError:
-        return ValueError(f"{self._where}: truncated: {what} needs {count} bytes, the gzip stream holds {have}")
+    def _short(self, count: int, available: int, what: str) -> ValueError:
+        return ValueError(f"{self._where}: truncated: {what} needs {count} bytes, the gzip stream holds {available}")
 
     def _prove(self, count: int, what: str) -> None:
-        stream, left, have = self._stream.copy(), memoryview(self._left), 0
+        stream, left, available = self._stream.copy(), memoryview(self._left), 0
         try:
-            while have < count and not stream.eof:
+            while available < count and not stream.eof:
                 # Little input at a time: zlib copies what it did not consume.
                 piece = stream.decompress(stream.unconsumed_tail or left[:PIECE_BYTES], PIECE_BYTES)
                 if not stream.unconsumed_tail:
                     if not left and not piece:
                         break
                     left = left[PIECE_BYTES:]
-                have += len(piece)
+                available += len(piece)
         except zlib.error as error:
             raise ValueError(f"{self._where}: damaged gzip stream ({error})") from None
-        if have < count:
-            raise self._short(count, have, what)
+        if available < count:
+            raise self._short(count, available, what)
 
     def _upto(self, count: int) -> bytes:
-        pieces, have = [], 0
+        pieces, available = [], 0
         try:
-            while have < count and not self._stream.eof:
-                piece = self._stream.decompress(self._left, count - have)  # all input at once: b"" means no more
+            while available < count and not self._stream.eof:
+                piece = self._stream.decompress(self._left, count - available)  # all input at once: b"" means no more
                 if not piece:
                     break
                 self._left = self._stream.unconsumed_tail
-                have += len(piece)
+                available += len(piece)
                 pieces.append(piece)
         except zlib.error as error:
             raise ValueError(f"{self._where}: damaged gzip stream ({error})") from None
@@ -174,9 +174,9 @@ def unzstd(data: bytes | memoryview, size: int, where: Path | str, what: str) ->
 def _prove_zstd(data: bytes | memoryview, size: int, where: Path | str, what: str) -> None:
     import zstandard
 
-    have = 0
+    available = 0
     with zstandard.ZstdDecompressor().stream_reader(data) as stream:
-        while have <= size and (piece := stream.read(PIECE_BYTES)):
-            have += len(piece)
-    if have != size:
-        raise ValueError(f"{where}: {what} should unpack to {size} bytes, got {have}")
+        while available <= size and (piece := stream.read(PIECE_BYTES)):
+            available += len(piece)
+    if available != size:
+        raise ValueError(f"{where}: {what} should unpack to {size} bytes, got {available}")

@@ -139,8 +139,8 @@ def _need(header: Header, name: str, properties: list[str], code: str, path: Pat
     element = header.element(name)
     if element is None:
         raise ValueError(f"{path}: a compressed PLY file without element '{name}'")
-    have = {p.name: p.type for p in element.properties if p.counter is None}
-    wrong = [n for n in properties if have.get(n) != code]
+    types = {p.name: p.type for p in element.properties if p.counter is None}
+    wrong = [n for n in properties if types.get(n) != code]
     if wrong:
         kind = {"f4": "float", "u4": "uint", "u1": "uchar"}[code]
         raise ValueError(f"{path}: element '{name}' of a compressed PLY file lacks '{kind} {wrong[0]}'")
@@ -208,8 +208,8 @@ def _pack(
     for group, attribute in enumerate(("means", "scales", "base")):
         axes, word = AXES[group], WORDS[group]
         low, high = _ranges(chunks, axes)
-        stay = masks[attribute] & same_chunk[:, None]
-        fits = _fits(values[group], stay, low[chunk], high[chunk], _levels(group))
+        keep_mask = masks[attribute] & same_chunk[:, None]
+        fits = _fits(values[group], keep_mask, low[chunk], high[chunk], _levels(group))
         keep = _all(fits, starts) & (source_chunks >= 0)[:, None]
         if f"min_{axes[0]}" not in (chunks.dtype.names or ()):
             keep[:] = True  # fixed range 0..1: values beyond it are cut
@@ -217,7 +217,7 @@ def _pack(
         low, high = np.where(keep, low, minima), np.where(keep, high, maxima)
         fields = packing.quantise(values[group], low[chunk], high[chunk], _levels(group))
         packed = _fields(vertex, group)
-        fields = np.where(stay & keep[chunk], packed[:, :3], fields)
+        fields = np.where(keep_mask & keep[chunk], packed[:, :3], fields)
         if group == 2:
             alpha = np.floor(drawable.opacities.astype(np.float64) * 255 + 0.5).astype(np.int64)
             fields = np.column_stack([fields, np.where(masks["opacities"], packed[:, 3], alpha)])
@@ -246,9 +246,11 @@ def _pack_sh(
         column = np.clip(fractions, 0, 255).astype(np.uint8)
         if old is not None and band <= old_bands:
             before = record.tables["sh"][f"f_rest_{channel * old_bands + band - 1}"]
-            stay = has_source.copy()
-            stay[has_source] = ~differs(splats.sh[has_source, band, channel], old.sh[origin[has_source], band, channel])
-            column[stay] = before[origin[stay]]
+            keep_mask = has_source.copy()
+            keep_mask[has_source] = ~differs(
+                splats.sh[has_source, band, channel], old.sh[origin[has_source], band, channel]
+            )
+            column[keep_mask] = before[origin[keep_mask]]
         table[f"f_rest_{k}"] = column
     return table
 
@@ -267,11 +269,13 @@ def _same(splats: Splats, old: Splats | None, origin: np.ndarray) -> dict[str, n
     return masks
 
 
-def _fits(values: np.ndarray, stay: np.ndarray, low: np.ndarray, high: np.ndarray, levels: np.ndarray) -> np.ndarray:
+def _fits(
+    values: np.ndarray, keep_mask: np.ndarray, low: np.ndarray, high: np.ndarray, levels: np.ndarray
+) -> np.ndarray:
     # Half a step beyond the end still rounds to the end; NaN ranges fit nothing.
     with np.errstate(invalid="ignore"):
         slack = (high - low) / levels / 2
-        return stay | ((values >= low - slack) & (values <= high + slack))
+        return keep_mask | ((values >= low - slack) & (values <= high + slack))
 
 
 def _all(mask: np.ndarray, starts: np.ndarray) -> np.ndarray:

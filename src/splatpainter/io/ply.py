@@ -124,9 +124,9 @@ def columns_of(names: Sequence[str], path: Path, header: Header | None = None) -
 
     Raises ValueError when the properties are not those of Gaussian splats or the f_rest_* do not fit an SH degree.
     """
-    have = set(names)
+    present = set(names)
     base = ("f_dc_0", "f_dc_1", "f_dc_2")
-    if not have.intersection(base) and have.issuperset(("red", "green", "blue")):
+    if not present.intersection(base) and present.issuperset(("red", "green", "blue")):
         base = ("red", "green", "blue")
     plan = {
         "means": ("x", "y", "z"),
@@ -135,14 +135,14 @@ def columns_of(names: Sequence[str], path: Path, header: Header | None = None) -
         "opacities": ("opacity",),
         "sh": base,
     }
-    missing = [name for required in plan.values() for name in required if name not in have]
+    missing = [name for required in plan.values() for name in required if name not in present]
     if missing == ["scale_2"]:
         raise ValueError(f"{path}: no scale_2: a file of 2D Gaussians (surfels); expected 3D Gaussians")
     if missing:
         what = "a mesh" if header is not None and header.element("face") else "not a Gaussian splat file"
         listed = ", ".join(missing[:6]) + (", ..." if len(missing) > 6 else "")
         raise ValueError(f"{path}: a PLY file, but {what}: its vertices lack {listed}")
-    rest = _rest_count(have, path)
+    rest = _rest_count(present, path)
     if rest:
         plan["sh"] += tuple(f"f_rest_{c * (rest // 3) + k}" for k in range(rest // 3) for c in range(3))
     return plan

@@ -580,15 +580,15 @@ def text_rows(
     if start is None:
         raise short
     starts = np.empty(count + 1, np.int64)
-    starts[0], have = start, 1
+    starts[0], count_so_far = start, 1
     for offset in range(start, len(data), TEXT_PIECE_BYTES):
-        if have > count:
+        if count_so_far > count:
             break
         piece = np.frombuffer(data, np.uint8, min(TEXT_PIECE_BYTES, len(data) - offset), offset)
-        ends = np.flatnonzero(piece == ord("\n"))[: count + 1 - have] + (offset + 1)
-        starts[have : have + len(ends)] = ends
-        have += len(ends)
-    if have <= count:
+        ends = np.flatnonzero(piece == ord("\n"))[: count + 1 - count_so_far] + (offset + 1)
+        starts[count_so_far : count_so_far + len(ends)] = ends
+        count_so_far += len(ends)
+    if count_so_far <= count:
         raise short
     return TextRows(data, starts, columns, newline, str(path))
 

@@ -49,14 +49,14 @@ class DetailLayer:
     """Gaussians for some pixels."""
 
     splats: Splats
-    hosts: np.ndarray
+    parent_entries: np.ndarray
     """[A] entries of the view (0..M) that gave those pixels most of their colour."""
 
 
 def detail_layer(
     splats: Splats, view: ProjectedView, pixels: np.ndarray, target: np.ndarray, reaches: Sequence[float] = REACHES_PX
 ) -> DetailLayer | None:
-    """Gaussians that cover some pixels, of the target's colours and their hosts' SH bands >= 1. pixels: [H, W] bool;
+    """Gaussians that cover some pixels, of the target's colours and their parents' SH bands >= 1. pixels: [H, W] bool;
     target: [H, W, 3]; view: of `splats`; reaches: ascending, as REACHES_PX. None when no pixel has a surface."""
     camera = view.camera
     depth, host = surface(view, dilated(pixels, 2 * SMOOTHING_PX))
@@ -79,8 +79,8 @@ def detail_layer(
     if not max(np.abs(means).max(), scales.max()) <= MAX_MAGNITUDE:  # seen through a lens beyond all measure
         return None
     entries = host[ys, xs]
-    hosts = splats.take(view.gaussian_ids[entries])
-    sh = recolor(hosts.sh, view.unclamped_colors[entries], target[ys, xs], 1.0)
+    parents = splats.take(view.gaussian_ids[entries])
+    sh = recolor(parents.sh, view.unclamped_colors[entries], target[ys, xs], 1.0)
     dtype = splats.means.dtype
     layer = Splats(
         means.astype(dtype),
@@ -90,8 +90,8 @@ def detail_layer(
         sh.astype(dtype),
         splats.antialiased,
         splats.color_space,
-        hosts.source,
-        hosts.origin,
+        parents.source,
+        parents.origin,
     )
     return DetailLayer(layer, entries)
 

@@ -187,13 +187,13 @@ class Patch:
         image, alpha, _ = view.rasterize()
         mendable = dilated(self.mask, options.rim_px) & _is_solid(view, alpha)
         steps = ((REACHES_PX, 1.0, FIRST_DETAIL_ROUNDS), (SMALLEST_PX, MAX_ERRORS_LEFT, LAST_DETAIL_ROUNDS))
-        both, count, hosts = painted, len(painted), np.arange(len(painted))
+        both, count, parent_ids = painted, len(painted), np.arange(len(painted))
         for reaches, errors, rounds in steps:
             wrong = row_max(np.abs(self.target - np.clip(image, 0, 1)).reshape(-1, 3)).reshape(alpha.shape)
             layer = detail_layer(both, view, mendable & (wrong > errors * options.max_error), self.target, reaches)
             if layer is None:
                 break
-            hosts = np.append(hosts, hosts[view.gaussian_ids[layer.hosts]])
+            parent_ids = np.append(parent_ids, parent_ids[view.gaussian_ids[layer.parent_entries]])
             both = both.append(layer.splats)
             view = project(both, self.view.camera, tiles=self.view.tiles)
             added = view.gaussian_ids >= count
@@ -202,7 +202,7 @@ class Patch:
                 both.sh[view.gaussian_ids[added]], view.unclamped_colors[added], colors[added], 1.0
             )
             image = view.rasterize(colors)[0]
-        return None if len(both) == count else (both.take(np.arange(count, len(both))), hosts[count:])
+        return None if len(both) == count else (both.take(np.arange(count, len(both))), parent_ids[count:])
 
 
 def _is_solid(view: ProjectedView, alpha: np.ndarray) -> np.ndarray:

@@ -18,10 +18,10 @@ class Pieces:
 
     left: np.ndarray = field(repr=False)
     """[N] bool: those that are as they were."""
-    owners: np.ndarray = field(repr=False)
+    parent_ids: np.ndarray = field(repr=False)
     """[P] int64 ascending: the Gaussian that each piece is of."""
     slot: np.ndarray = field(repr=False)
-    """[P] bool: pieces that stay at their owner's index."""
+    """[P] bool: pieces that stay at their parent's index."""
     splats: Splats
     """P Gaussians."""
 
@@ -35,18 +35,18 @@ class Pieces:
         return Pieces(left, pieces.parent, pieces.slot, pieces.splats())
 
     def remaining_gaussians(self, base: Splats) -> tuple[Splats, np.ndarray]:
-        """(all that remain, in the order of owners, [R] int64 the Gaussian of the base that each is or is of)."""
+        """(all that remain, in the order of these, [R] int64 the Gaussian of the base that each is or is of)."""
         ids = np.flatnonzero(self.left)
-        owners = np.concatenate([ids, self.owners])
-        order = np.argsort(owners, kind="stable")
-        return base.take(ids).append(self.splats).take(order), owners[order]
+        parent_ids = np.concatenate([ids, self.parent_ids])
+        order = np.argsort(parent_ids, kind="stable")
+        return base.take(ids).append(self.splats).take(order), parent_ids[order]
 
 
 def joined_view(pieces: Pieces, sheet: Splats, around: ProjectedView, tiles: np.ndarray) -> ProjectedView:
     """Some tiles of a view of N Gaussians with what remains of these, pieces in the place of those that were cut, and
     with the sheet behind them all; numbered: those of the N as they were, pieces from N on, then the sheet."""
     count, fresh = len(pieces.left), project(pieces.splats.append(sheet), around.camera, tiles=tiles)
-    order = np.concatenate([pieces.owners, count + np.arange(len(sheet))])  # of Gaussians at equal depths
+    order = np.concatenate([pieces.parent_ids, count + np.arange(len(sheet))])  # of Gaussians at equal depths
     ties = order[fresh.gaussian_ids]
     fresh = replace(fresh, gaussian_ids=count + fresh.gaussian_ids, num_gaussians=count + len(order))
     return around.merged(fresh, tiles=tiles, gaussian_mask=pieces.left, ties=ties)

@@ -148,15 +148,15 @@ def resurface(
     cells = Cells(cells.centers[index], cells.sizes[index])
     replaced = np.flatnonzero(gone)
     if len(replaced):
-        hidden, owners = lattice.take(replaced).splats(), lattice.parent[replaced]
+        hidden, parent_ids = lattice.take(replaced).splats(), lattice.parent[replaced]
     else:
-        hidden, owners = pieces.remaining_gaussians(splats)
-    sheet, hosts = _sheet(hidden, geometry, cells, colors, cover, tiles, camera)
+        hidden, parent_ids = pieces.remaining_gaussians(splats)
+    sheet, hidden_ids = _sheet(hidden, geometry, cells, colors, cover, tiles, camera)
     goal = np.where(covered[..., None], target, _picture(view, around, before, tiles))
     weights = np.where(painted, covered, UNEDITED_WEIGHT).astype(np.float32)
     result = _recolored(splats, pieces, sheet, around, tiles, goal, covered, weights, options)
     emptied = lattice.parent[gone & lattice.slot]
-    return _assemble(splats, pieces, result, emptied, owners[hosts], covered, first_appended)
+    return _assemble(splats, pieces, result, emptied, parent_ids[hidden_ids], covered, first_appended)
 
 
 def without_islands(mask: np.ndarray) -> np.ndarray:
@@ -264,29 +264,34 @@ def _sheet(
     xs, ys = cells.centers.astype(np.int64).T
     view = project(hidden, camera, tiles=tiles)
     heaviest = view.heaviest_gaussians()
-    hosts = heaviest[ys, xs]
-    if (hosts < 0).any():
+    hidden_ids = heaviest[ys, xs]
+    if (hidden_ids < 0).any():
         nearest = nearest_pixels(heaviest >= 0)
-        hosts = heaviest.ravel()[nearest[ys, xs]]
+        hidden_ids = heaviest.ravel()[nearest[ys, xs]]
     toward = np.zeros((len(hidden), 3), np.float32)
     toward[view.gaussian_ids] = view.unclamped_colors
-    parents, dtype = hidden.take(hosts), hidden.means.dtype
+    parents, dtype = hidden.take(hidden_ids), hidden.means.dtype
     sheet = Splats(
-        _within_horizon(hidden, hosts, heaviest, geometry, cells.centers, camera).astype(dtype),
+        _within_horizon(hidden, hidden_ids, heaviest, geometry, cells.centers, camera).astype(dtype),
         geometry.quats.astype(dtype),
         geometry.scales.astype(dtype),
         (SHEET_OPACITY * cover[ys, xs]).astype(dtype),
-        recolor(parents.sh, toward[hosts], colors[ys, xs]),
+        recolor(parents.sh, toward[hidden_ids], colors[ys, xs]),
         hidden.antialiased,
         hidden.color_space,
         parents.source,
         parents.origin,
     )
-    return sheet, hosts
+    return sheet, hidden_ids
 
 
 def _within_horizon(
-    hidden: Splats, hosts: np.ndarray, heaviest: np.ndarray, geometry: SheetGeometry, pixels: np.ndarray, camera: Camera
+    hidden: Splats,
+    hidden_ids: np.ndarray,
+    heaviest: np.ndarray,
+    geometry: SheetGeometry,
+    pixels: np.ndarray,
+    camera: Camera,
 ) -> np.ndarray:
     """[C, 3] float64 the means of sheet Gaussians. Those near the horizon and beyond MAX_HOST_SIGMAS of all Gaussians
     that make the pixels around are moved along the lines of sight of their pixels ([C, 2]) to where their host ([C],
@@ -296,7 +301,7 @@ def _within_horizon(
     sight = means - camera.position
     facing = np.abs((normals * sight).sum(1)) / np.maximum(np.linalg.norm(sight, axis=1), 1e-30)
     far = np.flatnonzero(facing < math.cos(math.radians(HORIZON_DEGREES)))
-    far = far[_sigmas(hidden, hosts[far], means[far]) > MAX_HOST_SIGMAS]
+    far = far[_sigmas(hidden, hidden_ids[far], means[far]) > MAX_HOST_SIGMAS]
     height, width = heaviest.shape
     xs, ys = pixels[far].astype(np.int64).T
     for dy in range(-HOST_REACH_PX, HOST_REACH_PX + 1):
@@ -304,7 +309,7 @@ def _within_horizon(
             beside = heaviest[np.clip(ys + dy, 0, height - 1), np.clip(xs + dx, 0, width - 1)]
             outside = (beside < 0) | (_sigmas(hidden, np.maximum(beside, 0), means[far]) > MAX_HOST_SIGMAS)
             far, xs, ys = far[outside], xs[outside], ys[outside]
-    depth, _ = depths_along(hidden.geometry(hosts[far]), camera, camera.sight_lines(pixels[far]))
+    depth, _ = depths_along(hidden.geometry(hidden_ids[far]), camera, camera.sight_lines(pixels[far]))
     ahead = depth > 0
     out = means.copy()
     out[far[ahead]] = camera.unproject(depth[ahead], pixels[far[ahead]])
@@ -345,7 +350,7 @@ def _recolored(
 ) -> _Recolored:
     """Colour rounds of the sheet, of the pieces around it and of what hangs before it. around: of the N `splats`, with
     these tiles."""
-    view, count, first = joined_view(pieces, sheet, around, tiles), len(splats), len(splats) + len(pieces.owners)
+    view, count, first = joined_view(pieces, sheet, around, tiles), len(splats), len(splats) + len(pieces.parent_ids)
     ids = view.gaussian_ids
     added, piece = ids >= first, (ids >= count) & (ids < first)
     inside, everywhere = view.mask_sums(covered, np.ones(covered.shape, bool))
@@ -371,39 +376,39 @@ def _assemble(
     pieces: Pieces,
     painted: _Recolored,
     emptied_ids: np.ndarray,
-    host: np.ndarray,
+    parent_ids: np.ndarray,
     covered: np.ndarray,
     first_appended: int,
 ) -> Resurfaced:
     """Everything at its index: pieces of a Gaussian at that of their parent, one sheet Gaussian at that of its host,
     further ones at emptied indices that are no part of the original; the rest is appended. emptied_ids: indices that
-    nothing of the rest has; host: [C] of the sheet's Gaussians."""
-    fresh, first = painted.fresh, len(pieces.owners)
+    nothing of the rest has; parent_ids: [C] of the sheet's Gaussians."""
+    fresh, first = painted.fresh, len(pieces.parent_ids)
     emptied = np.zeros(len(splats), bool)
     emptied[emptied_ids] = True
-    index = np.full(len(host), -1, np.int64)
-    fitting = np.flatnonzero(emptied[host])
-    _, chosen = np.unique(host[fitting], return_index=True)
-    index[fitting[chosen]] = host[fitting[chosen]]
-    emptied[host[fitting[chosen]]] = False
+    index = np.full(len(parent_ids), -1, np.int64)
+    fitting = np.flatnonzero(emptied[parent_ids])
+    _, chosen = np.unique(parent_ids[fitting], return_index=True)
+    index[fitting[chosen]] = parent_ids[fitting[chosen]]
+    emptied[parent_ids[fitting[chosen]]] = False
     free = np.flatnonzero(emptied[first_appended:]) + first_appended
-    homeless = np.flatnonzero(index < 0)[: len(free)]
-    index[homeless] = free[: len(homeless)]
-    emptied[index[homeless]] = False
-    settled = np.flatnonzero(index >= 0)
+    unplaced = np.flatnonzero(index < 0)[: len(free)]
+    index[unplaced] = free[: len(unplaced)]
+    emptied[index[unplaced]] = False
+    placed = np.flatnonzero(index >= 0)
     removed = np.flatnonzero(emptied)
 
     slots = np.flatnonzero(pieces.slot)
-    settlers = fresh.take(np.concatenate([slots, first + settled]))
+    written_gaussians = fresh.take(np.concatenate([slots, first + placed]))
     recolored = replace(splats.take(painted.ids), sh=painted.sh)
-    written = np.concatenate([painted.ids, pieces.owners[slots], index[settled]])
+    written = np.concatenate([painted.ids, pieces.parent_ids[slots], index[placed]])
     order = np.argsort(written)
-    written, values = written[order], recolored.append(settlers).take(order)
+    written, values = written[order], recolored.append(written_gaussians).take(order)
     differs = np.zeros(len(written), bool)
     for name in ATTRIBUTES:
         bits, old = float_bits(getattr(values, name)), float_bits(getattr(splats, name)[written])
         differs |= (bits != old).reshape(len(written), -1).any(1)
     tail = np.concatenate([np.flatnonzero(~pieces.slot), first + np.flatnonzero(index < 0)])
-    parents = np.concatenate([pieces.owners[~pieces.slot], host[index < 0]])
+    parents = np.concatenate([pieces.parent_ids[~pieces.slot], parent_ids[index < 0]])
     edit = SparseEdit(written[differs], values.take(differs), removed, fresh.take(tail), parents)
-    return Resurfaced(edit, np.sort(index[settled]), covered)
+    return Resurfaced(edit, np.sort(index[placed]), covered)

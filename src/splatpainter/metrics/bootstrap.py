@@ -10,15 +10,16 @@ ROUNDS, LEVEL = 2000, 0.95
 
 
 def interval(
-    values: Sequence[float] | np.ndarray, owners: Sequence[Hashable] | np.ndarray | None = None, seed: int = 0
+    values: Sequence[float] | np.ndarray, clusters: Sequence[Hashable] | np.ndarray | None = None, seed: int = 0
 ) -> tuple[float, float] | None:
     """(low, high) of the mean of values [n], which may be infinite: the middle LEVEL of ROUNDS bootstrap means.
 
-    owners: n names; whole owners are drawn with replacement, since values of one owner depend on each other (None:
-    every value is its own). Too narrow for a handful of owners. None with fewer than two. Equal input, equal answer.
+    clusters: n names; whole clusters are drawn with replacement, since values of one cluster depend on each other
+    (None: every value is its own). Too narrow for a handful of clusters. None with fewer than two. Equal input, equal
+    answer.
     """
     values = np.asarray(values, np.float64)
-    groups = np.arange(len(values)) if owners is None else np.unique(np.asarray(owners), return_inverse=True)[1]
+    groups = np.arange(len(values)) if clusters is None else np.unique(np.asarray(clusters), return_inverse=True)[1]
     count = int(groups.max()) + 1 if len(values) else 0
     if count < 2:
         return None

@@ -68,8 +68,8 @@ def encode_cached(
     if grid is None or grid.resolution != model.config.compress.resolution:
         grid = voxelize(splats, model.config.compress.resolution)
     path = cache_folder() / (_key(model, splats, weights or digest(model)) + SUFFIX)
-    held = _read(path)
-    encoded = None if held is None else _unpacked(model, splats, grid, held)
+    cached = _read(path)
+    encoded = None if cached is None else _unpacked(model, splats, grid, cached)
     if encoded is None:
         remove(path)
         encoded = encode_half(model, splats, grid)
@@ -104,32 +104,32 @@ def _packed(model: SplatPainterModel, encoded: Encoded) -> dict[str, Tensor]:
     """What is stored of an encoding: the parts that take time to make again."""
     import torch
 
-    held = {"values": encoded.latents.values}
+    cached = {"values": encoded.latents.values}
     if model.config.representation == "copy":
         groups = encoded.latents.groups
-        held |= {name: getattr(encoded.gaussians, name) for name in ATTRIBUTES}
+        cached |= {name: getattr(encoded.gaussians, name) for name in ATTRIBUTES}
         arrays = {"starts": groups.starts, "centers": groups.centers, "middle": groups.center}
-        held |= {name: torch.from_numpy(array) for name, array in arrays.items()}
-        held["edges"] = torch.tensor([groups.voxel, groups.half_extent], dtype=torch.float64)
-    return {name: tensor.detach().cpu().contiguous() for name, tensor in held.items()}
+        cached |= {name: torch.from_numpy(array) for name, array in arrays.items()}
+        cached["edges"] = torch.tensor([groups.voxel, groups.half_extent], dtype=torch.float64)
+    return {name: tensor.detach().cpu().contiguous() for name, tensor in cached.items()}
 
 
-def _unpacked(model: SplatPainterModel, splats: Splats, grid: VoxelGrid, held: dict[str, Tensor]) -> Encoded | None:
+def _unpacked(model: SplatPainterModel, splats: Splats, grid: VoxelGrid, cached: dict[str, Tensor]) -> Encoded | None:
     """None where it does not fit the asset: a file of another program under this name."""
     from splatpainter.models.compress import Latents
     from splatpainter.models.gaussian_groups import GaussianGroups
 
     device = str(next(model.parameters()).device)
     try:
-        values = held["values"].to(device)
+        values = cached["values"].to(device)
         if model.config.representation == "native":
             groups, gaussians = model.groups(grid).most_opaque(1.0)[0], splats.torch(device)
         else:
             order = np.arange(len(values), dtype=np.int64)
-            starts, centers, middle = (held[name].numpy() for name in ("starts", "centers", "middle"))
-            voxel, half = held["edges"].tolist()
+            starts, centers, middle = (cached[name].numpy() for name in ("starts", "centers", "middle"))
+            voxel, half = cached["edges"].tolist()
             groups = GaussianGroups(order, starts, centers, voxel, middle, half)
-            means, quats, scales, opacities, sh = (held[name].to(device) for name in ATTRIBUTES)
+            means, quats, scales, opacities, sh = (cached[name].to(device) for name in ATTRIBUTES)
             gaussians = Splats(means, quats, scales, opacities, sh)
     except (KeyError, ValueError):
         return None

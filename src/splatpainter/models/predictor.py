@@ -106,8 +106,8 @@ class Predictor(nn.Module):
             seen_change = change[seen] @ opponent.mT
             evidence = (share * self.evidence(torch.cat([inputs, 4 * seen_change], 1))).sum(0)
             everyone = spread_evenly(torch.arange(len(facts), device=facts.device), COMPANY)
-            company = self.company(self.own(described_facts(facts[everyone]))).mean(0)
-            around = torch.cat([company, evidence])
+            context = self.company(self.own(described_facts(facts[everyone]))).mean(0)
+            around = torch.cat([context, evidence])
             light, hue, mean = self._described(inputs, around)
             counted = share[:, 0] * self.trust.exp()
             rest = seen_change - mean

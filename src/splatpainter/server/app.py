@@ -165,8 +165,8 @@ def _add_data(app: FastAPI, hub: Hub) -> None:
 
     @app.get("/api/splats", response_class=Response, summary="All Gaussians as one binary frame (frames.py)")
     async def splats() -> Response:
-        now = studio.session.snapshot
-        data = await asyncio.to_thread(frames.snapshot, now.splats, now.version)
+        snapshot = studio.session.snapshot
+        data = await asyncio.to_thread(frames.snapshot, snapshot.splats, snapshot.version)
         return Response(data, media_type="application/octet-stream", headers=NO_STORE)
 
     @app.get("/api/view.png", response_class=Response, summary="A render from a camera (JSON), which the PNG carries")

@@ -243,9 +243,9 @@ class CommandReader:
             if not self.client.greeted and not isinstance(command, Hello):
                 raise CommandError(Problem(kind="input", message="expected hello as the first message"))
             if number in self._active or self._commands.qsize() >= MAX_QUEUED_COMMANDS:
-                why = "is still in progress" if number in self._active else "came too fast"
+                reason = "is still in progress" if number in self._active else "came too fast"
                 raise CommandError(
-                    Problem(kind="busy", message=f"command {number} {why}", hint="Wait for the answers.")
+                    Problem(kind="busy", message=f"command {number} {reason}", hint="Wait for the answers.")
                 )
         except CommandError as error:
             self.client.send(Failure(re=number, error=error.problem))

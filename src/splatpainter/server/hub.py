@@ -130,10 +130,10 @@ class Hub:
             receiver.show_preview(context.preview, context.previewed_ids, before)
         if handler.writes:
             self.mark_dirty()
-        news = f"Another window opened {self.studio.name}." if handler.writes and opened else context.news
-        for other in self.clients - {client} if news else ():
+        notice = f"Another window opened {self.studio.name}." if handler.writes and opened else context.notice
+        for other in self.clients - {client} if notice else ():
             if other.greeted:
-                other.send(ToastEvent(level="info", message=news))
+                other.send(ToastEvent(level="info", message=notice))
         return answer.model_copy(update={"seconds": round(seconds, 4)})
 
     def _writer(self, loop: asyncio.AbstractEventLoop) -> Callable[[Callable[[], Any]], Any]:
@@ -166,23 +166,23 @@ class Hub:
 
 def _frames(session: Session, since: int | None, stale_ids: np.ndarray, shapes: bool) -> tuple[int, list[bytes]]:
     while True:
-        now = session.snapshot
+        snapshot = session.snapshot
         if since is None:
-            return now.version, [frames.snapshot(now.splats, now.version)]
+            return snapshot.version, [frames.snapshot(snapshot.splats, snapshot.version)]
         delta = session.delta(since)
-        if delta.version == now.version:  # else a writer was faster: look again
+        if delta.version == snapshot.version:  # else a writer was faster: look again
             break
     if delta.since is None:
-        return now.version, [frames.snapshot(now.splats, now.version)]
-    count, out = len(now.splats), []
+        return snapshot.version, [frames.snapshot(snapshot.splats, snapshot.version)]
+    count, out = len(snapshot.splats), []
     changed_ids = np.concatenate([delta.gaussian_ids, np.arange(delta.retained, count)])
-    if since != now.version:
-        out.append(frames.delta(now.splats, changed_ids, since, now.version, delta.recolored and not shapes))
+    if since != snapshot.version:
+        out.append(frames.delta(snapshot.splats, changed_ids, since, snapshot.version, delta.recolored and not shapes))
     added = bool((stale_ids >= count).any()) and not out  # they go with whatever frame says how many there are
     stale_ids = np.setdiff1d(stale_ids[stale_ids < count], changed_ids, assume_unique=True)
     if len(stale_ids) or added:
-        out.append(frames.preview(now.splats.take(stale_ids), stale_ids, count, now.version, shapes))
-    return now.version, out
+        out.append(frames.preview(snapshot.splats.take(stale_ids), stale_ids, count, snapshot.version, shapes))
+    return snapshot.version, out
 
 
 def parse(data: object) -> tuple[int, Command]:

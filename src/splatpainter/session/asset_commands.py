@@ -125,8 +125,8 @@ class AssetCommands(StrokeCommands):
         the last visible one."""
         unknown = set(values) - set(SETTABLE)
         if unknown or not values:
-            got = ", ".join(sorted(unknown)) or "nothing"
-            raise ValueError(f"asset: expected one of {', '.join(SETTABLE)} to set, got {got}")
+            given = ", ".join(sorted(unknown)) or "nothing"
+            raise ValueError(f"asset: expected one of {', '.join(SETTABLE)} to set, got {given}")
         with self._command():
             document, before = self._document, self.asset(asset)
             assets = changed_asset(self.assets, asset, **values)

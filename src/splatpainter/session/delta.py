@@ -192,19 +192,19 @@ def decode(parts: Iterable[bytes], where: str = "delta") -> Delta:
 
     def column(count: int, dtype: str) -> np.ndarray:
         size = count * np.dtype(dtype).itemsize
-        pieces, got = [], 0
-        while got < size or not pieces:
+        pieces, size_read = [], 0
+        while size_read < size or not pieces:
             piece = unpack(next(source))
             if dtype == "<f4" and version == VERSION:
                 if len(piece) % 4:
                     raise ValueError("a part ends within a number")
                 piece = np.frombuffer(piece, np.uint8).reshape(4, -1).T.tobytes()
             pieces.append(piece)
-            got += len(piece)
-            if len(piece) < PART_BYTES and got < size:
+            size_read += len(piece)
+            if len(piece) < PART_BYTES and size_read < size:
                 raise ValueError("a part is too short")
-        if got != size:
-            raise ValueError(f"expected {size} bytes, got {got}")
+        if size_read != size:
+            raise ValueError(f"expected {size} bytes, got {size_read}")
         return np.frombuffer(b"".join(pieces), dtype)
 
     try:

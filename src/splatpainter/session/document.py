@@ -345,8 +345,8 @@ def resolve_conflict(document: Document, lower: str, upper: str, policy: Policy)
         raise ValueError(f"conflict: expected latest, first or blend, got {brief(policy)}")
     ids = document.leaf_ids()
     if lower not in ids or upper not in ids or lower == upper:
-        got = f"{brief(lower)}, {brief(upper)}"
-        raise ValueError(f"conflict: expected two of the layers {_listed(sorted(ids))}, got {got}")
+        given = f"{brief(lower)}, {brief(upper)}"
+        raise ValueError(f"conflict: expected two of the layers {_listed(sorted(ids))}, got {given}")
     rest = [entry for entry in document.policies if entry[:2] != (lower, upper)]
     new = [] if policy == "latest" else [(lower, upper, policy)]
     return replace(document, policies=tuple(rest + new))

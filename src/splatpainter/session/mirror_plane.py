@@ -50,8 +50,8 @@ class MirrorPlane:
 def parsed_plane(normal: tuple[float, float, float] | list[float], offset: float) -> MirrorPlane:
     """Raises ValueError: no direction, not finite."""
     vector = np.asarray(normal, float)
-    sound = vector.shape == (3,) and 1e-9 < float(np.abs(vector).max()) < 1e9
-    if not (sound and np.isfinite(offset)):
+    valid = vector.shape == (3,) and 1e-9 < float(np.abs(vector).max()) < 1e9
+    if not (valid and np.isfinite(offset)):
         raise ValueError("mirror: expected a normal of three numbers, not all 0, and a finite offset")
     length = float(np.linalg.norm(vector))
     x, y, z = (float(value) for value in vector / length)

@@ -97,9 +97,9 @@ class Project:
         """Open a project file. readonly None: only where it is open elsewhere or cannot be written; False: then it is
         an error. Raises ValueError: missing, damaged, no project, newer, of an older version and read-only."""
         version = database.check_head(path)
-        lock, why = None, "opened for reading only"
+        lock, reason = None, "opened for reading only"
         if not readonly:
-            lock, why = _lock_or_reason(path)
+            lock, reason = _lock_or_reason(path)
         try:
             with one_line(path):
                 bounded = None
@@ -109,17 +109,17 @@ class Project:
                     except sqlite3.OperationalError as error:
                         if not is_unwritable(error):
                             raise
-                        why = UNWRITABLE.format(" ".join(str(error).split()))
+                        reason = UNWRITABLE.format(" ".join(str(error).split()))
                         lock.release()
                         lock = None
                 if bounded is None:
                     if readonly is False:
-                        raise ValueError(f"{path}: {why}")
+                        raise ValueError(f"{path}: {reason}")
                     if version < database.FIRST_READABLE:
-                        reason = f"project version {version} must be opened for writing once, to be upgraded"
-                        raise ValueError(f"{path}: {reason}; {why}")
+                        older = f"project version {version} must be opened for writing once, to be upgraded"
+                        raise ValueError(f"{path}: {older}; {reason}")
                     bounded = _opened(path, readonly=True)
-                return Project(bounded, lock, why)
+                return Project(bounded, lock, reason)
         except BaseException:
             if lock is not None:
                 lock.release()

@@ -65,12 +65,12 @@ def parts(splats: Splats) -> np.ndarray:
     if not len(ids):
         return out
     size = CUBE_SPACINGS * spacing(splats)
-    points, owners = _points(splats, ids, size)
+    points, point_gaussians = _points(splats, ids, size)
     labels = components(points, size)
-    first = np.unique(owners, return_index=True)[1]
+    first = np.unique(point_gaussians, return_index=True)[1]
     out[ids] = labels[first]
     # All points of one Gaussian are one part, however far apart: join what they touch.
-    out = _joined(out, ids, owners, labels)
+    out = _joined(out, ids, point_gaussians, labels)
     faint = np.flatnonzero(splats.drawable & (splats.opacities > 0) & (out < 0))
     if len(faint):
         near, _ = nearest_within(splats.means[ids], splats.means[faint], size)
@@ -120,7 +120,7 @@ def _points(splats: Splats, ids: np.ndarray, size: float) -> tuple[np.ndarray, n
     one, two = axes[rows, :, longest[:, 0]], axes[rows, :, longest[:, 1]]
     reach = REACH_SIGMAS * np.take_along_axis(scales, longest, 1)
     steps = np.minimum(np.ceil(reach / size - 0.5).clip(0), MAX_STEPS).astype(np.int64)
-    points, owners = [means], [rows]
+    points, point_gaussians = [means], [rows]
     for a in range(-MAX_STEPS, MAX_STEPS + 1):
         for b in range(-MAX_STEPS, MAX_STEPS + 1):
             some = np.flatnonzero((abs(a) <= steps[:, 0]) & (abs(b) <= steps[:, 1])) if a or b else rows[:0]
@@ -131,12 +131,12 @@ def _points(splats: Splats, ids: np.ndarray, size: float) -> tuple[np.ndarray, n
                 continue  # beside the ellipse
             offset = (share * reach[some])[:, :, None] * np.stack([one[some], two[some]], 1)
             points.append(means[some] + offset.sum(1))
-            owners.append(some)
-    return np.concatenate(points), np.concatenate(owners)
+            point_gaussians.append(some)
+    return np.concatenate(points), np.concatenate(point_gaussians)
 
 
-def _joined(out: np.ndarray, ids: np.ndarray, owners: np.ndarray, labels: np.ndarray) -> np.ndarray:
+def _joined(out: np.ndarray, ids: np.ndarray, point_gaussians: np.ndarray, labels: np.ndarray) -> np.ndarray:
     """Parts that one Gaussian's points are in are one part."""
-    merged = joined_labels(int(labels.max()) + 1, out[ids][owners], labels)
+    merged = joined_labels(int(labels.max()) + 1, out[ids][point_gaussians], labels)
     out[ids] = merged[out[ids]]
     return out

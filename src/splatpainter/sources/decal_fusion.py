@@ -151,5 +151,5 @@ def _crossings(distance: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.n
         normals.append((1 - share) * gradient[low][at] + share * gradient[high][at])
     point, normal = np.concatenate(points), np.concatenate(normals)
     length = np.linalg.norm(normal, axis=1)
-    sound = length > 1e-6
-    return point[sound], normal[sound] / length[sound, None]
+    valid = length > 1e-6
+    return point[valid], normal[valid] / length[valid, None]

@@ -481,10 +481,10 @@ def _filled(uv: np.ndarray, index: np.ndarray, region: np.ndarray, limit: float)
         total, count, source = np.zeros((len(ys), 2)), np.zeros(len(ys)), np.full(len(ys), -1, np.int64)
         for dy, dx in ((dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if dy or dx):
             first, second = padded[ys + 2 + dy, xs + 2 + dx], padded[ys + 2 + 2 * dy, xs + 2 + 2 * dx]
-            sound = (np.abs(first - second) < limit).all(1)  # NaN is not near
-            total[sound] += 2 * first[sound] - second[sound]
-            count += sound
-            neighbour = sound & (source < 0)
+            near = (np.abs(first - second) < limit).all(1)  # NaN is not near
+            total[near] += 2 * first[near] - second[near]
+            count += near
+            neighbour = near & (source < 0)
             source[neighbour] = index[ys[neighbour] + dy, xs[neighbour] + dx]
         some = count >= 2
         uv[ys[some], xs[some]] = total[some] / count[some, None]

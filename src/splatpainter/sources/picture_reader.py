@@ -151,8 +151,8 @@ def _opened(path: Path, decode: bool = True) -> Iterator[Image]:
             raise ValueError(f"{path}: cannot be read as a picture ({_short(error)})") from None
         with image:
             if image.width * image.height > MAX_PICTURE_PIXELS:
-                got = f"{image.width}x{image.height}"
-                raise ValueError(f"{path}: expected {SIZE_LIMIT}, got {got}; scale it down")
+                actual = f"{image.width}x{image.height}"
+                raise ValueError(f"{path}: expected {SIZE_LIMIT}, got {actual}; scale it down")
             _check_still(path, image)
             try:
                 if decode:
@@ -172,8 +172,8 @@ def _check_still(path: Path, image: Image) -> None:
     picture in JPEG files of phones is a preview."""
     kind = image.format
     if kind in ("PNG", "WEBP") and getattr(image, "is_animated", False):
-        got = f"{kind} with {getattr(image, 'n_frames', 'several')} frames"
-        raise ValueError(f"{path}: expected a still picture, got {got}; save one of them as PNG")
+        actual = f"{kind} with {getattr(image, 'n_frames', 'several')} frames"
+        raise ValueError(f"{path}: expected a still picture, got {actual}; save one of them as PNG")
     if kind == "TIFF" and getattr(getattr(image, "tag_v2", None), "next", 0):
         raise ValueError(
             f"{path}: expected one picture, got a TIFF of several pages or layers; flatten it, or save a PNG"

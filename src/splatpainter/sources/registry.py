@@ -93,8 +93,8 @@ class CheckedSource:
     def _checked(self, answer: PictureAnswer) -> PictureAnswer:
         image = answer.image if isinstance(answer, PictureAnswer) else None
         if not isinstance(image, np.ndarray) or image.ndim != 3 or image.shape[2] not in (3, 4) or 0 in image.shape:
-            got = f"shape {list(image.shape)}" if isinstance(image, np.ndarray) else type(answer).__name__
-            raise SourceError(f"source {self.name}: expected a picture [h, w, 3 or 4] as its answer, got {got}")
+            actual = f"shape {list(image.shape)}" if isinstance(image, np.ndarray) else type(answer).__name__
+            raise SourceError(f"source {self.name}: expected a picture [h, w, 3 or 4] as its answer, got {actual}")
         if image.shape[0] * image.shape[1] > MAX_PICTURE_PIXELS:
             raise SourceError(f"source {self.name}: answered more than {MAX_PICTURE_PIXELS // 10**6} megapixels")
         values = image.astype(np.float32) / 255 if image.dtype == np.uint8 else image

@@ -167,8 +167,8 @@ def visible_surface(
     result = estimates.result
     local = camera.to_camera(result.points)
     normals = result.normals @ rotation.T
-    sound = (result.trust >= MIN_TRUST) & (local[:, 2] > 0)
-    trusted = sound & (_agreeing(index, local, normals, result.windows, sound) >= MIN_AGREEING)
+    valid = (result.trust >= MIN_TRUST) & (local[:, 2] > 0)
+    trusted = valid & (_agreeing(index, local, normals, result.windows, valid) >= MIN_AGREEING)
     return VisibleSurface(camera, step, index, local, normals, result.windows, result.residuals, trusted, estimates)
 
 
@@ -213,7 +213,7 @@ def depths_along(splats: Splats, camera: Camera, rays: np.ndarray) -> tuple[np.n
     return np.clip(depth, mean[:, 2] - reach, mean[:, 2] + reach), np.sqrt(ordered[:, 1] * ordered[:, 2])
 
 
-def _agreeing(index, points, normals, windows, sound) -> np.ndarray:
+def _agreeing(index, points, normals, windows, valid) -> np.ndarray:
     """[L] int how many of a lattice point's eight neighbours lie on its plane, as it lies on theirs."""
     out = np.zeros(len(points), int)
     height, width = index.shape
@@ -228,7 +228,7 @@ def _agreeing(index, points, normals, windows, sound) -> np.ndarray:
             way = points[b] - points[a]
             limit = MAX_DISAGREEMENT * np.minimum(windows[a], windows[b])
             close = (np.abs((way * normals[a]).sum(1)) < limit) & (np.abs((way * normals[b]).sum(1)) < limit)
-            out[a] += close & sound[b]
+            out[a] += close & valid[b]
     return out
 
 

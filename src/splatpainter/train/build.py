@@ -34,7 +34,7 @@ SETTINGS = ("preset", "lrm.views", "lrm.image_size", "refine.edit_strength", "co
 """Keys of a model's config that its weights do not depend on."""
 
 
-def start(recipe: Recipe, weights: Path | None, say: Say = print, until: Stage | None = None) -> SplatPainterModel:
+def start(recipe: Recipe, weights: Path | None, report: Say = print, until: Stage | None = None) -> SplatPainterModel:
     """The recipe's model, untrained (seed torch before), with what a checkpoint has trained of it: of this stage or an
     earlier one its own parts, of a later one what this stage builds on; the rest stays new. until: of the checkpoint
     only what was trained up to this stage. Raises ValueError naming what differs where it is of another model."""
@@ -76,7 +76,7 @@ def start(recipe: Recipe, weights: Path | None, say: Say = print, until: Stage |
     used = {name: t for name, t in saved.tensors.items() if name.startswith(parts)}
     checkpoint.fill(model, {**initial, **used}, str(weights))
     model.notes = {"history": state.history(weights, saved.notes)}
-    say(f"starting from {weights}: {', '.join(p.rstrip('.') for p in parts)} as trained by stage {stage}")
+    report(f"starting from {weights}: {', '.join(p.rstrip('.') for p in parts)} as trained by stage {stage}")
     return model
 
 
@@ -94,7 +94,7 @@ def _stage_two_hint(stage: Stage, differing: Sequence[str]) -> str:
     return f"; go on with {same}, or train a new Stage II on its encoder with --from-stage compress"
 
 
-def make_task(recipe: Recipe, model: SplatPainterModel, perceptual_weights: Path | None, say: Say = print) -> Task:
+def make_task(recipe: Recipe, model: SplatPainterModel, perceptual_weights: Path | None, report: Say = print) -> Task:
     """The task of the recipe's stage. say: told where the perceptual term has no weights and is dropped."""
     device = next(model.parameters()).device
     views = recipe.perceptual_views
@@ -106,7 +106,7 @@ def make_task(recipe: Recipe, model: SplatPainterModel, perceptual_weights: Path
         return HiddenColors(model, objects=2 * recipe.batch)
     loss, problem = perceptual_or_not(recipe.perceptual, perceptual_weights, device)
     if problem:
-        say(problem)
+        report(problem)
     loss = replace(loss, decibels=recipe.decibels)
     if recipe.stage == "lrm":
         return LrmTask(model, loss, recipe.pull_steps, views)

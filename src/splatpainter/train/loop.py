@@ -86,13 +86,13 @@ class Loop:
         task: Task,
         recipe: Recipe,
         samples: Samples,
-        held: Sequence[Sample],
+        held_out: Sequence[Sample],
         out: Path,
         group: Group,
         *,
         resume: bool = False,
         compact: bool = False,
-        say: Callable[[str], None] = lambda line: None,
+        report: Callable[[str], None] = lambda line: None,
     ) -> None:
         """task: on its device; samples: of training objects; held: fixed validation samples; out: folder of the run;
         resume: go on from there; compact: write compact states. Raises ValueError as state.load, and for a batch that
@@ -101,8 +101,8 @@ class Loop:
             raise ValueError(
                 f"train: expected a batch that {group.world} processes can share evenly, got {recipe.batch}"
             )
-        self.recipe, self.samples, self.held, self.out, self.group = recipe, samples, held, out, group
-        self.compact, self.say = compact, say
+        self.recipe, self.samples, self.held_out, self.out, self.group = recipe, samples, held_out, out, group
+        self.compact, self.report = compact, report
         self.shared = spread(task, recipe.parallel, group)
         optimizer = adamw(task.named_parameters(), recipe.learning_rate, recipe.weight_decay)
         average = Average.of(task.named_parameters(), recipe.average)
@@ -136,8 +136,8 @@ class Loop:
             if first == 0 and recipe.validate_every:
                 self.validate()
             while progress.step < recipe.steps:
-                if why := self._ends(limits, first, begun):
-                    ended = why
+                if reason := self._ends(limits, first, begun):
+                    ended = reason
                     break
                 start = time.monotonic()
                 row = self.step()
@@ -179,7 +179,7 @@ class Loop:
                 (parts["loss"] / len(numbers)).backward()
             failed += bool(task.problem)
             if task.problem and self.progress.failed + failed <= 20:
-                self.say(f"step {step}: sample {number} skipped: {task.problem}")
+                self.report(f"step {step}: sample {number} skipped: {task.problem}")
             kinds.append(getattr(sample, "kind", "none"))
             for name, value in parts.items():
                 sums[name] += float(value.detach()) / len(numbers)
@@ -193,20 +193,20 @@ class Loop:
             optimizer.step()
             self.run.average.update(task.named_parameters(), self.run.guard.seen - 1)
         elif refused != "no sample":
-            self.say(f"step {step}: skipped, gradient norm {norm:.3g} ({refused})")
+            self.report(f"step {step}: skipped, gradient norm {norm:.3g} ({refused})")
         self.progress.step += 1
         rest = {name: value for name, value in sums.items() if name != "loss"}
         return {"loss": loss, **rest, "norm": norm, "rate": rate, "skipped": refused, "kind": " ".join(kinds)}
 
     def validate(self) -> dict[str, dict[str, float]]:
         """Judge the held samples with the averaged weights; table, board and sheet. kind -> figure -> mean."""
-        if not self.held:
+        if not self.held_out:
             return {}
         sharded = hasattr(self.shared, "unshard")
         if self.group.first or sharded:  # sharded weights need every process
             self.task.eval()
             with self.run.average.used_by(self.task), _unsharded(self.shared):
-                scores = [score for sample in self.held if (score := self._judge(sample)) is not None]
+                scores = [score for sample in self.held_out if (score := self._judge(sample)) is not None]
             if self.group.first:
                 self._report(scores)
         self.group.wait()
@@ -243,7 +243,7 @@ class Loop:
         try:
             return self.task.judge(sample)
         except ValueError as error:
-            self.say(f"validation: {sample.name} ({sample.kind}) skipped: {error}")
+            self.report(f"validation: {sample.name} ({sample.kind}) skipped: {error}")
             return None
 
     def _report(self, scores: Sequence[ValidationScore]) -> None:
@@ -265,7 +265,7 @@ class Loop:
                 write_sheet(self.out / "sheets" / f"step_{step:07d}.png", picture)
                 self.board.picture(step, "validation", picture)
         for kind, f in self.validation.items():
-            self.say(f"step {step}: validation {kind}: " + ", ".join(f"{n} {v:.3f}" for n, v in f.items()))
+            self.report(f"step {step}: validation {kind}: " + ", ".join(f"{n} {v:.3f}" for n, v in f.items()))
 
     def _log(self, row: dict[str, Any]) -> None:
         step = self.progress.step
@@ -275,7 +275,7 @@ class Loop:
             self.board.add(step, row, "train")
         if step % self.recipe.report_every == 0:
             recent = self._recent[-self.recipe.report_every :]
-            self.say(
+            self.report(
                 f"step {step} of {self.recipe.steps}: loss {np.mean(recent):.5g}, "
                 f"{self.progress.seconds / step:.2f} s per step"
             )

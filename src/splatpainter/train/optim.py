@@ -61,16 +61,16 @@ class Guard:
 
     def admit(self, norm: float) -> str:
         """ "" to use the step, else why not ("not finite", "spike")."""
-        why = ""
+        reason = ""
         if not math.isfinite(norm):
-            why = "not finite"
+            reason = "not finite"
         elif self.spike and self.seen >= PATIENCE and norm > self.spike * self.typical:
-            why = "spike"
+            reason = "spike"
             # A level that has really risen is accepted after some steps.
             self.typical *= 1.1
-        if why:
+        if reason:
             self.skipped += 1
-            return why
+            return reason
         self.typical = norm if not self.seen else MEMORY * self.typical + (1 - MEMORY) * norm
         self.seen += 1
         return ""

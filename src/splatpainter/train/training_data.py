@@ -118,8 +118,8 @@ def open_global_edits(settings: DataSettings, count: int) -> TrainingData:
 def open_gaussian_edits(settings: DataSettings, count: int, folder: Path | None, fitted: bool = True) -> TrainingData:
     """As `open_training_data`, for stage rows, whose samples have no pictures (data/gaussian_edits.py). Raises
     ValueError as gaussian_edit_streams."""
-    training, held = gaussian_edit_streams(settings, folder, fitted)
-    return TrainingData(training, list(_first(held, count)) if count and held else [], settings.counts())
+    training, held_out = gaussian_edit_streams(settings, folder, fitted)
+    return TrainingData(training, list(_first(held_out, count)) if count and held_out else [], settings.counts())
 
 
 def gaussian_edit_streams(

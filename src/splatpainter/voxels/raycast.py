@@ -71,8 +71,8 @@ def editable_gaussians(grid: VoxelGrid, splats: Splats, camera: Camera, mask: np
         until spent, by footprint, reach 1           1.00, 0.96;  8 %     1.00, 0.91;  3 %
     """
     if mask.shape != (camera.height, camera.width):
-        expected, got = f"{camera.width}x{camera.height}", "x".join(map(str, mask.shape[::-1]))
-        raise ValueError(f"mask: expected the size of its view, {expected}, got {got}")
+        expected, actual = f"{camera.width}x{camera.height}", "x".join(map(str, mask.shape[::-1]))
+        raise ValueError(f"mask: expected the size of its view, {expected}, got {actual}")
     assert len(splats) == len(grid.index), "editable_gaussians: the grid is of another asset"
     out = np.zeros(len(splats), bool)
     ys, xs = np.nonzero(mask)

@@ -51,8 +51,8 @@ def paint_mesh(mesh: Mesh, design: EditDesign) -> Mesh:
             layer = torch.from_numpy(np.ascontiguousarray(content, np.float32))
             colors, coverage = project_layer(layer, camera, positions)
             return colors.numpy(), coverage.numpy()
-        coat = content.paint(positions, torch.from_numpy(np.asarray(base_colors, np.float32)))
-        return coat.colors.numpy(), coat.coverage.numpy()
+        painted = content.paint(positions, torch.from_numpy(np.asarray(base_colors, np.float32)))
+        return painted.colors.numpy(), painted.coverage.numpy()
 
     return repaint_mesh(mesh, camera, design.region, paint, hides_metal=isinstance(content, np.ndarray))
 
@@ -76,22 +76,22 @@ def repaint_mesh(
     used = np.unique(pieces.mesh.faces[reached])
     visibility = np.zeros(len(pieces.mesh.vertices))
     visibility[used] = _view_visibility(plain, pieces.mesh.vertices[used], pieces.mesh.normals[used], camera)
-    coats = [
+    groups = [
         _bare(pieces.mesh, reached[pieces.mesh.material_ids[reached] == k], k)
         for k in np.unique(pieces.mesh.material_ids[reached])
     ]
-    points = np.concatenate([pieces.mesh.vertices[coat.used] for coat in coats])
-    colors, coverage = paint(points, linear_to_srgb(np.concatenate([coat.base_colors for coat in coats])))
+    points = np.concatenate([pieces.mesh.vertices[group.used] for group in groups])
+    colors, coverage = paint(points, linear_to_srgb(np.concatenate([group.base_colors for group in groups])))
     parts, covered, start = [], np.zeros(len(pieces.mesh.faces), bool), 0
-    for coat in coats:
-        here = slice(start, start := start + len(coat.used))
-        share = coverage[here] * visibility[coat.used]
+    for group in groups:
+        here = slice(start, start := start + len(group.used))
+        share = coverage[here] * visibility[group.used]
         share = np.where(share >= MIN_COVERAGE, share, 0)
-        mean = share[coat.local].mean(1)
-        covered[coat.faces[mean > 0]] = True
+        mean = share[group.local].mean(1)
+        covered[group.faces[mean > 0]] = True
         dull = hides_metal & (mean >= 0.5)
-        kinds = [((mean > 0) & ~dull, coat.material), (dull, replace(coat.material, metallic=0.0))]
-        parts += [_coated(pieces.mesh, coat, colors[here], share, faces, kind) for faces, kind in kinds if faces.any()]
+        kinds = [((mean > 0) & ~dull, group.material), (dull, replace(group.material, metallic=0.0))]
+        parts += [_coated(pieces.mesh, group, colors[here], share, faces, kind) for faces, kind in kinds if faces.any()]
     if not covered.any():
         return mesh
     cut = np.zeros(len(plain.faces), bool)

@@ -48,8 +48,8 @@ def paint_coverage(
         if unpainted_sh is not None:
             colors = shade_paint(colors, unpainted_sh, surfels.albedo)
     else:
-        coat = design.content.paint(surfels.means, display_colors(sh))
-        colors, coverage = coat.colors, coat.coverage
+        painted = design.content.paint(surfels.means, display_colors(sh))
+        colors, coverage = painted.colors, painted.coverage
     covered = (coverage >= MIN_COVERAGE).nonzero()[:, 0]
     normals = None if two_sided else surfels.normals[covered]
     visibility = view_visibility(surfels.means[covered], normals, design.camera, depth, alpha)

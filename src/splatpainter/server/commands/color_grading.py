@@ -103,8 +103,8 @@ def preview_grade(context: CommandContext, request: GradePreview) -> Previewed:
     context.clear_preview = True
     if request.look is None and request.transfer is None:
         return Previewed(gaussians=0)
-    now = context.studio.session.snapshot
-    splats = now.splats
+    snapshot = context.studio.session.snapshot
+    splats = snapshot.splats
     reached = None
     if request.mask is not None:
         camera = _mask_camera(request)
@@ -120,7 +120,7 @@ def preview_grade(context: CommandContext, request: GradePreview) -> Previewed:
         every = len(ids) == len(splats)  # as a rule; 100,000 Gaussians need not be copied for it
         new, old = (sh, splats.sh) if every else (sh[ids], splats.sh[ids])
         new = new[:, :1] if np.array_equal(new[:, 1:], old[:, 1:]) else new
-        context.preview = frames.preview_colors(new, ids, len(splats), now.version)
+        context.preview = frames.preview_colors(new, ids, len(splats), snapshot.version)
         context.previewed_ids = ids
     return Previewed(gaussians=len(ids))
 

@@ -52,7 +52,7 @@ class CommandContext:
     """Runs a function where commands that write run, and sends every client what it changed; for long commands of the
     background. Raises Cancelled where the studio is being closed."""
 
-    news: str = ""
+    notice: str = ""
     """A line for the other windows, whose view changes without their doing."""
 
     def write(self, work: Callable[[], Result]) -> Result:

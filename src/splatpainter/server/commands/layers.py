@@ -100,19 +100,19 @@ def _preview_blend(context: CommandContext, request: LayerSet) -> None:
     """Show a layer hidden, or with another opacity or blend, at once, where all that changes with it takes time."""
     if request.opacity is None and request.blend is None and request.visible is None:
         return
-    now = context.studio.session.snapshot
+    snapshot = context.studio.session.snapshot
     preview = context.studio.session.blend_preview(
         request.layer, opacity=request.opacity, blend=request.blend, visible=request.visible
     )
     if preview is None or not len(preview[0]):
         return
-    (ids, splats), count = preview, len(now.splats)
+    (ids, splats), count = preview, len(snapshot.splats)
     total = max(count, int(ids[-1]) + 1)
     shapes = total > count or any(
-        not np.array_equal(getattr(splats, name), getattr(now.splats, name)[ids]) for name in GEOMETRY
+        not np.array_equal(getattr(splats, name), getattr(snapshot.splats, name)[ids]) for name in GEOMETRY
     )
     context.clear_preview = True
-    context.show(frames.preview(splats, ids, total, now.version, shapes), ids)
+    context.show(frames.preview(splats, ids, total, snapshot.version, shapes), ids)
 
 
 class MaskSet(Command):
@@ -275,7 +275,7 @@ def undo(context: CommandContext, request: Undo) -> Answer:
     label = session.history[session.cursor].label
     with progress(context, "undo"):
         if session.undo():
-            context.news = f"Another window undid: {label}."
+            context.notice = f"Another window undid: {label}."
     context.studio.selection.follow()
     return Answer(python="session.undo()")
 
@@ -293,7 +293,7 @@ def redo(context: CommandContext, request: Redo) -> Answer:
     session = context.studio.session
     with progress(context, "redo"):
         if session.redo():
-            context.news = f"Another window redid: {session.history[session.cursor].label}."
+            context.notice = f"Another window redid: {session.history[session.cursor].label}."
     context.studio.selection.follow()
     return Answer(python="session.redo()")
 
@@ -310,7 +310,7 @@ def jump_in_history(context: CommandContext, request: Jump) -> Answer:
     session = context.studio.session
     with progress(context, "history"):
         session.jump(request.cursor)
-    context.news = f"Another window jumped in the history to: {session.history[session.cursor].label}."
+    context.notice = f"Another window jumped in the history to: {session.history[session.cursor].label}."
     context.studio.selection.follow()
     return Answer(python=python_line("session.jump", request.cursor))
 

@@ -101,8 +101,8 @@ def begin(context: CommandContext, request: PaintBegin) -> StrokeStarted:
     selected = context.studio.selection.view(camera)
     stroke = Stroke(camera, request.kind == "erase", session, beneath, selected)
     stroke.masks = request.kind == "mask"
-    now = session.snapshot
-    stroke.prepare(now.splats, session.original, now.version)
+    snapshot = session.snapshot
+    stroke.prepare(snapshot.splats, session.original, snapshot.version)
     context.studio.prepare_edit(camera)  # ready when the pen goes up
     context.clear_preview = True
     name = secrets.token_hex(6)
@@ -112,7 +112,7 @@ def begin(context: CommandContext, request: PaintBegin) -> StrokeStarted:
         other = mirrored_camera(camera, plane)
         half = MirroredStroke(other, stroke.erase, session, beneath, context.studio.selection.view(other))
         half.keep = 0.0 if stroke.erase else request.mirror.keep
-        half.prepare(now.splats, session.original, now.version)
+        half.prepare(snapshot.splats, session.original, snapshot.version)
         context.page.mirrored = {name: half}
     return StrokeStarted(stroke=name)
 
@@ -144,14 +144,14 @@ def dab(context: CommandContext, request: PaintDab) -> Previewed:
     box = stroke.patch(request.x, request.y, request.width, request.height, rgba)
     if stroke.masks:
         return Previewed(gaussians=0)
-    now = session.snapshot
-    ids, sh = stroke.preview(now.splats, session.original, now.version, box)
+    snapshot = session.snapshot
+    ids, sh = stroke.preview(snapshot.splats, session.original, snapshot.version, box)
     half = context.page.mirrored.get(request.stroke)
     if half is not None:
-        there = half.follow(stroke, box, now.splats, session.original, now.version)
-        ids, sh = merged((ids, sh), half.preview(now.splats, session.original, now.version, there))
+        there = half.follow(stroke, box, snapshot.splats, session.original, snapshot.version)
+        ids, sh = merged((ids, sh), half.preview(snapshot.splats, session.original, snapshot.version, there))
     if len(ids):
-        context.preview = frames.preview_colors(sh, ids, len(now.splats), now.version)
+        context.preview = frames.preview_colors(sh, ids, len(snapshot.splats), snapshot.version)
         context.previewed_ids = ids
     return Previewed(gaussians=len(ids))
 
@@ -211,9 +211,9 @@ def end(context: CommandContext, request: PaintEnd) -> LayerMade:
             splats = session.below(request.replaces)
         else:
             splats = session.splats
-        now = session.snapshot
-        if splats is now.splats:
-            picture = stroke.picture(now.splats, session.original, now.version)
+        snapshot = session.snapshot
+        if splats is snapshot.splats:
+            picture = stroke.picture(snapshot.splats, session.original, snapshot.version)
         else:
             picture = stroke.over(render_display(splats, stroke.camera))
         image = from_display(picture.astype(np.float32), splats.color_space)

@@ -80,10 +80,10 @@ def check_picture(context: CommandContext, request: PictureCheck) -> PictureChec
     render = _render(context, camera)
     crop = _crop(picture, render)
     if crop is None and not registration.same_shape(picture.size, size):
-        got, expected = f"{picture.size[0]}x{picture.size[1]}", f"{size[0]}x{size[1]}"
+        actual, expected = f"{picture.size[0]}x{picture.size[1]}", f"{size[0]}x{size[1]}"
         raise ValueError(
-            f"{name}: expected the shape of its view ({expected}) or a part of it, got {got}, which matches no part; "
-            "resize without cropping"
+            f"{name}: expected the shape of its view ({expected}) or a part of it, got {actual}, which matches "
+            "no part; resize without cropping"
         )
     shift, larger = (0, 0), None
     if crop is not None:

@@ -107,16 +107,16 @@ class ViewExport(Command):
 @command(ViewExport, background=True)
 def export_view(context: CommandContext, request: ViewExport) -> ViewExported:
     studio, camera = context.studio, request.camera.to_camera(MAX_EXPORT_PIXELS)
-    now = studio.session.snapshot
+    snapshot = studio.session.snapshot
     bits, aovs = request.bits, tuple(request.aovs)
     options = PictureOptions(request.format, bits, request.transparent, aovs, request.profile, PNG_LEVEL)
     sized = camera if request.size is None else resized(camera, request.size)
     preview_camera = camera
     if camera.width * camera.height > MAX_VIEW_PIXELS:
         preview_camera = resized(camera, round(max(camera.width, camera.height) * PREVIEW_SHARE))
-    image = render_display(now.splats, preview_camera, request.profile)
+    image = render_display(snapshot.splats, preview_camera, request.profile)
     context.ticket.report(0, "rendering the view")
-    outputs = view_files_of(now.splats, now.state.edited, sized, request.name, options)
+    outputs = view_files_of(snapshot.splats, snapshot.state.edited, sized, request.name, options)
     first, file, url, download = next(iter(outputs)), None, None, ""
     if request.to == "folder":
         file = _write_to_folder(context, outputs)
@@ -216,8 +216,8 @@ class CoverageShow(Command):
 @command(CoverageShow)
 def coverage(context: CommandContext, request: CoverageShow) -> Covered:
     studio, camera = context.studio, request.camera.to_camera()
-    now = studio.session.snapshot
-    splats, kinds = now.splats, covered(now.state.edited, len(now.splats))
+    snapshot = studio.session.snapshot
+    splats, kinds = snapshot.splats, covered(snapshot.state.edited, len(snapshot.splats))
     picture = picking.coverage_picture(splats, kinds, camera)
     view = picking.next_view(splats, kinds, camera, np.array(studio.state.asset.center), up_axis(studio.session))
     return Covered(

@@ -216,8 +216,8 @@ def check_model_folder(path: Path) -> str:
         raise SourceError(f"source diffusers: {index}: expected _class_name, the pipeline's class")
     if not any(path.rglob("*.safetensors")):
         pickled = next((str(file.relative_to(path)) for kind in PICKLED_WEIGHTS for file in path.rglob(kind)), "")
-        got = f"; {pickled} is a pickle, which can run any code" if pickled else ""
-        raise SourceError(f"source diffusers: {path}: expected weights as safetensors{got}")
+        given = f"; {pickled} is a pickle, which can run any code" if pickled else ""
+        raise SourceError(f"source diffusers: {path}: expected weights as safetensors{given}")
     return name
 
 

@@ -147,18 +147,21 @@ class GeminiSource:
 
 def picture_of(data: Any) -> bytes:
     """The last picture of an answer (models that think draw drafts first). Raises SourceError: blocked, text, none."""
-    if reason := at(data, "promptFeedback", "blockReason"):
-        raise SourceError(f"source gemini: refused the prompt or the picture ({reason}); change the prompt")
+    if finish_reason := at(data, "promptFeedback", "blockReason"):
+        raise SourceError(f"source gemini: refused the prompt or the picture ({finish_reason}); change the prompt")
     parts = at(data, "candidates", 0, "content", "parts")
     parts = [part for part in parts if isinstance(part, dict)] if isinstance(parts, list) else []
     inline = [part.get("inlineData") or part.get("inline_data") for part in parts if not part.get("thought")]
     drawn = [part["data"] for part in inline if isinstance(part, dict) and "data" in part]
     if drawn:
         return decode_base64(drawn[-1], "gemini")
-    reason, why = at(data, "candidates", 0, "finishReason"), at(data, "candidates", 0, "finishMessage")
-    if isinstance(reason, str) and reason not in ("STOP", "FINISH_REASON_UNSPECIFIED"):
-        explanation = f": {why}" if isinstance(why, str) and why else ""
-        raise SourceError(f"source gemini: gave no picture ({reason}{explanation}); change the prompt")
+    finish_reason, finish_message = (
+        at(data, "candidates", 0, "finishReason"),
+        at(data, "candidates", 0, "finishMessage"),
+    )
+    if isinstance(finish_reason, str) and finish_reason not in ("STOP", "FINISH_REASON_UNSPECIFIED"):
+        explanation = f": {finish_message}" if isinstance(finish_message, str) and finish_message else ""
+        raise SourceError(f"source gemini: gave no picture ({finish_reason}{explanation}); change the prompt")
     text = " ".join(part["text"] for part in parts if isinstance(part.get("text"), str))
     if text.strip():
         raise SourceError(f"source gemini: answered with text instead of a picture: {' '.join(text.split())[:200]!r}")

@@ -167,8 +167,8 @@ def load_model(path: Path, device: str) -> UpscaleModel:
             f"source upscale: {path}: expected a model that enlarges or restores pictures, got another kind"
         )
     if (descriptor.input_channels, descriptor.output_channels) != (3, 3):
-        got = f"{descriptor.input_channels} to {descriptor.output_channels} channels"
-        raise SourceError(f"source upscale: {path}: expected a model of RGB pictures, got {got}")
+        actual = f"{descriptor.input_channels} to {descriptor.output_channels} channels"
+        raise SourceError(f"source upscale: {path}: expected a model of RGB pictures, got {actual}")
     descriptor.eval()
 
     def run(tile: np.ndarray) -> np.ndarray:
