@@ -33,7 +33,7 @@ from splatpainter.models.cache import cache_folder
 from splatpainter.train.recipes import Carrier
 from splatpainter.train.stages.gaussian_edit_task import GaussianEditTask, fixed_ridge, unseen
 
-VIEWS = (1, 2, 4)
+VIEW_COUNTS = (1, 2, 4)
 JUDGED = (("relight", 2), ("recolor", 1))
 """(kind, how many) edits of every held-out asset and number of views."""
 MIN_UNSEEN = 24
@@ -223,7 +223,7 @@ def held_edits(stream: GaussianEditStream, objects: int, seed: int) -> list[Held
             continue
         done += 1
         for item in items:
-            for views in VIEWS:
+            for views in VIEW_COUNTS:
                 for kind, count in JUDGED:
                     for k in range(count):
                         rng = np.random.default_rng([seed, int(i), ASSET_KINDS.index(item.kind), views, k, len(kind)])
@@ -295,7 +295,7 @@ def means(scores: Sequence[EditScore], seconds: dict[str, float], seed: int = 0)
         low, high = interval([s.psnr for s in relit], [s.object for s in relit], seed) or (None, None)
         spent = seconds.get(carrier)
         spent = None if spent is None else round(spent, 1)
-        columns = {f"{asset}_{views}": mean("relight", asset, views) for asset in ASSET_KINDS for views in VIEWS}
+        columns = {f"{asset}_{views}": mean("relight", asset, views) for asset in ASSET_KINDS for views in VIEW_COUNTS}
         ends = {"relight": mean("relight"), "low": low, "high": high, "recolor": mean("recolor")}
         rows.append(CarrierRow(carrier, spent, **columns, **ends))
     return rows

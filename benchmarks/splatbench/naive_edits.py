@@ -15,7 +15,7 @@ from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.transforms import quat_to_matrix
 
-ROUNDS = 5
+COLOR_ROUNDS = 5
 MIN_WEIGHT_PX = 1e-3
 """Gaussians of which a view shows less do not change."""
 MIN_SPLIT_PX = 0.05
@@ -24,7 +24,9 @@ CHILD_SCALE, CHILD_STEP = 0.55, 1.1
 """Standard deviation of a child, and distance between two, over the parent's standard deviation."""
 
 
-def color_rounds(splats: Splats, camera: Camera, target: np.ndarray, mask: np.ndarray, rounds: int = ROUNDS) -> Splats:
+def color_rounds(
+    splats: Splats, camera: Camera, target: np.ndarray, mask: np.ndarray, rounds: int = COLOR_ROUNDS
+) -> Splats:
     """`splats` (numpy) with base colours towards `target` [H, W, 3] inside mask [H, W] bool; the rest stays."""
     view = project(splats, camera)
     weights = mask.astype(np.float32)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 PROCEDURAL_SEED = 0xBE7C4
 """Added to the setup's seed for procedural objects and lights, so that they are none of a training run's."""
-RICH = 0.5
+TEXTURED_SHARE = 0.5
 """Share of the held-out meshes, those with most texture detail, from which objects are drawn."""
 LIGHT_SUFFIXES = (".hdr", ".exr")
 DETAIL = re.compile(r"texture detail (\d+(?:\.\d+)?)")
@@ -136,7 +136,7 @@ def _rich(names: Sequence[str], details: dict[str, float], count: int) -> tuple[
     """(those to draw from, in the given order; what was done, in words)."""
     if not any(name in details for name in names):
         return names, ""
-    number = min(max(count, round(RICH * len(names))), len(names))
+    number = min(max(count, round(TEXTURED_SHARE * len(names))), len(names))
     best = sorted(names, key=lambda name: -details.get(name, 0.0))[:number]
     if number == len(names):
         return names, ""

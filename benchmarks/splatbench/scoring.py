@@ -15,7 +15,7 @@ from splatbench.cases import PosedImages
 from splatpainter.cameras import Camera
 from splatpainter.metrics import psnr, ssim
 from splatpainter.metrics.images import RADIUS
-from splatpainter.metrics.lpips import SMALLEST as MIN_LPIPS_PX
+from splatpainter.metrics.lpips import MIN_SIDE_PX as MIN_LPIPS_PX
 from splatpainter.splats import Splats
 
 MAX_PSNR_DB = 100.0

@@ -51,7 +51,7 @@ def first_samples() -> list[Any]:
     """The first two that `train judge` would look at, with this data, seed, mixture and sizes."""
     recipe = ablate._data_settings(SETUP, ResourceFolders()).recipe
     settings = DataSettings(ablate.PROCEDURAL, recipe, SETUP.seed, 0.1, ResourceFolders())
-    return [judged.sample for judged in judged_samples(settings, ablate.SHARES, 2, ablate.RELIT_VIEWS)]
+    return [judged.sample for judged in judged_samples(settings, ablate.KIND_WEIGHTS, 2, ablate.RELIT_VIEWS)]
 
 
 def test_the_list_begins_with_every_part_of_the_mixture() -> None:
@@ -60,8 +60,8 @@ def test_the_list_begins_with_every_part_of_the_mixture() -> None:
     assert [key.settings["kind"] for key in TABLE.keys(SETUP)] == order[:4]  # more objects only append
     assert len({key.label for key in TABLE.keys(replace(SETUP, objects=6))}) == 12
     # Of 12 in proportion to shares that add up to 12.5, each kind gets its share to within one.
-    assert sum(ablate.SHARES.values()) == 12.5
-    assert all(abs(order.count(kind) - share) < 1 for kind, share in ablate.SHARES.items())
+    assert sum(ablate.KIND_WEIGHTS.values()) == 12.5
+    assert all(abs(order.count(kind) - share) < 1 for kind, share in ablate.KIND_WEIGHTS.items())
 
 
 def test_cases_are_the_samples_that_training_is_judged_on() -> None:

@@ -31,7 +31,7 @@ def tiny(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setattr(adapt_carriers, "recipe", lambda: TINY_RECIPE)
     monkeypatch.setattr(adapt_carriers, "SLICE_SECONDS", 0.05)
     monkeypatch.setattr(lit_assets, "FIT_STEPS", 4)
-    monkeypatch.setattr(gaussian_edits, "LIGHTS", 6)
+    monkeypatch.setattr(gaussian_edits, "LIGHT_COUNT", 6)
     monkeypatch.setattr(adapt, "STOPS", (0.5, 1.0))
     monkeypatch.setattr(adapt, "MIN_UNSEEN", 8)
     monkeypatch.setattr(weights, "find", lambda preset, *more: tmp_path / "encoder")

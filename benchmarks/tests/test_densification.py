@@ -178,7 +178,7 @@ def test_masks_codes_and_even_splits_by_hand() -> None:
     for count in (2, 4):
         offsets = densifier.even_split(count).double()
         assert offsets.shape == (count, 3) and torch.allclose(offsets.sum(0), torch.zeros(3).double())
-        spread = offsets.square().mean(0) + torch.tensor([1.0, float(count == 4), 0.0]) * densifier.SHRINK**2
+        spread = offsets.square().mean(0) + torch.tensor([1.0, float(count == 4), 0.0]) * densifier.CHILD_SCALE**2
         assert torch.allclose(spread[: count // 2], torch.ones(count // 2).double(), atol=1e-6)  # the parent's variance
 
 
@@ -187,9 +187,9 @@ def test_a_split_gaussian_looks_like_its_parent(count: int) -> None:
     """Composited alpha over the plane of the two long axes, integrated numerically."""
     line = torch.linspace(-4, 4, 161, dtype=torch.float64)
     x, y = torch.meshgrid(line, line, indexing="ij")
-    narrow = densifier.SHRINK
+    narrow = densifier.CHILD_SCALE
     for opacity in (0.1, 0.5, 0.95):
-        a, b = densifier.FAINTER[count]
+        a, b = densifier.CHILD_OPACITY_FITS[count]
         clear = torch.ones_like(x)
         for u, v, _ in densifier.even_split(count).tolist():
             tall = narrow if count == 4 else 1.0

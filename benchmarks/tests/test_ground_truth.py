@@ -15,7 +15,7 @@ from splatbench.ground_truth import BACKGROUND, GroundTruth, GroundTruthViews, b
 from splatbench.objects import drawn_lights, environments, objects
 
 from splatpainter.cameras import look_at
-from splatpainter.data.lights import WHITE, make_light, uniform_light
+from splatpainter.data.lights import WHITE_RADIANCE, make_light, uniform_light
 from splatpainter.data.viewpoints import object_camera
 from tests.support.data_meshes import MATT, quad, sphere, write_box
 
@@ -174,7 +174,7 @@ def test_a_white_ball_in_even_light_has_the_tone_and_depth_of_the_formulas(sourc
     truth = GroundTruth.of("ball", sphere(), make_light(np.ones((8, 16, 3), np.float32)), setup)
     camera = object_camera(truth.radius, truth.optics, 30, 20)
     views = truth.render([camera], "test")
-    over = WHITE - 0.8  # lights.tone_map: straight up to 0.8, then s + o / (1 + o / (1 - s)); then sRGB
+    over = WHITE_RADIANCE - 0.8  # lights.tone_map: straight up to 0.8, then s + o / (1 + o / (1 - s)); then sRGB
     linear = 0.8 + over / (1 + over / 0.2)
     middle = views.images.colors[0, 12:20, 12:20]
     np.testing.assert_allclose(middle.mean((0, 1)), 1.055 * linear ** (1 / 2.4) - 0.055, atol=0.03)

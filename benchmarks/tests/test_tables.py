@@ -12,7 +12,7 @@ import pytest
 from splatbench.cases import Budget, Record
 from splatbench.methods import EditResult, EditTask, Method
 from splatbench.report import published, tables
-from splatbench.report.published import EDITED, OUTSIDE
+from splatbench.report.published import EDITED_REGION, OUTSIDE_REGION
 from splatbench.report.summary import MethodNames, summarize
 from splatbench.tables import Column
 
@@ -178,9 +178,9 @@ def published_figures(protocol: str, label: str, group: str = "") -> tuple[float
         ("refine", "Ours (stage II)", "", (21.07, 0.5780, 0.3673)),
         ("relight", "3DGS", "", (21.32, 0.8613, 0.1225)),
         ("relight", "Ours (2 views)", "", (24.71, 0.8991, 0.0719)),
-        ("creative", "VineDresser3D", EDITED, (11.99, 0.6092, 0.3506)),
-        ("creative", "VineDresser3D", OUTSIDE, (15.79, 0.7437, 0.2678)),
-        ("creative", "Ours", OUTSIDE, (33.02, 0.9560, 0.0310)),
+        ("creative", "VineDresser3D", EDITED_REGION, (11.99, 0.6092, 0.3506)),
+        ("creative", "VineDresser3D", OUTSIDE_REGION, (15.79, 0.7437, 0.2678)),
+        ("creative", "Ours", OUTSIDE_REGION, (33.02, 0.9560, 0.0310)),
         ("compress", "VoxelAtt", "", (30.65, 0.9193, 0.0804)),
         ("compress", "Pre-Compression (GS-LRM)", "", (34.19, 0.9283, 0.0249)),
     ],

@@ -30,7 +30,7 @@ from .values import camera_info_of, camera_of, image_of, mask_of, picture_of, sp
 
 FOV = 40.0
 """Degrees, of the views that are proposed."""
-CANDIDATES, CANDIDATE_PX = 40, 96
+CANDIDATE_VIEWS, CANDIDATE_PX = 40, 96
 """Views among which the next one is chosen, and their pixels."""
 MAX_VIEWS = 64
 """Of a list of views."""
@@ -93,7 +93,7 @@ def next_view(splat: Any, size: int = 1024, background: str = "#000000", views: 
     normals = normals_of(splats)
     earlier = _surface_views(splats, normals, views)
     best, most = None, -1.0
-    for camera in spherical_cameras(center, distance, CANDIDATES, size=CANDIDATE_PX, fov=FOV, up=UPS[AUTO_UP]):
+    for camera in spherical_cameras(center, distance, CANDIDATE_VIEWS, size=CANDIDATE_PX, fov=FOV, up=UPS[AUTO_UP]):
         view = SurfaceView.of(splats, camera, normals)
         gain = float((unreached(view, earlier) * view.reached).sum())
         if gain > most:

@@ -12,7 +12,7 @@ import numpy as np
 from splatpainter.image_files import to_uint8
 from splatpainter.io import files
 
-PAPER, INK, FAINT = (250, 250, 248), (20, 20, 22), (110, 110, 115)
+PAPER, INK, CAPTION_COLOR = (250, 250, 248), (20, 20, 22), (110, 110, 115)
 GAP_PX = 6
 """Gap between pictures, pixels."""
 
@@ -49,7 +49,7 @@ def sheet(strips: Sequence[Strip], cell: int, title: str = "") -> np.ndarray:
         pen.text((GAP_PX, y + line // 5), strip.caption, INK, body)
         for column, (name, picture) in enumerate(strip.cells):
             x = GAP_PX + column * (cell + GAP_PX)
-            pen.text((x, y + line), _shortened(name, fine, cell), FAINT, fine)
+            pen.text((x, y + line), _shortened(name, fine, cell), CAPTION_COLOR, fine)
             image = Image.fromarray(to_uint8(np.asarray(picture)))
             image.thumbnail((cell, cell), Image.Resampling.LANCZOS)
             if image.width < cell and image.height < cell:

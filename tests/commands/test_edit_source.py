@@ -44,7 +44,7 @@ Image.fromarray(out).save(sys.argv[2])
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(coverage, "CANDIDATES", 14)
+    monkeypatch.setattr(coverage, "CANDIDATE_VIEWS", 14)
     write(tmp_path / "ball.ply", patterned(900))
     (tmp_path / "tool.py").write_text(TOOL, encoding="utf-8")
     return tmp_path

@@ -44,7 +44,7 @@ def answer(call: Call) -> Reply:
 @pytest.fixture
 def service(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeService]:
     monkeypatch.setenv("OPENAI_API_KEY", KEY)
-    monkeypatch.setattr(coverage, "CANDIDATES", 8)
+    monkeypatch.setattr(coverage, "CANDIDATE_VIEWS", 8)
     with serving(answer) as server:
         monkeypatch.setenv("OPENAI_BASE_URL", f"{server.url}/v1")
         yield server

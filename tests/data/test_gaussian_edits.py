@@ -15,7 +15,7 @@ from splatpainter.data.gaussian_edits import GaussianEditStream
 from splatpainter.data.lit_assets import LitAsset, LitAssets, base_colors, turned
 from splatpainter.data.object_sources import ProceduralSource
 from splatpainter.data.sample_recipes import SampleRecipe
-from splatpainter.data.viewpoints import UPRIGHT
+from splatpainter.data.viewpoints import UP_AXIS_ROTATIONS
 from splatpainter.splats import SH_C0
 from splatpainter.transforms import quat_to_matrix
 from tests.lift.test_global import ball
@@ -28,7 +28,7 @@ KINDS = {"relight": 1.0, "recolor": 1.0, "regrade": 1.0}
 def small() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(lit_assets, "FIT_STEPS", 6)
-        patch.setattr(gaussian_edits, "LIGHTS", 6)
+        patch.setattr(gaussian_edits, "LIGHT_COUNT", 6)
         yield
 
 
@@ -74,7 +74,7 @@ def test_assets_are_made_once_and_kept(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 def test_turning_an_asset_turns_its_shapes() -> None:
-    splats, turn = ball(20), np.array(UPRIGHT[2])
+    splats, turn = ball(20), np.array(UP_AXIS_ROTATIONS[2])
     after = turned(splats, turn)
     shapes = [quat_to_matrix(s.quats) @ (s.scales[:, :, None] ** 2 * np.eye(3)) for s in (splats, after)]
     covariances = [a @ quat_to_matrix(s.quats).transpose(0, 2, 1) for a, s in zip(shapes, (splats, after), strict=True)]

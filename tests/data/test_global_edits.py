@@ -48,7 +48,7 @@ RECIPE = Recipe(
 @pytest.fixture(autouse=True, scope="module")
 def few_lights() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(global_edits, "LIGHTS", 24)
+        patch.setattr(global_edits, "LIGHT_COUNT", 24)
         yield
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from splatpainter.data.meshes import EXTENT, Material, Mesh, joined, load_mesh, normalized, repaired
+from splatpainter.data.meshes import NORMALISED_EXTENT, Material, Mesh, joined, load_mesh, normalized, repaired
 
 trimesh = pytest.importorskip("trimesh")
 from PIL import Image  # noqa: E402
@@ -51,7 +51,9 @@ def test_a_glb_keeps_maps_factors_and_several_parts_with_their_transforms(tmp_pa
     scene.export(tmp_path / "two.glb")
     mesh = load_mesh(tmp_path / "two.glb")
     assert mesh.name == "two" and len(mesh.faces) == 4 and len(mesh.materials) == 2
-    np.testing.assert_allclose(np.ptp(mesh.vertices, axis=0), [2 * EXTENT / 4, EXTENT, 0], atol=1e-6)  # 2 x (3 + 1)
+    np.testing.assert_allclose(
+        np.ptp(mesh.vertices, axis=0), [2 * NORMALISED_EXTENT / 4, NORMALISED_EXTENT, 0], atol=1e-6
+    )  # 2 x (3 + 1)
     np.testing.assert_allclose(mesh.vertices.max(0) + mesh.vertices.min(0), 0, atol=1e-6)
     first, second = sorted(mesh.materials, key=lambda material: material.normal_map is None)
     assert first.base_color is not None and first.base_color[0, 1].tolist() == [0, 255, 0]
@@ -165,7 +167,7 @@ def test_bad_files_give_one_line_that_names_them(tmp_path: Path, name: str, data
 def test_real_meshes_have_uvs_textures_and_outward_normals(shared: Path) -> None:
     for name in ("pc_statue", "gz_pr2_torso_lift", "gso_school_bus"):
         mesh = load_mesh(shared / "data" / "meshes" / f"{name}.glb")
-        assert np.abs(mesh.vertices).max() == pytest.approx(EXTENT / 2, abs=1e-5)
+        assert np.abs(mesh.vertices).max() == pytest.approx(NORMALISED_EXTENT / 2, abs=1e-5)
         assert any(material.base_color is not None for material in mesh.materials)
         corners = mesh.vertices[mesh.faces]
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

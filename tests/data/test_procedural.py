@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from splatpainter.data import procedural, shapes
-from splatpainter.data.meshes import EXTENT
+from splatpainter.data.meshes import NORMALISED_EXTENT
 from splatpainter.data.procedural import Odds, random_mesh, rotation
 
 VOLUMES = {"box": 8, "ellipsoid": 4 / 3 * np.pi, "cylinder": 2 * np.pi, "cone": 2 / 3 * np.pi}
@@ -115,7 +115,7 @@ def test_objects_are_varied_and_sound() -> None:
     parts = []
     for seed in range(10):
         mesh = random_mesh(seed, odds=Odds(bumpy=0.5, cut=0.5, wires=0.2))
-        assert np.abs(mesh.vertices).max() == pytest.approx(EXTENT / 2, abs=1e-5)
+        assert np.abs(mesh.vertices).max() == pytest.approx(NORMALISED_EXTENT / 2, abs=1e-5)
         assert np.isfinite(mesh.vertices).all() and np.isfinite(mesh.uvs).all()
         np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1, atol=1e-5)
         assert mesh.material_ids.max() < len(mesh.materials)

@@ -229,7 +229,7 @@ def test_a_regraded_picture_changes_all_sides(ops: Any, splat: SPLAT) -> None:
 
 
 def test_next_views_show_what_earlier_ones_have_not(ops: Any, splat: SPLAT, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(coverage, "CANDIDATES", 20)  # enough for a ball, in half of the time
+    monkeypatch.setattr(coverage, "CANDIDATE_VIEWS", 20)  # enough for a ball, in half of the time
     info, image, mask, views, left = ops.next_view(splat, 96)
     assert image.shape == (1, 96, 96, 3) and mask.shape == (1, 96, 96) and left > 0.7 and len(views) == 1
     second, _, _, views, left = ops.next_view(splat, 96, views=views)

@@ -180,7 +180,7 @@ def test_edit_is_refine_and_decode_in_runs_of_any_size(
     lift = torch.rand(
         len(splats) if latent_ids is None else len(latent_ids), 13, generator=torch.Generator().manual_seed(5)
     )
-    monkeypatch.setattr("splatpainter.models.model.CHUNK", 16)
+    monkeypatch.setattr("splatpainter.models.model.LATENTS_PER_CHUNK", 16)
     first = model.initial_state()
     state, decoded = model.edit(first, latents, pictures(), splats, latent_ids=latent_ids, lift=lift, detail=detail)
     refined = model.refine(first, latents, pictures(), latent_ids=latent_ids, lift=lift, detail=detail)

@@ -83,10 +83,10 @@ def test_unseen_gaussians_teach_nothing_and_without_seen_ones_nothing_changes() 
 def test_runs_of_any_size_say_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     net, observed = awake(), edit(50)
     complete = predict_edit(net, *observed)
-    monkeypatch.setattr(module, "CHUNK", 7)
+    monkeypatch.setattr(module, "GAUSSIANS_PER_CHUNK", 7)
     np.testing.assert_allclose(predict_edit(net, *observed), complete, atol=1e-6)
-    monkeypatch.setattr(module, "TEACHERS", 10)
-    monkeypatch.setattr(module, "COMPANY", 10)
+    monkeypatch.setattr(module, "REGRESSION_GAUSSIANS", 10)
+    monkeypatch.setattr(module, "CONTEXT_GAUSSIANS", 10)
     few = predict_edit(net, *observed)
     assert np.isfinite(few).all() and np.abs(few - complete).max() > 0
 

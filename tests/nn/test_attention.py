@@ -106,7 +106,7 @@ def test_padding_stays_within_its_promise() -> None:
     for bucket in groups.buckets:
         count, width, _ = bucket.size
         shortest = width if bucket.mask is None else int(bucket.mask.sum(-1).min())
-        assert width <= attention.STRETCH * shortest
+        assert width <= attention.MAX_PADDING_RATIO * shortest
         assert isinstance(bucket.queries, Tensor) and len(bucket.queries) == count * width
         rows = bucket.queries if bucket.mask is None else bucket.queries[bucket.mask.flatten()]
         seen[rows] += 1
@@ -124,7 +124,10 @@ def test_queries_are_padded_no_more_than_keys() -> None:
         count, wide_q, wide_k = bucket.size
         first = torch.arange(groups.queries.total)[bucket.queries].view(count, wide_q)[:, 0]
         members = owner[first].numpy()
-        assert wide_q <= attention.STRETCH * lq[members].min() and wide_k <= attention.STRETCH * lk[members].min()
+        assert (
+            wide_q <= attention.MAX_PADDING_RATIO * lq[members].min()
+            and wide_k <= attention.MAX_PADDING_RATIO * lk[members].min()
+        )
         seen += members.tolist()
     assert sorted(seen) == list(range(300))
 

@@ -36,7 +36,7 @@ def opened(browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
     (tmp_path / "tool.py").write_text(TOOL, encoding="utf-8")
     run = f"{sys.executable} {tmp_path / 'tool.py'} {{image}} {{out}} {tmp_path / 'mark'}"
     monkeypatch.setenv("SPLATPAINTER_COMMAND_RUN", run)
-    monkeypatch.setattr(coverage, "CANDIDATES", 8)
+    monkeypatch.setattr(coverage, "CANDIDATE_VIEWS", 8)
     monkeypatch.setattr(source_edit, "PLAN_PX", 96)
     with opened_page(browser, tmp_path, resolution="0.5") as both:
         yield both

@@ -37,7 +37,7 @@ def base(sh: np.ndarray) -> np.ndarray:
 def test_each_kind_is_previewed_committed_and_the_same_as_on_the_command_line(
     studio: Live, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(color_match, "VIEWS", 3)
+    monkeypatch.setattr(color_match, "VIEW_COUNT", 3)
     original = studio.studio.session.original
     red = np.zeros((8, 8, 3), np.float32) + np.array([0.8, 0.2, 0.1], np.float32)
     red[::2] *= 0.7

@@ -102,7 +102,7 @@ def test_pages_give_no_options_and_mistakes_are_one_line(studio: Live) -> None:
 
 @pytest.fixture
 def few_views(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(coverage, "CANDIDATES", 8)
+    monkeypatch.setattr(coverage, "CANDIDATE_VIEWS", 8)
     monkeypatch.setattr(source_edit, "PLAN_PX", 64)
 
 

@@ -22,7 +22,7 @@ from splatpainter.scene.merge import verify_merge
 from splatpainter.scene.placement import Placement
 from splatpainter.session import Session
 from splatpainter.session.document import SELECTION
-from splatpainter.session.scene_asset import MAIN, SceneAsset, parse_assets
+from splatpainter.session.scene_asset import MAIN_ASSET_ID, SceneAsset, parse_assets
 from splatpainter.splats import Splats
 from tests.support.lift_scenes import disk, same_bits
 from tests.support.session_scenes import BLUE, GREEN, RED, FlatPainter, asset, dab, flat, load, print_of
@@ -71,7 +71,7 @@ def column(session: Session, asset: str) -> float:
 
 def test_an_asset_stands_beside_what_is_there_and_undo_takes_it_away(session: Session, paths) -> None:
     before, added = print_of(session), session.add_asset(paths[1])
-    assert [one.name for one in session.assets] == ["one.ply", "two.ply"] and session.assets[0].id == MAIN
+    assert [one.name for one in session.assets] == ["one.ply", "two.ply"] and session.assets[0].id == MAIN_ASSET_ID
     rows = session.splats
     assert rows.means[100:, 0].min() > rows.means[:100, 0].max()
     assert rows.sh.shape == (164, 9, 3) and not rows.sh[:100, 4:].any()
@@ -97,7 +97,7 @@ def test_it_is_drawn_where_it_stands_and_moves(session: Session, paths) -> None:
     session.set_asset(made.id, visible=False)
     assert len(session.splats) == 100 and len(session.assets) == 2
     session.set_asset(made.id, visible=True, name="Two")
-    session.set_asset(MAIN, placement=Placement.of(move=(0, 5, 0)))
+    session.set_asset(MAIN_ASSET_ID, placement=Placement.of(move=(0, 5, 0)))
     assert session.splats.means[:100, 1].min() > 3
     session.remove_asset(made.id)
     assert len(session.assets) == 1 and session.assets[0].placement.move == (0, 5, 0)
@@ -132,7 +132,7 @@ def test_a_stroke_over_both_goes_into_a_layer_of_each_in_one_step(session: Sessi
     made = both(session, paths[1])
     middle = (32 + column(session, made.id)) / 2
     layer = session.first_stroke("Paint", [wide(RED, middle, radius=16)])
-    assert sorted(one.asset for one in session.layers) == [MAIN, made.id]
+    assert sorted(one.asset for one in session.layers) == [MAIN_ASSET_ID, made.id]
     assert [len(one.strokes) for one in session.layers] == [1, 1] and len(session.history) == 3
     session.paint(layer.id, [wide(BLUE, middle, radius=10)])  # finds the other one again
     assert [len(one.strokes) for one in session.layers] == [2, 2]
@@ -156,7 +156,7 @@ def test_selections_looks_and_hiding_reach_every_asset(session: Session, paths) 
     before = session.splats
     weights = (before.means[:, 1] > 0).astype(np.float32)
     session.hide(weights)
-    assert [layer.asset for layer in session.layers] == [MAIN, made.id]
+    assert [layer.asset for layer in session.layers] == [MAIN_ASSET_ID, made.id]
     np.testing.assert_array_equal(session.splats.opacities == 0, weights == 1)
     session.undo()
     session.add("look", parameters={"look": "gain", "gain": [0.5, 0.5, 0.5]}, asset=made.id)
@@ -222,7 +222,7 @@ def test_exports_are_verified_against_every_file(session: Session, paths, tmp_pa
         assert outcome.ranges[0].how == ("bytes" if suffix == ".ply" else "values")
     scene = read(tmp_path / "scene.ply")
     assert len(scene) == 166 and np.abs(scene.means - session.splats.means).max() < 1e-6
-    for key, path in ((MAIN, paths[0]), (made.id, paths[1])):
+    for key, path in ((MAIN_ASSET_ID, paths[0]), (made.id, paths[1])):
         out = tmp_path / f"alone{key}.ply"
         _, verification = session.export(out, asset=key)
         receipt = Receipt.from_json(out.with_name(out.name + ".receipt.json").read_text(encoding="utf-8"))
@@ -258,7 +258,7 @@ def test_colours_are_matched_at_the_seam_by_a_layer(tmp_path: Path) -> None:
         session.set(layer.id, visible=False)
         assert same_bits(session.splats, before)
         session.set_asset(made.id, placement=Placement.of(move=(1.9, 0, 0.02)))
-        faded = session.match_seam(made.id, to=MAIN, falloff=0.3)
+        faded = session.match_seam(made.id, to=MAIN_ASSET_ID, falloff=0.3)
         far = session.splats.means[:, 0] > 1.6
         assert far.any() and same_bits(session.splats.take(far), replace(before, means=session.splats.means).take(far))
         assert SELECTION in faded.parameters and session.verify() == []
@@ -269,11 +269,11 @@ def test_colours_are_matched_at_the_seam_by_a_layer(tmp_path: Path) -> None:
 
 def test_bad_input_is_refused_with_nothing_changed(session: Session, paths, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="expected it and another one visible"):
-        session.match_seam(MAIN)
+        session.match_seam(MAIN_ASSET_ID)
     with pytest.raises(ValueError, match="is the only one that is visible"):
-        session.set_asset(MAIN, visible=False)
+        session.set_asset(MAIN_ASSET_ID, visible=False)
     with pytest.raises(ValueError, match="is the one that was opened"):
-        session.remove_asset(MAIN)
+        session.remove_asset(MAIN_ASSET_ID)
     made = both(session, paths[1])
     steps = len(session.history)
     nowhere = tmp_path / "nan.ply"

@@ -29,7 +29,7 @@ BRIEF = SourceBrief("exchange the colours")
 
 @pytest.fixture(autouse=True)
 def few_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(coverage, "CANDIDATES", 8)
+    monkeypatch.setattr(coverage, "CANDIDATE_VIEWS", 8)
 
 
 def exchanged_8_bit(image: np.ndarray) -> np.ndarray:
@@ -105,7 +105,7 @@ def test_cancelled_on_the_way_what_was_painted_stays(session: Session) -> None:
             return super().edit(request, progress, cancel)
 
     made = add_source_views(session, Slow(exchanged), BRIEF, planned(session, 3), cancel=stop, method="lift")
-    assert made.turns.cancelled and len(made.layers) == 1 and session.layers == made.layers
+    assert made.sourced_views.cancelled and len(made.layers) == 1 and session.layers == made.layers
     with pytest.raises(SourceCancelled):
         add_source_views(session, Slow(exchanged), BRIEF, planned(session, 2), cancel=stop)
     assert session.layers == made.layers

@@ -31,7 +31,7 @@ LIFT = Painter.load("lift")
 @pytest.fixture(autouse=True)
 def few_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
     """The ball looks alike from everywhere; 14 views to choose from are enough, and half the time."""
-    monkeypatch.setattr(coverage, "CANDIDATES", 14)
+    monkeypatch.setattr(coverage, "CANDIDATE_VIEWS", 14)
 
 
 def patterned(count: int = 2500) -> Splats:

@@ -57,7 +57,7 @@ RECIPE = Recipe(
 def small(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(lit_assets, "FIT_STEPS", 4)
-        patch.setattr(gaussian_edits, "LIGHTS", 6)
+        patch.setattr(gaussian_edits, "LIGHT_COUNT", 6)
         patch.setenv("SPLATPAINTER_CACHE", str(tmp_path_factory.mktemp("cache")))
         yield
 

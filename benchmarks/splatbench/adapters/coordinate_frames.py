@@ -19,7 +19,7 @@ from splatpainter.color import linear_to_srgb, sh_from_color
 from splatpainter.io import axes, files
 from splatpainter.splats import Splats
 
-UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """y up -> z up: (x, y, z) -> (x, -z, y)."""
 
 
@@ -67,7 +67,7 @@ class Cube:
 
     def frame(self, *, upright: bool) -> Frame:
         """The frame in which the cube is -0.5..0.5; upright: z up ("trellis"), else y up ("gltf")."""
-        rotation = UPRIGHT if upright else np.eye(3)
+        rotation = Y_UP_TO_Z_UP if upright else np.eye(3)
         x, y, z = (float(value) for value in -(rotation @ self.center) / self.extent)
         return Frame(rotation, 1 / self.extent, (x, y, z))
 

@@ -29,7 +29,7 @@ from splatpainter.splats import Splats
 from splatpainter.transforms import fibonacci_sphere, matrix_to_quat
 
 UP = (0.0, 1.0, 0.0)
-RINGS = ((-15.0, 0.25), (15.0, 0.375), (45.0, 0.375))
+CAMERA_RINGS = ((-15.0, 0.25), (15.0, 0.375), (45.0, 0.375))
 """(elevation in degrees, share of the views)."""
 RINGS_FOV = 50.0
 """Of their views, degrees."""
@@ -46,7 +46,7 @@ MIN_REGION_DENSITY = 0.05
 """Density (voxels/footprints.py) from which a Gaussian's footprint counts as the region of an edit."""
 COLMAP_POINTS = 2000
 NERFSTUDIO_POINTS = 50_000
-SIDES = (((1, 0, 0), (0, 1, 0), (0, 0, 1)), ((0, 1, 0), (0, 0, 1), (1, 0, 0)), ((0, 0, 1), (1, 0, 0), (0, 1, 0)))
+VOXEL_SIDES = (((1, 0, 0), (0, 1, 0), (0, 0, 1)), ((0, 1, 0), (0, 0, 1), (1, 0, 0)), ((0, 0, 1), (1, 0, 0), (0, 1, 0)))
 """Axis of a voxel's side, and the two axes along it, right-handed."""
 
 
@@ -82,10 +82,10 @@ def cameras_on_sphere(cube: Cube, count: int, *, pixels: int, fov: float, radius
 def cameras_on_rings(cube: Cube, count: int, *, pixels: int) -> list[Camera]:
     """`count` cameras on three rings around a cube, as a person walks around an object, so far that all of it shows."""
     distance = cube.extent * math.sqrt(3) / 2 / math.sin(math.radians(RINGS_FOV / 2))
-    counts = [int(count * share) for _, share in RINGS]
+    counts = [int(count * share) for _, share in CAMERA_RINGS]
     counts[1] += count - sum(counts)
     cameras: list[Camera] = []
-    for k, ((elevation, _), number) in enumerate(zip(RINGS, counts, strict=True)):
+    for k, ((elevation, _), number) in enumerate(zip(CAMERA_RINGS, counts, strict=True)):
         lens = {"width": pixels, "height": pixels, "fov": RINGS_FOV}
         cameras += orbit(cube.center, distance, number, elevation=elevation, start=17.0 * k, up=UP, **lens)
     return cameras
@@ -260,7 +260,7 @@ def voxel_surface(volume: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     shared; faces have no area in common."""
     padded = np.pad(volume.astype(bool), 1)
     quads = []
-    for axis, (normal, first, second) in enumerate(SIDES):
+    for axis, (normal, first, second) in enumerate(VOXEL_SIDES):
         for step in (1, -1):
             exposed = padded & ~np.roll(padded, -step, axis)
             cells = np.argwhere(exposed) - 1

@@ -44,13 +44,13 @@ from splatpainter.splats import Splats
 CURVE_BITS = 10
 """Bits of each coordinate along a curve: 1,024 cells per edge."""
 CURVES = ("z", "hilbert", "z-turned", "hilbert-turned")
-CELL = 3.0
+CELL_DEVIATIONS = 3.0
 """Edge of a point's cell along each own axis, in its standard deviations; children stay within half of it."""
-STEP = 0.6
+CHILD_OFFSET_DEVIATIONS = 0.6
 """Where an even split puts two children on an axis, in standard deviations of the parent ..."""
-SHRINK = math.sqrt(1 - STEP**2)
+CHILD_SCALE = math.sqrt(1 - CHILD_OFFSET_DEVIATIONS**2)
 """... how wide they are there, so that the two together have the parent's variance ..."""
-FAINTER = {2: (0.63, 0.09), 4: (0.395, 0.09)}
+CHILD_OPACITY_FITS = {2: (0.63, 0.09), 4: (0.395, 0.09)}
 """... and how opaque: a + b o of a parent's opacity o, fitted to the composited alpha of a parent seen along its third
 axis, whose rms error is then 5 % (faint Gaussians) to 17 % (opaque ones, 4 children)."""
 OPACITY_SHIFT = -2.1792
@@ -161,7 +161,7 @@ class Level(nn.Module):
         last = nn.Linear(width, 3 * children)
         nn.init.zeros_(last.weight)
         with torch.no_grad():
-            last.bias.copy_(torch.atanh(even_split(children) / (CELL / 2)).flatten())
+            last.bias.copy_(torch.atanh(even_split(children) / (CELL_DEVIATIONS / 2)).flatten())
         self.offsets = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, width), nn.GELU(), last)
         self.skip = linear(width, out)
         self.lift = nn.Sequential(nn.Linear(width + 6 * config.frequencies, out), nn.GELU(), nn.Linear(out, out))
@@ -189,10 +189,10 @@ class Level(nn.Module):
         index = torch.arange(len(x), device=x.device).repeat_interleave(self.child_count)
         family, share = points.take(index), share.flatten(0, 1)
         sigma = family.gaussians.scales.gather(1, family.ranks)
-        moved = torch.einsum("mk,mka->ma", CELL * share * sigma, family.axes)
-        split = x.new_tensor([SHRINK, SHRINK if self.child_count == 4 else 1.0, 1.0]).expand(len(index), 3)
+        moved = torch.einsum("mk,mka->ma", CELL_DEVIATIONS * share * sigma, family.axes)
+        split = x.new_tensor([CHILD_SCALE, CHILD_SCALE if self.child_count == 4 else 1.0, 1.0]).expand(len(index), 3)
         narrow = torch.ones_like(sigma).scatter(1, family.ranks, split)
-        a, b = FAINTER[self.child_count]
+        a, b = CHILD_OPACITY_FITS[self.child_count]
         gaussians = replace(
             family.gaussians,
             means=family.gaussians.means + moved,
@@ -246,9 +246,13 @@ class Network(nn.Module):
 
 def even_split(children: int) -> Tensor:
     """[c, 3] offsets of an even split, in standard deviations along the longest, second and third axis."""
-    sides = [(-STEP, 0.0), (STEP, 0.0)]
+    sides = [(-CHILD_OFFSET_DEVIATIONS, 0.0), (CHILD_OFFSET_DEVIATIONS, 0.0)]
     if children == 4:
-        sides = [(a, b) for a in (-STEP, STEP) for b in (-STEP, STEP)]
+        sides = [
+            (a, b)
+            for a in (-CHILD_OFFSET_DEVIATIONS, CHILD_OFFSET_DEVIATIONS)
+            for b in (-CHILD_OFFSET_DEVIATIONS, CHILD_OFFSET_DEVIATIONS)
+        ]
     return torch.tensor([(a, b, 0.0) for a, b in sides])
 
 

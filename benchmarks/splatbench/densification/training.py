@@ -20,7 +20,7 @@ from torch.nn import functional as F
 from splatbench.densification.densifier import Densified, Densifier, densified
 from splatbench.densification.densify_config import PRESETS, DensifyConfig
 from splatpainter.cameras import Camera
-from splatpainter.fit.image_loss import TAPS, WINDOW
+from splatpainter.fit.image_loss import SSIM_KERNEL, WINDOW
 from splatpainter.metrics.images import C1, C2
 from splatpainter.models import checkpoint
 from splatpainter.train import recipes, state
@@ -175,7 +175,7 @@ def _ssim_terms(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
     """[C, 3] means of c and of S, of pictures [C, 3, H, W]."""
     count = a.shape[0] * a.shape[1]
     stack = torch.stack([a, b, a * a, b * b, a * b]).reshape(5 * count, 1, *a.shape[2:])
-    taps = torch.as_tensor(TAPS, dtype=a.dtype, device=a.device)
+    taps = torch.as_tensor(SSIM_KERNEL, dtype=a.dtype, device=a.device)
     blurred = F.conv2d(F.conv2d(stack, taps.view(1, 1, WINDOW, 1)), taps.view(1, 1, 1, WINDOW))
     mean_a, mean_b, aa, bb, ab = blurred.reshape(5, *a.shape[:2], *blurred.shape[2:]).unbind(0)
     structure = (2 * (ab - mean_a * mean_b) + C2) / (aa - mean_a**2 + bb - mean_b**2 + C2)

@@ -24,11 +24,11 @@ from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.transforms import quat_to_matrix
 from splatpainter.voxels.grid import bounding_cube
 
-GRID = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1))
+ELLIPSE_POINTS = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1))
 """Points on the Gaussian's ellipse, in standard deviations along its longest and its second axis."""
 PYRAMID_LEVELS = 5
 """Levels of the pyramids that pictures are sampled from: a large Gaussian's points are means of pixels."""
-PLAIN_FEATURES = 29 + 3 * len(GRID)
+PLAIN_FEATURES = 29 + 3 * len(ELLIPSE_POINTS)
 """Features besides the harmonics, in the order of `gather`: 3 + 3 + 6 + 1, 9, the grid, 3 + 1 + 2 + 1."""
 
 
@@ -177,9 +177,9 @@ def _probe(
     colors: Sequence[np.ndarray],
     renders: Sequence[np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """([S, 27] picture minus render on GRID, [S] pixels of the longest axis, [S, 3] direction of sight along its own
-    axes), in each Gaussian's best view."""
-    grid = np.zeros((len(chosen), len(GRID), 3), np.float32)
+    """([S, 27] picture minus render on ELLIPSE_POINTS, [S] pixels of the longest axis, [S, 3] direction of sight along
+    its own axes), in each Gaussian's best view."""
+    grid = np.zeros((len(chosen), len(ELLIPSE_POINTS), 3), np.float32)
     pixels, sight = np.ones(len(chosen)), np.zeros((len(chosen), 3))
     for view, (camera, color, drawn) in enumerate(zip(cameras, colors, renders, strict=True)):
         ids = np.flatnonzero(best == view)
@@ -190,7 +190,7 @@ def _probe(
         pixels[ids] = np.linalg.norm(project(middle + long, camera) - center, axis=1).clip(1e-3, 1e4)
         level = np.floor(np.log2(pixels[ids].clip(1, 2 ** (PYRAMID_LEVELS - 1)))).astype(int)
         change = np.asarray(color, np.float32) - drawn
-        for k, (i, j) in enumerate(GRID):
+        for k, (i, j) in enumerate(ELLIPSE_POINTS):
             grid[ids, k] = sample(change, project(middle + i * long + j * short, camera), level)
         ray = middle - camera.position
         ray = ray / np.linalg.norm(ray, axis=1, keepdims=True).clip(1e-9)

@@ -46,7 +46,7 @@ CLUSTERS = 32
 CLUSTER_RIDGE = 0.05
 """Pull of each cluster's map towards the one of the whole asset, in parts of the pixels per cluster."""
 KMEANS_ROUNDS = 20
-ROUNDS = 5
+SOLVER_STEPS = 5
 """Closed-form steps of all Gaussians at once."""
 DAMPING = 0.3
 """Damping of SH bands >= 1 in the fit by Gaussians: few views cannot know view dependence."""
@@ -265,7 +265,7 @@ def by_clusters(splats: Splats, views: list[ViewTarget], seed: int) -> tuple[Spl
 
 
 def by_gaussian(splats: Splats, views: list[ViewTarget], seed: int) -> tuple[Splats, dict[str, float]]:
-    fitted, seen = fit_gaussians(splats, views, ROUNDS, DAMPING, DEGREE)
+    fitted, seen = fit_gaussians(splats, views, SOLVER_STEPS, DAMPING, DEGREE)
     return fitted, {"rows_seen": float(seen.sum())}
 
 
@@ -305,8 +305,8 @@ METHODS = (
         "rows",
         "per Gaussian",
         by_gaussian,
-        f"least squares per Gaussian, {ROUNDS} closed-form rounds, SH bands >= 1 damped by {DAMPING:g}; those out of "
-        "view keep their colours",
-        f"1-{ROUNDS}-{DAMPING:g}-{DEGREE}",
+        f"least squares per Gaussian, {SOLVER_STEPS} closed-form rounds, SH bands >= 1 damped by {DAMPING:g}; those "
+        "out of view keep their colours",
+        f"1-{SOLVER_STEPS}-{DAMPING:g}-{DEGREE}",
     ),
 )

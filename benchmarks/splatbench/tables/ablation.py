@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from splatpainter.train.loss import PictureTarget
     from splatpainter.train.training_data import DataSettings, ResourceFolders
 
-SHARES = {
+KIND_WEIGHTS = {
     "relight": 3.0,
     "stroke": 2.0,
     "zoom": 2.0,
@@ -68,7 +68,7 @@ class Ablation:
         from splatpainter.train.judge import apportioned
 
         possible = _stream(setup, files=False).kinds  # of splat assets neither zooms nor relighting
-        order = apportioned({kind: SHARES[kind] for kind in possible}, SAMPLES_PER_OBJECT * setup.objects)
+        order = apportioned({kind: KIND_WEIGHTS[kind] for kind in possible}, SAMPLES_PER_OBJECT * setup.objects)
         return [CaseKey(f"{k:03d}-{kind}", f"sample {k}", {"number": k, "kind": kind}) for k, kind in enumerate(order)]
 
     def make(self, key: CaseKey, setup: Setup) -> Case:
@@ -123,7 +123,7 @@ def _data_settings(setup: Setup, resources: ResourceFolders) -> DataSettings:
     if is_shards(data):
         raise ValueError(f"{data}: expected a folder of meshes or splat assets, these are shards")
     recipe = SampleRecipe(
-        SHARES,
+        KIND_WEIGHTS,
         size=setup.size,
         rows=setup.rows,
         surfels=max(MIN_SURFELS, SURFELS_PER_GAUSSIAN * setup.rows),

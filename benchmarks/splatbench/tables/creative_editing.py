@@ -49,9 +49,14 @@ TRUE_NEAR, TRUE_AROUND = 6, 6
 """True edited views for methods that are upper bounds: beside the edited view, and of the whole object."""
 WIDE_DEGREES = (5.0, 45.0)
 """Degrees between the edited view and the first of these."""
-TRIES = 3
+MAX_EDITS_PER_OBJECT = 3
 """Edits that are shown in full before an object is given up."""
-EDITED, OUTSIDE, NOVEL, GAUSSIANS = "Edited region", "Non-edited region", "Novel views of the edit", "Gaussians"
+EDITED_REGION, OUTSIDE_REGION, NOVEL, GAUSSIANS = (
+    "Edited region",
+    "Non-edited region",
+    "Novel views of the edit",
+    "Gaussians",
+)
 MIN_CENTER_OPACITY = 0.1
 """Fainter Gaussians do not decide where a splat asset is."""
 
@@ -62,8 +67,8 @@ class CreativeEditing:
     name = "creative"
     title = "Creative editing: painted, stickered, lettered and recoloured views (Tab. 3)"
     columns = (
-        *measures(EDITED),
-        *measures(OUTSIDE, "_outside"),
+        *measures(EDITED_REGION),
+        *measures(OUTSIDE_REGION, "_outside"),
         *measures(NOVEL, "_novel"),
         Column("touched", "touched", GAUSSIANS, "", 0),
         Column("appended", "appended", GAUSSIANS, "", 0),
@@ -127,7 +132,7 @@ def _of_mesh(key: CaseKey, setup: Setup) -> Case:
     rng = generator(setup.seed, "creative", key.name)
     base = truth.render(truth.ring(setup.base_views, rng), "base")
     preview, files, near = truth.preview(), resources(setup), (setup.novel_views + 1) // 2
-    for _ in range(TRIES):
+    for _ in range(MAX_EDITS_PER_OBJECT):
         design, point = design_edit(preview, base, kind, framing, files, rng)
         painted = truth.paint(design)
         novel = views_beside(truth, design.camera, point.position, near, NEAR_DEGREES, rng)
@@ -137,7 +142,7 @@ def _of_mesh(key: CaseKey, setup: Setup) -> Case:
         if is_visible(before.images.colors[0], after.images.colors[0], masks[0], 0.5):
             break
     else:
-        raise ValueError(f"{key.name}: {TRIES} choices of a {kind} edit could not be seen in this light")
+        raise ValueError(f"{key.name}: {MAX_EDITS_PER_OBJECT} choices of a {kind} edit could not be seen in this light")
     rest = range(1, 1 + len(novel))
     around = views_beside(truth, design.camera, point.position, TRUE_NEAR, WIDE_DEGREES, rng)
     around += truth.ring(TRUE_AROUND, rng)

@@ -33,9 +33,9 @@ NEAR_DEGREES = (8.0, 30.0)
 """Degrees between a close-up and the novel views near it: from, to."""
 WIDE_DEGREES = (5.0, 45.0)
 """The same degrees for the true close-ups."""
-TRIES = 20
+MAX_VIEW_TRIES = 20
 """Tries for a view that something stands in the way of."""
-SLACK = 0.01
+MAX_SURFACE_OFFSET = 0.01
 """World units that a surface may lie before a point and still be its own."""
 
 
@@ -118,11 +118,11 @@ TABLE = LocalRefinement()
 def _close_up(truth: GroundTruth, point: TexturedPoint, base: Camera, rng: np.random.Generator) -> Camera:
     """A tile of a large picture of the whole object, from about where `base` stands, around the point."""
     azimuth, elevation = viewpoints.angles(base.position)
-    for k in range(TRIES + 1):
-        turn, tilt = (1 - k / TRIES) * rng.uniform(-1, 1, 2) * MAX_TURN_DEGREES
+    for k in range(MAX_VIEW_TRIES + 1):
+        turn, tilt = (1 - k / MAX_VIEW_TRIES) * rng.uniform(-1, 1, 2) * MAX_TURN_DEGREES
         height = float(np.clip(elevation + tilt, viewpoints.MIN_ELEVATION, viewpoints.MAX_ELEVATION))
         full = viewpoints.object_camera(truth.radius, truth.optics, azimuth + turn, height)
-        if not truth.blocks(full.position, point.position, SLACK):
+        if not truth.blocks(full.position, point.position, MAX_SURFACE_OFFSET):
             break
     return viewpoints.crop(full, point.position, truth.setup.detail)
 
@@ -136,7 +136,7 @@ def _beside(
     rng: np.random.Generator,
 ) -> list[Camera]:
     """`count` views of the close-ups' points in turn, as close, from other sides that see them."""
-    how = {"nearest_degrees": degrees[0], "tries": TRIES, "slack": SLACK}
+    how = {"nearest_degrees": degrees[0], "tries": MAX_VIEW_TRIES, "slack": MAX_SURFACE_OFFSET}
     cameras = []
     for i in range(count):
         zoom, position = zooms[i % len(zooms)], points[i % len(points)].position

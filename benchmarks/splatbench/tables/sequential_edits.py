@@ -44,7 +44,7 @@ MAX_VIEWS, MAX_EDITS = 4, 10
 SMALL_SIZE_PX = 128
 """Up to here fewer steps are asked, for a quick look."""
 SMALL_VIEWS, SMALL_EDITS = 3, 3
-ROW, CONFLICT = "Steps in a row, PSNR", "Conflicts, PSNR"
+SEQUENCE_COLUMN, CONFLICT_COLUMN = "Steps in a row, PSNR", "Conflicts, PSNR"
 NEAR_DEGREES = (10.0, 35.0)
 """Degrees between an edited view and the further views of the edit, and the novel views near it: from, to."""
 CONFLICT_DEGREES = (5.0, 30.0)
@@ -53,7 +53,7 @@ MIN_OVERLAP = 0.2
 """Part of the smaller of two edits that conflict which the other one covers."""
 APART_RADII = (0.4, 0.2, 0.0)
 """Least distance between different edits, in radii of the object: the first of these that can be had."""
-TRIES = 6
+MAX_EDIT_TRIES = 6
 MIN_OTHER_VIEW = 0.25
 """Times MIN_EDIT_FRACTION: what an edit must still change in views other than that of its design."""
 
@@ -64,13 +64,13 @@ class SequentialEdits:
     name = "sequence"
     title = "Edits in a row: more views, further edits, conflicts"
     columns = (
-        Column("first", "after the first", ROW, "higher"),
-        Column("last", "after the last", ROW, "higher"),
-        Column("forgetting", "lost of earlier edits", ROW, "lower"),
-        Column("later", "later view", CONFLICT, "higher"),
-        Column("new", "earlier view, later edit", CONFLICT, "higher"),
-        Column("old", "earlier view, earlier edit", CONFLICT, "lower"),
-        Column("winner", "later wins, %", CONFLICT, "higher", 0),
+        Column("first", "after the first", SEQUENCE_COLUMN, "higher"),
+        Column("last", "after the last", SEQUENCE_COLUMN, "higher"),
+        Column("forgetting", "lost of earlier edits", SEQUENCE_COLUMN, "lower"),
+        Column("later", "later view", CONFLICT_COLUMN, "higher"),
+        Column("new", "earlier view, later edit", CONFLICT_COLUMN, "higher"),
+        Column("old", "earlier view, earlier edit", CONFLICT_COLUMN, "lower"),
+        Column("winner", "later wins, %", CONFLICT_COLUMN, "higher", 0),
     )
     split_by = "part"
 
@@ -174,13 +174,13 @@ class EditScene:
         )
 
     def failure(self, what: str) -> ValueError:
-        return ValueError(f"{self.key.name}: {TRIES} choices of {what} changed nothing that can be seen")
+        return ValueError(f"{self.key.name}: {MAX_EDIT_TRIES} choices of {what} changed nothing that can be seen")
 
 
 def painted_views(scene: EditScene, count: int) -> Case:
     """One painted edit, in its view first and then in others that show it."""
     kind, preview = scene.key.settings["kind"], scene.truth.preview()
-    for _ in range(TRIES):
+    for _ in range(MAX_EDIT_TRIES):
         design, point = design_edit(preview, scene.base, kind, "close-up", scene.files, scene.rng)
         views = [design.camera, *scene.nearby_cameras(design.camera, point, count - 1)]
         novel, near = scene.near_and_around(design.camera, point)
@@ -200,7 +200,7 @@ def painted_views(scene: EditScene, count: int) -> Case:
 def zoomed_views(scene: EditScene, count: int) -> Case:
     """More and more close-ups of one point, crops of pictures `setup.detail` times larger."""
     truth = scene.truth
-    for _ in range(TRIES):
+    for _ in range(MAX_EDIT_TRIES):
         point = surface_point(scene.base, scene.rng)
         full = view_of(point, "whole", truth.radius, truth.optics, scene.rng)
         if not truth.blocks(full.position, point.position, 0.02):
@@ -261,7 +261,7 @@ def conflict(scene: EditScene) -> Case:
     """Two views, one after the other, paint one region differently; the second picture shows the object with the first
     edit under its paint. The first view of `before` and `after` is that of the first edit."""
     truth, preview, rng = scene.truth, scene.truth.preview(), scene.rng
-    for _ in range(TRIES):
+    for _ in range(MAX_EDIT_TRIES):
         first_kind, second_kind = (str(kind) for kind in rng.choice(["stroke", "text", "sticker", "photo"], 2))
         first, point = design_edit(preview, scene.base, first_kind, "close-up", scene.files, rng)
         between = preview.paint(first)

@@ -18,7 +18,7 @@ from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import CameraFiles
 from splatpainter.commands.output_paths import check_folder, check_target, make_folder
 from splatpainter.commands.terminal import count, decibels, progress, to_json
-from splatpainter.commands.view_options import BACKGROUND, MOST_VIEWS, check_ranges, color, given_cameras, rgb
+from splatpainter.commands.view_options import BACKGROUND, MAX_VIEWS, check_ranges, color, given_cameras, rgb
 from splatpainter.image_files import to_uint8
 from splatpainter.io import read
 from splatpainter.rendering import MAX_SIDE_PX, render
@@ -240,7 +240,7 @@ def _thumb(picture: np.ndarray) -> np.ndarray:
 def _check(config: Config) -> None:
     size = 512 if config.size is None else config.size
     values = {
-        "--views": (config.views, 1, MOST_VIEWS),
+        "--views": (config.views, 1, MAX_VIEWS),
         "--size": (size, MIN_SIDE_PX, MAX_SIDE_PX // 3),  # three of them stand side by side
         "--elevation": (config.elevation, -90, 90),
         "--fov": (config.fov, 1, 170),

@@ -21,7 +21,7 @@ from splatpainter.splats import Splats
 HTML = ".html"
 SEEN_IN_THE_FILE = {"sh_degree": None, "antialiased": None, "spz_version": None}
 """Options whose losses are seen in what was read again."""
-LEAST_OPACITY = 1 / 255
+MIN_DRAWN_OPACITY = 1 / 255
 """Opacity of rows that are drawn. Formats of logits cannot say 0."""
 PAGE_BACKGROUND = (0.16, 0.17, 0.18)
 
@@ -128,7 +128,7 @@ def write_options(config: Config) -> WriteOptions:
 
 def chosen_rows(splats: Splats, config: Config) -> Splats:
     """The rows that are written. Raises ValueError where all are hidden."""
-    visible = splats.opacities >= LEAST_OPACITY
+    visible = splats.opacities >= MIN_DRAWN_OPACITY
     if not config.remove_hidden or visible.all():
         return splats
     if not visible.any():

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
 RED = (196, 44, 38)
 TEAL = (14, 124, 122)
-SPOT = (-0.02, 0.45, 0.80)
+STICKER_POSITION = (-0.02, 0.45, 0.80)
 """Where the sticker lies: on the board's top, in front of the pot (frame of demo.py: y down)."""
-FINE = 4
+SUPERSAMPLING = 4
 """Drawn this much larger, then averaged down: Pillow's own shapes have hard edges."""
 STICKER = 768
 """Pixels of the flat sticker before it is laid down."""
@@ -35,7 +35,7 @@ def lettering(size: int, text: str, center: tuple[float, float], height: float, 
     """[size, size] alpha of a line of text around `center` (x, y), letters `height` tall, its ends lifted by `bend`."""
     from PIL import Image, ImageDraw, ImageFont
 
-    big = size * FINE
+    big = size * SUPERSAMPLING
     layer = Image.new("L", (big, big))
     font = ImageFont.load_default(height * big)
     anchor, weight = (center[0] * big, center[1] * big), round(0.02 * height * big)
@@ -107,15 +107,15 @@ def laid_down(
     right, near = np.array([math.cos(turn), 0, -math.sin(turn)]), np.array([math.sin(turn), 0, math.cos(turn)])
     middle = np.array(center)
     world = [middle + radius * (a * right + b * near) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-    seen = camera.project(np.array(world))[0] * FINE
+    seen = camera.project(np.array(world))[0] * SUPERSAMPLING
     flat = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * sticker.width
     solution = _homography(seen, flat)
-    big = (camera.width * FINE, camera.height * FINE)
+    big = (camera.width * SUPERSAMPLING, camera.height * SUPERSAMPLING)
     straight = np.asarray(sticker, np.float32) / 255
     straight[..., :3] *= straight[..., 3:]  # averaging wants colours times alpha
     packed = Image.fromarray((straight * 255 + 0.5).astype(np.uint8), "RGBA")
     out = packed.transform(big, Image.Transform.PERSPECTIVE, solution.tolist(), Image.Resampling.BILINEAR)
-    return np.asarray(out.reduce(FINE), np.float32) / 255
+    return np.asarray(out.reduce(SUPERSAMPLING), np.float32) / 255
 
 
 def evening(picture: np.ndarray) -> np.ndarray:
@@ -135,7 +135,7 @@ def painted(picture: np.ndarray, camera: Camera) -> np.ndarray:
     out = np.clip(picture, 0, 1).astype(np.float64)
     out = over(out, RED, lettering(size, "tea time", (0.497, 0.487), 0.088, 0.0085))
     out = over(out, TEAL, stroke(size, (0.358, 0.562), (0.645, 0.548), 0.028, 0.010))
-    sticker = laid_down(sun(), camera, SPOT, 0.215, -6)
+    sticker = laid_down(sun(), camera, STICKER_POSITION, 0.215, -6)
     return (out * (1 - sticker[..., 3:]) + sticker[..., :3]).astype(np.float32)
 
 
@@ -153,5 +153,5 @@ def _homography(source: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 def _reduced(values: np.ndarray) -> np.ndarray:
-    size = values.shape[0] // FINE
-    return values.reshape(size, FINE, size, FINE).mean((1, 3)) / 255
+    size = values.shape[0] // SUPERSAMPLING
+    return values.reshape(size, SUPERSAMPLING, size, SUPERSAMPLING).mean((1, 3)) / 255

@@ -10,7 +10,7 @@ import numpy as np
 
 from splatpainter.image_files import to_uint8
 
-PAPER, INK, FAINT = (246, 244, 239), (38, 42, 46), (120, 122, 122)
+PAPER, INK, CAPTION_COLOR = (246, 244, 239), (38, 42, 46), (120, 122, 122)
 CROP = (0.0, 0.14, 1.0, 0.94)
 """Left, top, right, bottom of the part shown: the sky above the still life is empty."""
 FRAME_MILLISECONDS = 90
@@ -55,7 +55,7 @@ def overview(panels: Sequence[Panel], columns: int = 3, width: int = 1600) -> np
             inset = Image.fromarray(to_uint8(panel.inset))
             sheet.paste(inset.resize((w, h), Image.Resampling.LANCZOS, box), (x + 12, y + 12))
         draw.text((x, y + high + 0.16 * caption), panel.title, fill=INK, font=big)
-        draw.text((x, y + high + 0.60 * caption), panel.line, fill=FAINT, font=small)
+        draw.text((x, y + high + 0.60 * caption), panel.line, fill=CAPTION_COLOR, font=small)
     return np.asarray(sheet)
 
 

@@ -14,7 +14,7 @@ from splatpainter.commands import Outcome
 from splatpainter.commands.info import file_size
 from splatpainter.commands.option_parsing import OutFile
 from splatpainter.commands.output_paths import check_target, placed, splat_format
-from splatpainter.commands.terminal import PATIENCE, count, decibels, seconds, size, warn, watched
+from splatpainter.commands.terminal import BAR_DELAY_SECONDS, count, decibels, seconds, size, warn, watched
 
 if TYPE_CHECKING:
     from splatpainter.commands.fit_sources import FitPictures
@@ -31,7 +31,7 @@ LIMITS: dict[str, tuple[int, int]] = {
     "samples": (1, 100_000),
     "seed": (0, 2**31 - 1),
 }
-SMALLEST, LARGEST = 16, 4096
+MIN_PICTURE_PX, MAX_PICTURE_PX = 16, 4096
 """Pixels of a picture's edge."""
 
 
@@ -150,7 +150,7 @@ def _fitted(config: Config, made: FitPictures) -> Splats:
     )
     views = [TrainingView(camera, color) for camera, color in zip(made.cameras, made.colors, strict=True)]
     with tqdm(
-        total=config.steps, desc="fitting", delay=PATIENCE, leave=False, file=sys.stderr, disable=not watched()
+        total=config.steps, desc="fitting", delay=BAR_DELAY_SECONDS, leave=False, file=sys.stderr, disable=not watched()
     ) as bar:
         return optimize(made.start, views, options, watch=lambda step, _: bar.update(step - bar.n)).splats
 
@@ -171,8 +171,10 @@ def _check(config: Config) -> None:
         if not low <= value <= high:
             option = name.replace("_", "-")
             raise ValueError(f"splatpainter fit: expected --{option} from {low:,} to {high:,}, got {value:,}")
-    if config.size is not None and not SMALLEST <= config.size <= LARGEST:
-        raise ValueError(f"splatpainter fit: expected --size from {SMALLEST} to {LARGEST}, got {config.size}")
+    if config.size is not None and not MIN_PICTURE_PX <= config.size <= MAX_PICTURE_PX:
+        raise ValueError(
+            f"splatpainter fit: expected --size from {MIN_PICTURE_PX} to {MAX_PICTURE_PX}, got {config.size}"
+        )
     if config.most_rows < config.rows:
         raise ValueError(f"splatpainter fit: expected --most-rows of at least --rows, {config.rows:,}")
     if config.device == "cuda":

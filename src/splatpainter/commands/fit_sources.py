@@ -33,7 +33,7 @@ PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
 TRANSFORMS = ("transforms.json", "transforms_train.json")
 MESH_FRAME = np.diag([1.0, -1.0, -1.0, 1.0])
 """Meshes have y up, assets in memory y down (cameras.AUTO_UP)."""
-TRIES = 20
+TRIES_PER_GAUSSIAN = 20
 """Random points per first Gaussian that carving may throw away."""
 
 
@@ -278,7 +278,7 @@ def _carved(
     rng = np.random.default_rng(settings.seed)
     center, reach = _common_center(cameras)
     candidates: list[np.ndarray] = []
-    for _ in range(TRIES):
+    for _ in range(TRIES_PER_GAUSSIAN):
         points = center + reach * rng.uniform(-1, 1, (settings.rows, 3))
         count, good = np.zeros(len(points)), np.ones(len(points), bool)
         total = np.zeros((len(points), 3))

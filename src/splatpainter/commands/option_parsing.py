@@ -23,7 +23,7 @@ OutFile: TypeAlias = Annotated[Path, arg(metavar="OUT")]
 CameraFiles: TypeAlias = Annotated[tuple[Path, ...], arg(metavar="CAM.json ...", help_behavior_hint="")]
 FrameOption: TypeAlias = Annotated[Frame, arg(metavar="auto|rub|rdf")]
 """Which way the numbers of a file point: rub is right-up-back (y up), rdf right-down-front (y down)."""
-WIDE = "4000"
+UNWRAPPED_COLUMNS = "4000"
 """Columns: tyro breaks no line where they are joined again."""
 
 
@@ -38,7 +38,11 @@ def parse(kind: type, program: str, words: Sequence[str]) -> Any:
         return tyro.cli(kind, prog=program, args=list(words), config=marks)
     box, unicode = io.StringIO(), io.TextIOWrapper(io.BytesIO(), encoding="utf-8")
     try:  # tyro looks at stdout's encoding for how it frames what it writes to stderr
-        with contextlib.redirect_stderr(box), contextlib.redirect_stdout(unicode), _environment("COLUMNS", WIDE):
+        with (
+            contextlib.redirect_stderr(box),
+            contextlib.redirect_stdout(unicode),
+            _environment("COLUMNS", UNWRAPPED_COLUMNS),
+        ):
             return tyro.cli(kind, prog=program, args=list(words), config=marks)
     except SystemExit as done:
         if done.code in (0, None):

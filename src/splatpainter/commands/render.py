@@ -14,7 +14,7 @@ from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import AssetFile, CameraFiles, FrameOption
 from splatpainter.commands.output_paths import check_folder, check_target, make_folder
 from splatpainter.commands.terminal import count, progress
-from splatpainter.commands.view_options import MOST_VIEWS, check_ranges, check_ring, color, given_cameras, ring_of_views
+from splatpainter.commands.view_options import MAX_VIEWS, check_ranges, check_ring, color, given_cameras, ring_of_views
 from splatpainter.io import files, frame_is_news, frame_line, read
 from splatpainter.rendering.profiles import Profile
 from splatpainter.splats import Splats
@@ -154,5 +154,5 @@ def _options(config: Config) -> PictureOptions:
 
 
 def _check(config: Config) -> None:
-    check_ranges("render", {"--views": (config.views, 1, MOST_VIEWS)})
+    check_ranges("render", {"--views": (config.views, 1, MAX_VIEWS)})
     check_ring("render", config)

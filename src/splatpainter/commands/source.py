@@ -17,7 +17,7 @@ from splatpainter.atomic import writing
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import parse
 from splatpainter.commands.output_paths import check_target
-from splatpainter.commands.terminal import PATIENCE, watched
+from splatpainter.commands.terminal import BAR_DELAY_SECONDS, watched
 from splatpainter.image_files import encode_png, find_camera, quantized
 from splatpainter.sources.picture_reader import read_mask, read_picture, resample
 from splatpainter.sources.picture_source import PictureRequest, Progress
@@ -142,14 +142,14 @@ def attempt(config: SourceTryConfig) -> Outcome:
 
 @contextlib.contextmanager
 def source_progress() -> Iterator[Progress]:
-    """Shows what a source reports, in one line on stderr after PATIENCE seconds, where a person is looking."""
+    """Shows what a source reports, in one line on stderr after BAR_DELAY_SECONDS, where a person is looking."""
     if not watched():
         yield lambda share, words: None
         return
     from tqdm import tqdm
 
     form = "{desc:<40.40} {bar} {percentage:3.0f} % [{elapsed}]"
-    bar = tqdm(total=1.0, delay=PATIENCE, leave=False, file=sys.stderr, bar_format=form)
+    bar = tqdm(total=1.0, delay=BAR_DELAY_SECONDS, leave=False, file=sys.stderr, bar_format=form)
     lock = threading.Lock()  # services report from their thread
 
     def report(share: float, words: str) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 PROGRAM = "splatpainter"
-PATIENCE = 1.0
+BAR_DELAY_SECONDS = 1.0
 """Seconds before a progress bar appears."""
 _Item = TypeVar("_Item")
 
@@ -44,7 +44,7 @@ def progress(items: Iterable[_Item], total: int, what: str) -> Iterator[_Item]:
         return
     from tqdm import tqdm
 
-    yield from tqdm(items, total=total, desc=what, delay=PATIENCE, leave=False, file=sys.stderr)
+    yield from tqdm(items, total=total, desc=what, delay=BAR_DELAY_SECONDS, leave=False, file=sys.stderr)
 
 
 class Stages:
@@ -56,8 +56,10 @@ class Stages:
             from tqdm import tqdm
 
             form = "{desc:<10} {bar} {n_fmt}/{total_fmt} [{elapsed}]"
-            self._bar = tqdm(total=total, delay=PATIENCE, leave=False, file=sys.stderr, bar_format=form)
-            self._timer = threading.Timer(PATIENCE, self._bar.refresh)  # the second may end within a long stage
+            self._bar = tqdm(total=total, delay=BAR_DELAY_SECONDS, leave=False, file=sys.stderr, bar_format=form)
+            self._timer = threading.Timer(
+                BAR_DELAY_SECONDS, self._bar.refresh
+            )  # the second may end within a long stage
             self._timer.daemon = True
             self._timer.start()
 
@@ -65,7 +67,7 @@ class Stages:
         if self._bar is not None:
             self._bar.set_description_str(name, refresh=False)
             self._bar.n = self._entered
-            if time.monotonic() - self._start > PATIENCE:
+            if time.monotonic() - self._start > BAR_DELAY_SECONDS:
                 self._bar.refresh()
         self._entered += 1
 

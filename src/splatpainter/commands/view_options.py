@@ -11,7 +11,7 @@ from splatpainter.color import from_display, from_hex
 from splatpainter.rendering import MAX_SIDE_PX
 from splatpainter.splats import Splats
 
-MOST_VIEWS = 1000
+MAX_VIEWS = 1000
 BACKGROUND = "0.25,0.25,0.25"
 """Behind views that no file says the camera of."""
 

@@ -27,7 +27,7 @@ POLL_SECONDS = 0.1
 """Seconds between two looks at whether it was cancelled."""
 CONNECT_SECONDS = 10.0
 """Seconds that a cluster has to take a connection."""
-AHEAD = 2
+TASKS_PER_WORKER = 2
 """Pieces handed out per worker: one in work, one waiting, so that results do not pile up."""
 
 
@@ -66,7 +66,7 @@ def run_in_pool(
         pool = _pool(workers)
         try:
             while remaining or running:
-                while remaining and len(running) < AHEAD * workers:
+                while remaining and len(running) < TASKS_PER_WORKER * workers:
                     running[pool.submit(work, remaining[-1])] = remaining[-1]
                     remaining.pop()
                 done = _wait(running, cancelled)
@@ -225,7 +225,7 @@ def _ray_results(
     count = workers or max(1, int(ray.cluster_resources().get("CPU", 1)) // cpus)
     remaining, running = list(numbers)[::-1], {}
     while remaining or running:
-        while remaining and len(running) < AHEAD * count:
+        while remaining and len(running) < TASKS_PER_WORKER * count:
             number = remaining.pop()
             running[task.remote(shared_work, number)] = number
         for reference in ray.wait(list(running), num_returns=1)[0]:

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from splatpainter.color import linear_to_srgb, srgb_to_linear
 from splatpainter.data.lights import random_light
-from splatpainter.data.lit_assets import RING_VIEWS, RINGS, AssetKind, LitAsset, LitAssets
+from splatpainter.data.lit_assets import RING_COUNT, RING_VIEWS, AssetKind, LitAsset, LitAssets
 from splatpainter.sources.color_grading import apply_grade, random_grade
 
 EditKind = Literal["relight", "recolor", "regrade"]
@@ -31,7 +31,7 @@ VIEW_ODDS = {1: 0.5, 2: 0.3, 4: 0.2}
 VISIBLE_PX = 1.0
 """Pixels of weight above which pictures show a Gaussian, so that its change is known; what shines through others by
 less is to be predicted."""
-LIGHTS = 256
+LIGHT_COUNT = 256
 """New lights that relightings choose from."""
 MATERIAL_WIDTH = 0.12
 """Width of a recoloured material: the standard deviation, in display colours, within which Gaussians belong to it."""
@@ -118,7 +118,7 @@ class GaussianEditStream:
 
     def edit(self, item: LitAsset, kind: EditKind, views: int, rng: np.random.Generator) -> GaussianEdit:
         """A random edit of this asset, shown in this many views of one of its rings."""
-        pixels = item.visible_px[int(rng.integers(RINGS))][:: RING_VIEWS // views].sum(0)
+        pixels = item.visible_px[int(rng.integers(RING_COUNT))][:: RING_VIEWS // views].sum(0)
         counts = item.visible_px.sum((0, 1))
         edit = GaussianEdit(item, kind, views, np.zeros_like(item.residual), pixels, counts)
         for _ in range(MAX_TRIES):
@@ -151,7 +151,7 @@ class GaussianEditStream:
         """(SH coefficients [L, 9, 3], exposures [L])."""
         rng = self._generator("lights", 0)
         small = [_small(torch.as_tensor(picture)) for picture in self.assets.environments]
-        lights = [random_light(rng, small) for _ in range(LIGHTS)]
+        lights = [random_light(rng, small) for _ in range(LIGHT_COUNT)]
         return torch.stack([x.coefficients for x in lights]), torch.stack([x.exposure for x in lights])
 
     def _generator(self, what: str, number: int) -> np.random.Generator:

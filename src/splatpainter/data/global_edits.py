@@ -27,7 +27,7 @@ from splatpainter.data.lit_scenes import SceneObject, render_views
 from splatpainter.data.recent import Recent
 from splatpainter.data.samples import SampleStream
 from splatpainter.data.surfels import Surfels, to_splats
-from splatpainter.data.viewpoints import UPRIGHT, Optics, ring
+from splatpainter.data.viewpoints import UP_AXIS_ROTATIONS, Optics, ring
 from splatpainter.lift.colors import MIN_SEEN_PX
 from splatpainter.lift.depth_normals import outward_normals
 from splatpainter.lift.global_edit import seen_change
@@ -36,15 +36,15 @@ from splatpainter.sources.color_grading import random_grade
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.transforms import sh_rotations
 
-RINGS = 3
+RING_COUNT = 3
 """Rings of views per object."""
-VIEWS = 4
+VIEWS_PER_RING = 4
 """Views of a ring; an edit is shown in the first, in two that face each other, or in all."""
 VIEW_ODDS = (0.5, 0.3, 0.2)
 """Odds of one, two and four views: the fewer, the more has to be predicted."""
 GAUSSIANS_PER_EDIT = 2000
 """Gaussians of an edit of training, a random choice."""
-LIGHTS = 1024
+LIGHT_COUNT = 1024
 """Lights that edits choose from, two at a time: a million pairs."""
 
 
@@ -83,9 +83,9 @@ class _RelitObject:
     normals: np.ndarray
     transfer: np.ndarray
     visible_px: np.ndarray
-    """[RINGS, VIEWS, N] float32 pixels that show each Gaussian."""
+    """[RING_COUNT, VIEWS_PER_RING, N] float32 pixels that show each Gaussian."""
     errors: np.ndarray
-    """[RINGS, 3, N, 3] float32 told minus true change under one light, of 1, 2 and 4 views."""
+    """[RING_COUNT, 3, N, 3] float32 told minus true change under one light, of 1, 2 and 4 views."""
 
     @property
     def nbytes(self) -> int:
@@ -119,13 +119,13 @@ class GlobalEditStream:
         ids = np.sort(rng.permutation(count)[: self.gaussians]) if self.gaussians else np.arange(count)
         surfels = item.surfels.take(torch.from_numpy(ids))
         before, after = self._colors(surfels, kind, rng)
-        which, size = int(rng.integers(RINGS)), int(rng.choice(3, p=VIEW_ODDS))
+        which, size = int(rng.integers(RING_COUNT)), int(rng.choice(3, p=VIEW_ODDS))
         views = 2**size
-        weight = item.visible_px[which][:: VIEWS // views, ids].sum(0)
+        weight = item.visible_px[which][:: VIEWS_PER_RING // views, ids].sum(0)
         error = item.errors[which, size][ids][:, rng.permutation(3)] * rng.choice([-1, 1]) * rng.uniform(0.4, 1.2)
         change = after - before
         observed = np.where((weight > MIN_SEEN_PX)[:, None], change + error, 0)
-        turn = np.array(UPRIGHT[rng.integers(len(UPRIGHT))])
+        turn = np.array(UP_AXIS_ROTATIONS[rng.integers(len(UP_AXIS_ROTATIONS))])
         asset = Splats(
             (surfels.means.numpy() @ turn.T).astype(np.float32),
             surfels.quats.numpy(),  # shapes play no part
@@ -159,7 +159,7 @@ class GlobalEditStream:
         if not hasattr(self, "_pool"):
             rng = self._generator("lights", 0)
             small = [_small(torch.as_tensor(picture)) for picture in self.stream.environments]
-            lights = [random_light(rng, small) for _ in range(LIGHTS)]
+            lights = [random_light(rng, small) for _ in range(LIGHT_COUNT)]
             self._pool = torch.stack([x.coefficients for x in lights]), torch.stack([x.exposure for x in lights])
         return self._pool
 
@@ -175,9 +175,9 @@ class GlobalEditStream:
         recipe, surfels = self.stream.recipe, scene_object.coarse.to("cpu")
         visible_px, errors = [], []
         normals = None
-        for _ in range(RINGS):
+        for _ in range(RING_COUNT):
             optics = Optics(recipe.size, float(rng.uniform(*recipe.fov)))
-            cameras = ring(scene_object.radius, optics, VIEWS, rng)
+            cameras = ring(scene_object.radius, optics, VIEWS_PER_RING, rng)
             old, new = (random_light(rng, self.stream.environments, self.stream.device) for _ in range(2))
             asset = _lit(surfels, old, recipe.sh_degree)
             normals = outward_normals(asset) if normals is None else normals
@@ -187,7 +187,7 @@ class GlobalEditStream:
             masks = (shots.alphas > 0.5).cpu().numpy()
             views = list(zip(cameras, pictures, masks, strict=True))
             true = SH_C0 * (_lit(surfels, new, recipe.sh_degree).sh[:, 0] - asset.sh[:, 0])
-            observed = [seen_change(asset, views[:: VIEWS // number]) for number in (1, 2, VIEWS)]
+            observed = [seen_change(asset, views[:: VIEWS_PER_RING // number]) for number in (1, 2, VIEWS_PER_RING)]
             visible_px.append([seen_change(asset, [view])[1] for view in views])
             errors.append([np.where((weight > MIN_SEEN_PX)[:, None], change - true, 0) for change, weight in observed])
         assert normals is not None

@@ -20,11 +20,11 @@ from splatpainter.transforms import fibonacci_sphere, sh_basis
 
 SH_C2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
 """Factors of the polynomials of band 2."""
-SHOULDER = 0.8
+SHOULDER_START = 0.8
 """Exposed radiance up to here is shown as it is; what lies above is rolled off towards 1."""
-WHITE = 0.9
+WHITE_RADIANCE = 0.9
 """Exposed radiance of a white diffuse surface that faces the brighter side of an environment."""
-BALANCE = 0.6
+WHITE_BALANCE_EXPONENT = 0.6
 """Exponent to which random lights are white-balanced: 1 takes their mean colour away wholly."""
 REFLECTANCE_COSINE = 0.7
 """Between normal and line of sight, for which the specular layer's reflectance is taken."""
@@ -64,10 +64,11 @@ def make_light(environment: Any, name: str = "", stops: float = 0.0) -> Light:
 
 
 def auto_exposure(coefficients: Any) -> Any:
-    """[] exposure that gives WHITE to the luminance of a white diffuse sphere's brightest tenth under SH [9, 3]."""
+    """[] exposure that gives WHITE_RADIANCE to the luminance of a white diffuse sphere's brightest tenth under SH [9,
+    3]."""
     normals = torch.as_tensor(fibonacci_sphere(128), dtype=coefficients.dtype, device=coefficients.device)
     luminance = irradiance(coefficients, normals) @ coefficients.new_tensor(LUMA)
-    return WHITE * torch.pi / torch.quantile(luminance, 0.9).clamp_min(1e-8)
+    return WHITE_RADIANCE * torch.pi / torch.quantile(luminance, 0.9).clamp_min(1e-8)
 
 
 def irradiance(coefficients: Any, normals: Any) -> Any:
@@ -76,7 +77,7 @@ def irradiance(coefficients: Any, normals: Any) -> Any:
 
 
 def tone_map(radiance: Any, exposure: Any = 1.0) -> Any:
-    """Linear radiance >= 0 -> display sRGB 0..1, torch or numpy: times exposure; above SHOULDER s rolled off as
+    """Linear radiance >= 0 -> display sRGB 0..1, torch or numpy: times exposure; above SHOULDER_START s rolled off as
     s + o / (1 + o / (1 - s)) for an excess o (slope 1 there, limit 1); then the curve of IEC 61966-2-1.
 
     The one tone map of all training data, surfels and path traced.
@@ -84,8 +85,8 @@ def tone_map(radiance: Any, exposure: Any = 1.0) -> Any:
     if not isinstance(radiance, torch.Tensor):
         return tone_map(torch.from_numpy(np.ascontiguousarray(radiance)), exposure).numpy()
     light = (radiance * exposure).clamp_min(0)
-    over = (light - SHOULDER).clamp_min(0)
-    return linear_to_srgb(light.clamp_max(SHOULDER) + over / (1 + over / (1 - SHOULDER)))
+    over = (light - SHOULDER_START).clamp_min(0)
+    return linear_to_srgb(light.clamp_max(SHOULDER_START) + over / (1 + over / (1 - SHOULDER_START)))
 
 
 def shade(surfels: Surfels, light: Light, degree: int = 0) -> Any:
@@ -122,7 +123,7 @@ def shade_all(surfels: Surfels, coefficients: Any, exposure: Any, degree: int = 
     return torch.cat([base[..., None, :], slope[..., None, :] * lobe[..., 1:, :]], -2)
 
 
-BOUNCE = 0.6
+BLOCKER_RADIANCE = 0.6
 """Radiance of what blocks a direction, over albedo times the mean radiance of the environment."""
 
 
@@ -131,7 +132,7 @@ def _diffuse(surfels: Surfels, coefficients: Any) -> Any:
     received = (surfels.transfer @ coefficients).clamp_min(0)
     # Blocked directions are not black: they show a neighbour of about the same colour in average light.
     mean = (coefficients[..., 0, :] * SH_C0).clamp_min(0)[..., None, :]
-    returned = (1 - surfels.occlusion)[:, None] * (BOUNCE * torch.pi) * surfels.albedo * mean
+    returned = (1 - surfels.occlusion)[:, None] * (BLOCKER_RADIANCE * torch.pi) * surfels.albedo * mean
     return (1 - surfels.metallic)[:, None] * surfels.albedo * (received + returned) / torch.pi
 
 
@@ -170,7 +171,7 @@ def random_light(rng: np.random.Generator, environments: Sequence[Any] = (), dev
     mean = (picture * area[..., None]).sum((0, 1)) / (4 * torch.pi)
     cast = (mean / mean.mean().clamp_min(1e-8)).clamp_min(1e-3)
     # Photographers balance most of a colour cast away; what is left, and a random tint, is the look of the light.
-    tint = torch.from_numpy(np.exp(rng.normal(0, 0.12, 3)).astype(np.float32)) * cast**-BALANCE
+    tint = torch.from_numpy(np.exp(rng.normal(0, 0.12, 3)).astype(np.float32)) * cast**-WHITE_BALANCE_EXPONENT
     picture, mean = picture * tint, mean * tint
     picture = picture + float(rng.uniform(0.05, 0.25)) * mean  # a little fill, as rooms and photographers give
     return make_light(picture, name, float(rng.uniform(-0.4, 0.3))).to(device)

@@ -31,7 +31,7 @@ from splatpainter.data.object_sources import MeshSource
 from splatpainter.data.recent import Recent
 from splatpainter.data.sample_recipes import SampleRecipe
 from splatpainter.data.surfels import Surfels, to_splats
-from splatpainter.data.viewpoints import UPRIGHT, Optics, ring
+from splatpainter.data.viewpoints import UP_AXIS_ROTATIONS, Optics, ring
 from splatpainter.lift.depth_normals import outward_normals
 from splatpainter.lighting import prt_transfer
 from splatpainter.rendering import render
@@ -42,7 +42,7 @@ AssetKind = Literal["coarse", "fitted"]
 ASSET_KINDS: tuple[AssetKind, ...] = ("coarse", "fitted")
 VERSION = 1
 """Version of how assets are made: files of another one are made anew."""
-RINGS = 3
+RING_COUNT = 3
 """Rings of views in which an edit may be shown."""
 RING_VIEWS = 4
 """Views of a ring; an edit is shown in the first, in two that face each other, or in all."""
@@ -66,13 +66,13 @@ class LitAsset:
     """Name of the object."""
     kind: AssetKind
     asset: Splats
-    """SH degree 0, turned by one of UPRIGHT."""
+    """SH degree 0, turned by one of UP_AXIS_ROTATIONS."""
     normals: np.ndarray = field(repr=False)
     """[N, 3] unit, outwards, turned as the asset: true ones (coarse), those that the painter finds (fitted)."""
     transfer: np.ndarray = field(repr=False)
     """[N, 10] of `lighting.prt_transfer`, turned as the asset."""
     visible_px: np.ndarray = field(repr=False)
-    """[RINGS, RING_VIEWS, N] pixels that show each Gaussian."""
+    """[RING_COUNT, RING_VIEWS, N] pixels that show each Gaussian."""
     surfels: Surfels = field(repr=False)
     """N, torch: materials, y up; shapes are not theirs."""
     residual: np.ndarray = field(repr=False)
@@ -169,9 +169,9 @@ class LitAssets:
             truth = base_colors(surfels, light.coefficients, light.exposure)
             residual = base_color(asset.sh) - truth
             normals = outward_normals(asset)
-        cameras = [ring(item.radius, optics, RING_VIEWS, rng) for _ in range(RINGS)]
+        cameras = [ring(item.radius, optics, RING_VIEWS, rng) for _ in range(RING_COUNT)]
         drawn = [render(asset, views, contributions=True).contributions for views in cameras]
-        turn = np.array(UPRIGHT[rng.integers(len(UPRIGHT))])
+        turn = np.array(UP_AXIS_ROTATIONS[rng.integers(len(UP_AXIS_ROTATIONS))])
         asset, normals = turned(asset, turn), (normals @ turn.T).astype(np.float32)
         transfer = prt_transfer(asset.means, normals).astype(np.float32)
         pixels = np.stack([np.asarray(part) for part in drawn]).astype(np.float32)

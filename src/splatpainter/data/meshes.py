@@ -17,7 +17,7 @@ import numpy as np
 from splatpainter.color import srgb_to_linear
 from splatpainter.data.materials import Material, convert_material
 
-EXTENT = 1.8
+NORMALISED_EXTENT = 1.8
 """Longest side of a normalised mesh's bounding box, world units; the box is centred, so all lies within -0.9..0.9."""
 MAX_TRIANGLES = 10_000_000
 SUFFIXES = (".glb", ".gltf", ".obj")
@@ -44,7 +44,7 @@ class Mesh:
 
 
 def load_mesh(path: str | Path) -> Mesh:
-    """The mesh in a GLB, glTF or OBJ file: all its parts, transforms applied, normalised to EXTENT.
+    """The mesh in a GLB, glTF or OBJ file: all its parts, transforms applied, normalised to NORMALISED_EXTENT.
 
     Kept: base colour, metallic-roughness and normal maps, factors, vertex colours, cut-out alpha. Repaired: faces with
     NaN or out-of-range vertices and without area are dropped, missing normals are computed, missing UVs are projected
@@ -149,7 +149,7 @@ def repaired(mesh: Mesh, where: str = "") -> Mesh:
     )
 
 
-def normalized(mesh: Mesh, extent: float = EXTENT) -> Mesh:
+def normalized(mesh: Mesh, extent: float = NORMALISED_EXTENT) -> Mesh:
     """Centred on the bounding box of what the faces use, longest side `extent`."""
     used = mesh.vertices[np.unique(mesh.faces)].astype(np.float64)
     low, high = used.min(0), used.max(0)

@@ -14,7 +14,7 @@ import numpy as np
 Distance = Callable[[np.ndarray], np.ndarray]
 """Points [N, 3] -> [N] signed distance, negative inside."""
 PRIMITIVES = ("box", "ellipsoid", "cylinder", "cone", "torus")
-GRID = 36
+CELLS_PER_SIDE = 36
 """Cells along a patch's longer side."""
 
 
@@ -66,7 +66,7 @@ def _mesh(cells_a: int, cells_b: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _box(rng: np.random.Generator) -> list[Patch]:
-    a, b = _mesh(GRID // 2, GRID // 2)
+    a, b = _mesh(CELLS_PER_SIDE // 2, CELLS_PER_SIDE // 2)
     s, t = 2 * a - 1, 2 * b - 1
     one = np.ones_like(s)
     out = []
@@ -80,14 +80,14 @@ def _box(rng: np.random.Generator) -> list[Patch]:
 
 
 def _ball(rng: np.random.Generator) -> list[Patch]:
-    a, b = _mesh(GRID, GRID // 2)
+    a, b = _mesh(CELLS_PER_SIDE, CELLS_PER_SIDE // 2)
     around, down = 2 * np.pi * a, np.pi * b
     points = [np.sin(down) * np.sin(around), np.cos(down), np.sin(down) * np.cos(around)]
     return [(np.stack(points, -1)[::-1], (2.0, 1.0))]
 
 
 def _disk(y: float, radius: float, up: bool) -> Patch:
-    a, b = _mesh(GRID, 6)
+    a, b = _mesh(CELLS_PER_SIDE, 6)
     around, r = 2 * np.pi * a, radius * b
     points = np.stack([r * np.sin(around), np.full_like(r, y), r * np.cos(around)], -1)
     return (points if not up else points[::-1]), (1.0, 1.0)
@@ -95,7 +95,7 @@ def _disk(y: float, radius: float, up: bool) -> Patch:
 
 def _cylinder(rng: np.random.Generator) -> list[Patch]:
     taper = rng.uniform(0.6, 1.0) if rng.random() < 0.3 else 1.0
-    a, b = _mesh(GRID, GRID // 3)
+    a, b = _mesh(CELLS_PER_SIDE, CELLS_PER_SIDE // 3)
     around, y = 2 * np.pi * a, 2 * b - 1
     radius = 1 + (taper - 1) * b
     side = np.stack([radius * np.sin(around), y, radius * np.cos(around)], -1)
@@ -103,7 +103,7 @@ def _cylinder(rng: np.random.Generator) -> list[Patch]:
 
 
 def _cone(rng: np.random.Generator) -> list[Patch]:
-    a, b = _mesh(GRID, GRID // 3)
+    a, b = _mesh(CELLS_PER_SIDE, CELLS_PER_SIDE // 3)
     around, y = 2 * np.pi * a, 2 * b - 1
     radius = 1 - 0.995 * b
     side = np.stack([radius * np.sin(around), y, radius * np.cos(around)], -1)
@@ -112,7 +112,7 @@ def _cone(rng: np.random.Generator) -> list[Patch]:
 
 def _torus(rng: np.random.Generator) -> list[Patch]:
     thick = rng.uniform(0.15, 0.45)
-    a, b = _mesh(GRID, GRID // 2)
+    a, b = _mesh(CELLS_PER_SIDE, CELLS_PER_SIDE // 2)
     around, about = 2 * np.pi * a, 2 * np.pi * b
     ring = (1 - thick) + thick * np.cos(about)
     points = np.stack([ring * np.sin(around), thick * np.sin(about), ring * np.cos(around)], -1)

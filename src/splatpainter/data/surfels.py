@@ -55,11 +55,11 @@ class Surfels:
         return replace(self, **{f.name: getattr(self, f.name).to(device) for f in fields(self)})
 
 
-CANDIDATES = 2.0
+CANDIDATES_PER_SURFEL = 2.0
 """Candidates per surfel before the even ones are selected."""
 SIGMA_PER_SPACING = 0.62
 """In-plane standard deviation over the mean distance to the five nearest: closed surfaces, sharp texture."""
-THICKNESS = 0.12
+THICKNESS_RATIO = 0.12
 """Third standard deviation over the other two."""
 OPACITY = 0.99
 MIN_VISIBLE_SHARE = 0.01
@@ -89,7 +89,7 @@ def sample_surfels(mesh: Mesh, count: int, seed: int = 0, device: str = "cpu") -
         "means": part.points,
         "normals": normals,
         "quats": facing(part.normals, rng.uniform(0, 2 * np.pi, count)),
-        "scales": np.stack([width, width, THICKNESS * width], 1),
+        "scales": np.stack([width, width, THICKNESS_RATIO * width], 1),
         "opacities": np.full(count, OPACITY),
         "occlusion": part.openness,
         "transfer": transfer,
@@ -157,7 +157,7 @@ def _candidates(mesh: Mesh, count: int, rng: np.random.Generator) -> _Candidates
         candidates, share = _round(mesh, number, _unit(cross), area, rng)
         if len(candidates.points) >= 1.4 * count:
             break
-        number = int(1.1 * CANDIDATES * count / max(share, 0.05)) + 64
+        number = int(1.1 * CANDIDATES_PER_SURFEL * count / max(share, 0.05)) + 64
     if len(candidates.points) < count:
         raise ValueError(f"{mesh.name}: only a part too small for {count} surfels can be seen from outside")
     return replace(candidates, spacing=float(np.sqrt(area * share / count)))
@@ -199,7 +199,7 @@ def _covered(mesh: Mesh, face: np.ndarray, weights: np.ndarray) -> np.ndarray:
     return solid
 
 
-TAPS = np.array([[0.0, 0.0], [0.6, 0.3], [-0.3, 0.6], [-0.6, -0.3], [0.3, -0.6]], np.float32)
+TEXTURE_TAPS = np.array([[0.0, 0.0], [0.6, 0.3], [-0.3, 0.6], [-0.6, -0.3], [0.3, -0.6]], np.float32)
 """[T, 2] where a surfel looks at its texture, in its standard deviations: fine texture is averaged, not picked."""
 
 
@@ -222,7 +222,7 @@ def _materials(
         tone = np.broadcast_to(np.asarray(material.base_factor, np.float32), (len(used), 3))
         if material.base_color is not None:
             reach = _footprint(steps, width[used], material.base_color.shape)
-            taps = [sample_texture(material.base_color, middle + t @ reach, SRGB_BYTES) for t in TAPS]
+            taps = [sample_texture(material.base_color, middle + t @ reach, SRGB_BYTES) for t in TEXTURE_TAPS]
             tone = tone * np.mean(taps, 0)
         if mesh.colors is not None:
             tone = tone * np.einsum("nk,nkc->nc", weights[used], mesh.colors[corner])

@@ -14,7 +14,7 @@ from splatpainter.cameras import FRAME_MARGIN, Camera, look_at
 
 MIN_ELEVATION, MAX_ELEVATION = -25.0, 65.0
 """Elevations of cameras, degrees."""
-UPRIGHT = (
+UP_AXIS_ROTATIONS = (
     ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
     ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)),
     ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)),

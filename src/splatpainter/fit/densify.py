@@ -55,12 +55,14 @@ class Schedule:
     @staticmethod
     def scaled(steps: int, views: int) -> Schedule:
         """The original schedule in proportion for a run of `steps`. Between two rounds every view is seen about once,
-        or means would be of one side of the object, and Gaussians have SETTLE steps to use the room that they were
-        given; resets closer than HEAL steps are left out, for Gaussians would not get over them."""
+        or means would be of one side of the object, and Gaussians have MIN_ROUND_STEPS to use the room that they were
+        given; resets closer than RESET_RECOVERY_STEPS are left out, for Gaussians would not get over them."""
         part = steps / ORIGINAL_STEPS
-        every = max(round(100 * part), min(views, steps // 10, 100), SETTLE)
+        every = max(round(100 * part), min(views, steps // 10, 100), MIN_ROUND_STEPS)
         reset = round(3000 * part)
-        return Schedule(max(round(500 * part), every), every, round(15_000 * part), reset if reset >= HEAL else 0)
+        return Schedule(
+            max(round(500 * part), every), every, round(15_000 * part), reset if reset >= RESET_RECOVERY_STEPS else 0
+        )
 
     def due(self, step: int) -> bool:
         """Whether Gaussians are cloned, split and removed after this step."""
@@ -71,9 +73,9 @@ class Schedule:
         return self.reset > 0 and step % self.reset == 0 and step <= self.stop
 
 
-SETTLE = 25
+MIN_ROUND_STEPS = 25
 """Steps between rounds, at least: clones are on top of each other at first, and pulled as hard as before."""
-HEAL = 300
+RESET_RECOVERY_STEPS = 300
 """Steps that opacities need after a reset: 150 to come back at 0.05 of a logit each, as many again to settle."""
 
 

@@ -21,8 +21,8 @@ from splatpainter.kernels.parallel import run
 from splatpainter.metrics.images import C1, C2, RADIUS, SIGMA
 
 WINDOW = 2 * RADIUS + 1
-TAPS = np.exp(-0.5 * (np.arange(-RADIUS, RADIUS + 1) / SIGMA) ** 2)
-TAPS = (TAPS / TAPS.sum()).astype(np.float32)
+SSIM_KERNEL = np.exp(-0.5 * (np.arange(-RADIUS, RADIUS + 1) / SIGMA) ** 2)
+SSIM_KERNEL = (SSIM_KERNEL / SSIM_KERNEL.sum()).astype(np.float32)
 """[WINDOW] of the separable window."""
 STRIPE = 8
 """Rows of pixels that a thread takes at a time."""
@@ -53,8 +53,8 @@ def picture_loss(
     a, b, gradient = image.reshape(rows), target.reshape(rows), np.empty(rows, np.float32)
     if share > 0:
         scale = np.float32(share / maps[0].size)
-        run(_similarity, a, b, each, TAPS, scale, maps, sums[0])
-    run(_gather, a, b, each, TAPS, np.float32((1 - share) / a.size), maps, gradient, sums[1])
+        run(_similarity, a, b, each, SSIM_KERNEL, scale, maps, sums[0])
+    run(_gather, a, b, each, SSIM_KERNEL, np.float32((1 - share) / a.size), maps, gradient, sums[1])
     loss = (1 - share) * sums[1].sum() / a.size
     if share > 0:
         loss += share * (total - sums[0].sum() / maps[0].size)
@@ -76,7 +76,7 @@ def torch_loss(image: Tensor, target: Tensor, weights: Tensor | None, share: flo
 def ssim_map(a: Tensor, b: Tensor) -> Tensor:
     """[H - 10, W - 10, 3] SSIM around the pixels whose window lies in the picture. a, b: [H, W, 3]."""
     stack = torch.stack([a, b, a * a, b * b, a * b]).permute(0, 3, 1, 2).reshape(15, 1, *a.shape[:2])
-    taps = torch.as_tensor(TAPS, dtype=a.dtype, device=a.device)
+    taps = torch.as_tensor(SSIM_KERNEL, dtype=a.dtype, device=a.device)
     blurred = torch.nn.functional.conv2d(stack, taps.view(1, 1, WINDOW, 1))
     blurred = torch.nn.functional.conv2d(blurred, taps.view(1, 1, 1, WINDOW))
     mean_a, mean_b, aa, bb, ab = blurred.reshape(5, 3, *blurred.shape[2:]).unbind(0)

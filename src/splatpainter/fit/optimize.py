@@ -66,7 +66,7 @@ class FitOptions:
     """Rate of logit-opacities."""
     rate_sh: float | None = None
     """Rate of the constant band; higher ones get a twentieth. None: 2.5e-3, the original's; runs of fewer than 30,000
-    steps begin 30,000 / steps times higher, at most HASTE times, and fall to it exponentially. At 2.5e-3 a colour moves
+    steps begin 30,000 / steps times higher, at most MAX_SHORT_RUN_SPEEDUP times, and fall to it exponentially. At 2.5e-3 a colour moves
     by 0.0007 a step: a painted region (128 px, 48 more views) is after 300 steps 10.7 dB from its picture and 10.0 dB
     from the truth in novel views, with 0.02 all along 42.0 and 23.8, falling from 0.05 40.2 and 24.1."""
     extent: float | None = None
@@ -226,13 +226,13 @@ class _Run:
 
 RATE_SH = 2.5e-3
 """Rate of the original."""
-HASTE = 20.0
+MAX_SHORT_RUN_SPEEDUP = 20.0
 """Short runs begin at most this many times faster."""
 
 
 def short_run_rate(steps: int, way: float) -> float:
     """FitOptions.rate_sh where none is given. way: 0 at the first step, 1 at the last."""
-    return RATE_SH * min(max(ORIGINAL_STEPS / max(steps, 1), 1.0), HASTE) ** (1 - way)
+    return RATE_SH * min(max(ORIGINAL_STEPS / max(steps, 1), 1.0), MAX_SHORT_RUN_SPEEDUP) ** (1 - way)
 
 
 def extent(splats: Splats) -> float:

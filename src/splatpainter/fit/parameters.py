@@ -26,7 +26,7 @@ MIN_SCALE = 1e-9
 BETAS = (0.9, 0.999)
 EPSILON = 1e-15
 """Adam's epsilon, as 3DGS has it: gradients of single Gaussians are tiny."""
-BLOCK = 1024
+GAUSSIANS_PER_BLOCK = 1024
 """Gaussians that a thread takes at a time."""
 
 
@@ -147,8 +147,8 @@ def _step_values(
 @njit(nogil=True, cache=True, fastmath={"contract", "arcp", "nsz"}, error_model="numpy", boundscheck=False)
 def _kernel(value, gradient, mean, square, rates, old1, new1, old2, new2, epsilon, correction, thread, threads):
     count, columns = value.shape
-    for block in range(thread, (count + BLOCK - 1) // BLOCK, threads):
-        for n in range(block * BLOCK, min(count, (block + 1) * BLOCK)):
+    for block in range(thread, (count + GAUSSIANS_PER_BLOCK - 1) // GAUSSIANS_PER_BLOCK, threads):
+        for n in range(block * GAUSSIANS_PER_BLOCK, min(count, (block + 1) * GAUSSIANS_PER_BLOCK)):
             for c in range(columns):
                 g = gradient[n, c]
                 m = old1 * mean[n, c] + new1 * g

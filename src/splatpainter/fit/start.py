@@ -23,7 +23,7 @@ MIN_ALPHA = 0.5
 MAX_SIZE_RATIO = 16
 """Gaussians larger than this many times the median Gaussian are made this large: a stray point has no near
 neighbours."""
-BLOCK = 256
+POINTS_PER_BLOCK = 256
 """Points that a thread takes at a time."""
 MAX_CELLS = 1 << 22
 
@@ -157,8 +157,8 @@ def mean_neighbour_squares(points: np.ndarray, count: int = 3) -> np.ndarray:
 def _search(points, listed, order, cells, starts, shape, cell, count, out, thread, threads):
     best = np.empty(count, np.float32)
     reach = max(shape[0], shape[1], shape[2])
-    for block in range(thread, (len(points) + BLOCK - 1) // BLOCK, threads):
-        for i in range(block * BLOCK, min(len(points), (block + 1) * BLOCK)):
+    for block in range(thread, (len(points) + POINTS_PER_BLOCK - 1) // POINTS_PER_BLOCK, threads):
+        for i in range(block * POINTS_PER_BLOCK, min(len(points), (block + 1) * POINTS_PER_BLOCK)):
             best[:] = np.inf
             cx, cy, cz = cells[i]
             for ring in range(reach + 1):

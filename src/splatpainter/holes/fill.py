@@ -26,7 +26,7 @@ from splatpainter.splats import Splats
 
 MAX_STRETCH = 2.0
 """Largest stretch of a Gaussian along a slanted surface."""
-MAX_ROW = 3
+MAX_GAUSSIANS_PER_CELL = 3
 """Gaussians that share a cell where it is steeper."""
 BAND_SHARE, MIN_BAND_PX, MAX_BAND_PX = 0.35, 6, 28
 """Width of the strip of shell whose heights are continued: in square roots of the hole's area, pixels."""
@@ -163,8 +163,8 @@ def _filled(splats: Splats, chart: Chart, border: Border) -> Splats:
     camera = chart.camera
     rays = camera.sight_lines(pixels)
     facing = -(rays * normals).sum(1) / np.linalg.norm(rays, axis=1)
-    stretch = np.clip(1 / np.maximum(facing, 1e-3), 1, MAX_STRETCH * MAX_ROW)
-    count = np.clip(np.ceil(stretch / MAX_STRETCH), 1, MAX_ROW).astype(np.int64)
+    stretch = np.clip(1 / np.maximum(facing, 1e-3), 1, MAX_STRETCH * MAX_GAUSSIANS_PER_CELL)
+    count = np.clip(np.ceil(stretch / MAX_STRETCH), 1, MAX_GAUSSIANS_PER_CELL).astype(np.int64)
     source = np.repeat(np.arange(len(pixels)), count)
     turn = np.arange(len(source)) - np.repeat(np.cumsum(count) - count, count)
     shift = (turn + 0.5) / count[source] - 0.5

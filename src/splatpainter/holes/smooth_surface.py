@@ -15,10 +15,10 @@ MAX_KNOTS = 500
 """Values that a thin plate is fitted to; of more, so many are taken."""
 ROBUST_ROUNDS = 4
 """Rounds of reweighting by residuals (Cauchy), after which outliers say little."""
-BLOCK = 1 << 22
+DISTANCES_PER_BLOCK = 1 << 22
 """Distances in memory at a time."""
 COARSEST_PX = 6
-SWEEPS = 40
+MEMBRANE_SWEEPS = 40
 """Sweeps of a membrane on each level of its pyramid."""
 
 
@@ -44,7 +44,7 @@ class ThinPlate:
         weights, solved = np.ones(len(knots)), np.zeros(len(knots) + 3)
         on_line = np.linalg.cond(ones) > MAX_CONDITION
         for _ in range(ROBUST_ROUNDS):
-            stiff = np.diag(STIFFNESS * len(knots) / weights)
+            stiff = np.diag(BENDING_WEIGHT * len(knots) / weights)
             system = np.block([[kernel + stiff, ones], [ones.T, np.zeros((3, 3))]])
             right = np.append(heights, np.zeros(3))
             solved = np.linalg.lstsq(system, right, rcond=1e-12)[0] if on_line else np.linalg.solve(system, right)
@@ -55,7 +55,7 @@ class ThinPlate:
     def at(self, points: np.ndarray) -> np.ndarray:
         """[Q] values at [Q, 2]."""
         out = np.empty(len(points))
-        step = max(BLOCK // max(len(self.knots), 1), 1)
+        step = max(DISTANCES_PER_BLOCK // max(len(self.knots), 1), 1)
         for start in range(0, len(points), step):
             part = points[start : start + step] / self.scale
             out[start : start + step] = _phi(_distances(part, self.knots)) @ self.weights[:-3]
@@ -66,7 +66,7 @@ class ThinPlate:
 MAX_CONDITION = 1e6
 """Largest condition number of the knots' linear functions: beyond it they lie on a line, and slopes across it are open
 (the least are taken)."""
-STIFFNESS = 1e-6
+BENDING_WEIGHT = 1e-6
 """Weight of the bending energy for each knot (lengths over the extent): noise is smoothed, slopes at the rim stay."""
 
 
@@ -114,7 +114,7 @@ def membrane(values: np.ndarray, free: np.ndarray) -> np.ndarray:
     else:
         out = np.where(free[..., None], values[~free].mean(0), out)
     counts = _neighbours(np.ones((height, width, 1)))
-    for _ in range(SWEEPS):
+    for _ in range(MEMBRANE_SWEEPS):
         out = np.where(free[..., None], _neighbours(out) / counts, out)
     return out
 

@@ -12,18 +12,18 @@ import numpy as np
 
 from splatpainter.holes.smooth_surface import membrane
 
-PATCH = 7
+PATCH_PX = 7
 """Side of a patch, pixels, odd."""
 MIN_LEVEL_PX = 24
 """Shorter side of the bounding box of a hole that is not halved again."""
-TONE_VOTE = 2.0 * PATCH**2
+TONE_VOTE = 2.0 * PATCH_PX**2
 """Weight of the difference of tones beside those of a patch's pixels."""
-SPREAD, LAST_SPREAD = 1.2, 0.6
+VOTE_SPREAD_PX, LAST_VOTE_SPREAD_PX = 1.2, 0.6
 """Standard deviation, pixels, of the weights of the patches over a pixel; in the last round the middles of patches
 count for most, which keeps the grain."""
-ROUNDS = (4, 14)
+LEVEL_ROUNDS = (4, 14)
 """Rounds of matching and voting: on all levels but the coarsest, on that."""
-JUMPS = (1, 4)
+PROPAGATION_STEPS_PX = (1, 4)
 """Pixels from which neighbours' matches are tried."""
 TONE_SHARE = 0.35
 """Width of the blur that makes the tone, in square roots of the hole's area."""
@@ -32,7 +32,7 @@ TONE_COPIED = 0.6
 """Share of the tone that is copied with patches; the rest is the membrane's."""
 CLEANING_PX = 2
 """Reach of the blur that replaces what is not clean."""
-CONFIDENCE = 1.3
+DEPTH_WEIGHT_BASE = 1.3
 """Each pixel deeper in the hole counts for so much less."""
 
 
@@ -89,14 +89,14 @@ def _completed(
     if not len(ys) or not _sources(valid).any():
         return np.where(valid[..., None], detail, 0)
     smallest = min(np.ptp(ys), np.ptp(xs)) + 1
-    if smallest > MIN_LEVEL_PX and min(hole.shape) >= 6 * PATCH:
+    if smallest > MIN_LEVEL_PX and min(hole.shape) >= 6 * PATCH_PX:
         coarse, coarse_valid = _halved(detail, valid)
         coarse_hole = _any_block(hole)
         below = _completed(coarse, _halved(tone, np.ones_like(valid))[0], coarse_valid & ~coarse_hole, coarse_hole, rng)
         first = below.repeat(2, 0).repeat(2, 1)[: hole.shape[0], : hole.shape[1]]
-        rounds = ROUNDS[0]
+        rounds = LEVEL_ROUNDS[0]
     else:
-        first, rounds = None, ROUNDS[1]
+        first, rounds = None, LEVEL_ROUNDS[1]
     out = np.where(valid[..., None], detail, 0).astype(np.float32)
     if first is None:  # from anywhere: patches that fit best between nothing and nothing are plain ones
         values = detail[valid]
@@ -110,7 +110,7 @@ def _matched(
     picture: np.ndarray, tone: np.ndarray, valid: np.ndarray, hole: np.ndarray, rounds: int, rng
 ) -> np.ndarray:
     height, width = hole.shape
-    half = PATCH // 2
+    half = PATCH_PX // 2
     sources = np.flatnonzero(_sources(valid))
     if not len(sources):
         return picture
@@ -158,7 +158,7 @@ def _matched(
             match[better] = candidates[better]
             best[better] = score[better]
 
-        for jump in JUMPS if turn else (1, 4, 16):
+        for jump in PROPAGATION_STEPS_PX if turn else (1, 4, 16):
             for step in (-jump, jump, -jump * width, jump * width):
                 neighbour = np.clip(centers + step, 0, height * width - 1)
                 there = position[neighbour]
@@ -184,7 +184,7 @@ def _confidence(valid: np.ndarray, hole: np.ndarray) -> np.ndarray:
         inner = left.copy()
         for axis in (0, 1):
             inner &= _box(left.astype(np.float64), 1, axis) > 1 - 1e-9
-        out[left & ~inner] = max(CONFIDENCE**-depth, 1e-3)
+        out[left & ~inner] = max(DEPTH_WEIGHT_BASE**-depth, 1e-3)
         left = inner
     return out
 
@@ -194,10 +194,10 @@ def _vote(flat, inside, centers, offsets, match, best, trust, last: bool) -> Non
     scale = max(float(np.quantile(best, 0.75)), 1e-9)
     quality = (np.exp(-best / (2 * scale)) + 1e-4) * trust
     sums, weights = np.zeros((len(flat), 3)), np.zeros(len(flat))
-    half = PATCH // 2
+    half = PATCH_PX // 2
     for k, offset in enumerate(offsets):
-        dy, dx = k // PATCH - half, k % PATCH - half
-        share = quality * np.exp(-(dy * dy + dx * dx) / (2 * (LAST_SPREAD if last else SPREAD) ** 2))
+        dy, dx = k // PATCH_PX - half, k % PATCH_PX - half
+        share = quality * np.exp(-(dy * dy + dx * dx) / (2 * (LAST_VOTE_SPREAD_PX if last else VOTE_SPREAD_PX) ** 2))
         weights += np.bincount(centers + offset, share, len(flat))
         for c in range(3):
             sums[:, c] += np.bincount(centers + offset, share * flat[match + offset, c], len(flat))
@@ -207,7 +207,7 @@ def _vote(flat, inside, centers, offsets, match, best, trust, last: bool) -> Non
 
 def _sources(valid: np.ndarray) -> np.ndarray:
     """[H, W] bool: middles of patches of which every pixel is valid."""
-    half = PATCH // 2
+    half = PATCH_PX // 2
     out = valid.astype(np.float64)
     for axis in (0, 1):
         out = _box(out, half, axis)

@@ -26,7 +26,7 @@ from splatpainter.io.ply_container import Element, Header, element_size, make_he
 from splatpainter.io.reuse import differs, drawable_rows, row_problems, unchanged
 from splatpainter.splats import Source, Splats
 
-CHUNK = 256
+GAUSSIANS_PER_CHUNK = 256
 AXES = ("x", "y", "z"), ("scale_x", "scale_y", "scale_z"), ("r", "g", "b")
 WORDS = ("packed_position", "packed_scale", "packed_color")
 BITS = (11, 10, 11), (11, 10, 11), (8, 8, 8, 8)
@@ -89,7 +89,7 @@ def write_compressed_ply(path: Path, splats: Splats) -> None:
     if rest != len(_rest_names(record.tables)):
         names = [("uchar", f"f_rest_{k}") for k in range(rest)]
         header = header.with_element("sh", count, names if rest else (), behind="vertex")
-    header = header.with_counts({"chunk": -(-count // CHUNK), "vertex": count, "sh": count})
+    header = header.with_counts({"chunk": -(-count // GAUSSIANS_PER_CHUNK), "vertex": count, "sh": count})
     header = settled_comments(header, splats, old)
     tables = dict(record.tables)
     same = unchanged(splats, "compressed.ply")
@@ -118,9 +118,10 @@ def _check(header: Header, path: Path) -> None:
     colors = [f"{side}_{axis}" for axis in AXES[2] for side in ("min", "max")]
     if set(colors).intersection(chunk.names):
         _need(header, "chunk", colors, "f4", path)
-    if chunk.count != -(-vertex.count // CHUNK):
+    if chunk.count != -(-vertex.count // GAUSSIANS_PER_CHUNK):
         raise ValueError(
-            f"{path}: expected {-(-vertex.count // CHUNK)} chunks for {vertex.count} rows, found {chunk.count}"
+            f"{path}: expected {-(-vertex.count // GAUSSIANS_PER_CHUNK)} chunks for {vertex.count} rows, "
+            f"found {chunk.count}"
         )
     sh = header.element("sh")
     if sh is not None:
@@ -161,10 +162,10 @@ def _decode(header: Header, tables: Mapping[str, np.ndarray]) -> Splats:
         color_space=space,
     )
     ranges = [_ranges(tables["chunk"], axes) for axes in AXES]
-    step = 256 * CHUNK  # rows decoded at a time, to bound the float64 intermediates
+    step = 256 * GAUSSIANS_PER_CHUNK  # rows decoded at a time, to bound the float64 intermediates
     for start in range(0, count, step):
         rows = slice(start, start + step)
-        chunk = np.arange(start, min(start + step, count)) // CHUNK
+        chunk = np.arange(start, min(start + step, count)) // GAUSSIANS_PER_CHUNK
         fields = [_fields(vertex[rows], group) for group in range(3)]
         real = [
             packing.dequantise(fields[group][:, :3], low[chunk], high[chunk], _levels(group))
@@ -191,13 +192,13 @@ def _pack(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The chunk and vertex tables of `splats`."""
     count = len(splats)
-    starts = np.arange(0, count, CHUNK)
-    chunk = np.arange(count) // CHUNK
+    starts = np.arange(0, count, GAUSSIANS_PER_CHUNK)
+    chunk = np.arange(count) // GAUSSIANS_PER_CHUNK
     # A chunk may keep the ranges of the source chunk that its first row comes from; -1 where that row is new.
-    source_chunks = np.where(origin[starts] >= 0, origin[starts] // CHUNK, -1) if count else starts
+    source_chunks = np.where(origin[starts] >= 0, origin[starts] // GAUSSIANS_PER_CHUNK, -1) if count else starts
     chunks = _copies(record.tables["chunk"], source_chunks)
     vertex = _copies(record.tables["vertex"], origin)
-    same_chunk = (origin >= 0) & (np.where(origin >= 0, origin // CHUNK, -1) == source_chunks[chunk])
+    same_chunk = (origin >= 0) & (np.where(origin >= 0, origin // GAUSSIANS_PER_CHUNK, -1) == source_chunks[chunk])
     drawable = drawable_rows(splats) if count else splats
     values = (
         drawable.means.astype(np.float64),

@@ -52,7 +52,7 @@ QUARTER_TURN = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], float)
 SH_BITS = (7, 7)
 """Precision of the SH bytes that we quantise. The reference keeps (5, 4); on a view-dependent asset that costs 6.0/255
 of colour (rms over directions), (7, 7) costs 0.75/255 and 26 % more file, (8, 8) 0.3/255 and 35 %."""
-LEAST_BITS_OF_BAND_1 = 5
+MIN_SH_BAND1_BITS = 5
 """Least bits of SH band 1, as in the reference."""
 COLOR_SCALE = 0.15
 """A colour byte is 255 * (COLOR_SCALE * sh0 + 0.5): base colours from -0.44 to 1.44 in steps of 1/136."""
@@ -245,7 +245,7 @@ def _encode(
         keeps = {"positions": False, "rotations": False, "sh": False}
     bits_of_bands = (8, 8) if turned else SH_BITS  # a word with its sign changed needs all 8
     if sh_bits is not None:
-        keeps["sh"], bits_of_bands = False, (max(sh_bits, LEAST_BITS_OF_BAND_1), sh_bits)
+        keeps["sh"], bits_of_bands = False, (max(sh_bits, MIN_SH_BAND1_BITS), sh_bits)
     pack_quats = pack_quats_first_three if version < 3 else pack_quats_smallest_three
     streams = {
         "positions": pack_half_positions(rows.means) if version == 1 else _pack_positions(rows, bits, path),

@@ -19,7 +19,7 @@ from numba.extending import intrinsic
 
 from splatpainter.kernels.simd import strict
 
-SIZE, BITS = 128, 7
+TABLE_ENTRIES, LOG2_TABLE_ENTRIES = 128, 7
 """Entries of the table, and log2 of that."""
 LOWEST = -708.0
 """Below, results are 0: they would be subnormal."""
@@ -28,7 +28,7 @@ C2, C3, C4, C5 = (
     for text in ("0x1.ffffffffffdbdp-2", "0x1.555555555543cp-3", "0x1.55555cf172b91p-5", "0x1.1111167a4d017p-7")
 )
 """(exp(r) - 1 - r) / r^2 for |r| < ln 2 / 256."""
-INVERSE_STEP = float.fromhex("0x1.71547652b82fep0") * SIZE
+INVERSE_STEP = float.fromhex("0x1.71547652b82fep0") * TABLE_ENTRIES
 STEP_HIGH, STEP_LOW = float.fromhex("-0x1.62e42fefa0000p-8"), float.fromhex("-0x1.cf79abc9e3b39p-47")
 """-ln 2 / 128, in two parts."""
 SHIFT = float.fromhex("0x1.8p52")
@@ -37,13 +37,13 @@ SHIFT = float.fromhex("0x1.8p52")
 
 def _table() -> tuple[np.ndarray, np.ndarray]:
     """([128] int64 bits of 2^(i / 128), less i << 45; [128] float64 what rounding took from it, relative)."""
-    bits, tails = np.zeros(SIZE, np.int64), np.zeros(SIZE)
+    bits, tails = np.zeros(TABLE_ENTRIES, np.int64), np.zeros(TABLE_ENTRIES)
     with localcontext() as context:
         context.prec = 60
-        for i in range(SIZE):
-            exact = Decimal(2) ** (Decimal(i) / SIZE)
+        for i in range(TABLE_ENTRIES):
+            exact = Decimal(2) ** (Decimal(i) / TABLE_ENTRIES)
             rounded = float(exact)
-            bits[i] = np.float64(rounded).view(np.int64) - (i << (52 - BITS))
+            bits[i] = np.float64(rounded).view(np.int64) - (i << (52 - LOG2_TABLE_ENTRIES))
             tails[i] = float((exact - Decimal(rounded)) / Decimal(rounded))
     return bits, tails
 
@@ -66,8 +66,8 @@ def exp64(x):
     number = np.float64(shifted).view(np.int64)
     steps = shifted - SHIFT
     r = fma(steps, STEP_LOW, fma(steps, STEP_HIGH, x))
-    i = number & np.int64(SIZE - 1)
-    scale = np.int64(TABLE_BITS[i] + (number << np.int64(52 - BITS))).view(np.float64)
+    i = number & np.int64(TABLE_ENTRIES - 1)
+    scale = np.int64(TABLE_BITS[i] + (number << np.int64(52 - LOG2_TABLE_ENTRIES))).view(np.float64)
     square = r * r
     rest = fma(square, fma(r, C3, C2), TABLE_TAILS[i] + r)
     rest = fma(square * square, fma(r, C5, C4), rest)

@@ -31,12 +31,12 @@ DETAIL_WIDTH = 0.75
 DETAIL_THICKNESS = 0.15
 """Thickness / smaller width."""
 DETAIL_OPACITY = 0.9
-BEFORE_PX = 0.25
+DETAIL_OFFSET_PX = 0.25
 """Pixels by which detail lies before the surface: on a flat sheet, whose Gaussians all have the surface's own depth, it
 would be hidden behind them (17.7 instead of 29.1 dB there)."""
 ONE_COLOR = 0.04
 """Colours that differ by less than this in every channel, 0..1, are one."""
-MARGIN = 1.7
+UNIFORM_COLOR_REACHES = 1.7
 """Reaches of a detail Gaussian over which the picture has one colour, where the reach is not the smallest."""
 MIN_FACING = 0.35
 """Cosine between line of sight and normal that a surface counts as having, at least: how far Gaussians stretch."""
@@ -75,7 +75,7 @@ def detail_layer(
     ys, xs, direction, along, across = ys[chosen], xs[chosen], direction[chosen], along[chosen], across[chosen]
     z = depth[ys, xs].astype(np.float64)
     axes, scales = _axes(depth, ys, xs, direction, DETAIL_WIDTH * along, DETAIL_WIDTH * across, view)
-    means = camera.unproject(z * (1 - BEFORE_PX / camera.fx), np.stack([xs, ys], 1) + 0.5)
+    means = camera.unproject(z * (1 - DETAIL_OFFSET_PX / camera.fx), np.stack([xs, ys], 1) + 0.5)
     if not max(np.abs(means).max(), scales.max()) <= MAX_MAGNITUDE:  # seen through a lens beyond all measure
         return None
     entries = host[ys, xs]
@@ -155,7 +155,7 @@ def _measure(picture, depth, ys, xs, directions, reaches, out):
         y, x = ys[n], xs[n]
         out[n] = reaches[0]
         for k in range(1, len(reaches)):
-            reach, same = MARGIN * reaches[k], True
+            reach, same = UNIFORM_COLOR_REACHES * reaches[k], True
             steps = int(np.ceil(reach))
             for s in range(-steps, steps + 1):
                 row = int(np.floor(y + 0.5 + s / steps * reach * directions[n, 1]))

@@ -18,7 +18,7 @@ from splatpainter.rendering.profiles import EPS2D, MIN_ALPHA
 from splatpainter.splats import Splats
 from splatpainter.transforms import matrix_to_quat, principal_axes, quat_to_matrix
 
-ROUNDS = 12
+MAX_MERGE_ROUNDS = 12
 """Rounds of pairs, at most; ..."""
 MIN_MERGED_SHARE = 0.01
 """... none after one that joined fewer than this share."""
@@ -38,10 +38,12 @@ SHAPE_COST = 0.02
 """Cost of a nat of lost shape, per pixel that shows it, in the same units."""
 UNSEEN_PX = 0.02
 """Pixels as which hidden Gaussians count."""
-OVERLAP = 0.15
-"""What overlap costs: of a sum A of peaks at one place, A - OVERLAP A^2 is left: between what Gaussians beside one
-another (split.py: 0.1) and what those behind one another (0.25) would want. Of 0.15, 0.1 and 0.25 none was better by
-more than 0.1 dB."""
+PEAK_OVERLAP_LOSS = 0.15
+"""What overlap costs: of a sum A of peaks at one place, A - PEAK_OVERLAP_LOSS A^2 is left: between what Gaussians beside one
+another
+(split.py: 0.1) and what those behind one another (0.25) would want. Of 0.15, 0.1 and 0.25 none was better by
+more than
+0.1 dB."""
 MIN_FLATNESS = 1e-4
 """Thickness over length, at least."""
 _CELLS = 1 << 20
@@ -110,7 +112,9 @@ class _Mixture:
         slots[first] |= self.slots[second]
         new = _Mixture(points, covariances, peaks, colors, pixels, slots)
         height = total / new.areas()[first]
-        peaks[first] = np.clip(height - OVERLAP * np.minimum(height, 1 / (2 * OVERLAP)) ** 2, 0, 0.999)
+        peaks[first] = np.clip(
+            height - PEAK_OVERLAP_LOSS * np.minimum(height, 1 / (2 * PEAK_OVERLAP_LOSS)) ** 2, 0, 0.999
+        )
         left = np.ones(len(self), bool)
         left[second] = False
         return _Mixture(*(values[left] for values in (points, covariances, peaks, colors, pixels, slots)))
@@ -144,7 +148,7 @@ def merge(
     label = np.arange(len(ids))  # [C] which of the mixture each went into
     source = ids.copy()  # [M] of the mixture
     cell = FIRST_CELL_PX
-    for _ in range(ROUNDS):
+    for _ in range(MAX_MERGE_ROUNDS):
         if len(mixture) < 2:
             break
         partner = mixture.partners(cell)

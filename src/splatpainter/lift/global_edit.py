@@ -23,7 +23,7 @@ from splatpainter.splats import SH_C0, Splats
 Predict = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Another regression in place of this one: (change [N, 3] of base colour of Gaussians that are seen, weight [N] pixels
 that show each) -> [N, 3] change of every Gaussian."""
-CONFLICT = 0.15
+MIN_CONFLICT_CHANGE = 0.15
 """Changes of one Gaussian that differ by more than this between views are a conflict: the later view decides."""
 MAX_WEIGHT_PX = 50.0
 """A huge Gaussian must not outvote a thousand small ones."""
@@ -175,7 +175,7 @@ def _solid_views(splats: Splats, views: Sequence[tuple[Camera, np.ndarray, np.nd
         weight = view.weight[ids]
         gain, _ = view.projected.sirt_step(target, view.use, np.maximum(view.projected.unclamped_colors, 0))
         change = gain / np.maximum(weight, 1e-6)[:, None]
-        weight[decided[ids] & (np.abs(change - last[ids]).max(1) > CONFLICT)] = 0
+        weight[decided[ids] & (np.abs(change - last[ids]).max(1) > MIN_CONFLICT_CHANGE)] = 0
         fresh = (weight > 1) & ~decided[ids]
         last[ids[fresh]], decided[ids[fresh]] = change[fresh], True
         view.weight[ids] = weight

@@ -21,14 +21,14 @@ from splatpainter.rendering.cpu.sirt import sirt_steps
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.transforms import inverses, sh_basis
 
-SLOWNESS = 0.1
+UNSEEN_DAMPING = 0.1
 """Pixels' worth of weight that each pixel's worth of a Gaussian that no edited view shows adds to the divisor of its
 steps."""
 MIN_DIVISOR = 1e-6
 """Pixels' worth of weight; keeps divisors above 0."""
 DIRECTION_RIDGE = 1.0
 """Pixels' worth of weight that each pixel's worth that shows a Gaussian adds to the divisors of band 1."""
-BLOCK = 1024
+GAUSSIANS_PER_BLOCK = 1024
 """Gaussians of a picture that a thread takes at a time."""
 
 
@@ -94,7 +94,7 @@ def recolored_together(
     for picture, basis in every:
         run(_add_squares, picture.ids, basis, picture.weight, divisor)
         weight[picture.ids] += picture.weight
-    slow = SLOWNESS * hidden
+    slow = UNSEEN_DAMPING * hidden
     divisor[:, 0, 0] += SH_C0**2 * np.maximum(slow, MIN_DIVISOR)
     for k in range(1, bands):
         divisor[:, k, k] += SH_C0**2 * np.maximum(DIRECTION_RIDGE * (weight + slow), MIN_DIVISOR)
@@ -138,8 +138,8 @@ _kernel = njit(nogil=True, cache=True, error_model="numpy", boundscheck=False)
 def _change_colors(ids, basis, change, before, ceiling, out, thread, threads):
     """out [C, 3]: `before` with changed bands, 0 to the ceiling (or as far above it as before)."""
     count, bands = basis.shape
-    for block in range(thread, (count + BLOCK - 1) // BLOCK, threads):
-        for c in range(block * BLOCK, min(count, (block + 1) * BLOCK)):
+    for block in range(thread, (count + GAUSSIANS_PER_BLOCK - 1) // GAUSSIANS_PER_BLOCK, threads):
+        for c in range(block * GAUSSIANS_PER_BLOCK, min(count, (block + 1) * GAUSSIANS_PER_BLOCK)):
             for k in range(3):
                 sum_of_bands = np.float32(0)
                 for b in range(bands):
@@ -152,8 +152,8 @@ def _change_colors(ids, basis, change, before, ceiling, out, thread, threads):
 def _add_residual(ids, basis, residual, gain, thread, threads):
     """gain [N, B, 3] += y r^T of each of a view's Gaussians."""
     count, bands = basis.shape
-    for block in range(thread, (count + BLOCK - 1) // BLOCK, threads):
-        for c in range(block * BLOCK, min(count, (block + 1) * BLOCK)):
+    for block in range(thread, (count + GAUSSIANS_PER_BLOCK - 1) // GAUSSIANS_PER_BLOCK, threads):
+        for c in range(block * GAUSSIANS_PER_BLOCK, min(count, (block + 1) * GAUSSIANS_PER_BLOCK)):
             for b in range(bands):
                 for k in range(3):
                     gain[ids[c], b, k] += basis[c, b] * residual[c, k]
@@ -163,8 +163,8 @@ def _add_residual(ids, basis, residual, gain, thread, threads):
 def _add_squares(ids, basis, weight, divisor, thread, threads):
     """divisor [N, B, B] += w y y^T of each of a view's Gaussians."""
     count, bands = basis.shape
-    for block in range(thread, (count + BLOCK - 1) // BLOCK, threads):
-        for c in range(block * BLOCK, min(count, (block + 1) * BLOCK)):
+    for block in range(thread, (count + GAUSSIANS_PER_BLOCK - 1) // GAUSSIANS_PER_BLOCK, threads):
+        for c in range(block * GAUSSIANS_PER_BLOCK, min(count, (block + 1) * GAUSSIANS_PER_BLOCK)):
             for a in range(bands):
                 for b in range(bands):
                     divisor[ids[c], a, b] += weight[c] * basis[c, a] * basis[c, b]

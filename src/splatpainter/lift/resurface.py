@@ -34,9 +34,9 @@ MIN_COVER = 0.6
 """Alpha of a pixel below which no sheet lies there."""
 RING_PX = 2
 """Unedited pixels around the edited ones that the sheet covers too."""
-INSIDE = 0.85
+MIN_REPLACED_SHARE = 0.85
 """Share of a Gaussian's footprint under the sheet from which all of it goes, ..."""
-OUTSIDE = 0.08
+MAX_UNTOUCHED_SHARE = 0.08
 """... and up to which all of it stays."""
 RIM_GOAL_PX = 2.2
 """Gaussians across the sheet's edge are halved until they are no wider than this (standard deviation)."""
@@ -54,7 +54,7 @@ MIN_CLEAR = 0.5
 """... if that leaves less than this share of the pixels, the edit gets no sheet at all."""
 UNEDITED_WEIGHT = 0.35
 """Weight of an unedited pixel in colour rounds, beside an edited one."""
-RELAXATION = 0.75
+COLOR_STEP_FRACTION = 0.75
 """Share of a colour round's step that sheets take."""
 MIN_PEAK = 0.02
 """Old Gaussians that remain before the sheet, and give some pixel of it more than this share, ..."""
@@ -175,7 +175,7 @@ def clear_pixels(
     sums, everywhere = view.mask_sums(covered, np.ones(covered.shape, bool))
     share = sums.alpha / np.maximum(everywhere.alpha, 1e-9)
     handled = sums.weight > 0
-    unsure = np.flatnonzero(handled & (share <= INSIDE))
+    unsure = np.flatnonzero(handled & (share <= MIN_REPLACED_SHARE))
     reached = np.flatnonzero(handled)
     handled[unsure] = row_max(projected_sizes(splats.geometry(ids[unsure]), view.camera)) < MAX_CUT_PX
     sides = near.sides(splats, ids[reached])
@@ -226,10 +226,10 @@ def _cut(
     those of `splats` that make covered pixels; share: [C] of each one's footprint under the sheet; tiles: [TH, TW] bool
     all that they touch; seen: [N] bool, those that make the picture: what is hidden behind them goes or stays as
     one."""
-    chosen = np.flatnonzero(share > OUTSIDE)
+    chosen = np.flatnonzero(share > MAX_UNTOUCHED_SHARE)
     touching = np.zeros(len(ids), bool)
     touching[chosen] = near.touches(splats, ids[chosen])
-    across = touching & (share < INSIDE)
+    across = touching & (share < MIN_REPLACED_SHARE)
     wide = across & seen[ids]
     lattice = Lattice.of(splats, camera, ids, ids[wide])
     for turn in range(MAX_RIM_HALVINGS + 1):
@@ -243,11 +243,11 @@ def _cut(
         under, everywhere = view.mask_sums(covered, np.ones(covered.shape, bool))
         share, touching = np.zeros(len(lattice)), np.zeros(len(lattice), bool)
         share[ids[view.gaussian_ids]] = under.alpha / np.maximum(everywhere.alpha, 1e-9)
-        chosen = np.flatnonzero(share[ids] > OUTSIDE)
+        chosen = np.flatnonzero(share[ids] > MAX_UNTOUCHED_SHARE)
         touching[ids[chosen]] = near.touches(pieces, chosen)
-        across = touching & (share < INSIDE)
+        across = touching & (share < MIN_REPLACED_SHARE)
         wide = across & seen[lattice.parent]
-    return lattice, touching & (share > np.where(across, 0.5, INSIDE))
+    return lattice, touching & (share > np.where(across, 0.5, MIN_REPLACED_SHARE))
 
 
 def _sheet(
@@ -357,7 +357,9 @@ def _recolored(
     hanging = (inside.peak > MIN_PEAK) & (inside.weight > MIN_SHEET_SHARE * everywhere.weight)
     hanging &= inside.weight > MIN_VISIBLE * inside.alpha
     editable = np.flatnonzero(added | piece | hanging)
-    lifted = lift_colors(view, goal, weights, added | piece | hanging, options.sheet_rounds, relaxation=RELAXATION)
+    lifted = lift_colors(
+        view, goal, weights, added | piece | hanging, options.sheet_rounds, relaxation=COLOR_STEP_FRACTION
+    )
     before, lifted, ids = view.unclamped_colors[editable], lifted[editable], ids[editable]
     moved = row_max(np.abs(lifted - np.maximum(before, 0))) > MIN_CHANGE
     fresh = pieces.splats.append(sheet)

@@ -25,12 +25,12 @@ EDGE_CONTRAST = 0.15
 """Range of the colours around a pixel from which it lies on an edge of the picture, ..."""
 EDGE_WIDTH = 0.6
 """... where its Gaussian is narrower by this factor."""
-THICKNESS = 0.1
+SHEET_THICKNESS_RATIO = 0.1
 """Thickness of a sheet Gaussian over its width."""
 SHEET_OPACITY = 0.97
 MAX_STRETCH = 2.0
 """A sheet Gaussian is stretched along a slanted surface at most this much; where the surface is steeper ..."""
-MAX_ROW = 4
+MAX_GAUSSIANS_PER_CELL = 4
 """... up to so many of them share the cell, one behind the other."""
 MAX_LENGTH_APART = 1.2
 """Length of the surface under a cell over its distance to that under the next one along the slant, at most."""
@@ -152,7 +152,7 @@ def sheet_geometry(
     width = cells.sizes * np.where(single, PIXEL_WIDTH, CELL_WIDTH) * np.where(sharp, EDGE_WIDTH, 1)
     chosen = np.flatnonzero(at.depth > 0)
     stretch = _stretch(surface, cells, at, chosen)
-    count = np.clip(np.ceil(stretch / MAX_STRETCH), 1, MAX_ROW).astype(np.int64)
+    count = np.clip(np.ceil(stretch / MAX_STRETCH), 1, MAX_GAUSSIANS_PER_CELL).astype(np.int64)
     source = np.repeat(np.arange(len(chosen)), count)
     step = np.arange(len(source)) - np.repeat(np.cumsum(count) - count, count)
     shift = (step + 0.5) / count[source] - 0.5
@@ -239,7 +239,7 @@ def pixel_gaussians(
     flip = np.linalg.det(rotation) < 0
     rotation[flip, :, 0] *= -1
     width = width_px * depth / camera.fx
-    scales = np.stack([width, width * stretch / count, width * THICKNESS], 1)
+    scales = np.stack([width, width * stretch / count, width * SHEET_THICKNESS_RATIO], 1)
     world_along = along @ camera.world_to_camera[:3, :3]
     means = camera.unproject(depth, pixels)
     means += (shift * cell_px * depth / camera.fx * stretch)[:, None] * world_along

@@ -24,8 +24,8 @@ from splatpainter.transforms import quat_to_matrix, turned
 
 SPACING = 1.75
 """Distance between the sites of a level / the width (standard deviation) of its Gaussians."""
-REACH = 2
-"""A Gaussian that is halved puts children on 2 REACH + 1 sites of the next level."""
+CHILD_REACH_SITES = 2
+"""A Gaussian that is halved puts children on 2 CHILD_REACH_SITES + 1 sites of the next level."""
 MAX_LEVEL = 12
 """Halvings along one axis."""
 _MAX_SITE = 1 << 15
@@ -34,18 +34,19 @@ _MAX_SITE = 1 << 15
 
 @lru_cache(maxsize=1)
 def table() -> tuple[np.ndarray, np.ndarray]:
-    """([O] parent peak alphas, ascending, [O, REACH + 1] peaks of the central child and of those 1, 2 sites away)."""
+    """([O] parent peak alphas, ascending, [O, CHILD_REACH_SITES + 1] peaks of the central child and of those 1, 2 sites
+    away)."""
     data = json.loads(files("splatpainter.lift").joinpath("split_table.json").read_text(encoding="utf-8"))
     return np.array(data["opacities"]), np.array(data["peaks"])
 
 
 def child_peaks(opacities: np.ndarray) -> np.ndarray:
-    """[N] parent peak alphas -> [N, 2 REACH + 1] peaks of the children, in the order of their sites."""
+    """[N] parent peak alphas -> [N, 2 CHILD_REACH_SITES + 1] peaks of the children, in the order of their sites."""
     parents, peaks = table()
     inner = np.clip(opacities, parents[0], parents[-1])
     half = np.stack([np.interp(inner, parents, column) for column in peaks.T], 1)
     half *= np.minimum(opacities / inner, 1)[:, None]  # below the table alpha is additive
-    return half[:, np.abs(np.arange(-REACH, REACH + 1))]
+    return half[:, np.abs(np.arange(-CHILD_REACH_SITES, CHILD_REACH_SITES + 1))]
 
 
 def merged_peak(total: np.ndarray) -> np.ndarray:
@@ -152,13 +153,13 @@ class Lattice:
     def _halved_along(self, ids: np.ndarray, k: int) -> tuple[Lattice, np.ndarray]:
         if not len(ids):
             return self, np.arange(len(self))
-        count = 2 * REACH + 1
+        count = 2 * CHILD_REACH_SITES + 1
         unchanged = np.ones(len(self), bool)
         unchanged[ids] = False
         rest = np.flatnonzero(unchanged)
         source = np.concatenate([rest, np.repeat(ids, count)])
         level, site = self.level[source], self.site[source]
-        step = np.tile(np.arange(-REACH, REACH + 1), len(ids))
+        step = np.tile(np.arange(-CHILD_REACH_SITES, CHILD_REACH_SITES + 1), len(ids))
         level[len(rest) :, k] += 1
         site[len(rest) :, k] = 2 * site[len(rest) :, k] + step
         peak = np.concatenate([self.peak[rest], child_peaks(self.peak[ids]).ravel()])

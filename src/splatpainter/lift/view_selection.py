@@ -34,7 +34,7 @@ MAX_HEIGHT = 0.02
 """Distance of a point from the plane that a view shows in its pixel, of its depth, up to which the view sees it, ..."""
 MAX_SIGHT_DISTANCE = 0.1
 """... and of the depths along the line of sight: grazing planes are long."""
-BETTER = 1.3
+MIN_RESOLUTION_RATIO = 1.3
 """Pixels per area over another view's, from which a view is preferred to a later one."""
 MIN_DIFFERENCE = 0.08
 """Colours, 0..1, that differ by less are alike, ..."""
@@ -54,7 +54,7 @@ MAJORITY_PX = (3, 6, 12)
 whose own surface is not known."""
 OVERLAP_PX = 2
 """Pixels by which the pixels of a view reach into those of others."""
-ALIKE = 0.1
+MAX_JOINT_DIFFERENCE = 0.1
 """A view's pixels that another one paints take part in the joint colours up to this difference, 0..1, ..."""
 ALIKE_PX = 2
 """... of means of this reach."""
@@ -97,7 +97,7 @@ class ViewShare:
             ratio = moved.density / np.maximum(best, 1e-9)
             beside = (winner >= 0) & (ratio > MARGIN_RATIO) & (moved.margin_px <= MARGIN_PX * np.sqrt(ratio))
             says = moved.painted | beside
-            better = _alike(moved.change, change, says & (winner >= 0), ratio) & (ratio > BETTER)
+            better = _alike(moved.change, change, says & (winner >= 0), ratio) & (ratio > MIN_RESOLUTION_RATIO)
             taken = says & ((winner < 0) | better)
             winner[taken], pixels[taken], best[taken] = k, moved.pixels[taken], moved.density[taken]
             change[taken], silent[taken] = moved.change[taken], ~moved.painted[taken]
@@ -107,7 +107,7 @@ class ViewShare:
         nothing = np.zeros_like(mask)
         out = ViewShare(nothing, nothing.copy(), np.full(mask.shape, -1), np.zeros(mask.shape, int), here.sight)
         out.painted[window] = mask_here & dilated(mask_here & ~lost, OVERLAP_PX)
-        out.consistent[window] = mask_here & judged & (difference < ALIKE)
+        out.consistent[window] = mask_here & judged & (difference < MAX_JOINT_DIFFERENCE)
         out.winner[window] = np.where(lost & ~silent & (winner != index), winner, -1)
         out.pixels[window] = pixels
         return out

@@ -52,7 +52,7 @@ MAX_ERROR_LEFT = 0.75
 truth: 0.05 to 0.57; noise of one pixel 0.97, of four pixels 0.79; exchanged colours 0.84."""
 WIDTH_GOAL_PX = 1.4
 """Gaussians are halved until they are about this wide (standard deviation, pixels of the edited view)."""
-TOLERANCE = 0.05
+MAX_CHANGE_STD = 0.05
 """Standard deviation of the change over a Gaussian's footprint (0..1) above which it is halved."""
 MAX_APPENDED = 40_000
 """About how many Gaussians splitting may append for each view."""
@@ -151,7 +151,7 @@ def _solid(view: EditView) -> np.ndarray:
 
 def _split(splats: Splats, views: Sequence[EditView]) -> WideLift:
     """The Gaussians over which the change of any view varies, split; colours are as they were."""
-    options = LocalOptions(goal_px=WIDTH_GOAL_PX, tolerance=TOLERANCE, max_appended=MAX_APPENDED)
+    options = LocalOptions(goal_px=WIDTH_GOAL_PX, tolerance=MAX_CHANGE_STD, max_appended=MAX_APPENDED)
     count = len(splats)
     ancestry, touched = np.arange(count), np.zeros(count, bool)
     for view in views:

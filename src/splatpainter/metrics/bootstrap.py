@@ -6,13 +6,14 @@ from collections.abc import Hashable, Sequence
 
 import numpy as np
 
-ROUNDS, LEVEL = 2000, 0.95
+BOOTSTRAP_ROUNDS, CONFIDENCE_LEVEL = 2000, 0.95
 
 
 def interval(
     values: Sequence[float] | np.ndarray, clusters: Sequence[Hashable] | np.ndarray | None = None, seed: int = 0
 ) -> tuple[float, float] | None:
-    """(low, high) of the mean of values [n], which may be infinite: the middle LEVEL of ROUNDS bootstrap means.
+    """(low, high) of the mean of values [n], which may be infinite: the middle CONFIDENCE_LEVEL of BOOTSTRAP_ROUNDS
+    bootstrap means.
 
     clusters: n names; whole clusters are drawn with replacement, since values of one cluster depend on each other
     (None: every value is its own). Too narrow for a handful of clusters. None with fewer than two. Equal input, equal
@@ -24,8 +25,8 @@ def interval(
     if count < 2:
         return None
     sums, counts = np.bincount(groups, values), np.bincount(groups)
-    drawn = np.random.default_rng(seed).integers(count, size=(ROUNDS, count))
+    drawn = np.random.default_rng(seed).integers(count, size=(BOOTSTRAP_ROUNDS, count))
     means = sums[drawn].sum(1) / counts[drawn].sum(1)
     # no interpolation between order statistics: infinite values would give NaN
-    low, high = np.quantile(means, [(1 - LEVEL) / 2, (1 + LEVEL) / 2], method="inverted_cdf")
+    low, high = np.quantile(means, [(1 - CONFIDENCE_LEVEL) / 2, (1 + CONFIDENCE_LEVEL) / 2], method="inverted_cdf")
     return float(low), float(high)

@@ -22,7 +22,7 @@ from splatpainter.metrics.images import checked
 
 Net = Literal["alex", "squeeze"]
 VARIABLE = "SPLATPAINTER_PERCEPTUAL"
-SMALLEST = 32
+MIN_SIDE_PX = 32
 """Least height and width in pixels: below, the deepest features have no pixel left."""
 SHIFT = (-0.030, -0.088, -0.188)
 SCALE = (0.458, 0.448, 0.450)
@@ -85,9 +85,10 @@ class Lpips:
         import torch.nn.functional as F
 
         height, width = pictures.shape[-2:]
-        if pictures.ndim != 4 or pictures.shape[1] != 3 or min(height, width) < SMALLEST:
+        if pictures.ndim != 4 or pictures.shape[1] != 3 or min(height, width) < MIN_SIDE_PX:
             raise ValueError(
-                f"LPIPS: expected pictures [B, 3, H, W] of at least {SMALLEST}x{SMALLEST}, got {tuple(pictures.shape)}"
+                f"LPIPS: expected pictures [B, 3, H, W] of at least {MIN_SIDE_PX}x{MIN_SIDE_PX}, "
+                f"got {tuple(pictures.shape)}"
             )
         shift = torch.tensor(SHIFT, dtype=pictures.dtype, device=pictures.device).view(1, 3, 1, 1)
         scale = torch.tensor(SCALE, dtype=pictures.dtype, device=pictures.device).view(1, 3, 1, 1)

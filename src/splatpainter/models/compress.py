@@ -22,7 +22,7 @@ from splatpainter.nn.layers import CrossAttention, PackedBlock, layer_norm, line
 from splatpainter.nn.precision import exact
 from splatpainter.splats import Splats
 
-CHUNK = 1 << 13
+GAUSSIANS_PER_CHUNK = 1 << 13
 """Gaussians that are worked on at once without gradients: what they pass from layer to layer stays in the cache
 (measured on two cores in Stage II: 65 instead of 50 GFLOP/s per core with 32,768, and 150 instead of 85 in bf16)."""
 
@@ -56,8 +56,8 @@ class LatentScale:
         """latents: [K, D] of any float type."""
         count, width = max(len(latents), 1), latents.shape[1]
         zero = torch.zeros(width, dtype=torch.float64, device=latents.device)
-        mean = sum((part.double().sum(0) for part in latents.split(CHUNK)), zero) / count
-        power = sum(((part.double() - mean).square().sum(0) for part in latents.split(CHUNK)), zero)
+        mean = sum((part.double().sum(0) for part in latents.split(GAUSSIANS_PER_CHUNK)), zero) / count
+        power = sum(((part.double() - mean).square().sum(0) for part in latents.split(GAUSSIANS_PER_CHUNK)), zero)
         return LatentScale(mean.float(), (power.sum() / (count * width)).sqrt().clamp_min(1e-12).float())
 
 
@@ -101,8 +101,8 @@ class Compressor(nn.Module):
     ) -> Latents:
         """Latents of the kept Gaussians. tokens: [P, token_dim] of the LRM, of any float
         type; gaussians: the asset, N of them, torch attributes on the same device; links: of the N Gaussians; groups:
-        of the Gaussians; chunk: Gaussians at once (CHUNK without gradients, else all); dtype: of the result (a million
-        latents of width 256 are 1 GB in float32).
+        of the Gaussians; chunk: Gaussians at once (GAUSSIANS_PER_CHUNK without gradients, else all); dtype: of the
+        result (a million latents of width 256 are 1 GB in float32).
 
         Permuting the Gaussians permutes the latents with them, up to rounding (equal opacities in a voxel excepted).
         """
@@ -110,7 +110,7 @@ class Compressor(nn.Module):
             raise ValueError(f"encode: expected links of {len(gaussians)} Gaussians, got {len(links.patches)}")
         table = self.token(self.token_norm(tokens.float())).float()
         chosen, _ = groups.most_opaque(self.share)
-        size = max(chunk or (len(groups) if torch.is_grad_enabled() else CHUNK), 1)
+        size = max(chunk or (len(groups) if torch.is_grad_enabled() else GAUSSIANS_PER_CHUNK), 1)
         parts = (self._part(table, gaussians, links, part) for part in groups.chunks(size))
         if torch.is_grad_enabled():
             return Latents(torch.cat([*parts, table.new_zeros(0, self.config.dim)]).to(dtype), chosen)

@@ -26,7 +26,7 @@ _Config = TypeVar("_Config")
 
 CHANNELS: dict[str, int] = {"edited": 3, "rays": 6, "render": 3, "geometry": 4, "mask": 1, "normals": 3}
 """Channels per pixel of each group that an image token of an edit can hold."""
-OLDER: dict[str, Any] = {
+MISSING_KEY_DEFAULTS: dict[str, Any] = {
     "predict": {"features": 0, "hidden": 128, "alone": False},
     "refine.inputs": "raw",
     "refine.answers": "all",
@@ -283,7 +283,7 @@ def read_json(kind: type[_Config], text: str, where: str) -> _Config:
     """A config of this dataclass, every field of which is in the JSON text. Raises ValueError as
     ModelConfig.from_json."""
     values = jsonio.load_object(text, where, "model config", MAX_CONFIG_BYTES)
-    return jsonio.build(kind, values, where, what="model config", older=OLDER)
+    return jsonio.build(kind, values, where, what="model config", older=MISSING_KEY_DEFAULTS)
 
 
 def _positive(config: Any, *names: str, least: int = 1) -> None:

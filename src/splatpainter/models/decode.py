@@ -25,7 +25,7 @@ LIMITS = {"centre": 0.25, "scale": 0.1, "turn": 0.1, "opacity": 0.25, "sh": 2.0}
 """Limits of a bounded residual: sizes of the Gaussian, log scale, quaternion of norm 1, logits, SH coefficients.
 Colours are free, the rest is a touch: with wide limits a model learns to fade and thicken the Gaussians of its training
 assets, which ruins assets with finer ones (docs/LOG.md)."""
-OPAQUE = 1e-6
+OPACITY_MARGIN = 1e-6
 """Opacities this near to 0 or 1 count as this near: from exactly 1 no logit could move."""
 
 
@@ -96,7 +96,7 @@ def apply_residual(gaussians: Splats, residual: Tensor, unit: float | Tensor) ->
     centre, scale, turn, opacity, sh = _split(residual)
     norm = gaussians.quats.norm(dim=1, keepdim=True)
     odds = torch.exp(opacity.clamp(-16, 16))
-    o = gaussians.opacities.clamp(OPAQUE, 1 - OPAQUE)
+    o = gaussians.opacities.clamp(OPACITY_MARGIN, 1 - OPACITY_MARGIN)
     bands = min(sh.shape[1], gaussians.sh.shape[1])
     low = _keep(gaussians.sh[:, :bands] + sh[:, :bands], gaussians.sh[:, :bands], sh[:, :bands])
     return replace(

@@ -32,9 +32,9 @@ if TYPE_CHECKING:
     from splatpainter.models.compress import Latents
     from splatpainter.models.model import SplatPainterModel
 
-SHARES = 128.0
+TEACHER_WEIGHT_SUM = 128.0
 """Sum of what the Gaussians that teach count."""
-CHUNK = 1 << 12
+GAUSSIANS_PER_CHUNK = 1 << 12
 """Gaussians asked at once without gradients."""
 
 
@@ -97,10 +97,10 @@ def carry(
     )
     shares = _share(weight[teachers])
     # However many teach: a plain gradient's step does not grow with their number (an orthogonalised one never does).
-    shares = shares * (SHARES / shares.sum().clamp_min(1e-6))
+    shares = shares * (TEACHER_WEIGHT_SUM / shares.sum().clamp_min(1e-6))
     state = refiner.adapt(model.initial_state(), None, teacher_tokens=(tokens, shares), strength=strength)
     parts = []
-    for part in readers.split(max(len(readers), 1) if torch.is_grad_enabled() else CHUNK):
+    for part in readers.split(max(len(readers), 1) if torch.is_grad_enabled() else GAUSSIANS_PER_CHUNK):
         reader_inputs = _inputs(gaussians, part, change.new_zeros(len(part), 3), weight.new_zeros(len(part)))
         values = refiner.read(
             state, model.prepared(gaussians.latents, gaussians.latent_ids[part.cpu().numpy()], reader_inputs)

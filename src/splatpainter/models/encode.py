@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 
 FOV = 50.0
 """Vertical field of view of the canonical cameras, degrees."""
-BALL = 1.3
+FRAMED_HALF_EXTENTS = 1.3
 """What the canonical views show whole: a ball of this many half edges of the asset's cube."""
-STEEPEST = 60.0
+MAX_ELEVATION_DEGREES = 60.0
 """Canonical cameras stand at most this far above or below the asset, degrees."""
-GOLDEN = 180.0 * (3.0 - math.sqrt(5.0))
+GOLDEN_ANGLE_DEGREES = 180.0 * (3.0 - math.sqrt(5.0))
 """Degrees from one camera to the next: any number of them is spread evenly (spherical Fibonacci lattice)."""
 
 
@@ -59,12 +59,12 @@ def canonical_cameras(splats: Splats, config: LrmConfig) -> list[Camera]:
     """config.views cameras around the asset's cube, config.image_size pixels square. Deterministic. Raises ValueError
     when no Gaussian can be drawn."""
     lo, size = bounding_cube(splats)
-    center, distance = lo + size / 2, BALL * size / 2 / math.sin(math.radians(FOV / 2))
+    center, distance = lo + size / 2, FRAMED_HALF_EXTENTS * size / 2 / math.sin(math.radians(FOV / 2))
     first, made = config.views // 3, []  # the first camera looks slightly down
     for k in range(first, first + config.views):
         # Heights of equal area between both limits.
-        height = math.sin(math.radians(STEEPEST)) * (1 - (2 * (k % config.views) + 1) / config.views)
-        around = math.radians((k % config.views - first) * GOLDEN)
+        height = math.sin(math.radians(MAX_ELEVATION_DEGREES)) * (1 - (2 * (k % config.views) + 1) / config.views)
+        around = math.radians((k % config.views - first) * GOLDEN_ANGLE_DEGREES)
         level = math.sqrt(1 - height**2)
         away = np.array([level * math.sin(around), -height, level * math.cos(around)])  # assets have y down
         eye = center + distance * away

@@ -17,7 +17,7 @@ from splatpainter.models.config import RefineConfig
 from splatpainter.models.gaussian_groups import GaussianGroups
 from splatpainter.models.lrm import AssetViews, nearest_points, patchify, rays, slants
 
-MOST = 16
+MAX_PICTURES = 16
 """Pictures of one edit, at most."""
 
 
@@ -49,8 +49,8 @@ class Pictures:
 
 def one_size(cameras: Sequence[Camera]) -> tuple[int, int]:
     """(width, height) of the pictures of one edit. Raises ValueError for none, too many, or several sizes."""
-    if not 1 <= len(cameras) <= MOST:
-        raise ValueError(f"edit: expected 1 to {MOST} pictures, got {len(cameras)}")
+    if not 1 <= len(cameras) <= MAX_PICTURES:
+        raise ValueError(f"edit: expected 1 to {MAX_PICTURES} pictures, got {len(cameras)}")
     sizes = sorted({(camera.width, camera.height) for camera in cameras})
     if len(sizes) > 1:
         listed = ", ".join(f"{w}x{h}" for w, h in sizes)

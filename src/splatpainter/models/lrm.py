@@ -27,7 +27,7 @@ from splatpainter.nn.precision import exact
 from splatpainter.splats import Splats
 
 MAX_VIEWS = 16
-REACH = 1.8
+MAX_RAY_OFFSET = 1.8
 """A Gaussian lies at most this far along its ray from the ray's point nearest the cube's centre (cube: -1..1, its
 corners at 1.73)."""
 DEPTH_REACH = 0.1
@@ -226,10 +226,10 @@ def _depth_range(views: AssetViews, origins: Tensor, directions: Tensor, geometr
     """(start, reach), both [V, H, W, 1] in the cube: a Gaussian lies on its ray at start -+ reach."""
     nearest = _nearest_along(origins, directions)
     if not geometry:
-        return nearest, torch.full_like(nearest, REACH)
+        return nearest, torch.full_like(nearest, MAX_RAY_OFFSET)
     assert views.depth is not None and views.alpha is not None
     slant = slants(views.cameras, directions)
     has_depth = (views.alpha > MIN_DEPTH_ALPHA) & (views.depth > 0)
     # z-depth to distance along the ray; clamped, since a background Gaussian may lie far behind the cube.
-    along = (views.depth / (slant * views.half_extent) - nearest).clamp(-REACH, REACH) + nearest
-    return torch.where(has_depth, along, nearest), torch.where(has_depth, DEPTH_REACH, REACH).to(nearest.dtype)
+    along = (views.depth / (slant * views.half_extent) - nearest).clamp(-MAX_RAY_OFFSET, MAX_RAY_OFFSET) + nearest
+    return torch.where(has_depth, along, nearest), torch.where(has_depth, DEPTH_REACH, MAX_RAY_OFFSET).to(nearest.dtype)

@@ -29,7 +29,7 @@ from splatpainter.models.gaussian_groups import GaussianGroups, TokenLinks
 from splatpainter.models.image_tokens import Pictures, tokenize
 from splatpainter.models.lrm import AssetViews, GaussianLrm
 from splatpainter.models.predictor import Predictor
-from splatpainter.models.refine import CHUNK, Refiner, RefineState
+from splatpainter.models.refine import LATENTS_PER_CHUNK, Refiner, RefineState
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.voxels.grid import VoxelGrid
 
@@ -255,7 +255,7 @@ class SplatPainterModel(nn.Module):
         teacher_tokens = self._teacher_tokens(latents, chosen, inputs)
         tokens = tokenize(pictures, latents.groups, self.config.refine) if self.config.refine.picture_tokens else None
         state = self.refiner.adapt(state, tokens, teacher_tokens=teacher_tokens, strength=strength)
-        runs = [slice(first, first + CHUNK) for first in range(0, max(len(chosen), 1), CHUNK)]
+        runs = [slice(first, first + LATENTS_PER_CHUNK) for first in range(0, max(len(chosen), 1), LATENTS_PER_CHUNK)]
 
         def decoded(values: Tensor, detail_latents: Tensor | None, run: slice) -> Decoded:
             part = None if base is None else base.take(np.arange(len(chosen))[run])

@@ -27,15 +27,15 @@ from splatpainter.splats import SH_C0, Splats
 
 FACTS = 21
 """Numbers per Gaussian: `gaussian_facts`."""
-INPUTS = FACTS + 8 + 27
+INPUT_CHANNELS = FACTS + 8 + 27
 """Facts, eight polynomials of the normal, and transfer times colour."""
-MOST = 50.0
+MAX_WEIGHT_PX = 50.0
 """A huge Gaussian must not outvote a thousand small ones."""
-COMPANY = 8192
+CONTEXT_GAUSSIANS = 8192
 """Gaussians, evenly chosen, that say what kind of asset this is and under what light."""
-TEACHERS = 16_384
+REGRESSION_GAUSSIANS = 16_384
 """Seen Gaussians, evenly chosen, that the regression learns from."""
-CHUNK = 1 << 12
+GAUSSIANS_PER_CHUNK = 1 << 12
 """Gaussians described at once without gradients: few enough for what they pass through to stay in the caches."""
 OPPONENT = ((3**-0.5, 3**-0.5, 3**-0.5), (2**-0.5, -(2**-0.5), 0.0), (6**-0.5, 6**-0.5, -2 * 6**-0.5))
 """Orthogonal: lightness, and two channels of hue."""
@@ -75,9 +75,11 @@ class Predictor(nn.Module):
         super().__init__()
         width, self.features = config.hidden, config.features
         # Attribute names are keys of stored weights; `own`: of a Gaussian alone, `company`: of the asset.
-        self.own = nn.Sequential(nn.Linear(INPUTS, width), nn.SiLU(), nn.Linear(width, width), nn.SiLU())
+        self.own = nn.Sequential(nn.Linear(INPUT_CHANNELS, width), nn.SiLU(), nn.Linear(width, width), nn.SiLU())
         self.company = nn.Sequential(nn.Linear(width, width), nn.SiLU())
-        self.evidence = nn.Sequential(nn.Linear(INPUTS + 3, width), nn.SiLU(), nn.Linear(width, width), nn.SiLU())
+        self.evidence = nn.Sequential(
+            nn.Linear(INPUT_CHANNELS + 3, width), nn.SiLU(), nn.Linear(width, width), nn.SiLU()
+        )
         self.together = nn.Linear(3 * width, width)
         self.describe = nn.Linear(width, 2 * config.features)
         self.expected = nn.Linear(width, 3)
@@ -96,23 +98,23 @@ class Predictor(nn.Module):
         as the pictures have it; weight: [N] pixels that show each Gaussian. Without a seen Gaussian nothing is
         predicted: zeros."""
         with exact(facts.device):
-            seen = spread_evenly(torch.nonzero(weight > MIN_SEEN_PX)[:, 0], TEACHERS)
+            seen = spread_evenly(torch.nonzero(weight > MIN_SEEN_PX)[:, 0], REGRESSION_GAUSSIANS)
             if len(seen) == 0:
                 return torch.zeros_like(change)
             opponent = facts.new_tensor(OPPONENT)
-            counts = weight[seen].clamp(max=MOST)
+            counts = weight[seen].clamp(max=MAX_WEIGHT_PX)
             share = (counts / counts.sum())[:, None]
             inputs = described_facts(facts[seen])
             seen_change = change[seen] @ opponent.mT
             evidence = (share * self.evidence(torch.cat([inputs, 4 * seen_change], 1))).sum(0)
-            everyone = spread_evenly(torch.arange(len(facts), device=facts.device), COMPANY)
+            everyone = spread_evenly(torch.arange(len(facts), device=facts.device), CONTEXT_GAUSSIANS)
             context = self.company(self.own(described_facts(facts[everyone]))).mean(0)
             around = torch.cat([context, evidence])
             light, hue, mean = self._described(inputs, around)
             counted = share[:, 0] * self.trust.exp()
             rest = seen_change - mean
             solved = solve_ridge(light, rest[:, :1], counted), solve_ridge(hue, rest[:, 1:], counted)
-            size = len(facts) if torch.is_grad_enabled() else CHUNK
+            size = len(facts) if torch.is_grad_enabled() else GAUSSIANS_PER_CHUNK
             parts = []
             for some in facts.split(size):
                 light, hue, mean = self._described(described_facts(some), around)
@@ -147,7 +149,7 @@ def predicting(
 
 
 def described_facts(facts: Tensor) -> Tensor:
-    """[N, INPUTS] what networks see of Gaussians. facts: [N, 21] of `gaussian_facts`."""
+    """[N, INPUT_CHANNELS] what networks see of Gaussians. facts: [N, 21] of `gaussian_facts`."""
     x, y, z = facts[:, 3:6].unbind(1)
     turns = torch.stack([x * y, y * z, 3 * z * z - 1, x * z, x * x - y * y, x * x, y * y, z * z], 1)
     lit = facts[:, 11:20, None] * (facts[:, None, :3] + 1) / 2

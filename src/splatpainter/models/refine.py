@@ -19,14 +19,14 @@ from splatpainter.lift.features import LIFT_FEATURES, SEEN_FEATURE
 from splatpainter.models.compress import LatentScale
 from splatpainter.models.config import RefineConfig
 from splatpainter.models.image_tokens import PictureTokens
-from splatpainter.models.predictor import INPUTS as FACT_FEATURES
+from splatpainter.models.predictor import INPUT_CHANNELS as FACT_FEATURES
 from splatpainter.nn.attention import CrossGroups, Groups
 from splatpainter.nn.fast_weights import FastWeights
 from splatpainter.nn.layers import CrossAttention, SelfAttention, SwiGLU, layer_norm, linear
 from splatpainter.nn.precision import exact
 from splatpainter.nn.ttt import Stream, TTTLayer, start_alike
 
-CHUNK = 1 << 12
+LATENTS_PER_CHUNK = 1 << 12
 """Latents that are worked on at once without gradients: few enough for what they pass through to stay in the caches."""
 DRIFT_FEATURES = 7
 """Numbers per latent that say how its Gaussian differs from the one that was encoded
@@ -82,7 +82,7 @@ class FastMixer(nn.Module):
     ) -> Memory:
         assert isinstance(memory, FastWeights)
         # Without gradients in parts: the second set learns from every latent of the edit.
-        chunk = None if torch.is_grad_enabled() else CHUNK
+        chunk = None if torch.is_grad_enabled() else LATENTS_PER_CHUNK
         return self.ttt.update(
             memory, tokens, weights, teacher_tokens=teacher_tokens, edit_strength=strength, chunk=chunk
         )
@@ -312,8 +312,8 @@ class Refiner(nn.Module):
 
     def read(self, state: RefineState, latents: Tensor, *, chunk: int | None = None) -> Tensor:
         """Refined latents [K, D]; each depends on the state and on itself alone. latents: [K, D] from `prepare`;
-        chunk: latents at once (CHUNK without gradients, else all)."""
-        size = chunk or (max(len(latents), 1) if torch.is_grad_enabled() else CHUNK)
+        chunk: latents at once (LATENTS_PER_CHUNK without gradients, else all)."""
+        size = chunk or (max(len(latents), 1) if torch.is_grad_enabled() else LATENTS_PER_CHUNK)
         parts = []
         for x in latents.split(size):
             for block, memory in zip(self._blocks(), state.blocks, strict=True):

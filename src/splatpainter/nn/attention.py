@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-STRETCH = 1.12
+MAX_PADDING_RATIO = 1.12
 """A group is padded to at most this multiple of its length."""
 BATCH = 1 << 15
 """Query or key tokens per batch on the bucketed path: bounds the copies, and keeps them near the cache."""
@@ -216,10 +216,10 @@ def _buckets(queries: Packing, keys: Packing, device: torch.device) -> tuple[Any
 
 
 def _length_class(lengths: np.ndarray) -> np.ndarray:
-    """A class per length >= 1; the longest of a class is at most STRETCH times the shortest."""
+    """A class per length >= 1; the longest of a class is at most MAX_PADDING_RATIO times the shortest."""
     edges = [1]  # shortest length of each class
     while edges[-1] <= lengths.max(initial=0):
-        edges.append(int(edges[-1] * STRETCH + 1e-9) + 1)
+        edges.append(int(edges[-1] * MAX_PADDING_RATIO + 1e-9) + 1)
     return np.searchsorted(edges, lengths, side="right")
 
 

@@ -14,7 +14,7 @@ from torch.nn import functional
 
 from splatpainter.nn.attention import CrossGroups, Groups, packed_attention
 
-SPREAD = 0.02
+INITIAL_WEIGHT_STD = 0.02
 """Standard deviation of the weights at first, as GS-LRM has it (arXiv 2404.19702)."""
 EPS = 1e-5
 """Added to the variance by LayerNorm and to the mean square by RMSNorm."""
@@ -24,7 +24,7 @@ def linear(inputs: int, outputs: int) -> nn.Linear:
     """A map without bias, weights from N(0, 0.02)."""
     made = nn.Linear(inputs, outputs, bias=False)
     if not made.weight.is_meta:  # to be filled by a checkpoint; drawing nothing would import half of torch, 1.6 s
-        nn.init.normal_(made.weight, std=SPREAD)
+        nn.init.normal_(made.weight, std=INITIAL_WEIGHT_STD)
     return made
 
 

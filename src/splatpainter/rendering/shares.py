@@ -16,7 +16,7 @@ from splatpainter.splats import Splats
 if TYPE_CHECKING:
     from splatpainter.rendering.cpu.projected_view import ProjectedView
 
-FAINT = 0.05
+MEASURING_OPACITY = 0.05
 """Peak alpha with which footprints are measured where nothing shall hide anything."""
 
 
@@ -38,7 +38,7 @@ def footprint_mean(splats: Splats, camera: Camera, picture: np.ndarray) -> np.nd
     view."""
     from splatpainter.rendering.cpu.projected_view import project
 
-    faint = replace(splats, source=None, origin=None, opacities=np.minimum(splats.opacities, np.float32(FAINT)))
+    faint = replace(splats, source=None, origin=None, opacities=np.minimum(splats.opacities, np.float32(MEASURING_OPACITY)))
     view = project(faint, camera)
     zeros = np.zeros((*picture.shape, 3), np.float32)
     part = view.backproject(zeros, np.ascontiguousarray(picture, np.float32)).alpha

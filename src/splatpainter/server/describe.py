@@ -23,7 +23,7 @@ from splatpainter.session.document import PLACED
 from splatpainter.session.layer_mask import LayerMask
 from splatpainter.session.project_file import Bookmark, Step
 from splatpainter.session.recent_changes import changes as changes_between
-from splatpainter.session.scene_asset import MAIN
+from splatpainter.session.scene_asset import MAIN_ASSET_ID
 from splatpainter.splats import Splats
 
 HOME_VIEW = {"elevation": 15.0, "fov": 40.0}
@@ -98,7 +98,7 @@ def scene_assets(session: Session, name: str) -> list[protocol.SceneAssetInfo]:
     for asset in session.assets:
         rows, placement = session.asset_original(asset.id), asset.placement
         center = placement.points(rows.middle[None])[0]
-        is_main = asset.id == MAIN and not session.snapshot.document.assets
+        is_main = asset.id == MAIN_ASSET_ID and not session.snapshot.document.assets
         out.append(
             protocol.SceneAssetInfo(
                 id=asset.id,

@@ -11,7 +11,7 @@ from splatpainter.splats import Splats
 MAX_SAMPLES = 20_000
 """Gaussians that are looked at; of more, so many are taken evenly."""
 MAX_COLORS = 24
-ROUNDS = 12
+CLUSTERING_ROUNDS = 12
 MIN_OPACITY = 0.1
 """Fainter Gaussians are haze."""
 MIN_DISTANCE = 0.03
@@ -56,7 +56,7 @@ def _k_means(points: np.ndarray, weights: np.ndarray, count: int) -> np.ndarray:
         nearest = np.minimum(nearest, ((points - centers[-1]) ** 2).sum(1))
     table = np.array(centers)
     groups = np.zeros(len(points), np.int64)
-    for _ in range(ROUNDS):
+    for _ in range(CLUSTERING_ROUNDS):
         groups = ((points[:, None] - table[None]) ** 2).sum(2).argmin(1)
         _, groups = np.unique(groups, return_inverse=True)
         table = np.array(

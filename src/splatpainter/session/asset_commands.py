@@ -31,7 +31,7 @@ from splatpainter.session.fingerprint import fingerprint
 from splatpainter.session.geometry_commands import SelectedPart
 from splatpainter.session.layer_factory import new_layer
 from splatpainter.session.relief import CopyAnchor, Relief
-from splatpainter.session.scene_asset import MAIN, MAX_ASSETS, MAX_NAME, SceneAsset, changed_asset, find_asset
+from splatpainter.session.scene_asset import MAIN_ASSET_ID, MAX_ASSETS, MAX_NAME, SceneAsset, changed_asset, find_asset
 from splatpainter.session.scene_replay import Scene, ScenePart
 from splatpainter.session.selection import Selection
 from splatpainter.session.snapshot import Snapshot
@@ -59,7 +59,7 @@ class AssetCommands(StrokeCommands):
 
     def _main_asset(self) -> SceneAsset:
         name = files.printable(self._transaction.project.fact("name") or "asset", MAX_NAME)
-        return SceneAsset(MAIN, name or "asset")
+        return SceneAsset(MAIN_ASSET_ID, name or "asset")
 
     def asset(self, asset: str) -> SceneAsset:
         """The asset of this id. Raises ValueError for an unknown one."""
@@ -144,7 +144,7 @@ class AssetCommands(StrokeCommands):
         """Take an asset out of the scene, with its layers. Raises ValueError for the first one, whose session it is."""
         with self._command():
             document, before = self._document, self.asset(asset)
-            if asset == MAIN:
+            if asset == MAIN_ASSET_ID:
                 raise ValueError(f"asset {before.name}: is the one that was opened; hide it instead")
             rest = tuple(one for one in self.assets if one.id != asset)
             if not any(one.visible for one in rest):
@@ -266,7 +266,7 @@ class AssetCommands(StrokeCommands):
         they are."""
         if not self._document.assets:
             snapshot = self.snapshot
-            return [SelectedPart(MAIN, weights, snapshot.splats, snapshot.original)]
+            return [SelectedPart(MAIN_ASSET_ID, weights, snapshot.splats, snapshot.original)]
         parts = [
             SelectedPart(part.asset.id, weights[part.scene_ids], part.state.splats, part.original)
             for part in self._scene().parts
@@ -289,7 +289,7 @@ class AssetCommands(StrokeCommands):
     def _relief_of(self, relief: Relief) -> tuple[str, Relief]:
         """(the asset that a copy is on, the copy in its space). Raises ValueError where it is on two."""
         if not self._document.assets:
-            return MAIN, relief
+            return MAIN_ASSET_ID, relief
         scene = self._scene()
         splats = scene.state.splats
         visible = np.flatnonzero(splats.drawable & (splats.opacities > 0))

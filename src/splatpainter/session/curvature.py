@@ -16,7 +16,7 @@ from numba import njit
 from splatpainter.cameras import bounding_sphere
 from splatpainter.kernels.parallel import run
 from splatpainter.splats import Splats
-from splatpainter.surface.unwrap import BLOCK, CELL_BITS, PointCells
+from splatpainter.surface.unwrap import CELL_BITS, POINTS_PER_BLOCK, PointCells
 
 RADIUS_SHARE = 0.025
 """Radius within which the surface is looked at, in radii of the asset, ..."""
@@ -69,8 +69,8 @@ def warm() -> None:
 def _neighbour_sums(samples, facing, keys, order, corner, size, radius, points, normals, out, thread, threads):
     """out: [Q, 3] per point: how many samples are near, and in sum their (n2 - n1) (p2 - p1) and squared distances, in
     units of the radius."""
-    for start in range(thread * BLOCK, points.shape[0], threads * BLOCK):
-        for q in range(start, min(start + BLOCK, points.shape[0])):
+    for start in range(thread * POINTS_PER_BLOCK, points.shape[0], threads * POINTS_PER_BLOCK):
+        for q in range(start, min(start + POINTS_PER_BLOCK, points.shape[0])):
             cx = int(math.floor((points[q, 0] - corner[0]) / size))
             cy = int(math.floor((points[q, 1] - corner[1]) / size))
             cz = int(math.floor((points[q, 2] - corner[2]) / size))

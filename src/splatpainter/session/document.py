@@ -19,7 +19,7 @@ from splatpainter.io.files import printable
 from splatpainter.jsonio import brief
 from splatpainter.painter import MAX_VIEWS, Method, Mode
 from splatpainter.session.layer_mask import LayerMask
-from splatpainter.session.scene_asset import MAIN, SceneAsset
+from splatpainter.session.scene_asset import MAIN_ASSET_ID, SceneAsset
 from splatpainter.sources.color_transfer import TABLE
 
 Kind = Literal["paint", "picture", "look", "clone", "erase", "hide", "fill", "merged"]
@@ -96,7 +96,7 @@ class Layer:
     views, painted on those before it; its opacity, blend and visibility do not count."""
     mask: LayerMask | None = None
     """How much of it shows where; None: all."""
-    asset: str = MAIN
+    asset: str = MAIN_ASSET_ID
     """Id of the asset that it belongs to, and in whose space its views are (scene_asset.py)."""
 
     def __post_init__(self) -> None:
@@ -146,7 +146,7 @@ class Layer:
         record = {**{name: getattr(self, name) for name in names}, **self._content()}
         if self.mask is not None:
             record["mask"] = self.mask.record()
-        if self.asset != MAIN:
+        if self.asset != MAIN_ASSET_ID:
             record["asset"] = self.asset
         if self.strokes:
             record["strokes"] = [stroke.record() for stroke in self.strokes] if strokes else len(self.strokes)
@@ -194,7 +194,7 @@ class Layer:
                 str(data["painter"]),
                 _parsed_strokes(data.get("strokes", []), where, depth),
                 LayerMask.parse(data.get("mask"), where),
-                str(data.get("asset", MAIN)),
+                str(data.get("asset", MAIN_ASSET_ID)),
             )
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
             reason = f"has no {error}" if isinstance(error, KeyError) else str(error).removeprefix(f"{where}: ")

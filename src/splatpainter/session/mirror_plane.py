@@ -16,13 +16,13 @@ from splatpainter.splats import Splats
 
 MAX_POINTS = 700
 """Points that the asset is thinned to, about."""
-DIRECTIONS = 48
+TRIED_DIRECTIONS = 48
 """Planes that are tried first, beside those of the axes and of the principal axes."""
-REFINED = 4
+REFINED_PLANES = 4
 """How many of the best of these are refined, ..."""
-ROUNDS = 8
+REFINEMENT_STEPS = 8
 """... in so many steps."""
-REACH = 2.5
+MAX_PARTNER_SPACINGS = 2.5
 """Distance in spacings of the points from which a mirrored point counts as having no partner."""
 UPRIGHT_BONUS = 0.06
 """Bonus on the score (0..1): planes that contain the up axis win where others are hardly better."""
@@ -75,23 +75,23 @@ def find_mirror_plane(splats: Splats, up: tuple[float, float, float]) -> MirrorP
     points, spacing = _thinned(splats)
     middle = points.mean(0)
     principal = np.linalg.svd(points - middle, full_matrices=False)[2]
-    directions = np.concatenate([np.eye(3), principal, _hemisphere(DIRECTIONS)])
+    directions = np.concatenate([np.eye(3), principal, _hemisphere(TRIED_DIRECTIONS)])
     upward = np.asarray(up, float)
 
     def cost(normal: np.ndarray, offset: float) -> float:
         mirrored = points - 2 * (points @ normal - offset)[:, None] * normal
-        return float(np.minimum(_nearest(mirrored, points)[1] / (REACH * spacing), 1).mean())
+        return float(np.minimum(_nearest(mirrored, points)[1] / (MAX_PARTNER_SPACINGS * spacing), 1).mean())
 
     def ranked(normal: np.ndarray, offset: float) -> float:
         return cost(normal, offset) + UPRIGHT_BONUS * abs(float(normal @ upward))
 
     first = sorted(((ranked(n, float(n @ middle)), k) for k, n in enumerate(directions)))
     best: tuple[float, np.ndarray, float] | None = None
-    for _, k in first[:REFINED]:
+    for _, k in first[:REFINED_PLANES]:
         normal, offset = directions[k], float(directions[k] @ middle)
         score = ranked(normal, offset)
-        for _ in range(ROUNDS):
-            finer = _refined(points, normal, offset, REACH * spacing)
+        for _ in range(REFINEMENT_STEPS):
+            finer = _refined(points, normal, offset, MAX_PARTNER_SPACINGS * spacing)
             finer_score = np.inf if finer is None else ranked(*finer)
             if finer is None or finer_score >= score:
                 break

@@ -20,7 +20,7 @@ from splatpainter.splats import Splats
 VIEW_PX = 64
 """Edge, pixels, of the views that are measured."""
 FOV_DEGREES, ELEVATION_DEGREES = 40.0, 15.0
-SIDES = 8
+VIEWS_AROUND = 8
 """Views around."""
 MAX_MEASURED = 60_000
 """Gaussians that are drawn; of more, so many are taken evenly, each as much larger."""
@@ -89,7 +89,7 @@ def measured_front(splats: Splats, center: np.ndarray, distance: float, up: str)
     ring = orbit(
         center,
         distance,
-        SIDES,
+        VIEWS_AROUND,
         elevation=ELEVATION_DEGREES,
         start=habit,
         up=UPS[up],
@@ -99,7 +99,7 @@ def measured_front(splats: Splats, center: np.ndarray, distance: float, up: str)
     )
     detail = [view_detail(splats, camera)[0] for camera in ring]
     best = int(np.argmax(detail))
-    return (habit + 360.0 * best / SIDES) % 360 if detail[best] > FRONT_FACTOR * detail[0] else habit
+    return (habit + 360.0 * best / VIEWS_AROUND) % 360 if detail[best] > FRONT_FACTOR * detail[0] else habit
 
 
 def view_detail(splats: Splats, camera: Camera) -> tuple[float, int]:

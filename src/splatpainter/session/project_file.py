@@ -26,7 +26,7 @@ from splatpainter.session.delta import decode
 from splatpainter.session.document import MAX_REASON, MAX_STROKES, Document, Layer, Policy, check_stroke, digest
 from splatpainter.session.layer_state import LayerResult
 from splatpainter.session.lock import ProjectLock
-from splatpainter.session.scene_asset import MAIN, SceneAsset, parse_assets
+from splatpainter.session.scene_asset import MAIN_ASSET_ID, SceneAsset, parse_assets
 from splatpainter.session.stored_results import loaded_result, store_result
 
 MAX_STEPS = 1000
@@ -271,7 +271,7 @@ class Project:
             if len({layer.id for layer in layers}) < len(layers):
                 raise ValueError("two layers have one id")
             ids = {asset.id for asset in assets}
-            if any(layer.asset not in ids for layer in layers if layer.asset != MAIN):
+            if any(layer.asset not in ids for layer in layers if layer.asset != MAIN_ASSET_ID):
                 raise ValueError("a layer belongs to an asset that is missing")
             return Document(layers, _policies(json.loads(policies[0][0])), highest[0][0], assets)
         except (ValueError, TypeError, AttributeError, KeyError, RecursionError) as error:

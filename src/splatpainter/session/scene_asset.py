@@ -1,7 +1,7 @@
 """One asset of a session that holds several: what it is, where it stands, and how a project keeps its file.
 
 Layers name the asset that they belong to. They live in that asset's own space, so that they go with it wherever it is
-moved; the first asset, which the session was opened with, has the id MAIN.
+moved; the first asset, which the session was opened with, has the id MAIN_ASSET_ID.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from splatpainter.jsonio import brief
 from splatpainter.scene.placement import Placement
 from splatpainter.splats import Frame
 
-MAIN = ""
+MAIN_ASSET_ID = ""
 """Id of the asset that a session was opened with."""
 MAX_ASSETS = 32
 """Most assets of a session."""
@@ -35,7 +35,7 @@ class SceneAsset:
     placement: Placement = field(default_factory=Placement)
     visible: bool = True
     file: str = ""
-    """Name of its file; of MAIN "": the project's facts name it."""
+    """Name of its file; of MAIN_ASSET_ID "": the project's facts name it."""
     sha256: str = ""
     """Hash of the asset's file."""
     frame: Frame = "auto"
@@ -59,7 +59,7 @@ class SceneAsset:
                 raise ValueError("expected texts")
             if not isinstance(data["visible"], bool) or texts["frame"] not in FRAMES:
                 raise ValueError("expected visible as a truth value, and a frame")
-            if texts["id"] != MAIN and not (
+            if texts["id"] != MAIN_ASSET_ID and not (
                 len(texts["sha256"]) == 64 and set(texts["sha256"]) <= set("0123456789abcdef")
             ):
                 raise ValueError("expected the SHA-256 of its file")
@@ -80,7 +80,7 @@ def parse_assets(records: Any) -> tuple[SceneAsset, ...]:
         raise ValueError(f"expected a list of at most {MAX_ASSETS} assets")
     assets = tuple(SceneAsset.parse(record) for record in records)
     ids = [asset.id for asset in assets]
-    if len(set(ids)) < len(ids) or (ids and ids[0] != MAIN):
+    if len(set(ids)) < len(ids) or (ids and ids[0] != MAIN_ASSET_ID):
         raise ValueError("expected assets of different ids, the first one ahead")
     return assets
 
@@ -97,4 +97,4 @@ def find_asset(assets: Sequence[SceneAsset], asset: str) -> SceneAsset:
         if one.id == asset:
             return one
     ids = ", ".join(repr(one.id) for one in assets)
-    raise ValueError(f"asset: expected one of {ids or repr(MAIN)}, got {brief(asset)}")
+    raise ValueError(f"asset: expected one of {ids or repr(MAIN_ASSET_ID)}, got {brief(asset)}")

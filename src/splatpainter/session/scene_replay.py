@@ -24,7 +24,7 @@ from splatpainter.session.covered_preview import Preview
 from splatpainter.session.document import Document, digest
 from splatpainter.session.layer_blending import AdjustmentFunction
 from splatpainter.session.layer_state import LayerState, Progress, ResultStore
-from splatpainter.session.scene_asset import MAIN, SceneAsset, find_asset
+from splatpainter.session.scene_asset import MAIN_ASSET_ID, SceneAsset, find_asset
 from splatpainter.splats import Splats
 
 MAX_CACHED_REPLAYS, MAX_CACHED_SCENES = 8, 4
@@ -73,7 +73,7 @@ class SceneReplay:
         adjustments: Mapping[str, AdjustmentFunction],
         load: Callable[[SceneAsset], Splats],
     ) -> None:
-        """original: that of MAIN; load: reads that of an asset that was added."""
+        """original: that of MAIN_ASSET_ID; load: reads that of an asset that was added."""
         self.main = Replay(original, painter, store, adjustments)
         self.painter, self.adjustments = painter, adjustments
         self._store, self._load = store, load
@@ -84,7 +84,7 @@ class SceneReplay:
 
     def replay(self, document: Document, asset: str) -> Replay:
         """Replay of one asset. Raises ValueError: unknown, or its file is damaged."""
-        if asset == MAIN:
+        if asset == MAIN_ASSET_ID:
             return self.main
         entry = find_asset(document.assets, asset)
         key = f"{entry.sha256} {entry.frame}"

@@ -20,7 +20,7 @@ from splatpainter.cameras import Camera
 from splatpainter.color import base_color, to_display
 from splatpainter.image_files import bytes_of_png, bytes_to_png
 from splatpainter.jsonio import brief
-from splatpainter.rendering.shares import FAINT, before_black, footprint_mean
+from splatpainter.rendering.shares import MEASURING_OPACITY, before_black, footprint_mean
 from splatpainter.splats import Splats
 from splatpainter.voxels.neighbours import nearest_within
 
@@ -36,9 +36,9 @@ MARKED_SHARE = 0.5
 """Share of a pixel that is selected, below which a Gaussian there is marked as a point."""
 MAX_MARKS = 4000
 """Points of a view."""
-EDGE = 0.02
+SNAP_WEIGHT = 0.02
 """Weights within so much of 0 and 1 are 0 and 1."""
-QUANTILE = 0.01
+STRAY_QUANTILE = 0.01
 """Quantile of depths and heights, below and above which strays lie."""
 MAGIC = b"SELE"
 MAX_POINTS = 1 << 22
@@ -131,7 +131,7 @@ def nearest(points: np.ndarray, queries: np.ndarray, radius: float) -> np.ndarra
 
 def spacing(splats: Splats) -> float:
     """World units: twice the median of the largest scales of what is visible, about how far neighbours are apart."""
-    visible = splats.drawable & (splats.opacities > FAINT)
+    visible = splats.drawable & (splats.opacities > MEASURING_OPACITY)
     sizes = splats.scales[visible if visible.any() else slice(None)].max(1)
     return max(2 * float(np.median(sizes)), 1e-9) if len(sizes) else 1e-9
 
@@ -153,8 +153,8 @@ def combined(before: np.ndarray | None, new: np.ndarray, how: Combine) -> np.nda
 def snapped_weights(weights: np.ndarray) -> np.ndarray:
     """[N] float32 0..1 with what is nearly nothing and nearly all made so."""
     out = np.clip(weights, 0, 1).astype(np.float32)
-    out[out < EDGE] = 0
-    out[out > 1 - EDGE] = 1
+    out[out < SNAP_WEIGHT] = 0
+    out[out > 1 - SNAP_WEIGHT] = 1
     return out
 
 
@@ -219,7 +219,7 @@ def attribute_values(splats: Splats, attribute: Attribute, camera: Camera, up: n
     raw = camera.project(means)[1] if attribute == "depth" else means @ np.asarray(up, np.float64)
     if not visible.any():
         return np.zeros(len(splats))
-    low, high = np.quantile(raw[visible], [QUANTILE, 1 - QUANTILE])
+    low, high = np.quantile(raw[visible], [STRAY_QUANTILE, 1 - STRAY_QUANTILE])
     return np.clip((raw - low) / max(high - low, 1e-12), 0, 1)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from splatpainter.rendering.shares import FAINT
+from splatpainter.rendering.shares import MEASURING_OPACITY
 from splatpainter.session.selection import snapped_weights, spacing
 from splatpainter.splats import Splats
 from splatpainter.transforms import quat_to_matrix
@@ -61,7 +61,7 @@ def parts(splats: Splats) -> np.ndarray:
     """[N] int64: which part of the asset each visible Gaussian hangs together with, the parts numbered by their first
     Gaussians; a faint one is of the part nearest to it within a cube, or of none: -1, as are invisible ones."""
     out = np.full(len(splats), -1, np.int64)
-    ids = np.flatnonzero(splats.drawable & (splats.opacities > FAINT))
+    ids = np.flatnonzero(splats.drawable & (splats.opacities > MEASURING_OPACITY))
     if not len(ids):
         return out
     size = CUBE_SPACINGS * spacing(splats)

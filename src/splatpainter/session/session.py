@@ -60,7 +60,7 @@ from splatpainter.session.layer_factory import limits_of, new_layer, spread_opti
 from splatpainter.session.layer_state import LayerState, Progress
 from splatpainter.session.project_check import find_problems
 from splatpainter.session.project_file import Project, Step, Transaction
-from splatpainter.session.scene_asset import MAIN
+from splatpainter.session.scene_asset import MAIN_ASSET_ID
 from splatpainter.session.scene_replay import SceneReplay
 from splatpainter.session.scratch import ScratchFolder
 from splatpainter.session.snapshot import Snapshot
@@ -471,7 +471,7 @@ class Session(AssetCommands, ExportCommands, Annotations, GeometryCommands):
         """One layer with its pictures as a .splatlayer file."""
         asset_files.write_layer(Path(path), self.layer(layer), self.blob, overwrite)
 
-    def import_layer(self, path: str | Path, *, asset: str = MAIN) -> Layer:
+    def import_layer(self, path: str | Path, *, asset: str = MAIN_ASSET_ID) -> Layer:
         """Add the layer of a .splatlayer file on top. Raises ValueError: not such a file, or it cannot be applied."""
         with self._command():
             layer, self._transaction.blobs = asset_files.read_layer(Path(path))

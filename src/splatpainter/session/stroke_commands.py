@@ -20,7 +20,7 @@ from splatpainter.session.document import STROKE_KINDS, Document, Kind, Layer, a
 from splatpainter.session.fingerprint import fingerprint
 from splatpainter.session.layer_factory import decode_mask, decode_mask_part, encode_mask_part, new_layer
 from splatpainter.session.layer_mask import MAX_PARTS, LayerMask, MaskPart, over
-from splatpainter.session.scene_asset import MAIN, SceneAsset
+from splatpainter.session.scene_asset import MAIN_ASSET_ID, SceneAsset
 from splatpainter.session.scene_replay import SceneReplay
 from splatpainter.splats import Splats
 
@@ -54,7 +54,7 @@ class StrokeCommands(Commands):
     @abstractmethod
     def _camera_of(self, layer: Layer, camera: Camera) -> Camera: ...
 
-    def new_layer(self, name: str | None = None, *, index: int | None = None, asset: str = MAIN) -> Layer:
+    def new_layer(self, name: str | None = None, *, index: int | None = None, asset: str = MAIN_ASSET_ID) -> Layer:
         """An empty layer that strokes can be painted into (on top, or at an index, 0 the lowest). asset: where there
         are several, the one that it belongs to."""
         with self._command():

@@ -27,7 +27,7 @@ CACHED_BYTES = 1 << 27
 """Bytes of Gaussians after strokes that are cached to go on from, or back to."""
 MAX_CACHED = 64
 """Most states that are cached."""
-CHECKPOINT = 8
+CHECKPOINT_STROKES = 8
 """Strokes before the last one at which the Gaussians are cached too where many are written in a row: the next undos
 start from there."""
 SPARE_ROOM = 0.25
@@ -168,7 +168,7 @@ class StrokeChains:
                     continue
                 writer = writer or _Writer(painted, below)
                 writer.write(result)
-                if k == count - 1 - CHECKPOINT:
+                if k == count - 1 - CHECKPOINT_STROKES:
                     self._keep(writer.painted(chain, k + 1))
                 continue
             if writer is not None:

@@ -18,13 +18,13 @@ from splatpainter.cameras import AUTO_UP, FRAME_MARGIN, UPS, Camera, bounding_sp
 from splatpainter.lift.masks import box_mean, dilated
 from splatpainter.splats import Splats
 
-CANDIDATES = 40
+CANDIDATE_VIEWS = 40
 """Views among which a plan chooses, evenly over all directions."""
 CANDIDATE_PX = 96
 """Side of their pictures."""
-CELLS = 48
+CELLS_PER_RADIUS = 48
 """Cells along the asset's radius; the surface has one sample in each, and for each side."""
-FACING = (math.cos(math.radians(75)), math.cos(math.radians(62)))
+FACING_COSINES = (math.cos(math.radians(75)), math.cos(math.radians(62)))
 """Cosines from which a view reaches a surface, and from which fully; between them the mask is soft."""
 MAX_SLOPE = 5.0
 """Change of depth from one pixel to the next, in pixels' widths there, above which it breaks ..."""
@@ -32,9 +32,9 @@ MIN_STEP = 0.008
 """... and as a part of the depth, at least: folds and the noise of captures are no edges."""
 EDGE_PX = 1
 """Reach around such a break that is not painted, pixels."""
-SMOOTH = 1 / 130
+SMOOTHING_SHARE = 1 / 130
 """Reach of the mean over which the angle is taken, as a part of the view's longer side: captures' normals are rough."""
-FRONTAL = 0.7
+FRONTAL_COSINE = 0.7
 """Facing from which a view of a surface counts as good as any."""
 USUAL_HEIGHTS, UNUSUAL_WEIGHT = (-0.1, 0.8), 0.7
 """Sines of the elevation between which things are usually looked at, and what views from elsewhere weigh beside them:
@@ -44,7 +44,7 @@ MIN_GAIN = 0.005
 MAX_DEPTH_DIFFERENCE = 0.015
 """Largest difference in depth between a point and the surface that a view shows in front of it, as a part of the depth;
 more: it is hidden."""
-SOLID = 0.5
+MIN_SURFACE_ALPHA = 0.5
 """Alpha from which a pixel shows the surface."""
 MIN_MASK_SHARE = 0.002
 """Share of the asset's pixels below which a mask is not worth a call."""
@@ -71,7 +71,7 @@ class SurfaceView:
 
         passes = draw_passes(splats, camera, ("normal",), normals=normals)
         assert passes.normal is not None
-        depth = np.where(passes.alpha > SOLID, passes.depth, 0).astype(np.float32)
+        depth = np.where(passes.alpha > MIN_SURFACE_ALPHA, passes.depth, 0).astype(np.float32)
         towards = -(camera.rays()[1] * passes.normal).sum(-1, keepdims=True)
         return SurfaceView(camera, depth, np.where(towards < 0, -passes.normal, passes.normal))
 
@@ -86,7 +86,7 @@ class SurfaceView:
         and not beside an edge in depth."""
         there = self.depth > 0
         facing = np.where(there, -(self.camera.rays()[1] * self.normal).sum(-1), 0)
-        reach = max(1, round(SMOOTH * max(self.depth.shape)))
+        reach = max(1, round(SMOOTHING_SHARE * max(self.depth.shape)))
         smooth = box_mean(facing, reach) / np.maximum(box_mean(there, reach), 1e-6)
         edge = dilated(self._steps, EDGE_PX)
         return np.where(there & ~edge, _ramp(smooth), 0).astype(np.float32)
@@ -137,7 +137,7 @@ def unreached(view: SurfaceView, earlier: Sequence[tuple[SurfaceView, np.ndarray
     points, normals = view.points[there], view.normal[there]
     painted = np.zeros(view.depth.shape, np.float32)
     for other, share in earlier:
-        visible = other.facing(points, normals) > FACING[0]
+        visible = other.facing(points, normals) > FACING_COSINES[0]
         pixels, _ = other.camera.project(points)
         painted[there] = np.maximum(painted[there], np.where(visible, _bilinear(share, pixels), 0))
     painted = box_mean(painted, 1) / np.maximum(box_mean(there, 1), 1e-6)
@@ -182,7 +182,7 @@ def plan_views(
     distance = FRAME_MARGIN * radius / math.sin(math.radians(FOV / 2))
     axis = UPS[AUTO_UP if up == "auto" else up]
     cameras = spherical_cameras(
-        center, distance, CANDIDATES, size=CANDIDATE_PX, fov=FOV, up=axis, backgrounds=(background,)
+        center, distance, CANDIDATE_VIEWS, size=CANDIDATE_PX, fov=FOV, up=axis, backgrounds=(background,)
     )
     heights = np.array([(camera.position - center) @ axis / distance for camera in cameras])
     preferred = np.where((heights > USUAL_HEIGHTS[0]) & (heights < USUAL_HEIGHTS[1]), 1, UNUSUAL_WEIGHT)
@@ -194,7 +194,7 @@ def plan_views(
     views = [SurfaceView.of(splats, camera, normals) for camera in cameras]
     points, sides = _samples(views, radius, allowed)
     facing = np.stack([view.facing(points, sides) for view in views])
-    reach, value = _ramp(facing), np.minimum(facing / FRONTAL, 1)
+    reach, value = _ramp(facing), np.minimum(facing / FRONTAL_COSINE, 1)
     visible = (facing > 0.05).any(0)
     total, unseen = max(int(visible.sum()), 1), visible.astype(np.float64)
     chosen: list[int] = []
@@ -222,7 +222,7 @@ def _samples(views: Sequence[SurfaceView], radius: float, allowed: ViewShare | N
     normals = np.concatenate([view.normal[part] for view, part in zip(views, there, strict=True)])
     if not len(points):
         return np.zeros((0, 3)), np.zeros((0, 3))
-    cells = np.floor(points * (CELLS / radius)).astype(np.int64)
+    cells = np.floor(points * (CELLS_PER_RADIUS / radius)).astype(np.int64)
     side = 2 * np.abs(normals).argmax(1) + (
         np.take_along_axis(normals, np.abs(normals).argmax(1)[:, None], 1)[:, 0] > 0
     )
@@ -234,7 +234,7 @@ def _samples(views: Sequence[SurfaceView], radius: float, allowed: ViewShare | N
 
 
 def _ramp(facing: np.ndarray) -> np.ndarray:
-    low, high = FACING
+    low, high = FACING_COSINES
     return np.clip((facing - low) / (high - low), 0, 1)
 
 

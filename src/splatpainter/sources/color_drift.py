@@ -18,13 +18,13 @@ from splatpainter.color import linear_to_srgb, srgb_to_linear
 from splatpainter.lift.masks import box_mean, largest_channel
 
 DriftKind = Literal["none", "gain", "gain and offset", "matrix"]
-ROUNDS = 30
+MAX_REWEIGHTINGS = 30
 """Most rounds of reweighting."""
 COLOR_LEVELS, MAX_OF_A_COLOR = 16, 250
 """Steps of each channel, and pixels that are fitted of each colour in them: a bare background must not outvote all."""
 MIN_SAMPLES = 64
 """... at least."""
-CLIPPED = (0.01, 0.985)
+UNCLIPPED_RANGE = (0.01, 0.985)
 """Display values beyond which a pixel was clipped and says nothing."""
 TUKEY = 4.685
 """Standard deviations beyond which a pixel does not count."""
@@ -36,7 +36,7 @@ MIN_AGREEING_MASKED = 0.15
 """... and where a mask says that none was to be."""
 MAX_MIXED = 0.3
 """Largest part of one channel that drifts into another."""
-AGREEING = 0.02
+MAX_AGREEING_DIFFERENCE = 0.02
 """Largest difference, display values, of a pixel that agrees."""
 MIN_GAIN_RANGE = 0.03
 """Standard deviation of linear light from which an offset can be told from a gain."""
@@ -99,7 +99,7 @@ def estimate_drift(picture: np.ndarray, render: np.ndarray, reference: np.ndarra
 
     certain: whether nobody was to change these (a mask says so). A correction that makes too few of them agree, or that
     exchanges channels, is none: there the picture was changed on purpose."""
-    low, high = CLIPPED
+    low, high = UNCLIPPED_RANGE
     usable = reference & ((picture > low) & (picture < high) & (render > low) & (render < high)).all(-1)
     if usable.sum() < MIN_SAMPLES:
         return NO_DRIFT
@@ -111,10 +111,10 @@ def estimate_drift(picture: np.ndarray, render: np.ndarray, reference: np.ndarra
         matrix = _fitted(source, target, kind)
         after = ColorDrift(kind, matrix).corrected(display)
         distance = largest_channel(np.abs(after - expected))
-        rest = float(np.minimum(distance, 2 * AGREEING).mean()) + 0.25 / 255
+        rest = float(np.minimum(distance, 2 * MAX_AGREEING_DIFFERENCE).mean()) + 0.25 / 255
         mixed = np.abs(matrix[:, :3] - np.diag(np.diag(matrix[:, :3]))).max()
         if rest < MIN_IMPROVEMENT * error and mixed < MAX_MIXED:
-            drift, error = ColorDrift(kind, matrix, float((distance < AGREEING).mean())), rest
+            drift, error = ColorDrift(kind, matrix, float((distance < MAX_AGREEING_DIFFERENCE).mean())), rest
     if drift.agreeing < (MIN_AGREEING_MASKED if certain else MIN_AGREEING):
         return NO_DRIFT
     moved = np.abs(drift.corrected(display) - display).mean(0).max()
@@ -128,7 +128,7 @@ def tone_change(picture: np.ndarray, render: np.ndarray, reference: np.ndarray) 
 
     The function is a cubic polynomial of the display colours (curves, exposure, balance, hue, saturation); what it
     clips may be clipped in the picture."""
-    low, high = CLIPPED
+    low, high = UNCLIPPED_RANGE
     usable = reference & ((picture > low) & (picture < high)).all(-1)
     if usable.sum() < MIN_SAMPLES:
         return None
@@ -136,7 +136,7 @@ def tone_change(picture: np.ndarray, render: np.ndarray, reference: np.ndarray) 
     source, target = _powers(render.reshape(-1, 3)[ids]), picture.reshape(-1, 3)[ids].astype(np.float64)
     share = np.ones(len(ids))
     coefficients = np.zeros((source.shape[1], 3))
-    for _ in range(ROUNDS // 3):
+    for _ in range(MAX_REWEIGHTINGS // 3):
         weighted = source * share[:, None]
         normal = weighted.T @ source
         normal += 1e-6 * np.trace(normal) / len(normal) * np.eye(len(normal))
@@ -186,7 +186,7 @@ def _fitted(source: np.ndarray, target: np.ndarray, kind: DriftKind) -> np.ndarr
     if kind != "gain":  # a weak start cannot leave what is painted over; the simpler model's answer is a better one
         matrix = _fitted(source, target, "gain")
     homogeneous = np.concatenate([source, np.ones((len(source), 1))], 1)
-    for _ in range(ROUNDS):
+    for _ in range(MAX_REWEIGHTINGS):
         error = homogeneous @ matrix.T - target
         distance = np.linalg.norm(error, axis=1)
         spread = max(float(np.median(distance)), MIN_SPREAD)

@@ -31,7 +31,7 @@ MIN_ALPHA = 0.5
 """Pixels of a reference picture with less alpha do not count."""
 MAX_PIXELS = 1 << 20
 """Most pixels of a reference picture that are looked at; of larger ones every n-th row and column."""
-VIEWS, VIEW_PX = 24, 192
+VIEW_COUNT, VIEW_PX = 24, 192
 """Views around an asset that say what is seen of it, and the pixels of their sides."""
 MIN_LUMINANCE = 1e-3
 """Least luminance of what is given a new colour, in linear light: black has no light and shade that could be kept."""
@@ -141,13 +141,13 @@ def display_colors(splats: Splats) -> np.ndarray:
 
 
 def seen_weights(splats: Splats) -> np.ndarray:
-    """[N] float64 pixels that show each Gaussian in VIEWS views from all around."""
+    """[N] float64 pixels that show each Gaussian in VIEW_COUNT views from all around."""
     from splatpainter.rendering.cpu.projected_view import project
 
     center, radius = bounding_sphere(splats)
     weights = np.zeros(len(splats))
     black, everywhere = np.zeros((VIEW_PX, VIEW_PX, 3), np.float32), np.ones((VIEW_PX, VIEW_PX), np.float32)
-    for camera in spherical_cameras(center, 3.2 * radius, VIEWS, size=VIEW_PX):
+    for camera in spherical_cameras(center, 3.2 * radius, VIEW_COUNT, size=VIEW_PX):
         view = project(splats, camera)
         weights[view.gaussian_ids] += view.backproject(black, everywhere).weight
     return weights

@@ -18,26 +18,26 @@ from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import visible_surface
 
-VOXELS = 72
+GRID_VOXELS = 72
 """Along each edge of the grid."""
-TRUNCATION = 4.0
+TRUNCATION_VOXELS = 4.0
 """Distance from the surface, in voxels, up to which views are averaged."""
 MAX_DEPTH = 3.0
 """How far behind a surface a view still says that this is inside, in truncations, ..."""
-BEHIND = 0.1
+BEHIND_WEIGHT = 0.1
 """... and what that weighs from one truncation on."""
-ROUNDS = 3
+FUSION_ROUNDS = 3
 """The first one without normals."""
-POWER = 3
+FACING_EXPONENT = 3
 """Power of the cosine of the angle at which a view sees the surface, as its weight: the more a line of sight lies along
 foggy surface, the deeper it sees into it."""
 MIN_COSINE = 0.15
 """Least cosine in this weight."""
-BLUR = 1.5
+BLUR_VOXELS = 1.5
 """Standard deviation of the blur of the distances, voxels."""
 MIN_WEIGHT = 0.1
 """Least weight of a voxel after the blur, in views that see it frontally."""
-DIRECTIONS = ((0, 0), (45, 0), (-45, 0), (90, 0), (-90, 0), (135, 0), (-135, 0), (0, 50), (0, -50))
+VIEW_DIRECTIONS_DEGREES = ((0, 0), (45, 0), (-45, 0), (90, 0), (-90, 0), (135, 0), (-135, 0), (0, 50), (0, -50))
 """Degrees around and over the normal of the first point from which views look."""
 MIN_ALPHA = 0.5
 """Least alpha of pixels that show a surface."""
@@ -54,17 +54,17 @@ def fused_surface(
     """(points [S, 3], unit normals [S, 3] outwards, edge of a voxel) of the surface in a ball around a point of it,
     world units. surface: of the splats; start: (point [3], unit normal [3]); up: [3] unit tangent; facing(direction [3]
     unit, world units per pixel): a camera that looks at the ball from there."""
-    voxel = 2 * radius / VOXELS
-    axis = (np.arange(VOXELS) + 0.5) * voxel - radius
+    voxel = 2 * radius / GRID_VOXELS
+    axis = (np.arange(GRID_VOXELS) + 0.5) * voxel - radius
     grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3) + start[0]
     right = np.cross(up, start[1])
     views: list[tuple[Camera, np.ndarray]] = []
-    for yaw, pitch in np.radians(DIRECTIONS):
+    for yaw, pitch in np.radians(VIEW_DIRECTIONS_DEGREES):
         direction = np.cos(pitch) * (np.cos(yaw) * start[1] + np.sin(yaw) * right) + np.sin(pitch) * up
         camera = facing(direction, voxel)
-        views.append((camera, _distances(splats, surface, camera, grid, TRUNCATION * voxel)))
+        views.append((camera, _distances(splats, surface, camera, grid, TRUNCATION_VOXELS * voxel)))
     distance, weight = _averaged(views, grid, None)
-    for _ in range(ROUNDS - 1):
+    for _ in range(FUSION_ROUNDS - 1):
         normals = _gradient(distance).reshape(-1, 3)
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
         distance, weight = _averaged(views, grid, normals)
@@ -97,27 +97,27 @@ def _distances(splats: Splats, surface: Surface, camera: Camera, grid: np.ndarra
 def _averaged(
     views: list[tuple[Camera, np.ndarray]], grid: np.ndarray, normals: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(distance, weight), both [VOXELS, VOXELS, VOXELS] and blurred, of views: (camera, `_distances` [G] of the grid
-    [G, 3]). normals: [G, 3] unit, of the surface nearest to each point, by which views are weighed."""
+    """(distance, weight), both [GRID_VOXELS, GRID_VOXELS, GRID_VOXELS] and blurred, of views: (camera, `_distances` [G]
+    of the grid [G, 3]). normals: [G, 3] unit, of the surface nearest to each point, by which views are weighed."""
     total, weight = np.zeros(len(grid)), np.zeros(len(grid))
     for camera, before in views:
         share = np.isfinite(before).astype(float)
         if normals is not None:
             line = camera.position - grid
             cosine = (line * normals).sum(1) / np.linalg.norm(line, axis=1)
-            share *= np.maximum(cosine, MIN_COSINE) ** POWER
-        share *= np.where(before <= -1, BEHIND, 1)
+            share *= np.maximum(cosine, MIN_COSINE) ** FACING_EXPONENT
+        share *= np.where(before <= -1, BEHIND_WEIGHT, 1)
         total += share * np.nan_to_num(before)
         weight += share
-    shape = (VOXELS,) * 3
+    shape = (GRID_VOXELS,) * 3
     weight = _blurred(weight.reshape(shape))
     return _blurred(total.reshape(shape)) / np.maximum(weight, 1e-9), weight
 
 
 def _blurred(values: np.ndarray) -> np.ndarray:
-    """A volume after a Gaussian blur of BLUR voxels; nothing beyond its faces."""
-    reach = int(np.ceil(2.5 * BLUR))
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / BLUR) ** 2)
+    """A volume after a Gaussian blur of BLUR_VOXELS; nothing beyond its faces."""
+    reach = int(np.ceil(2.5 * BLUR_VOXELS))
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / BLUR_VOXELS) ** 2)
     kernel /= kernel.sum()
     for axis in range(3):
         padded = np.pad(values, [(reach, reach) if a == axis else (0, 0) for a in range(3)])

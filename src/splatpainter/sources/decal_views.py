@@ -51,7 +51,7 @@ MIN_OUTLINE_SHARE, MAX_OUTLINE_SHARE = 0.05, 0.85
 at an outline, ..."""
 INWARD_SINE = 0.5
 """... and of the sine of the angle by which these lie above its tangent plane, from which its normal is wrong."""
-BALL = 0.54
+FUSED_RADIUS_DIAGONALS = 0.54
 """Radius of the ball in which views of rough surface are fused, in diagonals of the decal."""
 MAX_SAMPLES = 60_000
 """Most samples of one decal; from which on no further view is surveyed."""
@@ -65,18 +65,18 @@ MAX_SURVEYS = 10
 """Cameras that look for the surface under a decal."""
 PIXELS_PER_SPACING = 1.4
 """Resolution of these cameras, where they face the surface."""
-GRAZING = np.cos(np.radians(58.0))
+MIN_FACING_COSINE = np.cos(np.radians(58.0))
 """Cosine between the normal and the line of sight below which a sample should be seen from elsewhere."""
-LEAN = np.radians(50.0)
+RIM_LEAN_RADIANS = np.radians(50.0)
 """Angle by which a camera leans outwards over a rim, to see how the surface goes on behind it."""
-RIM = 0.22
+MIN_RIM_LENGTH = 0.22
 """Length of `Unwrapped.rims` from which a sample is at a rim."""
-WATCHED = np.cos(np.radians(40.0))
+MIN_CAMERA_COSINE = np.cos(np.radians(40.0))
 """Cosine between the direction in which a sample asks for a camera and that of one, from which it has got it."""
 MIN_OPEN = 0.25
 """Samples of a decal that must ask for a camera, over those along its shorter side: a word that goes on around an edge
 asks along a line."""
-FRONTAL = np.cos(np.radians(42.0))
+FRONTAL_COSINE = np.cos(np.radians(42.0))
 """Cosine between normal and line of sight from which a view counts as frontal."""
 SIDE_TURN = np.radians(38.0)
 """Angle to both sides of a view that paints fog: more cameras that paint the same part."""
@@ -137,7 +137,7 @@ def survey(
         camera = facing_camera(asset, target, direction, up, radius * 1.08, spacing / PIXELS_PER_SPACING, nearer=nearer)
         view = project(asset.splats, camera)
         _, alpha, depth = view.rasterize()
-        frontal = best > GRAZING
+        frontal = best > MIN_FACING_COSINE
         requested = (alpha > MIN_ALPHA) & ~_surveyed(camera, depth, points[frontal], normals[frontal], spacing)
         ys, xs = np.nonzero(requested)
         requested[ys, xs] = _near_strip(camera.unproject(depth[ys, xs], np.stack([xs, ys], 1) + 0.5), start, up, size)
@@ -158,14 +158,15 @@ def survey(
         under = within & (np.abs(samples.uv) < half).all(1)
         directions.append(direction)
         rim = np.linalg.norm(samples.rims, axis=1)
-        at_rim = under & (rim > RIM)
+        at_rim = under & (rim > MIN_RIM_LENGTH)
         leaning = np.where(
             at_rim[:, None],
-            np.cos(LEAN) * turned - np.sin(LEAN) * samples.rims / np.maximum(rim, 1e-9)[:, None],
+            np.cos(RIM_LEAN_RADIANS) * turned
+            - np.sin(RIM_LEAN_RADIANS) * samples.rims / np.maximum(rim, 1e-9)[:, None],
             turned,
         )
-        asking = under & (at_rim | (best < GRAZING))
-        asking &= (leaning @ np.stack(directions, 1)).max(1) < WATCHED
+        asking = under & (at_rim | (best < MIN_FACING_COSINE))
+        asking &= (leaning @ np.stack(directions, 1)).max(1) < MIN_CAMERA_COSINE
         asking[0] = False
         if asking.sum() <= max(MIN_OPEN * min(size) / spacing, 3):
             break
@@ -190,7 +191,7 @@ def _fused_patch(
     max_turn: float,
 ) -> UnwrappedPatch | None:
     """`survey` on rough surface: one made of all views (`fused_surface`); None where there is none at the start."""
-    radius = BALL * float(np.hypot(*size))
+    radius = FUSED_RADIUS_DIAGONALS * float(np.hypot(*size))
 
     def facing(direction: np.ndarray, pixel: float) -> Camera:
         return facing_camera(asset, start[0], direction, up, radius * 1.08, pixel)
@@ -264,7 +265,7 @@ def _joined(
     good = cosine > 0.17
     points, normals = np.concatenate([points, new[good]]), np.concatenate([normals, facing[good]])
     best, rough = np.concatenate([best, cosine[good]]), np.concatenate([rough, new_rough[good]])
-    order = np.concatenate([[0], 1 + np.argsort(-(best[1:] > GRAZING).astype(int), kind="stable")])
+    order = np.concatenate([[0], 1 + np.argsort(-(best[1:] > MIN_FACING_COSINE).astype(int), kind="stable")])
     order = order[thinned(points[order], normals[order], spacing)]
     return points[order], normals[order], best[order], rough[order]
 
@@ -547,12 +548,12 @@ def _directions(points: np.ndarray, normals: np.ndarray, limit: int) -> list[tup
         if left.sum() <= max(MIN_SHARE * len(points), 0) and out:
             break
         candidates = normals[left][:: max(int(left.sum()) // 256, 1)]
-        direction = candidates[(normals[left] @ candidates.T > FRONTAL).sum(0).argmax()]
+        direction = candidates[(normals[left] @ candidates.T > FRONTAL_COSINE).sum(0).argmax()]
         for _ in range(3):
-            near = left & (normals @ direction > FRONTAL)
+            near = left & (normals @ direction > FRONTAL_COSINE)
             direction = normals[near].mean(0)
             direction /= np.linalg.norm(direction)
-        near = left & (normals @ direction > FRONTAL)
+        near = left & (normals @ direction > FRONTAL_COSINE)
         if not near.any():
             break
         out.append((direction, points[near]))

@@ -22,7 +22,14 @@ from typing import Literal
 import numpy as np
 
 from splatpainter.lift.masks import MAX_NOISE, MAX_ROUNDING, box_mean, change_mask, dilated, largest_channel
-from splatpainter.sources.color_drift import CLIPPED, MIN_TONE, NO_DRIFT, ColorDrift, estimate_drift, tone_change
+from splatpainter.sources.color_drift import (
+    MIN_TONE,
+    NO_DRIFT,
+    UNCLIPPED_RANGE,
+    ColorDrift,
+    estimate_drift,
+    tone_change,
+)
 from splatpainter.sources.picture_reader import resample
 from splatpainter.sources.picture_source import PictureAnswer, PictureRequest, SourceError
 from splatpainter.sources.registration import Registration, edge_strength, register, warped
@@ -52,7 +59,7 @@ SPECK_PX, SPECK_SHARE = 3, 0.4
 colours that were stored at half the size bleed over edges."""
 SLACK_PX = 0.2
 """Pixels by which a picture that was moved back may still be off: that much of the slope is no change."""
-MOSTLY = 0.6
+MIN_WHOLLY_CHANGED_SHARE = 0.6
 """Share of what may change from which all of it counts as changed: a new style leaves some pixels by chance."""
 MAX_MIRRORED, MIRROR_GAIN = 0.75, 0.2
 """Scores below which a picture may be a mirror image, and by which its mirror image must agree better to be one."""
@@ -271,7 +278,7 @@ def _corrected(drift: ColorDrift, colors: np.ndarray, like: np.ndarray) -> np.nd
     out = drift.corrected(colors)
     if drift.kind not in ("gain", "gain and offset"):  # a matrix carries what was clipped into other channels
         return out
-    low, high = CLIPPED
+    low, high = UNCLIPPED_RANGE
     out = np.where((colors >= high) & (out < like), like, out)
     return np.where((colors <= low) & (out > like), like, out)
 
@@ -288,7 +295,7 @@ def _changed(
     if mask is not None:
         changed |= (mask > 0) & (difference > MAX_ROUNDING)
     everything = regraded and mask is None
-    if everything or (changed & region).sum() > MOSTLY * region.sum():
+    if everything or (changed & region).sum() > MIN_WHOLLY_CHANGED_SHARE * region.sum():
         changed = changed | region
     return changed
 

@@ -20,7 +20,7 @@ MAX_LARGER_PX = 4096
 """Most pixels of the longer side of a larger view; pictures beyond are shrunk to it."""
 KERNELS: tuple[Kernel, ...] = ("nearest", "bilinear", "bicubic", "lanczos")
 """Kernels by which programs enlarge."""
-SLACK = 2 / 255
+KERNEL_RANGE_MARGIN = 2 / 255
 """Most by which an enlargement may leave the range of those by KERNELS."""
 REACH_PX = 3
 """Pixels of the view around what surely was edited, in which differences count that may come from enlarging."""
@@ -54,8 +54,8 @@ def edited_in_larger(picture: np.ndarray, large: np.ndarray, small: np.ndarray, 
     nearest = enlarged[int(np.argmin(errors))]
     if changed_throughout(picture, before, cover) and changed_throughout(picture, nearest, cover):
         return np.ones(cover.shape, bool)
-    low = np.minimum.reduce([before, *enlarged]) - SLACK
-    high = np.maximum.reduce([before, *enlarged]) + SLACK
+    low = np.minimum.reduce([before, *enlarged]) - KERNEL_RANGE_MARGIN
+    high = np.maximum.reduce([before, *enlarged]) + KERNEL_RANGE_MARGIN
     surely = change_mask(picture, np.clip(picture, low, high))
     reach = math.ceil(REACH_PX * width / small.shape[1])
     return change_mask(picture, before) & change_mask(picture, nearest) & dilated(surely, reach)

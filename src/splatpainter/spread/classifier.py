@@ -21,7 +21,7 @@ from splatpainter.kernels.parallel import run
 
 FEATURES = 192
 """Random Fourier features."""
-BLOCK = 64
+POINTS_PER_BLOCK = 64
 """Points that a thread takes at a time."""
 
 
@@ -104,16 +104,16 @@ def _row(points, i, directions, phases, out):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _features(points, directions, phases, out, thread, threads):
-    for start in range(thread * BLOCK, points.shape[0], threads * BLOCK):
-        for i in range(start, min(start + BLOCK, points.shape[0])):
+    for start in range(thread * POINTS_PER_BLOCK, points.shape[0], threads * POINTS_PER_BLOCK):
+        for i in range(start, min(start + POINTS_PER_BLOCK, points.shape[0])):
             _row(points, i, directions, phases, out[i])
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _predict(points, directions, phases, theta, out, thread, threads):
     row = np.empty(theta.shape[0], np.float32)
-    for start in range(thread * BLOCK, points.shape[0], threads * BLOCK):
-        for i in range(start, min(start + BLOCK, points.shape[0])):
+    for start in range(thread * POINTS_PER_BLOCK, points.shape[0], threads * POINTS_PER_BLOCK):
+        for i in range(start, min(start + POINTS_PER_BLOCK, points.shape[0])):
             _row(points, i, directions, phases, row)
             total = 0.0
             for d in range(row.shape[0]):

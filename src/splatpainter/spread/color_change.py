@@ -29,7 +29,7 @@ MIN_LIGHT = 1e-3
 """Luminance, linear, that a mean counts as at least."""
 HOLD_MATRIX, HOLD_OFFSET = 0.02, 0.05
 """Pull of A and b towards where they start, in variances of the old colour over its mean luminance."""
-STEP = 0.02
+DIFFERENCE_STEP = 0.02
 """Step of the central differences along a SH coefficient, display units."""
 
 
@@ -76,9 +76,9 @@ class ColorChange:
         if sh.shape[1] > 1:
             bands = sh[:, 1:]
             size = np.maximum(np.abs(bands).max(-1, keepdims=True), 1e-6)
-            along = STEP * bands / size
-            middle = old.clip(2 * STEP, 1 - 2 * STEP)[:, None]
-            out[:, 1:] = (change(middle + along) - change(middle - along)) * (size / (2 * STEP))
+            along = DIFFERENCE_STEP * bands / size
+            middle = old.clip(2 * DIFFERENCE_STEP, 1 - 2 * DIFFERENCE_STEP)[:, None]
+            out[:, 1:] = (change(middle + along) - change(middle - along)) * (size / (2 * DIFFERENCE_STEP))
         return (sh + shares[:, None, None] * (out - sh)).astype(np.float32)
 
 

@@ -17,11 +17,11 @@ from splatpainter.spread.nearest_neighbours import neighbours, weighted_means
 
 LIGHTNESS, CHROMA, TEXTURE = 0.2, 0.08, 0.1
 """OKLab lightness, chroma over lightness, and their standard deviations that are one unit."""
-DARK = 0.08
+CHROMA_LIGHTNESS_OFFSET = 0.08
 """Added to the lightness that chroma is divided by: the hue of what is nearly black is noise."""
 ITSELF, NEAR, AROUND, VARIATION = 0.5, 1.0, 0.5, 0.5
 """Weights: of a Gaussian's colour, of the mean over its neighbours and over theirs, and of the texture."""
-INPUTS = 15
+DESCRIPTOR_CHANNELS = 15
 """Numbers per Gaussian."""
 
 
@@ -30,7 +30,7 @@ class Descriptors:
     """Descriptors of M Gaussians."""
 
     values: np.ndarray = field(repr=False)
-    """[M, INPUTS] float32."""
+    """[M, DESCRIPTOR_CHANNELS] float32."""
     near: np.ndarray = field(repr=False)
     """[M, COUNT] int32 neighbours."""
     colors: np.ndarray = field(repr=False)
@@ -43,7 +43,7 @@ class Descriptors:
         """splats: numpy, all drawable."""
         colors = to_display(np.clip(base_color(splats.sh), 0, 1), splats.color_space)
         lab = oklab(colors)
-        chroma = lab[:, 1:] / (lab[:, :1] + DARK)
+        chroma = lab[:, 1:] / (lab[:, :1] + CHROMA_LIGHTNESS_OFFSET)
         scaled = np.concatenate([lab[:, :1] / LIGHTNESS, chroma / CHROMA], 1).astype(np.float32)
         ordered = np.sort(splats.scales, axis=1)
         weights = (splats.opacities * ordered[:, 1] * ordered[:, 2]).astype(np.float32)

@@ -14,7 +14,7 @@ from splatpainter.lift.edit_views import EditView
 from splatpainter.lift.masks import box_mean, dilated
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import Splats
-from splatpainter.spread.descriptors import CHROMA, DARK, LIGHTNESS
+from splatpainter.spread.descriptors import CHROMA, CHROMA_LIGHTNESS_OFFSET, LIGHTNESS
 
 MIN_SEEN_PX = 0.1
 """Pixels' worth of a Gaussian that views must show before it is an example."""
@@ -85,7 +85,9 @@ def open_share(view: EditView, splats: Splats) -> float:
     """0..1 part of the paint's edge that has the same material on its other side."""
     assert view.alpha is not None and view.depth is not None
     lab = oklab(to_display(np.clip(view.before, 0, 1), splats.color_space).reshape(-1, 3)).reshape(view.before.shape)
-    units = np.concatenate([lab[..., :1] / LIGHTNESS, lab[..., 1:] / (lab[..., :1] + DARK) / CHROMA], 2)
+    units = np.concatenate(
+        [lab[..., :1] / LIGHTNESS, lab[..., 1:] / (lab[..., :1] + CHROMA_LIGHTNESS_OFFSET) / CHROMA], 2
+    )
     values = np.concatenate([units, view.depth[..., None]], 2).astype(np.float32)
     solid = view.alpha > 0.9
     inside = solid & np.logical_not(dilated(~view.mask, 2))

@@ -12,7 +12,7 @@ from numba import njit
 from splatpainter.kernels.parallel import run
 from splatpainter.kernels.search import first_not_below
 
-COUNT = 16
+NEIGHBOURS = 16
 """Neighbours of a point, itself the first."""
 POINTS_PER_CUBE = 4.0
 """Points per cube, about, of the cubes that hold any."""
@@ -22,15 +22,15 @@ MAX_TESTED = 4096
 """Points that one search looks at: a million points at one place cost no more."""
 BITS = 20
 """Bits of a cube's index along each axis."""
-BLOCK = 256
+POINTS_PER_BLOCK = 256
 """Points that a thread takes at a time."""
 
 
 def neighbours(points: np.ndarray) -> np.ndarray:
-    """[M, COUNT] int32: each point, then those nearest to it in rising distance; where a search meets fewer, the point
-    itself again. points: [M, 3] finite."""
+    """[M, NEIGHBOURS] int32: each point, then those nearest to it in rising distance; where a search meets fewer, the
+    point itself again. points: [M, 3] finite."""
     count = len(points)
-    out = np.empty((count, COUNT), np.int32)
+    out = np.empty((count, NEIGHBOURS), np.int32)
     if count:
         size = _cube_size(points)
         low = np.quantile(points, 0.001, axis=0) - size * (1 << (BITS - 2))
@@ -59,8 +59,8 @@ def _cube_size(points: np.ndarray) -> float:
 def _nearest(points, keys, order, cells, size, out, thread, threads):
     count = out.shape[1]
     best, square = np.empty(count, np.int64), np.empty(count)
-    for start in range(thread * BLOCK, points.shape[0], threads * BLOCK):
-        for i in range(start, min(start + BLOCK, points.shape[0])):
+    for start in range(thread * POINTS_PER_BLOCK, points.shape[0], threads * POINTS_PER_BLOCK):
+        for i in range(start, min(start + POINTS_PER_BLOCK, points.shape[0])):
             for ring in range(1, MAX_RINGS + 1):
                 filled, tested = 0, 0
                 for x in range(cells[i, 0] - ring, cells[i, 0] + ring + 1):
@@ -103,8 +103,8 @@ def weighted_means(values: np.ndarray, weights: np.ndarray, near: np.ndarray) ->
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _means(values, weights, near, mean, deviation, thread, threads):
-    for start in range(thread * BLOCK, near.shape[0], threads * BLOCK):
-        for i in range(start, min(start + BLOCK, near.shape[0])):
+    for start in range(thread * POINTS_PER_BLOCK, near.shape[0], threads * POINTS_PER_BLOCK):
+        for i in range(start, min(start + POINTS_PER_BLOCK, near.shape[0])):
             total = 0.0
             for n in range(near.shape[1]):
                 total += weights[near[i, n]]
@@ -133,8 +133,8 @@ def smoothed(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _smooth(now, target, hold, links, near, after, thread, threads):
-    for start in range(thread * BLOCK, near.shape[0], threads * BLOCK):
-        for i in range(start, min(start + BLOCK, near.shape[0])):
+    for start in range(thread * POINTS_PER_BLOCK, near.shape[0], threads * POINTS_PER_BLOCK):
+        for i in range(start, min(start + POINTS_PER_BLOCK, near.shape[0])):
             total = 0.0
             for n in range(near.shape[1]):
                 total += links[i, n] * now[near[i, n]]
@@ -146,4 +146,4 @@ def warm() -> None:
     points = np.random.default_rng(0).random((40, 3)).astype(np.float32)
     near, ones = neighbours(points), np.ones(40, np.float32)
     weighted_means(points, ones, near)
-    smoothed(ones, ones, ones, np.full(near.shape, 1 / COUNT, np.float32), near, 1)
+    smoothed(ones, ones, ones, np.full(near.shape, 1 / NEIGHBOURS, np.float32), near, 1)

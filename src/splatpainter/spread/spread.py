@@ -25,14 +25,14 @@ from splatpainter.lift.global_edit import seen_change
 from splatpainter.splats import Splats
 from splatpainter.spread.classifier import Projections, density_ratio, two_class
 from splatpainter.spread.color_change import ColorChange
-from splatpainter.spread.descriptors import INPUTS, Descriptors
+from splatpainter.spread.descriptors import DESCRIPTOR_CHANNELS, Descriptors
 from splatpainter.spread.examples import Examples
 from splatpainter.spread.nearest_neighbours import smoothed
 from splatpainter.spread.options import SPREAD_DEFAULTS, SpreadOptions
 
 MAX_EXAMPLES = 8192
 """Most examples of each kind, evenly chosen, that the classifier learns from."""
-WIDTH = 0.4
+KERNEL_SCALE = 0.4
 """Width of the kernel: units of descriptors are multiplied by it."""
 RIDGE, RIDGE_PARTIAL = 0.3, 1.0
 """Ridge of both questions (classifier.py)."""
@@ -42,9 +42,9 @@ SELF_ROUNDS, SELF_NEGATIVE, SELF_POSITIVE = 3, 0.5, 0.6
 """For paint that ends in the middle of the material: rounds, and the answers up to which, and from which, what the
 views show is an example of the next one. On 14 training meshes, a stroke over 30 % of the material in view: IoU 0.64
 without, 0.67 after one round, 0.71 after three."""
-LIKE = 1.0
+COLOR_SIMILARITY = 1.0
 """Units of colour by which neighbours may differ to take much from each other."""
-SOFT = 0.15
+FADE_CONFIDENCE = 0.15
 """Confidence above the threshold over which the change fades in."""
 MIN_PAINTED_PX, SURE = 0.3, 0.5
 """Pixels that must show a Gaussian under the paint, and confidence, for it to say how the colour changes."""
@@ -67,7 +67,7 @@ class SpreadConfidence:
     @property
     def shares(self) -> np.ndarray:
         """[N] float32 0..1 how much of the change each Gaussian takes."""
-        part = (self.confidence - self.threshold) / SOFT
+        part = (self.confidence - self.threshold) / FADE_CONFIDENCE
         return np.where(part < MIN_SHARE, 0, np.minimum(part, 1)).astype(np.float32)
 
 
@@ -103,8 +103,8 @@ def answered(descriptors: Descriptors, examples: Examples) -> np.ndarray:
 def _classified(descriptors: Descriptors, examples: Examples) -> np.ndarray:
     """[M] float32 about 0..1, not clipped."""
     ids = np.union1d(_some(examples.positive), _some(examples.negative))
-    points = WIDTH * descriptors.values
-    projections = Projections.of(INPUTS)
+    points = KERNEL_SCALE * descriptors.values
+    projections = Projections.of(DESCRIPTOR_CHANNELS)
     features, positive, weights = projections.features(points[ids]), examples.positive[ids], examples.weights[ids]
     if not examples.is_partial:
         return projections.predict(points, two_class(features, positive, weights, RIDGE))
@@ -128,7 +128,7 @@ def _smooth(answer: np.ndarray, descriptors: Descriptors, examples: Examples) ->
     for n in range(1, near.shape[1]):
         other = near[:, n]
         square = ((descriptors.colors[other] - descriptors.colors) ** 2).sum(1)
-        links[:, n] = np.exp(-square / (2 * LIKE**2)) * descriptors.weights[other]
+        links[:, n] = np.exp(-square / (2 * COLOR_SIMILARITY**2)) * descriptors.weights[other]
     links /= np.maximum(links.sum(1, keepdims=True), 1e-12)
     counted = examples.positive | (examples.negative & (not examples.is_partial))
     target = np.where(examples.positive, 1, np.where(counted, 0, answer))

@@ -42,7 +42,7 @@ MAX_SHRINKS = 24
 """A window with too many patches in it shrinks by GROWTH at most so often, to a three thousandth."""
 MIN_MASS = 2e-3
 """Patches that weigh less than this share of the heaviest one are left out."""
-ROUNDS = 4
+REWEIGHTINGS = 4
 """Rounds of reweighting: patches off the surface by one `tau` (in windows) lose 0.4 of their vote."""
 FIRST_TAU, TAU_RESIDUALS, MIN_TAU = 0.5, 2.0, 0.25
 """`tau` in the first round; afterwards in residuals of the round before; its least value, in windows."""
@@ -71,9 +71,9 @@ RAY_SHARE = 0.25
 control, 700 steps) the median error of height is 0.66 widths by centres alone, 0.44, 0.30, 0.28 with 0.5, 0.3, 0.25."""
 RAY_RADIUS = 0.5
 """Distance from the query of the six rays around it, in windows."""
-BINS = 128
+DEPTH_BINS = 128
 """Into which patches are sorted by depth."""
-RAYS = 6
+RAY_ROWS = 6
 """Rows that following the seven takes."""
 
 
@@ -243,7 +243,7 @@ def _estimate(
                 n[j] *= scale
             tau, residual, thickness, agreement = FIRST_TAU, 1.0, 1.0, 0.0
             height, left, effective, s0 = 0.0, 0.0, 0.0, 0.0
-            for _ in range(ROUNDS):
+            for _ in range(REWEIGHTINGS):
                 _votes(rows, used, point, n, h, tau, sums)
                 s0, sx, sy, sz = sums[0], sums[1], sums[2], sums[3]
                 xx, xy, xz, yy, yz, zz = sums[4], sums[5], sums[6], sums[7], sums[8], sums[9]
@@ -303,11 +303,11 @@ def _nearest_first(values, count, order):
     low, high = math.inf, -math.inf
     for k in range(count):
         low, high = min(low, values[k]), max(high, values[k])
-    scale = (BINS - 1) / (high - low) if high > low else 0.0
-    starts = np.zeros(BINS + 1, np.int64)
+    scale = (DEPTH_BINS - 1) / (high - low) if high > low else 0.0
+    starts = np.zeros(DEPTH_BINS + 1, np.int64)
     for k in range(count):
         starts[int((values[k] - low) * scale) + 1] += 1
-    for b in range(BINS):
+    for b in range(DEPTH_BINS):
         starts[b + 1] += starts[b]
     for k in range(count):
         b = int((values[k] - low) * scale)
@@ -325,7 +325,7 @@ def _nearest_first(values, count, order):
 def _front_height(near, count, patches, point, n, h, rows, order):
     """Mean height over the plane (point, n), world units, at which rays against n have lost RAY_SHARE of their light to
     the patches near[:count], composited as a renderer does: by the order of their centres, each at the depth where it
-    is densest along the ray. rows: [>= RAYS, >= count] to write on, and
+    is densest along the ray. rows: [>= RAY_ROWS, >= count] to write on, and
     order: [>= count] int64; near: is written on, too."""
     # Two axes across n.
     if abs(n[0]) < 0.6:
@@ -336,7 +336,7 @@ def _front_height(near, count, patches, point, n, h, rows, order):
     ax, ay, az = ax * scale, ay * scale, az * scale
     bx, by, bz = n[1] * az - n[2] * ay, n[2] * ax - n[0] * az, n[0] * ay - n[1] * ax
     reached = 0
-    centers = rows[RAYS - 1]
+    centers = rows[RAY_ROWS - 1]
     for k in range(count):
         i = near[k]
         x, y, z = patches[i, MEAN] - point[0], patches[i, MEAN + 1] - point[1], patches[i, MEAN + 2] - point[2]

@@ -25,13 +25,13 @@ from splatpainter.kernels.vector_exp import exp64
 
 MIN_DISTANCE = 0.7
 """Least distance between samples, in spacings."""
-REACH = 2.2
+NEIGHBOUR_SPACINGS = 2.2
 """Distance up to which samples are neighbours, in spacings."""
 MAX_NEIGHBOURS = 256
 """Most neighbours of a sample; beyond them it has none."""
 MAX_CREASE = math.radians(120.0)
 """Angle between the normals of neighbours, at most."""
-HINGE = math.radians(20.0)
+MIN_HINGE_RADIANS = math.radians(20.0)
 """... from which a step turns around the line where both tangent planes meet."""
 MAX_LIFT = 0.35
 """Sine of the angle at which a neighbour may lie above or below the tangent plane, where the normals agree."""
@@ -39,7 +39,7 @@ SAME_SHEET = 1.5
 """Spacings by which neighbours may disagree about a point and still be averaged: behind a bump, ways around it meet."""
 WEIGHT_WIDTH = 0.8
 """Spacings: standard deviation of the weights of neighbours."""
-CHORD = 1 - 1e-6
+MIN_CHORD_RATIO = 1 - 1e-6
 """No way is shorter than so many straight lines: where that is too long already, the way need not be measured."""
 MIN_AGREEING_COSINE = 0.2
 """Cosine between the normals of a query and of a sample that smooths it."""
@@ -47,7 +47,7 @@ SMOOTHED_TURN = 0.4
 """Amount by which this cosine is below 1 where a sample's weight has fallen to 1/e."""
 CELL_BITS = 21
 """Bits of a cell's index along each axis."""
-BLOCK = 256
+POINTS_PER_BLOCK = 256
 """Points that a thread takes at a time."""
 
 
@@ -154,7 +154,7 @@ def unwrap(
 ) -> Unwrapped:
     """The exponential map around points[0]. points, normals: [S, 3], thinned to `spacing` (world units); up: [3] the
     direction in which v grows there, made tangent; half_size: the rectangle (u, v) beyond which nothing is reached but
-    a margin of REACH spacings; max_turn: radians by which a normal may have turned from the first one. Raises
+    a margin of NEIGHBOUR_SPACINGS; max_turn: radians by which a normal may have turned from the first one. Raises
     ValueError where `up` is along the normal, and for a normal that is not finite or not unit."""
     points, normals = (np.ascontiguousarray(a, np.float64) for a in (points, normals))
     if not (np.isfinite(points).all() and np.allclose((normals**2).sum(1), 1, atol=1e-3)):
@@ -167,8 +167,8 @@ def unwrap(
     uv, right = np.full((count, 2), np.nan), np.zeros((count, 3))
     distances, rims = np.full(count, np.inf), np.zeros((count, 3))
     uv[0], right[0] = 0, np.cross(forward / length, normals[0])
-    cells = PointCells.of(points, REACH * spacing)
-    margin = REACH * spacing
+    cells = PointCells.of(points, NEIGHBOUR_SPACINGS * spacing)
+    margin = NEIGHBOUR_SPACINGS * spacing
     limits = (half_size[0] + margin, half_size[1] + margin, math.cos(min(max_turn, math.pi)) - 1e-12)
     _spread(points, normals, spacing, *cells.arrays, *limits, uv, right, distances, rims)
     return Unwrapped(points, normals, spacing, uv, right, distances, rims, cells)
@@ -215,8 +215,8 @@ def _smooth(samples, keys, corner, radius, points, normals, out, out_normals, th
         carray(scratch(corner, LANES), (LANES,)),
     )
     squared = radius * radius
-    for start in range(thread * BLOCK, points.shape[0], threads * BLOCK):
-        for q in range(start, min(start + BLOCK, points.shape[0])):
+    for start in range(thread * POINTS_PER_BLOCK, points.shape[0], threads * POINTS_PER_BLOCK):
+        for q in range(start, min(start + POINTS_PER_BLOCK, points.shape[0])):
             px, py, pz = points[q, 0], points[q, 1], points[q, 2]
             nx, ny, nz = normals[q, 0], normals[q, 1], normals[q, 2]
             if not abs(px) + abs(py) + abs(pz) + abs(nx) + abs(ny) + abs(nz) < 1e30:
@@ -322,7 +322,7 @@ def _step(point, normal, right, qx, qy, qz, mx, my, mz, out):
         return 0.0
     hx, hy, hz = ny * mz - nz * my, nz * mx - nx * mz, nx * my - ny * mx
     sine = math.sqrt(hx * hx + hy * hy + hz * hz)
-    if cosine < math.cos(HINGE) and sine > 1e-6:
+    if cosine < math.cos(MIN_HINGE_RADIANS) and sine > 1e-6:
         # --- around the line where the planes meet: along it, then across it in both planes
         hx, hy, hz = hx / sine, hy / sine, hz / sine
         tx, ty, tz = hy * nz - hz * ny, hz * nx - hx * nz, hx * ny - hy * nx  # across, in the first plane
@@ -405,7 +405,7 @@ def _spread(
     heap_key, heap_id = np.empty(64 * total + 64), np.empty(64 * total + 64, np.int64)
     heap_key[0], heap_id[0], filled = 0.0, 0, 1
     tentative[0] = 0.0
-    reach = REACH * spacing
+    reach = NEIGHBOUR_SPACINGS * spacing
     while filled > 0:
         key, i = heap_key[0], heap_id[0]
         # --- remove the first
@@ -457,7 +457,7 @@ def _spread(
             if settled[j]:
                 continue
             dx, dy, dz = points[j, 0] - px, points[j, 1] - py, points[j, 2] - pz
-            if key + CHORD * math.sqrt(dx * dx + dy * dy + dz * dz) >= tentative[j]:
+            if key + MIN_CHORD_RATIO * math.sqrt(dx * dx + dy * dy + dz * dz) >= tentative[j]:
                 continue
             length = key + _step(
                 points[i], normals[i], right[i], points[j, 0], points[j, 1], points[j, 2],
@@ -483,14 +483,28 @@ def _interpolate(
 ):  # fmt: skip
     near, ways = np.empty(MAX_NEIGHBOURS, np.int64), np.empty((MAX_NEIGHBOURS, 6))
     step, value = np.empty(5), np.empty(5)
-    for start in range(thread * BLOCK, queries.shape[0], threads * BLOCK):
-        for q in range(start, min(start + BLOCK, queries.shape[0])):
+    for start in range(thread * POINTS_PER_BLOCK, queries.shape[0], threads * POINTS_PER_BLOCK):
+        for q in range(start, min(start + POINTS_PER_BLOCK, queries.shape[0])):
             px, py, pz = queries[q, 0], queries[q, 1], queries[q, 2]
             nx, ny, nz = query_normals[q, 0], query_normals[q, 1], query_normals[q, 2]
             if not abs(px) + abs(py) + abs(pz) + abs(nx) + abs(ny) + abs(nz) < 1e30:
                 continue
             count = _neighbours(
-                points, normals, -1, px, py, pz, nx, ny, nz, REACH * spacing, keys, order, corner, size, near
+                points,
+                normals,
+                -1,
+                px,
+                py,
+                pz,
+                nx,
+                ny,
+                nz,
+                NEIGHBOUR_SPACINGS * spacing,
+                keys,
+                order,
+                corner,
+                size,
+                near,
             )
             if count == 0:
                 continue

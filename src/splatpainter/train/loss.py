@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from splatpainter.metrics.lpips import SMALLEST, Lpips, LpipsUnavailable
+from splatpainter.metrics.lpips import MIN_SIDE_PX, Lpips, LpipsUnavailable
 from splatpainter.nn.precision import exact
 
 NEGLIGIBLE_ERROR = 2e-4
@@ -63,7 +63,7 @@ class PictureLoss:
         squared = weighted_square(rendered, target)
         parts = {"squared": squared, "loss": squared}
         chosen = list(range(len(rendered))) if views is None else views
-        if self.network is not None and chosen and min(rendered.shape[1:3]) >= SMALLEST:
+        if self.network is not None and chosen and min(rendered.shape[1:3]) >= MIN_SIDE_PX:
             first, second = (x[chosen].permute(0, 3, 1, 2) for x in (rendered.clamp(0, 1), target.colors))
             mask = target.weights[chosen][:, None]
             # Squeeze's first pixels are 4 wide: every pixel around the edit is in some tap's window.

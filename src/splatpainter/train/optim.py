@@ -15,9 +15,9 @@ import torch
 from torch import Tensor, nn
 
 BETAS = (0.9, 0.95)
-MEMORY = 0.98
+NORM_DECAY = 0.98
 """Share of the running gradient norm that a step keeps."""
-PATIENCE = 20
+MIN_SPIKE_STEPS = 20
 """Steps before a gradient norm can be called a spike."""
 
 
@@ -64,14 +64,14 @@ class Guard:
         reason = ""
         if not math.isfinite(norm):
             reason = "not finite"
-        elif self.spike and self.seen >= PATIENCE and norm > self.spike * self.typical:
+        elif self.spike and self.seen >= MIN_SPIKE_STEPS and norm > self.spike * self.typical:
             reason = "spike"
             # A level that has really risen is accepted after some steps.
             self.typical *= 1.1
         if reason:
             self.skipped += 1
             return reason
-        self.typical = norm if not self.seen else MEMORY * self.typical + (1 - MEMORY) * norm
+        self.typical = norm if not self.seen else NORM_DECAY * self.typical + (1 - NORM_DECAY) * norm
         self.seen += 1
         return ""
 

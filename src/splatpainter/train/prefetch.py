@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 ALIVE_CHECK_SECONDS = 5.0
 """Seconds between looks at whether a worker is still alive."""
-VIEWS = ("base", "edited", "novel_before", "novel_after")
+VIEW_SETS = ("base", "edited", "novel_before", "novel_after")
 
 
 class PrefetchedSamples:
@@ -103,7 +103,7 @@ def unpacked(sample: Sample) -> Sample:
 
 
 def _with_colors(sample: Sample, change: Callable[[Any], Any]) -> Sample:
-    views = {name: getattr(sample, name) for name in VIEWS}
+    views = {name: getattr(sample, name) for name in VIEW_SETS}
     return dataclasses.replace(
         sample, **{name: dataclasses.replace(v, colors=change(v.colors)) for name, v in views.items()}
     )

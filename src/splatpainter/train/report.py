@@ -17,7 +17,7 @@ from torch import Tensor
 
 from splatpainter.io.files import writing
 from splatpainter.metrics import ssim
-from splatpainter.metrics.lpips import SMALLEST as LPIPS_MIN_PX
+from splatpainter.metrics.lpips import MIN_SIDE_PX as LPIPS_MIN_PX
 from splatpainter.metrics.lpips import Lpips, LpipsUnavailable
 from splatpainter.train.loss import PictureTarget, masked_psnr
 

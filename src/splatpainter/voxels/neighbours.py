@@ -16,7 +16,7 @@ CELL_BITS = 20
 """Bits of a cube's index along each axis."""
 MAX_CELLS = 1 << (CELL_BITS - 2)
 """Cubes to either side of the median point."""
-BLOCK = 256
+QUERIES_PER_BLOCK = 256
 """Queries that a thread takes at a time."""
 
 
@@ -77,8 +77,8 @@ def _sorted(cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _nearest(points, queries, keys, order, cells, radius, nearest, distance, thread, threads):
-    for start in range(thread * BLOCK, queries.shape[0], threads * BLOCK):
-        for i in range(start, min(start + BLOCK, queries.shape[0])):
+    for start in range(thread * QUERIES_PER_BLOCK, queries.shape[0], threads * QUERIES_PER_BLOCK):
+        for i in range(start, min(start + QUERIES_PER_BLOCK, queries.shape[0])):
             least, best = radius * radius, -1
             for x in range(cells[i, 0] - 1, cells[i, 0] + 2):
                 for y in range(cells[i, 1] - 1, cells[i, 1] + 2):

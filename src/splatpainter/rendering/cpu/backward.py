@@ -15,9 +15,9 @@ from numba import carray
 
 from splatpainter.kernels.simd import LANES, device, kernel, prefetch, scratch, sum_lanes
 from splatpainter.rendering.cpu.compositing import (
-    AHEAD,
     BLOCKS,
     PIXELS,
+    PREFETCH_ENTRIES,
     SIDE,
     accept,
     alpha_of,
@@ -102,8 +102,8 @@ def rasterize_backward_tiles(
         end = ends[k]
         for p in range(begin, end):
             i = flatten_ids[p]
-            prefetch(projected, flatten_ids[min(p + AHEAD, end - 1)])
-            prefetch(sums, pair_ids[min(p + AHEAD, end - 1)])
+            prefetch(projected, flatten_ids[min(p + PREFETCH_ENTRIES, end - 1)])
+            prefetch(sums, pair_ids[min(p + PREFETCH_ENTRIES, end - 1)])
             mx, my, a2, b1, c2, opacity = footprint(projected, i, x0, y0)
             by0, by1, bx0, bx1 = block_box(projected, i, mx, my)
             red = projected[i, RED]

@@ -36,7 +36,7 @@ SIDE = TILE // 4
 BLOCKS = SIDE * SIDE
 PIXELS = BLOCKS * LANES
 """Pixels of a tile."""
-AHEAD = 6
+PREFETCH_ENTRIES = 6
 """`projected` is asked for this many list entries before it is used."""
 
 

@@ -388,8 +388,8 @@ def project(
             run(projection.select_near_window, *(attributes[k] for k in (0, 2, 3)), cam, gaussian_mask)
     selected = simd.readonly(gaussian_mask, np.bool_)
 
-    blocks = -(-n // projection.BLOCK)
-    size = blocks * projection.BLOCK
+    blocks = -(-n // projection.GAUSSIANS_PER_BLOCK)
+    size = blocks * projection.GAUSSIANS_PER_BLOCK
     block_projected, keys = simd.aligned((size, COLUMNS), dtype), np.empty(size, dtype)
     (block_ids, block_tiles), counts = np.empty((2, size), np.int32), np.empty(blocks, np.int32)
     if len(tile_ids) and n and np.abs(camera.position).max() <= MAX_MAGNITUDE:

@@ -43,11 +43,11 @@ from splatpainter.rendering.cpu.geometry import (
 from splatpainter.rendering.profiles import EPS2D, MAX_DISTANCE_PX, MIN_ALPHA, NEAR_PLANE
 from splatpainter.splats import MAX_MAGNITUDE
 
-BLOCK = 1024
+GAUSSIANS_PER_BLOCK = 1024
 """Gaussians per unit of work; each block's results are written side by side from the block's start."""
 MAX_LOOSE_TILES = 16
 """Gaussians whose bounding box has at most this many tiles get room for all of them; others are counted exactly."""
-AHEAD = 8
+PREFETCH_GAUSSIANS = 8
 """The derivative asks for what it reads this many Gaussians before it is used."""
 
 
@@ -67,9 +67,9 @@ def select_near_window(means, scales, opacities, cam, selected, thread, threads)
     one = F(1)
     margin = F(1)
     eps = F(EPS2D)
-    blocks = (means.shape[0] + BLOCK - 1) // BLOCK
+    blocks = (means.shape[0] + GAUSSIANS_PER_BLOCK - 1) // GAUSSIANS_PER_BLOCK
     for block in range(thread, blocks, threads):
-        for n in range(block * BLOCK, min(means.shape[0], (block + 1) * BLOCK)):
+        for n in range(block * GAUSSIANS_PER_BLOCK, min(means.shape[0], (block + 1) * GAUSSIANS_PER_BLOCK)):
             x, y, z = geo.to_camera(cam, means[n, 0], means[n, 1], means[n, 2])
             rz = one / z
             u = x * rz
@@ -99,10 +99,10 @@ def project_gaussians(
     antialiased,
     grid,  # [4] int64: tile columns and rows in use, x0, x1, y0, y1
     tile_slots,  # [TH, TW] int32 index among the tiles in use or -1, or [0, 0]: all tiles are in use
-    projected,  # out [blocks * BLOCK, 16]
-    keys,  # out [blocks * BLOCK] z
-    gaussian_ids,  # out [blocks * BLOCK] int32
-    tile_counts,  # out [blocks * BLOCK] int32 tiles touched, at most
+    projected,  # out [blocks * GAUSSIANS_PER_BLOCK, 16]
+    keys,  # out [blocks * GAUSSIANS_PER_BLOCK] z
+    gaussian_ids,  # out [blocks * GAUSSIANS_PER_BLOCK] int32
+    tile_counts,  # out [blocks * GAUSSIANS_PER_BLOCK] int32 tiles touched, at most
     counts,  # out [blocks] int32 Gaussians that each block wrote
     thread,
     threads,
@@ -120,8 +120,8 @@ def project_gaussians(
     coefficients = (degree + 1) * (degree + 1)
     basis = carray(scratch(means, 25), (25,))
     for block in range(thread, counts.shape[0], threads):
-        at = block * BLOCK
-        for n in range(block * BLOCK, min(means.shape[0], (block + 1) * BLOCK)):
+        at = block * GAUSSIANS_PER_BLOCK
+        for n in range(block * GAUSSIANS_PER_BLOCK, min(means.shape[0], (block + 1) * GAUSSIANS_PER_BLOCK)):
             if selected.shape[0] > 0 and not selected[n]:
                 continue
             # Every test is written so that NaN fails it. Ranges are those of Splats.drawable, and are tested where they
@@ -229,7 +229,7 @@ def project_gaussians(
             gaussian_ids[at] = n
             tile_counts[at] = touched
             at += 1
-        counts[block] = at - block * BLOCK
+        counts[block] = at - block * GAUSSIANS_PER_BLOCK
 
 
 @device
@@ -278,9 +278,9 @@ def project_gaussians_backward(
     basis = carray(scratch(means, 25), (25,))
     mixed = carray(scratch(means, 25), (25,))
     g = carray(scratch(means, 10), (10,))
-    for block in range(thread, (count + BLOCK - 1) // BLOCK, threads):
-        for n in range(block * BLOCK, min(count, (block + 1) * BLOCK)):
-            soon = entries[min(n + AHEAD, count - 1)]
+    for block in range(thread, (count + GAUSSIANS_PER_BLOCK - 1) // GAUSSIANS_PER_BLOCK, threads):
+        for n in range(block * GAUSSIANS_PER_BLOCK, min(count, (block + 1) * GAUSSIANS_PER_BLOCK)):
+            soon = entries[min(n + PREFETCH_GAUSSIANS, count - 1)]
             if soon >= 0:
                 prefetch(projected, soon)
                 prefetch(sums, pair_offsets[soon])

@@ -12,9 +12,9 @@ from numba import carray
 
 from splatpainter.kernels.simd import LANES, device, kernel, prefetch, scratch
 from splatpainter.rendering.cpu.compositing import (
-    AHEAD,
     BLOCKS,
     PIXELS,
+    PREFETCH_ENTRIES,
     SIDE,
     accept,
     alpha_of,
@@ -38,7 +38,7 @@ def composite(projected, flatten_ids, begin, end, x0, y0, state, closed, heavies
     heaviest: None, or [16, 16 lanes] for the entry of the largest weight; fields are then T and that weight."""
     for p in range(begin, end):
         i = flatten_ids[p]
-        prefetch(projected, flatten_ids[min(p + AHEAD, end - 1)])
+        prefetch(projected, flatten_ids[min(p + PREFETCH_ENTRIES, end - 1)])
         mx, my, a2, b1, c2, opacity = footprint(projected, i, x0, y0)
         by0, by1, bx0, bx1 = block_box(projected, i, mx, my)
         red = projected[i, RED]

@@ -20,9 +20,9 @@ from splatpainter.kernels.simd import LANES, device, kernel, prefetch, scratch, 
 from splatpainter.rendering.cpu import backproject
 from splatpainter.rendering.cpu.backproject import STATE, load_mask
 from splatpainter.rendering.cpu.compositing import (
-    AHEAD,
     BLOCKS,
     PIXELS,
+    PREFETCH_ENTRIES,
     SIDE,
     accept,
     alpha_of,
@@ -144,7 +144,7 @@ def cache_tile(
     q = first
     for p in range(begin, end):
         i = flatten_ids[p]
-        prefetch(projected, flatten_ids[min(p + AHEAD, end - 1)])
+        prefetch(projected, flatten_ids[min(p + PREFETCH_ENTRIES, end - 1)])
         mx, my, a2, b1, c2, opacity = footprint(projected, i, x0, y0)
         red = projected[i, RED]
         green = projected[i, GREEN]

@@ -20,9 +20,9 @@ from splatpainter.rendering.cpu.geometry import (
     SQUARED_RADIUS,
     TILE,
 )
-from splatpainter.rendering.cpu.projection import BLOCK
+from splatpainter.rendering.cpu.projection import GAUSSIANS_PER_BLOCK
 
-AHEAD = 8
+PREFETCH_ENTRIES = 8
 """What is read is asked for this many entries before it is used."""
 
 
@@ -33,7 +33,7 @@ def sort_depths(keys, counts, order, spare, value, value2):
     bits = keys.view(np.uint32)
     m = 0
     for block in range(counts.shape[0]):
-        for slot in range(block * BLOCK, block * BLOCK + counts[block]):
+        for slot in range(block * GAUSSIANS_PER_BLOCK, block * GAUSSIANS_PER_BLOCK + counts[block]):
             order[m] = slot
             value[m] = bits[slot]
             m += 1
@@ -76,7 +76,9 @@ def depth_order(keys: np.ndarray, counts: np.ndarray) -> np.ndarray:
         order, spare = np.empty((2, total), np.int32)
         value, value2 = np.empty((2, total), np.uint32)
         return spare if sort_depths(keys, counts, order, spare, value, value2) else order
-    slots = np.concatenate([np.arange(c) + b * BLOCK for b, c in enumerate(counts)] or [np.empty(0, np.int64)])
+    slots = np.concatenate(
+        [np.arange(c) + b * GAUSSIANS_PER_BLOCK for b, c in enumerate(counts)] or [np.empty(0, np.int64)]
+    )
     return slots[np.argsort(keys[slots], kind="stable")].astype(np.int32)
 
 
@@ -85,7 +87,7 @@ def gather_sorted(order, unsorted, ids, tile_counts, projected, gaussian_ids, ma
     """Everything in depth order, so that all that follows walks memory forwards."""
     m = order.shape[0]
     for i in range(m * thread // threads, m * (thread + 1) // threads):
-        prefetch(unsorted, order[min(i + AHEAD, m - 1)])
+        prefetch(unsorted, order[min(i + PREFETCH_ENTRIES, m - 1)])
         slot = order[i]
         for c in range(COLUMNS):
             projected[i, c] = unsorted[slot, c]

@@ -25,7 +25,7 @@ from splatpainter.server.studio import Studio
 from splatpainter.session import Session
 from splatpainter.session.annotations import keep_selection
 from splatpainter.session.asset_files import write_original
-from splatpainter.session.scene_asset import MAIN, SceneAsset
+from splatpainter.session.scene_asset import MAIN_ASSET_ID, SceneAsset
 
 MAX_ASSETS, MAX_VARIANTS = 500, 200
 MAX_LISTED_LAYERS = 5
@@ -137,7 +137,7 @@ def plan_batch(context: CommandContext, request: BatchPlan) -> BatchAnswer:
             title = f"Layers of {name} on {_count(len(request.assets), 'asset')}"
             words = [f"layers: {names}"] * len(request.assets)
         else:
-            added = present if present.id != MAIN else None
+            added = present if present.id != MAIN_ASSET_ID else None
             format = studio.state.asset.format if added is None else format_of_name(Path(added.file))
             original = session.asset_original(present.id)
             asset, batch.frame = write_original(batch.project, batch.stem(name, f".{format}"), original, added)

@@ -320,17 +320,17 @@ def cover_by_source(context: CommandContext, request: SourceCover) -> SourceCove
         )
     except SourceCancelled:
         raise Cancelled from None
-    notes, costs = list(made.notes), [edit.answer.cost for edit in made.turns.edits if edit.answer.cost]
+    notes, costs = list(made.notes), [edit.answer.cost for edit in made.sourced_views.edits if edit.answer.cost]
     if studio.session is not session:
         notes.append("another project was opened meanwhile; the painted layers are in the previous one")
     brief_line = f"SourceBrief({request.prompt!r})" if request.prompt else "SourceBrief()"
     return SourceCovered(
         layers=[layer_info(session, session.layer(layer.id)) for layer in made.layers],
-        painted=len(made.turns.edits),
-        cancelled=made.turns.cancelled,
+        painted=len(made.sourced_views.edits),
+        cancelled=made.sourced_views.cancelled,
         refused=[
             picture
-            for one in made.turns.refused
+            for one in made.sourced_views.refused
             if (picture := _refused(context, source, request.prompt, one)) is not None
         ],
         notes=[*notes, *([f"cost: {', '.join(costs)}"] if costs else [])],

@@ -54,7 +54,7 @@ KEYS = ("COMFYUI_API_KEY",)
 PREFIX = "splatpainter:"
 SLOTS = ("image", "mask", "depth", "normal", "prompt", "seed", "out")
 PICTURES = ("image", "mask", "depth", "normal")
-INPUTS = {
+SLOT_INPUTS = {
     "prompt": ("text", "prompt", "string", "value", "text_g", "text_l", "clip_l", "t5xxl"),
     "seed": ("seed", "noise_seed", "value", "int"),
 }
@@ -188,7 +188,7 @@ def find_slots(workflow: dict[str, Any], name: str) -> dict[str, list[str]]:
         for number in numbers:
             node = workflow[number]
             if slot != "out" and not _inputs(node, slot):
-                listed = ", ".join(INPUTS.get(slot, ("image",)))
+                listed = ", ".join(SLOT_INPUTS.get(slot, ("image",)))
                 raise SourceError(
                     f"source comfyui: {name}: node {number} ({node['class_type']}) is titled {PREFIX}{slot} and has no "
                     f"input of its own for it; expected {listed}"
@@ -201,7 +201,7 @@ def _inputs(node: dict[str, Any], slot: str) -> list[str]:
     if slot in PICTURES:
         return [name for name in ("image",) if isinstance(node["inputs"].get(name), str)]
     kinds = (str,) if slot == "prompt" else (int, float)
-    return [name for name in INPUTS[slot] if isinstance(node["inputs"].get(name), kinds)]
+    return [name for name in SLOT_INPUTS[slot] if isinstance(node["inputs"].get(name), kinds)]
 
 
 class ComfyJob:

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 Encoder = Literal["nothing", "compress", "all"]
 MIN_VISIBLE_WEIGHT = 0.02
 """Pixels of weight from which a Gaussian counts as shown."""
-SOLID = 0.5
+MIN_OBJECT_ALPHA = 0.5
 """Alpha from which a pixel is the object's."""
 
 
@@ -318,7 +318,7 @@ class RefineTask(Task[SplatPainterModel]):
         with torch.no_grad():
             drawn, alpha = draw(prepared.splats, [sample.novel_after.cameras[i] for i in pick], self.device)
         if sample.mode == "global":
-            return global_target(after, alpha > SOLID)
+            return global_target(after, alpha > MIN_OBJECT_ALPHA)
         return local_target(after, tensor(sample.novel_before.colors, self.device)[pick], drawn, self.options.keep)
 
 
