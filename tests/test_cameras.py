@@ -428,9 +428,9 @@ def test_points_are_projected_and_come_back(seed: int) -> None:
     np.testing.assert_allclose(camera.slopes(pixels) * depths[..., None], local[..., :2], atol=1e-12)
     np.testing.assert_allclose(camera.sight_lines(pixels) * depths[..., None], local, atol=1e-12)
     tensor = torch.from_numpy(points.astype(np.float32))
-    for got, values in zip(camera.project(tensor), (pixels, depths), strict=True):
-        assert got.dtype == torch.float32
-        np.testing.assert_allclose(got.numpy(), values, rtol=1e-3, atol=1e-2)
+    for actual, values in zip(camera.project(tensor), (pixels, depths), strict=True):
+        assert actual.dtype == torch.float32
+        np.testing.assert_allclose(actual.numpy(), values, rtol=1e-3, atol=1e-2)
     np.testing.assert_allclose(camera.camera_to_world @ camera.world_to_camera, np.eye(4), atol=1e-14)
     np.testing.assert_allclose(camera.camera_to_world[:3, 3], camera.position, atol=1e-14)
 

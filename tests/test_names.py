@@ -1,4 +1,5 @@
-"""Names that a stranger would guess: no word that says nothing, a Gaussian is no row, one class for one name."""
+"""Names that a stranger would guess: no word that says nothing, a Gaussian is no row, one class and one module for one
+name, constants that say what they limit."""
 
 from __future__ import annotations
 
@@ -28,6 +29,12 @@ VAGUE = {
     "whole",
     "kept",
     "others",
+    "wish",
+    "sound",
+    "homeless",
+    "lap",
+    "laps",
+    "got",
 }
 """Say nothing of what a value is: nouns do (result, target, expected, position, visible, ...). Not alone, and not as a
 word of a longer name."""
@@ -48,6 +55,27 @@ ROW_EXCEPTIONS = {
 """A key of recipes and of weights, four names of parameters in stored weights, and rows of pixels."""
 SHARED = {"Config"}
 """Classes of one name by design: each command's options."""
+NAMESAKES = {
+    FOLDERS[0] / "commands",
+    FOLDERS[0] / "server" / "commands",
+    FOLDERS[0] / "train" / "stages",
+    FOLDERS[1],
+    FOLDERS[1] / "methods",
+}
+"""Folders whose modules may have the name of what they run: a command, a page's commands, a stage of training, a
+benchmark, a row of its tables."""
+SHARED_MODULES = {"__init__", "warm", "options", "page", "schema", "fill"}
+"""Modules of one name by design: a folder's face, the kernels that it has compiled, the settings of its room, one HTML
+page, the one definition of a format; source_edits/fill.py colours what holes/fill.py fills."""
+BARE = """
+ahead alike ball behind better bins block blur bounce candidates cell cells checkpoint chunk company confidence conflict
+count edge extent facing faint fine grid haste heal inputs inside jumps largest lean least level lights like main margin
+memory most mostly older outside overlap patch patience power quantile rays reach rim rings rounds shares sides size
+slack smallest soft solid spot spread step stiffness sweeps taps thickness tolerance tries upright views voxels wide
+width
+"""
+"""Words that are no constant's name by themselves: they do not say of what, nor in which unit."""
+CONSTANTS = re.compile(r"^([A-Z]\w*(?:, [A-Z]\w*)*)(?:: [^=\n]+)? = ", re.MULTILINE)
 
 
 def assigned(tree: list[ast.AST]) -> set[str]:
@@ -119,18 +147,42 @@ def test_a_gaussian_is_no_row() -> None:
     assert not rows
 
 
+def product() -> dict[Path, str]:
+    """The sources of FOLDERS together."""
+    return {path: source for path, source in sources().items() if any(map(path.is_relative_to, FOLDERS))}
+
+
 def test_a_class_has_its_name_for_itself() -> None:
-    for folder in FOLDERS:
-        homes = defaultdict(list)
-        for path, source in sources().items():
-            if path.is_relative_to(folder):
-                for name in set(re.findall(r"^class (\w+)", source, re.MULTILINE)) - SHARED:
-                    homes[name].append(path)
-        assert len(homes) > 20
-        for name, paths in homes.items():
-            if len(paths) > 1:
-                paths = [path for path in paths if name in public_classes(sources()[path])]
-            assert len(paths) <= 1, (name, paths)
+    homes = defaultdict(list)
+    for path, source in product().items():
+        for name in set(re.findall(r"^class (\w+)", source, re.MULTILINE)) - SHARED:
+            homes[name].append(path)
+    assert len(homes) > 20
+    for name, paths in homes.items():
+        if len(paths) > 1:
+            paths = [path for path in paths if name in public_classes(sources()[path])]
+        assert len(paths) <= 1, (name, paths)
+
+
+def test_a_module_has_its_name_for_itself() -> None:
+    homes = defaultdict(list)
+    for path in product():
+        if path.parent not in NAMESAKES and path.stem not in SHARED_MODULES:
+            homes[path.stem].append(str(path.relative_to(ROOT)))
+    assert len(homes) > 100
+    assert not [paths for paths in homes.values() if len(paths) > 1]
+
+
+def test_a_constant_says_what_it_limits() -> None:
+    bare = {
+        f"{path.relative_to(ROOT)}: {name}"
+        for path, source in product().items()
+        for names in CONSTANTS.findall(source)
+        for name in names.split(", ")
+        if name.isupper() and name.lower() in BARE.split()
+    }
+    assert not bare
+    assert CONSTANTS.findall('A = 1\nB_C, D = 2, 3\nE: int = 4\nf = "\\nG = 5"\nH(I)\n') == ["A", "B_C, D", "E"]
 
 
 def test_the_search_sees_every_kind_of_name() -> None:

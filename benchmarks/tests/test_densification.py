@@ -152,7 +152,7 @@ def test_attention_is_dense_attention_inside_windows_along_the_curve() -> None:
     block = densifier.WindowBlock(8, 2, 16).double()
     torch.nn.init.normal_(block.adapt.weight, std=0.1)
     x, order = torch.randn(10, 8, dtype=torch.float64), torch.randperm(10)
-    got = block(x, order, Groups.of(densifier.windows(10, 4)))
+    actual = block(x, order, Groups.of(densifier.windows(10, 4)))
     gain, shift, gain_mlp, shift_mlp = block.adapt(F.silu(x.mean(0))).split(8)
     centred = (x - x.mean(1, keepdim=True)) / (x.var(1, unbiased=False, keepdim=True) + 1e-5).sqrt()
     y = centred * (1 + gain) + shift
@@ -165,7 +165,7 @@ def test_attention_is_dense_attention_inside_windows_along_the_curve() -> None:
             hand[window, head] = weights @ v[:, head]
     z = x + hand @ block.attention.out.weight.T
     centred = (z - z.mean(1, keepdim=True)) / (z.var(1, unbiased=False, keepdim=True) + 1e-5).sqrt()
-    assert torch.allclose(got, z + block.mlp(centred * (1 + gain_mlp) + shift_mlp), atol=1e-10)
+    assert torch.allclose(actual, z + block.mlp(centred * (1 + gain_mlp) + shift_mlp), atol=1e-10)
 
 
 def test_masks_codes_and_even_splits_by_hand() -> None:

@@ -115,8 +115,8 @@ def test_mirroring_coefficients_mirrors_the_function() -> None:
     f = torch.randn(9, 3, dtype=torch.float64)
     normals, d = directions(30), directions(30, 1)
     bounced = d - 2 * (d * normals).sum(1, keepdim=True) * normals
-    got = torch.einsum("nkc,nk->nc", mirrored_sh(f, normals), sh_basis(d, 2))
-    torch.testing.assert_close(got, sh_basis(bounced, 2) @ f)
+    actual = torch.einsum("nkc,nk->nc", mirrored_sh(f, normals), sh_basis(d, 2))
+    torch.testing.assert_close(actual, sh_basis(bounced, 2) @ f)
     many = torch.stack([f, 2 * f])
     torch.testing.assert_close(mirrored_sh(many, normals)[1], 2 * mirrored_sh(f, normals))
 

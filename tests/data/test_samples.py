@@ -213,11 +213,11 @@ def test_detail_is_drawn_per_object_and_scales_pixels_gaussians_and_surfels_alik
 def test_a_stage_lasts_its_steps_and_bad_objects_give_way() -> None:
     source = Balls()
     stream = SampleStream(source, replace(SMALL, kinds={"plain": 1.0}), 0)
-    got = [stream[i] for i in range(9)]
+    actual = [stream[i] for i in range(9)]
     for block in range(3):
-        assert all(sample.asset is got[3 * block].asset for sample in got[3 * block : 3 * block + 3])
-    assert got[0].asset is not got[3].asset
-    assert {sample.name for sample in got} == {"ball-0", "ball-2"} and source.skipped == {"ball-1": "no triangles"}
+        assert all(sample.asset is actual[3 * block].asset for sample in actual[3 * block : 3 * block + 3])
+    assert actual[0].asset is not actual[3].asset
+    assert {sample.name for sample in actual} == {"ball-0", "ball-2"} and source.skipped == {"ball-1": "no triangles"}
 
 
 def test_nothing_usable_and_nothing_visible_are_said_with_names(monkeypatch: pytest.MonkeyPatch) -> None:

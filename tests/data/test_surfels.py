@@ -97,11 +97,11 @@ def test_albedo_is_the_texture_in_linear_light_times_the_factor() -> None:
 
 def test_textures_are_interpolated_and_repeat() -> None:
     pixels = np.arange(12, dtype=np.uint8).reshape(3, 4, 1)
-    got = (
+    actual = (
         sample_texture(pixels, np.array([[0.125, 1 - 1 / 6], [1.125, -1 / 6], [0.25, 0.5], [0.0, 0.5]], np.float32))
         * 255
     )
-    np.testing.assert_allclose(got[:, 0], [0, 0, 4.5, 5.5], atol=1e-4)  # last: between the last and the first column
+    np.testing.assert_allclose(actual[:, 0], [0, 0, 4.5, 5.5], atol=1e-4)  # last: between the last and the first column
 
 
 def test_normal_maps_bend_normals_along_u_and_v() -> None:

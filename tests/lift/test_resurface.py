@@ -256,10 +256,10 @@ def test_the_nearest_set_pixel():
         assert mask.ravel()[nearest].all()
         ys, xs = np.mgrid[:61, :83]
         sy, sx = np.divmod(nearest, 83)
-        got = np.hypot(sy - ys, sx - xs)
+        actual = np.hypot(sy - ys, sx - xs)
         py, px = np.nonzero(mask)
         best = np.sqrt(((ys[..., None] - py) ** 2 + (xs[..., None] - px) ** 2).min(-1))
-        assert (got >= best - 1e-9).all() and (got - best).max() < 0.5
+        assert (actual >= best - 1e-9).all() and (actual - best).max() < 0.5
     assert (nearest_pixels(np.zeros((4, 5), bool)) == -1).all()
 
 

@@ -219,10 +219,10 @@ def test_features_of_one_gaussian_by_hand() -> None:
     )
     center = np.array([[0.25, -0.25, 0.25]])
     groups = GaussianGroups(np.array([0]), np.array([0, 1]), center, voxel=0.5, center=np.zeros(3), half_extent=0.5)
-    got = attribute_features(gaussians, groups, degree=1)[0]
+    actual = attribute_features(gaussians, groups, degree=1)[0]
     offset, mean, scale, quat = [0.25, 0, -0.25], [0.5, -0.5, 0.5], [0, 1, -1], [1, 0, 0, 0]
     expected = torch.tensor([*offset, *mean, *scale, *quat, 0.0, 0, 1, 2, *[0] * 9])
-    torch.testing.assert_close(got, expected, rtol=1e-5, atol=1e-6)
+    torch.testing.assert_close(actual, expected, rtol=1e-5, atol=1e-6)
 
 
 def test_features_do_not_depend_on_units_or_origin_and_are_bounded() -> None:
@@ -267,9 +267,9 @@ def test_links_against_one_gaussian_at_a_time() -> None:
                 best.append((float(contributions[v, i]), v * 16 + int(w // 8) * 4 + int(u // 8)))
         best = sorted(best, key=lambda pair: -pair[0])[:3]
         total = sum(weight for weight, _ in best)
-        got = [(float(w), int(p)) for w, p in zip(tied.weights[i], tied.patches[i], strict=True) if w > 0]
-        assert [p for _, p in got] == [p for _, p in best]
-        assert [w for w, _ in got] == pytest.approx([w / total for w, _ in best], rel=1e-5)
+        actual = [(float(w), int(p)) for w, p in zip(tied.weights[i], tied.patches[i], strict=True) if w > 0]
+        assert [p for _, p in actual] == [p for _, p in best]
+        assert [w for w, _ in actual] == pytest.approx([w / total for w, _ in best], rel=1e-5)
 
 
 def test_a_camera_inside_the_asset_links_nothing_behind_it() -> None:

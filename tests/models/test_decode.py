@@ -70,16 +70,16 @@ def test_closed_form() -> None:
     gaussians = some_gaussians(degree=2)
     g = torch.Generator().manual_seed(4)
     residual = torch.randn(len(gaussians), output_count(2), generator=g)
-    got = apply_residual(gaussians, residual, 0.25).numpy()
+    actual = apply_residual(gaussians, residual, 0.25).numpy()
     r, d = gaussians.numpy(), residual.numpy().astype(np.float64)
     values = {name: getattr(r, name).astype(np.float64) for name in ATTRIBUTES}
     logit = np.log(values["opacities"] / (1 - values["opacities"])) + d[:, 10]
     length = np.linalg.norm(values["quats"], axis=1, keepdims=True)
-    np.testing.assert_allclose(got.means, values["means"] + 0.25 * d[:, :3], rtol=1e-5, atol=1e-6)
-    np.testing.assert_allclose(np.log(got.scales), np.log(values["scales"]) + d[:, 3:6], rtol=1e-5, atol=1e-5)
-    np.testing.assert_allclose(got.quats / length, values["quats"] / length + d[:, 6:10], rtol=1e-5, atol=1e-5)
-    np.testing.assert_allclose(got.opacities, 1 / (1 + np.exp(-logit)), rtol=1e-5, atol=1e-6)
-    np.testing.assert_allclose(got.sh, values["sh"] + d[:, 11:].reshape(len(r), -1, 3), rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(actual.means, values["means"] + 0.25 * d[:, :3], rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(np.log(actual.scales), np.log(values["scales"]) + d[:, 3:6], rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(actual.quats / length, values["quats"] / length + d[:, 6:10], rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(actual.opacities, 1 / (1 + np.exp(-logit)), rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(actual.sh, values["sh"] + d[:, 11:].reshape(len(r), -1, 3), rtol=1e-5, atol=1e-5)
 
 
 @pytest.mark.parametrize(("asset", "model"), [(0, 3), (3, 1), (4, 3), (1, 1)])

@@ -111,13 +111,13 @@ def test_equals_the_blocks_written_out(loss: str, masked: bool) -> None:
     weights, expected = by_formula(net, tokens, some_latents(), loss, masked)
     with torch.no_grad():
         state = net.adapt(net.initial_state(), tokens)
-        got = net.read(state, some_latents())
+        actual = net.read(state, some_latents())
     adapted = [w for memory in state.blocks for w in memory]
     first = [w for memory in net.initial_state().blocks for w in memory]
     assert all((a - b).abs().max() > 1e-3 for a, b in zip(adapted, first, strict=True))  # the step is not nothing
     for a, b in zip(adapted, weights, strict=True):
         torch.testing.assert_close(a[0], b, rtol=1e-4, atol=5e-5)
-    torch.testing.assert_close(got, expected, rtol=1e-3, atol=1e-4)
+    torch.testing.assert_close(actual, expected, rtol=1e-3, atol=1e-4)
 
 
 @torch.no_grad()

@@ -292,13 +292,13 @@ def test_only_pictures_are_served_as_what_they_are(studio: Live) -> None:
     file = io.BytesIO()
     Image.new("RGB", (8, 8)).save(file, "PNG")
     sent = studio.http.post("/api/blobs?name=<script>.png", content=file.getvalue()).json()
-    got = studio.http.get(f"/api/blobs/{sent['blob']}")
-    assert got.headers["content-type"] == "image/png" and got.content == file.getvalue()
+    actual = studio.http.get(f"/api/blobs/{sent['blob']}")
+    assert actual.headers["content-type"] == "image/png" and actual.content == file.getvalue()
     stored = studio.http.post("/api/blobs?name=x.splat", content=b"\1" * 320).json()
-    got = studio.http.get(f"/api/blobs/{stored['blob']}")
-    assert got.headers["content-type"] == "application/octet-stream"
-    assert got.headers["content-disposition"] == "attachment"
-    assert got.headers["x-content-type-options"] == "nosniff"
+    actual = studio.http.get(f"/api/blobs/{stored['blob']}")
+    assert actual.headers["content-type"] == "application/octet-stream"
+    assert actual.headers["content-disposition"] == "attachment"
+    assert actual.headers["x-content-type-options"] == "nosniff"
 
 
 def test_bodies_are_bounded_also_without_a_declared_length() -> None:

@@ -102,7 +102,7 @@ class GaussianEditStream:
         self.order = order[:objects] if objects else order
 
     def __getitem__(self, index: int) -> GaussianEdit:
-        """Raises IndexError below 0, and ValueError as RowAssets."""
+        """Raises IndexError below 0, and ValueError as LitAssets."""
         if index < 0:
             raise IndexError(f"rows: expected an index from 0, got {index}")
         block = index // self.samples_per_object
