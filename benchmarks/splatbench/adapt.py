@@ -212,7 +212,7 @@ def streams(config: AdaptBench) -> tuple[GaussianEditStream, GaussianEditStream]
 def held_edits(stream: GaussianEditStream, objects: int, seed: int) -> list[HeldEdit]:
     """The edits that are judged, the same for equal arguments: of the first objects that can be used, on both kinds of
     assets, from 1, 2 and 4 views."""
-    made: list[HeldEdit] = []
+    edits: list[HeldEdit] = []
     done = 0
     for i in stream.order:
         if done == objects:
@@ -229,8 +229,8 @@ def held_edits(stream: GaussianEditStream, objects: int, seed: int) -> list[Held
                         rng = np.random.default_rng([seed, int(i), ASSET_KINDS.index(item.kind), views, k, len(kind)])
                         edit, other = (stream.edit(item, kind, views, rng) for _ in range(2))  # type: ignore[arg-type]
                         if len(unseen(edit)) >= MIN_UNSEEN and edit.seen.any():
-                            made.append(HeldEdit(edit, in_views_of(other, edit)))
-    return made
+                            edits.append(HeldEdit(edit, in_views_of(other, edit)))
+    return edits
 
 
 def in_views_of(other: GaussianEdit, edit: GaussianEdit) -> GaussianEdit:

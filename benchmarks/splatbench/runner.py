@@ -85,8 +85,8 @@ def run(config: RunConfig, report: Say) -> RunResult:
     store.claim(config.setup, config.redo, store.folder / RUN_FILE)
     with Workers(WORKER) as workers:
         _make_cases(config, store, shard_keys, workers, report)
-        made = [key.label for key in shard_keys if store.has(key, config.setup)]
-        _answer_cases(config, store, made, chosen, machine, workers, report)
+        ready = [key.label for key in shard_keys if store.has(key, config.setup)]
+        _answer_cases(config, store, ready, chosen, machine, workers, report)
     return write_table(config, store, keys, shard_keys, methods, machine)
 
 

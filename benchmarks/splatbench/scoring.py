@@ -54,7 +54,7 @@ def scored(
 
 
 def compared(
-    made: np.ndarray, target: np.ndarray, masks: np.ndarray | None, perceptual: Any | None
+    rendered: np.ndarray, target: np.ndarray, masks: np.ndarray | None, perceptual: Any | None
 ) -> dict[str, float | None]:
     """{"psnr": dB, "ssim", "lpips"}, each a mean over views, of pictures [V, H, W, 3] in 0..1.
 
@@ -65,7 +65,7 @@ def compared(
     """
     figures: dict[str, list[float]] = {"psnr": [], "ssim": [], "lpips": []}
     edge = min(target.shape[1:3])
-    for k, (a, b) in enumerate(zip(made, target, strict=True)):
+    for k, (a, b) in enumerate(zip(rendered, target, strict=True)):
         mask = None if masks is None else np.asarray(masks[k], bool)
         if mask is not None and not mask.any():
             continue

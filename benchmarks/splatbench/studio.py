@@ -285,8 +285,8 @@ def stroke(browser: Browser, camera: dict[str, Any], patches: list[StrokePatch])
         previews.append(milliseconds)
         sizes.append(browser.received)
         reached += answer["gaussians"]
-    made, end = _ask(browser, "paint.end", stroke=started["stroke"])
-    if not reached or not made["layer"]["gaussians_edited"]:
+    ended, end = _ask(browser, "paint.end", stroke=started["stroke"])
+    if not reached or not ended["layer"]["gaussians_edited"]:
         raise RuntimeError("bench: a stroke reached nothing of the asset")
     return StrokeTiming(begin, previews, sizes, end, browser.received)
 

@@ -74,20 +74,20 @@ class DensifyTask(Task[Densifier]):
 
     def losses(self, sample: Sample, seed: int) -> dict[str, Tensor]:
         rng = np.random.default_rng(seed)
-        made = self._made(sample, rng)
+        result = self._made(sample, rng)
         cameras, target = self._target(sample, rng)
-        rendered, _ = draw(made.splats, cameras, self.device)
+        rendered, _ = draw(result.splats, cameras, self.device)
         squared = (rendered - target).square().mean()
         likeness = ms_ssim(rendered.clamp(0, 1), target)
         return {"squared": squared, "ms_ssim": likeness, "loss": squared + MS_SSIM_WEIGHT * (1 - likeness)}
 
     @torch.no_grad()
     def judge(self, sample: Sample) -> ValidationScore:
-        made = self._made(sample)
+        result = self._made(sample)
         views, near = sample.novel_after, np.asarray(sample.near, bool)
         truth = tensor(views.colors, self.device)
         drawn, alpha = draw(sample.asset, views.cameras, self.device)
-        pictures = {"nothing": drawn, "ours": draw(made.splats, views.cameras, self.device)[0]}
+        pictures = {"nothing": drawn, "ours": draw(result.splats, views.cameras, self.device)[0]}
         numbers: dict[str, float] = {}
         for where, chosen in (("", near), ("around ", ~near)):
             pick = torch.from_numpy(np.flatnonzero(chosen)).to(self.device)

@@ -33,17 +33,17 @@ def edit(task: EditTask, budget: Budget) -> EditResult:
     edits: tuple[PosedImages, ...] = (*earlier, task.step.edited)
     views = [view for images in (task.base, *edits) for view in images]
     with torch.no_grad():
-        made = densified(model, asset, [camera for camera, _ in views], [c.astype(np.float32) for _, c in views])
-    splats = made.splats.numpy()
+        result = densified(model, asset, [camera for camera, _ in views], [c.astype(np.float32) for _, c in views])
+    splats = result.splats.numpy()
     seconds = time.perf_counter() - start
-    numbers = {"rows": len(splats), "rows_replaced": len(made.chosen), "rows_generated": len(made.parents)}
+    numbers = {"rows": len(splats), "rows_replaced": len(result.chosen), "rows_generated": len(result.parents)}
     return EditResult(
         splats,
         0.0,
         seconds,
         keeps_gaussians=False,
         numbers={name: float(value) for name, value in numbers.items()},
-        note=f"{len(views)} views; {len(made.chosen)} of {len(asset)} Gaussians replaced by {len(made.parents)}; "
+        note=f"{len(views)} views; {len(result.chosen)} of {len(asset)} Gaussians replaced by {len(result.parents)}; "
         f"{model.notes.get('step', 0)} training steps",
         state=(asset, edits),
     )

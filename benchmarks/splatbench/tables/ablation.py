@@ -97,8 +97,8 @@ class Ablation:
         from splatpainter.train.report import figures
 
         views, target = _target(case)
-        made = torch.from_numpy(rendered(results[-1].splats, [case.after.cameras[k] for k in views]))
-        measured = figures("psnr", made, target, perceptual)
+        renders = torch.from_numpy(rendered(results[-1].splats, [case.after.cameras[k] for k in views]))
+        measured = figures("psnr", renders, target, perceptual)
         return {
             "psnr": measured.get("psnr"),
             "ssim": measured.get("psnr SSIM"),
@@ -108,8 +108,8 @@ class Ablation:
     def pictures(self, case: Case, results: Sequence[EditResult]) -> dict[str, Any]:
         views, target = _target(case)
         k = int(target.focus.flatten(1).sum(1).argmax())
-        made = rendered(results[-1].splats, [case.after.cameras[views[k]]])[0]
-        return {"result": made, "truth": target.colors[k].numpy()}
+        render = rendered(results[-1].splats, [case.after.cameras[views[k]]])[0]
+        return {"result": render, "truth": target.colors[k].numpy()}
 
 
 TABLE = Ablation()

@@ -335,9 +335,9 @@ def _score_edits(case: Case, results: Sequence[EditResult], perceptual: Any | No
     masks &= np.logical_not(changes(edited.colors, case.after.colors[:count]))
     psnr = np.full((count, count), np.nan)  # [after, edit]
     for k, result in enumerate(results):
-        made = rendered(result.splats, edited.cameras[: k + 1])
+        renders = rendered(result.splats, edited.cameras[: k + 1])
         for j in range(k + 1):
-            value = compared(made[j : j + 1], edited.colors[j : j + 1], masks[j : j + 1], None)["psnr"]
+            value = compared(renders[j : j + 1], edited.colors[j : j + 1], masks[j : j + 1], None)["psnr"]
             psnr[k, j] = np.nan if value is None else value
     figures: dict[str, float | None] = {}
     for k in range(count):

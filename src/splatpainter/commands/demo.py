@@ -61,8 +61,8 @@ def run(config: Config) -> Outcome:
     out, clock = config.out, _Steps()
     with stages(6) as bar:
         bar.enter("asset")
-        made = clock.timed("unpack the asset", lambda: flip(demo_asset(), HALF_TURN))
-        clock.timed("write it", lambda: write(out / "asset.ply", made, overwrite=True))
+        asset = clock.timed("unpack the asset", lambda: flip(demo_asset(), HALF_TURN))
+        clock.timed("write it", lambda: write(out / "asset.ply", asset, overwrite=True))
         splats = read(out / "asset.ply")
         hero = replace(view(0, 0, config.size, BACKGROUND), asset_sha256=splats.sha256)
         before = clock.timed("render a view", lambda: _shot(splats, hero))
@@ -155,9 +155,9 @@ class _Steps:
 
     def timed(self, name: str, work: Callable[[], _Made]) -> _Made:
         start = time.perf_counter()
-        made = work()
+        result = work()
         self.steps.append({"what": name, "seconds": round(time.perf_counter() - start, 3)})
-        return made
+        return result
 
     def add(self, name: str, record: dict[str, Any]) -> None:
         receipt = record["receipt"]

@@ -95,21 +95,21 @@ def run(config: Config) -> Outcome:
     check_target(config.out, config.overwrite, [config.source])
     clock = time.perf_counter()
     settings = FitPictureSettings(**{field.name: getattr(config, field.name) for field in fields(FitPictureSettings)})
-    made = fit_pictures(config.source, settings)
-    for note in made.notes:
+    pictures = fit_pictures(config.source, settings)
+    for note in pictures.notes:
         warn(note)
-    start, prepared = made.start, time.perf_counter() - clock
-    fitted = _fitted(config, made)
+    start, prepared = pictures.start, time.perf_counter() - clock
+    fitted = _fitted(config, pictures)
     fitting = time.perf_counter() - clock - prepared
     with placed(config.out) as partial:
         from splatpainter.io import write
 
         write(partial, fitted)
-    training = _psnr(fitted, list(zip(made.cameras, made.colors, strict=True)))
-    held_out = _psnr(fitted, made.held_out) if made.held_out else None
+    training = _psnr(fitted, list(zip(pictures.cameras, pictures.colors, strict=True)))
+    held_out = _psnr(fitted, pictures.held_out) if pictures.held_out else None
     timings = {"pictures": prepared, "fit": fitting}
     record = {
-        "source": {"file": config.source, "kind": made.kind},
+        "source": {"file": config.source, "kind": pictures.kind},
         "output": {
             "file": config.out,
             "format": entry.key,
@@ -118,7 +118,7 @@ def run(config: Config) -> Outcome:
             "first_rows": len(start),
         },
         "steps": config.steps,
-        "views": {"training": len(made.cameras), "held_out": len(made.held_out)},
+        "views": {"training": len(pictures.cameras), "held_out": len(pictures.held_out)},
         "psnr": {"training": training, "held_out": held_out},
         "seconds": timings,
     }
@@ -128,13 +128,13 @@ def run(config: Config) -> Outcome:
     lines = [
         f"{config.source} -> {config.out}",
         f"{count(len(fitted), 'Gaussian')} from {len(start):,}; {size(record['output']['bytes'])}",
-        f"{summary} ({len(made.cameras)} and {len(made.held_out)} views)",
+        f"{summary} ({len(pictures.cameras)} and {len(pictures.held_out)} views)",
         seconds(timings),
     ]
     return Outcome(record, lines)
 
 
-def _fitted(config: Config, made: FitPictures) -> Splats:
+def _fitted(config: Config, pictures: FitPictures) -> Splats:
     from tqdm import tqdm
 
     from splatpainter.fit.optimize import FitOptions, TrainingView, optimize
@@ -148,11 +148,11 @@ def _fitted(config: Config, made: FitPictures) -> Splats:
         most_gaussians=config.most_rows,
         device=config.device,
     )
-    views = [TrainingView(camera, color) for camera, color in zip(made.cameras, made.colors, strict=True)]
+    views = [TrainingView(camera, color) for camera, color in zip(pictures.cameras, pictures.colors, strict=True)]
     with tqdm(
         total=config.steps, desc="fitting", delay=BAR_DELAY_SECONDS, leave=False, file=sys.stderr, disable=not watched()
     ) as bar:
-        return optimize(made.start, views, options, watch=lambda step, _: bar.update(step - bar.n)).splats
+        return optimize(pictures.start, views, options, watch=lambda step, _: bar.update(step - bar.n)).splats
 
 
 def _psnr(splats: Splats, pictures: list[Any]) -> float:

@@ -93,8 +93,8 @@ def _from_asset(source: Path, settings: FitPictureSettings) -> FitPictures:
     ensure_compiled()
     center, radius = bounding_sphere(splats)
 
-    made = _rendered("asset", partial(_drawn, splats), center, radius, np.array(UPS[AUTO_UP]), settings, np.eye(4))
-    return replace(made, start=replace(made.start, color_space=splats.color_space))
+    pictures = _rendered("asset", partial(_drawn, splats), center, radius, np.array(UPS[AUTO_UP]), settings, np.eye(4))
+    return replace(pictures, start=replace(pictures.start, color_space=splats.color_space))
 
 
 def _from_mesh(source: Path, settings: FitPictureSettings) -> FitPictures:
@@ -282,11 +282,11 @@ def _carved(
         points = center + reach * rng.uniform(-1, 1, (settings.rows, 3))
         count, good = np.zeros(len(points)), np.ones(len(points), bool)
         total = np.zeros((len(points), 3))
-        for camera, color, there in zip(cameras, colors, solid, strict=True):
+        for camera, color, is_solid in zip(cameras, colors, solid, strict=True):
             pixels, z = camera.project(points)
             x, y = np.floor(np.where(z[:, None] > 1e-3, pixels, -1)).astype(np.int64).T
             seen = (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
-            good[seen] &= there[y[seen], x[seen]]
+            good[seen] &= is_solid[y[seen], x[seen]]
             total[seen] += color[y[seen], x[seen]]
             count[seen] += 1
         good &= count >= min(2, len(cameras))

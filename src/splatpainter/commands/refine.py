@@ -103,7 +103,7 @@ def run(config: Config) -> Outcome:
         with SourceBar() as progress:
             brief = SourceBrief(config.prompt, scale=config.scale or usual_scale(source))
             asset = painter.encode(splats, config.method, ["local"])
-            made = refine_views(
+            refined = refine_views(
                 painter,
                 asset,
                 source,
@@ -114,13 +114,13 @@ def run(config: Config) -> Outcome:
                 cancel=threading.Event(),
             )
         receipt, verification = write_proved(
-            splats, made.asset, config.out, receipt_path, config.out_frame, bar, read_seconds
+            splats, refined.asset, config.out, receipt_path, config.out_frame, bar, read_seconds
         )
-    notes = [f"{path}: {note}" for path, edit in zip(config.view, made.edits, strict=True) for note in edit.notes]
+    notes = [f"{path}: {note}" for path, edit in zip(config.view, refined.edits, strict=True) for note in edit.notes]
     lines = [f"{config.asset} -> {config.out}", *notes]
     lines += [f"frame: {verification.frame}"] if verification.frame_is_news else []
     lines += [f"note: {note}" for note in receipt.note.split("; ") if note]
-    for path, edit, view in zip(config.view, made.edits, receipt.views, strict=True):
+    for path, edit, view in zip(config.view, refined.edits, receipt.views, strict=True):
         size = f"{edit.edit.camera.width} x {edit.edit.camera.height}"
         before, after = decibels(view.psnr_before), decibels(view.psnr_after)
         lines.append(f"{path}: {before} -> {after} against the picture of {edit.answer.model or source.name}, {size}")

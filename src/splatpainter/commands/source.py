@@ -135,8 +135,12 @@ def attempt(config: SourceTryConfig) -> Outcome:
         "size": [width, height],
     }
     facts = [answer.model, f"seed {answer.seed}" if answer.seed is not None else "", answer.cost]
-    made = ", ".join(filter(None, [config.name, *facts]))
-    lines = [f"{config.picture} -> {config.out} ({width}x{height})", made, *(f"note: {note}" for note in answer.notes)]
+    summary = ", ".join(filter(None, [config.name, *facts]))
+    lines = [
+        f"{config.picture} -> {config.out} ({width}x{height})",
+        summary,
+        *(f"note: {note}" for note in answer.notes),
+    ]
     return Outcome(record, lines)
 
 

@@ -158,7 +158,7 @@ def paint_from_source(splats: Splats, request: SourceJob, painter: Painter) -> t
         with SourceBar() as bar:
             if config.views == "auto":
                 plan = request.plan(asset.splats)
-                made = cover(
+                sourced = cover(
                     painter,
                     asset,
                     source,
@@ -170,7 +170,7 @@ def paint_from_source(splats: Splats, request: SourceJob, painter: Painter) -> t
                 )
             else:
                 camera = request.view_camera(asset.splats)
-                made = edit_view(
+                sourced = edit_view(
                     painter,
                     asset,
                     source,
@@ -185,13 +185,15 @@ def paint_from_source(splats: Splats, request: SourceJob, painter: Painter) -> t
     except ValueError:  # a refused picture is what a report is looked at for
         _write_report(request, ())
         raise
-    _write_report(request, made.edits)
+    _write_report(request, sourced.edits)
     entries = [
-        DecalView(edit.edit.name, notes) for edit, notes in zip(made.edits, notes_of_views(made.edits), strict=True)
+        DecalView(edit.edit.name, notes)
+        for edit, notes in zip(sourced.edits, notes_of_views(sourced.edits), strict=True)
     ]
-    for line in _answers_line(source.write_answers(config.out, made.edits)):  # of views that the receipt's note names
+    answers = source.write_answers(config.out, sourced.edits)  # of views that the receipt's note names
+    for line in _answers_line(answers):
         warn(line)
-    return made.asset, entries
+    return sourced.asset, entries
 
 
 def notes_of_views(edits: Sequence[SourcedEdit]) -> list[tuple[str, ...]]:

@@ -137,24 +137,24 @@ def render_scene(job: RenderJob, number: int) -> RenderedScene:
     samples, kinds, skipped = [], [], []
     for step in range(job.recipe.steps_per_object):
         try:
-            made = make(step)
+            rendered = make(step)
         except ValueError as error:
             if name in source.skipped:  # the object itself is bad: once is enough
                 return RenderedScene(name, skipped=[source.skipped[name]])
             skipped.append(str(error))
             continue
-        kind, files = _encoded(made, job.exr)
+        kind, files = _encoded(rendered, job.exr)
         kinds.append(kind)
         samples.append(files)
     return RenderedScene(name, samples, kinds, skipped)
 
 
-def _encoded(made: Any, exr: bool) -> tuple[str, Files]:
+def _encoded(rendered: Any, exr: bool) -> tuple[str, Files]:
     """made: a Sample, or a path_samples.Traced one."""
-    if isinstance(made, Sample):
-        return made.kind, encode_sample(made, truth="surfels")
-    about = {"truth": "path", "exposure": made.exposure, "repaired_pixels": made.repaired}
-    return made.sample.kind, encode_sample(made.sample, made.radiance if exr else None, **about)
+    if isinstance(rendered, Sample):
+        return rendered.kind, encode_sample(rendered, truth="surfels")
+    about = {"truth": "path", "exposure": rendered.exposure, "repaired_pixels": rendered.repaired}
+    return rendered.sample.kind, encode_sample(rendered.sample, rendered.radiance if exr else None, **about)
 
 
 class _Part:

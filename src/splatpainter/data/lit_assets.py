@@ -134,8 +134,8 @@ class LitAssets:
         recipe = self.recipe
         sizes = (recipe.size, recipe.rows, recipe.surfels, recipe.fuzz, recipe.fov)
         lights = [np.asarray(picture).shape for picture in self.environments]
-        made = json.dumps([VERSION, self.source.name(i), self.seed, sizes, lights, FIT_STEPS, FIT_VIEWS, kind])
-        return self.folder / f"{kind}-{hashlib.sha256(made.encode()).hexdigest()[:20]}.npz"
+        identity = json.dumps([VERSION, self.source.name(i), self.seed, sizes, lights, FIT_STEPS, FIT_VIEWS, kind])
+        return self.folder / f"{kind}-{hashlib.sha256(identity.encode()).hexdigest()[:20]}.npz"
 
     def _load_or_make(self, i: int, kind: AssetKind) -> LitAsset:
         path = self._path(i, kind)
@@ -144,14 +144,14 @@ class LitAssets:
             if stored is not None:
                 return stored
         try:
-            made = self._make(i, kind)
+            asset = self._make(i, kind)
         except ValueError as error:
             self._bad[i] = str(error)
             raise
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
-            _write(path, made)
-        return made
+            _write(path, asset)
+        return asset
 
     def _make(self, i: int, kind: AssetKind) -> LitAsset:
         recipe, rng = self.recipe, self._generator(f"asset {kind}", i)

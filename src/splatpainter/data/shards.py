@@ -116,9 +116,9 @@ class ShardWriter:
         index = read_index(self.folder)
         for key in sorted({*spec, *index["spec"]}):
             if spec.get(key) != index["spec"].get(key):
-                there, requested = _short(index["spec"].get(key)), _short(spec.get(key))
+                stored, requested = _short(index["spec"].get(key)), _short(spec.get(key))
                 raise ValueError(
-                    f"{self.folder}: holds shards of another run ({key} was {there}, now {requested}); "
+                    f"{self.folder}: holds shards of another run ({key} was {stored}, now {requested}); "
                     "use the same options to carry it on, or another folder"
                 )
         self.scenes = max(self.scenes, index["done"])

@@ -145,9 +145,9 @@ def _coverage(splats: Splats, camera: Camera, depth: np.ndarray, margin: float) 
     pixels, z = camera.project(splats.means)
     index = np.floor(pixels).astype(int)
     inside = ((index >= 0) & (index < depth.shape)).all(1)
-    there = np.zeros(len(splats))
-    there[inside] = depth[index[inside, 1], index[inside, 0]]
-    return project(splats, camera, gaussian_mask=(there > 0) & (np.abs(there - z) < margin)).rasterize()[1]
+    chart_depth = np.zeros(len(splats))
+    chart_depth[inside] = depth[index[inside, 1], index[inside, 0]]
+    return project(splats, camera, gaussian_mask=(chart_depth > 0) & (np.abs(chart_depth - z) < margin)).rasterize()[1]
 
 
 def _sheets(depth: np.ndarray, step: float) -> np.ndarray:

@@ -142,11 +142,11 @@ def _is_other(front: Chart, back: Chart, border: Border) -> bool:
     index = np.floor(pixels).astype(int)
     inside = np.flatnonzero(((index >= 0) & (index < back.camera.width)).all(1))
     v, u = index[inside, 1], index[inside, 0]
-    there = back.depth[v, u] > 0
-    if not there.any():
+    seen_behind = back.depth[v, u] > 0
+    if not seen_behind.any():
         return False
-    gap = float(np.median((z[inside] - back.depth[v, u])[there])) / border.cell
-    colors = np.abs(front.picture[ys[inside], xs[inside]] - back.picture[v, u])[there]
+    gap = float(np.median((z[inside] - back.depth[v, u])[seen_behind])) / border.cell
+    colors = np.abs(front.picture[ys[inside], xs[inside]] - back.picture[v, u])[seen_behind]
     contrast = float(np.median(colors.mean(1)))
     return gap > MIN_WALL_CELLS or (gap > MIN_PAINTED_WALL_CELLS and contrast > MIN_WALL_CONTRAST)
 
@@ -208,9 +208,9 @@ def painted(splats: Splats, appended: Splats, pictures: Sequence[Picture]) -> Sp
         colors = lift_colors(view, target, weights, chosen, COLOR_ROUNDS)
         # What hangs before them, fog or the soft edge of the border, is not made up for by ever stronger colours.
         index = np.clip(np.floor(view.means2d).astype(int), 0, (camera.width - 1, camera.height - 1))
-        there = target[index[:, 1], index[:, 0]]
+        target_colors = target[index[:, 1], index[:, 0]]
         bounded = (weights[index[:, 1], index[:, 0]] > 0)[:, None]
-        limited = np.clip(colors, there - MAX_COMPENSATION, there + MAX_COMPENSATION)
+        limited = np.clip(colors, target_colors - MAX_COMPENSATION, target_colors + MAX_COMPENSATION)
         colors = np.where(bounded, limited, colors)
         ids, sh = view.gaussian_ids[chosen], joined.sh.copy()
         sh[ids] = recolor(sh[ids], before[chosen], colors[chosen], 1.0)

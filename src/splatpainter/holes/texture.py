@@ -48,9 +48,9 @@ def complete(picture: np.ndarray, valid: np.ndarray, clean: np.ndarray, hole: np
     tone = tone_of(picture, valid, hole)
     base = (1 - TONE_COPIED) * tone
     part = np.where(valid[..., None], picture - base, 0).astype(np.float32)
-    made = base + _completed(part, tone, valid, hole, np.random.default_rng(SEED))
+    completed = base + _completed(part, tone, valid, hole, np.random.default_rng(SEED))
     out = picture.copy()
-    out[hole] = np.clip(made[hole], 0, 1)
+    out[hole] = np.clip(completed[hole], 0, 1)
     return out
 
 
@@ -161,8 +161,8 @@ def _matched(
         for jump in PROPAGATION_STEPS_PX if turn else (1, 4, 16):
             for step in (-jump, jump, -jump * width, jump * width):
                 neighbour = np.clip(centers + step, 0, height * width - 1)
-                there = position[neighbour]
-                candidates = np.where(there >= 0, match[np.maximum(there, 0)] - step, match)
+                neighbour_position = position[neighbour]
+                candidates = np.where(neighbour_position >= 0, match[np.maximum(neighbour_position, 0)] - step, match)
                 improve(np.clip(candidates, 0, height * width - 1))
         radius = max(height, width) // 2
         while radius >= 1:

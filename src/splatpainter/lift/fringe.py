@@ -54,9 +54,9 @@ class FringedSurface:
         chosen = np.flatnonzero(source >= 0)
         if not len(chosen):
             return out
-        there = np.stack(np.divmod(source[chosen], camera.width)[::-1], 1) + 0.5
-        near = self.visible.at(there)
-        points = camera.to_camera(camera.unproject(near.depth, there))
+        covered_pixels = np.stack(np.divmod(source[chosen], camera.width)[::-1], 1) + 0.5
+        near = self.visible.at(covered_pixels)
+        points = camera.to_camera(camera.unproject(near.depth, covered_pixels))
         rays = camera.to_camera(camera.unproject(np.ones(len(chosen)), pixels[chosen]))
         slope = (rays * near.normals).sum(1)
         depth = (points * near.normals).sum(1) / np.where(slope < -0.05, slope, -0.05)

@@ -100,8 +100,10 @@ def _faded(first: Camera, other: Camera, depth: np.ndarray) -> np.ndarray:
     """[H, W, 1] 1 where both cameras look at the surface of `other` (z-depths, 0 for none) from about the same side, 0
     where from FADE_DEGREES[1] or more aside."""
     points = other.unproject(np.where(depth > 0, depth, 1))
-    here, there = (camera.position - points for camera in (other, first))
-    cosines = (here * there).sum(-1) / np.maximum(np.linalg.norm(here, axis=-1) * np.linalg.norm(there, axis=-1), 1e-12)
+    to_other, to_first = (camera.position - points for camera in (other, first))
+    cosines = (to_other * to_first).sum(-1) / np.maximum(
+        np.linalg.norm(to_other, axis=-1) * np.linalg.norm(to_first, axis=-1), 1e-12
+    )
     low, high = FADE_DEGREES
     return np.clip((high - np.degrees(np.arccos(np.clip(cosines, -1, 1)))) / (high - low), 0, 1)[..., None]
 

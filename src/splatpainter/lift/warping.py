@@ -39,8 +39,8 @@ def seen_in_both(first: Camera, first_depth: np.ndarray, other: Camera, other_de
     height, width = first_depth.shape
     x, y = (np.floor(np.nan_to_num(pixels[..., k], nan=-1, posinf=-1, neginf=-1)).astype(int) for k in (0, 1))
     inside = (x >= 0) & (x < width) & (y >= 0) & (y < height) & (z > 0) & (other_depth > 0)
-    there = first_depth[y.clip(0, height - 1), x.clip(0, width - 1)]
-    return inside & (there > 0) & (np.abs(there - z) < MAX_DEPTH_DIFFERENCE * z)
+    first_depth_seen = first_depth[y.clip(0, height - 1), x.clip(0, width - 1)]
+    return inside & (first_depth_seen > 0) & (np.abs(first_depth_seen - z) < MAX_DEPTH_DIFFERENCE * z)
 
 
 def bilinear(values: np.ndarray, pixels: np.ndarray) -> np.ndarray:

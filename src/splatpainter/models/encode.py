@@ -60,7 +60,7 @@ def canonical_cameras(splats: Splats, config: LrmConfig) -> list[Camera]:
     when no Gaussian can be drawn."""
     lo, size = bounding_cube(splats)
     center, distance = lo + size / 2, FRAMED_HALF_EXTENTS * size / 2 / math.sin(math.radians(FOV / 2))
-    first, made = config.views // 3, []  # the first camera looks slightly down
+    first, cameras = config.views // 3, []  # the first camera looks slightly down
     for k in range(first, first + config.views):
         # Heights of equal area between both limits.
         height = math.sin(math.radians(MAX_ELEVATION_DEGREES)) * (1 - (2 * (k % config.views) + 1) / config.views)
@@ -68,8 +68,10 @@ def canonical_cameras(splats: Splats, config: LrmConfig) -> list[Camera]:
         level = math.sqrt(1 - height**2)
         away = np.array([level * math.sin(around), -height, level * math.cos(around)])  # assets have y down
         eye = center + distance * away
-        made.append(look_at(eye, center, (0.0, -1.0, 0.0), width=config.image_size, height=config.image_size, fov=FOV))
-    return made
+        cameras.append(
+            look_at(eye, center, (0.0, -1.0, 0.0), width=config.image_size, height=config.image_size, fov=FOV)
+        )
+    return cameras
 
 
 def asset_views(splats: Splats, cameras: Sequence[Camera], grid: VoxelGrid) -> tuple[AssetViews, np.ndarray]:

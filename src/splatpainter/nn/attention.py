@@ -190,7 +190,7 @@ def _buckets(queries: Packing, keys: Packing, device: torch.device) -> tuple[Any
     alive, class_q, class_k = alive[order], class_q[order], class_k[order]
     change = np.flatnonzero((np.diff(class_q) != 0) | (np.diff(class_k) != 0)) + 1
     index = np.full(queries.total, -1, np.int64)
-    done, made = 0, []
+    done, buckets = 0, []
     for first, last in pairwise([0, *change.tolist(), len(alive)]) if len(alive) else ():
         widest_q, widest_k = int(lq[alive[first:last]].max()), int(lk[alive[first:last]].max())
         batch = max(BATCH // max(widest_q, widest_k), 1)
@@ -203,13 +203,13 @@ def _buckets(queries: Packing, keys: Packing, device: torch.device) -> tuple[Any
             index[rows_q[valid_q]] = done + np.flatnonzero(valid_q)
             mask = None if valid_k.all() else torch.from_numpy(valid_k).view(len(members), 1, 1, -1).to(device)
             size = (len(members), widest_q, widest_k)
-            made.append(Bucket(size, _index(rows_q, device), _index(rows_k, device), mask))
+            buckets.append(Bucket(size, _index(rows_q, device), _index(rows_k, device), mask))
             done += len(rows_q)
     blind = index < 0
     index[blind] = done
     straight = not blind.any() and done == queries.total and (np.diff(index) == 1).all()
     return (
-        tuple(made),
+        tuple(buckets),
         None if straight else torch.from_numpy(index).to(device),
         torch.from_numpy(blind).to(device) if blind.any() else None,
     )

@@ -22,10 +22,10 @@ EPS = 1e-5
 
 def linear(inputs: int, outputs: int) -> nn.Linear:
     """A map without bias, weights from N(0, 0.02)."""
-    made = nn.Linear(inputs, outputs, bias=False)
-    if not made.weight.is_meta:  # to be filled by a checkpoint; drawing nothing would import half of torch, 1.6 s
-        nn.init.normal_(made.weight, std=INITIAL_WEIGHT_STD)
-    return made
+    layer = nn.Linear(inputs, outputs, bias=False)
+    if not layer.weight.is_meta:  # to be filled by a checkpoint; drawing nothing would import half of torch, 1.6 s
+        nn.init.normal_(layer.weight, std=INITIAL_WEIGHT_STD)
+    return layer
 
 
 def layer_norm(dim: int) -> nn.LayerNorm:

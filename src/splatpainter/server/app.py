@@ -179,8 +179,8 @@ def _add_data(app: FastAPI, hub: Hub) -> None:
             return _failed(Problem(kind="input", message="view: expected a camera as JSON"))
         context = CommandContext(studio, PageState("http"), Ticket())
         try:
-            made = await hub.queue.run("read", lambda: render_view(context, command), context.ticket)
-            data, media = await asyncio.to_thread(studio.picture_bytes, made.picture)
+            rendered = await hub.queue.run("read", lambda: render_view(context, command), context.ticket)
+            data, media = await asyncio.to_thread(studio.picture_bytes, rendered.picture)
         except Exception as error:
             return _failed(studio.public_problem(problem_of(error)))
         return Response(data, media_type=media, headers=NO_STORE)

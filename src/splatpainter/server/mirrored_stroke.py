@@ -24,9 +24,9 @@ class MirroredStroke(Stroke):
             first.prepare(splats, original, version)
             self.prepare(splats, original, version)
             here = (slice(top, bottom), slice(self.camera.width - right, self.camera.width - left))
-            there = (slice(top, bottom), slice(left, right))
+            window = (slice(top, bottom), slice(left, right))
             base = to_display(self.base[here], splats.color_space)[:, ::-1] - to_display(
-                first.base[there], splats.color_space
+                first.base[window], splats.color_space
             )
             moved = np.clip(rgba[..., :3] + 255 * self.keep * base, 0, 255).round()
             rgba = np.concatenate([moved.astype(np.uint8), rgba[..., 3:]], -1)

@@ -377,13 +377,13 @@ def demo(cache: Path | None = None) -> Splats:
     path = (cache or cache_folder()) / f"demo-{_demo_hash()}.ply"
     with contextlib.suppress(ValueError):  # not there yet, or damaged: it is unpacked anew
         return read(path)
-    made = flip(demo_asset.demo_asset(), DEMO_FLIP)
+    asset = flip(demo_asset.demo_asset(), DEMO_FLIP)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write(path, made, overwrite=True)
+        write(path, asset, overwrite=True)
         return read(path)
     except (OSError, ValueError):
-        return made  # nowhere to keep it
+        return asset  # nowhere to keep it
 
 
 def _demo_hash() -> str:

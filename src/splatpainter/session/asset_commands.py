@@ -109,16 +109,16 @@ class AssetCommands(StrokeCommands):
             if len(self.assets) >= MAX_ASSETS:
                 raise ValueError(f"asset {title}: expected at most {MAX_ASSETS} assets")
             if placement is None:
-                there, new = (rows.means[rows.drawable] for rows in (self.splats, splats))
-                placement = Placement(shift_to_the_right(there, new))
+                existing, new = (rows.means[rows.drawable] for rows in (self.splats, splats))
+                placement = Placement(shift_to_the_right(existing, new))
             _check_reach(title, splats, placement)
             stored = META if path.is_dir() else path.name
-            made = SceneAsset(str(document.next_id), title, placement, True, stored, splats.sha256, frame_of(splats))
-            self._transaction.files = ((made.folder + file, data) for file, data in asset_files.pieces(splats, path))
-            self._replay.remember(made, asset_files.numbered(splats))
-            document = replace(document, assets=(*self.assets, made), next_id=document.next_id + 1)
+            added = SceneAsset(str(document.next_id), title, placement, True, stored, splats.sha256, frame_of(splats))
+            self._transaction.files = ((added.folder + file, data) for file, data in asset_files.pieces(splats, path))
+            self._replay.remember(added, asset_files.numbered(splats))
+            document = replace(document, assets=(*self.assets, added), next_id=document.next_id + 1)
             self._commit(f"add asset {title}", document)
-            return made
+            return added
 
     def set_asset(self, asset: str, *, gesture: str | None = None, **values: Any) -> SceneAsset:
         """Change an asset's name, placement or visible. gesture: as of `set`. Raises ValueError: unknown, out of reach,
@@ -180,8 +180,8 @@ class AssetCommands(StrokeCommands):
                 data = Selection.of(weights, moving.state.splats, moving.original).to_png()
                 self._transaction.blobs = {files.sha256(data): data}
                 parameters[SELECTION] = files.sha256(data)
-            made = Layer("", "Match seam", "look", parameters=parameters, mode="global", method="lift", asset=asset)
-            document, layer = add_layer(document, made)
+            look = Layer("", "Match seam", "look", parameters=parameters, mode="global", method="lift", asset=asset)
+            document, layer = add_layer(document, look)
             self._commit(f"match seam of {name}", document, strict=layer.id)
             return layer
 
@@ -205,7 +205,7 @@ class AssetCommands(StrokeCommands):
         shares = split_edits(scene, edits, masked) if edits else [(part, []) for part in scene.parts]
         shares = [share for share in shares if asset in (None, share[0].asset.id)]
         selected = parameters.get(SELECTION)
-        made: list[Layer] = []
+        added: list[Layer] = []
         for part, pieces in shares:
             values = dict(parameters)
             if isinstance(selected, str):
@@ -217,12 +217,12 @@ class AssetCommands(StrokeCommands):
             layer, pictures = new_layer(part.state.splats, kind, pieces, name, values, settings)
             blobs |= pictures
             document, layer = add_layer(document, replace(layer, asset=part.asset.id), index)
-            made.append(layer)
-        if not made:
+            added.append(layer)
+        if not added:
             raise ValueError("layer: nothing to do, it reaches no visible asset that was chosen")
         self._transaction.blobs = blobs
-        self._commit(f"add {made[0].name}", document, strict=made[0].id)
-        return made[0]
+        self._commit(f"add {added[0].name}", document, strict=added[0].id)
+        return added[0]
 
     def _paint_in_scene(
         self,
@@ -325,8 +325,8 @@ def _target(document: Document, layer: Layer, asset: str) -> tuple[Document, str
             if other.visible and other.opacity > 0:
                 return document, other.id
     empty = Layer("", layer.name, "paint", method="lift", painter=layer.painter, asset=asset)
-    document, made = add_layer(document, empty)
-    return document, made.id
+    document, added = add_layer(document, empty)
+    return document, added.id
 
 
 def _part_of_selection(data: bytes, scene: Scene, part: ScenePart) -> bytes | None:

@@ -62,12 +62,12 @@ class GeometryCommands(Commands):
         if not weights.any():
             raise ValueError("hide: nothing is selected")
         with self._command():
-            document, made = self._document, []
+            document, added = self._document, []
             for hiding in self._hiding(weights, name):
                 document, layer = add_layer(document, hiding, index)
-                made.append(layer)
-            self._commit(f"add {name}", document, strict=[layer.id for layer in made])
-            return made[0]
+                added.append(layer)
+            self._commit(f"add {name}", document, strict=[layer.id for layer in added])
+            return added[0]
 
     def copy(self, relief: Relief, name: str = "Copy", *, index: int | None = None) -> Layer:
         """A layer of Gaussians that are copied with their relief from one place of the surface to another (relief.py).
@@ -75,8 +75,8 @@ class GeometryCommands(Commands):
         with self._command():
             asset, relief = self._relief_of(relief)
             parameters = relief.parameters()
-            made = Layer("", name, "clone", mode="global", parameters=parameters, method="lift", asset=asset)
-            document, layer = add_layer(self._document, made, index)
+            clone = Layer("", name, "clone", mode="global", parameters=parameters, method="lift", asset=asset)
+            document, layer = add_layer(self._document, clone, index)
             self._commit(f"add {layer.name}", document, strict=layer.id)
             return layer
 
@@ -92,16 +92,16 @@ class GeometryCommands(Commands):
             raise ValueError("fill: nothing is selected; select what is to be removed, or circle a hole")
         where: FillWhere = "removed" if remove else "around"
         with self._command():
-            document, made = self._document, []
+            document, added = self._document, []
             for hiding in self._hiding(weights, f"{name}: removed")[: None if remove else 1]:
                 if remove:
                     document, _ = add_layer(document, hiding)
                 parameters = {FILL: where, SELECTION: hiding.parameters[SELECTION]}
                 words = {"mode": "global", "parameters": parameters, "method": "lift", "asset": hiding.asset}
                 document, layer = add_layer(document, Layer("", name, "fill", **words))
-                made.append(layer)
-            self._commit("remove and fill" if remove else f"add {name}", document, strict=made[0].id)
-            return made[0]
+                added.append(layer)
+            self._commit("remove and fill" if remove else f"add {name}", document, strict=added[0].id)
+            return added[0]
 
     def filled_by(self, layer: str) -> np.ndarray:
         """[N] bool of `splats`: the Gaussians of a fill layer. Raises ValueError for another layer, and where it is

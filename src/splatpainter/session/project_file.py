@@ -386,9 +386,9 @@ class Project:
         with self._mutex:
             bookmarks = self.bookmarks()
             with self._writing() as db:
-                made = Bookmark(str(db.execute(query, (name, camera.to_json())).lastrowid), name, camera)
-            self._bookmarks = [*bookmarks, made]
-            return made.id
+                bookmark = Bookmark(str(db.execute(query, (name, camera.to_json())).lastrowid), name, camera)
+            self._bookmarks = [*bookmarks, bookmark]
+            return bookmark.id
 
     def delete_bookmark(self, bookmark: str) -> None:
         with self._mutex:

@@ -112,11 +112,11 @@ class Relief:
         if len(parent_ids) > MAX_COPIED:
             many = f"{MAX_COPIED:,} Gaussians, got {len(parent_ids):,}"
             raise ValueError(f"copy: expected at most {many}; use a smaller brush")
-        made = self.copied(splats.take(parent_ids), weights[parent_ids])
+        copies = self.copied(splats.take(parent_ids), weights[parent_ids])
         rest = 1 - self.weights(self.target, splats)
         faded = (splats.opacities * rest).astype(np.float32)
         under = replace(splats, opacities=np.where(rest < 1, faded, splats.opacities), origin=None)
-        return between(splats, under.append(replace(made, source=None, origin=None)), parent_ids)
+        return between(splats, under.append(replace(copies, source=None, origin=None)), parent_ids)
 
     def copied(self, splats: Splats, weights: np.ndarray) -> Splats:
         """[M] Gaussians at the target, their opacities times weights [M]."""

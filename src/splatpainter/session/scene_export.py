@@ -95,7 +95,7 @@ def _source(name: str, part: Part, first: int, changed: int, key: str) -> dict[s
         "rows": len(part.splats),
         "first": first,
         "sh_degree": part.splats.sh_degree,
-        "how": part.how(key),
+        "how": part.stored_as(key),
         "exact_rows": len(part.splats) - changed,
         "placement": part.placement.record(),
         "seam": None,

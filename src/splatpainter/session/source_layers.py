@@ -63,10 +63,12 @@ def add_source_views(
     title = " ".join(title.split())[:80]
     layers: list[Layer] = []
 
-    def paint(made: SourcedEdit) -> None:
+    def paint(sourced: SourcedEdit) -> None:
         name = f"{title} ({len(layers) + 1})"
-        parameters: dict[str, Any] = {SPLIT_ONLY: True, SOURCE: source_record(source, brief, [made])}
-        layers.append(run(lambda: session.add("picture", [made.edit], name=name, method=method, parameters=parameters)))
+        parameters: dict[str, Any] = {SPLIT_ONLY: True, SOURCE: source_record(source, brief, [sourced])}
+        layers.append(
+            run(lambda: session.add("picture", [sourced.edit], name=name, method=method, parameters=parameters))
+        )
 
     sourced_views = edit_views_in_order(
         session.splats,

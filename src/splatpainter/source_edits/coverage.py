@@ -84,12 +84,12 @@ class SurfaceView:
     def reached(self) -> np.ndarray:
         """[H, W] float32 0..1: how far this view may paint each pixel: less where it sees the surface from the side,
         and not beside an edge in depth."""
-        there = self.depth > 0
-        facing = np.where(there, -(self.camera.rays()[1] * self.normal).sum(-1), 0)
+        farthest = self.depth > 0
+        facing = np.where(farthest, -(self.camera.rays()[1] * self.normal).sum(-1), 0)
         reach = max(1, round(SMOOTHING_SHARE * max(self.depth.shape)))
-        smooth = box_mean(facing, reach) / np.maximum(box_mean(there, reach), 1e-6)
+        smooth = box_mean(facing, reach) / np.maximum(box_mean(farthest, reach), 1e-6)
         edge = dilated(self._steps, EDGE_PX)
-        return np.where(there & ~edge, _ramp(smooth), 0).astype(np.float32)
+        return np.where(farthest & ~edge, _ramp(smooth), 0).astype(np.float32)
 
     @cached_property
     def _farthest(self) -> np.ndarray:
@@ -122,8 +122,8 @@ class SurfaceView:
         x, y = (np.floor(np.nan_to_num(pixels[:, k], nan=-1, posinf=-1, neginf=-1)).astype(int) for k in (0, 1))
         height, width = self.depth.shape
         inside = (x >= 0) & (x < width) & (y >= 0) & (y < height) & (z > 0)
-        there = self._farthest[y.clip(0, height - 1), x.clip(0, width - 1)]
-        visible = inside & (there > 0) & (z - there < MAX_DEPTH_DIFFERENCE * z)
+        covered = self._farthest[y.clip(0, height - 1), x.clip(0, width - 1)]
+        visible = inside & (covered > 0) & (z - covered < MAX_DEPTH_DIFFERENCE * z)
         way = self.camera.position - points
         cosine = (way * normals).sum(1) / np.maximum(np.linalg.norm(way, axis=1), 1e-12)
         return np.where(visible, np.maximum(cosine, 0), 0)
@@ -133,14 +133,14 @@ def unreached(view: SurfaceView, earlier: Sequence[tuple[SurfaceView, np.ndarray
     """[H, W] float32 0..1: what of a view its own angle allows and no earlier view has painted, with soft edges.
     earlier: views and their masks [h, w]."""
     mask = view.reached
-    there = view.depth > 0
-    points, normals = view.points[there], view.normal[there]
+    covered = view.depth > 0
+    points, normals = view.points[covered], view.normal[covered]
     painted = np.zeros(view.depth.shape, np.float32)
     for other, share in earlier:
         visible = other.facing(points, normals) > FACING_COSINES[0]
         pixels, _ = other.camera.project(points)
-        painted[there] = np.maximum(painted[there], np.where(visible, _bilinear(share, pixels), 0))
-    painted = box_mean(painted, 1) / np.maximum(box_mean(there, 1), 1e-6)
+        painted[covered] = np.maximum(painted[covered], np.where(visible, _bilinear(share, pixels), 0))
+    painted = box_mean(painted, 1) / np.maximum(box_mean(covered, 1), 1e-6)
     return np.minimum(mask, np.clip(2 * (1 - painted), 0, 1)).astype(np.float32)
 
 
@@ -217,9 +217,9 @@ def plan_views(
 
 def _samples(views: Sequence[SurfaceView], radius: float, allowed: ViewShare | None) -> tuple[np.ndarray, np.ndarray]:
     """([P, 3] points, [P, 3] normals) of the surface: one for each small cell and side that a view sees."""
-    there = [view.depth > 0 if allowed is None else (view.depth > 0) & (allowed(view.camera) > 0.5) for view in views]
-    points = np.concatenate([view.points[part] for view, part in zip(views, there, strict=True)])
-    normals = np.concatenate([view.normal[part] for view, part in zip(views, there, strict=True)])
+    usable = [view.depth > 0 if allowed is None else (view.depth > 0) & (allowed(view.camera) > 0.5) for view in views]
+    points = np.concatenate([view.points[part] for view, part in zip(views, usable, strict=True)])
+    normals = np.concatenate([view.normal[part] for view, part in zip(views, usable, strict=True)])
     if not len(points):
         return np.zeros((0, 3)), np.zeros((0, 3))
     cells = np.floor(points * (CELLS_PER_RADIUS / radius)).astype(np.int64)

@@ -100,7 +100,7 @@ def edit_view(
     cancel: CancelFlag,
 ) -> SourcedAsset:
     """One view, edited and painted. Arguments and errors as of `edit_with_source`."""
-    made = ask_for_edit(
+    sourced = ask_for_edit(
         asset.splats,
         camera,
         source,
@@ -111,10 +111,10 @@ def edit_view(
         mode=mode,
         surface=lambda: asset.surface,
     )
-    edited = painter.apply(asset, [made.edit], mode, method)
+    edited = painter.apply(asset, [sourced.edit], mode, method)
     assert edited.receipt is not None
-    receipt = replace(edited.receipt, source=source_record(source, brief, [made]))
-    return SourcedAsset(replace(edited, receipt=receipt), (made,))
+    receipt = replace(edited.receipt, source=source_record(source, brief, [sourced]))
+    return SourcedAsset(replace(edited, receipt=receipt), (sourced,))
 
 
 def _without_sheets(painter: Painter) -> Painter:
@@ -188,7 +188,7 @@ def refine_views(
     for k, camera in enumerate(cameras):
         if cancel.is_set():
             raise SourceCancelled
-        made = ask_for_edit(
+        sourced = ask_for_edit(
             asset.splats,
             camera,
             source,
@@ -198,9 +198,9 @@ def refine_views(
             surface=lambda: asset.surface,
             name=f"view {k + 1}",
         )
-        everywhere = np.ones((made.edit.camera.height, made.edit.camera.width), bool)
-        edits.append(replace(made, edit=replace(made.edit, mask=everywhere)))
-    refined = painter.apply(asset, [made.edit for made in edits], "local", method)
+        everywhere = np.ones((sourced.edit.camera.height, sourced.edit.camera.width), bool)
+        edits.append(replace(sourced, edit=replace(sourced.edit, mask=everywhere)))
+    refined = painter.apply(asset, [sourced.edit for sourced in edits], "local", method)
     assert refined.receipt is not None
     record = source_record(source, brief, edits)
     return SourcedAsset(replace(refined, receipt=replace(refined.receipt, source=record)), tuple(edits))
@@ -226,9 +226,9 @@ def cover(
     painter = _without_sheets(painter)
     before, receipts = asset, []
 
-    def paint(made: SourcedEdit) -> None:
+    def paint(sourced: SourcedEdit) -> None:
         nonlocal asset
-        asset = painter.apply(asset, [made.edit], "local", method)
+        asset = painter.apply(asset, [sourced.edit], "local", method)
         assert asset.receipt is not None
         receipts.append(asset.receipt)
 

@@ -82,9 +82,9 @@ def fill(
         flag, report = cancel or threading.Event(), progress or (lambda share, words: None)
         new = np.arange(len(with_fill)) >= len(splats)
         view = camera or facing(filled, with_fill, new)
-        made = ask_for_fill(with_fill, new, source, brief, view, progress=report, cancel=flag)
-        edits = (made,)
-        appended = painted(emptied, appended, [(made.edit.camera, made.edit.image, _mask_of(made))])
+        sourced = ask_for_fill(with_fill, new, source, brief, view, progress=report, cancel=flag)
+        edits = (sourced,)
+        appended = painted(emptied, appended, [(sourced.edit.camera, sourced.edit.image, _mask_of(sourced))])
     after = emptied.append(replace(appended, source=None, origin=None))
     touched = changed_rows(splats, after)
     hashes = untouched_hashes(splats, after, touched)
@@ -149,9 +149,9 @@ def fill_mask(splats: Splats, new: np.ndarray, camera: Camera) -> np.ndarray:
     return dilated(share_of(splats, camera, new) > MIN_SHARE, MASK_MARGIN_PX)
 
 
-def _mask_of(made: SourcedEdit) -> np.ndarray:
-    mask = made.edit.mask
-    return np.ones(made.edit.image.shape[:2], np.float32) if mask is None else mask.astype(np.float32)
+def _mask_of(sourced: SourcedEdit) -> np.ndarray:
+    mask = sourced.edit.mask
+    return np.ones(sourced.edit.image.shape[:2], np.float32) if mask is None else mask.astype(np.float32)
 
 
 def _chosen(weights: np.ndarray | None, count: int) -> np.ndarray:

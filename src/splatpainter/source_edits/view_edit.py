@@ -169,11 +169,11 @@ class _Maps:
             surface = None if self._surface is None else self._surface()
             passes = draw_passes(self._splats, self._camera, ("depth", "normal"), surface=surface)
             assert passes.normal is not None
-            there = passes.alpha > 0.5
+            solid = passes.alpha > 0.5
             turned = passes.normal @ self._camera.world_to_camera[:3, :3].T
             self._drawn = (
-                np.where(there, passes.depth, 0).astype(np.float32),
-                np.where(there[..., None], turned, 0).astype(np.float32),
+                np.where(solid, passes.depth, 0).astype(np.float32),
+                np.where(solid[..., None], turned, 0).astype(np.float32),
             )
         return self._drawn
 

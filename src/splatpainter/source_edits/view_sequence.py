@@ -84,7 +84,7 @@ def edit_views_in_order(
             if not worth_asking(mask, view):
                 continue
             try:
-                made = ask_for_edit(
+                sourced = ask_for_edit(
                     present(),
                     camera,
                     source,
@@ -106,12 +106,12 @@ def edit_views_in_order(
                 notes.append(f"stopped before view {k + 1} of {count}, the earlier ones are painted: {failure}")
                 break
             try:
-                paint(made)
+                paint(sourced)
             except ValueError as failure:
                 error = failure
                 notes.append(f"{source.name} view {k + 1}: not painted ({failure})")
                 continue
-            edits.append(made)
+            edits.append(sourced)
             reached.append((view, mask))
     except SourceCancelled:
         if not (keep_when_cancelled and edits):

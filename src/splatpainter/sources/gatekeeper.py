@@ -365,8 +365,8 @@ def _like(render: np.ndarray, registration: Registration, shape: tuple[int, ...]
     size = shape[1], shape[0]
     if still:
         return render if size == (width, height) else resample(resample(render, *size), width, height)
-    there = np.linalg.inv(np.vstack([registration.matrix, [0, 0, 1]]))[:2]
-    values, inside = warped(render, there, size)
+    inverse = np.linalg.inv(np.vstack([registration.matrix, [0, 0, 1]]))[:2]
+    values, inside = warped(render, inverse, size)
     back = warped(values, registration.matrix, (width, height))[0]
     covered = warped(inside.astype(np.float32), registration.matrix, (width, height))[0] > 0.999
     return np.where(covered[..., None], back, render)

@@ -92,12 +92,12 @@ def open_share(view: EditView, splats: Splats) -> float:
     solid = view.alpha > 0.9
     inside = solid & np.logical_not(dilated(~view.mask, 2))
     outside = solid & ~dilated(view.mask, 2)
-    here, inside_share = _mean_within(values, inside)
-    there, outside_share = _mean_within(values, outside)
+    inside_mean, inside_share = _mean_within(values, inside)
+    outside_mean, outside_share = _mean_within(values, outside)
     edge = view.mask & dilated(~view.mask, 1) & (inside_share > 0.1)
     both = edge & (outside_share > 0.1)
-    same = np.linalg.norm(here[..., :3] - there[..., :3], axis=2) < SAME_MATERIAL
-    step = np.abs(here[..., 3] - there[..., 3]) < MAX_STEP_PX * view.depth / view.camera.fx
+    same = np.linalg.norm(inside_mean[..., :3] - outside_mean[..., :3], axis=2) < SAME_MATERIAL
+    step = np.abs(inside_mean[..., 3] - outside_mean[..., 3]) < MAX_STEP_PX * view.depth / view.camera.fx
     return float((both & same & step).sum() / max(edge.sum(), 1))
 
 

@@ -221,10 +221,10 @@ def _agreeing(index, points, normals, windows, valid) -> np.ndarray:
         for dx in (-1, 0, 1):
             if not (dy or dx):
                 continue
-            here = index[max(dy, 0) : height + min(dy, 0), max(dx, 0) : width + min(dx, 0)]
-            there = index[max(-dy, 0) : height + min(-dy, 0), max(-dx, 0) : width + min(-dx, 0)]
-            pair = (here >= 0) & (there >= 0)
-            a, b = here[pair], there[pair]
+            first = index[max(dy, 0) : height + min(dy, 0), max(dx, 0) : width + min(dx, 0)]
+            second = index[max(-dy, 0) : height + min(-dy, 0), max(-dx, 0) : width + min(-dx, 0)]
+            pair = (first >= 0) & (second >= 0)
+            a, b = first[pair], second[pair]
             way = points[b] - points[a]
             limit = MAX_DISAGREEMENT * np.minimum(windows[a], windows[b])
             close = (np.abs((way * normals[a]).sum(1)) < limit) & (np.abs((way * normals[b]).sum(1)) < limit)

@@ -74,10 +74,10 @@ def judged_samples(
         index = done[kind] * max(len(source) // order.count(kind), 1) if isinstance(source, ShardStream) else number
         done[kind] += 1
         try:
-            made: Sample | str = source[index]
+            sample: Sample | str = source[index]
         except ValueError as error:
-            made = str(error)
-        yield JudgedSample(number, kind, made)
+            sample = str(error)
+        yield JudgedSample(number, kind, sample)
 
 
 def apportioned(weights: Mapping[str, float], count: int) -> list[str]:

@@ -177,17 +177,17 @@ def _shard_names(data: str, share: float) -> tuple[list[str], list[str]]:
 
 def _first(stream: Any, count: int) -> Iterator[Sample]:
     """The first `count` samples that can be made, of twice as many numbers."""
-    made, last = 0, "no object"
+    yielded, last = 0, "no object"
     for i in range(2 * count):
-        if made == count:
+        if yielded == count:
             return
         try:
             yield stream[i]
         except ValueError as error:
             last = str(error)
             continue
-        made += 1
-    if not made:
+        yielded += 1
+    if not yielded:
         raise ValueError(f"validation: no sample could be made; the last problem: {last}")
 
 

@@ -47,9 +47,9 @@ def components(points: np.ndarray, size: float) -> np.ndarray:
             for z in (-1, 0, 1) if x or y else (1,):
                 step = (x << 2 * CELL_BITS) + (y << CELL_BITS) + z
                 at = np.searchsorted(keys, keys + step)
-                there = at < len(keys)
-                there[there] = keys[at[there]] == keys[there] + step
-                _join(parents, np.flatnonzero(there), at[there])
+                exists = at < len(keys)
+                exists[exists] = keys[at[exists]] == keys[exists] + step
+                _join(parents, np.flatnonzero(exists), at[exists])
     _flatten(parents)
     roots = parents[inverse]
     _, first, labels = np.unique(roots, return_index=True, return_inverse=True)

@@ -194,8 +194,8 @@ def _outcome(plan: JobList, records: list[dict[str, Any]], config: Config) -> Ou
         return Outcome({}, [json.dumps({"event": "end", **counts})], 0 if counts["done"] == len(records) else 1)
     failed = [record for record in records if record["status"] != "done"]
     before = sum(bool(record.get("resumed")) for record in records)
-    there = f", {before:,} of them there before" if before else ""
-    lines = [f"{len(records) - len(failed):,} of {count(len(records), 'job')} done{there}"]
+    note = f", {before:,} of them there before" if before else ""
+    lines = [f"{len(records) - len(failed):,} of {count(len(records), 'job')} done{note}"]
     lines += [f"failed: {record['name']}: {record['error']}" for record in failed[:MAX_LISTED]]
     lines += [f"... and {len(failed) - MAX_LISTED:,} more"] if len(failed) > MAX_LISTED else []
     lines.append(f"-> {plan.out / PAGE}")

@@ -217,9 +217,9 @@ def common_file(job: Job, k: int, digest: str) -> Path:
     return job.folder.parent / COMMON / f"{digest[:32]}.{ending}"
 
 
-def _copy(made: Path, target: Path) -> None:
-    shutil.copyfile(made, target)
-    shutil.copyfile(receipt_of(made), receipt_of(target))
+def _copy(source: Path, target: Path) -> None:
+    shutil.copyfile(source, target)
+    shutil.copyfile(receipt_of(source), receipt_of(target))
 
 
 def source_config(step: SourceStep, asset: Path, target: Path, frame: Frame, dry_run: bool = False) -> edit.Config:

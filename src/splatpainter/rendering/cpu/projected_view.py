@@ -179,10 +179,10 @@ class ProjectedView:
         m, dtype = len(at) + len(other), self.projected.dtype
         entry, entry2 = np.empty(len(at), np.int32), np.empty(len(other), np.int32)
         pair_offsets = np.empty(m + 1, np.int64)
-        here = (self.depths[at], self.gaussian_ids[at], part.pair_offsets)
+        first_entries = (self.depths[at], self.gaussian_ids[at], part.pair_offsets)
         ties = other.gaussian_ids if ties is None else ties
-        there = (np.ascontiguousarray(other.depths), ties, other.pair_offsets)
-        tile_binning.merge_entries(*here, *there, entry, entry2, pair_offsets)
+        other_entries = (np.ascontiguousarray(other.depths), ties, other.pair_offsets)
+        tile_binning.merge_entries(*first_entries, *other_entries, entry, entry2, pair_offsets)
         projected, gaussian_ids = simd.aligned((m, COLUMNS), dtype), np.empty(m, np.int64)
         for view, taken, numbers in ((self, at, entry), (other, np.arange(len(other)), entry2)):
             run(tile_binning.put_entries, taken, numbers, view.projected, view.gaussian_ids, projected, gaussian_ids)

@@ -75,14 +75,14 @@ def fill_from_source(context: CommandContext, request: FillSource) -> LayerMade:
     if session.read_only:
         raise ValueError(f"{studio.name}: {session.read_only}")
     try:
-        made = ask_for_fill(splats, new, source, brief, camera, progress=flag.report, cancel=flag)
+        sourced = ask_for_fill(splats, new, source, brief, camera, progress=flag.report, cancel=flag)
     except SourceCancelled:
         raise Cancelled from None
 
     def paint() -> LayerMade:
         if studio.session is not session:
             raise Cancelled  # another project was opened
-        session.fill_from(request.layer, [made.edit], source=source_record(source, brief, [made]))
+        session.fill_from(request.layer, [sourced.edit], source=source_record(source, brief, [sourced]))
         line = f"session.fill_from({request.layer!r}, [edit])  # of {source.name!r}"
         return layer_made(context, request.layer, line)
 

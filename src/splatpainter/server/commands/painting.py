@@ -148,8 +148,8 @@ def dab(context: CommandContext, request: PaintDab) -> Previewed:
     ids, sh = stroke.preview(snapshot.splats, session.original, snapshot.version, box)
     half = context.page.mirrored.get(request.stroke)
     if half is not None:
-        there = half.follow(stroke, box, snapshot.splats, session.original, snapshot.version)
-        ids, sh = merged((ids, sh), half.preview(snapshot.splats, session.original, snapshot.version, there))
+        mirrored_box = half.follow(stroke, box, snapshot.splats, session.original, snapshot.version)
+        ids, sh = merged((ids, sh), half.preview(snapshot.splats, session.original, snapshot.version, mirrored_box))
     if len(ids):
         context.preview = frames.preview_colors(sh, ids, len(snapshot.splats), snapshot.version)
         context.previewed_ids = ids

@@ -88,10 +88,10 @@ def set_asset(context: CommandContext, request: AssetSet) -> Answer:
     if request.move is not None or request.turn is not None or request.scale is not None:
         (x, y, z), (a, b, c) = request.move or before.move, request.turn or before.turn
         scale = before.scale if request.scale is None else request.scale
-        made = Placement.of((x, y, z), (a, b, c), scale)
+        placement = Placement.of((x, y, z), (a, b, c), scale)
         if request.turn is None:
-            made = Placement((x, y, z), before.quat, scale)
-        values["placement"] = made
+            placement = Placement((x, y, z), before.quat, scale)
+        values["placement"] = placement
     values |= {key: value for key in ("name", "visible") if (value := getattr(request, key)) is not None}
     with progress(context, "moving"):
         session.set_asset(request.asset, gesture=request.gesture, **values)

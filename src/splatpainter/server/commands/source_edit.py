@@ -145,7 +145,7 @@ def edit_by_source(context: CommandContext, request: SourceEdit) -> SourceEdited
     flag = TicketFlag(context)
     splats = studio.session.splats.numpy()
     try:
-        made = ask_for_edit(
+        sourced = ask_for_edit(
             splats, camera, source, brief, progress=flag.report, cancel=flag, mask=mask, name=source.name
         )
     except SourceCancelled:
@@ -155,22 +155,22 @@ def edit_by_source(context: CommandContext, request: SourceEdit) -> SourceEdited
             raise
         return refused
     context.ticket.check()
-    image = to_display(made.edit.image, splats.color_space)
-    camera = replace(made.edit.camera, asset_sha256=studio.session.opened.sha256)
+    image = to_display(sourced.edit.image, splats.color_space)
+    camera = replace(sourced.edit.camera, asset_sha256=studio.session.opened.sha256)
     picture = studio.blobs.put(registration.png_bytes(image, camera), f"{name_of(source, request.prompt)}.png").sha256
-    studio.note_source(picture, source_record(source, brief, [made]))
-    changed = made.admitted.changed
+    studio.note_source(picture, source_record(source, brief, [sourced]))
+    changed = sourced.admitted.changed
     if request.enlarge > 1 and mask is None:
         changed = np.ones_like(changed)
-    cost = (made.answer.cost,) if made.answer.cost else ()
+    cost = (sourced.answer.cost,) if sourced.answer.cost else ()
     return SourceEdited(
         camera=CameraInfo.of(camera),
         camera_source="given",
         picture=picture,
         mask=studio.blobs.put(registration.png_bytes(changed), "mask.png").sha256,
         share=float(changed.mean()),
-        shift=(made.admitted.registration.right, made.admitted.registration.down),
-        notes=[*made.notes, *cost],
+        shift=(sourced.admitted.registration.right, sourced.admitted.registration.down),
+        notes=[*sourced.notes, *cost],
         warnings=[],
         name=name_of(source, request.prompt),
         python=f"sp.edit_with_source(splats, open_source({source.name!r}), {request.prompt!r}, camera=camera)",
@@ -306,7 +306,7 @@ def cover_by_source(context: CommandContext, request: SourceCover) -> SourceCove
         return context.write(checked)
 
     try:
-        made = add_source_views(
+        added = add_source_views(
             session,
             source,
             brief,
@@ -320,17 +320,17 @@ def cover_by_source(context: CommandContext, request: SourceCover) -> SourceCove
         )
     except SourceCancelled:
         raise Cancelled from None
-    notes, costs = list(made.notes), [edit.answer.cost for edit in made.sourced_views.edits if edit.answer.cost]
+    notes, costs = list(added.notes), [edit.answer.cost for edit in added.sourced_views.edits if edit.answer.cost]
     if studio.session is not session:
         notes.append("another project was opened meanwhile; the painted layers are in the previous one")
     brief_line = f"SourceBrief({request.prompt!r})" if request.prompt else "SourceBrief()"
     return SourceCovered(
-        layers=[layer_info(session, session.layer(layer.id)) for layer in made.layers],
-        painted=len(made.sourced_views.edits),
-        cancelled=made.sourced_views.cancelled,
+        layers=[layer_info(session, session.layer(layer.id)) for layer in added.layers],
+        painted=len(added.sourced_views.edits),
+        cancelled=added.sourced_views.cancelled,
         refused=[
             picture
-            for one in made.sourced_views.refused
+            for one in added.sourced_views.refused
             if (picture := _refused(context, source, request.prompt, one)) is not None
         ],
         notes=[*notes, *([f"cost: {', '.join(costs)}"] if costs else [])],

@@ -41,16 +41,16 @@ class CopyTask(Task[SplatPainterModel]):
         freeze(model.lrm, model.refiner, model.predictor)
 
     def losses(self, sample: Sample, seed: int) -> dict[str, Tensor]:
-        made, _ = self._copy(sample)
+        copied, _ = self._copy(sample)
         cameras, target = truth(sample, self.device)
-        rendered, _ = draw(made, cameras, self.device)
+        rendered, _ = draw(copied, cameras, self.device)
         chosen = np.random.default_rng(seed).permutation(len(rendered))[: self.perceptual_views]
         return self.loss(rendered, target, sorted(chosen.tolist()))
 
     @torch.no_grad()
     def judge(self, sample: Sample) -> ValidationScore:
-        made, before = self._copy(sample)
-        return judged(made, sample, input_views(self.model, sample, self.device), self.device, before)
+        copied, before = self._copy(sample)
+        return judged(copied, sample, input_views(self.model, sample, self.device), self.device, before)
 
     def _copy(self, sample: Sample) -> tuple[Splats, Splats]:
         """After Stage I, and the LRM's Gaussians before it."""

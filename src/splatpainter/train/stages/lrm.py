@@ -43,12 +43,12 @@ class LrmTask(Task[SplatPainterModel]):
     def losses(self, sample: Sample, seed: int) -> dict[str, Tensor]:
         views = input_views(self.model, sample, self.device)
         with self.arithmetic():
-            made = self.model.lrm(views).splats
+            predicted = self.model.lrm(views).splats
         if self.step < self.pull_steps:
-            pulled = PULL * scattered_depth(_distances(made, views), len(views.cameras))
+            pulled = PULL * scattered_depth(_distances(predicted, views), len(views.cameras))
             return {"loss": pulled, "pulled": pulled}
         cameras, target = truth(sample, self.device)
-        rendered, _ = draw(_drawn(made, views, self.model), cameras, self.device)
+        rendered, _ = draw(_drawn(predicted, views, self.model), cameras, self.device)
         chosen = np.random.default_rng(seed).permutation(len(rendered))[: self.perceptual_views]
         return self.loss(rendered, target, sorted(chosen.tolist()))
 
@@ -56,16 +56,16 @@ class LrmTask(Task[SplatPainterModel]):
     def judge(self, sample: Sample) -> ValidationScore:
         views = input_views(self.model, sample, self.device)
         with self.arithmetic():
-            made = self.model.lrm(views).splats
-        return judged(_drawn(made, views, self.model), sample, views, self.device)
+            predicted = self.model.lrm(views).splats
+        return judged(_drawn(predicted, views, self.model), sample, views, self.device)
 
 
 def judged(
-    made: Splats, sample: Sample, views: AssetViews, device: torch.device, before: Splats | None = None
+    predicted: Splats, sample: Sample, views: AssetViews, device: torch.device, before: Splats | None = None
 ) -> ValidationScore:
     """What a reconstruction looks like beside the truth, and beside what it was made of (before)."""
     cameras, target = truth(sample, device)
-    drawn_views = {"asset": sample.asset, "before": before, "ours": made}
+    drawn_views = {"asset": sample.asset, "before": before, "ours": predicted}
     pictures = {
         name: draw(gaussians, cameras, device)[0] for name, gaussians in drawn_views.items() if gaussians is not None
     }
@@ -113,14 +113,16 @@ def truth(sample: Sample, device: torch.device) -> tuple[list[Camera], PictureTa
     return list(sample.novel_before.cameras), global_target(colors, alpha > 0.5)
 
 
-def _drawn(made: Splats, views: AssetViews, model: SplatPainterModel) -> Splats:
-    return made.take(torch.nonzero(model.lrm.on_surface(views, made))[:, 0])
+def _drawn(predicted: Splats, views: AssetViews, model: SplatPainterModel) -> Splats:
+    return predicted.take(torch.nonzero(model.lrm.on_surface(views, predicted))[:, 0])
 
 
-def _distances(made: Splats, views: AssetViews) -> Tensor:
+def _distances(predicted: Splats, views: AssetViews) -> Tensor:
     """[V * H * W] distance from the camera minus the camera's from the middle, half cubes."""
     eyes = np.stack([camera.position for camera in views.cameras])
     far = np.linalg.norm(eyes - np.asarray(views.center), axis=1)
-    per_view = made.means.view(len(eyes), -1, 3)
-    eye = tensor(eyes, made.means.device)[:, None]
-    return (((per_view - eye).norm(dim=-1) - tensor(far, made.means.device)[:, None]) / views.half_extent).reshape(-1)
+    per_view = predicted.means.view(len(eyes), -1, 3)
+    eye = tensor(eyes, predicted.means.device)[:, None]
+    return (((per_view - eye).norm(dim=-1) - tensor(far, predicted.means.device)[:, None]) / views.half_extent).reshape(
+        -1
+    )
