@@ -67,7 +67,7 @@ PIXELS_PER_SPACING = 1.4
 """Resolution of these cameras, where they face the surface."""
 MIN_FACING_COSINE = np.cos(np.radians(58.0))
 """Cosine between the normal and the line of sight below which a sample should be seen from elsewhere."""
-RIM_LEAN_RADIANS = np.radians(50.0)
+LEAN_RADIANS = np.radians(50.0)
 """Angle by which a camera leans outwards over a rim, to see how the surface goes on behind it."""
 MIN_RIM_LENGTH = 0.22
 """Length of `Unwrapped.rims` from which a sample is at a rim."""
@@ -161,8 +161,7 @@ def survey(
         at_rim = under & (rim > MIN_RIM_LENGTH)
         leaning = np.where(
             at_rim[:, None],
-            np.cos(RIM_LEAN_RADIANS) * turned
-            - np.sin(RIM_LEAN_RADIANS) * samples.rims / np.maximum(rim, 1e-9)[:, None],
+            np.cos(LEAN_RADIANS) * turned - np.sin(LEAN_RADIANS) * samples.rims / np.maximum(rim, 1e-9)[:, None],
             turned,
         )
         asking = under & (at_rim | (best < MIN_FACING_COSINE))
