@@ -202,8 +202,8 @@ def test_in_chunks_and_with_the_second_set(monkeypatch: pytest.MonkeyPatch) -> N
     model, views = built(ASSET_BASE, awake=0.05), views_here()
     encoded, edit = encoded_by(model), lift_local_views(SPLATS, GRID, views_here(), "own")
     complete = refine_edit(model, model.initial_state(), encoded, edit, views)
-    for module in ("model", "refine", "compress"):
-        monkeypatch.setattr(f"splatpainter.models.{module}.CHUNK", 16)
+    for constant in ("model.LATENTS_PER_CHUNK", "refine.LATENTS_PER_CHUNK", "compress.GAUSSIANS_PER_CHUNK"):
+        monkeypatch.setattr(f"splatpainter.models.{constant}", 16)
     parts = refine_edit(model, model.initial_state(), encoded, edit, views)
     assert complete[2] is not None and parts[2] is not None and len(parts[2]) == len(edit.ids) > 32
     for one, two in zip(complete[1:], parts[1:], strict=True):
