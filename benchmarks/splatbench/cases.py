@@ -73,17 +73,19 @@ class Setup:
     seed: int = 0
 
 
-LEAST = {"objects": 1, "size": 64, "rows": 100, "novel_views": 1, "seed": 0}
-"""Of the options of benchmarks that make their cases themselves."""
+MIN_OPTIONS = {"objects": 1, "size": 64, "rows": 100, "novel_views": 1, "seed": 0}
+"""Smallest values of the options of benchmarks that make their cases themselves."""
 
 
 def check_options(benchmark: str, config: Any, folders: Sequence[str]) -> None:
-    """Raises ValueError in the name of a benchmark: an option below LEAST, one of `folders` (names of options) that is
-    not there."""
-    for name, least in LEAST.items():
-        if getattr(config, name) < least:
+    """Raises ValueError in the name of a benchmark: an option below MIN_OPTIONS, one of `folders` (names of options)
+    that is not there."""
+    for name, minimum in MIN_OPTIONS.items():
+        if getattr(config, name) < minimum:
             option = name.replace("_", "-")
-            raise ValueError(f"bench {benchmark}: expected --{option} of at least {least}, got {getattr(config, name)}")
+            raise ValueError(
+                f"bench {benchmark}: expected --{option} of at least {minimum}, got {getattr(config, name)}"
+            )
     for name in folders:
         folder = getattr(config, name)
         if folder is not None and not folder.is_dir():

@@ -66,9 +66,10 @@ class FitOptions:
     """Rate of logit-opacities."""
     rate_sh: float | None = None
     """Rate of the constant band; higher ones get a twentieth. None: 2.5e-3, the original's; runs of fewer than 30,000
-    steps begin 30,000 / steps times higher, at most MAX_SHORT_RUN_SPEEDUP times, and fall to it exponentially. At 2.5e-3 a colour moves
-    by 0.0007 a step: a painted region (128 px, 48 more views) is after 300 steps 10.7 dB from its picture and 10.0 dB
-    from the truth in novel views, with 0.02 all along 42.0 and 23.8, falling from 0.05 40.2 and 24.1."""
+    steps begin 30,000 / steps times higher, at most MAX_SHORT_RUN_SPEEDUP times, and fall to it exponentially. At
+    2.5e-3 a colour moves by 0.0007 a step: a painted region (128 px, 48 more views) is after 300 steps 10.7 dB from its
+    picture and 10.0 dB from the truth in novel views, with 0.02 all along 42.0 and 23.8, falling from 0.05 40.2 and
+    24.1."""
     extent: float | None = None
     """World units that means' rates and Gaussians' sizes are measured by; None: the asset's own longest side."""
     density: DensityOptions = DensityOptions()

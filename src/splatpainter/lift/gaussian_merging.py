@@ -39,11 +39,9 @@ SHAPE_COST = 0.02
 UNSEEN_PX = 0.02
 """Pixels as which hidden Gaussians count."""
 PEAK_OVERLAP_LOSS = 0.15
-"""What overlap costs: of a sum A of peaks at one place, A - PEAK_OVERLAP_LOSS A^2 is left: between what Gaussians beside one
-another
-(split.py: 0.1) and what those behind one another (0.25) would want. Of 0.15, 0.1 and 0.25 none was better by
-more than
-0.1 dB."""
+"""What overlap costs: of a sum A of peaks at one place, A - PEAK_OVERLAP_LOSS A^2 is left: between what Gaussians
+beside one another (split.py: 0.1) and what those behind one another (0.25) would want. Of 0.15, 0.1 and 0.25 none was
+better by more than 0.1 dB."""
 MIN_FLATNESS = 1e-4
 """Thickness over length, at least."""
 _CELLS = 1 << 20

@@ -38,7 +38,9 @@ def footprint_mean(splats: Splats, camera: Camera, picture: np.ndarray) -> np.nd
     view."""
     from splatpainter.rendering.cpu.projected_view import project
 
-    faint = replace(splats, source=None, origin=None, opacities=np.minimum(splats.opacities, np.float32(MEASURING_OPACITY)))
+    faint = replace(
+        splats, source=None, origin=None, opacities=np.minimum(splats.opacities, np.float32(MEASURING_OPACITY))
+    )
     view = project(faint, camera)
     zeros = np.zeros((*picture.shape, 3), np.float32)
     part = view.backproject(zeros, np.ascontiguousarray(picture, np.float32)).alpha

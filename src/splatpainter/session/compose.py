@@ -24,8 +24,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.lift.view_limits import coarse_surface, left_out
 from splatpainter.lift.options import LOCAL_DEFAULTS
+from splatpainter.lift.view_limits import coarse_surface, left_out
 from splatpainter.painter import Edit, Painter
 from splatpainter.session.appearance import base_of_parents, picture_of, with_base
 from splatpainter.session.conflicts import EditedIds, policy_strength

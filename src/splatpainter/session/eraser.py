@@ -210,4 +210,10 @@ def _is_near(splats: Splats, visible: Splats) -> np.ndarray:
 def _difference(below: Splats, after: Splats, parent_ids: np.ndarray) -> Delta:
     """parent_ids: [A] of what was appended."""
     n, changed = len(below), changed_rows(below, after)
-    return Delta(n, changed, without_source(after.take(changed)), without_source(after.take(np.arange(n, len(after)))), parent_ids)
+    return Delta(
+        n,
+        changed,
+        without_source(after.take(changed)),
+        without_source(after.take(np.arange(n, len(after)))),
+        parent_ids,
+    )

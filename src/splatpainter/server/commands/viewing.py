@@ -144,8 +144,8 @@ def resized(camera: Camera, size: int) -> Camera:
     """The same view with `size` pixels on its longer side. Raises ValueError: too many in all."""
     view = camera.with_longest_side(size)
     if view.width * view.height > MAX_EXPORT_PIXELS:
-        got = f"{view.width}x{view.height}"
-        raise ValueError(f"view: expected at most {MAX_EXPORT_PIXELS / 1e6:.1f} megapixels, got {got}")
+        pixels = f"{view.width}x{view.height}"
+        raise ValueError(f"view: expected at most {MAX_EXPORT_PIXELS / 1e6:.1f} megapixels, got {pixels}")
     return view
 
 
