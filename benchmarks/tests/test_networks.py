@@ -102,7 +102,7 @@ def test_untrained_weights_on_the_lift_are_the_lift(tmp_path: Path, mode: Mode) 
 def test_weights_that_leave_local_edits_to_the_lift_have_no_row_there(tmp_path: Path) -> None:
     config = with_refine(LIFT, answers="teachers", picture_tokens=False, row_tokens=64, base="own")
     budget = Budget(weights={"compact": saved(built(config), tmp_path)})
-    with pytest.raises(ValueError, match="in global edits alone"):
+    with pytest.raises(ValueError, match="for global edits only"):
         row_of("ttt").edit(work(dab(thing(), GREEN)), budget)
     assert row_of("ttt").edit(work(grade(thing()), "global"), budget).note == ""
 

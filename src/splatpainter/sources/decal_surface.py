@@ -62,9 +62,9 @@ def surface_pixels(
     rough = ~trusted | (at.residuals > ROUGH_RESIDUAL * at.windows)
     position = np.full((*pixels.shape, 3), np.nan)
     position[ys, xs] = points
-    normals[~trusted], valid = _fitted_normals(position, ys[~trusted], xs[~trusted], camera, z[~trusted])
+    normals[~trusted], fitted = _fitted_normals(position, ys[~trusted], xs[~trusted], camera, z[~trusted])
     valid = trusted.copy()
-    valid[~trusted] = valid
+    valid[~trusted] = fitted
     return SurfacePixels(ys[valid], xs[valid], points[valid], normals[valid], rough[valid], seen)
 
 
