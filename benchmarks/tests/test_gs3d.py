@@ -12,7 +12,7 @@ from splatbench.methods.gs3d import METHODS, Settings, edit, local_views, reache
 
 from splatpainter.cameras import Camera, look_at
 from splatpainter.rendering import render
-from splatpainter.rendering.shares import share_of
+from splatpainter.rendering.pixel_shares import share_of
 from splatpainter.splats import Splats
 from tests.support.lift_scenes import bits, db, disk, front, sheet
 

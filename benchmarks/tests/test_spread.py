@@ -40,7 +40,7 @@ def test_psnr_is_over_all_masked_pixels_together() -> None:
     assert masked_psnr(truth, truth, mask) is None
 
 
-def test_shares_of_materials_are_those_of_the_nearest_surfels() -> None:
+def test_pixel_shares_of_materials_are_those_of_the_nearest_surfels() -> None:
     points = np.random.default_rng(0).random((2000, 3))
     means = np.array([[0.2, 0.5, 0.5], [0.8, 0.5, 0.5]])
     np.testing.assert_array_equal(material_share(means, points, points[:, 0] < 0.5), [1, 0])

@@ -6,7 +6,7 @@ import "./style/base.css";
 import "./style/controls.css";
 import "./style/panels.css";
 import { parseFrame } from "./net/frames";
-import { followAside } from "./state/aside";
+import { followAside } from "./state/side-view";
 import { camera, pose, state } from "./state/store";
 import { cursorFrame } from "./paint/brush";
 import { meanRadius } from "./paint/dabs";

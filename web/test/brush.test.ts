@@ -7,7 +7,7 @@ import { compose, solid } from "../src/paint/patch";
 import { random } from "../src/paint/random";
 import { dab, emptyMask, segment } from "../src/paint/raster";
 import { localMean, shaded } from "../src/paint/shading";
-import { facingFrame, frameOnSurface, SurfaceView } from "../src/paint/surface-view";
+import { facingFrame, frameOnSurface, SurfaceView } from "../src/paint/surface-blocks";
 import {
   builtInTip,
   BUILT_IN_TIPS,

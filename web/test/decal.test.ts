@@ -11,7 +11,7 @@ import {
   upAt,
   type Anchor,
 } from "../src/paint/decal";
-import { SurfaceView } from "../src/paint/surface-view";
+import { SurfaceView } from "../src/paint/surface-blocks";
 import { cross, dot, lookAt, toCamera, unit, type CameraJson, type Vec3 } from "../src/view/camera";
 
 const BLOCK = 4;

@@ -7,7 +7,7 @@ import { sourceNear } from "../src/paint/surroundings";
 import { limitsToSend } from "../src/paint/limits";
 import { base64, compose, over, shifted, solid } from "../src/paint/patch";
 import { clip, dab, emptyMask, falloff, segment, union } from "../src/paint/raster";
-import { combine, invert, isEmpty, outline, polygon, rectangle } from "../src/paint/select";
+import { combine, invert, isEmpty, outline, polygon, rectangle } from "../src/paint/selection-masks";
 
 const hard = { radius: 5, hardness: 1, flow: 1 };
 const sum = (values: Float32Array) => values.reduce((a, b) => a + b, 0);

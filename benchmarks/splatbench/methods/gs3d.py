@@ -25,7 +25,7 @@ from splatbench.methods import Curve, EditResult, EditTask, Method
 from splatpainter.cameras import Camera, spherical_cameras
 from splatpainter.lift.local_edit import gaussians_in_mask
 from splatpainter.rendering import render
-from splatpainter.rendering.shares import share_of
+from splatpainter.rendering.pixel_shares import share_of
 from splatpainter.splats import ATTRIBUTES, Splats
 
 if TYPE_CHECKING:

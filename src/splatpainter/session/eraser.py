@@ -31,7 +31,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.color import base_color
-from splatpainter.rendering.shares import footprint_mean, share_of
+from splatpainter.rendering.pixel_shares import footprint_mean, share_of
 from splatpainter.session.appearance import fitted_sh, moved_gaussians, picture_of
 from splatpainter.session.delta import Delta, without_source
 from splatpainter.splats import ATTRIBUTES, Splats, changed_rows

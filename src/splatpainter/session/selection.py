@@ -20,7 +20,7 @@ from splatpainter.cameras import Camera
 from splatpainter.color import base_color, to_display
 from splatpainter.image_files import bytes_of_png, bytes_to_png
 from splatpainter.jsonio import brief
-from splatpainter.rendering.shares import MEASURING_OPACITY, before_black, footprint_mean
+from splatpainter.rendering.pixel_shares import MEASURING_OPACITY, before_black, footprint_mean
 from splatpainter.splats import Splats
 from splatpainter.voxels.neighbours import nearest_within
 

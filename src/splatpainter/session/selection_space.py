@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from splatpainter.rendering.shares import MEASURING_OPACITY
+from splatpainter.rendering.pixel_shares import MEASURING_OPACITY
 from splatpainter.session.selection import snapped_weights, spacing
 from splatpainter.splats import Splats
 from splatpainter.transforms import quat_to_matrix

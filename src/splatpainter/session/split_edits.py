@@ -9,7 +9,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.painter import Edit
-from splatpainter.rendering.shares import before_black
+from splatpainter.rendering.pixel_shares import before_black
 from splatpainter.session.layer_factory import changed_pixels
 from splatpainter.session.scene_replay import Scene, ScenePart
 

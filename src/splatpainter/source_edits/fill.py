@@ -20,7 +20,7 @@ from splatpainter.holes.fill import Filled, fill_hole, painted
 from splatpainter.lift.masks import dilated
 from splatpainter.painter import Asset
 from splatpainter.receipts import Receipt, untouched_hashes
-from splatpainter.rendering.shares import share_of
+from splatpainter.rendering.pixel_shares import share_of
 from splatpainter.source_edits.edit import BACKGROUND, source_record
 from splatpainter.source_edits.view_edit import SourceBrief, SourcedEdit, ask_for_edit
 from splatpainter.sources.gatekeeper import Strictness

@@ -9,7 +9,7 @@ import { roundFrame, shaped, type Brush, type Frame } from "./dabs";
 import type { Grain, Source } from "./patch";
 import { localMean, NEIGHBOURHOOD, shaded } from "./shading";
 import type { Stroke } from "./stroke";
-import { facingFrame, frameOnSurface } from "./surface-view";
+import { facingFrame, frameOnSurface } from "./surface-blocks";
 import { builtInTip, grainAt, textureTile, TIP_PX, withHalves, type TipImage } from "./tips";
 import { surfaceOf } from "./view-surface";
 

@@ -3,7 +3,7 @@
 import { add, cross, dot, scale, sub, unit, type CameraJson, type Vec3 } from "../view/camera";
 import type { Pixels } from "./flood";
 import type { Rect } from "./raster";
-import type { SurfaceView } from "./surface-view";
+import type { SurfaceView } from "./surface-blocks";
 
 /** A picture's middle on the surface, world units. */
 export interface Anchor {

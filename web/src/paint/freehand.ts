@@ -15,7 +15,7 @@ import {
   endStroke,
   originalPixels,
   viewPixels,
-} from "./strokes";
+} from "./stroke-queue";
 import type { Pixels } from "./flood";
 import { setColor } from "./point-tools";
 import { heal } from "./heal";

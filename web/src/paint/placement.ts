@@ -32,8 +32,8 @@ import {
 } from "./decal";
 import { viewScale } from "./brush-settings";
 import { limitsToSend } from "./limits";
-import { beginStroke, endStroke } from "./strokes";
-import type { SurfaceView } from "./surface-view";
+import { beginStroke, endStroke } from "./stroke-queue";
+import type { SurfaceView } from "./surface-blocks";
 import { surfaceOf, viewSurface, wrapping, surfaceArrived } from "./view-surface";
 import { blend, type Rgb } from "./colors";
 import type { Pen, ToolHandler } from "./tool";

@@ -4,11 +4,11 @@ import { signal } from "@preact/signals";
 
 import { brush, camera, color, fill, hex, recentColors, selecting } from "../state/store";
 import { report, run } from "../state/studio";
-import { beginStroke, endStroke, viewPixels } from "./strokes";
+import { beginStroke, endStroke, viewPixels } from "./stroke-queue";
 import { colorSource, grainOf } from "./brush";
 import { viewScale } from "./brush-settings";
 import { likeColor, soften } from "./flood";
-import { combine, isEmpty, polygon, rectangle, type Combine } from "./select";
+import { combine, isEmpty, polygon, rectangle, type Combine } from "./selection-masks";
 import { dab, emptyMask, segment, type Mask } from "./raster";
 import { deselect, selectArea, selection, sent } from "./selection";
 import type { Pen, ToolHandler } from "./tool";

@@ -13,7 +13,7 @@ import { link, report, run } from "../state/studio";
 import { sameView, type CameraJson, type Vec3 } from "../view/camera";
 import { maskPng } from "./picture";
 import type { Mask } from "./raster";
-import { combine, isEmpty, type Combine } from "./select";
+import { combine, isEmpty, type Combine } from "./selection-masks";
 
 /** What of the present view is selected, 0..1; null: nothing is, or it is not known yet. */
 export const selection = signal<Mask | null>(null);

@@ -6,7 +6,7 @@ import { camera, state, tool } from "../state/store";
 import { link } from "../state/studio";
 import { sameView, type CameraJson } from "../view/camera";
 import { engine } from "./brush-settings";
-import { SurfaceView } from "./surface-view";
+import { SurfaceView } from "./surface-blocks";
 
 /** Of the present view, or of the one before until its answer is there; null: not needed so far. */
 export const viewSurface = signal<SurfaceView | null>(null);

@@ -2,7 +2,7 @@
 
 import { dismiss, jobs, pythonLog, refusal, state, status, stopped, toast, toasts } from "../state/store";
 import { BatchChip } from "./batch";
-import { aside } from "../state/aside";
+import { aside } from "../state/side-view";
 import { Button } from "./parts";
 
 /** What went wrong before what to do about it: one sentence, if it is none by itself. */

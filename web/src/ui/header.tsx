@@ -2,7 +2,7 @@
 
 import { signal } from "@preact/signals";
 
-import { pendingStrokes } from "../paint/strokes";
+import { pendingStrokes } from "../paint/stroke-queue";
 import { batchOpen } from "../state/batch";
 import { canRedo, canUndo, help, pose, readOnly, state, status, view, working } from "../state/store";
 import { go, run } from "../state/studio";

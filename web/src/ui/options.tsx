@@ -3,13 +3,13 @@
 import { signal } from "@preact/signals";
 
 import { shadingApplies } from "../paint/brush";
-import { chosenMask, cloneFrom, SPREADING_TOOLS } from "../paint/strokes";
+import { chosenMask, cloneFrom, SPREADING_TOOLS } from "../paint/stroke-queue";
 import { choosingSource } from "../paint/freehand";
 import { commitPlacement, discardPlacement, editedLayer, placement, startStamp } from "../paint/placement";
 import { LIMITED_TOOLS, MAX_ANGLE_DEGREES, MAX_DEPTH_EDGE_PX } from "../paint/limits";
 import { setColor } from "../paint/point-tools";
 import { relief } from "../paint/relief";
-import type { Combine } from "../paint/select";
+import type { Combine } from "../paint/selection-masks";
 import { wrapping } from "../paint/view-surface";
 import {
   brush,

@@ -3,7 +3,7 @@
 import { signal } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
 
-import { frozen, overlayCanvas, viewMoved, warmUp } from "../paint/strokes";
+import { frozen, overlayCanvas, viewMoved, warmUp } from "../paint/stroke-queue";
 import { clone, eraser, healer, line, paintBrush } from "../paint/freehand";
 import { boxTool } from "../paint/crop-box";
 import { placement, placer } from "../paint/placement";

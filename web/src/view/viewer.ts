@@ -4,7 +4,7 @@ import * as THREE from "three";
 
 import type { Frame } from "../net/frames";
 import { UploadQueue } from "../splats/upload-queue";
-import { SplatTable } from "../splats/table";
+import { SplatTable } from "../splats/gpu-table";
 import { Blit, toBytes } from "./blit";
 import { add, scale, type CameraJson, type Vec3 } from "./camera";
 import { Grid } from "./grid";

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from splatpainter.rendering.shares import footprint_mean, share_of
+from splatpainter.rendering.pixel_shares import footprint_mean, share_of
 from splatpainter.splats import Splats
 from tests.support.lift_scenes import dense_weights, front, sheet
 
@@ -18,7 +18,7 @@ def asset() -> Splats:
     return sheet(24, opacity=0.97).append(sheet(12, z=-0.8, opacity=0.97))
 
 
-def test_shares_are_those_of_a_dense_compositor() -> None:
+def test_pixel_shares_are_those_of_a_dense_compositor() -> None:
     splats, camera = asset(), replace(front(SIZE), background=(1.0, 0.5, 0.2))
     rng = np.random.default_rng(0)
     dense, _ = dense_weights(splats, camera)
