@@ -42,9 +42,7 @@ def footprint_mean(splats: Splats, camera: Camera, picture: np.ndarray) -> np.nd
         splats, source=None, origin=None, opacities=np.minimum(splats.opacities, np.float32(MEASURING_OPACITY))
     )
     view = project(faint, camera)
-    zeros = np.zeros((*picture.shape, 3), np.float32)
-    part = view.backproject(zeros, np.ascontiguousarray(picture, np.float32)).alpha
-    total = view.backproject(zeros, np.ones(picture.shape, np.float32)).alpha
+    part, total = view.mask_sums(picture, np.ones(picture.shape, np.float32))
     out = np.zeros(len(splats), np.float32)
-    out[view.gaussian_ids] = part / np.maximum(total, 1e-9)
+    out[view.gaussian_ids] = part.alpha / np.maximum(total.alpha, 1e-9)
     return out
