@@ -116,21 +116,30 @@ class Camera:
         pixels of all pixel centres, at depths [H, W]."""
         if pixels is None:
             assert depth.shape == (self.height, self.width)
-            pixels = self._pixel_centers()
-        return self.to_world(self.sight_lines(pixels) * depth[..., None])
+            lines = self._center_lines()
+        else:
+            lines = self.sight_lines(pixels)
+        return self.to_world(lines * depth[..., None])
 
     def slopes(self, pixels: np.ndarray) -> np.ndarray:
         """[..., 2] x / z and y / z, in camera axes, of what pixels [..., 2] (x, y; centres at .5) show."""
-        return np.stack([(pixels[..., 0] - self.cx) / self.fx, (pixels[..., 1] - self.cy) / self.fy], -1)
+        return self.sight_lines(pixels)[..., :2]
 
     def sight_lines(self, pixels: np.ndarray) -> np.ndarray:
         """[..., 3] directions of z = 1, in camera axes, through pixels [..., 2] (x, y; centres at .5)."""
-        slopes = self.slopes(pixels)
-        return np.concatenate([slopes, np.ones_like(slopes[..., :1])], -1)
+        return self._lines(pixels[..., 0], pixels[..., 1])
 
-    def _pixel_centers(self) -> np.ndarray:
-        """[H, W, 2] x, y."""
-        return np.stack(np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5), -1)
+    def _center_lines(self) -> np.ndarray:
+        """[H, W, 3] `sight_lines` of all pixel centres."""
+        return self._lines(np.arange(self.width) + 0.5, np.arange(self.height)[:, None] + 0.5)
+
+    def _lines(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """[..., 3] `sight_lines` of pixels whose x and y broadcast: columns and rows of a picture need not be repeated
+        for each pixel."""
+        u, v = (x - self.cx) / self.fx, (y - self.cy) / self.fy
+        lines = np.ones((*np.broadcast_shapes(u.shape, v.shape), 3), np.result_type(u, v))
+        lines[..., 0], lines[..., 1] = u, v
+        return lines
 
     def resized(self, width: int, height: int) -> Camera:
         """The same view at another resolution (aspect ratio may differ by rounding only)."""
@@ -153,7 +162,7 @@ class Camera:
         with np.errstate(
             over="ignore", invalid="ignore", divide="ignore"
         ):  # rays of absurd lenses are NaN and hit nothing
-            world = self.sight_lines(self._pixel_centers()) @ self.world_to_camera[:3, :3]
+            world = self._center_lines() @ self.world_to_camera[:3, :3]
             world /= np.linalg.norm(world, axis=-1, keepdims=True)
         return self.position.astype(np.float32), world.astype(np.float32)
 
