@@ -13,6 +13,7 @@ export interface SparkOptions {
   renderer: THREE.WebGLRenderer;
   /** Trained with Mip-Splatting's filter: the blur is compensated in opacity. */
   antialiased: boolean;
+  /** Called when the next picture would be another one: an order is sorted, new colours are evaluated. */
   onDirty: () => void;
 }
 
@@ -20,6 +21,7 @@ export function makeSpark({ renderer, antialiased, onDirty }: SparkOptions): Spa
   const spark = new SparkRenderer({
     renderer,
     onDirty,
+    autoUpdate: false, // by itself it updates after each picture, so that each change is drawn once more than it need be
     sortRadial: false,
     maxStdDev: 3.33,
     preBlurAmount: antialiased ? 0 : 0.3,

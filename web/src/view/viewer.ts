@@ -16,8 +16,6 @@ const sleep = (ms: number) => new Promise((resolve) => setTimeout(resolve, ms));
 export class Viewer {
   readonly renderer: THREE.WebGLRenderer;
   readonly grid = new Grid();
-  /** Called after each picture that was drawn. */
-  onDrawn: () => void = () => {};
   /** Size of the scene in world units, for near and far. */
   extent = 10;
   private readonly scene = new THREE.Scene();
@@ -30,6 +28,10 @@ export class Viewer {
   private readonly uploads = new UploadQueue<SplatTable>((table) => this.written(table));
   private view: CameraJson | null = null;
   private requested = 0;
+  /** Whether the next picture would be another one than the last. */
+  private needed = false;
+  /** Whether colours and order are still those of another camera, or of other Gaussians. */
+  private outdated = false;
   /** Counts changes of what is shown, the camera aside. */
   revision = 0;
   /** What the picture in the target shows, once it was drawn in its final order. */
@@ -94,10 +96,10 @@ export class Viewer {
       this.table?.dispose();
       this.table = table;
       this.scene.add(table.mesh);
-      void table.mesh.initialized.then(() => this.invalidate());
+      void table.mesh.initialized.then(() => this.changed());
     }
     this.revision++;
-    this.invalidate();
+    this.changed();
   }
 
   setCamera(view: CameraJson): void {
@@ -111,16 +113,22 @@ export class Viewer {
     const f = view.world_to_camera[2];
     const eyeDepth = Math.abs(f[3]);
     setThreeCamera(this.threeCamera, view, Math.max(1e-4 * this.extent, 1e-5), 4 * (eyeDepth + this.extent));
-    this.table?.mesh.updateVersion(); // re-sort for the smallest turn: Spark alone waits for 2.6 degrees
-    this.invalidate();
+    this.table?.mesh.updateVersion(); // evaluate and sort for the smallest turn: Spark alone waits for 2.6 degrees
+    this.changed();
   }
 
   /** Ask for a picture soon. */
   invalidate(): void {
+    this.needed = true;
     this.requested ||= requestAnimationFrame(() => {
       this.requested = 0;
-      this.draw();
+      if (this.needed) this.draw(); // settle() may have drawn it meanwhile
     });
+  }
+
+  private changed(): void {
+    this.outdated = true;
+    this.invalidate();
   }
 
   /** The view's colours as 8-bit RGBA, top row first, drawn with the order of exactly this camera. */
@@ -128,7 +136,7 @@ export class Viewer {
     await this.uploads.idle();
     const view = this.view;
     if (!view || !this.table) throw new Error("nothing to read: there is no asset");
-    if (this.still?.view !== view || this.still.revision !== this.revision) await this.settle();
+    if (!this.settled) await this.settle();
     if (this.view !== view) return this.read(); // moved meanwhile
     const { width, height } = view;
     const half = new Uint16Array(width * height * 4);
@@ -143,28 +151,46 @@ export class Viewer {
   async settle(): Promise<void> {
     await this.uploads.idle();
     await this.table?.mesh.initialized;
-    const { view, revision } = this;
-    this.table?.mesh.updateVersion();
-    await this.sorted(); // an update during a sort would be put off
-    await this.spark.update({ scene: this.scene, camera: this.threeCamera });
-    await this.sorted();
-    this.draw();
-    if (view && this.view === view) this.still = { view, revision };
+    while (this.outdated || this.sorting) {
+      await this.update();
+      if (this.outdated || this.sorting) await sleep(1);
+    }
+    if (!this.settled) this.draw();
   }
 
-  private async sorted(): Promise<void> {
-    while (this.spark.sorting || this.spark.sortDirty) await sleep(1);
+  /** Whether the picture in the target is the one of the present camera and Gaussians, in its final order. */
+  private get settled(): boolean {
+    return this.still !== null && this.still.view === this.view && this.still.revision === this.revision;
+  }
+
+  private get sorting(): boolean {
+    return this.spark.sorting || this.spark.sortDirty;
+  }
+
+  /**
+   * Evaluate colours for the present camera, at once, and sort. Another number of Gaussians has to wait for a sort that is
+   * under way: then it stays outdated, and Spark asks for a picture when the sort is done.
+   */
+  private async update(): Promise<void> {
+    if (!this.outdated) return;
+    const { current } = this.spark;
+    const sorted = this.spark.update({ scene: this.scene, camera: this.threeCamera });
+    this.outdated = this.spark.current === current;
+    await sorted;
   }
 
   private draw(): void {
-    const { view, renderer } = this;
+    const { view, renderer, revision } = this;
     if (!view) return;
+    void this.update();
+    this.needed = false;
     renderer.setRenderTarget(this.blit.target);
     renderer.setClearColor(0x000000, 0);
     renderer.clear();
     renderer.render(this.scene, this.threeCamera);
     this.blit.show(renderer, view.background);
     if (this.grid.draw(renderer, this.threeCamera)) this.blit.show(renderer, view.background, true); // behind the asset
-    this.onDrawn();
+    const final = !this.outdated && !this.sorting && this.table?.mesh.isInitialized;
+    this.still = final ? { view, revision } : null;
   }
 }
