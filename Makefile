@@ -14,7 +14,7 @@ demo: .venv/installed
 studio: .venv/installed-studio
 	.venv/bin/splatpainter studio
 
-# Two more workers than cores (conftest.py): tests that wait for a browser, a cluster or a program leave theirs idle.
+# One more worker than cores (conftest.py): tests that wait for a browser, a cluster or a program leave theirs idle.
 # Workers take tests from each other when they have none left.
 WORKERS ?= auto
 test: .venv/installed-dev

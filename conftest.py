@@ -24,7 +24,7 @@ CHILD_PROCESSES = Path(__file__).resolve().parent / "tests" / "support" / "child
 MEMORY_DISK = Path("/dev/shm")
 MIN_FREE_BYTES = 8 << 30
 """Of the memory disk, for the tests' files to lie there."""
-SPARE_WORKERS = 2
+SPARE_WORKERS = 1
 """Of xdist, more than there are cores."""
 WORKER_BYTES = 2 << 30
 """Memory for a worker, its browser and what else its tests start."""
@@ -92,8 +92,8 @@ def pytest_collection(session: pytest.Session) -> Iterator[None]:
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """Of `-n auto`: two more than there are cores, as tests that wait for a browser, a cluster or a program leave
-    theirs idle, but no more than fit into memory."""
+    """Of `-n auto`: one more than there are cores, as tests that wait for a browser, a cluster or a program leave
+    theirs idle (a second one would import and load more than it keeps busy), but no more than fit into memory."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     try:
         memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
