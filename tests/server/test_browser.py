@@ -108,6 +108,36 @@ def test_the_browser_draws_what_the_renderer_draws(gpu_browser: Any, tmp_path: P
             page.tab.close()
 
 
+COUNT_PICTURES = """() => {
+  const { blit } = window.studio.viewer;
+  const show = blit.show;
+  window.pictures = 0;
+  blit.show = function (...words) {
+    window.pictures++;
+    return show.apply(this, words);
+  };
+}"""
+"""The grid is hidden: each picture is put onto the canvas once."""
+
+
+def test_a_turned_view_is_drawn_once_as_it_is_sorted_and_once_sorted_anew(
+    opened: tuple[studio_scenes.Live, Page],
+) -> None:
+    """Spark left to itself draws it five to seven times, which a computer without a graphics card feels."""
+    _, page = opened
+    before = page.pixels()
+    page.ask(COUNT_PICTURES)
+    camera = page.camera()
+    page.ask("(camera) => window.studio.viewer.setCamera(camera)", camera | {"cx": camera["cx"] + 5.5})
+    turned = page.pixels()
+    assert not np.array_equal(turned, before)
+    page.tab.wait_for_timeout(200)
+    assert page.ask("window.pictures") in (1, 2)
+    assert np.array_equal(page.pixels(), turned) and page.ask("window.pictures") in (1, 2), "nothing is new"
+    page.ask("window.studio.viewer.invalidate()")
+    page.wait("one more where one is asked for", lambda: page.ask("window.pictures") in (2, 3))
+
+
 def test_a_stroke_is_where_it_was_painted_and_undo_brings_every_pixel_back(
     opened: tuple[studio_scenes.Live, Page],
 ) -> None:
