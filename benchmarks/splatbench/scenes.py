@@ -16,7 +16,7 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.image_files import to_uint8
 from splatpainter.io import write
-from splatpainter.sources.drawing import load_font, over, solid_layer
+from splatpainter.sources.drawing import centered_text, load_font, over, solid_layer
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.transforms import quat_to_matrix
 
@@ -137,15 +137,13 @@ def text_layer(
     """Bold antialiased text. shape: (H, W) of the layer; center: x, y of the text's middle, pixels; height: of its
     capitals, pixels. font: a TrueType or OpenType file, by default Pillow's own scalable font.
     Raises ValueError when the font cannot be read."""
-    from PIL import Image, ImageDraw
+    from PIL import Image
 
     scale = SUPERSAMPLING
-    letters = load_font(font, height * scale)
-    canvas = Image.new("L", (shape[1] * scale, shape[0] * scale))
     position = (center[0] * scale, center[1] * scale)
-    bold = round(0.04 * height * scale)  # the built-in font has one weight
-    ImageDraw.Draw(canvas).text(position, text, 255, letters, anchor="mm", stroke_width=bold, stroke_fill=255)
-    coverage = canvas.resize((shape[1], shape[0]), Image.Resampling.BOX)
+    letters, weight_px = load_font(font, height * scale), round(0.04 * height * scale)
+    fine = centered_text((shape[0] * scale, shape[1] * scale), text, position, letters, weight_px)
+    coverage = Image.fromarray(fine).resize((shape[1], shape[0]), Image.Resampling.BOX)
     return solid_layer(np.asarray(coverage, np.float32) / 255, color)
 
 

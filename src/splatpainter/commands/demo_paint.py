@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.sources.drawing import centered_text
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -33,14 +34,11 @@ def over(picture: np.ndarray, color: tuple[int, int, int], alpha: np.ndarray) ->
 
 def lettering(size: int, text: str, center: tuple[float, float], height: float, bend: float) -> np.ndarray:
     """[size, size] alpha of a line of text around `center` (x, y), letters `height` tall, its ends lifted by `bend`."""
-    from PIL import Image, ImageDraw, ImageFont
+    from PIL import ImageFont
 
     big = size * SUPERSAMPLING
-    layer = Image.new("L", (big, big))
-    font = ImageFont.load_default(height * big)
-    anchor, weight = (center[0] * big, center[1] * big), round(0.02 * height * big)
-    ImageDraw.Draw(layer).text(anchor, text, fill=255, font=font, anchor="mm", stroke_width=weight, stroke_fill=255)
-    flat = np.asarray(layer)
+    font, weight_px = ImageFont.load_default(height * big), round(0.02 * height * big)
+    flat = centered_text((big, big), text, (center[0] * big, center[1] * big), font, weight_px)
     columns = np.arange(big)
     lift = np.round(bend * big * ((columns / big - center[0]) / 0.15) ** 2).astype(int)
     rows = np.clip(columns[:, None] + lift[None], 0, big - 1)

@@ -12,8 +12,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from PIL.ImageFont import FreeTypeFont, ImageFont
 
 SUPERSAMPLING = 3
 """Text and stickers are drawn this much larger per axis and averaged."""
@@ -209,7 +213,23 @@ def gaussian_blur(image: np.ndarray, radius: float) -> np.ndarray:
     return out
 
 
-def load_font(font: Path | None, height: float):  # noqa: ANN202 - Pillow's two font classes
+def centered_text(
+    shape: tuple[int, int],
+    text: str,
+    center: tuple[float, float],
+    letters: FreeTypeFont | ImageFont,
+    weight_px: int,
+) -> np.ndarray:
+    """[H, W] uint8 coverage of text whose middle is at `center` (x, y, pixels). letters: a Pillow font; weight_px: how
+    much fatter each letter becomes on either side (Pillow's own font has one weight)."""
+    from PIL import Image, ImageDraw
+
+    coverage = Image.new("L", (shape[1], shape[0]))
+    ImageDraw.Draw(coverage).text(center, text, 255, letters, anchor="mm", stroke_width=weight_px, stroke_fill=255)
+    return np.asarray(coverage)
+
+
+def load_font(font: Path | None, height: float) -> FreeTypeFont | ImageFont:
     """A font at the size where its capitals are `height` pixels tall. Raises ValueError when it cannot be read."""
     from PIL import ImageFont
 

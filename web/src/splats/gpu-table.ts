@@ -64,7 +64,6 @@ export class SplatTable {
     this.splats.numSplats = total;
     if (last >= 0)
       this.upload(first, last, gaussians.packedColors && !gaussians.shape ? this.uploads().slice(1) : this.uploads());
-    this.mesh.updateVersion();
   }
 
   /** Distance to the surface along a ray (unit direction), null where there is none. */

@@ -21,7 +21,7 @@ export function makeSpark({ renderer, antialiased, onDirty }: SparkOptions): Spa
   const spark = new SparkRenderer({
     renderer,
     onDirty,
-    autoUpdate: false, // by itself it updates after each picture, so that each change is drawn once more than it need be
+    autoUpdate: false, // by itself it updates after each picture, which draws each change again, and sorts for turns of 2.6 degrees
     sortRadial: false,
     maxStdDev: 3.33,
     preBlurAmount: antialiased ? 0 : 0.3,

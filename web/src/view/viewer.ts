@@ -27,9 +27,8 @@ export class Viewer {
   private newest: SplatTable | null = null;
   private readonly uploads = new UploadQueue<SplatTable>((table) => this.written(table));
   private view: CameraJson | null = null;
+  /** The animation frame that will draw; 0: none was asked for since the last picture. */
   private requested = 0;
-  /** Whether the next picture would be another one than the last. */
-  private needed = false;
   /** Whether colours and order are still those of another camera, or of other Gaussians. */
   private outdated = false;
   /** Counts changes of what is shown, the camera aside. */
@@ -113,17 +112,12 @@ export class Viewer {
     const f = view.world_to_camera[2];
     const eyeDepth = Math.abs(f[3]);
     setThreeCamera(this.threeCamera, view, Math.max(1e-4 * this.extent, 1e-5), 4 * (eyeDepth + this.extent));
-    this.table?.mesh.updateVersion(); // evaluate and sort for the smallest turn: Spark alone waits for 2.6 degrees
     this.changed();
   }
 
   /** Ask for a picture soon. */
   invalidate(): void {
-    this.needed = true;
-    this.requested ||= requestAnimationFrame(() => {
-      this.requested = 0;
-      if (this.needed) this.draw(); // settle() may have drawn it meanwhile
-    });
+    this.requested ||= requestAnimationFrame(() => this.draw());
   }
 
   private changed(): void {
@@ -134,14 +128,12 @@ export class Viewer {
   /** The view's colours as 8-bit RGBA, top row first, drawn with the order of exactly this camera. */
   async read(): Promise<ImageData> {
     await this.uploads.idle();
-    const view = this.view;
-    if (!view || !this.table) throw new Error("nothing to read: there is no asset");
-    if (!this.settled) await this.settle();
-    if (this.view !== view) return this.read(); // moved meanwhile
-    const { width, height } = view;
+    if (!this.view || !this.table) throw new Error("nothing to read: there is no asset");
+    while (!this.settled) await this.settle(); // the camera may move, and another table come, meanwhile
+    const { width, height, background } = this.view;
     const half = new Uint16Array(width * height * 4);
     this.renderer.readRenderTargetPixels(this.blit.target, 0, 0, width, height, half);
-    return new ImageData(toBytes(half, width, height, view.background), width, height);
+    return new ImageData(toBytes(half, width, height, background), width, height);
   }
 
   /**
@@ -180,10 +172,11 @@ export class Viewer {
   }
 
   private draw(): void {
+    void this.update(); // and asks for a picture, which is this one
+    cancelAnimationFrame(this.requested);
+    this.requested = 0;
     const { view, renderer, revision } = this;
     if (!view) return;
-    void this.update();
-    this.needed = false;
     renderer.setRenderTarget(this.blit.target);
     renderer.setClearColor(0x000000, 0);
     renderer.clear();
