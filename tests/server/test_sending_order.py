@@ -15,7 +15,7 @@ import pytest
 from splatbench.studio_client import Mirror, wire
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from splatpainter.server import frames
+from splatpainter.server import client, frames
 from splatpainter.server.client import serve
 from splatpainter.server.hub import Hub, parse
 from splatpainter.server.page_state import PageState
@@ -127,8 +127,10 @@ def converse(studio: Studio, talk: Callable[[ScriptedSocket, Hub], Awaitable[Non
     return asyncio.run(run())
 
 
-def test_no_state_comes_before_the_gaussians_that_it_speaks_of(studio: Studio) -> None:
-    """Also where the asset changes again while the Gaussians of a change are on their way."""
+def test_no_state_comes_before_the_gaussians_that_it_speaks_of(studio: Studio, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where the asset changes again while the Gaussians of a change are on their way. Without progress messages:
+    one that falls between a commit and its state would take the Gaussians along, and only the last state be sent."""
+    monkeypatch.setattr(client, "throttled_progress", lambda *words: lambda share, stage: None)
 
     async def talk(socket: ScriptedSocket, hub: Hub) -> None:
         other = OtherWindow(hub)
