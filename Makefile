@@ -32,6 +32,7 @@ fuzz: .venv/installed-dev
 check: .venv/installed-dev
 	.venv/bin/ruff format --check .
 	.venv/bin/ruff check .
+	.venv/bin/typos
 	$(MAKE) --no-print-directory --jobs 2 check-types check-systems check-web check-docs
 
 # Each on one core, two at a time.

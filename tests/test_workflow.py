@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import re
 import tomllib
 from pathlib import Path
@@ -50,6 +51,39 @@ def test_commands_without_make_are_those_of_the_readme(jobs: dict[str, Any]) -> 
     assert "python -m pytest" in readme and "python -m pytest" in commands(jobs["pip"])
 
 
-def test_actions_are_pinned_by_major_version(jobs: dict[str, Any]) -> None:
-    used = [step["uses"] for job in jobs.values() for step in job["steps"] if "uses" in step]
-    assert used and all(re.fullmatch(r"actions/[a-z-]+@v\d+", name) for name in used), used
+WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
+
+
+@pytest.mark.parametrize("path", WORKFLOWS, ids=[path.stem for path in WORKFLOWS])
+def test_actions_are_pinned_by_hash_and_permissions_are_few(path: Path) -> None:
+    """A tag can be moved to other code after it was read; a hash cannot. The version stands beside it for people."""
+    yaml = pytest.importorskip("yaml")
+    text = path.read_text(encoding="utf-8")
+    used = re.findall(r"uses: (.*)", text)
+    assert used, path.name
+    for line in used:
+        assert re.fullmatch(r"[\w-]+/[\w-]+@[0-9a-f]{40} # v\d+(\.\d+){0,2}", line), line
+    data = yaml.safe_load(text)
+    assert data["permissions"] == {"contents": "read"}, "more only for the job that needs it"
+    assert all(job["timeout-minutes"] for name, job in data["jobs"].items() if name not in ("deploy", "publish"))
+
+
+def test_one_action_is_pinned_at_one_version() -> None:
+    lines = {line for path in WORKFLOWS for line in re.findall(r"uses: (.*)", path.read_text(encoding="utf-8"))}
+    assert len({line.split("@")[0] for line in lines}) == len(lines), sorted(lines)
+
+
+def test_a_release_is_refused_where_tag_version_and_changelog_differ() -> None:
+    path = ROOT / "scripts" / "release_check.py"
+    spec = importlib.util.spec_from_file_location("release_check", path)
+    assert spec and spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    released = "# Changelog\n\n## Unreleased\n\n## 1.2.0 (2030-01-01)\n\n- a\n"
+    assert module.faults("v1.2.0", "1.2.0", released) == []
+    assert "got v1.3.0" in module.faults("v1.3.0", "1.2.0", released)[0]
+    assert "a heading '## 1.3.0'" in module.faults("v1.3.0", "1.3.0", released)[0]
+    left = released.replace("Unreleased\n", "Unreleased\n\n- b\n")
+    assert module.faults("v1.2.0", "1.2.0", left) == [
+        "CHANGELOG.md: 1 lines stand under Unreleased: move them below 1.2.0"
+    ]
