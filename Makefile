@@ -73,6 +73,7 @@ format: .venv/installed-dev
 .venv/installed-dev: .venv/installed benchmarks/pyproject.toml
 	$(PIP) -e '.[dev]' -e benchmarks
 	$(PIP) --no-deps gsplat  # its plain-torch formulas are an oracle of the tests; its kernels need CUDA
+	$(PIP) --no-deps gsply gaussforge  # readers and writers of SPZ, oracles of the tests
 	touch $@
 
 clean:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import struct
 import zlib
 from pathlib import Path
@@ -74,6 +75,41 @@ def test_sixteen_bit_png_is_written_as_the_specification_says(channels: int, tmp
     (tmp_path / "a.png").write_bytes(data)
     with Image.open(tmp_path / "a.png") as image:
         assert image.info["splatpainter"] == "words" and image.size == (11, 9)
+
+
+def chunks_of(data: bytes) -> list[tuple[bytes, bytes]]:
+    """(kind, contents) of a PNG's chunks, without a library."""
+    out, at = [], 8
+    while at < len(data):
+        (size,) = struct.unpack(">I", data[at : at + 4])
+        out.append((data[at + 4 : at + 8], data[at + 8 : at + 8 + size]))
+        at += 12 + size
+    return out
+
+
+@pytest.mark.parametrize("shape", [(5, 7), (5, 7, 2), (5, 7, 3), (5, 7, 4)])
+def test_eight_bit_png_says_that_it_is_srgb(shape: tuple[int, ...]) -> None:
+    """One sRGB chunk ahead of the pixels, which stay as they are; data (depth, masks, ids) are no colours."""
+    levels = np.random.default_rng(0).integers(0, 256, shape, np.uint8)
+    display, data = (encode_png(levels, {"splatpainter": "words"}, data=data) for data in (False, True))
+    kinds = [kind for kind, _ in chunks_of(display)]
+    assert kinds.count(b"sRGB") == 1 and kinds.index(b"sRGB") < min(kinds.index(b"IDAT"), kinds.index(b"tEXt"))
+    assert dict(chunks_of(display))[b"sRGB"] in (b"\0", b"\1", b"\2", b"\3")
+    assert [chunk for chunk in chunks_of(display) if chunk[0] != b"sRGB"] == chunks_of(data)
+    for png in (display, data):
+        with Image.open(io.BytesIO(png)) as image:
+            assert np.array_equal(np.asarray(image), levels)
+
+
+def test_every_picture_of_colours_says_so(tmp_path: Path) -> None:
+    from splatpainter.contact_sheet import write_sheet
+    from splatpainter.image_files import bytes_to_png, write_png
+
+    write_png(tmp_path / "a.png", np.zeros((4, 5, 3)))
+    write_sheet(tmp_path / "b.png", np.zeros((4, 5, 3), np.uint8))
+    for name in ("a.png", "b.png"):
+        assert b"sRGB" in dict(chunks_of((tmp_path / name).read_bytes()))
+    assert b"sRGB" not in dict(chunks_of(bytes_to_png(b"no colours")))
 
 
 def test_grey_of_sixteen_bits_needs_no_extra(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import hashlib
 import os
 import re
 import secrets
@@ -21,6 +23,24 @@ RESERVED_NAMES = re.compile(r"(con|prn|aux|nul|conin\$|conout\$|com[0-9¹²³]|l
 """Devices of Windows, whatever ending follows the name."""
 RESERVED_CHARACTERS = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
 
+MAX_NAME_BYTES = 255
+"""Bytes of a file name on nearly every file system."""
+MAX_BRIEF_BYTES = 100
+"""Bytes of a name that temporary names repeat; with all they add they stay below the 143 of the narrowest file systems
+(eCryptfs; others take 255)."""
+BRIEF_ENDS = 20
+"""Characters that a shortened name keeps of a longer one: enough for the longest ending, .compressed.ply."""
+
+
+def brief_name(name: str, keep_ending: bool = False) -> str:
+    """What temporary names repeat of `name`: all of it or, of a long one, its beginning (or its ending, where that says
+    the format) and a digest, so that they do not grow with it."""
+    data = os.fsencode(name)
+    if len(data) <= MAX_BRIEF_BYTES:
+        return name
+    digest = hashlib.sha256(data).hexdigest()[:8]
+    return f"{digest}~{name[-BRIEF_ENDS:]}" if keep_ending else f"{name[:BRIEF_ENDS]}~{digest}"
+
 
 @contextlib.contextmanager
 def writing(path: Path) -> Iterator[BinaryIO]:
@@ -30,7 +50,7 @@ def writing(path: Path) -> Iterator[BinaryIO]:
     """
     check_name(path)
     target = Path(os.path.realpath(path))
-    partial = target.with_name(f".{target.name}.{secrets.token_hex(4)}.part")
+    partial = target.with_name(f".{brief_name(target.name)}.{secrets.token_hex(4)}.part")
     try:
         with open(partial, "wb") as file:
             yield file
@@ -84,9 +104,17 @@ def sync_folder(folder: Path) -> None:
 
 
 def check_name(path: Path) -> None:
-    """Refuse the name of a new file that this system would take for something else: on Windows NUL.ply is a device that
-    swallows what is written, a:b.ply a stream inside the file a, and dots or spaces at the end vanish. Raises
-    ValueError."""
+    """Refuse the name of a new file that this system has no room for, or would take for something else: on Windows
+    NUL.ply is a device that swallows what is written, a:b.ply a stream inside the file a, and dots or spaces at the end
+    vanish. Raises ValueError."""
+    try:
+        os.lstat(path)
+    except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            length = len(os.fsencode(path.name))
+            raise ValueError(f"{path}: its name of {length} bytes is too long for its folder; shorten it") from None
+    except ValueError:
+        raise ValueError(f"{str(path)!r}: expected the name of a file") from None
     if sys.platform == "win32" and (reason := windows_refuses(path.name)):
         raise ValueError(f"{path}: {reason}; choose another name")
 

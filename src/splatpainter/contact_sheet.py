@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.image_files import to_uint8
+from splatpainter.image_files import encode_png, to_uint8
 from splatpainter.io import files
 
 PAPER, INK, CAPTION_COLOR = (250, 250, 248), (20, 20, 22), (110, 110, 115)
@@ -98,4 +98,7 @@ def write_sheet(path: Path, picture: np.ndarray) -> None:
 
     form = {".png": "PNG", ".webp": "WEBP", ".jpg": "JPEG"}.get(path.suffix.lower(), "PNG")
     with files.writing(path) as file:
-        Image.fromarray(picture).save(file, form)
+        if form == "PNG":
+            file.write(encode_png(picture))
+        else:
+            Image.fromarray(picture).save(file, form)

@@ -43,6 +43,8 @@ MAX_CHANNELS = 1024
 """Channels that a header may claim; four of them are read."""
 CAMERA_KEYWORD = "splatpainter"
 """Keyword of the PNG tEXt chunk, or name of the OpenEXR header attribute, that carries a camera."""
+SRGB_INTENT = b"\0"
+"""Contents of a PNG's sRGB chunk: colours are sRGB, to be shown perceptually."""
 MAX_PICTURE_PIXELS = 1 << 26
 """Most pixels of a picture that is opened: a few hundred bytes can claim any number. 8192 x 8192."""
 Alpha = Literal["straight", "premultiplied"]
@@ -74,15 +76,17 @@ def require_deep(what: str) -> Any:
     return OpenImageIO
 
 
-def encode_png(pixels: np.ndarray, text: Mapping[str, str] | None = None, level: int = 6) -> bytes:
+def encode_png(pixels: np.ndarray, text: Mapping[str, str] | None = None, level: int = 6, data: bool = False) -> bytes:
     """PNG of uint8 or uint16 levels [H, W] or [H, W, 2, 3 or 4] (grey, grey and alpha, RGB, RGBA; alpha straight).
-    text: keyword -> ASCII, as tEXt chunks. level: of zlib, 1 is fast. Raises ValueError: 16-bit colour without
-    OpenImageIO."""
+    text: keyword -> ASCII, as tEXt chunks. level: of zlib, 1 is fast. data: the samples are no display colours, so the
+    file does not say that they are sRGB. Raises ValueError: 16-bit colour without OpenImageIO."""
     if pixels.dtype == np.uint16 and pixels.ndim == 3:
         return _encode("png", pixels, text or {}, {"png:compressionLevel": level})
     from PIL import Image, PngImagePlugin
 
     chunks = PngImagePlugin.PngInfo()
+    if not data:
+        chunks.add(b"sRGB", SRGB_INTENT)
     for keyword, words in (text or {}).items():
         chunks.add_text(keyword, words)
     file = io.BytesIO()
@@ -93,7 +97,9 @@ def encode_png(pixels: np.ndarray, text: Mapping[str, str] | None = None, level:
 def bytes_to_png(data: bytes) -> bytes:
     """A grey PNG whose pixels are these bytes, row by row, and zeros after them."""
     rows = -(-len(data) // PACKED_WIDTH)
-    return encode_png(np.frombuffer(data.ljust(rows * PACKED_WIDTH, b"\0"), np.uint8).reshape(rows, PACKED_WIDTH))
+    return encode_png(
+        np.frombuffer(data.ljust(rows * PACKED_WIDTH, b"\0"), np.uint8).reshape(rows, PACKED_WIDTH), data=True
+    )
 
 
 def bytes_of_png(png: bytes, max_bytes: int) -> bytes:

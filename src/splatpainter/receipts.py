@@ -7,6 +7,7 @@ their rows against the receipt where there is one.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
@@ -17,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from splatpainter.atomic import MAX_NAME_BYTES, brief_name
 from splatpainter.comparison import Comparison, compare, listed
 from splatpainter.io import (
     FORMATS,
@@ -27,14 +29,26 @@ from splatpainter.io import (
     option,
     read,
 )
+from splatpainter.io.sog_container import META
 from splatpainter.io.write_options import AS_IT_IS, WriteOptions
 from splatpainter.splats import ATTRIBUTES, Frame, Splats, row_blocks, rows_sha256
 
+RECEIPT_ENDING = ".receipt.json"
 MAX_RECEIPT_ROWS = 1 << 27
 """Rows of an asset that a receipt may speak of."""
 
 MAX_CARRIED, MAX_CARRIED_CHARACTERS, MAX_CARRIED_DEPTH = 100, 4000, 10
 """Entries of a list or an object, and characters of a text, that say where an edit's pictures came from."""
+
+
+def receipt_of(asset: str | os.PathLike[str]) -> Path:
+    """Where the receipt of a file lies by default: beside it, ASSET.receipt.json; of a folder of SOG planes beside the
+    folder. A name that leaves no room for the ending is shortened, with a digest in place of the rest."""
+    path = Path(asset)
+    if path.name.lower() == META:
+        path = Path(os.path.abspath(path)).parent
+    fits = len(os.fsencode(path.name + RECEIPT_ENDING)) <= MAX_NAME_BYTES
+    return path.with_name((path.name if fits else brief_name(path.name)) + RECEIPT_ENDING)
 
 
 @dataclass(frozen=True)
@@ -330,17 +344,26 @@ def verify(
     Files of different formats are compared by converting the original to the edited file's format first; then only
     rows are.
     frame, out_frame: axes of the numbers in the original and in the edited file, as in io.read. Where only one of two
-    files of one format says them (or is told), they are those of the other too.
+    files of one format says them (or is told), they are those of the other too, unless more rows are the same where it
+    is taken for what it would be taken for alone: then the one is a copy of the other in other axes.
     Raises ValueError when a file cannot be read."""
     before = read(original, frame=frame, lenient=True)
     after = read(edited, frame=out_frame, lenient=True)
     assert before.source is not None and after.source is not None
-    if before.source.format == after.source.format and before.source.frame != after.source.frame:
-        if out_frame == "auto" and after.source.frame_from == "format":
-            after = read(edited, frame=option(before.source.frame), lenient=True)
-        elif frame == "auto" and before.source.frame_from == "format":
-            before = read(original, frame=option(after.source.frame), lenient=True)
-    return check(compare(before, after, AS_IT_IS if receipt is None else receipt.options), receipt)
+    options = AS_IT_IS if receipt is None else receipt.options
+    if before.source.format != after.source.format or before.source.frame == after.source.frame:
+        return check(compare(before, after, options), receipt)
+    if out_frame == "auto" and after.source.frame_from == "format":
+        alike = compare(before, read(edited, frame=option(before.source.frame), lenient=True), options)
+    elif frame == "auto" and before.source.frame_from == "format":
+        alike = compare(read(original, frame=option(after.source.frame), lenient=True), after, options)
+    else:
+        return check(compare(before, after, options), receipt)
+    if len(alike.differs):
+        with contextlib.suppress(ValueError):  # rows that the other axes' words cannot hold
+            apart = compare(before, after, options)
+            alike = apart if len(apart.differs) < len(alike.differs) else alike
+    return check(alike, receipt)
 
 
 def check(comparison: Comparison, receipt: Receipt | None = None) -> Verification:

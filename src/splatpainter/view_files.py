@@ -213,7 +213,7 @@ def view_files(
         samples, notes[name] = _aov(name, passes, options)
         notes[name] = {"file": file, **notes[name]}
         if options.format == "png":
-            files[file] = encode_png(samples, level=options.level)
+            files[file] = encode_png(samples, level=options.level, data=True)
         else:
             channels = {1: ("id" if name == "gaussian-ids" else "Y",), 3: ("R", "G", "B")}[samples.shape[2]]
             files[file] = encode_exr(samples, channels, linear=False)

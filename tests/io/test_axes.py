@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import struct
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,8 +15,10 @@ import pytest
 from splatpainter import io
 from splatpainter.io.axes import AXES, flip
 from splatpainter.io.spz import write_spz
+from splatpainter.io.write_options import WriteOptions
 from splatpainter.receipts import verify
 from splatpainter.session import Session
+from splatpainter.session.asset_files import write_original
 from splatpainter.splats import Frame, Splats
 from tests.support.cli_scenes import BOX, Capture, ball, paint, run
 from tests.support.io_assets import disagreement, float_columns, random_splats
@@ -89,27 +92,74 @@ def test_flips_restore_nan_bits() -> None:
 
 
 @pytest.mark.parametrize("version", [2, 3, 4])
-def test_new_spz_files_name_their_frame(
+def test_new_spz_files_have_the_axes_of_ply_files(
     version: int, tmp_path: Path, spz_reference: Callable[[list[Path]], list[Splats]]
 ) -> None:
-    """By the extension, but for old versions in SPZ's own frame: there spz-js refuses bytes behind the rows. The
-    reference implementation reads either frame as the same asset."""
+    """And do not say so, in every version; those of other axes say it, and any may be marked or not by choice. The
+    reference implementation reads either marked frame as the same asset."""
     splats = random_splats(200, 3)
-    for frame in ("auto", *FRAMES):
-        write_spz(tmp_path / f"{frame}.spz", splats, version, frame)
-    plain, rub, rdf = (io.read(tmp_path / f"{frame}.spz") for frame in ("auto", *FRAMES))
-    assert [s.source and (s.source.frame, s.source.frame_from) for s in (plain, rub, rdf)] == [
-        ("rub", "file" if version == 4 else "format"),
-        ("rub", "file" if version == 4 else "format"),
-        ("rdf", "file"),
-    ]
-    assert (tmp_path / "auto.spz").read_bytes() == (tmp_path / "rub.spz").read_bytes()
+    cases: dict[str, tuple[Frame, bool | None]] = {
+        "auto": ("auto", None),
+        "rdf": ("rdf", None),
+        "rub": ("rub", None),
+        "marked": ("rdf", True),
+        "unmarked": ("rub", False),
+    }
+    for name, (frame, mark) in cases.items():
+        write_spz(tmp_path / f"{name}.spz", splats, version, frame, mark=mark)
+    rows = {name: io.read(tmp_path / f"{name}.spz") for name in cases}
+    assert {name: s.source and (s.source.frame, s.source.frame_from) for name, s in rows.items()} == {
+        "auto": ("rdf", "format"),
+        "rdf": ("rdf", "format"),
+        "rub": ("rub", "file"),
+        "marked": ("rdf", "file"),
+        "unmarked": ("rdf", "format"),  # as nothing says otherwise
+    }
+    assert (tmp_path / "auto.spz").read_bytes() == (tmp_path / "rdf.spz").read_bytes()
+    turned = io.read(tmp_path / "unmarked.spz", frame="rub")
+    for name, s in {**rows, "unmarked": turned}.items():
+        assert np.array_equal(s.means, rows["auto"].means) and quats_apart(s.quats, splats.quats) < 0.15, name
     if version == 4:
-        assert (axis_of(tmp_path / "rub.spz"), axis_of(tmp_path / "rdf.spz")) == (4, 6)
-    truths = spz_reference([tmp_path / f"{frame}.spz" for frame in FRAMES])
-    for truth, ours in zip(truths, (rub, rdf), strict=True):
-        assert np.array_equal(ours.means, truth.means) and np.array_equal(ours.sh[:, 1:], truth.sh[:, 1:])
-    assert np.array_equal(rub.means, rdf.means)
+        assert {name: axis_of(tmp_path / f"{name}.spz") for name in cases} == {
+            "auto": None, "rdf": None, "rub": 4, "marked": 6, "unmarked": None
+        }  # fmt: skip
+    marked = ("rub", "marked")
+    for name, truth in zip(marked, spz_reference([tmp_path / f"{name}.spz" for name in marked]), strict=True):
+        assert np.array_equal(rows[name].means, truth.means)
+        assert np.array_equal(rows[name].sh[:, 1:], truth.sh[:, 1:])
+
+
+def test_positions_are_the_numbers_of_the_ply(tmp_path: Path) -> None:
+    """Read by hand: the 24-bit words of a new file are the x, y, z of the PLY, and SH carry the same signs."""
+    splats = replace(random_splats(3, 1), means=np.array([[0, 0.5, 0], [1, 0, 0], [0, 0, 2]], np.float32))
+    splats.sh[:, 1:] = np.float32(0.5)
+    splats.quats[:] = (0.9, 0.1, 0.2, 0.3)
+    write_spz(tmp_path / "a.spz", splats, 3)
+    data = gzip.decompress((tmp_path / "a.spz").read_bytes())
+    bits, flags = data[13], data[14]
+    words = np.frombuffer(data, np.uint8, 27, 16).reshape(9, 3).astype(int)
+    fixed = (words * (1, 256, 65536)).sum(1)
+    assert (fixed.reshape(3, 3) / 2**bits).tolist() == splats.means.tolist() and flags == 0
+    assert set(data[16 + 3 * (9 + 1 + 3 + 3 + 4) :]) == {192}  # 0.5 of all nine bytes of SH, none turned, none behind
+
+
+def test_marks_come_and_go_by_choice(tmp_path: Path, capfd: Capture) -> None:
+    """`--axes` (once --out-frame) and `--mark-axes`; an unmarked copy of a marked file holds the same words."""
+    io.write(tmp_path / "a.ply", random_splats(100, 1))
+    for words, code in (((), None), (("--axes", "rub"), 4), (("--out-frame", "rub", "--mark-axes", "no"), None)):
+        done = run(capfd, "convert", tmp_path / "a.ply", tmp_path / "b.spz", "--spz-version", 4, "--overwrite", *words)
+        assert done.code == 0 and axis_of(tmp_path / "b.spz") == code, done
+    run(capfd, "convert", tmp_path / "b.spz", tmp_path / "c.spz", "--frame", "rub", "--mark-axes", "yes")
+    assert axis_of(tmp_path / "c.spz") == 4
+    run(capfd, "convert", tmp_path / "c.spz", tmp_path / "d.spz", "--mark-axes", "no")
+    assert (tmp_path / "d.spz").read_bytes() == (tmp_path / "b.spz").read_bytes()
+    turned = run(capfd, "convert", tmp_path / "c.spz", tmp_path / "e.spz", "--axes", "rdf")
+    assert turned.code == 0 and axis_of(tmp_path / "e.spz") is None
+    assert np.array_equal(io.read(tmp_path / "e.spz").means, io.read(tmp_path / "c.spz").means)
+    assert (
+        "mark_axes is not an option"
+        in run(capfd, "convert", tmp_path / "a.ply", tmp_path / "f.glb", "--mark-axes", "no").error
+    )
 
 
 def test_an_edit_says_a_chosen_frame(tmp_path: Path) -> None:
@@ -117,7 +167,7 @@ def test_an_edit_says_a_chosen_frame(tmp_path: Path) -> None:
     path = tmp_path / "a.spz"
     write_spz(path, random_splats(100, 1), 4)
     silent(path)
-    cases: list[tuple[Frame, int | None]] = [("auto", None), ("rub", None), ("rdf", 6)]
+    cases: list[tuple[Frame, int | None]] = [("auto", None), ("rdf", None), ("rub", 4)]
     for frame, code in cases:
         splats = io.read(path, frame=frame)
         io.write(tmp_path / "b.spz", replace(splats, opacities=splats.opacities[::-1].copy()), overwrite=True)
@@ -126,43 +176,45 @@ def test_an_edit_says_a_chosen_frame(tmp_path: Path) -> None:
         assert same_bits(replace(back, opacities=splats.opacities), splats)
         verification = verify(path, tmp_path / "b.spz")  # only one of them says it: it counts for both
         assert verification.same + verification.changed == 100 and verification.changed <= 100
-        assert ("right-down-front" in verification.frame) == (frame == "rdf")
-    wrong = io.read(tmp_path / "b.spz", frame="rub")
-    assert wrong.source is not None and "the file says right-down-front" in wrong.source.problems[0]
+        assert ("right-up-back" in verification.frame) == (frame == "rub")
+    wrong = io.read(tmp_path / "b.spz", frame="rdf")
+    assert wrong.source is not None and "the file says right-up-back" in wrong.source.problems[0]
     (tmp_path / "b.spz").unlink()
     io.write(tmp_path / "b.spz", wrong)  # untouched: the file's own bytes, whatever they say
-    assert axis_of(tmp_path / "b.spz") == 6
+    assert axis_of(tmp_path / "b.spz") == 4
 
 
 def test_another_frame_changes_signs_alone(tmp_path: Path) -> None:
     """SPZ from one frame into the other and back: the same words of position, colour, scale and opacity."""
     write_spz(tmp_path / "a.spz", random_splats(200, 2), 4)
     splats = io.read(tmp_path / "a.spz")
-    io.write(tmp_path / "b.spz", splats, frame="rdf")
+    io.write(tmp_path / "b.spz", splats, frame="rub")
     turned = io.read(tmp_path / "b.spz")
-    assert axis_of(tmp_path / "b.spz") == 6
+    assert axis_of(tmp_path / "b.spz") == 4
     for name in ("means", "scales", "opacities"):
         assert np.array_equal(getattr(turned, name), getattr(splats, name))
     assert np.abs(turned.sh - splats.sh).max() <= 1 / 128 and quats_apart(turned.quats, splats.quats) < 1e-6
     verification = verify(tmp_path / "a.spz", tmp_path / "b.spz")
     assert verification.same == 200 and "of the same axes" in verification.exact
-    io.write(tmp_path / "c.spz", turned, frame="rub")
+    io.write(tmp_path / "c.spz", turned, frame="rdf")
+    assert axis_of(tmp_path / "c.spz") is None  # turned to the PLY's axes: unmarked like any new file
     again = io.read(tmp_path / "c.spz")
     assert np.array_equal(again.means, splats.means)
 
 
 def test_bytes_behind_the_rows_are_no_place_for_a_frame(tmp_path: Path) -> None:
     """Spark puts a tree there, under a flag of its own; a file with one cannot say its frame."""
-    import gzip
-
     write_spz(tmp_path / "a.spz", random_splats(50, 0), 3)
     data = bytearray(gzip.decompress((tmp_path / "a.spz").read_bytes()))
     data[14] = 0x80
     data += bytes(range(12))
     (tmp_path / "a.spz").write_bytes(gzip.compress(bytes(data)))
-    splats = io.read(tmp_path / "a.spz", frame="rdf")
-    io.write(tmp_path / "b.spz", replace(splats, opacities=splats.opacities[::-1].copy()))
+    splats = io.read(tmp_path / "a.spz", frame="rub")
+    edited = replace(splats, opacities=splats.opacities[::-1].copy())
+    io.write(tmp_path / "b.spz", edited)
     assert gzip.decompress((tmp_path / "b.spz").read_bytes())[-12:] == bytes(range(12))
+    with pytest.raises(ValueError, match="c.spz: bytes behind its rows leave no room to mark its axes"):
+        io.write(tmp_path / "c.spz", edited, options=WriteOptions(mark_axes=True))
 
 
 def test_wrong_words(tmp_path: Path) -> None:
@@ -193,6 +245,11 @@ def test_spz_files_of_theirs_are_upright_here(degree: int, tmp_path: Path, splat
         and axis_of(tmp_path / "theirs.spz") is None
     )
     splats = io.read(tmp_path / "theirs.spz", frame=frame)
+    if frame == "rdf":  # version 3, the newest: no word is needed, and ours stands upright there as it is written
+        assert np.array_equal(silently.means, splats.means)
+        io.write(tmp_path / "ours.spz", truth)
+        oracle(tmp_path / "ours.spz", tmp_path / "ours.ply")
+        assert disagreement(truth, float_columns(tmp_path / "ours.ply"))["means"] < 1e-3
     nearest = np.argmin(((splats.means[:, None] - truth.means[None]) ** 2).sum(-1), 1)
     assert np.abs(splats.means - truth.means[nearest]).max() < 1e-3
     wrong = io.read(tmp_path / "theirs.spz", frame="rdf" if frame == "rub" else "rub")
@@ -211,11 +268,12 @@ def test_commands_say_and_take_frames(tmp_path: Path, capfd: Capture) -> None:
     write_spz(tmp_path / "a.spz", random_splats(100, 1), 4)
     silent(tmp_path / "a.spz")
     out = run(capfd, "info", tmp_path / "a.spz").out
-    assert "frame      right-up-back, the default of this format; the file does not say" in out
-    frame_name = run(capfd, "info", tmp_path / "a.spz", "--frame", "rdf", "--json").json["frame"]
-    assert (frame_name["axes"], frame_name["from"]) == ("rdf", "choice")
-    line = run(capfd, "convert", tmp_path / "a.spz", tmp_path / "b.spz", "--frame", "rdf").out
-    assert "frame: right-down-front, as chosen -> right-down-front, as chosen" in line
+    line = "right-down-front, as in PLY files; the file does not say (--frame rub, if it stands upside down)"
+    assert f"frame      {line}" in out
+    frame_name = run(capfd, "info", tmp_path / "a.spz", "--frame", "rub", "--json").json["frame"]
+    assert (frame_name["axes"], frame_name["from"]) == ("rub", "choice")
+    line = run(capfd, "convert", tmp_path / "a.spz", tmp_path / "b.spz", "--frame", "rub").out
+    assert "frame: right-up-back, as chosen -> right-up-back, as chosen" in line
     assert (tmp_path / "b.spz").read_bytes() == (tmp_path / "a.spz").read_bytes()
     done = run(
         capfd, "convert", tmp_path / "a.spz", tmp_path / "c.ply", "--frame", "rdf", "--out-frame", "rub", "--json"
@@ -231,11 +289,32 @@ def test_commands_say_and_take_frames(tmp_path: Path, capfd: Capture) -> None:
     assert "--frame" in run(capfd, "info", tmp_path / "a.spz", "--frame", "up").error
 
 
+def test_every_command_says_what_it_took_an_spz_file_for(tmp_path: Path, capfd: Capture) -> None:
+    """An unmarked file, once opened by any command: a line that says so and how to turn it."""
+    a, b, view = tmp_path / "a.spz", tmp_path / "b.spz", tmp_path / "v"
+    write_spz(a, ball(300))
+    write_spz(b, replace(ball(300), means=ball(300).means + np.float32(3)))
+    line = "right-down-front, as in PLY files; the file does not say"
+    for words in (
+        ("info", a),
+        ("convert", a, tmp_path / "c.ply"),
+        ("render", a, "--out", view, "--size", 32, "--views", 1),
+        ("turntable", a, "--out", tmp_path / "t.webp", "--size", 32, "--seconds", 0.2, "--fps", 10),
+        ("grade", a, "--exposure", 0.5, "--out", tmp_path / "g.spz"),
+        ("verify", a, tmp_path / "g.spz"),
+        ("merge", a, b, "--out", tmp_path / "m.ply"),
+        ("compare", a, b, "--out", tmp_path / "w", "--size", 32, "--views", 1),
+    ):
+        done = run(capfd, *words)
+        assert done.code == 0 and line in done.out, done
+        assert ("--frame rub" in done.out) == (words[0] not in ("merge", "compare")), done
+
+
 def test_a_project_remembers_the_frame_and_what_is_up(tmp_path: Path) -> None:
     write_spz(tmp_path / "a.spz", random_splats(100, 1), 4)
     silent(tmp_path / "a.spz")
     before = (tmp_path / "a.spz").read_bytes()
-    with Session(tmp_path / "a.spz", tmp_path / "a.splatproj", frame="rdf") as session:
+    with Session(tmp_path / "a.spz", tmp_path / "a.splatproj", frame="rub") as session:
         means = session.splats.means.copy()
         assert session.up == "-y"
         session.set_up("+z")
@@ -244,10 +323,39 @@ def test_a_project_remembers_the_frame_and_what_is_up(tmp_path: Path) -> None:
         assert len(session.history) == 1
     with Session.load(tmp_path / "a.splatproj") as session:
         assert session.up == "+z" and np.array_equal(session.splats.means, means)
-        assert session.original.source is not None and session.original.source.frame == "rdf"
+        assert session.original.source is not None and session.original.source.frame == "rub"
         _, verification = session.export(tmp_path / "b.spz")
         assert verification.ok and verification.same == 100
     assert (tmp_path / "b.spz").read_bytes() == before
+
+
+@pytest.mark.parametrize("embed", [True, False])
+def test_older_projects_keep_the_frame_of_spz_files(embed: bool, tmp_path: Path) -> None:
+    """What did not say its axes was right-up-back then, and no fact says so; projects of today name what they took."""
+    import contextlib
+    import sqlite3
+
+    io.write(tmp_path / "a.spz", random_splats(100, 1))
+    with Session(tmp_path / "a.spz", tmp_path / "a.splatproj", embed=embed) as session:
+        means = session.splats.means.copy()
+    with Session.load(tmp_path / "a.splatproj") as session:
+        assert np.array_equal(session.splats.means, means)
+    if embed:  # as an asset of another project or of a batch: its own bytes while any reader takes them alike
+        file, frame = write_original(tmp_path / "a.splatproj", tmp_path / "new")
+        assert (file.suffix, frame) == (".spz", "auto") and np.array_equal(io.read(file).means, means)
+    with contextlib.closing(sqlite3.connect(tmp_path / "a.splatproj")) as db, db:
+        assert db.execute("SELECT value FROM facts WHERE name = 'frame'").fetchall() == [("rdf",)]
+        db.execute("DELETE FROM facts WHERE name = 'frame'")
+    with Session.load(tmp_path / "a.splatproj") as session:
+        assert np.array_equal(session.splats.means, means * np.array([1, -1, -1], np.float32))
+        if embed:
+            file, frame = write_original(tmp_path / "a.splatproj", tmp_path / "old")
+            assert (file.suffix, frame) == (".ply", "auto") and np.array_equal(
+                io.read(file).means, session.splats.means
+            )
+        _, verification = session.export(tmp_path / "b.spz")
+        assert verification.ok
+    assert (tmp_path / "b.spz").read_bytes() == (tmp_path / "a.spz").read_bytes()
 
 
 def test_files_of_older_projects_have_the_usual_up(tmp_path: Path) -> None:
@@ -264,15 +372,15 @@ def test_files_of_older_projects_have_the_usual_up(tmp_path: Path) -> None:
 
 
 def test_edit_in_a_chosen_frame(tmp_path: Path, capfd: Capture) -> None:
-    """A painted SPZ file that was opened as right-down-front says so, and `verify` needs no word."""
-    write_spz(tmp_path / "a.spz", ball(800), 4, "rdf")
+    """A painted SPZ file that was opened as right-up-back says so, and `verify` needs no word."""
+    write_spz(tmp_path / "a.spz", ball(800), 4, "rub")
     silent(tmp_path / "a.spz")
-    assert run(capfd, "render", tmp_path / "a.spz", "--frame", "rdf", "--out", tmp_path / "v", "--size", 96).code == 0
+    assert run(capfd, "render", tmp_path / "a.spz", "--frame", "rub", "--out", tmp_path / "v", "--size", 96).code == 0
     picture = paint(tmp_path / "v" / "view_000.png", tmp_path / "p.png", BOX)
     done = run(
-        capfd, "edit", tmp_path / "a.spz", picture, "--frame", "rdf", "--method", "lift", "--out", tmp_path / "b.spz"
+        capfd, "edit", tmp_path / "a.spz", picture, "--frame", "rub", "--method", "lift", "--out", tmp_path / "b.spz"
     )
-    assert done.code == 0 and "frame: right-down-front, as chosen" in done.out, done
-    assert axis_of(tmp_path / "b.spz") == 6
+    assert done.code == 0 and "frame: right-up-back, as chosen" in done.out, done
+    assert axis_of(tmp_path / "b.spz") == 4
     done = run(capfd, "verify", tmp_path / "a.spz", tmp_path / "b.spz")
-    assert done.code == 0 and "frame: right-down-front, as the file says" in done.out, done
+    assert done.code == 0 and "frame: right-up-back, as the file says" in done.out, done

@@ -267,7 +267,7 @@ def test_spz_of_version_2_and_degree_4_is_saved_as_it_is(tmp_path: Path) -> None
     assert splats.sh_degree == 4 and len(REST) == 18
     io.write(tmp_path / "b.spz", splats)
     assert (tmp_path / "b.spz").read_bytes() == data
-    moved = replace(splats, means=splats.means + np.float32(1))
+    moved = replace(splats, means=splats.means - np.float32(1))
     io.write(tmp_path / "c.spz", moved)  # edited, it needs the version that holds degree 4
     assert (tmp_path / "c.spz").read_bytes()[:8] == b"NGSP\4\0\0\0"
     assert np.array_equal(io.read(tmp_path / "c.spz").sh, splats.sh)

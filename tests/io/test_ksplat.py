@@ -63,7 +63,7 @@ def make(folder: Path, level: int, degrees: list[int], version: tuple[int, int] 
 
 
 @pytest.mark.parametrize("level", [0, 1, 2])
-@pytest.mark.parametrize("degrees", [[0], [1], [2], [0, 2, 1]])
+@pytest.mark.parametrize("degrees", [[0], [1], [2], [3], [0, 3, 1]])
 def test_against_the_values_that_were_packed(tmp_path: Path, level: int, degrees: list[int]) -> None:
     path, parts = make(tmp_path, level, degrees)
     splats = io.read(path)
@@ -87,7 +87,7 @@ def test_against_the_values_that_were_packed(tmp_path: Path, level: int, degrees
 
 
 @pytest.mark.parametrize("level", [0, 1, 2])
-@pytest.mark.parametrize("degree", [0, 1, 2])
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_against_splat_transform(tmp_path: Path, level: int, degree: int, splat_transform: Callable[..., str]) -> None:
     path, _ = make(tmp_path, level, [degree])
     splat_transform(path, tmp_path / "oracle.ply")
@@ -119,7 +119,7 @@ def patched(folder: Path, level: int, at: int, value: bytes) -> Path:
         (0, 4, struct.pack("<I", 2**32 - 1), "truncated: 4294967295 section headers"),
         (0, 4096, struct.pack("<2I", 2**32 - 1, 2**32 - 1), "truncated: section 0 with 4294967295 rows"),
         (0, 4096, struct.pack("<I", 10), "section 0: 10 rows, but room for 9"),
-        (0, 4096 + 40, b"\x03", "expected SH degree 0, 1 or 2, got 3"),
+        (0, 4096 + 40, b"\x04", "expected SH degree 0 to 3, got 4"),
         (1, 4096 + 20, b"\x10", "expected 12 bytes a bucket, got 16"),
         (1, 4096 + 12, struct.pack("<I", 2**32 - 1), "truncated: section 0"),
         (1, 4096 + 8, struct.pack("<I", 2), "9 rows do not fit the 3 buckets"),

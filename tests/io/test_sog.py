@@ -16,7 +16,9 @@ import pytest
 from PIL import Image
 
 from splatpainter import io
+from splatpainter.io import sog_container
 from splatpainter.io.sog import SogFile, read_sog, write_sog
+from splatpainter.receipts import verify
 from splatpainter.splats import SH_C0, Splats
 from tests.support.io_assets import disagreement, float_columns, random_splats
 from tests.support.io_packed import alone, damages, quats_apart, same_bits, survives
@@ -327,6 +329,68 @@ def test_rows_that_cannot_be_drawn(tmp_path: Path) -> None:
     rest = np.delete(np.arange(50), [3, 4, 5, 6])
     assert back.drawable.all() and not back.opacities[3:7].any()
     assert np.abs(back.means - splats.means)[rest].max() < 1e-3 and np.abs(back.sh - splats.sh)[rest].max() < 0.01
+
+
+def zipped(files: dict[str, bytes]) -> bytes:
+    out = python_io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in files.items():
+            archive.writestr(name, data)
+    return out.getvalue()
+
+
+@pytest.mark.parametrize("folder", ["scene/", "my scene/export 2/", ""])
+@pytest.mark.parametrize("shadows", [False, True])
+def test_zipped_by_hand(folder: str, shadows: bool, tmp_path: Path) -> None:
+    """A folder of planes zipped by Finder or Explorer, the folder and macOS's shadow files included: opened, said, and
+    edited in its own form."""
+    io.write(tmp_path / "a.sog", random_splats(200, 1))
+    with zipfile.ZipFile(tmp_path / "a.sog") as archive:
+        planes = {name: archive.read(name) for name in archive.namelist()}
+    files = {f"{folder}{name}": data for name, data in planes.items()}
+    if shadows:
+        files |= {f"__MACOSX/{folder}._{name}": b"\0\5\x16\7" + bytes(100) for name in planes}
+    path = tmp_path / "b.sog"
+    path.write_bytes(zipped(files))
+    splats, truth = io.read(path), io.read(tmp_path / "a.sog")
+    assert same_bits(splats, truth) and splats.source is not None and sog_container.declared_rows(path) == 200
+    assert any("lie in its folder" in problem for problem in splats.source.problems) == bool(folder)
+    io.write(tmp_path / "c.sog", splats)
+    assert (tmp_path / "c.sog").read_bytes() == path.read_bytes()
+    edited = replace(splats, opacities=splats.opacities[::-1].copy())
+    io.write(tmp_path / "d.sog", edited)
+    with zipfile.ZipFile(tmp_path / "d.sog") as archive:
+        assert archive.namelist() == list(files)
+        shadow = f"__MACOSX/{folder}._meta.json"
+        assert not shadows or archive.read(shadow) == files[shadow]
+    assert same_bits(replace(io.read(tmp_path / "d.sog"), opacities=splats.opacities), splats)
+    (tmp_path / "e").mkdir()
+    io.write(tmp_path / "e" / "meta.json", edited)
+    assert sorted(file.name for file in (tmp_path / "e").iterdir()) == sorted(planes)
+    assert verify(path, tmp_path / "d.sog").ok
+
+
+@pytest.mark.parametrize("name", ["lod-meta.json", "LOD-meta.json", "lod", "lod.sog", "nested.sog"])
+def test_streamed_sog_is_refused_with_the_reason(name: str, tmp_path: Path) -> None:
+    record = b'{"lodLevels":3,"filenames":["0_0/meta.json"],"tree":{}}'
+    path = tmp_path / name
+    if path.suffix == ".json":
+        path.write_bytes(record)
+    elif path.suffix == ".sog":
+        inside = "lod-meta.json" if name == "lod.sog" else "scene/lod-meta.json"
+        path.write_bytes(zipped({inside: record, "0_0/meta.json": b"{}"}))
+    else:
+        path.mkdir()
+        (path / "lod-meta.json").write_bytes(record)
+    with pytest.raises(ValueError, match=r"a streamed SOG \(.*lod-meta.json.*\) holds one scene in levels") as error:
+        io.read(path)
+    assert str(error.value).startswith(f"{path}: ") and "open a chunk of it alone" in str(error.value)
+
+
+def test_two_folders_of_planes_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.sog").write_bytes(zipped({"one/meta.json": b"{}", "two/meta.json": b"{}"}))
+    with pytest.raises(ValueError, match="expected meta.json in one folder of the bundle, found one/, two/"):
+        io.read(tmp_path / "a.sog")
 
 
 def test_refused_to_write(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ import zstandard
 
 from splatpainter import io
 from splatpainter.io.spz import SpzFile, read_spz, write_spz
-from splatpainter.splats import Splats
+from splatpainter.splats import Frame, Splats
 from splatpainter.transforms import sh_basis
 from tests.support.io_assets import disagreement, float_columns, random_splats
 from tests.support.io_packed import alone, covariances, damages, quats_apart, same_bits, survives
@@ -28,6 +28,8 @@ pytest_plugins = ["tests.support.node_oracle"]
 
 FILES = {"biker.v4": (152746, 0, 4), "massa.v2": (58649, 0, 2), "playbot_lod3.v2": (31000, 2, 2)}
 FILES["playbot_lod3.v3"] = (31000, 2, 3)
+MADE_AS: Frame = "rub"
+"""Axes of these files, which splat-transform 2 made; they do not say."""
 STEPS = {"quats": 0.5 * np.sqrt(0.5) / 511, "scales": 1 / 32, "opacities": 1 / 510, "base": 1 / (510 * 0.15)}
 """Half of a quantisation step of each attribute (log-scales; quaternions from version 3)."""
 
@@ -37,7 +39,7 @@ def detail(splats: Splats) -> SpzFile:
     return splats.source.detail
 
 
-# Two rows by hand, in SPZ's own frame. Rotations: no turn; half a turn about y.
+# Two rows by hand, in the axes of PLY files. Rotations: no turn; half a turn about y.
 FIXED = ((4096, -8192, 1), (-1, 0, 8388607))  # 24-bit positions with 12 fractional bits
 POSITIONS = b"".join((v & 0xFFFFFF).to_bytes(3, "little") for row in FIXED for v in row)
 REST = bytes(range(100, 109)) + bytes([128] * 9)
@@ -72,19 +74,20 @@ def test_by_hand(version: int, tmp_path: Path) -> None:
     path.write_bytes(by_hand(version))
     splats = io.read(path)
     assert len(splats) == 2 and splats.sh_degree == 1 and splats.antialiased and splats.color_space == "srgb"
-    # y and z are reversed: SPZ is y up, z back.
-    expected = [[1, 2, -1 / 4096], [-1 / 4096, 0, -8388607 / 4096]]
-    if version == 1:
-        expected = [[1, 2, -0.5], [0, -0.25, -65504]]
-    assert np.array_equal(splats.means, np.array(expected, np.float32))
+    expected = np.array(FIXED) / 4096 if version > 1 else np.array([[1, -2, 0.5], [0, 0.25, 65504]])
+    assert np.array_equal(splats.means, expected.astype(np.float32))
+    turned = io.read(path, frame="rub")  # y and z reversed: y up, z back
+    assert np.array_equal(turned.means, (expected * (1, -1, -1)).astype(np.float32))
     assert np.array_equal(splats.opacities, np.array([1, 0.2], np.float32))
     assert np.allclose(np.log(splats.scales), np.array([[0, -1, 1], [-10, 5.9375, -4]]), atol=1e-6)
     assert np.allclose(splats.sh[0, 0], [-0.5 / 0.15, (128 / 255 - 0.5) / 0.15, 0.5 / 0.15], atol=1e-6)
     small = 128 / 127.5 - 1 if version < 3 else 0
-    assert np.allclose(splats.quats, [[1, small, -small, -small], [small, small, -1, -small]], atol=0.005)
+    assert np.allclose(splats.quats, [[1, small, small, small], [small, small, 1, small]], atol=0.005)
+    assert np.allclose(turned.quats, [[1, small, -small, -small], [small, small, -1, -small]], atol=0.005)
     # Degree 1 is -y, z, -x: the first two change sign with y and z.
     stored = (np.arange(100, 109).reshape(3, 3) - 128) / 128
-    assert np.array_equal(splats.sh[0, 1:], (stored * [[-1], [-1], [1]]).astype(np.float32))
+    assert np.array_equal(splats.sh[0, 1:], stored.astype(np.float32))
+    assert np.array_equal(turned.sh[0, 1:], (stored * [[-1], [-1], [1]]).astype(np.float32))
     assert not splats.sh[1, 1:].any()
     write_spz(tmp_path / "b.spz", splats)
     assert (tmp_path / "b.spz").read_bytes() == path.read_bytes()
@@ -168,7 +171,7 @@ def test_real_files(name: str, shared: Path, tmp_path: Path, splat_transform: Sp
 def test_siblings(packed: str, sibling: str, shared: Path) -> None:
     """The same asset as PLY: the frame, the signs of SH bands, and every value within the quantisation."""
     folder = shared / "data" / "splats"
-    splats, truth = io.read(folder / packed), io.read(folder / sibling)
+    splats, truth = io.read(folder / packed, frame=MADE_AS), io.read(folder / sibling)
     assert np.abs(splats.means - truth.means).max() <= 0.5 / 4096 + 1e-6
     assert np.abs(splats.opacities - truth.opacities).max() <= STEPS["opacities"] + 1e-6
     inside = np.clip(truth.sh[:, 0], -0.5 / 0.15, 0.5 / 0.15)  # some of playbot's colours are far beyond
@@ -190,7 +193,8 @@ def test_biker(shared: Path) -> None:
     """Version 4 beside PlayCanvas' own compressed PLY of the same asset; the orders differ, so rows match by place."""
     from scipy.spatial import KDTree
 
-    packed, other = (io.read(shared / "data" / "splats" / f"biker.{kind}") for kind in ("v4.spz", "compressed.ply"))
+    folder = shared / "data" / "splats"
+    packed, other = io.read(folder / "biker.v4.spz", frame=MADE_AS), io.read(folder / "biker.compressed.ply")
     distance, match = KDTree(other.means).query(packed.means)
     assert distance.max() < 4e-4
     clear = np.abs(packed.sh[:, 0] - other.sh[match, 0]).max(1) < 0.03  # some places hold more than one row
@@ -224,7 +228,7 @@ def test_what_we_write(version: int, degree: int, tmp_path: Path, splat_transfor
 def test_degree_4_beside_the_reference(tmp_path: Path, spz_reference: Callable[[list[Path]], list[Splats]]) -> None:
     """Band 4 needs version 4; splat-transform stops at band 3, the reference reads it."""
     splats = random_splats(300, 4)
-    write_spz(tmp_path / "a.spz", splats)
+    write_spz(tmp_path / "a.spz", splats, frame="rub")  # the reference takes it so, marked or not
     (truth,) = spz_reference([tmp_path / "a.spz"])
     back = read_spz(tmp_path / "a.spz")
     assert detail(back).version == 4

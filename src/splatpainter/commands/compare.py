@@ -20,7 +20,7 @@ from splatpainter.commands.output_paths import check_folder, check_target, make_
 from splatpainter.commands.terminal import count, decibels, progress, to_json
 from splatpainter.commands.view_options import BACKGROUND, MAX_VIEWS, check_ranges, color, given_cameras, rgb
 from splatpainter.image_files import to_uint8
-from splatpainter.io import read
+from splatpainter.io import frame_news, read
 from splatpainter.rendering import MAX_SIDE_PX, render
 from splatpainter.rendering.profiles import Profile
 from splatpainter.splats import Splats
@@ -151,6 +151,8 @@ def run(config: Config) -> Outcome:
     lines += [
         f"all {count(total, 'view')}: {decibels(pooled)}, SSIM {summary['ssim']:.4f}, worst {names[worst[0]]}",
         f"pictures, sheet.png and compare.json in {config.out}",
+        *frame_news(first, str(config.first)),
+        *frame_news(second, str(config.second)),
     ]
     return Outcome(record, lines)
 

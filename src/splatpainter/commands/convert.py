@@ -11,7 +11,7 @@ from tyro.conf import Positional, arg
 from splatpainter.cameras import AUTO_UP, UPS, orbit_cameras
 from splatpainter.commands import Outcome
 from splatpainter.commands.info import file_size
-from splatpainter.commands.option_parsing import AssetFile, FrameOption
+from splatpainter.commands.option_parsing import AssetFile, AxesOption, FrameOption
 from splatpainter.commands.output_paths import check_target, placed, splat_format
 from splatpainter.commands.terminal import count, size, stages
 from splatpainter.io import FORMATS, files, frame_is_news, frame_line, frame_of_target, read, write
@@ -19,7 +19,7 @@ from splatpainter.io.write_options import WriteOptions
 from splatpainter.splats import Splats
 
 HTML = ".html"
-SEEN_IN_THE_FILE = {"sh_degree": None, "antialiased": None, "spz_version": None}
+SEEN_IN_THE_FILE = {"sh_degree": None, "antialiased": None, "spz_version": None, "mark_axes": None}
 """Options whose losses are seen in what was read again."""
 MIN_DRAWN_OPACITY = 1 / 255
 """Opacity of rows that are drawn. Formats of logits cannot say 0."""
@@ -36,7 +36,7 @@ class Config:
     example:
       splatpainter convert vase.ply vase.sog
       splatpainter convert vase.ply vase.html
-      splatpainter convert vase.ply vase.spz --out-frame rdf    # for viewers that do not turn SPZ files
+      splatpainter convert vase.ply vase.spz --axes rub    # for the few programs that turn SPZ files
       splatpainter convert vase.ply small.spz --sh-degree 1 --sh-bits 4 --spz-version 4
     """
 
@@ -46,18 +46,22 @@ class Config:
     """The file to write."""
     frame: FrameOption = "auto"
     """Axes of the file's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
-    out_frame: FrameOption = "auto"
+    axes: AxesOption = "auto"
     """Axes of OUT's numbers; auto: those of ASSET if both are of one format, else what OUT's format has."""
     sh_degree: Annotated[int | None, arg(metavar="0-4")] = None
     """Leave out SH bands above this degree; default: what ASSET has."""
     antialiased: Annotated[Literal["auto", "yes", "no"], arg(metavar="auto|yes|no")] = "auto"
     """Mark OUT as trained antialiased (Mip-Splatting), or as not; auto: as ASSET is marked."""
     spz_version: Annotated[int | None, arg(metavar="2|3|4")] = None
-    """Version of an .spz: 3 opens everywhere, 4 is about a tenth smaller; default: that of ASSET, else 3."""
+    """Version of an .spz: 3 opens in nearly every program, 2 in GaussianSplats3D too, 4 is about a tenth smaller;
+    default: that of ASSET, else 3."""
     sh_bits: Annotated[int | None, arg(metavar="4-8")] = None
     """Bits of each SH coefficient of an .spz; 4 gives the smallest file; default: 7."""
     sh_palette: Annotated[int | None, arg(metavar="64-65536")] = None
     """Most SH vectors of a .sog; fewer make it smaller; default: half as many as rows, or more."""
+    mark_axes: Annotated[Literal["auto", "yes", "no"], arg(metavar="auto|yes|no")] = "auto"
+    """Whether an .spz names its axes; few programs obey that, and some turn it twice. auto: those of another frame than
+    the PLY's, and of ASSET's own where it does."""
     remove_hidden: bool = False
     """Leave out Gaussians that no renderer draws: those of an opacity below 1/255."""
     turning: bool = False
@@ -86,9 +90,9 @@ def run(config: Config) -> Outcome:
         before_size = file_size(config.asset)
         with placed(config.out) as partial:
             bar.enter("writing")
-            write(partial, chosen_rows(before, config), frame=config.out_frame, options=options)
+            write(partial, chosen_rows(before, config), frame=config.axes, options=options)
             bar.enter("checking")
-            after = read(partial, frame=frame_of_target(before, entry.key, config.out_frame), lenient=True)
+            after = read(partial, frame=frame_of_target(before, entry.key, config.axes), lenient=True)
     assert before.source is not None and after.source is not None
     record = {
         "input": {
@@ -122,7 +126,12 @@ def write_options(config: Config) -> WriteOptions:
     """What the options ask for."""
     marks = {"auto": None, "yes": True, "no": False}
     return WriteOptions(
-        config.sh_degree, marks[config.antialiased], config.spz_version, config.sh_bits, config.sh_palette
+        config.sh_degree,
+        marks[config.antialiased],
+        config.spz_version,
+        config.sh_bits,
+        config.sh_palette,
+        marks[config.mark_axes],
     )
 
 
@@ -141,8 +150,8 @@ def _page(config: Config, options: WriteOptions) -> Outcome:
     from splatpainter.server.html_viewer import HTML_OPTIONS, html_viewer
 
     options.check(HTML_OPTIONS, str(config.out))
-    if config.out_frame != "auto":
-        raise ValueError(f"{config.out}: a page has no axes of its own; leave out --out-frame")
+    if config.axes != "auto":
+        raise ValueError(f"{config.out}: a page has no axes of its own; leave out --axes")
     check_target(config.out, config.overwrite, [config.asset])
     with stages(2) as bar:
         bar.enter("reading")

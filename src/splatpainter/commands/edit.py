@@ -12,7 +12,7 @@ from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
 from splatpainter.commands.decal_options import DecalView, decal_from_options, paint_decal
-from splatpainter.commands.option_parsing import AssetFile, CameraFiles, FrameOption, OutFile
+from splatpainter.commands.option_parsing import AssetFile, AxesOption, CameraFiles, FrameOption, OutFile
 from splatpainter.commands.output_paths import check_target
 from splatpainter.commands.sourced_edit import (
     check_source_options,
@@ -23,13 +23,13 @@ from splatpainter.commands.sourced_edit import (
 )
 from splatpainter.commands.terminal import count, decibels, seconds, stages, warn
 from splatpainter.commands.verified_write import check_outputs, proved_record, write_proved
-from splatpainter.commands.verify import receipt_of, same_words
+from splatpainter.commands.verify import same_words
 from splatpainter.image_files import write_png
 from splatpainter.io import read
 from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.nn.precision import Precision
 from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
-from splatpainter.receipts import Receipt, Verification
+from splatpainter.receipts import Receipt, Verification, receipt_of
 from splatpainter.sources import FileEdit, edit_from_files
 from splatpainter.sources.decals import Decal
 from splatpainter.sources.gatekeeper import Strictness
@@ -60,7 +60,7 @@ class Config:
     """1 to 16 edited pictures of ASSET; none with a decal or a source."""
     frame: FrameOption = "auto"
     """Axes of ASSET's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
-    out_frame: FrameOption = "auto"
+    axes: AxesOption = "auto"
     """Axes of OUT's numbers; auto: those of ASSET if both are of one format, else what OUT's format has."""
     lenient: bool = False
     """Also open a file that was cut off after its last complete row; what is left of the cut part is kept."""
@@ -184,9 +184,7 @@ def run(config: Config) -> Outcome:
             _write_confidence(config.spread_confidence, splats, edited, pictures, painter)
         if config.dry_run:
             return _reached(config, edited.receipt)
-        receipt, verification = write_proved(
-            splats, edited, config.out, receipt_path, config.out_frame, bar, read_seconds
-        )
+        receipt, verification = write_proved(splats, edited, config.out, receipt_path, config.axes, bar, read_seconds)
     rounded = len(receipt.touched) - len(edited.receipt.touched)
     return Outcome(
         _record(config, receipt_path, receipt, verification, sources),

@@ -11,14 +11,15 @@ from typing import Annotated
 from tyro.conf import arg
 
 from splatpainter.commands import Outcome
-from splatpainter.commands.option_parsing import AssetFile, FrameOption, OutFile
+from splatpainter.commands.option_parsing import AssetFile, AxesOption, FrameOption, OutFile
 from splatpainter.commands.sourced_edit import InterruptibleSource, SourceBar, keeping_answers
 from splatpainter.commands.terminal import count, seconds, stages
 from splatpainter.commands.verified_write import check_outputs, proved_record, write_proved
-from splatpainter.commands.verify import receipt_of, same_words
+from splatpainter.commands.verify import same_words
 from splatpainter.commands.view_options import given_cameras
 from splatpainter.grading.region import Region
 from splatpainter.io import read
+from splatpainter.receipts import receipt_of
 from splatpainter.sources.gatekeeper import Strictness
 
 COMMAND = "splatpainter fill"
@@ -64,7 +65,7 @@ class Config:
     """Random seed, for sources that take one."""
     frame: FrameOption = "auto"
     """Axes of ASSET's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
-    out_frame: FrameOption = "auto"
+    axes: AxesOption = "auto"
     """Axes of OUT's numbers; auto: those of ASSET if both are of one format, else what OUT's format has."""
     lenient: bool = False
     """Also open a file that was cut off after its last complete row; what is left of the cut part is kept."""
@@ -116,9 +117,7 @@ def run(config: Config) -> Outcome:
                 progress=progress,
                 cancel=threading.Event(),
             )
-        receipt, verification = write_proved(
-            splats, edited, config.out, receipt_path, config.out_frame, bar, read_seconds
-        )
+        receipt, verification = write_proved(splats, edited, config.out, receipt_path, config.axes, bar, read_seconds)
     same = f"{verification.same:,} of {count(verification.rows, 'Gaussian')} {same_words(verification)}, verified"
     removed = [f"{count(len(receipt.removed), 'Gaussian')} removed (opacity 0)"] if config.where else []
     lines = [

@@ -15,7 +15,7 @@ import numpy as np
 from splatpainter.cameras import AUTO_UP, FRAME_MARGIN, UPS, Camera, bounding_sphere, spherical_cameras
 from splatpainter.commands.terminal import reason
 from splatpainter.io import files, read
-from splatpainter.io.sog import META
+from splatpainter.io.sog_container import META
 from splatpainter.splats import Splats
 
 if TYPE_CHECKING:

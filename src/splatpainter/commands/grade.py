@@ -11,14 +11,15 @@ import numpy as np
 from tyro.conf import arg
 
 from splatpainter.commands import Outcome
-from splatpainter.commands.option_parsing import AssetFile, FrameOption, OutFile
+from splatpainter.commands.option_parsing import AssetFile, AxesOption, FrameOption, OutFile
 from splatpainter.commands.terminal import count, seconds, stages
 from splatpainter.commands.verified_write import check_outputs, proved_record, write_proved
-from splatpainter.commands.verify import receipt_of, same_words
+from splatpainter.commands.verify import same_words
 from splatpainter.grading.grade import LOOKS, SLIDERS, Look, grade, hex_color, one_look
 from splatpainter.grading.region import Region
 from splatpainter.io import files, read
 from splatpainter.jsonio import load_object
+from splatpainter.receipts import receipt_of
 from splatpainter.session.asset_files import LAYER_SUFFIX, read_layer
 from splatpainter.session.document import SELECTION, Layer
 from splatpainter.sources.color_grading import GRADE, GradeSettings
@@ -96,7 +97,7 @@ class Config:
     """Region that changes; default: everything."""
     frame: FrameOption = "auto"
     """Axes of ASSET's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
-    out_frame: FrameOption = "auto"
+    axes: AxesOption = "auto"
     """Axes of OUT's numbers; auto: those of ASSET if both are of one format, else what OUT's format has."""
     lenient: bool = False
     """Also open a file that was cut off after its last complete row; what is left of the cut part is kept."""
@@ -122,9 +123,7 @@ def run(config: Config) -> Outcome:
         read_seconds = time.perf_counter() - clock
         bar.enter("grading")
         edited = grade(splats, look, region, strength=config.strength)
-        receipt, verification = write_proved(
-            splats, edited, config.out, receipt_path, config.out_frame, bar, read_seconds
-        )
+        receipt, verification = write_proved(splats, edited, config.out, receipt_path, config.axes, bar, read_seconds)
     changed = f"{count(len(receipt.touched), 'Gaussian')} changed"
     same = f"{verification.same:,} of {count(verification.rows, 'Gaussian')} {same_words(verification)}, verified"
     lines = [

@@ -12,7 +12,7 @@ from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import AssetFile, FrameOption
 from splatpainter.commands.terminal import count, size, stages
 from splatpainter.io import FORMATS, frame_line, read
-from splatpainter.io.sog import META
+from splatpainter.io.sog_container import META
 from splatpainter.splats import Splats
 
 

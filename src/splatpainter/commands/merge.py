@@ -15,8 +15,8 @@ from tyro.conf import Positional, arg
 from splatpainter.commands import Outcome
 from splatpainter.commands.output_paths import check_target, placed, splat_format
 from splatpainter.commands.terminal import count, seconds, stages
-from splatpainter.commands.verify import receipt_of
-from splatpainter.io import files, read
+from splatpainter.io import files, frame_news, read
+from splatpainter.receipts import receipt_of
 from splatpainter.scene.merge import MergeVerification, Part, parts_of, write_merged
 from splatpainter.scene.placement import Placement, shift_to_the_right
 from splatpainter.splats import Splats
@@ -97,6 +97,7 @@ def run(config: Config) -> Outcome:
     lines = [
         f"{config.out}: {count(receipt.output_rows, 'row')} of {len(parts)} assets",
         *part_lines(parts, verification),
+        *(line for path, asset in zip(config.assets, assets, strict=True) for line in frame_news(asset, str(path))),
         *([f"note: {receipt.note}"] if receipt.note else []),
         f"receipt: {receipt_path}",
         seconds(timings),

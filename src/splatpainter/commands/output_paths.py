@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from splatpainter.atomic import check_name, write_text
+from splatpainter.atomic import brief_name, check_name, write_text
 from splatpainter.cameras import Camera
 from splatpainter.commands.terminal import reason
 from splatpainter.image_files import write_png
 from splatpainter.io import FORMATS, Format, files, format_of_name
-from splatpainter.io.sog import META
+from splatpainter.io.sog_container import META
 
 
 def splat_format(path: Path) -> Format:
@@ -85,7 +85,7 @@ def placed(path: Path) -> Iterator[Path]:
     target = Path(os.path.realpath(path))
     is_folder = target.name.lower() == META
     final = target.parent if is_folder else target
-    partial = final.with_name(f".{os.getpid()}.part.{final.name}")  # the ending says the format
+    partial = final.with_name(f".{os.getpid()}.part.{brief_name(final.name, keep_ending=True)}")  # it says the format
     try:
         if is_folder:
             make_folder(partial)

@@ -11,14 +11,15 @@ from typing import Annotated, Literal
 from tyro.conf import arg
 
 from splatpainter.commands import Outcome
-from splatpainter.commands.option_parsing import AssetFile, FrameOption, OutFile
+from splatpainter.commands.option_parsing import AssetFile, AxesOption, FrameOption, OutFile
 from splatpainter.commands.sourced_edit import InterruptibleSource, SourceBar, keeping_answers
 from splatpainter.commands.terminal import count, decibels, seconds, stages
 from splatpainter.commands.verified_write import check_outputs, proved_record, write_proved
-from splatpainter.commands.verify import receipt_of, same_words
+from splatpainter.commands.verify import same_words
 from splatpainter.commands.view_options import given_cameras
 from splatpainter.io import read
 from splatpainter.painter import MAX_VIEWS, Painter
+from splatpainter.receipts import receipt_of
 
 COMMAND = "splatpainter refine"
 
@@ -59,7 +60,7 @@ class Config:
     """lift: analytic, seconds; fit: some seconds of optimisation after it, nearer to the pictures."""
     frame: FrameOption = "auto"
     """Axes of ASSET's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
-    out_frame: FrameOption = "auto"
+    axes: AxesOption = "auto"
     """Axes of OUT's numbers; auto: those of ASSET if both are of one format, else what OUT's format has."""
     lenient: bool = False
     """Also open a file that was cut off after its last complete row; what is left of the cut part is kept."""
@@ -114,7 +115,7 @@ def run(config: Config) -> Outcome:
                 cancel=threading.Event(),
             )
         receipt, verification = write_proved(
-            splats, refined.asset, config.out, receipt_path, config.out_frame, bar, read_seconds
+            splats, refined.asset, config.out, receipt_path, config.axes, bar, read_seconds
         )
     notes = [f"{path}: {note}" for path, edit in zip(config.view, refined.edits, strict=True) for note in edit.notes]
     lines = [f"{config.asset} -> {config.out}", *notes]

@@ -15,7 +15,7 @@ from splatpainter.commands.option_parsing import AssetFile, CameraFiles, FrameOp
 from splatpainter.commands.output_paths import check_folder, check_target, make_folder
 from splatpainter.commands.terminal import count, progress
 from splatpainter.commands.view_options import MAX_VIEWS, check_ranges, check_ring, color, given_cameras, ring_of_views
-from splatpainter.io import files, frame_is_news, frame_line, read
+from splatpainter.io import files, frame_news, read
 from splatpainter.rendering.profiles import Profile
 from splatpainter.splats import Splats
 
@@ -108,9 +108,7 @@ def run(config: Config) -> Outcome:
     first = options.file_names(stems[0])
     beside = f", and {', '.join(options.aovs)} beside it" if options.aovs else ""
     lines = [f"{count(len(stems), 'picture')} in {config.out}: {first[0]} ... each with its camera inside{beside}"]
-    assert splats.source is not None
-    if frame_is_news(splats.source):
-        lines.append(f"frame: {frame_line(splats.source)}")
+    lines += frame_news(splats)
     if hidden:
         lines.append(f"{count(hidden, 'Gaussian')} of {len(splats):,} cannot be drawn")
     return Outcome(record, lines)

@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from splatpainter.atomic import writing
+from splatpainter.atomic import brief_name, writing
 from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.commands.decal_options import DecalView
 from splatpainter.commands.output_paths import check_target
@@ -266,7 +266,8 @@ class InterruptibleSource:
         for request, answer in self.answers:
             if any(edit.answer is answer for edit in painted):
                 continue
-            names = (out.with_name(f"{out.name}.answer_{number}.png") for number in range(1, MAX_ANSWER_FILES))
+            stem = brief_name(out.name)
+            names = (out.with_name(f"{stem}.answer_{number}.png") for number in range(1, MAX_ANSWER_FILES))
             path = next((name for name in names if not name.exists()), None)
             carried = {CAMERA_KEYWORD: request.camera.to_json()} if request.camera is not None else None
             with contextlib.suppress(OSError, ValueError):

@@ -16,7 +16,7 @@ from splatpainter.commands.option_parsing import AssetFile, FrameOption, OutFile
 from splatpainter.commands.output_paths import check_target
 from splatpainter.commands.terminal import progress, size
 from splatpainter.commands.view_options import check_ranges, check_ring, color, given_cameras, ring_of_views
-from splatpainter.io import files, read
+from splatpainter.io import files, frame_news, read
 from splatpainter.rendering.profiles import Profile
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ def run(config: Config) -> Outcome:
         "height": height - height % 2 * (options.format == "mp4"),
     }
     line = f"{config.out}: {options.frames} frames of {record['width']}x{record['height']}, {size(len(data))}"
-    return Outcome(record, [line])
+    return Outcome(record, [line, *frame_news(splats)])
 
 
 @contextmanager

@@ -12,10 +12,10 @@ from pathlib import Path
 from splatpainter.atomic import clash
 from splatpainter.commands.output_paths import check_target, placed, splat_format
 from splatpainter.commands.terminal import Stages
-from splatpainter.commands.verify import read_receipt, receipt_of
+from splatpainter.commands.verify import read_receipt
 from splatpainter.io import files, write
 from splatpainter.painter import Asset
-from splatpainter.receipts import Receipt, Verification, prove
+from splatpainter.receipts import Receipt, Verification, prove, receipt_of
 from splatpainter.scene.merge import carried
 from splatpainter.splats import Frame, Splats
 

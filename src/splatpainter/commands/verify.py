@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
@@ -10,11 +9,10 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
-from splatpainter.commands.option_parsing import FrameOption
+from splatpainter.commands.option_parsing import AxesOption, FrameOption
 from splatpainter.commands.terminal import count, stages
 from splatpainter.io import files
-from splatpainter.io.sog import META
-from splatpainter.receipts import Receipt, Verification, verify
+from splatpainter.receipts import Receipt, Verification, receipt_of, verify
 
 MAX_RECEIPT_BYTES = 256 << 20
 RANGE_WORDS = {"bytes": "byte-identical", "values": "as converted", "transformed": "as transformed"}
@@ -47,7 +45,7 @@ class Config:
     """The receipt; default: EDITED.receipt.json where it exists."""
     frame: FrameOption = "auto"
     """Axes of ORIGINAL's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
-    out_frame: FrameOption = "auto"
+    axes: AxesOption = "auto"
     """Axes of EDITED's numbers; auto: those of ORIGINAL if both are of one format, else what EDITED says."""
     json: bool = False
     """Print one JSON object instead of text."""
@@ -68,7 +66,7 @@ def run(config: Config) -> Outcome:
     receipt = read_receipt(path) if path is not None else None
     with stages(1) as bar:
         bar.enter("comparing")
-        verification = verify(config.original, edited, receipt, frame=config.frame, out_frame=config.out_frame)
+        verification = verify(config.original, edited, receipt, frame=config.frame, out_frame=config.axes)
     record = {"original": config.original, "edited": edited, "receipt": path, **asdict(verification)}
     lines = [
         f"{verification.same:,} of {count(verification.rows, 'row')} {same_words(verification)}; "
@@ -91,8 +89,8 @@ def _against(config: Config) -> Outcome:
     merged = config.original
     if config.edited is not None:
         raise ValueError(f"{config.edited}: expected one merged asset before --against, and its sources after it")
-    if (config.frame, config.out_frame) != ("auto", "auto"):
-        raise ValueError("splatpainter verify: --frame and --out-frame cannot be used with --against")
+    if (config.frame, config.axes) != ("auto", "auto"):
+        raise ValueError("splatpainter verify: --frame and --axes cannot be used with --against")
     path = config.receipt or receipt_of(merged)
     if config.receipt is None and not path.exists():
         raise ValueError(f"{merged}: no receipt {path.name} that says where its sources lie; give one with --receipt")
@@ -113,12 +111,6 @@ def _against(config: Config) -> Outcome:
     ]
     record = {"merged": merged, "against": config.against, "receipt": path, **asdict(verification)}
     return Outcome(record, lines, 0 if verification.ok else 1)
-
-
-def receipt_of(edited: Path) -> Path:
-    """Where `edit` puts the receipt by default; of a folder of SOG planes: beside the folder."""
-    asset = Path(os.path.abspath(edited)).parent if edited.name.lower() == META else edited
-    return asset.with_name(asset.name + ".receipt.json")
 
 
 def read_receipt(path: Path) -> Receipt:

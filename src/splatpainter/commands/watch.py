@@ -12,13 +12,12 @@ from tyro.conf import Positional, arg
 
 from splatpainter.atomic import clash
 from splatpainter.commands import Outcome
-from splatpainter.commands.option_parsing import FrameOption
+from splatpainter.commands.option_parsing import AxesOption, FrameOption
 from splatpainter.commands.output_paths import check_target, placed, splat_format
 from splatpainter.commands.terminal import complain, count, decibels
-from splatpainter.commands.verify import receipt_of
-from splatpainter.io import files, read, write
+from splatpainter.io import files, frame_news, read, write
 from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
-from splatpainter.receipts import prove
+from splatpainter.receipts import prove, receipt_of
 from splatpainter.sources import FileEdit, edit_from_files
 from splatpainter.sources.saved_pictures import LOOK_SECONDS, SavedPictures
 from splatpainter.splats import Splats
@@ -58,7 +57,7 @@ class Config:
     """Weights, as in splatpainter edit."""
     frame: FrameOption = "auto"
     """Axes of ASSET's numbers."""
-    out_frame: FrameOption = "auto"
+    axes: AxesOption = "auto"
     """Axes of OUT's numbers."""
     receipt: Annotated[Path | None, arg(metavar="R.json", help_behavior_hint="")] = None
     """Where the receipt goes; default: OUT.receipt.json."""
@@ -125,8 +124,8 @@ class _Watch:
         edited = self.painter.apply(self.asset, edits, config.mode, config.method)
         assert edited.receipt is not None
         with files.writing(self.receipt_path) as file, placed(config.out) as partial:
-            write(partial, edited.splats, frame=config.out_frame)
-            receipt, verification = prove(self.splats, partial, edited.receipt, config.out_frame)
+            write(partial, edited.splats, frame=config.axes)
+            receipt, verification = prove(self.splats, partial, edited.receipt, config.axes)
             file.write(receipt.to_json().encode())
             file.flush()
             os.fsync(file.fileno())
@@ -151,7 +150,7 @@ def run(config: Config) -> Outcome:
     watch = _Watch(config, receipt_path, splats, painter, painter.encode(splats, config.method, [config.mode]))
     until = None if config.timeout is None else time.monotonic() + config.timeout
     if not config.json:
-        print(f"watching {config.folder}; Ctrl-C ends it", flush=True)
+        print(*frame_news(splats), f"watching {config.folder}; Ctrl-C ends it", sep="\n", flush=True)
     ended = "timeout"
     try:
         while until is None or time.monotonic() < until:

@@ -15,7 +15,7 @@ from typing import Any, get_args
 
 import numpy as np
 
-from splatpainter.io import axes, files
+from splatpainter.io import axes, files, sog_container
 from splatpainter.io.write_options import AS_IT_IS, WriteOptions
 from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Frame, Source, Splats
 
@@ -117,8 +117,7 @@ FORMATS: dict[str, Format] = {
             "Niantic SPZ, versions 1-4",
             "The quantised values of rows that did not change.",
             "Positions are fixed-point; scales, colours, opacities, rotations and SH have 8 bits or fewer.",
-            frame="rub",
-            write_options=(*HOLDS_SH, "spz_version", "sh_bits"),
+            write_options=(*HOLDS_SH, "spz_version", "sh_bits", "mark_axes"),
         ),
         Format(
             "sog",
@@ -179,7 +178,8 @@ def write(
 
     Where `splats.source` is of that format, everything that did not change keeps its bytes (see Format.exact).
     frame: axes of the file's numbers, "rub" or "rdf"; "auto": those of `splats.source` if it is of that format, else
-    the format's own. SPZ files say it where it matters; other formats cannot, and need `read(path, frame=...)`.
+    the format's own. SPZ files of other axes than the PLY's say it; other formats cannot, and need
+    `read(path, frame=...)`.
     options: what the file shall hold less or otherwise; `Format.write_options` says which a format has.
     Raises ValueError: the target exists and overwrite is False, unknown or read-only format, inconsistent shapes, an
     option that the format has not.
@@ -226,14 +226,24 @@ def frame_of_target(splats: Splats, key: str, frame: Frame) -> Frame:
     return frame_of(splats) if splats.source is not None and splats.source.format == key else "auto"
 
 
-def frame_line(source: Source) -> str:
-    """One line for people: which axes the file's numbers have, and who says so."""
+def frame_line(source: Source, hint: bool = True) -> str:
+    """One line for people: which axes the file's numbers have, and who says so. hint: also how to turn a file that
+    might have others."""
     reasons = {
         "file": "as the file says",
         "choice": "as chosen",
         "format": "the default of this format; the file does not say",
     }
-    return f"{axes.describe(source.frame)}, {reasons[source.frame_from]}"
+    line = f"{axes.describe(source.frame)}, {reasons[source.frame_from]}"
+    if not frame_is_open(source):
+        return line
+    line = f"{axes.describe(source.frame)}, as in PLY files; the file does not say"
+    return f"{line} (--frame rub, if it stands upside down)" if hint else line
+
+
+def frame_is_open(source: Source) -> bool:
+    """Whether a file may well have other axes than those that it was taken to have: an SPZ file that does not say."""
+    return source.frame_from == "format" and source.format == "spz"
 
 
 def frame_is_news(source: Source) -> bool:
@@ -241,11 +251,22 @@ def frame_is_news(source: Source) -> bool:
     return source.frame_from != "format" or source.format == "spz"
 
 
+def frame_news(splats: Splats, of: str = "") -> list[str]:
+    """What commands say of a file's axes: one line, or none where there is no news. of: the file, where a command has
+    no --frame of its own."""
+    source = splats.source
+    if source is None or not frame_is_news(source):
+        return []
+    return [f"frame of {of}: {frame_line(source, hint=False)}" if of else f"frame: {frame_line(source)}"]
+
+
 def detect(path: Path) -> str:
     """Key of FORMATS that the file at `path` holds. Raises ValueError when it is missing, unreadable or unknown."""
     if os.path.isdir(path):  # Path.is_dir raises where a folder above may not be searched
         if os.path.isfile(path / "meta.json"):
             return "sog"
+        if sog_container.is_streamed(path):
+            raise ValueError(sog_container.streamed_reason(path))
         raise ValueError(f"{path}: is a folder without meta.json; expected a splat file or a SOG folder")
     head = files.read_head(path, files.MAX_HEADER_BYTES if path.suffix.lower() == ".ply" else 65536)
     if head[:3] == b"ply" and head[3:4] in (b"\n", b"\r"):
@@ -256,6 +277,8 @@ def detect(path: Path) -> str:
     key = format_of_name(path)
     if key is not None:
         return key
+    if sog_container.is_streamed(path):
+        raise ValueError(sog_container.streamed_reason(path))
     # Two bytes are too few to overrule a name (a .splat may begin with them), but they decide where there is none.
     if head[:2] == b"\x1f\x8b":
         return "spz"

@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.io import gltf, spz
+from splatpainter.io import gltf, gltf_spz, spz
+from splatpainter.io.glb import attribute_columns, attribute_name
 from splatpainter.io.ply_container import Element, Header, TextRows, element_size
 from splatpainter.splats import Source
 
@@ -233,7 +234,10 @@ def _glb(file: Any) -> Contents:
     for one in getattr(file, "primitives", (file,)):
         index = one.index if hasattr(one, "index") else one.primitive
         primitive, ours = doc["meshes"][one.mesh]["primitives"][index], set(one.names.values())
+        packed = gltf_spz.is_packed(primitive)
         for name, number in primitive.get("attributes", {}).items():
+            if packed and gltf_spz.is_of_gaussians(name):
+                continue
             try:
                 values = np.array(gltf.accessor(glb, glb.binary, number, Path("accessor")))
             except ValueError:
@@ -241,6 +245,13 @@ def _glb(file: Any) -> Contents:
             fields = tuple((f"{name} {k}", values.dtype.str) for k in range(values.shape[1]))
             edited = frozenset(n for n, _ in fields) if name in ours else frozenset()
             tables.append(StoredTable(values, fields, edited, getattr(one, "first", 0)))
+        if packed:  # its values are those of the attributes that an edit makes of them
+            unpacked = attribute_columns(gltf_spz.unpack(glb, primitive, Path("stream"), []))
+            for semantic, column in unpacked.items():
+                fields = tuple((f"{attribute_name(semantic)} {k}", "<f4") for k in range(column.shape[1]))
+                tables.append(StoredTable(column, fields, frozenset(n for n, _ in fields), one.first))
+            rest = set(primitive.get("attributes", {})) - set(gltf_spz.drop(doc, primitive))
+            primitive["attributes"] = dict.fromkeys([*rest, *map(attribute_name, unpacked)])
         primitive["attributes"] = sorted(primitive.get("attributes", {}))
     for mesh in doc["meshes"]:
         for other in mesh.get("primitives", []):

@@ -16,6 +16,9 @@ applied when it is a rotation, uniform scale and translation. Reading is lenient
 with `_`, and COLOR_0 in place of OPACITY and SH degree 0 are accepted; log-scales are not guessed. One primitive is
 opened, the first.
 
+Primitives whose rows lie in an SPZ stream (gltf_spz.py) are read; an edit unpacks them into attributes, which hold the
+same values bit for bit.
+
 Writing over a source of this format keeps every byte of values that did not change, all other JSON, meshes, nodes and
 chunks. Where rows keep their number and order and an attribute is float, changed rows are written into the source's
 buffer and no other byte of it moves. Otherwise the attribute gets a buffer view of its own, as float32: rows that did
@@ -34,7 +37,7 @@ from typing import Any
 import numpy as np
 
 from splatpainter.color import srgb_to_linear
-from splatpainter.io import axes, files, gltf
+from splatpainter.io import axes, files, gltf, gltf_spz
 from splatpainter.io.bounded import allow_rows
 from splatpainter.io.reuse import Unchanged, drawable_rows, row_problems, unchanged
 from splatpainter.jsonio import brief
@@ -91,7 +94,7 @@ def read_glb(path: Path) -> Splats:
     placements: dict[int, tuple[np.ndarray, float, np.ndarray]] = {}
     primitives, pieces, first = [], [], 0
     opened = _primitives_to_open(glb.doc, path, problems)
-    semantics = [_names(glb.doc["meshes"][mesh]["primitives"][index].get("attributes", {})) for mesh, index in opened]
+    semantics = [_names(glb.doc["meshes"][mesh]["primitives"][index]) for mesh, index in opened]
     bands = max(sum(name.startswith("SH_") for name in names) for names in semantics)
     parents = gltf.parents_of(glb.doc)
     for (mesh, index), names in zip(opened, semantics, strict=True):
@@ -151,6 +154,18 @@ def read_local(
     were not read before."""
     primitive = glb.doc["meshes"][one.mesh]["primitives"][one.index]
     attributes = primitive.get("attributes", {})
+    extension = _extension(primitive)
+    flags: dict[str, Any] = {
+        "antialiased": isinstance(extension.get("extras"), dict) and extension["extras"].get("antialiased") is True,
+        "color_space": "linear" if extension.get("colorSpace") == COLOR_SPACES["linear"] else "srgb",
+    }
+    if gltf_spz.is_packed(primitive):
+        rows = gltf_spz.unpack(glb, primitive, path, problems)
+        if bound is not None:
+            allow_rows(bound.size, one.first + len(rows), max(bound.bands, rows.sh.shape[1]), path)
+        if rows.antialiased and not flags["antialiased"]:
+            problems.append("the SPZ stream is marked antialiased, for which glTF has no word; it is read without")
+        return replace(rows, **flags)
     count: int | None = None
 
     def read(semantic: str, width: int) -> np.ndarray:
@@ -182,16 +197,7 @@ def read_local(
         sh = np.stack([read(semantic, 3) for semantic in sh_semantics(degree)], 1)
         if any(name.startswith("SH_") for name in set(one.names) - set(sh_semantics(degree))):
             problems.append(f"SH above degree {degree} is incomplete and not read")
-    extension = _extension(primitive)
-    return Splats(
-        means,
-        np.ascontiguousarray(xyzw[:, [3, 0, 1, 2]]),
-        scales,
-        opacities,
-        sh,
-        antialiased=isinstance(extension.get("extras"), dict) and extension["extras"].get("antialiased") is True,
-        color_space="linear" if extension.get("colorSpace") == COLOR_SPACES["linear"] else "srgb",
-    )
+    return Splats(means, np.ascontiguousarray(xyzw[:, [3, 0, 1, 2]]), scales, opacities, sh, **flags)
 
 
 def _extension(primitive: dict[str, Any]) -> dict[str, Any]:
@@ -199,8 +205,10 @@ def _extension(primitive: dict[str, Any]) -> dict[str, Any]:
     return extension if isinstance(extension, dict) else {}
 
 
-def _names(attributes: dict[str, Any]) -> dict[str, str]:
-    names = {}
+def _names(primitive: dict[str, Any]) -> dict[str, str]:
+    """Semantic -> attribute of the primitive that holds it; of one that lies in a stream none does."""
+    names: dict[str, str] = {}
+    attributes = {} if gltf_spz.is_packed(primitive) else primitive.get("attributes", {})
     for semantic in ("POSITION", "COLOR_0", "ROTATION", "SCALE", "OPACITY", *sh_semantics(4)):
         for name in (f"{EXTENSION}:{semantic}", f"_{semantic}", semantic):
             if name in attributes:
@@ -217,7 +225,8 @@ def _primitives_to_open(doc: dict[str, Any], path: Path, problems: list[str]) ->
     for mesh, item in enumerate(doc.get("meshes", [])):
         for index, primitive in enumerate(item.get("primitives", [])):
             names = primitive.get("attributes", {})
-            if EXTENSION in primitive.get("extensions", {}) or any(name.startswith(f"{EXTENSION}:") for name in names):
+            marked = EXTENSION in primitive.get("extensions", {}) or gltf_spz.is_packed(primitive)
+            if marked or any(name.startswith(f"{EXTENSION}:") for name in names):
                 candidates.append((mesh, index))
     if not candidates:
         raise ValueError(f"{path}: expected a primitive with {EXTENSION}; this glTF file holds no Gaussians")
@@ -236,7 +245,7 @@ def _primitives_to_open(doc: dict[str, Any], path: Path, problems: list[str]) ->
 def _check_primitive(primitive: dict[str, Any], path: Path, problems: list[str]) -> None:
     extension = _extension(primitive)
     packed = extension.get("extensions")
-    if isinstance(packed, dict) and packed:
+    if isinstance(packed, dict) and packed and not gltf_spz.is_packed(primitive):
         names = files.printable(", ".join(packed))
         raise ValueError(
             f"{path}: the Gaussians are stored by {names}, which is not supported; decompress the file first"
@@ -306,7 +315,7 @@ def write_glb(path: Path, splats: Splats) -> None:
 def _fresh(splats: Splats) -> gltf.Glb:
     """A file with nothing but the rows, in glTF's frame, with the fallback colours the standard asks for."""
     local = _unit(axes.move(drawable_rows(splats, row_by_row=True), HALF_TURN))
-    values = _columns(local) | {"COLOR_0": _fallback(local, linear=splats.color_space == "srgb")}
+    values = attribute_columns(local) | {"COLOR_0": _fallback(local, linear=splats.color_space == "srgb")}
     doc: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": "SplatPainter"},
         "extensionsUsed": [EXTENSION],
@@ -321,7 +330,7 @@ def _fresh(splats: Splats) -> gltf.Glb:
     primitive, binary = doc["meshes"][0]["primitives"][0], bytearray()
     for number, (semantic, array) in enumerate(values.items()):
         doc["accessors"].append(_accessor(doc, binary, array))
-        primitive["attributes"][_name(semantic)] = number
+        primitive["attributes"][attribute_name(semantic)] = number
     doc["accessors"][0] |= _range(local.means)
     _set_flags(primitive, splats)
     doc["buffers"][0]["byteLength"] = len(binary)
@@ -395,16 +404,19 @@ def _edit_primitive(work: _Work, one: GaussianPrimitive, rows: Splats, same: Unc
     restored.sh[:, stored_bands:] = local.sh[:, stored_bands:]  # not in the file yet, the sign of zero included
     local = restored
     primitive = work.doc["meshes"][one.mesh]["primitives"][one.index]
-    attributes = primitive["attributes"]
+    attributes = primitive.setdefault("attributes", {})
+    if gltf_spz.is_packed(primitive):  # the accessors that stand for the stream's values go with it
+        for name in gltf_spz.drop(work.doc, primitive):
+            attributes.pop(name)
     in_place = len(local) == len(before) and bool((same.source_rows == np.arange(len(local))).all())
     masks = {"POSITION": same.means, "ROTATION": same.quats, "SCALE": same.scales, "OPACITY": same.opacities}
-    columns = _columns(local)
+    columns = attribute_columns(local)
     for semantic, array in columns.items():
         keep = masks.get(semantic, same.base if semantic == "SH_DEGREE_0_COEF_0" else same.rest)
-        _put(work, attributes, one.names.get(semantic, _name(semantic)), array, ~keep, in_place)
+        _put(work, attributes, one.names.get(semantic, attribute_name(semantic)), array, ~keep, in_place)
     for semantic in set(one.names) & set(sh_semantics(4)) - set(columns):
         attributes.pop(one.names[semantic])
-    ours = {one.names.get(semantic, _name(semantic)) for semantic in columns}
+    ours = {one.names.get(semantic, attribute_name(semantic)) for semantic in columns}
     for name in [name for name in attributes if name not in ours]:
         try:
             values = np.array(gltf.accessor(work.source, work.source.binary, attributes[name], work.path))
@@ -426,7 +438,7 @@ def _edit_primitive(work: _Work, one: GaussianPrimitive, rows: Splats, same: Unc
             primitive.pop(key, None)
 
 
-def _columns(local: Splats) -> dict[str, np.ndarray]:
+def attribute_columns(local: Splats) -> dict[str, np.ndarray]:
     """Semantic -> [N, width] float32, in the order that files are written."""
     out = {
         "POSITION": local.means,
@@ -438,7 +450,7 @@ def _columns(local: Splats) -> dict[str, np.ndarray]:
     return out
 
 
-def _name(semantic: str) -> str:
+def attribute_name(semantic: str) -> str:
     return semantic if semantic in ("POSITION", "COLOR_0") else f"{EXTENSION}:{semantic}"
 
 

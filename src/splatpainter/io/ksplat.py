@@ -1,4 +1,4 @@
-"""GaussianSplats3D .ksplat (mkkellogg), read only: header version 0.1 and later, levels 0-2, SH degree 0-2.
+"""GaussianSplats3D .ksplat (mkkellogg), read only: header version 0.1 and later, levels 0-2, SH degree 0-3.
 
     header, 4096 bytes: u8 major, u8 minor; u32 at 4 section headers, 12 rows there is room for, 16 rows; u16 at 20
         compression level; f32 at 36, 40 range of 8-bit SH (0 means -1.5, 1.5)
@@ -23,6 +23,8 @@ from splatpainter.io.reuse import row_problems
 from splatpainter.splats import Source, Splats
 
 HEADER, SECTION = 4096, 1024
+MAX_DEGREE = 3
+"""SH degree that sections may have. GaussianSplats3D 0.4 writes up to 2; others write and read 3, in the same order."""
 SH_RANGE = 1.5
 """Half range of 8-bit SH where the header says 0."""
 MAX_SECTIONS = 4096
@@ -93,8 +95,8 @@ def _sections(data: bytes, count: int, level: int, path: Path) -> list[_Section]
         words = np.frombuffer(data, "<u4", 10, base)
         rows, capacity, bucket_size, buckets = (int(w) for w in words[:4])
         degree = int(np.frombuffer(data, "<u2", 1, base + 40)[0])
-        if degree > 2:
-            raise ValueError(f"{path}: section {k}: expected SH degree 0, 1 or 2, got {degree}")
+        if degree > MAX_DEGREE:
+            raise ValueError(f"{path}: section {k}: expected SH degree 0 to {MAX_DEGREE}, got {degree}")
         if rows > capacity:
             raise ValueError(f"{path}: section {k}: {rows} rows, but room for {capacity}")
         section = _Section(

@@ -34,16 +34,9 @@ the range re-quantise all positions (by less than a 65535th of the extent), too 
 
 from __future__ import annotations
 
-import contextlib
 import copy
-import io
 import json
 import math
-import os
-import re
-import struct
-import zipfile
-import zlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -51,9 +44,10 @@ from typing import Any
 import numpy as np
 
 from splatpainter import jsonio
-from splatpainter.io import activations, codebooks, files, packing
-from splatpainter.io.bounded import allow, allow_rows, inflate, zip_directory
+from splatpainter.io import activations, codebooks, packing
+from splatpainter.io.bounded import allow, allow_rows
 from splatpainter.io.reuse import Unchanged, drawable_rows, row_problems, unchanged
+from splatpainter.io.sog_container import META, Container, load, named_files, store
 from splatpainter.jsonio import brief, integer, object_at
 from splatpainter.splats import SH_C0, SH_COUNTS, Source, Splats
 
@@ -81,22 +75,6 @@ SH_TOLERANCES = (0.01, 0.02, 0.04)
 MAX_BORDER_SHIFT = 2.0
 """Standard deviations (its largest) by which a changed row may be moved to stay within the file's position range: a
 child of a row on the border, moved this far, still lies within its parent."""
-META = "meta.json"
-_LOCAL = struct.Struct("<4s5H3I2H")
-"""Local file header: signature, version, flags, method, time, date, CRC, sizes (2), lengths of name and extra field."""
-_PLAIN_NAME = re.compile(r"[^/\\:\x00-\x1f]+")
-
-
-@dataclass(frozen=True)
-class Container:
-    """Files by name, in order."""
-
-    files: dict[str, bytes]
-    """What meta.json names, meta.json itself, and in a bundle everything else."""
-    folder: bool
-    sha256: str
-    bundle_bytes: bytes
-    """The bundle as it is on disk; b"" for a folder."""
 
 
 @dataclass(frozen=True)
@@ -120,8 +98,10 @@ def read_sog(path: Path) -> Splats:
 
     Raises ValueError: damaged zip, image or JSON, sizes that do not fit together, SOG version 1.
     """
-    container, meta = _load(path)
+    container, meta = load(path)
     problems: list[str] = []
+    if container.prefix:
+        problems.append(f"the bundle's files lie in its folder {brief(container.prefix[:-1])}, where few programs look")
     file = _parse(container, meta, path, problems)
     with np.errstate(over="ignore", invalid="ignore"):  # such rows are reported below
         rows = _decode(file, path, problems)
@@ -166,7 +146,7 @@ def _listed_files(meta: dict[str, Any], part: str, count: int, path: Path) -> li
     listed = object_at(meta, part, path).get("files")
     if not isinstance(listed, list) or len(listed) < count:
         raise ValueError(f"{path}: expected {count} files for {part} in meta.json, found {brief(listed)}")
-    return listed[:count]  # every one a name that is there: _named_files has checked
+    return listed[:count]  # every one a name that is there: named_files has checked
 
 
 def _plane_size(container: Container, key: str, name: str, count: int, path: Path) -> tuple[int, int]:
@@ -309,9 +289,9 @@ def write_sog(path: Path, splats: Splats, sh_palette: int | None = None) -> None
     same = unchanged(splats, "sog")
     old: SogFile | None = splats.source.detail if same and splats.source else None
     if old and same and same.identity and sh_palette is None:
-        _store(path, old.container.files, old.container.bundle_bytes)
+        store(path, old.container.files, old.container.prefix, old.container.bundle_bytes)
     else:
-        _store(path, _encode(splats, same, old, sh_palette))
+        store(path, _encode(splats, same, old, sh_palette), old.container.prefix if old else "")
 
 
 def _encode(
@@ -519,7 +499,7 @@ def _image_files(images: dict[str, np.ndarray], meta: dict[str, Any], old: SogFi
     out = {META: json.dumps(meta, separators=(",", ":"), allow_nan=False).encode()}
     if old and not old.container.folder:
         # Keep a bundle's order and whatever else it holds; planes that are no longer named go.
-        dropped = set(_named_files(old.meta, "source")) - set(contents)
+        dropped = set(named_files(old.meta, "source")) - set(contents)
         both = out | contents
         order = [name for name in old.container.files if name not in dropped]
         merged = {name: both.get(name, old.container.files[name]) for name in order}
@@ -533,150 +513,3 @@ def _same_image(data: bytes, image: np.ndarray, used: int) -> bool:
         return False
     before = packing.decode_image(data, "source").reshape(-1, 4)
     return np.array_equal(before[:used], image.reshape(-1, 4)[:used])
-
-
-# ---- files
-
-
-def _is_folder(path: Path) -> bool:
-    """Whether `path` means a folder of planes: the folder, or its meta.json."""
-    return path.name.lower() == META or os.path.isdir(path)
-
-
-def _load(path: Path) -> tuple[Container, dict[str, Any]]:
-    """The files at `path` (.sog, folder, or a folder's meta.json) and the parsed meta.json.
-
-    Raises ValueError: not a zip or damaged, names that leave the folder, sizes that cannot be honest, missing files.
-    """
-    return _load_folder(path) if _is_folder(path) else _load_bundle(path)
-
-
-def _store(path: Path, entries: dict[str, bytes], bundle_bytes: bytes = b"") -> None:
-    """Write a bundle (name ending in .sog) or the files of a folder, meta.json last.
-
-    whole: the bundle of `entries` where its bytes are known. In a folder, a bundle's entries that lie in folders of
-    their own are left out. Raises ValueError for other names.
-    """
-    if _is_folder(path):
-        folder = path if path.is_dir() else path.parent
-        with contextlib.suppress(OSError):
-            folder.mkdir(exist_ok=True)
-        with contextlib.ExitStack() as stack:
-            # Files appear when the stack unwinds, the last entered first: meta.json, entered first, appears last.
-            for name in sorted((name for name in entries if "/" not in name), key=lambda name: name != META):
-                stack.enter_context(files.writing(folder / name)).write(entries[name])
-        return
-    if path.suffix.lower() != ".sog":
-        raise ValueError(f"{path}: expected a name ending in .sog, or meta.json for a folder of planes")
-    with files.writing(path) as target:
-        target.write(bundle_bytes or _bundle(entries))
-
-
-def _bundle(entries: dict[str, bytes]) -> bytes:
-    """A zip of `entries`, stored (the planes are compressed already), the same bytes for the same entries."""
-    out = io.BytesIO()
-    with zipfile.ZipFile(out, "w", zipfile.ZIP_STORED) as archive:
-        for name, data in entries.items():
-            archive.writestr(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), data)
-    return out.getvalue()
-
-
-def _named_files(meta: dict[str, Any], where: Path | str) -> list[str]:
-    """The files that meta.json names, in its order. Raises ValueError for a name that is not a plain file name."""
-    names = []
-    for part in ("means", "scales", "quats", "sh0", "shN"):
-        entry = meta.get(part)
-        listed = entry.get("files") if isinstance(entry, dict) else None
-        for name in listed if isinstance(listed, list) else []:
-            plain = isinstance(name, str) and name.isprintable() and _PLAIN_NAME.fullmatch(name)
-            if not plain or name in (".", "..", META):
-                raise ValueError(f"{where}: {META} names {brief(name)} for {part}; expected a plain file name")
-            names.append(name)
-    return names
-
-
-def _parse_meta(data: bytes, where: Path | str) -> dict[str, Any]:
-    """meta.json as a dict. Raises ValueError where it is not one."""
-    return jsonio.load_object(data, where, META)
-
-
-def declared_rows(path: Path) -> int:
-    """The row count that the meta.json of a bundle speaks of; nothing else is unpacked. Raises ValueError."""
-    data = files.read_all(path)
-    entry = next((entry for entry in _entries(data, path) if entry.filename == META), None)
-    if entry is None:
-        raise ValueError(f"{path}: expected {META} in the bundle")
-    if entry.file_size > jsonio.MAX_JSON_BYTES:
-        raise ValueError(f"{path}: {META} claims {entry.file_size} bytes; expected {jsonio.MAX_JSON_BYTES} at most")
-    return jsonio.integer(_parse_meta(_unpacked(data, entry, path), path).get("count"), path, "count")
-
-
-def _load_folder(path: Path) -> tuple[Container, dict[str, Any]]:
-    folder = path if os.path.isdir(path) else path.parent
-    contents = {META: files.read_all(folder / META)}
-    meta = _parse_meta(contents[META], folder)
-    for name in _named_files(meta, folder):
-        contents[name] = files.read_all(folder / name)
-    digest = files.sha256(b"".join(name.encode() + b"\0" + contents[name] for name in sorted(contents)))
-    return Container(contents, True, digest, b""), meta
-
-
-def _load_bundle(path: Path) -> tuple[Container, dict[str, Any]]:
-    data = files.read_all(path)
-    entries = _entries(data, path)
-    # All claims together, before the first is unpacked; entries that lie over each other cannot all be there.
-    allow(len(data), sum(entry.file_size for entry in entries), path, "the bundle")
-    if sum(entry.compress_size for entry in entries) > len(data):
-        raise ValueError(f"{path}: damaged bundle (its files need more bytes than it has)")
-    contents = {entry.filename: _unpacked(data, entry, path) for entry in entries}
-    if META not in contents:
-        names = files.printable(", ".join(sorted(contents)[:5]))
-        raise ValueError(f"{path}: expected {META} in the bundle, found {names or 'nothing'}")
-    meta = _parse_meta(contents[META], path)
-    for name in _named_files(meta, path):
-        if name not in contents:
-            raise ValueError(f"{path}: {META} names {files.printable(name)}, which is not in the bundle")
-    return Container(contents, False, files.sha256(data), data), meta
-
-
-def _entries(data: bytes, path: Path) -> list[zipfile.ZipInfo]:
-    """The files that the zip directory lists, folders left out, each of a kind that can be unpacked."""
-    entries: dict[str, zipfile.ZipInfo] = {}
-    for entry in zip_directory(io.BytesIO(data), path):
-        name = entry.filename
-        if name.endswith("/"):  # is_dir() of Python 3.11 fails where the name is empty
-            continue
-        parts = name.split("/")
-        if any(not _PLAIN_NAME.fullmatch(part) or part in (".", "..") for part in parts) or not name.isprintable():
-            raise ValueError(f"{path}: the bundle holds the name {brief(name)}, which leaves its folder")
-        if name in entries:
-            raise ValueError(f"{path}: the bundle holds {files.printable(name)} twice")
-        if entry.flag_bits & 1 or entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            raise ValueError(
-                f"{path}: {files.printable(name)} is encrypted or packed by method {entry.compress_type}; expected "
-                "stored or deflated"
-            )
-        entries[name] = entry
-    return list(entries.values())
-
-
-def _unpacked(data: bytes, entry: zipfile.ZipInfo, path: Path) -> bytes:
-    """One file of a bundle: exactly the bytes that the directory declares, or ValueError.
-
-    ZipFile.read would unpack the whole stream and then cut it to the declared size without a word.
-    """
-    what = f"{files.printable(entry.filename)} in the bundle"
-    head = files.take(data, entry.header_offset, _LOCAL.size, path, what)
-    mark, *_, name, extra = _LOCAL.unpack(head)
-    if mark != b"PK\x03\x04":
-        raise ValueError(f"{path}: damaged: {what} does not begin where the directory says")
-    packed = files.take(data, entry.header_offset + _LOCAL.size + name + extra, entry.compress_size, path, what)
-    if entry.compress_type == zipfile.ZIP_DEFLATED:
-        out = inflate(packed, entry.file_size, path, what)
-    elif entry.file_size != entry.compress_size:
-        raise ValueError(f"{path}: damaged: {what} is stored, but its two sizes differ")
-    else:
-        out = bytes(packed)
-    if zlib.crc32(out) != entry.CRC:
-        raise ValueError(f"{path}: damaged: {what} does not fit its checksum")
-    return out

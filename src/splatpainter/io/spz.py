@@ -13,8 +13,9 @@
 
 Flags: 1 trained with antialiasing, 2 extensions present: records of u32 type, u32 size, payload.
 
-Frame: SPZ is x right, y up, z back, unless extension 0xADBE0003 names another one or the caller does; here rows are in
-the PLY frame (y and z reversed). New files of version 4, and of another frame, say it. Words are in spz_
+Axes: those of PLY files, as nearly every program writes and reads SPZ (docs/interop.md), unless extension 0xADBE0003
+names others or the caller does; the format's README says right-up-back. New files do not say it: a program that obeys
+the extension and turns SPZ files on top would turn them twice. Files of other axes are marked by the extension.
 
 Writing over a source of this format keeps its version, fractional bits, frame, extensions and trailing bytes, and the
 packed words of every value that did not change; only changed values are quantised. An untouched asset is written back
@@ -46,7 +47,7 @@ COORDINATE_SYSTEM = 0xADBE0003
 NAMES = ("ldb", "rdb", "lub", "rub", "ldf", "rdf", "luf", "ruf", "lfd", "rfd", "lfu", "rfu", "lbd", "rbd", "lbu", "rbu")
 CODES = {name: code for code, name in enumerate(NAMES, 1)}
 """Codes of COORDINATE_SYSTEM. Less 1, bits 0-2 say right, up, front; bit 3 says that y and z are exchanged."""
-RUB, RDF = CODES["rub"], CODES["rdf"]
+RDF = CODES["rdf"]
 QUARTER_TURN = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], float)
 """About x, (x, y, z) -> (x, z, -y): from the frames of bit 3 to the others."""
 SH_BITS = (7, 7)
@@ -77,23 +78,18 @@ class SpzFile:
     """What follows the last stream or the gzip member."""
     data: bytes
     """The file."""
-    frame: int = RUB
+    frame: int = RDF
     """Code of the frame that the words are in."""
 
 
 def read_spz(path: Path, frame: Frame = "auto") -> Splats:
-    """Read any version. frame: of the file's words, whatever the file says; "auto": what it says, else right-up-back.
+    """Read any version. frame: of the file's words, whatever the file says; "auto": what it says, else as in PLY files.
     Raises ValueError: truncated, damaged, unknown version, or a size that cannot be honest."""
     data = files.read_all(path)
-    if data[:4] == MAGIC:
-        file = _parse_plain(data, path)
-    elif data[:2] == b"\x1f\x8b":
-        file = _parse_gzip(data, path)
-    else:
-        raise ValueError(f"{path}: not an SPZ file: expected a gzip stream or 'NGSP', found {bytes(data[:4])!r}")
+    file = _parse(data, path)
     problems: list[str] = []
     stated = _stated_frame(file, problems)
-    code = (stated or RUB) if frame == "auto" else CODES[frame]
+    code = (stated or RDF) if frame == "auto" else CODES[frame]
     if stated and stated != code:
         problems.append(f"the file says {axes.describe(NAMES[stated - 1])}; read as {axes.describe(frame)}, as chosen")
     file = replace(file, frame=code)
@@ -104,23 +100,38 @@ def read_spz(path: Path, frame: Frame = "auto") -> Splats:
     return replace(rows, source=source, origin=np.arange(len(rows)))
 
 
+def unpack_spz(data: bytes, path: Path, frame: str) -> Splats:
+    """Rows of an SPZ stream inside another file, in the PLY frame. frame: key of CODES, of words that do not say it."""
+    file = _parse(data, path)
+    return _to_ply_frame(_decode(file), _stated_frame(file, []) or CODES[frame])
+
+
 def write_spz(
-    path: Path, splats: Splats, version: int | None = None, frame: Frame = "auto", sh_bits: int | None = None
+    path: Path,
+    splats: Splats,
+    version: int | None = None,
+    frame: Frame = "auto",
+    sh_bits: int | None = None,
+    mark: bool | None = None,
 ) -> None:
     """Write `splats`. version: 2, 3 or 4; None keeps the source's, and is 3 for other formats (4 for SH degree 4).
-    frame: of the words in the file; "auto" keeps the source's, and is right-up-back for other formats. A file that
-    would be taken for another frame says which it is, by the extension; so does every new file of version 4.
+    frame: of the words in the file; "auto" keeps the source's, and is that of PLY files for other formats.
     sh_bits: 4 to 8, precision of all SH bytes (4: band 1 has 5, as the reference writes); None: SH_BITS for those that
     changed, the file's own for the others.
+    mark: whether the file names its frame by the extension; None: as the source where its frame stays, and else where
+    the frame is not that of PLY files.
 
-    Raises ValueError: a position that 24 bits cannot hold, SH degree 4 below version 4, or a version not writable.
+    Raises ValueError: a position that 24 bits cannot hold, SH degree 4 below version 4, a version not writable, or no
+    room for the mark.
     """
     splats = splats.numpy()
     same = unchanged(splats, "spz")
     old: SpzFile | None = splats.source.detail if same and splats.source else None
     before = (same, old) if same and old else None
-    code = CODES[frame] if frame != "auto" else old.frame if old else RUB
+    code = CODES[frame] if frame != "auto" else old.frame if old else RDF
     untouched = same is not None and same.identity and old is not None and code == old.frame and sh_bits is None
+    if mark is not None and old is not None:
+        untouched = untouched and mark == (_stated_frame(old, []) is not None)
     if version is None:
         version = old.version if old else 3
         if splats.sh_degree > 3 and not untouched:
@@ -134,10 +145,25 @@ def write_spz(
     if old and untouched and version == old.version:
         out = old.data
     else:
-        file = _with_frame(_encode(splats, before, version, code, path, sh_bits), new=not before)
+        file = _encode(splats, before, version, code, path, sh_bits)
+        room = not file.extensions or file.flags & EXTENDED  # a tree that no flag calls an extension leaves none
+        if mark and not room:
+            raise ValueError(f"{path}: bytes behind its rows leave no room to mark its axes; write it unmarked")
+        if mark is None:
+            stays = old is not None and code == old.frame and _stated_frame(old, []) is not None
+            mark = bool(room) and (stays or code != RDF)
+        file = _marked(file) if mark else _unmarked(file)
         out = _plain_bytes(file) if version >= 4 else _gzip_bytes(file)
     with files.writing(path) as target:
         target.write(out)
+
+
+def _parse(data: bytes, path: Path) -> SpzFile:
+    if data[:4] == MAGIC:
+        return _parse_plain(data, path)
+    if data[:2] == b"\x1f\x8b":
+        return _parse_gzip(data, path)
+    raise ValueError(f"{path}: not an SPZ file: expected a gzip stream or 'NGSP', found {bytes(data[:4])!r}")
 
 
 def _widths(version: int, degree: int) -> dict[str, int]:
@@ -317,7 +343,7 @@ def _stated_frame(file: SpzFile, problems: list[str]) -> int | None:
         (code,) = struct.unpack_from("<I", file.extensions, at + 8)
         if 1 <= code <= len(NAMES):
             return code
-        problems.append(f"extension names the unknown coordinate system {code}; read as right-up-back")
+        problems.append(f"extension names the unknown coordinate system {code}; read as in PLY files")
     return None
 
 
@@ -340,17 +366,9 @@ def other_extensions(file: SpzFile) -> bytes:
     return bytes(data + file.extensions[at:])
 
 
-def _with_frame(file: SpzFile, new: bool) -> SpzFile:
-    """The file with its frame in the extension, if it would be taken for another one without, or is new and of version
-    4, where extensions have a place of their own: before that they stand behind the rows, and some readers (spz-js)
-    refuse a file with bytes there.
-
-    Bytes behind the rows that no flag calls extensions (some writers put a tree there) leave no room for one.
-    """
-    if (_stated_frame(file, []) or RUB) == file.frame and not (new and file.version >= 4):
-        return file
-    if file.extensions and not file.flags & EXTENDED:
-        return file
+def _marked(file: SpzFile) -> SpzFile:
+    """The file with its frame in the extension. In versions 1 to 3 that stands behind the rows, where some readers
+    (spz-js) refuse bytes."""
     extensions = bytearray(file.extensions)
     records = list(_frame_records(file))
     for at in records:
@@ -358,6 +376,14 @@ def _with_frame(file: SpzFile, new: bool) -> SpzFile:
     if not records:
         extensions[:0] = struct.pack("<III", COORDINATE_SYSTEM, 4, file.frame)
     return replace(file, extensions=bytes(extensions), flags=file.flags | EXTENDED)
+
+
+def _unmarked(file: SpzFile) -> SpzFile:
+    """The file without its frame in the extension; other records, and bytes that no flag calls extensions, stay."""
+    if not list(_frame_records(file)):
+        return file
+    rest = other_extensions(file)
+    return replace(file, extensions=rest, flags=file.flags if rest else file.flags & ~EXTENDED)
 
 
 def _flips(code: int) -> tuple[int, int, int]:

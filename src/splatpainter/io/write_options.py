@@ -19,7 +19,7 @@ SH_BITS = (4, 8)
 """Least and most bits of an SH coefficient in SPZ."""
 SH_PALETTE = (64, 65536)
 """Least and most SH vectors of a SOG palette."""
-WRITER_KEYWORDS = {"spz_version": "version", "sh_bits": "sh_bits", "sh_palette": "sh_palette"}
+WRITER_KEYWORDS = {"spz_version": "version", "sh_bits": "sh_bits", "sh_palette": "sh_palette", "mark_axes": "mark"}
 """Option -> what the writer of its format calls it; the others change what every writer gets."""
 
 
@@ -37,6 +37,8 @@ class WriteOptions:
     """4 to 8 bits of each SH coefficient of SPZ; usually 7."""
     sh_palette: int | None = None
     """64 to 65,536 SH vectors that a SOG file may hold; usually half as many as rows, or more."""
+    mark_axes: bool | None = None
+    """Whether an SPZ file names its axes (extension 0xADBE0003); usually only those that are not the PLY's."""
 
     @property
     def chosen(self) -> dict[str, Any]:
@@ -86,6 +88,8 @@ class WriteOptions:
             out.append(f"SH in {self.sh_bits} bits")
         if self.sh_palette is not None:
             out.append(f"at most {self.sh_palette:,} SH vectors")
+        if self.mark_axes is not None:
+            out.append(f"axes {'' if self.mark_axes else 'not '}marked")
         return out
 
     @staticmethod

@@ -19,13 +19,14 @@ from typing import Any
 
 import numpy as np
 
+from splatpainter.atomic import brief_name
 from splatpainter.comparison import compare, listed
 from splatpainter.io import files, format_of_name, read
 from splatpainter.io.contents import StoredTable, contents
 from splatpainter.io.glb import with_bands
 from splatpainter.io.joining import ROWS_STAND_ALONE, write_joined
 from splatpainter.io.ply_container import TextRows
-from splatpainter.receipts import MAX_CARRIED, Receipt, untouched_hashes
+from splatpainter.receipts import MAX_CARRIED, Receipt, receipt_of, untouched_hashes
 from splatpainter.scene.placement import Placement
 from splatpainter.scene.seam import SeamMatch, match_seam
 from splatpainter.splats import Splats, changed_rows
@@ -107,11 +108,13 @@ def merge(
     """Write several assets into one file and its receipt (OUT.receipt.json); see `parts_of` and `write_merged`."""
     target = Path(out)
     parts = parts_of([read(path) for path in assets], transforms, seam, seam_falloff)
-    receipt_path = target.with_name(target.name + ".receipt.json")
+    receipt_path = receipt_of(target)
     for path in (target, receipt_path):
         if path.exists() and not overwrite:
             raise ValueError(f"{path}: already exists; choose another name or allow overwriting")
-    with tempfile.TemporaryDirectory(prefix=f".{target.name}.", suffix=".part", dir=target.parent) as folder:
+    with tempfile.TemporaryDirectory(
+        prefix=f".{brief_name(target.name)}.", suffix=".part", dir=target.parent
+    ) as folder:
         partial = Path(folder) / target.name
         receipt, _ = write_merged(partial, parts)
         with files.writing(receipt_path) as file:

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from splatpainter import cameras
 from splatpainter.cameras import FRAME_MARGIN, UPS, bounding_sphere
 from splatpainter.color import to_display
-from splatpainter.io import FORMATS, frame_line
+from splatpainter.io import FORMATS, frame_is_open, frame_line
 from splatpainter.server import protocol
 from splatpainter.server.fine_detail import has_fine_detail
 from splatpainter.session import Layer, Session
@@ -79,8 +79,8 @@ def asset_info(session: Session, name: str) -> protocol.AssetInfo:
         radius=radius,
         up=list(up),
         home=protocol.CameraInfo.of(view),
-        frame="" if source is None else frame_line(source),
-        frame_stated=source is None or source.frame_from != "format" or source.format != "spz",
+        frame="" if source is None else frame_line(source, hint=False),
+        frame_stated=source is None or not frame_is_open(source),
         problems=[] if source is None else list(source.problems),
         fine_detail=has_fine_detail(original, view),
     )

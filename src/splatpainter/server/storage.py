@@ -19,11 +19,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from splatpainter import demo_asset
+from splatpainter.atomic import MAX_NAME_BYTES
 from splatpainter.io import files, format_of_name, read, write
 from splatpainter.io.axes import flip
 from splatpainter.jsonio import brief
 from splatpainter.server.upload_sniffing import UploadInfo, sniff
-from splatpainter.session.asset_files import MAX_NAME_BYTES
 from splatpainter.session.project_summary import ProjectSummary, summarize
 from splatpainter.session.scratch import ScratchFolder
 from splatpainter.splats import Splats

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from splatpainter.io import FORMATS, detect, gltf, sog
+from splatpainter.io import FORMATS, detect, gltf, sog_container
 from splatpainter.io.bounded import Gunzip, zip_directory
 from splatpainter.io.files import read_head, reading
 from splatpainter.io.ply_container import read_header
@@ -120,6 +120,6 @@ def _declared_count(path: Path, key: str) -> int:
             head = Gunzip(head, path).take(16, "the header")
         return struct.unpack_from("<I", head, 8)[0]
     if key == "sog":
-        return sog.declared_rows(path)
+        return sog_container.declared_rows(path)
 
     return gltf.declared_rows(path)

@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.io import files, frame_of, read
-from splatpainter.io.sog import META
+from splatpainter.io import files, read
+from splatpainter.io.sog_container import META
 from splatpainter.painter import Edit, Method
 from splatpainter.scene.placement import Placement, shift_to_the_right
 from splatpainter.scene.seam import match_seam, seam_weights
@@ -113,7 +113,9 @@ class AssetCommands(StrokeCommands):
                 placement = Placement(shift_to_the_right(existing, new))
             _check_reach(title, splats, placement)
             stored = META if path.is_dir() else path.name
-            added = SceneAsset(str(document.next_id), title, placement, True, stored, splats.sha256, frame_of(splats))
+            added = SceneAsset(
+                str(document.next_id), title, placement, True, stored, splats.sha256, asset_files.stored_frame(splats)
+            )
             self._transaction.files = ((added.folder + file, data) for file, data in asset_files.pieces(splats, path))
             self._replay.remember(added, asset_files.numbered(splats))
             document = replace(document, assets=(*self.assets, added), next_id=document.next_id + 1)

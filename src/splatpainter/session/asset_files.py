@@ -25,12 +25,23 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 
 import numpy as np
 
+from splatpainter.atomic import MAX_NAME_BYTES, brief_name
 from splatpainter.cameras import Camera
 from splatpainter.image_files import Alpha
-from splatpainter.io import FORMATS, files, format_of_name, frame_of, frame_of_target, option, read, write
-from splatpainter.io.sog import META
+from splatpainter.io import (
+    FORMATS,
+    files,
+    format_of_name,
+    frame_is_open,
+    frame_of,
+    frame_of_target,
+    option,
+    read,
+    write,
+)
+from splatpainter.io.sog_container import META
 from splatpainter.io.write_options import AS_IT_IS, WriteOptions
-from splatpainter.receipts import Receipt, Verification, prove, untouched_hashes
+from splatpainter.receipts import Receipt, Verification, prove, receipt_of, untouched_hashes
 from splatpainter.rendering.profiles import Profile
 from splatpainter.session import conflicts
 from splatpainter.session.delta import PART_BYTES, Delta, decode, encode, without_source
@@ -65,8 +76,6 @@ MAX_MEMBER_BYTES = 1 << 28
 
 MAX_PATH_LENGTH = 300
 """Characters of a path that a project names, in an error."""
-MAX_NAME_BYTES = 255
-"""Most bytes of a file name: no usual file system allows more."""
 
 
 @dataclass(frozen=True)
@@ -103,10 +112,24 @@ def describe(splats: Splats, path: Path | None, embed: bool) -> dict[str, str]:
     facts = {"sha256": splats.sha256, "color_space": splats.color_space, "antialiased": str(int(splats.antialiased))}
     if path is None or splats.source is None:
         return {**facts, "name": "asset", "format": NO_FILE, "path": ""}
-    if frame_of(splats) != "auto":
-        facts["frame"] = frame_of(splats)
+    if stored_frame(splats) != "auto":
+        facts["frame"] = stored_frame(splats)
     name = META if path.is_dir() else path.name
     return {**facts, "name": name, "format": splats.source.format, "path": "" if embed else str(path.absolute())}
+
+
+def stored_frame(splats: Splats) -> Frame:
+    """The axes that a project keeps of its original: as chosen or, where an SPZ file does not say, as taken."""
+    source = splats.source
+    return option(source.frame) if source is not None and frame_is_open(source) else frame_of(splats)
+
+
+def _read_again(path: Path, frame: Frame) -> Splats:
+    """The file of an original as its project took it. Projects from before SPZ files were taken for the PLY's axes
+    keep no frame for one that does not say: they took it for right-up-back, and what was edited lies so."""
+    splats = read(path, frame=frame, lenient=True)
+    assert splats.source is not None
+    return read(path, frame="rub", lenient=True) if frame_is_open(splats.source) else splats
 
 
 def pieces(splats: Splats, path: Path | None) -> Iterator[tuple[str, bytes]]:
@@ -136,7 +159,7 @@ def restore(project: Project, rule: OriginalRule) -> Splats:
         splats = replace(delta.appended, color_space="linear" if linear else "srgb", antialiased=antialiased)
     elif facts["path"]:
         # Lenient: the project was made when it opened.
-        splats = read(_named_file(project.path, facts["path"], rule), frame=frame, lenient=True)
+        splats = _read_again(_named_file(project.path, facts["path"], rule), frame)
     else:
         splats = _unpacked(project, facts["name"], frame)
     if splats.sha256 != facts["sha256"]:
@@ -159,7 +182,8 @@ def write_original(
             format = format_of_name(Path(added.file)) or ""
             facts = {"name": added.file, "format": format, "path": "", "frame": added.frame}
         entry = FORMATS.get(facts["format"])
-        if facts["path"] or entry is None or facts["name"] == META or (facts["frame"] and original is None):
+        turned = facts["frame"] and original is None and facts["format"] != "spz"  # of SPZ its bytes are asked, below
+        if facts["path"] or entry is None or facts["name"] == META or turned:
             splats = restore(project, OriginalRule(embedded=True)) if original is None else original
             if original is None or entry is None or entry.write is None or facts["name"] == META:
                 file = target.with_name(f"{target.name}.ply")
@@ -177,7 +201,19 @@ def write_original(
                     stream.write(data)
         except OSError as error:
             raise ValueError(f"{file}: cannot be written ({error.strerror or error})") from None
-        return file, option(facts["frame"])
+        frame = option(facts["frame"])
+        if entry.key != "spz":
+            return file, frame
+        splats, plain = _read_again(file, frame), read(file, lenient=True)
+        assert splats.source is not None and plain.source is not None
+        if splats.source.frame == plain.source.frame:
+            return file, "auto"
+        if original is not None:
+            return file, option(splats.source.frame)
+        file.unlink()
+        file = target.with_name(f"{target.name}.ply")
+        write(file, splats, frame="rdf")
+        return file, "auto"
 
 
 def restore_added(project: Project, asset: SceneAsset) -> Splats:
@@ -276,7 +312,7 @@ def _unpacked(project: Project, name: str, frame: Frame, stored_under: str = "")
                     raise ValueError(f"{project.path}: damaged project file (name of the original {file[:40]!r})")
                 with open(folder / file, "ab") as target:
                     target.write(data)
-            splats = read(folder / name, frame=frame, lenient=True)
+            splats = _read_again(folder / name, frame)
         except OSError as error:
             raise ValueError(f"{project.path}: its original cannot be unpacked ({error.strerror or error})") from None
         except ValueError as error:
@@ -333,7 +369,7 @@ def export_asset(
     original, and only then let it and its receipt (NAME.receipt.json) appear. Raises ValueError: the name, an existing
     file, a full disk; RuntimeError: what was written does not prove the receipt."""
     check_target(path, overwrite)
-    receipt_path = path.with_name(path.name + ".receipt.json")
+    receipt_path = receipt_of(path)
     with partial_folder(path) as folder:
         partial = Path(folder) / path.name
         write(partial, edited, options=receipt.options)
@@ -367,7 +403,9 @@ def partial_folder(path: Path) -> Iterator[str]:
     block is said of `path`, never of what is in the folder."""
     folder = None
     try:
-        with tempfile.TemporaryDirectory(prefix=f".{path.name}.", suffix=".part", dir=path.parent) as folder:
+        with tempfile.TemporaryDirectory(
+            prefix=f".{brief_name(path.name)}.", suffix=".part", dir=path.parent
+        ) as folder:
             yield folder
     except OSError as error:
         raise ValueError(f"{path}: cannot be written ({error.strerror or error})") from None

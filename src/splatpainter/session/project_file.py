@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
+from splatpainter.atomic import MAX_NAME_BYTES
 from splatpainter.cameras import Camera
 from splatpainter.io import files
 from splatpainter.jsonio import brief
@@ -575,6 +576,9 @@ def check_free(path: Path, overwrite: bool) -> None:
 
 
 def _lock_target(path: Path, overwrite: bool) -> ProjectLock:
+    longest = MAX_NAME_BYTES - len("..part-wal")  # of the files beside it, which are found by its whole name
+    if (length := len(os.fsencode(path.name))) > longest:
+        raise ValueError(f"{path}: expected a project's name of at most {longest} bytes, got {length}; shorten it")
     check_free(path, overwrite)
     if not path.parent.is_dir():
         raise ValueError(f"{path}: no such folder: {path.parent}; make it first")

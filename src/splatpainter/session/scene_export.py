@@ -11,7 +11,7 @@ import numpy as np
 
 from splatpainter.io import FORMATS, files, format_of_name, read
 from splatpainter.io.joining import write_joined
-from splatpainter.receipts import Receipt, Verification, untouched_hashes
+from splatpainter.receipts import Receipt, Verification, receipt_of, untouched_hashes
 from splatpainter.scene.merge import BYTES, Part, check_merge, differing_rows
 from splatpainter.session.asset_files import check_target, partial_folder
 from splatpainter.session.scene_replay import Scene
@@ -55,7 +55,7 @@ def export_scene(scene: Scene, receipt: Receipt, path: Path, overwrite: bool) ->
     Rows of formats that round, which share their ranges and codebooks with edited ones, may be encoded anew; they are
     listed as touched. Raises ValueError: the name, an existing file; RuntimeError: the file does not prove it."""
     check_target(path, overwrite)
-    receipt_path = path.with_name(path.name + ".receipt.json")
+    receipt_path = receipt_of(path)
     key = format_of_name(path)
     assert key is not None
     heads, tails = [], []

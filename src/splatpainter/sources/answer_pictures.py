@@ -28,12 +28,12 @@ def image_png(request: PictureRequest) -> bytes:
 def mask_png(request: PictureRequest) -> bytes:
     """[H, W] grey PNG: white may change, black stays; all white without a mask."""
     mask = np.ones(request.image.shape[:2], np.float32) if request.mask is None else request.mask
-    return encode_png(quantized(mask))
+    return encode_png(quantized(mask), data=True)
 
 
 def alpha_png(request: PictureRequest) -> bytes:
     """[H, W] grey PNG: white is the asset, black the background."""
-    return encode_png(quantized(request.alpha))
+    return encode_png(quantized(request.alpha), data=True)
 
 
 def depth_levels(request: PictureRequest) -> np.ndarray:
@@ -51,7 +51,7 @@ def depth_levels(request: PictureRequest) -> np.ndarray:
 
 def depth_png(request: PictureRequest, bits: int = 8) -> bytes:
     """`depth_levels` as grey PNG of 8 or 16 bits."""
-    return encode_png(quantized(depth_levels(request), bits))
+    return encode_png(quantized(depth_levels(request), bits), data=True)
 
 
 def normal_colors(request: PictureRequest) -> np.ndarray:
@@ -66,7 +66,7 @@ def normal_colors(request: PictureRequest) -> np.ndarray:
 
 def normal_png(request: PictureRequest) -> bytes:
     """`normal_colors` as 8-bit PNG."""
-    return encode_png(quantized(normal_colors(request)))
+    return encode_png(quantized(normal_colors(request)), data=True)
 
 
 def reference_png(reference: np.ndarray) -> bytes:

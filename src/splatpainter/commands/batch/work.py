@@ -27,11 +27,11 @@ from splatpainter.batch.schema import DecalEdit, GradeEdit, LayersEdit, Pictures
 from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.color import to_display
 from splatpainter.commands import edit, grade, refine
-from splatpainter.commands.verify import read_receipt, receipt_of
+from splatpainter.commands.verify import read_receipt
 from splatpainter.image_files import to_uint8
 from splatpainter.io import FORMATS, files, format_of_name, frame_of, read
-from splatpainter.io.sog import META
-from splatpainter.receipts import Receipt, prove
+from splatpainter.io.sog_container import META
+from splatpainter.receipts import Receipt, prove, receipt_of
 from splatpainter.rendering import render
 from splatpainter.session import Session
 from splatpainter.session.asset_files import receipt_between
@@ -308,7 +308,12 @@ def _asset_of(source: Session, step: LayersEdit) -> str:
 def _is_original(original: Splats, asset: Path, frame: Frame) -> bool:
     """Whether a project's original is this very file, read alike."""
     single = not asset.is_dir() and asset.name.lower() != META
-    return single and frame_of(original) == frame and original.sha256 == files.file_sha256(asset)
+    if not single or original.sha256 != files.file_sha256(asset):
+        return False
+    if original.source is None or original.source.format != "spz":
+        return frame_of(original) == frame
+    source = read(asset, frame=frame).source  # projects name the axes that an SPZ file leaves open
+    return source is not None and source.frame == original.source.frame
 
 
 def _option_words(options: dict[str, Any]) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ from splatpainter.io import FORMATS
 from splatpainter.io.files import writing
 from splatpainter.io.size_estimate import estimated_bytes
 from splatpainter.io.write_options import MAX_SH_DEGREE, WriteOptions
+from splatpainter.receipts import receipt_of
 from splatpainter.server.commands.context import CommandContext, RawExpr, command, python_line
 from splatpainter.server.describe import endings, up_axis
 from splatpainter.server.html_viewer import HTML_OPTIONS, estimated_html_bytes, html_viewer
@@ -89,7 +90,7 @@ def export_asset(context: CommandContext, request: AssetExport) -> Exported:
     path = studio.downloads.folder() / Path(request.file).name
     options = request.options.chosen()
     studio.session.export(path, remove_hidden=request.remove_hidden, asset=request.asset, options=options)
-    receipt = path.with_name(path.name + ".receipt.json")
+    receipt = receipt_of(path)
     return Exported(
         url=studio.downloads.add(path),
         file=path.name,

@@ -405,7 +405,7 @@ def mask_rgba_png(request: PictureRequest) -> bytes:
     """White where it may change, in grey; transparent there as well, so that LoadImage's MASK, which is 1 - alpha, says
     the same."""
     mask = np.ones(request.image.shape[:2], np.float32) if request.mask is None else request.mask
-    return encode_png(quantized(np.stack([mask, mask, mask, 1 - mask], -1)))
+    return encode_png(quantized(np.stack([mask, mask, mask, 1 - mask], -1)), data=True)
 
 
 def _execution_error(content: Any) -> str:
