@@ -24,7 +24,7 @@ ORDER = (
     ("image_files",),
     ("kernels",),
     ("io",),
-    ("text_tables", "contact_sheet"),
+    ("text_tables", "contact_sheet", "doubts"),
     ("rendering",),
     ("metrics",),
     ("demo_asset",),

@@ -48,6 +48,9 @@ class Camera:
     """Colour behind the asset, 0..1, in the asset's colour space."""
     asset_sha256: str | None = None
     """The asset a picture was rendered from, to warn about a wrong one."""
+    offset: tuple[float, float, float] | None = field(default=(0.0, 0.0, 0.0), compare=False)
+    """World coordinates (float64) of the point that `world_to_camera` takes as the origin, as `Splats.offset`; None:
+    that of the asset, whatever it is, as the studio's page has it."""
 
     def __post_init__(self) -> None:
         matrix = np.array(self.world_to_camera, np.float64)
@@ -62,7 +65,30 @@ class Camera:
             )
         if not all(map(math.isfinite, (self.fx, self.fy, self.cx, self.cy, *self.background))):
             raise ValueError("camera: focal lengths, principal point and background must be finite")
+        if self.offset is not None and not (len(self.offset) == 3 and all(map(math.isfinite, self.offset))):
+            raise ValueError(f"camera: expected three finite numbers as offset, got {self.offset}")
         object.__setattr__(self, "world_to_camera", matrix)
+
+    def relative_to(self, offset: tuple[float, float, float]) -> Camera:
+        """The same view for points that are relative to another `offset` (of Splats), computed in float64; this camera
+        itself where it has that one already, and one of no offset of its own stays where it is beside the asset."""
+        if self.offset == offset:
+            return self
+        if self.offset is None:
+            return replace(self, offset=offset)
+        matrix = self.world_to_camera.copy()
+        matrix[:3, 3] += matrix[:3, :3] @ (np.array(offset) - np.array(self.offset))
+        return replace(self, world_to_camera=matrix, offset=offset)
+
+    def within(self, offset: tuple[float, float, float]) -> Camera:
+        """`relative_to`, of no offset of its own any more: for what draws parts of an asset that forgot the offset."""
+        camera = self.relative_to(offset)
+        return camera if camera.offset == (0, 0, 0) else replace(camera, offset=None)
+
+    @property
+    def local(self) -> Camera:
+        """The same camera as one of no offset of its own: for cameras that are placed by an asset's own `means`."""
+        return replace(self, offset=None)
 
     @property
     def intrinsics(self) -> np.ndarray:
@@ -168,7 +194,7 @@ class Camera:
 
     def record(self) -> dict[str, Any]:
         """JSON values of all that it is, in the order in which files have them."""
-        return {
+        record = {
             "version": VERSION,
             "width": self.width,
             "height": self.height,
@@ -180,6 +206,9 @@ class Camera:
             "background": list(self.background),
             "asset_sha256": self.asset_sha256,
         }
+        if self.offset is None or any(self.offset):
+            record["offset"] = None if self.offset is None else list(self.offset)
+        return record
 
     def to_json(self) -> str:
         """The object that pictures carry, as one line (docs/CONVENTIONS.md says what each key means)."""
@@ -203,6 +232,10 @@ class Camera:
             raise ValueError(f"{where}: expected camera version {VERSION}, got {repr(data.get('version'))[:80]}")
         try:
             red, green, blue = (float(c) for c in data.get("background") or (0, 0, 0))
+            offset = data.get("offset", (0.0, 0.0, 0.0))
+            if offset is not None:
+                x, y, z = (float(c) for c in offset)
+                offset = x, y, z
             return Camera(
                 width=_pixel_count(data["width"]),
                 height=_pixel_count(data["height"]),
@@ -213,6 +246,7 @@ class Camera:
                 world_to_camera=np.array(data["world_to_camera"], np.float64),
                 background=(red, green, blue),
                 asset_sha256=data.get("asset_sha256"),
+                offset=offset,
             )
         except KeyError as error:
             raise ValueError(f"{where}: the camera has no {error}") from None
@@ -287,7 +321,8 @@ def orbit(
 
 
 def bounding_sphere(splats: Splats) -> tuple[np.ndarray, float]:
-    """([3] centre, radius) of a ball around nearly all opaque Gaussians; one in three may be a floater, however far.
+    """([3] centre, relative to the offset, and radius) of a ball around nearly all opaque Gaussians; one in three may
+    be a floater, however far.
 
     (0, 0, 0) and 1 where none can be drawn. Those beyond three median distances from the median centre are left out;
     of the others the middle of the central 98 % per axis is the centre, and 98 % lie within the radius."""
@@ -318,15 +353,16 @@ def orbit_cameras(
     distance: float | None = None,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> list[Camera]:
-    """`count` square views around the asset. up: "auto" or a key of UPS; elevation and azimuth: degrees, above the
-    horizon and of the first view around `up`; fov: vertical, degrees; distance: of the eye
+    """`count` square views around the asset, relative to its offset. up: "auto" or a key of UPS; elevation and
+    azimuth: degrees, above the horizon and of the first view around `up`; fov: vertical, degrees; distance: of the eye
     from the centre, world units, by default so that the asset fills the picture."""
     center, radius = bounding_sphere(splats)
     if distance is None:
         distance = FRAME_MARGIN * radius / math.sin(math.radians(fov / 2))
     axis = UPS[AUTO_UP if up == "auto" else up]
     around = {"elevation": elevation, "start": azimuth, "up": axis, "fov": fov, "background": background}
-    return orbit(center, distance, count, width=size, height=size, **around)
+    cameras = orbit(center, distance, count, width=size, height=size, **around)
+    return [replace(camera, offset=splats.offset) for camera in cameras]
 
 
 def spherical_cameras(

@@ -147,7 +147,7 @@ def _converted(before: Splats, after: Splats, options: WriteOptions) -> Splats:
             raise ValueError(
                 f"{name}: cannot be compared with {after.source.path} as {after.source.format}: {reason}"
             ) from None
-        return read(path, frame=frame)
+        return read(path, frame=frame, offset=after.offset)
 
 
 def _stored_rows(

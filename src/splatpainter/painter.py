@@ -80,6 +80,11 @@ class Edit:
                 raise ValueError(f"edit: expected a mask of shape {list(size)}, got {list(mask.shape)}")
             object.__setattr__(self, "mask", mask > 0)
 
+    def relative_to(self, offset: tuple[float, float, float]) -> Edit:
+        """This edit with its camera relative to the offset of an asset (Splats.offset)."""
+        camera = self.camera.within(offset)
+        return self if camera is self.camera else replace(self, camera=camera)
+
 
 @dataclass(frozen=True)
 class Asset:
@@ -259,6 +264,7 @@ class Painter:
             raise ValueError(f"edit: expected 1 to {MAX_VIEWS} edited views, got {len(edits)}")
         if mode not in get_args(Mode):
             raise ValueError(f"edit: expected mode {', '.join(get_args(Mode))}, got {mode!r}")
+        edits = [edit.relative_to(asset.splats.offset) for edit in edits]
         chosen, note = self.choose(method, mode)
         if mode == "global" and chosen == "fit":
             raise ValueError("edit: method 'fit' is for local edits; use 'lift' with mode 'global'")

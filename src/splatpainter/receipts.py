@@ -29,6 +29,7 @@ from splatpainter.io import (
     option,
     read,
 )
+from splatpainter.io.losses import loss_line, measure
 from splatpainter.io.sog_container import META
 from splatpainter.io.write_options import AS_IT_IS, WriteOptions
 from splatpainter.splats import ATTRIBUTES, Frame, Splats, row_blocks, rows_sha256
@@ -326,6 +327,8 @@ class Verification:
     """Which way the numbers of the edited file point, and who says so."""
     frame_is_news: bool = False
     """Whether people should hear of it (`io.frame_is_news`)."""
+    lost: str = ""
+    """What the file does not hold of what was written into it (io/losses.py), where that was measured."""
 
 
 def verify(
@@ -348,15 +351,19 @@ def verify(
     is taken for what it would be taken for alone: then the one is a copy of the other in other axes.
     Raises ValueError when a file cannot be read."""
     before = read(original, frame=frame, lenient=True)
-    after = read(edited, frame=out_frame, lenient=True)
+    after = read(edited, frame=out_frame, lenient=True, offset=before.offset)
     assert before.source is not None and after.source is not None
     options = AS_IT_IS if receipt is None else receipt.options
     if before.source.format != after.source.format or before.source.frame == after.source.frame:
         return check(compare(before, after, options), receipt)
     if out_frame == "auto" and after.source.frame_from == "format":
-        alike = compare(before, read(edited, frame=option(before.source.frame), lenient=True), options)
+        alike = compare(
+            before, read(edited, frame=option(before.source.frame), lenient=True, offset=before.offset), options
+        )
     elif frame == "auto" and before.source.frame_from == "format":
-        alike = compare(read(original, frame=option(after.source.frame), lenient=True), after, options)
+        alike = compare(
+            read(original, frame=option(after.source.frame), lenient=True, offset=after.offset), after, options
+        )
     else:
         return check(compare(before, after, options), receipt)
     if len(alike.differs):
@@ -416,18 +423,22 @@ def _wrong_files(receipt: Receipt, original: str, after: Splats) -> list[str]:
     return out
 
 
-def prove(original: Splats, written: Path, receipt: Receipt, frame: Frame = "auto") -> tuple[Receipt, Verification]:
+def prove(
+    original: Splats, written: Path, receipt: Receipt, frame: Frame = "auto", intended: Splats | None = None
+) -> tuple[Receipt, Verification]:
     """The receipt of the file at `written`, which has `receipt.options`, and the outcome of checking the one against
     the other.
 
     A format that rounds may encode rows anew that the edit left alone. Such rows are different in the file, so they
     are listed as touched, and the note says how many and why. For a format that keeps everything this is a fault.
     An original that is no file, and any for a file with options, is compared as that format holds it. frame: what the
-    file was written with.
+    file was written with. intended: what was written into it, to be measured against what the file holds; the receipt's
+    note says what is lost.
     Raises RuntimeError where the file does not prove the receipt."""
     key = format_of_name(written)
     taken = frame if key is None else frame_of_target(original, key, frame)
-    edited = read(written, frame=taken, lenient=True)  # what a lenient original had cut off is kept
+    # Lenient: what a lenient original had cut off is kept. Of one offset, so that equal positions have equal means.
+    edited = read(written, frame=taken, lenient=True, offset=original.offset)
     assert edited.source is not None
     entry = FORMATS[edited.source.format]
     comparison = compare(original, edited, receipt.options)
@@ -442,6 +453,11 @@ def prove(original: Splats, written: Path, receipt: Receipt, frame: Frame = "aut
         notes.append(f"rows are compared with the original converted to {entry.key}")
     if entry.lossy:
         notes.append(f"dB are of the rows before {entry.key} rounds them")
+    lost = ""
+    if intended is not None:
+        intended = receipt.options.applied(intended)
+        lost = loss_line(intended, entry.key, measure(intended, edited))
+    notes.append(f"lost in {entry.key}: {lost}" if lost else "")
     receipt = replace(
         receipt,
         output_sha256=edited.sha256,
@@ -451,6 +467,7 @@ def prove(original: Splats, written: Path, receipt: Receipt, frame: Frame = "aut
     verification = check(
         comparison, receipt if original.source else replace(receipt, asset_sha256=comparison.original_sha256)
     )
+    verification = replace(verification, lost=lost)
     if not verification.ok:
         raise RuntimeError(f"the written file does not match its receipt: {'; '.join(verification.problems)}")
     return receipt, verification

@@ -36,7 +36,7 @@ class Splats:
     """N Gaussians. Immutable: edits return new objects that share the arrays they did not change."""
 
     means: Array
-    """[N, 3] centres, world units, each coordinate within MAX_MAGNITUDE."""
+    """[N, 3] centres, world units, relative to `offset`, each coordinate within MAX_MAGNITUDE."""
     quats: Array
     """[N, 4] rotations w, x, y, z; any non-zero norm, normalised where used. Largest component MIN_QUAT to
     MAX_MAGNITUDE."""
@@ -55,6 +55,9 @@ class Splats:
     """The file they were read from, so that untouched Gaussians are written back byte for byte."""
     origin: np.ndarray | None = field(default=None, repr=False, compare=False)
     """[N] int64 row of the source whose bytes each carries (a child its parent's), -1: none; None without source."""
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """World coordinates (float64) of the point that `means` are relative to. Not zero where float32 cannot hold world
+    coordinates, as of georeferenced assets: world positions are `means` + `offset` (`world_means`)."""
 
     def __len__(self) -> int:
         return int(self.means.shape[0])
@@ -107,6 +110,21 @@ class Splats:
             if isinstance(array, np.ndarray) and not array.flags.writeable:  # a tensor would offer to write to it
                 values[k] = array.copy()
         return replace(self, **{k: torch.as_tensor(array).to(device, dtype) for k, array in values.items()})
+
+    @property
+    def world_means(self) -> np.ndarray:
+        """[N, 3] float64 centres in world coordinates."""
+        with np.errstate(invalid="ignore"):  # rows may hold signalling NaN
+            return self.numpy().means.astype(np.float64) + np.array(self.offset)
+
+    def relative_to(self, offset: tuple[float, float, float]) -> Splats:
+        """The same Gaussians with `means` (numpy) relative to another offset, computed in float64; these themselves
+        where it is theirs already. What float32 cannot hold of the new `means` is rounded."""
+        if self.offset == offset:
+            return self
+        with np.errstate(all="ignore"):  # rows may hold NaN
+            means = (self.world_means - np.array(offset)).astype(np.float32)
+        return replace(self, means=means, offset=offset)
 
     @cached_property
     def middle(self) -> np.ndarray:
@@ -184,6 +202,8 @@ def rows_sha256(splats: Splats, ids: Array | None = None) -> str:
     for name in ATTRIBUTES:
         for rows in blocks:
             digest.update(np.ascontiguousarray(getattr(arrays, name)[rows], dtype="<f4").data)
+    if any(splats.offset):
+        digest.update(np.array(splats.offset, "<f8").tobytes())
     return digest.hexdigest()
 
 

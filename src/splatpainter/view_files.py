@@ -199,6 +199,7 @@ def view_files(
         raise ValueError(
             f"gaussian-ids: a PNG numbers {MAX_PNG_IDS:,} Gaussians, got {len(splats):,}; use --format exr"
         )
+    camera = camera.relative_to(splats.offset)  # which the picture carries
     passes = draw_passes(
         splats, camera, options.aovs, profile=options.profile, normals=normals, coverage=coverage, surface=surface
     )

@@ -10,25 +10,26 @@ from tyro.conf import Positional, arg
 
 from splatpainter.cameras import AUTO_UP, UPS, orbit_cameras
 from splatpainter.commands import Outcome
+from splatpainter.commands.asset_doubts import warn_of_doubts
 from splatpainter.commands.info import file_size
 from splatpainter.commands.option_parsing import AssetFile, AxesOption, FrameOption
 from splatpainter.commands.output_paths import check_target, placed, splat_format
 from splatpainter.commands.terminal import count, size, stages
-from splatpainter.io import FORMATS, files, frame_is_news, frame_line, frame_of_target, read, write
+from splatpainter.io import files, frame_is_news, frame_line, frame_of_target, read, write
+from splatpainter.io.losses import MIN_DRAWN_OPACITY, Losses, loss_line, measure, measured_as
+from splatpainter.io.packing import morton_order
 from splatpainter.io.write_options import WriteOptions
 from splatpainter.splats import Splats
 
 HTML = ".html"
 SEEN_IN_THE_FILE = {"sh_degree": None, "antialiased": None, "spz_version": None, "mark_axes": None}
 """Options whose losses are seen in what was read again."""
-MIN_DRAWN_OPACITY = 1 / 255
-"""Opacity of rows that are drawn. Formats of logits cannot say 0."""
 PAGE_BACKGROUND = (0.16, 0.17, 0.18)
 
 
 @dataclass(frozen=True)
 class Config:
-    """Convert a splat file; the name of OUT says the format, rows keep their order.
+    """Convert a splat file; the name of OUT says the format, rows keep their order unless --sort is given.
 
     Formats: .ply, .compressed.ply, .splat, .spz, .sog, FOLDER/meta.json (SOG), .glb; .ksplat can only be read. OUT.html
     is a page that shows the asset by itself, from disk and without any request.
@@ -62,6 +63,9 @@ class Config:
     mark_axes: Annotated[Literal["auto", "yes", "no"], arg(metavar="auto|yes|no")] = "auto"
     """Whether an .spz names its axes; few programs obey that, and some turn it twice. auto: those of another frame than
     the PLY's, and of ASSET's own where it does."""
+    sort: bool = False
+    """Put rows that are near to each other together (Morton order): a .compressed.ply of an asset with a scattered sky
+    becomes far finer, other files a little smaller. Row numbers are then others, so that no receipt of ASSET fits."""
     remove_hidden: bool = False
     """Leave out Gaussians that no renderer draws: those of an opacity below 1/255."""
     turning: bool = False
@@ -90,9 +94,13 @@ def run(config: Config) -> Outcome:
         before_size = file_size(config.asset)
         with placed(config.out) as partial:
             bar.enter("writing")
-            write(partial, chosen_rows(before, config), frame=config.axes, options=options)
+            chosen = chosen_rows(before, config)
+            write(partial, chosen, frame=config.axes, options=options)
             bar.enter("checking")
-            after = read(partial, frame=frame_of_target(before, entry.key, config.axes), lenient=True)
+            taken = frame_of_target(before, entry.key, config.axes)
+            after = read(partial, frame=taken, lenient=True, offset=before.offset)
+            measured = measure(options.applied(chosen), after)
+    doubtful = warn_of_doubts(before, config.asset)
     assert before.source is not None and after.source is not None
     record = {
         "input": {
@@ -110,7 +118,9 @@ def run(config: Config) -> Outcome:
             "sha256": after.sha256,
             "frame": after.source.frame,
         },
-        "lost": losses(before, after) + replace(options, **SEEN_IN_THE_FILE).lines(before),
+        "lost": losses(before, after, measured, config.sort) + replace(options, **SEEN_IN_THE_FILE).lines(before),
+        "losses": measured.record(),
+        "doubts": doubtful,
     }
     show_frame = frame_is_news(before.source) or frame_is_news(after.source)
     lines = [
@@ -136,13 +146,13 @@ def write_options(config: Config) -> WriteOptions:
 
 
 def chosen_rows(splats: Splats, config: Config) -> Splats:
-    """The rows that are written. Raises ValueError where all are hidden."""
+    """The rows that are written, in their order in OUT. Raises ValueError where all are hidden."""
     visible = splats.opacities >= MIN_DRAWN_OPACITY
-    if not config.remove_hidden or visible.all():
-        return splats
-    if not visible.any():
-        raise ValueError(f"{config.asset}: all of its rows are hidden, nothing is left to write")
-    return splats.take(visible)
+    if config.remove_hidden and not visible.all():
+        if not visible.any():
+            raise ValueError(f"{config.asset}: all of its rows are hidden, nothing is left to write")
+        splats = splats.take(visible)
+    return splats.take(morton_order(splats.means)) if config.sort else splats
 
 
 def _page(config: Config, options: WriteOptions) -> Outcome:
@@ -169,17 +179,21 @@ def _page(config: Config, options: WriteOptions) -> Outcome:
     return Outcome(record, [f"{config.asset} -> {config.out}", f"{count(len(splats), 'row')}; {size(len(data))}"])
 
 
-def losses(before: Splats, after: Splats) -> list[str]:
-    """What the new file does not hold, one line each."""
+def losses(before: Splats, after: Splats, measured: Losses, in_other_order: bool = False) -> list[str]:
+    """What the new file does not hold, one line each, first what was measured."""
     assert before.source is not None and after.source is not None
-    entry = FORMATS[after.source.format]
-    lines = []
+    key = after.source.format
+    lines = [loss_line(before, key, measured)] if measured.line else []
+    if key == "compressed.ply" and measured.severity >= 1 and measured.moved_share and not in_other_order:
+        in_order, _ = measured_as(before.take(morton_order(before.means)), key)
+        if in_order.moved_share * 2 < measured.moved_share:
+            lines[0] += f" (with --sort {100 * in_order.moved_share:.2g} % move by more than one size)"
+    if in_other_order:
+        lines.append("the order of the rows")
     if len(after) != len(before):
         lines.append(f"{len(before):,} rows became {len(after):,}")
     if after.sh_degree != before.sh_degree:
         lines.append(f"SH degree {before.sh_degree} became {after.sh_degree}")
-    if entry.lossy and before.source.format != entry.key:
-        lines.append(entry.lossy)
     if before.antialiased and not after.antialiased:
         lines.append("the mark that says: trained antialiased")
     if before.color_space != after.color_space:

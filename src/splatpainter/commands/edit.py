@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
+from splatpainter.commands.asset_doubts import warn_of_doubts
 from splatpainter.commands.decal_options import DecalView, decal_from_options, paint_decal
 from splatpainter.commands.option_parsing import AssetFile, AxesOption, CameraFiles, FrameOption, OutFile
 from splatpainter.commands.output_paths import check_target
@@ -24,6 +25,7 @@ from splatpainter.commands.sourced_edit import (
 from splatpainter.commands.terminal import count, decibels, seconds, stages, warn
 from splatpainter.commands.verified_write import check_outputs, proved_record, write_proved
 from splatpainter.commands.verify import same_words
+from splatpainter.doubts import doubts_of_view
 from splatpainter.image_files import write_png
 from splatpainter.io import read
 from splatpainter.lift.options import LOCAL_DEFAULTS
@@ -170,6 +172,8 @@ def run(config: Config) -> Outcome:
         bar.enter("reading")
         splats = read(config.asset, frame=config.frame, lenient=config.lenient)
         read_seconds = time.perf_counter() - clock
+        doubtful = warn_of_doubts(splats, config.asset, editing=True)
+        _check_views(pictures, splats)
         _warn_of_other_assets(pictures, splats)
         _compile()
         bar.enter("painting")
@@ -187,7 +191,7 @@ def run(config: Config) -> Outcome:
         receipt, verification = write_proved(splats, edited, config.out, receipt_path, config.axes, bar, read_seconds)
     rounded = len(receipt.touched) - len(edited.receipt.touched)
     return Outcome(
-        _record(config, receipt_path, receipt, verification, sources),
+        _record(config, receipt_path, receipt, verification, sources) | {"doubts": doubtful},
         _lines(config, receipt, verification, sources, rounded),
     )
 
@@ -201,7 +205,7 @@ def _write_confidence(
     assert edited.confidence is not None
     arrays, threshold = splats.numpy(), (painter.spread_options or SPREAD_DEFAULTS).threshold
     confidence = edited.confidence[: len(arrays)]
-    write_png(path, confidence_picture(arrays, confidence, threshold, pictures[0].camera))
+    write_png(path, confidence_picture(arrays, confidence, threshold, pictures[0].camera.within(splats.offset)))
 
 
 def _reached(config: Config, receipt: Receipt) -> Outcome:
@@ -303,6 +307,13 @@ def _warn_of_other_assets(sources: list[FileEdit], splats: Splats) -> None:
         if made_for is not None and made_for != splats.sha256:
             other = f"another asset (sha256 {made_for[:12]}...)"
             warn(f"{source.path}: was rendered from {other}; differences count as paint")
+
+
+def _check_views(sources: list[FileEdit], splats: Splats) -> None:
+    """Raises ValueError where a picture's camera sees nothing of the asset: an edit of it would reach nothing."""
+    for source in sources:
+        for doubt in doubts_of_view(splats, source.camera, str(source.path)):
+            raise ValueError(doubt.line)
 
 
 def _compile() -> None:

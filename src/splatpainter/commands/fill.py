@@ -11,6 +11,7 @@ from typing import Annotated
 from tyro.conf import arg
 
 from splatpainter.commands import Outcome
+from splatpainter.commands.asset_doubts import warn_of_doubts
 from splatpainter.commands.option_parsing import AssetFile, AxesOption, FrameOption, OutFile
 from splatpainter.commands.sourced_edit import InterruptibleSource, SourceBar, keeping_answers
 from splatpainter.commands.terminal import count, seconds, stages
@@ -100,6 +101,7 @@ def run(config: Config) -> Outcome:
         bar.enter("reading")
         clock = time.perf_counter()
         splats = read(config.asset, frame=config.frame, lenient=config.lenient)
+        warn_of_doubts(splats, config.asset, editing=True)
         read_seconds = time.perf_counter() - clock
         ensure_compiled()
         bar.enter("filling")
@@ -111,7 +113,7 @@ def run(config: Config) -> Outcome:
                 around=weights if config.around else None,
                 source=source,
                 prompt=config.prompt,
-                camera=cameras[0] if cameras else None,
+                camera=cameras[0].relative_to(splats.offset) if cameras else None,
                 seed=config.seed,
                 strictness=config.source_strictness,
                 progress=progress,

@@ -90,6 +90,8 @@ def _from_asset(source: Path, settings: FitPictureSettings) -> FitPictures:
     splats = read(source)
     if not splats.drawable.any():
         raise ValueError(f"{source}: none of its {len(splats):,} Gaussians can be drawn; there is nothing to fit to")
+    if any(splats.offset):
+        raise ValueError(f"{source}: has positions that float32 cannot hold; move it near 0, then fit to it")
     ensure_compiled()
     center, radius = bounding_sphere(splats)
 

@@ -11,6 +11,7 @@ import numpy as np
 from tyro.conf import arg
 
 from splatpainter.commands import Outcome
+from splatpainter.commands.asset_doubts import warn_of_doubts
 from splatpainter.commands.option_parsing import AssetFile, AxesOption, FrameOption, OutFile
 from splatpainter.commands.terminal import count, seconds, stages
 from splatpainter.commands.verified_write import check_outputs, proved_record, write_proved
@@ -121,6 +122,7 @@ def run(config: Config) -> Outcome:
         clock = time.perf_counter()
         splats = read(config.asset, frame=config.frame, lenient=config.lenient)
         read_seconds = time.perf_counter() - clock
+        warn_of_doubts(splats, config.asset)
         bar.enter("grading")
         edited = grade(splats, look, region, strength=config.strength)
         receipt, verification = write_proved(splats, edited, config.out, receipt_path, config.axes, bar, read_seconds)

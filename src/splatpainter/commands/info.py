@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +12,10 @@ from splatpainter.cameras import bounding_sphere
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import AssetFile, FrameOption
 from splatpainter.commands.terminal import count, size, stages
+from splatpainter.doubts import doubts
 from splatpainter.io import FORMATS, frame_line, read
+from splatpainter.io.losses import Losses, loss_of_edits, measured_as
+from splatpainter.io.positions import MAX_STEP, coarseness
 from splatpainter.io.sog_container import META
 from splatpainter.splats import Splats
 
@@ -30,6 +34,8 @@ class Config:
     """Axes of the file's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
     lenient: bool = False
     """Also open a file that was cut off after its last complete row; what is left of the cut part is kept."""
+    losses: bool = False
+    """Also write the asset in every format, aside, and say what each would lose, and how large its file is."""
     json: bool = False
     """Print one JSON object instead of text."""
 
@@ -38,7 +44,10 @@ def run(config: Config) -> Outcome:
     """Read the file and describe it."""
     with stages(1) as bar:
         bar.enter("reading")
-        record = describe(read(config.asset, frame=config.frame, lenient=config.lenient), config.asset)
+        splats = read(config.asset, frame=config.frame, lenient=config.lenient)
+        record = describe(splats, config.asset)
+        if config.losses:
+            record["losses"] = losses_by_format(splats)
     return Outcome(record, _lines(record))
 
 
@@ -46,10 +55,12 @@ def describe(splats: Splats, path: Path) -> dict:
     """The record of `info`: bounds are [2, 3] (min, max) of finite centres; null where there are none."""
     assert splats.source is not None
     entry = FORMATS[splats.source.format]
+    edits = loss_of_edits(splats) if entry.lossy and entry.write is not None else Losses()
     with np.errstate(all="ignore"):  # of extreme or damaged Gaussians, which are counted below
         drawable = splats.drawable
-        finite = splats.means[np.isfinite(splats.means).all(1)]
+        finite = splats.world_means[np.isfinite(splats.means).all(1)]
         center, radius = bounding_sphere(splats)
+        center = center + np.array(splats.offset)
     return {
         "file": path,
         "bytes": file_size(path),
@@ -67,12 +78,30 @@ def describe(splats: Splats, path: Path) -> dict:
             "description": frame_line(splats.source),
         },
         "bounds": [finite.min(0), finite.max(0)] if len(finite) else None,
+        "offset": splats.offset,
+        "float32_step_in_sizes": coarseness(splats),
         "reach": {"center": center, "radius": radius} if drawable.any() else None,
         "problems": list(splats.source.problems),
+        "doubts": [doubt.line for doubt in doubts(splats)],
         "exact": entry.exact,
-        "lossy": entry.lossy,
+        "lossy": edits.line,
         "writable": entry.write is not None,
     }
+
+
+def losses_by_format(splats: Splats) -> dict[str, dict]:
+    """Name ending -> what a new file of that format has and lacks of these Gaussians, by writing it aside."""
+    out = {}
+    for entry in FORMATS.values():
+        if entry.write is None:
+            continue
+        try:
+            losses, written = measured_as(splats, entry.key)
+            out[entry.suffixes[0]] = {**losses.record(), "line": losses.line, "bytes": written, "refused": ""}
+        except ValueError as error:
+            reason = str(error).partition(": ")[2]
+            out[entry.suffixes[0]] = {"line": "", "bytes": 0, "refused": f"cannot hold it: {reason}"}
+    return out
 
 
 def file_size(path: Path) -> int:
@@ -85,6 +114,8 @@ def file_size(path: Path) -> int:
 
 def _lines(record: dict) -> list[str]:
     bounds, around = record["bounds"], record["reach"]
+    reach = around["radius"] if around else 0.0
+    nowhere, unseen = "no Gaussian has a finite centre", "none can be drawn"
     gaussians = count(record["rows"], "Gaussian")
     if record["rows_not_drawn"]:
         gaussians += f", of which {record['rows_not_drawn']:,} cannot be drawn (NaN, infinite, or out of range)"
@@ -95,15 +126,37 @@ def _lines(record: dict) -> list[str]:
         "SH degree": str(record["sh_degree"]),
         "colours": f"{record['color_space']}{', antialiased (2D filter)' if record['antialiased'] else ''}",
         "frame": record["frame"]["description"],
-        "bounds": f"{_point(bounds[0])} to {_point(bounds[1])}" if bounds else "no Gaussian has a finite centre",
-        "most of it": f"within {around['radius']:.3g} of {_point(around['center'])}" if around else "none can be drawn",
+        "bounds": f"{_point(bounds[0], reach)} to {_point(bounds[1], reach)}" if bounds else nowhere,
+        "most of it": f"within {around['radius']:.3g} of {_point(around['center'], reach)}" if around else unseen,
+        "positions": _positions(record),
         "sha256": record["sha256"],
         "kept": record["exact"],
-        "lost": f"When written again: {record['lossy']}" if record["lossy"] else "",
+        "lost": f"of edited Gaussians, by rounding: {record['lossy']}" if record["lossy"] else "",
     }
     lines = [f"{name:<10} {text}" for name, text in fields.items() if text]
-    return lines + [f"{'problem':<10} {problem}" for problem in record["problems"]]
+    lines += [f"{'problem':<10} {problem}" for problem in record["problems"]]
+    lines += [f"{'doubt':<10} {doubt}" for doubt in record["doubts"]]
+    for ending, entry in record.get("losses", {}).items():
+        what = entry["refused"] or f"{size(entry['bytes'])}; lost: {entry['line'] or 'nothing'}"
+        lines.append(f"{'as ' + ending:<18} {what}")
+    return lines
 
 
-def _point(values: np.ndarray) -> str:
+def _positions(record: dict) -> str:
+    """What float32 makes of positions so far from 0; "" where it holds them."""
+    step = record["float32_step_in_sizes"]
+    if step <= MAX_STEP:
+        return ""
+    coarse = f"float32 at this place has steps of {step:.2g} sizes of a Gaussian"
+    if not any(record["offset"]):
+        return f"{coarse}, and this file has no finer positions"
+    offset = ", ".join(f"{value:.15g}" for value in record["offset"])
+    return f"kept relative to ({offset}); {coarse}: only .ply (as double) and .glb hold them"
+
+
+def _point(values: np.ndarray, reach: float = 0.0) -> str:
+    """Three digits, or as many as tell points of an asset apart that is `reach` large."""
+    if reach > 0 and np.abs(values).max() > 100 * reach:
+        decimals = max(0, 2 - math.floor(math.log10(reach)))
+        return "(" + ", ".join(f"{value:.{min(decimals, 12)}f}" for value in values) + ")"
     return "(" + ", ".join(f"{value:.3g}" for value in values) + ")"

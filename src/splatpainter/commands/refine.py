@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 from tyro.conf import arg
 
 from splatpainter.commands import Outcome
+from splatpainter.commands.asset_doubts import warn_of_doubts
 from splatpainter.commands.option_parsing import AssetFile, AxesOption, FrameOption, OutFile
 from splatpainter.commands.sourced_edit import InterruptibleSource, SourceBar, keeping_answers
 from splatpainter.commands.terminal import count, decibels, seconds, stages
@@ -98,6 +99,7 @@ def run(config: Config) -> Outcome:
         bar.enter("reading")
         clock = time.perf_counter()
         splats = read(config.asset, frame=config.frame, lenient=config.lenient)
+        warn_of_doubts(splats, config.asset, editing=True)
         read_seconds = time.perf_counter() - clock
         ensure_compiled()
         bar.enter("refining")
@@ -109,7 +111,7 @@ def run(config: Config) -> Outcome:
                 asset,
                 source,
                 brief,
-                cameras,
+                [camera.relative_to(splats.offset) for camera in cameras],
                 method=config.method,
                 progress=progress,
                 cancel=threading.Event(),

@@ -11,6 +11,7 @@ from tyro.conf import arg
 
 from splatpainter.cameras import Camera, UpAxis
 from splatpainter.commands import Outcome
+from splatpainter.commands.asset_doubts import warn_of_doubts
 from splatpainter.commands.option_parsing import AssetFile, CameraFiles, FrameOption
 from splatpainter.commands.output_paths import check_folder, check_target, make_folder
 from splatpainter.commands.terminal import count, progress
@@ -96,13 +97,15 @@ def run(config: Config) -> Outcome:
     cameras = given or ring_of_views(config, splats, config.views)
     if given and config.background is not None:
         cameras = [replace(camera, background=color(config.background, splats)) for camera in cameras]
-    cameras = [replace(camera, asset_sha256=splats.sha256) for camera in cameras]
+    cameras = [replace(camera.relative_to(splats.offset), asset_sha256=splats.sha256) for camera in cameras]
+    doubtful = warn_of_doubts(splats, config.asset, list(zip(stems, cameras, strict=True)))
     make_folder(config.out)
     for _ in progress(_save_all(splats, cameras, stems, config.out, options), len(cameras), "rendering"):
         pass
     hidden = int((~splats.drawable).sum())
     record = {
         "asset": {"file": config.asset, "sha256": splats.sha256, "rows": len(splats), "rows_not_drawn": hidden},
+        "doubts": doubtful,
         "views": [_files(config.out, stem, camera, options) for stem, camera in zip(stems, cameras, strict=True)],
     }
     first = options.file_names(stems[0])

@@ -104,7 +104,7 @@ class SourceJob:
     def view_camera(self, splats: Splats) -> Camera:
         """The view that is rendered and sent, of a single edit."""
         if self.camera is not None:
-            return self.camera
+            return self.camera.relative_to(splats.offset)
         config = self.config
         return orbit_cameras(
             splats,
@@ -117,7 +117,7 @@ class SourceJob:
 
     def plan(self, splats: Splats) -> ViewPlan:
         """The views of --views auto, or the one view."""
-        first = self.camera
+        first = None if self.camera is None else self.camera.relative_to(splats.offset)
         if first is None and (self.config.azimuth is not None or self.config.elevation is not None):
             first = self.view_camera(splats)
         if self.config.views != "auto":
@@ -211,7 +211,7 @@ def plan_lines(splats: Splats, request: SourceJob) -> tuple[dict, list[str]]:
     lines = [f"{request.source.name}: {calls}{'' if paid else ', not paid'}; nothing was sent"]
     record: dict = {"source": request.source.name, "calls": len(plan.cameras), "paid": paid, "views": []}
     for number, (camera, gain) in enumerate(zip(plan.cameras, plan.gains, strict=True), 1):
-        eye = [round(float(value), 3) for value in camera.position]
+        eye = [round(float(value), 3) for value in camera.relative_to((0.0, 0.0, 0.0)).position]
         record["views"].append({"width": camera.width, "height": camera.height, "eye": eye, "adds": round(gain, 4)})
         adds = f", reaches {100 * gain:.1f} % of the surface for the first time" if request.config.views else ""
         lines.append(f"view {number}: {camera.width} x {camera.height} from {eye[0]:g}, {eye[1]:g}, {eye[2]:g}{adds}")

@@ -12,6 +12,7 @@ from tyro.conf import arg
 
 from splatpainter.cameras import AUTO_UP, UPS, UpAxis, bounding_sphere
 from splatpainter.commands import Outcome
+from splatpainter.commands.asset_doubts import warn_of_doubts
 from splatpainter.commands.option_parsing import AssetFile, FrameOption, OutFile
 from splatpainter.commands.output_paths import check_target
 from splatpainter.commands.terminal import progress, size
@@ -93,9 +94,10 @@ def run(config: Config) -> Outcome:
     given = [] if config.camera is None else given_cameras([config.camera], config.size)
     check_target(config.out, config.overwrite, [config.asset])
     splats = read(config.asset, frame=config.frame, lenient=config.lenient)
-    first = given[0] if given else ring_of_views(config, splats, 1)[0]
+    first = given[0].relative_to(splats.offset) if given else ring_of_views(config, splats, 1)[0]
     if given and config.background is not None:
         first = replace(first, background=color(config.background, splats))
+    warn_of_doubts(splats, config.asset)
     center, up = bounding_sphere(splats)[0], UPS[AUTO_UP if config.up == "auto" else config.up]
     cameras = turn(first, center, up, options.frames, config.degrees)
     with _bar(options.frames) as on_frame:

@@ -42,7 +42,7 @@ def write_proved(
         write(partial, edited.splats, frame=out_frame)
         written = time.perf_counter()
         bar.enter("verifying")
-        receipt, verification = prove(original, partial, edited.receipt, out_frame)
+        receipt, verification = prove(original, partial, edited.receipt, out_frame, edited.splats)
         timings = {"write": written - clock, "verify": time.perf_counter() - written}
         receipt = carried(receipt, _receipt_beside(original))
         receipt = replace(receipt, seconds={"read": read_seconds, **receipt.seconds, **timings})

@@ -12,6 +12,7 @@ from tyro.conf import Positional, arg
 
 from splatpainter.atomic import clash
 from splatpainter.commands import Outcome
+from splatpainter.commands.asset_doubts import warn_of_doubts
 from splatpainter.commands.option_parsing import AxesOption, FrameOption
 from splatpainter.commands.output_paths import check_target, placed, splat_format
 from splatpainter.commands.terminal import complain, count, decibels
@@ -125,7 +126,7 @@ class _Watch:
         assert edited.receipt is not None
         with files.writing(self.receipt_path) as file, placed(config.out) as partial:
             write(partial, edited.splats, frame=config.axes)
-            receipt, verification = prove(self.splats, partial, edited.receipt, config.axes)
+            receipt, verification = prove(self.splats, partial, edited.receipt, config.axes, edited.splats)
             file.write(receipt.to_json().encode())
             file.flush()
             os.fsync(file.fileno())
@@ -146,6 +147,7 @@ def run(config: Config) -> Outcome:
     painter = replace(Painter.load(config.preset, modes=[config.mode]), aside=True)
     saved = SavedPictures(config.folder)
     splats = read(config.asset, frame=config.frame)
+    warn_of_doubts(splats, config.asset, editing=True)
     _compile()
     watch = _Watch(config, receipt_path, splats, painter, painter.encode(splats, config.method, [config.mode]))
     until = None if config.timeout is None else time.monotonic() + config.timeout

@@ -224,7 +224,7 @@ def _attribute(name: str, text: str) -> Weigh:
         if name == "opacity":
             value = splats.opacities
         else:
-            value = splats.scales.max(1) if name == "size" else splats.means[:, "xyz".index(name)]
+            value = splats.scales.max(1) if name == "size" else splats.world_means[:, "xyz".index(name)]
         return ((value >= low) & (value <= high)).astype(np.float32)
 
     return weigh
@@ -233,14 +233,14 @@ def _attribute(name: str, text: str) -> Weigh:
 def _box(name: str, text: str) -> Weigh:
     corners = _vector(name, text, 6).reshape(2, 3)
     low, high = corners.min(0), corners.max(0)
-    return lambda splats: ((splats.means >= low) & (splats.means <= high)).all(1).astype(np.float32)
+    return lambda splats: ((splats.world_means >= low) & (splats.world_means <= high)).all(1).astype(np.float32)
 
 
 def _sphere(name: str, text: str) -> Weigh:
     *center, radius = _vector(name, text, 4)
     if radius <= 0:
         raise _wrong(name, "a radius above 0", text)
-    return lambda splats: (((splats.means - np.array(center)) ** 2).sum(1) <= radius**2).astype(np.float32)
+    return lambda splats: (((splats.world_means - np.array(center)) ** 2).sum(1) <= radius**2).astype(np.float32)
 
 
 def _mask(name: str, text: str) -> Weigh:
@@ -260,7 +260,7 @@ def _mask(name: str, text: str) -> Weigh:
     def weigh(splats: Splats) -> np.ndarray:
         from splatpainter.session.layer_blending import reached_gaussians
 
-        return reached_gaussians(splats, [(camera, mask)]).astype(np.float32)
+        return reached_gaussians(splats, [(camera.relative_to(splats.offset), mask)]).astype(np.float32)
 
     return weigh
 

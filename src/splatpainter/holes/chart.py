@@ -96,7 +96,7 @@ def chart_of(
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = rotation, -rotation @ eye
     focal = distance / pixel
-    camera = Camera(side, side, focal, focal, side / 2, side / 2, matrix)
+    camera = Camera(side, side, focal, focal, side / 2, side / 2, matrix, offset=None)
     slab = SLAB_RADII * border.radius + SLAB_CELLS * border.cell
     present = np.flatnonzero(remaining)
     local = (splats.means[present].astype(np.float64) - border.center) @ rotation.T

@@ -16,6 +16,7 @@ from typing import Any, get_args
 import numpy as np
 
 from splatpainter.io import axes, files, sog_container
+from splatpainter.io.foreign_files import check_not_foreign
 from splatpainter.io.write_options import AS_IT_IS, WriteOptions
 from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Frame, Source, Splats
 
@@ -49,6 +50,8 @@ class Format:
     """Fields of WriteOptions that a file of this format can follow."""
     frame: str = "rdf"
     """Axes of a file's numbers unless it says otherwise (key of axes.AXES)."""
+    holds_offset: bool = False
+    """Whether positions are kept that float32 cannot hold (Splats.offset); others are written rounded."""
 
 
 def _lazy(module: str, name: str) -> Callable[..., Any]:
@@ -88,8 +91,9 @@ FORMATS: dict[str, Format] = {
             "INRIA PLY: little or big endian or text, any property order, SH degree 0-4",
             "Every byte outside the values that changed: header, property order, extra properties and elements, "
             "trailing bytes.",
-            options=("lenient",),
+            options=("lenient", "offset"),
             write_options=HOLDS_SH,
+            holds_offset=True,
         ),
         Format(
             "splat",
@@ -136,8 +140,10 @@ FORMATS: dict[str, Format] = {
             _lazy("glb", "write_glb"),
             "glTF 2.0 binary with KHR_gaussian_splatting",
             "Every byte outside the values that changed.",
+            options=("offset",),
             frame="luf",
             write_options=HOLDS_SH,
+            holds_offset=True,
         ),
     )
 }
@@ -145,7 +151,13 @@ FORMATS: dict[str, Format] = {
 _MAGIC = {b"glTF": "glb", b"PK\x03\x04": "sog", b"NGSP": "spz"}
 
 
-def read(path: str | os.PathLike[str], *, frame: Frame = "auto", lenient: bool = False) -> Splats:
+def read(
+    path: str | os.PathLike[str],
+    *,
+    frame: Frame = "auto",
+    lenient: bool = False,
+    offset: tuple[float, float, float] | None = None,
+) -> Splats:
     """Read a splat file (or a SOG folder) in any of FORMATS; `source` and `origin` are filled in.
 
     The content decides where it is unmistakable (PLY, compressed PLY, GLB, SOG bundle, SPZ), the name otherwise.
@@ -154,13 +166,17 @@ def read(path: str | os.PathLike[str], *, frame: Frame = "auto", lenient: bool =
     says how the file was taken, and writing the same format turns them back (signs only, so every bit survives).
     lenient: also open files that were cut off after their last complete row (a .splat of 33 bytes, a PLY without the
     end of a later element); what is left of the cut part is kept and reported in `source.problems`.
+    offset: world coordinates that `means` shall be relative to, in formats that hold such (PLY, GLB); None: zero, or,
+    where float32 cannot hold the positions, a point amid them (`Splats.offset`).
     Raises ValueError with one line: no such file, unknown format, truncated or contradictory content.
     """
     check_frame(frame)
     location = Path(path)
     key = detect(location)
     entry = FORMATS[key]
-    options = {"lenient": lenient} if "lenient" in entry.options else {}
+    options: dict[str, Any] = {"lenient": lenient} if "lenient" in entry.options else {}
+    if offset is not None and "offset" in entry.options:
+        options["offset"] = axes.flipped_offset(offset, entry.frame, frame)
     if key == "spz":  # may name its frame itself
         return entry.read(location, frame=frame)
     return axes.to_memory_axes(entry.read(location, **options), frame)
@@ -195,11 +211,19 @@ def write(
     if location.exists() and not overwrite:
         raise ValueError(f"{location}: already exists; choose another name or allow overwriting")
     options.check(FORMATS[key].write_options, str(location))
-    rows = canonical(options.applied(canonical(splats)))
+    rows = _at_offset(canonical(options.applied(canonical(splats))), FORMATS[key])
     if key == "spz":
         writer(location, rows, frame=frame, **options.keywords())
     else:
         writer(location, axes.to_file_axes(rows, key, frame, FORMATS[key].frame), **options.keywords())
+
+
+def _at_offset(rows: Splats, entry: Format) -> Splats:
+    """Rows with means relative to what they are in a file of this format: its source's offset, or none where the format
+    has none."""
+    if rows.source is not None and rows.source.format == entry.key:
+        return rows.relative_to(rows.source.splats.offset)
+    return rows if entry.holds_offset else rows.relative_to((0.0, 0.0, 0.0))
 
 
 def check_frame(frame: str) -> None:
@@ -274,6 +298,7 @@ def detect(path: Path) -> str:
         return "compressed.ply" if b"packed_position" in head[: None if end < 0 else end] else "ply"
     if head[:4] in _MAGIC:
         return _MAGIC[head[:4]]
+    check_not_foreign(head, path)
     key = format_of_name(path)
     if key is not None:
         return key

@@ -38,7 +38,19 @@ def flip(splats: Splats, signs: tuple[int, int, int]) -> Splats:
         means=_with_signs(splats.means, axes),
         quats=_with_signs(splats.quats, turn),
         sh=_with_signs(splats.sh, bands[:, None]),
+        offset=_signed(splats.offset, signs),
     )
+
+
+def flipped_offset(offset: tuple[float, float, float], natural: str, frame: Frame) -> tuple[float, float, float]:
+    """What a reader of numbers in the frame `natural` takes as the offset that is asked for in memory's axes, where
+    `to_memory_axes` follows."""
+    return _signed(offset, NO_FLIP if frame == "auto" else _between(natural, frame))
+
+
+def _signed(offset: tuple[float, float, float], signs: tuple[int, int, int]) -> tuple[float, float, float]:
+    x, y, z = (value * sign if value else 0.0 for value, sign in zip(offset, signs, strict=True))
+    return x, y, z
 
 
 def _with_signs(values: np.ndarray, signs: np.ndarray) -> np.ndarray:

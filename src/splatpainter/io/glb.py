@@ -12,9 +12,9 @@ for antialiased training, so `extras.antialiased` there is ours.
 
 Frame: glTF is y up. Rows in memory are in the PLY frame, half a turn about z away (x and y reversed), which is how
 splat-transform writes it; so PLY -> GLB -> PLY gives back the frame. The transform of the node that shows the mesh is
-applied when it is a rotation, uniform scale and translation. Reading is lenient: attribute names without the prefix, or
-with `_`, and COLOR_0 in place of OPACITY and SH degree 0 are accepted; log-scales are not guessed. One primitive is
-opened, the first.
+applied when it is a rotation, uniform scale and translation. A translation that float32 positions could not follow
+becomes the offset of the rows (Splats.offset), and the offset the translation of a new file's node. Reading is lenient:
+attribute names without the prefix, or with `_`, and COLOR_0 in place of OPACITY and SH degree 0 are accepted.
 
 Primitives whose rows lie in an SPZ stream (gltf_spz.py) are read; an edit unpacks them into attributes, which hold the
 same values bit for bit.
@@ -30,6 +30,7 @@ asset is written back byte for byte.
 from __future__ import annotations
 
 import copy
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -37,7 +38,7 @@ from typing import Any
 import numpy as np
 
 from splatpainter.color import srgb_to_linear
-from splatpainter.io import axes, files, gltf, gltf_spz
+from splatpainter.io import activations, axes, files, gltf, gltf_spz, positions
 from splatpainter.io.bounded import allow_rows
 from splatpainter.io.reuse import Unchanged, drawable_rows, row_problems, unchanged
 from splatpainter.jsonio import brief
@@ -49,6 +50,8 @@ MAX_SHARED_RATIO = 16
 """Bytes of rows in memory per byte of the file: accessors may share bytes, as of SH bands that are empty."""
 MAX_PRIMITIVES = 512
 """Gaussian primitives of a file: honest ones have a handful, and each may stand at the end of a deep tree of nodes."""
+LINEAR_SCALES = (2, 7, 0)
+"""Version of splat-transform from which its GLB files hold scales, not their logarithms (its pull request 268)."""
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 ARRAY_BUFFER = 34962
 """Target of a buffer view of vertex attributes."""
@@ -81,10 +84,13 @@ class GlbFile:
     """Primitives in file order, which is the order of their rows."""
     data: bytes
     """The file."""
+    log_scales: str = ""
+    """The generator, where it stored logarithms as SCALE; "" where SCALE is what the standard says."""
 
 
-def read_glb(path: Path) -> Splats:
+def read_glb(path: Path, offset: positions.Offset | None = None) -> Splats:
     """Read all Gaussian primitives, in the order of meshes and of primitives in them, each where its node puts it.
+    offset: of the means; None: where the first one's node stands, if float32 does not hold positions there.
 
     Raises ValueError: no such primitive, compressed or external data, damaged or truncated file.
     """
@@ -96,24 +102,41 @@ def read_glb(path: Path) -> Splats:
     opened = _primitives_to_open(glb.doc, path, problems)
     semantics = [_names(glb.doc["meshes"][mesh]["primitives"][index]) for mesh, index in opened]
     bands = max(sum(name.startswith("SH_") for name in names) for names in semantics)
-    parents = gltf.parents_of(glb.doc)
+    parents, log_scales = gltf.parents_of(glb.doc), _stores_log_scales(glb.doc)
     for (mesh, index), names in zip(opened, semantics, strict=True):
         if mesh not in placements:
-            placements[mesh] = _placement(glb.doc, mesh, parents, path, problems)
+            turn, scale, shift = placement = _placement(glb.doc, mesh, parents, path, problems)
+            if offset is None:
+                one = GaussianPrimitive(mesh, index, names, *placement)
+                offset = _offset(glb, one, path, Bound(len(data), bands), bool(log_scales))
+            placements[mesh] = turn, scale, shift + turn @ np.array(offset) * scale if any(offset) else shift
         one = GaussianPrimitive(mesh, index, names, *placements[mesh], first)
         with np.errstate(all="ignore"):  # extreme values are reported below
             local = read_local(glb, one, path, problems, Bound(len(data), bands))
+            local = replace(local, scales=activations.exp(local.scales)) if log_scales else local
         if not pieces or local.color_space == pieces[0].color_space:
             pieces.append(axes.move_back(local, one.turn, one.scale, one.shift))
             primitives.append(replace(one, rows=len(local)))
             first += len(local)
         else:  # rows of one asset have one colour space, and turning one into the other is not exact
             problems.append(f"primitive {index} of mesh {mesh} has another colour space; it is not opened, but kept")
-    rows = _joined(pieces)
+    rows = replace(_joined(pieces), offset=offset or positions.NO_OFFSET)
     problems = list(dict.fromkeys(problems)) + row_problems(rows)
-    file = GlbFile(glb, tuple(primitives), data)
+    file = GlbFile(glb, tuple(primitives), data, log_scales)
     source = Source(str(path), "glb", rows, files.sha256(data), file, tuple(problems), "luf")
     return replace(rows, source=source, origin=np.arange(len(rows)))
+
+
+def _stores_log_scales(doc: dict[str, Any]) -> str:
+    """`asset.generator`, where it is a splat-transform that stored logarithms as SCALE: all before LINEAR_SCALES. What
+    they say of scales above 1 looks sound."""
+    asset = doc.get("asset")
+    generator = asset.get("generator") if isinstance(asset, dict) else None
+    words = generator if isinstance(generator, str) else ""
+    version = re.match(r"splat-transform v?(\d{1,4})\.(\d{1,4})\.(\d{1,4})", words)
+    if version is None or tuple(map(int, version.groups())) >= LINEAR_SCALES:
+        return ""
+    return files.printable(version[0])
 
 
 def _joined(pieces: list[Splats]) -> Splats:
@@ -289,6 +312,21 @@ def _placement(
     return turn @ HALF_TURN, 1 / scale, -turn @ matrix[:3, 3] / scale
 
 
+def _offset(glb: gltf.Glb, one: GaussianPrimitive, path: Path, bound: Bound, log_scales: bool) -> positions.Offset:
+    """Where a node puts the zero of its mesh, if float32 is too coarse there for the primitive's Gaussians, in the PLY
+    frame; else no offset."""
+    origin = -(one.turn.T @ one.shift) / one.scale
+    if not origin.any():
+        return positions.NO_OFFSET
+    with np.errstate(all="ignore"):
+        local = read_local(glb, one, path, [], bound)
+        scales = activations.exp(local.scales) if log_scales else local.scales
+        if not positions.is_coarse(origin + np.zeros(local.means.shape), scales / one.scale):
+            return positions.NO_OFFSET
+    x, y, z = (origin + 0.0).tolist()
+    return x, y, z
+
+
 # ---- writing
 
 
@@ -315,13 +353,14 @@ def write_glb(path: Path, splats: Splats) -> None:
 def _fresh(splats: Splats) -> gltf.Glb:
     """A file with nothing but the rows, in glTF's frame, with the fallback colours the standard asks for."""
     local = _unit(axes.move(drawable_rows(splats, row_by_row=True), HALF_TURN))
+    local = replace(local, scales=np.maximum(local.scales, 0))
     values = attribute_columns(local) | {"COLOR_0": _fallback(local, linear=splats.color_space == "srgb")}
     doc: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": "SplatPainter"},
         "extensionsUsed": [EXTENSION],
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
+        "nodes": [{"mesh": 0} | _translation(splats.offset)],
         "buffers": [{"byteLength": 0}],
         "bufferViews": [],
         "accessors": [],
@@ -337,6 +376,11 @@ def _fresh(splats: Splats) -> gltf.Glb:
     return gltf.Glb(doc, bytes(binary), (), b"")
 
 
+def _translation(offset: positions.Offset) -> dict[str, list[float]]:
+    """Of the node of a new file: JSON holds what the float32 positions of an accessor cannot."""
+    return {"translation": (HALF_TURN @ np.array(offset) + 0.0).tolist()} if any(offset) else {}
+
+
 def _edited(splats: Splats, same: Unchanged, old: GlbFile, path: Path) -> gltf.Glb:
     """The source with the rows of `splats`. Raises ValueError: no row of a primitive is left."""
     doc, binary = copy.deepcopy(old.glb.doc), bytearray(old.glb.binary)
@@ -350,7 +394,8 @@ def _edited(splats: Splats, same: Unchanged, old: GlbFile, path: Path) -> gltf.G
                 f"{path}: glTF cannot hold a primitive of 0 rows (none of primitive {one.index} of mesh {one.mesh} "
                 "is left); write .ply instead"
             )
-        _edit_primitive(work, one, rows.take(in_primitive), _part_of(same, in_primitive, one))
+        part = rows.take(in_primitive)
+        _edit_primitive(work, one, part, _part_of(same, in_primitive, one), bool(old.log_scales))
         _set_flags(doc["meshes"][one.mesh]["primitives"][one.index], splats)
     used = doc.setdefault("extensionsUsed", [])
     if EXTENSION not in used:
@@ -390,10 +435,13 @@ def _part_of(same: Unchanged, mask: np.ndarray, one: GaussianPrimitive) -> Uncha
     return replace(same, source_rows=np.where(inside, rows, -1), **masks)
 
 
-def _edit_primitive(work: _Work, one: GaussianPrimitive, rows: Splats, same: Unchanged) -> None:
-    """The primitive with `rows` (PLY frame) as its rows."""
+def _edit_primitive(
+    work: _Work, one: GaussianPrimitive, rows: Splats, same: Unchanged, log_scales: bool = False
+) -> None:
+    """The primitive with `rows` (PLY frame) as its rows. log_scales: the file holds logarithms as SCALE."""
     before = read_local(work.source, one, work.path, [])
     local = _unit(axes.move(rows, one.turn, one.scale, one.shift))
+    local = replace(local, scales=activations.log(local.scales) if log_scales else np.maximum(local.scales, 0))
     bands = before.sh.shape[1]
     opened = rows.source.splats.sh.shape[1] if rows.source else 0
     if local.sh.shape[1] != opened or local.sh[:, bands:].any():  # else the zeros behind are for other primitives
@@ -443,7 +491,7 @@ def attribute_columns(local: Splats) -> dict[str, np.ndarray]:
     out = {
         "POSITION": local.means,
         "ROTATION": local.quats[:, [1, 2, 3, 0]],
-        "SCALE": np.maximum(local.scales, 0),
+        "SCALE": local.scales,
         "OPACITY": local.opacities[:, None],
     }
     out |= {semantic: local.sh[:, k] for k, semantic in enumerate(sh_semantics(local.sh_degree))}

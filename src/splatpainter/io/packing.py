@@ -103,6 +103,19 @@ def image_size(data: bytes, where: Path | str) -> tuple[int, int]:
     raise ValueError(f"{where}: expected a WebP or PNG image, found {bytes(data[:12])!r}")
 
 
+def is_lossy_webp(data: bytes) -> bool:
+    """Whether the pixels of a WebP file are lossy ("VP8 " chunk), from its chunks alone; other files are not."""
+    if data[:4] != b"RIFF" or data[8:12] != b"WEBP":
+        return False
+    at = 12
+    while at + 8 <= len(data):
+        if data[at : at + 4] == b"VP8 ":
+            return True
+        at += 8 + int.from_bytes(data[at + 4 : at + 8], "little")
+        at += at & 1
+    return False
+
+
 def decode_image(data: bytes, where: Path | str) -> np.ndarray:
     """[height, width, 4] uint8 RGBA. The caller has judged `image_size`. Raises ValueError: a damaged image."""
     from PIL import Image

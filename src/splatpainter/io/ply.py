@@ -2,7 +2,10 @@
 
 Vertex properties, in any order and of any scalar type: x y z, f_dc_0..2, f_rest_0..3(K-1)-1 (channel-major: all red,
 then green, then blue; none for degree 0), opacity (logit), scale_0..2 (natural log), rot_0..3 (w x y z). Without
-f_dc_*, red green blue (0..255 as uchar, else 0..1) are the base colour. Everything else in the file is kept as it is.
+f_dc_*, red green blue (0..255 as uchar, or in any other type that holds such numbers, else 0..1) are the base colour.
+Everything else in the file is kept as it is.
+
+Positions that float32 cannot hold (Splats.offset) are read and written as doubles; a new file of such has double x y z.
 
 Writing over a PLY source: output row i begins as the bytes of source row origin[i] (zeros for -1), and a property is
 encoded anew where, and only where, its value in `Splats` differs in any bit from what the source decoded to.
@@ -21,7 +24,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from splatpainter.io import activations, files
+from splatpainter.io import activations, files, positions
 from splatpainter.io.ply_container import (
     BinaryRows,
     Element,
@@ -41,6 +44,8 @@ MIP_COMMENT = "SplatRenderMode: mip"
 PLAIN_COMMENT = "SplatRenderMode: default"
 SPACE_COMMENT = "SplatColorSpace: "
 """Ours: PLY itself cannot say that colours are linear."""
+MIN_BYTE_COLOR = 16.0
+"""Largest colour of float properties from which they are taken as 0..255: light of a display is 1, of HDR a few."""
 BLOCK_ROWS = 1 << 15
 """Rows encoded at a time when writing."""
 
@@ -57,11 +62,13 @@ class PlyFile:
     """Elements behind the vertices, and whatever follows them."""
     unended: bool = False
     """A text file whose last line has no line ending (`rows` have one)."""
+    color_span: float | None = None
+    """What full red is in the file, where colours stand in for f_dc_*; None where they do not."""
 
 
-def read_ply(path: Path, lenient: bool = False) -> Splats:
+def read_ply(path: Path, lenient: bool = False, offset: positions.Offset | None = None) -> Splats:
     """Read an INRIA PLY file (not a compressed one, see compressed_ply.py). lenient: also one whose elements behind the
-    vertices are cut short; what is left of them is kept.
+    vertices are cut short; what is left of them is kept. offset: of the means; None: the one that they need.
 
     Raises ValueError with one line: broken header, truncated data, a mesh or point cloud, a wrong number of f_rest_*.
     """
@@ -74,10 +81,11 @@ def read_ply(path: Path, lenient: bool = False) -> Splats:
         if vertex.has_lists:
             raise ValueError(f"{path}: element 'vertex' has a list property; expected single values only")
         record, problems = _read_body(file, header, vertex, path, lenient)
+        record = replace(record, color_span=_color_span(record.rows, plan["sh"], vertex))
     with ThreadPoolExecutor(1) as pool:
         # Hashing lets go of the GIL, so it runs beside the decoding.
         digest = pool.submit(_sha256, record)
-        splats = _decode(record.rows, plan, vertex, header)
+        splats = _decode(record, plan, offset)
         gaussian_names = {name for names in plan.values() for name in names} | {"nx", "ny", "nz"}
         extra = [name for name in vertex.names if name not in gaussian_names]
         if extra:
@@ -102,7 +110,8 @@ def write_ply(path: Path, splats: Splats) -> None:
     if source is not None and source.format == "ply" and splats.origin is not None:
         record, old, origin = source.detail, source.splats, splats.origin
     else:
-        record, old, origin = _standard(splats.sh_degree), None, np.full(len(splats), -1, np.int64)
+        doubles = splats.offset != positions.NO_OFFSET
+        record, old, origin = _standard(splats.sh_degree, doubles), None, np.full(len(splats), -1, np.int64)
     if old is not None and old.sh_degree != splats.sh_degree:
         record = _with_degree(record, splats.sh_degree)
         coefficients = np.zeros((len(old), splats.sh.shape[1], 3), np.float32)
@@ -247,21 +256,28 @@ def _sha256(record: PlyFile) -> str:
     return digest.hexdigest()
 
 
-def _decode(rows: Rows, plan: Mapping[str, tuple[str, ...]], vertex: Element, header: Header) -> Splats:
+def _decode(record: PlyFile, plan: Mapping[str, tuple[str, ...]], offset: positions.Offset | None) -> Splats:
+    rows, span = record.rows, record.color_span
     values = rows.columns(plan)
+    scales = activations.exp(values["scales"])
+    if offset is None:
+        coarse = positions.is_coarse(values["means"], scales)
+        offset = positions.offset_of(rows.doubles(plan["means"]), scales) if coarse else positions.NO_OFFSET
+    if offset != positions.NO_OFFSET:
+        values["means"] = positions.relative(rows.doubles(plan["means"]), offset)
     sh = values["sh"]
-    span = _color_span(plan["sh"][0], vertex)
     if span is not None:
         sh[:, :3] = activations.color_to_dc(sh[:, :3] / np.float32(span))
-    antialiased, space = comment_settings(header.comments)
+    antialiased, space = comment_settings(record.header.comments)
     return Splats(
         means=values["means"],
         quats=values["quats"],
-        scales=activations.exp(values["scales"]),
+        scales=scales,
         opacities=activations.sigmoid(values["opacities"][:, 0]),
         sh=sh.reshape(len(rows), len(plan["sh"]) // 3, 3),
         antialiased=antialiased,
         color_space=space,
+        offset=offset,
     )
 
 
@@ -270,7 +286,7 @@ def _encode(splats: Splats, record: PlyFile, old: Splats | None, origin: np.ndar
     vertex = record.header.element("vertex")
     assert vertex is not None
     plan = columns_of(vertex.names, Path("source"))
-    span = _color_span(plan["sh"][0], vertex)
+    span = record.color_span
     for start in range(0, len(splats), BLOCK_ROWS):
         rows = origin[start : start + BLOCK_ROWS]
         block = record.rows.block(rows)
@@ -286,7 +302,10 @@ def _encode(splats: Splats, record: PlyFile, old: Splats | None, origin: np.ndar
                 changed[has_source] = differs(new[has_source], before[rows[has_source]])
             for k in np.flatnonzero(changed.any(0)):
                 where = changed[:, k]
-                block.put(names[k], where, _to_file(attribute, new[where, k], span if k < 3 else None))
+                values = _to_file(attribute, new[where, k], span if k < 3 else None)
+                if attribute == "means" and splats.offset[k]:
+                    values = values.astype(np.float64) + splats.offset[k]
+                block.put(names[k], where, values)
         yield start + BLOCK_ROWS >= len(splats), block.tobytes()
 
 
@@ -300,20 +319,32 @@ def _to_file(attribute: str, values: np.ndarray, span: float | None) -> np.ndarr
     return values
 
 
-def _color_span(first: str, vertex: Element) -> float | None:
-    """What full red is in the file, where colours stand in for f_dc_*; None where they do not."""
-    if first != "red":
+def _color_span(rows: Rows, names: Sequence[str], vertex: Element) -> float | None:
+    """What full red is in the file, where colours stand in for f_dc_*; None where they do not.
+
+    By the type of the property: 1 of floats, the largest number of integers. But writers store bytes in wider types:
+    where the largest colour says so, it is 255."""
+    if names[0] != "red":
         return None
-    code = next(p.type for p in vertex.properties if p.name == first)
-    return 1.0 if code[0] == "f" else float(np.iinfo(code).max)
+    code = next(p.type for p in vertex.properties if p.name == "red")
+    if code == "u1":
+        return 255.0
+    with np.errstate(invalid="ignore"):
+        colors = rows.columns({"sh": names[:3]})["sh"]
+        most = float(np.nanmax(colors, initial=0.0)) if len(colors) else 0.0
+    if code[0] == "f":
+        return 255.0 if MIN_BYTE_COLOR < most <= 255 else 1.0
+    span = float(np.iinfo(code).max)
+    return 255.0 if span > 255 and 1 < most <= 255 else span
 
 
-def _standard(degree: int) -> PlyFile:
-    """INRIA's own layout, without rows."""
+def _standard(degree: int, doubles: bool = False) -> PlyFile:
+    """INRIA's own layout, without rows. doubles: of positions, which float32 cannot hold."""
     rest = 3 * (degree + 1) ** 2 - 3
     names = [*"xyz", "nx", "ny", "nz", *(f"f_dc_{k}" for k in range(3)), *(f"f_rest_{k}" for k in range(rest))]
     names += ["opacity", *(f"scale_{k}" for k in range(3)), *(f"rot_{k}" for k in range(4))]
-    header = make_header("binary_little_endian", (), [("vertex", 0, [("float", name) for name in names])])
+    kinds = [("double" if doubles and name in ("x", "y", "z") else "float", name) for name in names]
+    header = make_header("binary_little_endian", (), [("vertex", 0, kinds)])
     return PlyFile(header, b"", BinaryRows(np.zeros(0, header.elements[0].dtype("<")), "<"), b"")
 
 

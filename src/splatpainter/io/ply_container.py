@@ -372,7 +372,7 @@ class Block(Protocol):
     """Some rows on their way into a file: they begin as copies, values are put into them, bytes come out."""
 
     def put(self, name: str, rows: np.ndarray, values: np.ndarray) -> None:
-        """Set property `name` of `rows` (bool mask) to `values` (float32, one for each row that is set)."""
+        """Set property `name` of `rows` (bool mask) to `values` (floats, one for each row that is set)."""
         ...
 
     def tobytes(self) -> bytes: ...
@@ -385,6 +385,10 @@ class Rows(Protocol):
 
     def columns(self, plan: Mapping[str, Sequence[str]]) -> dict[str, np.ndarray]:
         """Key -> [N, number of its properties] float32 values; float32 properties keep every bit, NaN payloads too."""
+        ...
+
+    def doubles(self, names: Sequence[str]) -> np.ndarray:
+        """[N, number of names] float64 values of properties."""
         ...
 
     def stored(self) -> memoryview:
@@ -433,6 +437,12 @@ class BinaryRows:
                 part = self.records[start : start + BLOCK_ROWS]
                 for k, name in enumerate(names):
                     out[start : start + BLOCK_ROWS, k] = part[name]
+        return out
+
+    def doubles(self, names: Sequence[str]) -> np.ndarray:
+        out = np.empty((len(self), len(names)), np.float64)
+        for k, name in enumerate(names):
+            out[:, k] = self.records[name]
         return out
 
     def stored(self) -> memoryview:
@@ -485,9 +495,15 @@ class TextRows:
         return self.data[self.starts[row] : self.starts[row + 1]]
 
     def columns(self, plan: Mapping[str, Sequence[str]]) -> dict[str, np.ndarray]:
+        return self._columns(plan, np.float32)
+
+    def doubles(self, names: Sequence[str]) -> np.ndarray:
+        return self._columns({"": names}, np.float64)[""]
+
+    def _columns(self, plan: Mapping[str, Sequence[str]], dtype: type) -> dict[str, np.ndarray]:
         index = {name: k for k, (name, _) in enumerate(self.properties)}
         picks = {key: [index[name] for name in names] for key, names in plan.items()}
-        out = {key: np.empty((len(self), len(names)), np.float32) for key, names in plan.items()}
+        out = {key: np.empty((len(self), len(names)), dtype) for key, names in plan.items()}
         with np.errstate(over="ignore", invalid="ignore"):
             step = max(1, min(BLOCK_ROWS, MAX_BLOCK_WORDS // max(1, len(self.properties))))
             for start in range(0, len(self), step):
@@ -607,7 +623,7 @@ def _behind_lines(data: bytes, count: int) -> int | None:
 
 
 def as_type(values: np.ndarray, dtype: np.dtype) -> np.ndarray:
-    """Float32 values as a property's type: integers are rounded and clamped to their range (NaN becomes 0)."""
+    """Float values as a property's type: integers are rounded and clamped to their range (NaN becomes 0)."""
     if dtype.kind == "f":
         return values.astype(dtype)
     limits = np.iinfo(dtype)

@@ -87,7 +87,7 @@ def outward_normals(splats: Splats) -> np.ndarray:
         tilt = 35.0 if k % 2 else -20.0
         start = 360.0 * k / RING_VIEWS
         camera = orbit(center, 2.8 * radius, 1, elevation=tilt, start=start, width=RING_PX, height=RING_PX)[0]
-        projected = project(splats, camera)
+        projected = project(splats, camera.local)
         sums = projected.backproject(np.zeros((*shape, 3), np.float32), np.ones(shape, np.float32))
         away = camera.position.astype(np.float32) - splats.means[projected.gaussian_ids]
         # What shimmers through the far wall is seen from within.

@@ -92,6 +92,7 @@ def detail_layer(
         splats.color_space,
         parents.source,
         parents.origin,
+        parents.offset,
     )
     return DetailLayer(layer, entries)
 

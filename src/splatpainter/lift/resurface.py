@@ -281,6 +281,7 @@ def _sheet(
         hidden.color_space,
         parents.source,
         parents.origin,
+        parents.offset,
     )
     return sheet, hidden_ids
 

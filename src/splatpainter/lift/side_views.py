@@ -140,7 +140,7 @@ class _Window:
         upwards = -axes[1] if not up else -axes[1] - up * self.edit.camera.forward
         background = self.edit.camera.background
         eye = self.center + distance * eye / np.linalg.norm(eye)
-        return look_at(eye, self.center, upwards, width=size, height=size, fov=fov, background=background)
+        return look_at(eye, self.center, upwards, width=size, height=size, fov=fov, background=background).local
 
     def seen_from(self, before: Splats, after: Splats, camera: Camera) -> SideView:
         """What should be seen from there, and what is."""

@@ -119,5 +119,5 @@ def _cameras(splats: Splats, first: Camera, count: int) -> tuple[list[Camera], f
     for direction in fibonacci_sphere(count):
         up = np.eye(3)[int(np.argmin(np.abs(direction)))]
         how = {"width": VIEW_PX, "height": VIEW_PX, "fov": FOV_DEGREES, "background": first.background}
-        cameras.append(look_at(center + distance * direction, center, up, **how))
+        cameras.append(look_at(center + distance * direction, center, up, **how).local)
     return cameras, distance / cameras[0].fx

@@ -69,7 +69,7 @@ def canonical_cameras(splats: Splats, config: LrmConfig) -> list[Camera]:
         away = np.array([level * math.sin(around), -height, level * math.cos(around)])  # assets have y down
         eye = center + distance * away
         cameras.append(
-            look_at(eye, center, (0.0, -1.0, 0.0), width=config.image_size, height=config.image_size, fov=FOV)
+            look_at(eye, center, (0.0, -1.0, 0.0), width=config.image_size, height=config.image_size, fov=FOV).local
         )
     return cameras
 

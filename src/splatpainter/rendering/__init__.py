@@ -49,8 +49,9 @@ def render(
 ) -> Render:
     """Draw splats as 3D Gaussian Splatting does (Kerbl et al. 2023, in gsplat's conventions; exactly: reference.py).
 
-    cameras: one, or several of one size, of at most MAX_SIDE_PX a side and MAX_PIXELS in all. background: [3] or [C, 3]
-    colours behind the splats, by default each camera's own. backend: "auto" is "cuda" for CUDA tensors, else "cpu".
+    cameras: one, or several of one size, of at most MAX_SIDE_PX a side and MAX_PIXELS in all; those in world
+    coordinates are moved to the splats' `offset` in float64. background: [3] or [C, 3] colours behind the splats, by
+    default each camera's own. backend: "auto" is "cuda" for CUDA tensors, else "cpu".
     contributions: also return each Gaussian's weight per view. profile: whose formula for alpha is used, see
     profiles.py; "playcanvas" shows an asset as that family of tools does.
 
@@ -67,6 +68,7 @@ def render(
     views = [cameras] if isinstance(cameras, Camera) else list(cameras)
     check_views(views)
     _check_splats(splats)
+    views = [view.within(splats.offset) for view in views]
     if backend not in BACKENDS:
         raise ValueError(f"render: expected a backend of {', '.join(BACKENDS)}, got {backend!r}")
     if profile not in PROFILES:

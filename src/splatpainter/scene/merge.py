@@ -308,6 +308,11 @@ def _check(part: Part, first: Part) -> None:
     visible = int(splats.drawable.sum())
     if not visible:
         raise ValueError(f"{path}: none of its {len(splats)} Gaussians can be drawn")
+    if any(splats.offset):
+        raise ValueError(
+            f"{path}: has positions that float32 cannot hold; move it near 0 (subtract its offset, as info shows it), "
+            "then merge"
+        )
     if splats.color_space != first.splats.color_space:
         spaces = f"{splats.color_space}, those of {first.name} {first.splats.color_space}"
         raise ValueError(f"{path}: its colours are {spaces}; convert one of them first")

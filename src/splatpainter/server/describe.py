@@ -15,6 +15,7 @@ from pydantic import ValidationError
 from splatpainter import cameras
 from splatpainter.cameras import FRAME_MARGIN, UPS, bounding_sphere
 from splatpainter.color import to_display
+from splatpainter.doubts import doubts
 from splatpainter.io import FORMATS, frame_is_open, frame_line
 from splatpainter.server import protocol
 from splatpainter.server.fine_detail import has_fine_detail
@@ -44,7 +45,7 @@ def home_view(splats: Splats, up: tuple[int, int, int], start: float) -> tuple[n
     view = cameras.orbit(
         center, distance, 1, up=up, start=start, width=800, height=800, background=BACKGROUND, **HOME_VIEW
     )[0]
-    return center, radius, view
+    return center, radius, view.local
 
 
 def small_view(info: protocol.AssetInfo) -> cameras.Camera:
@@ -82,6 +83,7 @@ def asset_info(session: Session, name: str) -> protocol.AssetInfo:
         frame="" if source is None else frame_line(source, hint=False),
         frame_stated=source is None or not frame_is_open(source),
         problems=[] if source is None else list(source.problems),
+        doubts=[doubt.line for doubt in doubts(original)],
         fine_detail=has_fine_detail(original, view),
     )
 

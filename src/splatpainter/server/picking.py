@@ -73,7 +73,7 @@ def next_view(
             center, max(distance, 1e-6), ORBIT_VIEWS, elevation=elevation, up=up, width=VIEW_PX, height=VIEW_PX
         )
         for view in ring:
-            view = replace(view, fx=camera.fx * scale, fy=camera.fy * scale)
+            view = replace(view, fx=camera.fx * scale, fy=camera.fy * scale).local
             predicted = float(_shares(splats, coverage, view)[..., 1].sum())
             if predicted > max_predicted:
                 best, max_predicted = view, predicted

@@ -66,14 +66,15 @@ class CameraInfo(Message):
 
     @staticmethod
     def of(camera: Camera) -> CameraInfo:
-        return CameraInfo.model_validate_json(camera.to_json())
+        """Relative to the asset's offset, of which the page knows nothing."""
+        return CameraInfo.model_validate({key: value for key, value in camera.record().items() if key != "offset"})
 
     def to_camera(self, most_pixels: int = MAX_VIEW_PIXELS) -> Camera:
         """Raises ValueError: not rigid, not finite, or more than `most_pixels`."""
         if self.width * self.height > most_pixels:
             limit, size = most_pixels / 1e6, f"{self.width}x{self.height}"
             raise ValueError(f"camera: expected at most {limit:.3g} megapixels, got {size}; zoom out")
-        return Camera.from_json(self.model_dump_json(), "camera")
+        return Camera.from_record({**self.model_dump(), "offset": None}, "camera")
 
 
 class PaintLimits(Message):
@@ -119,6 +120,8 @@ class AssetInfo(Message):
     """False: files of this format differ in it and this one does not say, so it may be upside down (`asset.up`)."""
     problems: list[str]
     """What the reader found odd, one line each."""
+    doubts: list[str]
+    """What looks wrong about it, one line each: what was seen, what it means, what to do."""
     fine_detail: bool
     """Whether it has fine detail, measured in its first view: paint then keeps it unless that is changed."""
 
@@ -414,6 +417,8 @@ class Exported(Answer):
     bytes: int
     receipt_url: str | None = None
     """Where the receipt of an asset is."""
+    lost: str = ""
+    """What an asset's file does not hold of it, as measured: one line, the worst first; "" where nothing is lost."""
 
 
 class Greeting(Answer):

@@ -103,6 +103,12 @@ class AssetCommands(StrokeCommands):
         with self._command():
             document = self._document
             main = self._replay.main.original
+            if any(splats.offset) or any(main.offset):
+                where = title if any(splats.offset) else self.assets[0].name
+                raise ValueError(
+                    f"asset {title}: {where} has positions that float32 cannot hold, and stands alone; move it near 0 "
+                    "(subtract its offset, as info shows it) to put it together with others"
+                )
             if splats.color_space != main.color_space:
                 spaces = f"{splats.color_space}, those of the session's {main.color_space}"
                 raise ValueError(f"asset {title}: its colours are {spaces}; convert it first")
@@ -278,7 +284,7 @@ class AssetCommands(StrokeCommands):
     def _edits_of(self, layer: Layer, edits: Sequence[Edit]) -> list[Edit]:
         """Edits of the scene as edits of a layer's asset alone. Raises ValueError where they do not reach it."""
         if not self._document.assets:
-            return list(edits)
+            return [edit.relative_to(self.snapshot.original.offset) for edit in edits]
         for part, pieces in split_edits(self._scene(), edits, layer.mode != "global"):
             if part.asset.id == layer.asset:
                 return pieces
@@ -286,7 +292,7 @@ class AssetCommands(StrokeCommands):
 
     def _camera_of(self, layer: Layer, camera: Camera) -> Camera:
         """A camera of the scene in the space of a layer's asset."""
-        return self.asset(layer.asset).placement.camera(camera)
+        return self.asset(layer.asset).placement.camera(camera.relative_to(self.snapshot.original.offset))
 
     def _relief_of(self, relief: Relief) -> tuple[str, Relief]:
         """(the asset that a copy is on, the copy in its space). Raises ValueError where it is on two."""

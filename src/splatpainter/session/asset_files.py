@@ -4,8 +4,8 @@ done to it, views, and single layers as files.
 The original is kept as its file's bytes, or as Gaussians where there is no file. A project that only names its original
 could name any file of the machine: `OriginalRule` says which of them may be opened. What is opened is a regular file,
 or a folder of them. Facts of a project: name, format ("rows": no file), sha256, path (absolute; empty: the bytes are in
-the project), color_space and antialiased (where there is no file), frame (that was chosen for its numbers; absent: none
-was).
+the project), color_space and antialiased (where there is no file), offset (Splats.offset; absent: zero), frame (that
+was chosen for its numbers; absent: none was).
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ from splatpainter.io import (
     read,
     write,
 )
+from splatpainter.io.positions import NO_OFFSET, Offset
 from splatpainter.io.sog_container import META
 from splatpainter.io.write_options import AS_IT_IS, WriteOptions
 from splatpainter.receipts import Receipt, Verification, prove, receipt_of, untouched_hashes
@@ -110,6 +111,8 @@ def file_of(splats: Splats) -> Path | None:
 def describe(splats: Splats, path: Path | None, embed: bool) -> dict[str, str]:
     """The facts of a project about its original. path: its file, if it has one that still holds them."""
     facts = {"sha256": splats.sha256, "color_space": splats.color_space, "antialiased": str(int(splats.antialiased))}
+    if any(splats.offset):
+        facts["offset"] = json.dumps(splats.offset)
     if path is None or splats.source is None:
         return {**facts, "name": "asset", "format": NO_FILE, "path": ""}
     if stored_frame(splats) != "auto":
@@ -124,12 +127,12 @@ def stored_frame(splats: Splats) -> Frame:
     return option(source.frame) if source is not None and frame_is_open(source) else frame_of(splats)
 
 
-def _read_again(path: Path, frame: Frame) -> Splats:
+def _read_again(path: Path, frame: Frame, offset: Offset | None = None) -> Splats:
     """The file of an original as its project took it. Projects from before SPZ files were taken for the PLY's axes
     keep no frame for one that does not say: they took it for right-up-back, and what was edited lies so."""
-    splats = read(path, frame=frame, lenient=True)
+    splats = read(path, frame=frame, lenient=True, offset=offset)
     assert splats.source is not None
-    return read(path, frame="rub", lenient=True) if frame_is_open(splats.source) else splats
+    return read(path, frame="rub", lenient=True, offset=offset) if frame_is_open(splats.source) else splats
 
 
 def pieces(splats: Splats, path: Path | None) -> Iterator[tuple[str, bytes]]:
@@ -152,21 +155,32 @@ def restore(project: Project, rule: OriginalRule) -> Splats:
     Raises ValueError: the file is gone or may not be opened, its bytes are not those that the project was made from,
     none of its Gaussians can be drawn."""
     facts = {name: project.fact(name) or "" for name in ("name", "format", "sha256", "path", "color_space")}
-    frame = option(project.fact("frame") or "")
+    frame, offset = option(project.fact("frame") or ""), _stored_offset(project)
     if facts["format"] == NO_FILE:
         delta = decode((data for _, data in project.original()), f"{project.path}: the original")
         linear, antialiased = facts["color_space"] == "linear", project.fact("antialiased") == "1"
         splats = replace(delta.appended, color_space="linear" if linear else "srgb", antialiased=antialiased)
+        splats = replace(splats, offset=offset)
     elif facts["path"]:
         # Lenient: the project was made when it opened.
-        splats = _read_again(_named_file(project.path, facts["path"], rule), frame)
+        splats = _read_again(_named_file(project.path, facts["path"], rule), frame, offset)
     else:
-        splats = _unpacked(project, facts["name"], frame)
+        splats = _unpacked(project, facts["name"], frame, offset=offset)
     if splats.sha256 != facts["sha256"]:
         raise ValueError(f"{project.path}: the original is not the one that the project was made from (sha256 differs)")
     if not splats.drawable.any():
         raise ValueError(f"{project.path}: none of the {len(splats)} Gaussians of its original can be drawn")
     return numbered(splats)
+
+
+def _stored_offset(project: Project) -> Offset:
+    """Of the original (Splats.offset), as it was when the project was made: layers hold positions relative to it.
+    Raises ValueError: damaged."""
+    try:
+        x, y, z = (float(value) for value in json.loads(project.fact("offset") or "[0, 0, 0]"))
+    except (ValueError, TypeError, RecursionError):
+        raise ValueError(f"{project.path}: damaged project file (offset of the original)") from None
+    return x, y, z
 
 
 def write_original(
@@ -302,7 +316,7 @@ def numbered(splats: Splats) -> Splats:
     return splats if splats.origin is not None else replace(splats, origin=np.arange(len(splats)))
 
 
-def _unpacked(project: Project, name: str, frame: Frame, stored_under: str = "") -> Splats:
+def _unpacked(project: Project, name: str, frame: Frame, stored_under: str = "", offset: Offset = NO_OFFSET) -> Splats:
     if not is_plain_name(name):
         raise ValueError(f"{project.path}: damaged project file (name of the original {name[:40]!r})")
     with scratch_folder("original") as folder:
@@ -312,7 +326,7 @@ def _unpacked(project: Project, name: str, frame: Frame, stored_under: str = "")
                     raise ValueError(f"{project.path}: damaged project file (name of the original {file[:40]!r})")
                 with open(folder / file, "ab") as target:
                     target.write(data)
-            splats = _read_again(folder / name, frame)
+            splats = _read_again(folder / name, frame, offset)
         except OSError as error:
             raise ValueError(f"{project.path}: its original cannot be unpacked ({error.strerror or error})") from None
         except ValueError as error:
@@ -373,7 +387,7 @@ def export_asset(
     with partial_folder(path) as folder:
         partial = Path(folder) / path.name
         write(partial, edited, options=receipt.options)
-        proved, verification = prove(original, partial, receipt)
+        proved, verification = prove(original, partial, receipt, intended=edited)
         with files.writing(receipt_path) as file:
             file.write(proved.to_json().encode())
             files.replace(partial, path)

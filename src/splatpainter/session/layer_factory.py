@@ -79,7 +79,7 @@ def new_layer(
         return sha
 
     views, small = [], None
-    for edit in edits:
+    for edit in (edit.relative_to(splats.offset) for edit in edits):
         mask = edit.mask
         if mask is None and pictured and mode != "global":
             # Judged once: on replay over other layers everything would differ.

@@ -73,7 +73,7 @@ def measured_up(splats: Splats, center: np.ndarray, distance: float) -> str:
     for name, axis in UPS.items():
         above = (0, 1, 0) if axis[0] else (1, 0, 0)
         eye = np.asarray(center, float) + distance * np.asarray(axis, float)
-        camera = look_at(eye, center, above, width=VIEW_PX, height=VIEW_PX, fov=FOV_DEGREES)
+        camera = look_at(eye, center, above, width=VIEW_PX, height=VIEW_PX, fov=FOV_DEGREES).local
         total, pixels = view_detail(splats, camera)
         if pixels:
             smoothness.append((total / pixels, name))
@@ -97,7 +97,7 @@ def measured_front(splats: Splats, center: np.ndarray, distance: float, up: str)
         height=VIEW_PX,
         fov=FOV_DEGREES,
     )
-    detail = [view_detail(splats, camera)[0] for camera in ring]
+    detail = [view_detail(splats, camera.local)[0] for camera in ring]
     best = int(np.argmax(detail))
     return (habit + 360.0 * best / VIEWS_AROUND) % 360 if detail[best] > FRONT_FACTOR * detail[0] else habit
 

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from splatpainter.io import FORMATS, files, format_of_name, read
-from splatpainter.io.joining import write_joined
+from splatpainter.io.joining import concatenated, write_joined
+from splatpainter.io.losses import loss_line, measure
 from splatpainter.receipts import Receipt, Verification, receipt_of, untouched_hashes
 from splatpainter.scene.merge import BYTES, Part, check_merge, differing_rows
 from splatpainter.session.asset_files import check_target, partial_folder
@@ -65,12 +66,17 @@ def export_scene(scene: Scene, receipt: Receipt, path: Path, overwrite: bool) ->
         tails.append(splats.take(np.arange(count, len(splats))))
     with partial_folder(path) as folder:
         partial = Path(folder) / path.name
-        write_joined(partial, [*heads, *(tail for tail in tails if len(tail))])
+        parts = [*heads, *(tail for tail in tails if len(tail))]
+        write_joined(partial, parts)
         written = read(partial, lenient=True)
-        receipt = replace(receipt, output_sha256=written.sha256, output_rows=len(written))
-        parts = [Part(part.original, part.asset.placement) for part in scene.parts]
+        joined = concatenated(parts)
+        lost = loss_line(joined, key, measure(joined, written))
+        notes = (receipt.note, f"lost in {key}: {lost}" if lost else "")
+        note = "; ".join(filter(None, notes))
+        receipt = replace(receipt, output_sha256=written.sha256, output_rows=len(written), note=note)
+        assets = [Part(part.original, part.asset.placement) for part in scene.parts]
         if FORMATS[key].lossy:
-            rounded = np.setdiff1d(differing_rows(parts, written), receipt.merge_touched)
+            rounded = np.setdiff1d(differing_rows(assets, written), receipt.merge_touched)
             if len(rounded):
                 notes = (receipt.note, f"{len(rounded)} rows that no edit touched were rounded anew by {key}")
                 touched = np.union1d(receipt.merge_touched, rounded)
@@ -84,7 +90,7 @@ def export_scene(scene: Scene, receipt: Receipt, path: Path, overwrite: bool) ->
     files.sync_folder(path.parent)
     same = sum(one.same for one in checked.ranges)
     total = sum(one.rows for one in checked.ranges)
-    return receipt, Verification(True, total, same, total - same, checked.appended, (), checked.exact)
+    return receipt, Verification(True, total, same, total - same, checked.appended, (), checked.exact, lost=lost)
 
 
 def _source(name: str, part: Part, first: int, changed: int, key: str) -> dict[str, Any]:

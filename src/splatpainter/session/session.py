@@ -316,11 +316,13 @@ class Session(AssetCommands, ExportCommands, Annotations, GeometryCommands):
         """Make now what the next local edit would make first (samples of the surface; where this camera, or any, needs
         them the voxels of the asset), in another thread than commands, while the edit is still being drawn. Changes
         nothing."""
+        camera = None if camera is None else camera.relative_to(self.original.offset)
         self._replay.prepare(self._document, self._snapshot.state, camera)
 
     def left_out(self, camera: Camera, **limits: float) -> np.ndarray:
         """[H, W] bool: pixels of a view that a local edit would not paint (by more than half), to about a block of
         1/128 of its longer side. limits: angle_limit, depth_edge_limit, as a layer's parameters."""
+        camera = camera.relative_to(self.original.offset)
         return self._replay.surfaces(self._document).left_out(self._snapshot.state, camera, limits)
 
     def surface_blocks(self, camera: Camera) -> tuple[np.ndarray, int]:
@@ -329,6 +331,7 @@ class Session(AssetCommands, ExportCommands, Annotations, GeometryCommands):
         original, less what is hidden: paint lies on that surface, whatever it is made of."""
         from splatpainter.lift.view_limits import blocks_px
 
+        camera = camera.relative_to(self.original.offset)
         document, state = self._snapshot.document, self._replay.base_state
         hiding = tuple(layer for layer in document.layers if layer.kind in ("hide", "fill") and layer.visible)
         if hiding or document.assets:

@@ -184,6 +184,7 @@ def plan_views(
     cameras = spherical_cameras(
         center, distance, CANDIDATE_VIEWS, size=CANDIDATE_PX, fov=FOV, up=axis, backgrounds=(background,)
     )
+    cameras = [camera.local for camera in cameras]
     heights = np.array([(camera.position - center) @ axis / distance for camera in cameras])
     preferred = np.where((heights > USUAL_HEIGHTS[0]) & (heights < USUAL_HEIGHTS[1]), 1, UNUSUAL_WEIGHT)
     if first is not None:

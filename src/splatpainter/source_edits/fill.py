@@ -119,7 +119,7 @@ def facing(filled: Filled, splats: Splats, new: np.ndarray, size: int = VIEW_PX)
     for side in (-1, 1):
         eye = center + side * distance * towards.forward
         up = -towards.world_to_camera[1, :3]
-        cameras.append(look_at(eye, center, up, width=size, height=size, fov=VIEW_FOV, background=BACKGROUND))
+        cameras.append(look_at(eye, center, up, width=size, height=size, fov=VIEW_FOV, background=BACKGROUND).local)
     areas = [int(fill_mask(splats, new, camera.resized(LOOK_PX, LOOK_PX)).sum()) for camera in cameras]
     return cameras[int(np.argmax(areas))]
 

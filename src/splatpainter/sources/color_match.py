@@ -148,6 +148,6 @@ def seen_weights(splats: Splats) -> np.ndarray:
     weights = np.zeros(len(splats))
     black, everywhere = np.zeros((VIEW_PX, VIEW_PX, 3), np.float32), np.ones((VIEW_PX, VIEW_PX), np.float32)
     for camera in spherical_cameras(center, 3.2 * radius, VIEW_COUNT, size=VIEW_PX):
-        view = project(splats, camera)
+        view = project(splats, camera.local)
         weights[view.gaussian_ids] += view.backproject(black, everywhere).weight
     return weights

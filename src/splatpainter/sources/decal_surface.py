@@ -150,7 +150,7 @@ def facing_camera(
     size = max(int(np.ceil(2 * half * distance / pixel)), 8)
     camera = look_at(target + distance * direction, target, up, width=size, height=size)
     focal = distance / pixel
-    return Camera(size, size, focal, focal, size / 2, size / 2, camera.world_to_camera)
+    return Camera(size, size, focal, focal, size / 2, size / 2, camera.world_to_camera, offset=None)
 
 
 def _clear(asset: Asset, target: np.ndarray, direction: np.ndarray, distance: float, radius: float) -> bool:

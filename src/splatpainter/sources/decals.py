@@ -111,8 +111,9 @@ class Decal:
         pixel = max(width, height) / longer
         spacing = max(math.sqrt(width * height / SAMPLES), 1.5 * pixel, SPACING_WIDTHS * surface.typical_width)
         spacing = max(spacing, math.sqrt(math.pi * (width**2 + height**2) / 4 / BALL_SAMPLES))
-        start = surface_under(asset, surface, self.camera, self.at)
-        up = _up(self.camera, start[1], self.angle)
+        camera = self.camera.within(asset.splats.offset)
+        start = surface_under(asset, surface, camera, self.at)
+        up = _up(camera, start[1], self.angle)
         patch = survey(asset, surface, start, up, (width, height), spacing, math.radians(self.wrap))
         if patch.smoothing:
             pixel = max(width, height) / rough_length_px(self.picture, longer)

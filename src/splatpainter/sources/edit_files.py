@@ -70,6 +70,10 @@ class FileEdit:
         to."""
         if mode == "global" and self.view is not None:
             return self.at_view().edit(splats, mode)
+        camera = self.camera.relative_to(splats.offset)
+        if camera is not self.camera:
+            view = None if self.view is None else self.view.relative_to(splats.offset)
+            return replace(self, camera=camera, view=view).edit(splats, mode)
         alpha, mask = self.picture.alpha, self.mask
         resized = self.view is not None or self.original_size != (self.camera.width, self.camera.height)
         colors = from_display(self.picture.colors, splats.color_space)

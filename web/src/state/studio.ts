@@ -208,6 +208,7 @@ function adopt(next: State): void {
   viewer.setAntialiased(asset.antialiased);
   document.title = `${asset.name} – SplatPainter`;
   if (!stays) resetView(asset);
+  for (const doubt of asset.doubts) toast("warning", `${asset.name}: ${doubt}`);
   if (!asset.frame_stated)
     toast(
       "info",

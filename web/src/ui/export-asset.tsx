@@ -174,7 +174,8 @@ export function ExportAsset() {
       : await run("export", { file, options, ...request }, label);
     if (!answer) return;
     download(answer.url, answer.file);
-    toast("info", `${answer.file}, ${sizeOf(answer.bytes)}`, page ? "" : "Its receipt is under Receipt.");
+    const lost = answer.lost && `This format rounds: ${answer.lost}. `;
+    toast("info", `${answer.file}, ${sizeOf(answer.bytes)}`, page ? "" : `${lost}Its receipt is under Receipt.`);
   };
   return (
     <>

@@ -80,7 +80,7 @@ export function Header() {
         disabled={!now}
         onClick={() => (batchOpen.value = true)}
       />
-      <span class="title" title={now?.asset.problems.join("\n")}>
+      <span class="title" title={now ? [...now.asset.doubts, ...now.asset.problems].join("\n") : undefined}>
         {now ? (now.project.file ?? now.asset.name) : ""}
         {readOnly.value && (
           <em class="tag" title={now?.project.read_only_reason}>

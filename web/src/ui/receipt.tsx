@@ -84,11 +84,11 @@ export function ReceiptPanel() {
           ))}
         </div>
       )}
-      {asset.problems.length > 0 && (
+      {asset.doubts.length + asset.problems.length > 0 && (
         <>
           <h3>The file</h3>
           <ul class="problems">
-            {asset.problems.map((line) => (
+            {[...asset.doubts, ...asset.problems].map((line) => (
               <li key={line}>{line}</li>
             ))}
           </ul>

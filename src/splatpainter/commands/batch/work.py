@@ -407,5 +407,5 @@ def _preview_camera(job: Job, splats: Splats) -> Camera:
             names += step.step.views[:1]
     for name in filter(None, names):
         with contextlib.suppress(ValueError):
-            return camera_from(Path(name)).with_longest_side(job.preview_px)
+            return camera_from(Path(name)).with_longest_side(job.preview_px).relative_to(splats.offset)
     return orbit_cameras(splats, 1, size=job.preview_px)[0]

@@ -371,7 +371,7 @@ def project(
 ) -> ProjectedView:
     """Geometry of one view. splats: numpy attributes (float32; float64 works too). gaussian_mask: [N] bool, only these
     Gaussians exist. tiles: [TH, TW] bool, only these 16 x 16 tiles are drawn, and what misses them is dropped early."""
-    dtype = np.dtype(splats.means.dtype)
+    dtype, camera = np.dtype(splats.means.dtype), camera.within(splats.offset)
     n, shape = len(splats), tile_shape(camera)
     tiles = np.ones(shape, bool) if tiles is None else np.asarray(tiles, bool)
     assert tiles.shape == shape, f"tiles: expected {shape}, got {tiles.shape}"

@@ -89,13 +89,14 @@ def export_asset(context: CommandContext, request: AssetExport) -> Exported:
     context.ticket.report(0, "writing and verifying")
     path = studio.downloads.folder() / Path(request.file).name
     options = request.options.chosen()
-    studio.session.export(path, remove_hidden=request.remove_hidden, asset=request.asset, options=options)
+    _, proof = studio.session.export(path, remove_hidden=request.remove_hidden, asset=request.asset, options=options)
     receipt = receipt_of(path)
     return Exported(
         url=studio.downloads.add(path),
         file=path.name,
         bytes=path.stat().st_size,
         receipt_url=studio.downloads.add(receipt),
+        lost=proof.lost,
         python=python_line(
             "session.export",
             path.name,

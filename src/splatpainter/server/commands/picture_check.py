@@ -146,6 +146,7 @@ def _camera(
 ) -> tuple[Camera, CameraSource]:
     """The camera of a picture and where that came from. Raises ValueError where there is none."""
     camera, source = _find_camera(context, request, blob, name, picture)
+    camera = camera.relative_to(context.studio.session.original.offset)
     pixels = camera.width * camera.height
     if pixels > MAX_VIEW_PIXELS:  # a view that was exported larger than one is painted: the picture is shrunk with it
         scale = (MAX_VIEW_PIXELS / pixels) ** 0.5

@@ -1,0 +1,263 @@
+"""What looks wrong about an asset that was read: each doubt in one line, of what was seen, what it means, what to do.
+
+A doubt refuses nothing: the file may be right and unusual. Used by `info`, `render`, `edit` and the other commands that
+open an asset, and by the studio when one is opened. What a reader cannot keep or shows otherwise is in
+`Source.problems`; files that are no splats at all are refused by io/foreign_files.py. Knows no renderer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from splatpainter.cameras import Camera
+from splatpainter.color import base_color
+from splatpainter.io import packing, positions
+from splatpainter.io.ply import PlyFile
+from splatpainter.io.sog import SogFile
+from splatpainter.splats import SH_C0, Splats
+from splatpainter.transforms import row_max
+
+MIN_DRAWN_OPACITY = 1 / 255
+"""Opacity below which nothing is drawn."""
+MIN_ROWS = 16
+"""Gaussians from which a distribution of values says something."""
+MAX_SAMPLE = 1 << 16
+"""Gaussians, evenly spread over the rows, that are judged by their distribution."""
+ALL = 0.999
+"""Share of the values that counts as all of them."""
+LOG_FORMATS = ("ply", "compressed.ply")
+"""Formats of log-scales and logits in which exporters have stored the values themselves."""
+MIN_BETTER_FIT = 4.0
+"""Factor by which sizes fit the distance between neighbours better without exp than with it, from which they look
+activated."""
+COARSE_STEP = 0.25
+"""Sizes of a Gaussian between neighbouring positions from which rounding is seen."""
+BRIGHT = 4.0
+"""Base colour from which, as the median of all, colours are on another scale than 0 to 1."""
+DARK = 0.02
+"""Base colour up to which all are black."""
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """One doubt about an asset."""
+
+    seen: str
+    """What is so, with numbers."""
+    meaning: str
+    """What that means for the picture."""
+    remedy: str
+    """What to do."""
+
+    @property
+    def line(self) -> str:
+        return f"{self.seen}: {self.meaning}; {self.remedy}"
+
+
+def doubts(splats: Splats) -> tuple[Doubt, ...]:
+    """Everything doubtful about an asset as it was read (with its source), the gravest first. Reads no file."""
+    with np.errstate(all="ignore"):  # of extreme or damaged Gaussians
+        nothing = _nothing_drawn(splats)
+        if nothing is not None:
+            return (nothing,)
+        few = _sample(splats)
+        looks = (_activated, _log_scales_in_glb, _lossy_planes, _coarse_positions, _color_scale, _colors)
+        return tuple(doubt for look in looks if (doubt := look(splats, few)) is not None)
+
+
+def doubts_of_view(splats: Splats, camera: Camera, name: str = "the view") -> tuple[Doubt, ...]:
+    """Whether a camera sees any Gaussian; name: of the view, for the line."""
+    drawn = _drawn(splats)
+    if not drawn.any():
+        return ()
+    arrays = splats.numpy()
+    with np.errstate(all="ignore"):
+        pixels, depth = camera.within(splats.offset).project(arrays.means[drawn])
+        # Three standard deviations, as large as the Gaussian is seen at its depth.
+        reach = 3 * row_max(arrays.scales[drawn]) * max(camera.fx, camera.fy) / np.maximum(depth, 1e-30)
+        x, y = pixels.T
+        across = (x > -reach) & (x < camera.width + reach)
+        seen = (depth > 0) & across & (y > -reach) & (y < camera.height + reach)
+    if seen.any():
+        return ()
+    behind = int((depth <= 0).sum())
+    where = "all are behind the camera" if behind == len(depth) else "all are beside the picture or behind the camera"
+    return (
+        Doubt(
+            f"{name}: none of {len(depth):,} Gaussians is in view",
+            f"the picture is empty ({where})",
+            "check that the camera is of this asset, in its axes and units (info shows where it is)",
+        ),
+    )
+
+
+def _drawn(splats: Splats) -> np.ndarray:
+    """[N] bool: Gaussians that can be seen from somewhere."""
+    return splats.drawable & (splats.numpy().opacities >= MIN_DRAWN_OPACITY)
+
+
+def _sample(splats: Splats) -> Splats:
+    rows = np.flatnonzero(_drawn(splats))
+    return splats.numpy().take(rows[:: max(1, len(rows) // MAX_SAMPLE)])
+
+
+def _nothing_drawn(splats: Splats) -> Doubt | None:
+    count = len(splats)
+    if not count:
+        return Doubt("the file holds no Gaussian", "every picture of it is empty", "export the asset again")
+    drawable = splats.drawable
+    if not drawable.any():
+        why = "NaN, infinite or out of range, see the problems that info lists"
+        return Doubt(
+            f"none of {count:,} Gaussians can be drawn ({why})",
+            "every picture of it is empty: training or an export went wrong",
+            "export the asset again, or take an earlier checkpoint",
+        )
+    if not _drawn(splats).any():
+        return Doubt(
+            f"all of {count:,} Gaussians are transparent (opacity below 1/255)",
+            "every picture of it is empty",
+            "export the asset again; opacities may have been stored on another scale",
+        )
+    return None
+
+
+def _activated(splats: Splats, few: Splats) -> Doubt | None:
+    """Scales and opacities stored as they are, where logarithms and logits are expected; and colours for f_dc."""
+    if splats.source is None or splats.source.format not in LOG_FORMATS or len(few) < MIN_ROWS:
+        return None
+    logs, opacities = np.log(few.scales.astype(np.float64)), few.opacities.astype(np.float64)
+    logits, base = np.log(opacities) - np.log1p(-opacities), few.sh[:, 0]
+    parts: list[tuple[str, str, str, str]] = []
+    if (logs > 0).mean() >= ALL and _fits_better_without_exp(few):
+        seen = f"scale_0..2 are all above 0 ({logs.min():.2g} to {logs.max():.2g})"
+        parts.append((seen, "log", "sizes", "log for scales"))
+    if ((logits >= -1e-6) & (logits <= 1 + 1e-6)).mean() >= ALL:
+        seen = f"opacity is all within 0..1 ({logits.min():.3g} to {logits.max():.3g})"
+        parts.append((seen, "logit", "opacities", "logit for opacities"))
+    if _has_f_dc(splats) and base.min() >= 0 and base.max() <= 1 and base.min() < 0.25 and base.max() > 0.75:
+        seen = f"f_dc_0..2 are all within 0..1 ({base.min():.2g} to {base.max():.2g})"
+        parts.append((seen, "offset and factor of SH", "colours", f"(colour - 0.5) / {SH_C0:.4f} for f_dc"))
+    if not parts:
+        return None
+    seen, steps, wrong, remedies = zip(*parts, strict=True)
+    return Doubt(
+        ", ".join(seen),
+        f"the values look activated (stored without {', '.join(steps)}), so {' and '.join(wrong)} are shown wrong",
+        f"export again as INRIA's PLY has it ({', '.join(remedies)})",
+    )
+
+
+def _fits_better_without_exp(few: Splats) -> bool:
+    """Whether sizes taken as stored fit the distance between Gaussians better than their exp does, as if they lay
+    evenly on a sphere of the asset's extent."""
+    points = few.means.astype(np.float64)
+    radius = float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
+    spacing = radius * np.sqrt(4 * np.pi / len(few))
+    size = float(np.median(row_max(few.scales)))
+    if not (spacing > 0 and size > 1):
+        return False
+    return abs(np.log(size / spacing)) > abs(np.log(np.log(size) / spacing)) + np.log(MIN_BETTER_FIT)
+
+
+def _has_f_dc(splats: Splats) -> bool:
+    record = splats.source.detail if splats.source is not None else None
+    vertex = record.header.element("vertex") if isinstance(record, PlyFile) else None
+    return vertex is not None and "f_dc_0" in vertex.names
+
+
+def _log_scales_in_glb(splats: Splats, few: Splats) -> Doubt | None:
+    source = splats.source
+    if source is None or source.format != "glb":
+        return None
+    generator = getattr(source.detail, "log_scales", "")
+    if generator:
+        return Doubt(
+            f"written by {generator}, which stored logarithms as SCALE",
+            "read as such here, but programs that follow the standard show Gaussians of wrong sizes",
+            "for them, convert it to .ply and that to .glb",
+        )
+    negative = float((splats.numpy().scales < 0).any(1).mean())
+    if negative < 0.5:
+        return None
+    return Doubt(
+        f"SCALE is negative in {100 * negative:.0f} % of the Gaussians",
+        "they are probably logarithms, which the standard does not allow, so that most Gaussians are not drawn",
+        "export again with a newer program (splat-transform from 2.7.0 on)",
+    )
+
+
+def _lossy_planes(splats: Splats, few: Splats) -> Doubt | None:
+    file = splats.source.detail if splats.source is not None else None
+    if not isinstance(file, SogFile):
+        return None
+    names = [name for name, data in file.container.files.items() if packing.is_lossy_webp(data)]
+    if not names:
+        return None
+    listed = ", ".join(names[:4]) + (", ..." if len(names) > 4 else "")
+    return Doubt(
+        f"{listed}: lossy WebP",
+        "SOG keeps numbers in its pixels, which lossy compression changed: positions and colours are scattered",
+        "export again with lossless WebP; an image optimiser may have been at the files",
+    )
+
+
+def _coarse_positions(splats: Splats, few: Splats) -> Doubt | None:
+    step = positions.steps_in_sizes(few.world_means, few.scales)
+    if step < COARSE_STEP or _holds_doubles(splats):
+        return None
+    distinct, rows = len(np.unique(few.means, axis=0)), len(few)
+    return Doubt(
+        f"positions so far from 0 that float32 has steps of {step:.2g} sizes of a Gaussian there "
+        f"({distinct:,} of {rows:,} are distinct)",
+        "they were rounded when the file was written, and cannot be restored from it",
+        "export again near 0, or as .ply with double x, y, z",
+    )
+
+
+def _holds_doubles(splats: Splats) -> bool:
+    record = splats.source.detail if splats.source is not None else None
+    if not isinstance(record, PlyFile):
+        return any(splats.offset)
+    vertex = record.header.element("vertex")
+    types = {p.name: p.type for p in vertex.properties} if vertex is not None else {}
+    text = record.header.format == "ascii"
+    return all(types.get(name) == "f8" or text for name in ("x", "y", "z"))
+
+
+def _color_scale(splats: Splats, few: Splats) -> Doubt | None:
+    record = splats.source.detail if splats.source is not None else None
+    if not isinstance(record, PlyFile) or record.color_span != 255:
+        return None
+    vertex = record.header.element("vertex")
+    kind = next((p.type for p in vertex.properties if p.name == "red"), "u1") if vertex is not None else "u1"
+    if kind == "u1":
+        return None
+    words = {"f": "floats", "i": "signed integers", "u": "integers of more than 8 bits"}[kind[0]]
+    return Doubt(
+        f"red, green and blue are {words} of at most 255",
+        "they are read as 0..255, which their type does not say: other programs show them black or far too bright",
+        "export again with uchar colours or f_dc_0..2",
+    )
+
+
+def _colors(splats: Splats, few: Splats) -> Doubt | None:
+    if len(few) < MIN_ROWS:
+        return None
+    base = np.asarray(base_color(few.sh))
+    middle, most = float(np.median(base)), float(np.quantile(base, ALL))
+    if middle > BRIGHT:
+        return Doubt(
+            f"base colours reach {base.max():.3g} (median {middle:.3g}), where 0 to 1 is expected",
+            "everything is shown white: colours of 0 to 255 were probably stored without dividing by 255",
+            "export again with colours of 0 to 1, or as f_dc_0..2",
+        )
+    if most <= DARK and few.sh.shape[1] == 1:
+        return Doubt(
+            f"all base colours are black (at most {most:.2g})",
+            "colours were probably stored on another scale, such as integers of more than 8 bits",
+            "export again with uchar red, green, blue or with f_dc_0..2",
+        )
+    return None

@@ -1,0 +1,42 @@
+"""Files that are no splats, whatever their name says: web pages, git-LFS pointers, films, pictures, archives.
+
+Known by their first bytes. The formats with a magic of their own are told apart before (`io.detect`); of the two
+without one (.splat, .ksplat) no honest file begins so: its first twelve bytes are a position.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+HEAD_BYTES = 512
+"""Bytes that are looked at."""
+DOWNLOAD = "download the file itself (on GitHub and Hugging Face: raw, or download)"
+SPLATS = "expected Gaussian splats"
+_MAGIC: tuple[tuple[int, bytes, str, str], ...] = (
+    (0, b"version https://git-lfs", "a git-LFS pointer", "run `git lfs pull` in its folder to get the file itself"),
+    (4, b"ftyp", "a film (MP4, MOV)", "render frames of it and train an asset from them"),
+    (0, b"\x1a\x45\xdf\xa3", "a film (WebM, Matroska)", "render frames of it and train an asset from them"),
+    (0, b"\x89PNG\r\n", "a picture (PNG)", SPLATS),
+    (0, b"\xff\xd8\xff", "a picture (JPEG)", SPLATS),
+    (0, b"GIF8", "a picture (GIF)", SPLATS),
+    (0, b"%PDF-", "a PDF", SPLATS),
+    (0, b"SQLite format 3\x00", "a database (a .splatproj project?)", "open projects with `splatpainter studio`"),
+    (0, b"7z\xbc\xaf\x27\x1c", "a 7z archive", "unpack it first"),
+    (0, b"Rar!\x1a\x07", "a RAR archive", "unpack it first"),
+    (8, b"WEBP", "a picture (WebP)", SPLATS),
+    (8, b"AVI ", "a film (AVI)", "render frames of it and train an asset from them"),
+    (257, b"ustar", "a tar archive", "unpack it first"),
+)
+"""(offset, bytes there, what it is, what to do)."""
+_PAGE_BEGINNINGS = (b"<!doctype html", b"<html", b"<head", b"<?xml", b"<svg", b"<error")
+"""Lower case; what servers send in place of a file that is missing or not public."""
+
+
+def check_not_foreign(head: bytes, path: Path) -> None:
+    """Raises ValueError, in one line, where a file that begins with `head` is of a kind that is no splats."""
+    text = head[:HEAD_BYTES].removeprefix(b"\xef\xbb\xbf").lstrip().lower()
+    if text.startswith(_PAGE_BEGINNINGS):
+        raise ValueError(f"{path}: is a web page (HTML or XML), not a splat file; {DOWNLOAD}")
+    for offset, magic, what, remedy in _MAGIC:
+        if head[offset : offset + len(magic)] == magic and (offset != 8 or head[:4] == b"RIFF"):
+            raise ValueError(f"{path}: is {what}, not a splat file; {remedy}")

@@ -1,0 +1,338 @@
+"""What a file does not hold of the Gaussians that were written into it: measured on what was read again, row by row.
+
+Behind `convert`, exports and edits (of what they wrote) and `info` (of samples that it writes). A Gaussian's size is
+its largest standard deviation; shares are of the Gaussians that can be drawn and are not hidden.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splatpainter.io import FORMATS, read, write
+from splatpainter.io.glb import with_bands
+from splatpainter.io.size_estimate import sample
+from splatpainter.splats import SH_C0, Splats, changed_rows
+from splatpainter.transforms import row_max
+
+MIN_DRAWN_OPACITY = 1 / 255
+"""Opacity of Gaussians that are drawn; what fainter ones lose cannot be seen."""
+BLOCK_ROWS = 1 << 16
+"""Rows measured at a time, to bound the float64 intermediates."""
+CUT_TOLERANCE = 0.05
+"""SH coefficients: a value beyond all that came back is cut if it is beyond them by more than this, which is more than
+a step of any format's quantisation, and 4/255 of a base colour."""
+MIN_ANISOTROPY = 1.2
+"""Largest by smallest standard deviation from which a turned Gaussian looks otherwise."""
+THIN = 0.02
+"""Part of the largest standard deviation below which an axis counts as flat, however flat."""
+SAMPLE_ROWS = 4096
+"""Rows of the samples that are written in other formats."""
+BETTER_FACTOR = 4
+"""By how much less severe the worst loss of another format has to be to be named."""
+TRIED_FORMATS = ("sog", "spz", "glb", "ply")
+"""Formats that are tried when a better one is to be named, the smallest files first."""
+
+
+@dataclass(frozen=True)
+class Loss:
+    """One kind of loss."""
+
+    what: str
+    """positions, colours, cut colours, SH, cut SH, opacities, scales or rotations."""
+    text: str
+    """For people: with numbers, without a full stop."""
+    severity: float
+    """1 where it begins to be seen; the worst comes first."""
+
+
+@dataclass(frozen=True)
+class Losses:
+    """All that was measured; largest values, and root mean squares over Gaussians."""
+
+    compared: int = 0
+    """Gaussians."""
+    move_largest: float = 0.0
+    """Sizes of the Gaussian."""
+    move_usual: float = 0.0
+    """The same that 99 of 100 stay below."""
+    moved_share: float = 0.0
+    """Share that moved by more than one size, 0..1."""
+    color_largest: float = 0.0
+    """Base colour of a channel, of a display range of 1."""
+    color_rms: float = 0.0
+    color_cut_share: float = 0.0
+    """Share whose base colour was cut to the range that came back."""
+    color_range: tuple[float, float] = (0.0, 0.0)
+    """Base colours as they were, least and largest ..."""
+    color_range_after: tuple[float, float] = (0.0, 0.0)
+    """... and as they came back."""
+    sh_largest: float = 0.0
+    """Root mean square over directions of the error of a channel by SH above degree 0."""
+    sh_rms: float = 0.0
+    sh_cut_share: float = 0.0
+    sh_range: tuple[float, float] = (0.0, 0.0)
+    sh_range_after: tuple[float, float] = (0.0, 0.0)
+    opacity_largest: float = 0.0
+    opacity_rms: float = 0.0
+    scale_largest: float = 0.0
+    """Factor less 1 by which a standard deviation is off."""
+    scale_rms: float = 0.0
+    rotation_largest: float = 0.0
+    """Degrees."""
+    rotation_rms: float = 0.0
+
+    @property
+    def worst_first(self) -> tuple[Loss, ...]:
+        """Everything that is more than the rounding of float32."""
+        kinds = [
+            Loss("positions", self._move_text(), max(self.moved_share / 0.001, self.move_usual / 0.5)),
+            Loss("cut colours", self._cut_text("colours", "color"), self.color_cut_share / 0.001),
+            Loss("cut SH", self._cut_text("SH", "sh"), self.sh_cut_share / 0.001),
+            Loss("colours", _levels("colours", self.color_largest, self.color_rms), 255 * self.color_rms / 1.5),
+            Loss("SH", _levels("view-dependent colour", self.sh_largest, self.sh_rms), 255 * self.sh_rms / 2),
+            Loss("opacities", _levels("opacities", self.opacity_largest, self.opacity_rms), 255 * self.opacity_rms / 2),
+            Loss("scales", f"scales are off by up to {100 * self.scale_largest:.2g} %", self.scale_rms / 0.1),
+            Loss("rotations", f"rotations by up to {self.rotation_largest:.2g} degrees", self.rotation_rms / 3),
+        ]
+        present = {
+            "positions": self.move_largest > 0.005,
+            "cut colours": self.color_cut_share > 0,
+            "cut SH": self.sh_cut_share > 0,
+            "colours": 255 * self.color_largest > 0.05,
+            "SH": 255 * self.sh_largest > 0.05,
+            "opacities": 255 * self.opacity_largest > 0.05,
+            "scales": self.scale_largest > 0.001,
+            "rotations": self.rotation_largest > 0.02,
+        }
+        return tuple(sorted((one for one in kinds if present[one.what]), key=lambda one: -one.severity))
+
+    @property
+    def severity(self) -> float:
+        """Of the worst; 0 where nothing is lost."""
+        return max((one.severity for one in self.worst_first), default=0.0)
+
+    @property
+    def line(self) -> str:
+        """All losses in one line, the worst first; "" where there are none."""
+        return ", ".join(one.text for one in self.worst_first)
+
+    def record(self) -> dict[str, Any]:
+        """For JSON."""
+        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+
+    def _move_text(self) -> str:
+        beyond = f" ({_share(self.moved_share)} of them by more than one)" if self.moved_share else ""
+        return f"positions move by up to {self.move_largest:.2g} sizes of a Gaussian{beyond}"
+
+    def _cut_text(self, what: str, name: str) -> str:
+        before, after = getattr(self, f"{name}_range"), getattr(self, f"{name}_range_after")
+        share = _share(getattr(self, f"{name}_cut_share"))
+        reach = f"from {before[0]:.2f}..{before[1]:.2f} to {after[0]:.2f}..{after[1]:.2f}"
+        return f"{what} of {share} of the Gaussians are cut ({reach})"
+
+
+def _levels(what: str, largest: float, rms: float) -> str:
+    return f"{what} off by up to {255 * largest:.2g}/255 (rms {255 * rms:.2g})"
+
+
+def _share(share: float) -> str:
+    percent = 100 * share
+    return f"{percent:.0f} %" if percent >= 9.95 else f"{percent:.2g} %"
+
+
+def measure(before: Splats, after: Splats) -> Losses:
+    """What the rows of `after`, as read from a file, lack of those of `before`, which were written; row i is row i of
+    both, as far as both go. A lower SH degree counts as coefficients that became 0."""
+    old, new = before.numpy(), after.numpy()
+    count = min(len(old), len(new))
+    counted = (old.drawable[:count] & new.drawable[:count]) & (old.opacities[:count] >= MIN_DRAWN_OPACITY)
+    total = int(counted.sum())
+    if old.offset == new.offset and old.sh.shape[1] == new.sh.shape[1]:  # else none may be as it was
+        counted &= np.bincount(changed_rows(old, new), minlength=count)[:count] > 0
+    rows = np.flatnonzero(counted)
+    if not len(rows):
+        return Losses(compared=total)
+    errors: dict[str, list[np.ndarray]] = {}
+    with np.errstate(all="ignore"):
+        base, rest = _Range(), _Range()
+        for start in range(0, len(rows), BLOCK_ROWS):
+            block = rows[start : start + BLOCK_ROWS]
+            one, two = old.take(block), new.take(block)
+            for name, values in _row_errors(one, two).items():
+                errors.setdefault(name, []).append(values.astype(np.float32))
+            base.add(one.sh[:, :1], two.sh[:, :1])
+            rest.add(one.sh[:, 1:], two.sh[:, 1:])
+        base_cut, rest_cut = (_cut_rows(old, rows, part, span) for part, span in ((0, base), (1, rest)))
+    joined = {name: np.concatenate(parts).astype(np.float64) for name, parts in errors.items()}
+    largest = {name: float(values.max()) for name, values in joined.items()}
+    rms = {name: math.sqrt(float((values * values).sum()) / total) for name, values in joined.items()}
+    moves = np.concatenate([joined["move"], np.zeros(total - len(rows))])
+    return Losses(
+        compared=total,
+        move_largest=largest["move"],
+        move_usual=float(np.quantile(moves, 0.99)),
+        moved_share=float((moves > 1).mean()),
+        color_largest=largest["color"],
+        color_rms=rms["color"],
+        color_cut_share=base_cut / total,
+        color_range=_colors(base.before),
+        color_range_after=_colors(base.after),
+        sh_largest=largest["sh"],
+        sh_rms=rms["sh"],
+        sh_cut_share=rest_cut / total,
+        sh_range=rest.before,
+        sh_range_after=rest.after,
+        opacity_largest=largest["opacity"],
+        opacity_rms=rms["opacity"],
+        scale_largest=math.expm1(min(largest["scale"], 700.0)),
+        scale_rms=rms["scale"],
+        rotation_largest=largest["rotation"],
+        rotation_rms=rms["rotation"],
+    )
+
+
+def _row_errors(old: Splats, new: Splats) -> dict[str, np.ndarray]:
+    """[n] errors of rows that can be drawn, by what is off."""
+    size = row_max(old.scales).astype(np.float64)
+    change = np.linalg.norm(new.world_means - old.world_means, axis=1)
+    bands = max(old.sh.shape[1], new.sh.shape[1])
+    sh = with_bands(new.sh, bands) - with_bands(old.sh, bands)
+    # The mean over the sphere of a squared basis function is 1 / (4 pi), of a product of two of them 0.
+    by_view = np.sqrt((sh[:, 1:] ** 2).sum(1) / (4 * np.pi)).max(1, initial=0.0)
+    thick = old.scales >= THIN * size[:, None]
+    ratio = np.where(thick, np.abs(np.log(new.scales.astype(np.float64) / old.scales)), 0)
+    one, two = (quats / np.linalg.norm(quats, axis=1, keepdims=True) for quats in _doubles(old.quats, new.quats))
+    # Of the chord, as the arc cosine of a number near 1 has no digits left.
+    chord = np.minimum(np.linalg.norm(one - two, axis=1), np.linalg.norm(one + two, axis=1))
+    angle = np.degrees(4 * np.arcsin(np.minimum(chord / 2, 1)))
+    turned = size > MIN_ANISOTROPY * old.scales.min(1)
+    return {
+        "move": change / size,
+        "color": SH_C0 * row_max(np.abs(sh[:, 0])),
+        "sh": by_view,
+        "opacity": np.abs(new.opacities.astype(np.float64) - old.opacities),
+        "scale": row_max(ratio),
+        "rotation": np.where(turned, angle, 0),
+    }
+
+
+def _doubles(*arrays: np.ndarray) -> list[np.ndarray]:
+    return [array.astype(np.float64) for array in arrays]
+
+
+@dataclass
+class _Range:
+    """Least and largest coefficients, before and after."""
+
+    before: tuple[float, float] = (0.0, 0.0)
+    after: tuple[float, float] = (0.0, 0.0)
+    started: bool = False
+
+    def add(self, before: np.ndarray, after: np.ndarray) -> None:
+        if before.size and after.size:
+            spans = [(float(values.min()), float(values.max())) for values in (before, after)]
+            if self.started:
+                old = (self.before, self.after)
+                spans = [(min(a[0], b[0]), max(a[1], b[1])) for a, b in zip(old, spans, strict=True)]
+            (self.before, self.after), self.started = spans, True
+
+
+def _cut_rows(old: Splats, rows: np.ndarray, part: int, span: _Range) -> int:
+    """How many of the rows have a coefficient beyond all that came back. part: 0 the base colour, 1 the others."""
+    low, high = span.after[0] - CUT_TOLERANCE, span.after[1] + CUT_TOLERANCE
+    if not span.started or (span.before[0] >= low and span.before[1] <= high):
+        return 0
+    cut = 0
+    for start in range(0, len(rows), BLOCK_ROWS):
+        block = old.sh[rows[start : start + BLOCK_ROWS]]
+        sh = block[:, 1:] if part else block[:, :1]
+        cut += int(((sh < low) | (sh > high)).any((1, 2)).sum())
+    return cut
+
+
+def _colors(span: tuple[float, float]) -> tuple[float, float]:
+    return 0.5 + SH_C0 * span[0], 0.5 + SH_C0 * span[1]
+
+
+# ---- formats that were not written
+
+
+def measured_as(splats: Splats, key: str) -> tuple[Losses, int]:
+    """(the losses of these Gaussians in a new file of the format `key`, its bytes), by writing one. Raises ValueError:
+    it cannot hold them."""
+    rows = replace(splats, source=None, origin=None)
+    with tempfile.TemporaryDirectory(prefix="splatpainter-verify-") as folder:
+        path = Path(folder) / f"asset{FORMATS[key].suffixes[0]}"
+        write(path, rows)
+        return measure(rows, read(path, offset=rows.offset)), path.stat().st_size
+
+
+def spread_sample(splats: Splats, count: int = SAMPLE_ROWS) -> Splats:
+    """About `count` Gaussians from all over the rows, those at the ends of each axis among them, in their order and
+    without their file: they span what all of them span."""
+    arrays = replace(splats.numpy(), source=None, origin=None)
+    rows = np.flatnonzero(arrays.drawable & (arrays.opacities >= MIN_DRAWN_OPACITY))
+    if len(rows) <= count:
+        return arrays.take(rows)
+    means = arrays.means[rows]
+    ends = np.concatenate([means.argmin(0), means.argmax(0)])
+    evenly = np.linspace(0, len(rows) - 1, count).astype(np.int64)
+    return arrays.take(rows[np.unique(np.concatenate([evenly, ends]))])
+
+
+def better_format(splats: Splats, key: str, losses: Losses) -> str:
+    """Name ending of the smallest format that holds well what the format `key` does not: of samples of the Gaussians,
+    the worst loss is invisible and BETTER_FACTOR less; "" where nothing visible is lost, or none is better."""
+    worst = losses.severity
+    if worst < 1:
+        return ""
+    few = spread_sample(splats)
+    if not len(few):
+        return ""
+    for other in (other for other in TRIED_FORMATS if other != key):
+        try:
+            severity = measured_as(few, other)[0].severity
+        except ValueError:  # it cannot hold them at all
+            continue
+        if severity < 1 and severity * BETTER_FACTOR <= worst:
+            return FORMATS[other].suffixes[0]
+    return ""
+
+
+def loss_line(splats: Splats, key: str, losses: Losses) -> str:
+    """`losses.line` of a file of the format `key`, and which format would be better, where one is."""
+    better = better_format(splats, key, losses)
+    return losses.line + (f" ({better} would hold them)" if better else "")
+
+
+def loss_of_edits(splats: Splats) -> Losses:
+    """How an edit of these Gaussians would be rounded by the format that they were read from: a sample of them, moved
+    by a tenth of their size and recoloured by 3/255 at random, is written anew. Of compressed PLY rows that stand
+    together, as its chunks share their precision."""
+    assert splats.source is not None
+    key, rng = splats.source.format, np.random.default_rng(0)
+    few = sample(splats, SAMPLE_ROWS) if key == "compressed.ply" else spread_sample(splats)
+    if not len(few):
+        return Losses()
+
+    def noise(values: np.ndarray) -> np.ndarray:
+        return rng.uniform(-1, 1, values.shape).astype(np.float32)
+
+    with np.errstate(all="ignore"):  # of values at the edge of float32
+        moved = replace(
+            few,
+            means=few.means + 0.1 * few.scales.max(1, keepdims=True) * noise(few.means),
+            scales=few.scales * (1 + 0.05 * noise(few.scales)),
+            opacities=np.clip(few.opacities + 0.01 * noise(few.opacities), 0, 1),
+            sh=few.sh + 0.02 * noise(few.sh),
+        )
+    try:
+        return measured_as(moved, key)[0]
+    except ValueError:  # it does not hold more than it has
+        return Losses()

@@ -1,0 +1,282 @@
+"""What looks wrong about an asset: each doubt on a file that deserves it, none on files that do not."""
+
+from __future__ import annotations
+
+import io as bytes_io
+import json
+import struct
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import splatpainter as sp
+from splatpainter import io
+from splatpainter.doubts import doubts, doubts_of_view
+from splatpainter.splats import SH_C0, Splats
+from tests.support import glb_files
+from tests.support.cli_scenes import Capture, ball, run, saved
+from tests.support.far_assets import UTM, far_ply
+from tests.support.io_assets import random_splats
+
+TYPES = {"float": "f4", "double": "f8", "uchar": "u1", "ushort": "u2", "int": "i4", "uint": "u4"}
+
+
+def ply(path: Path, columns: Mapping[str, np.ndarray], kinds: Mapping[str, str] | None = None) -> Path:
+    """A little-endian PLY of these properties, written by hand; kinds: PLY types other than float."""
+    types = {name: (kinds or {}).get(name, "float") for name in columns}
+    rows = np.zeros(len(columns["x"]), [(name, "<" + TYPES[kind]) for name, kind in types.items()])
+    for name, values in columns.items():
+        rows[name] = values
+    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}"]
+    head += [f"property {kind} {name}" for name, kind in types.items()] + ["end_header", ""]
+    path.write_bytes("\n".join(head).encode() + rows.tobytes())
+    return path
+
+
+def columns_of(splats: Splats, colors: str = "f_dc") -> dict[str, np.ndarray]:
+    """INRIA's columns: log-scales, logits, SH coefficients (or base colours 0..1 as red, green, blue)."""
+    out = dict(zip("xyz", splats.means.T.astype(float), strict=True))
+    base = splats.sh[:, 0].astype(float)
+    if colors == "f_dc":
+        out |= {f"f_dc_{k}": base[:, k] for k in range(3)}
+    else:
+        out |= {name: 0.5 + SH_C0 * base[:, k] for k, name in enumerate(("red", "green", "blue"))}
+    alpha = splats.opacities.astype(float)
+    out["opacity"] = np.log(alpha / (1 - alpha))
+    out |= {f"scale_{k}": np.log(splats.scales[:, k].astype(float)) for k in range(3)}
+    return out | {f"rot_{k}": splats.quats[:, k].astype(float) for k in range(4)}
+
+
+def lines(path: Path) -> str:
+    return "\n".join(doubt.line for doubt in doubts(io.read(path)))
+
+
+@pytest.mark.parametrize("radius", [1.0, 50.0, 0.01])
+def test_sound_assets_raise_no_doubt(radius: float, tmp_path: Path) -> None:
+    splats = ball(2000, radius=radius)
+    for ending in ("ply", "compressed.ply", "splat", "spz", "sog", "glb"):
+        assert lines(saved(tmp_path / f"a.{ending}", splats)) == "", ending
+    assert lines(saved(tmp_path / "random.ply", random_splats(500, 3))) == ""
+    large = replace(ball(2000, radius=50.0), scales=np.full((2000, 3), 2.0, np.float32))
+    assert lines(saved(tmp_path / "large.ply", large)) == "", "log-scales above 0 of Gaussians that are so large"
+
+
+def test_activated_values_are_named(tmp_path: Path) -> None:
+    splats = ball(1000)
+    columns = columns_of(splats)
+    alone = {
+        "sizes": {f"scale_{k}": splats.scales[:, k] for k in range(3)},
+        "opacities": {"opacity": splats.opacities},
+        "colours": {f"f_dc_{k}": 0.5 + SH_C0 * splats.sh[:, 0, k] for k in range(3)},
+    }
+    for wrong, values in alone.items():
+        text = lines(ply(tmp_path / "a.ply", columns | values))
+        assert "look activated" in text and f"so {wrong} are shown wrong" in text, text
+        assert "export again" in text and "\n" not in text
+    together = lines(ply(tmp_path / "a.ply", columns | alone["sizes"] | alone["opacities"]))
+    assert "(stored without log, logit), so sizes and opacities are shown wrong" in together
+
+
+def test_activated_values_are_said_by_the_commands(tmp_path: Path, capfd: Capture) -> None:
+    splats = ball(1000)
+    asset = ply(tmp_path / "a.ply", columns_of(splats) | {f"scale_{k}": splats.scales[:, k] for k in range(3)})
+    done = run(capfd, "info", asset)
+    assert "doubt      scale_0..2 are all above 0" in done.out
+    done = run(capfd, "render", asset, "--out", tmp_path / "v", "--views", 1, "--size", 32, "--json")
+    assert "look activated" in done.json["doubts"][0] and done.err.count("look activated") == 1
+    done = run(capfd, "convert", asset, tmp_path / "b.glb")
+    assert "splatpainter: warning: " in done.err and "look activated" in done.err
+
+
+def glb_of(splats: Splats, generator: str, log_scales: bool) -> bytes:
+    attributes = glb_files.attributes_of(splats)
+    if log_scales:
+        attributes["SCALE"] = np.log(splats.scales)
+    doc, binary = glb_files.parts(glb_files.build(attributes))
+    doc["asset"]["generator"] = generator
+    return glb_files.pack(doc, binary)
+
+
+def stored_scales(path: Path) -> np.ndarray:
+    doc, binary = glb_files.parts(path.read_bytes())
+    return glb_files.columns(glb_files.pack({**doc, "meshes": doc["meshes"][1:]}, binary))["SCALE"]
+
+
+@pytest.mark.parametrize(
+    ("generator", "log_scales"),
+    [
+        ("splat-transform 1.10.1", True),
+        ("splat-transform 2.3.1", True),
+        ("splat-transform 2.6.9", True),
+        ("splat-transform 2.7.0", False),
+        ("splat-transform 3.7.0", False),
+        ("splat-transform 10.0.0", False),
+        ("other 1.0.0", False),
+    ],
+)
+def test_log_scales_of_old_glb_files_are_read_as_such(generator: str, log_scales: bool, tmp_path: Path) -> None:
+    """Scales above 1 too, of which the logarithms look sound."""
+    splats = random_splats(60, 1, log_scale=0.8)
+    (tmp_path / "a.glb").write_bytes(glb_of(splats, generator, log_scales))
+    read = io.read(tmp_path / "a.glb")
+    np.testing.assert_allclose(read.scales, splats.scales, rtol=1e-5)
+    assert (generator in lines(tmp_path / "a.glb")) == log_scales
+    io.write(tmp_path / "same.glb", read)
+    assert (tmp_path / "same.glb").read_bytes() == (tmp_path / "a.glb").read_bytes()
+
+
+def test_an_edit_of_log_scales_stores_logarithms(tmp_path: Path) -> None:
+    splats = random_splats(60, 1, log_scale=0.8)
+    (tmp_path / "a.glb").write_bytes(glb_of(splats, "splat-transform 2.3.1", True))
+    read = io.read(tmp_path / "a.glb")
+    scales = read.scales.copy()
+    scales[5] *= np.float32(1.5)
+    edited = replace(read, scales=scales)
+    io.write(tmp_path / "b.glb", edited)
+    before, after = (stored_scales(tmp_path / name) for name in ("a.glb", "b.glb"))
+    assert np.flatnonzero((before != after).any(1)).tolist() == [5]
+    np.testing.assert_allclose(after[5], np.log(splats.scales[5] * 1.5), atol=1e-5)
+    more = edited.append(edited.take(np.array([1])))
+    io.write(tmp_path / "c.glb", more)
+    again = io.read(tmp_path / "c.glb").scales
+    assert np.array_equal(np.delete(again, 5, 0), np.delete(more.scales, 5, 0)), "with a row appended too"
+
+
+def test_negative_scales_of_other_programs_name_the_suspicion(tmp_path: Path) -> None:
+    (tmp_path / "a.glb").write_bytes(glb_of(random_splats(60, 1), "other 1.0", True))
+    splats = io.read(tmp_path / "a.glb")
+    with_one = replace(splats, scales=np.vstack([np.abs(splats.scales[:1]), splats.scales[1:]]))
+    (doubt,) = doubts(with_one)
+    assert "probably logarithms" in doubt.line
+
+
+def test_lossy_planes_of_a_sog(tmp_path: Path) -> None:
+    io.write(tmp_path / "d" / "meta.json", ball(600))
+    assert lines(tmp_path / "d") == ""
+    meta = json.loads((tmp_path / "d" / "meta.json").read_text())
+    for name in meta["means"]["files"]:
+        with Image.open(tmp_path / "d" / name) as image:
+            out = bytes_io.BytesIO()
+            image.convert("RGBA").save(out, "WEBP", quality=80)
+        (tmp_path / "d" / name).write_bytes(out.getvalue())
+    text = lines(tmp_path / "d")
+    assert text.startswith(", ".join(meta["means"]["files"]) + ": lossy WebP"), text
+
+
+@pytest.mark.parametrize("kind", ["int", "uint", "ushort", "float", "uchar"])
+def test_colours_of_0_to_255_are_read_whatever_their_type(kind: str, tmp_path: Path) -> None:
+    splats = ball(500, degree=0)
+    columns = columns_of(splats, "rgb")
+    bytes_of = {name: np.rint(255 * columns[name]) for name in ("red", "green", "blue")}
+    path = ply(tmp_path / "a.ply", columns | bytes_of, dict.fromkeys(bytes_of, kind))
+    read = io.read(path)
+    truth = np.stack(list(bytes_of.values()), 1) / 255
+    np.testing.assert_allclose(0.5 + SH_C0 * read.sh[:, 0], truth, atol=1e-5)
+    assert ("read as 0..255" in lines(path)) == (kind != "uchar")
+    sh = read.sh.copy()
+    sh[3] = 0
+    io.write(tmp_path / "b.ply", replace(read, sh=sh))
+    again = io.read(tmp_path / "b.ply")
+    np.testing.assert_allclose(0.5 + SH_C0 * again.sh[3, 0], 0.5, atol=0.003)
+    assert np.array_equal(np.delete(again.sh, 3, 0), np.delete(read.sh, 3, 0))
+
+
+def test_colours_of_other_scales_stay_what_their_type_says(tmp_path: Path) -> None:
+    splats = ball(500, degree=0)
+    columns = columns_of(splats, "rgb")
+    names = ("red", "green", "blue")
+    for kind, most in (("ushort", 65535), ("float", 1)):
+        path = ply(tmp_path / "a.ply", columns | {n: columns[n] * most for n in names}, dict.fromkeys(names, kind))
+        np.testing.assert_allclose(io.read(path).sh, splats.sh, atol=1e-4)
+        assert lines(path) == ""
+
+
+@pytest.mark.parametrize(("value", "words"), [(400.0, "255"), (-1.0 / SH_C0, "black")])
+def test_colours_that_are_white_or_black_all_over(value: float, words: str, tmp_path: Path) -> None:
+    columns = columns_of(ball(200))
+    columns |= {f"f_dc_{k}": np.full(200, value) for k in range(3)}
+    assert words in lines(ply(tmp_path / "a.ply", columns))
+
+
+def test_rounded_positions(tmp_path: Path) -> None:
+    columns = columns_of(ball(1000))
+    for k, name in enumerate("xyz"):
+        columns[name] = columns[name] + UTM[k]
+    text = lines(ply(tmp_path / "a.ply", columns))
+    assert "float32 has steps of" in text and "of 1,000 are distinct" in text and "double x, y, z" in text
+    for order in ("<", "="):
+        far_ply(tmp_path / "far.ply", ball(300), order=order)
+        assert lines(tmp_path / "far.ply") == ""
+    io.write(tmp_path / "far.glb", io.read(tmp_path / "far.ply"))
+    assert lines(tmp_path / "far.glb") == ""
+    io.write(tmp_path / "far.spz", io.read(tmp_path / "far.ply"))
+    assert "rounded when the file was written" in lines(tmp_path / "far.spz")
+
+
+def test_nothing_to_see(tmp_path: Path, capfd: Capture) -> None:
+    splats = ball(300)
+    clear = replace(splats, opacities=np.full(300, 0.001, np.float32))
+    assert "all of 300 Gaussians are transparent" in doubts(clear)[0].line
+    broken = replace(splats, means=np.full((300, 3), np.nan, np.float32))
+    assert "none of 300 Gaussians can be drawn" in doubts(broken)[0].line
+    assert "no Gaussian" in doubts(splats.take(np.zeros(0, int)))[0].line
+    done = run(capfd, "info", saved(tmp_path / "a.ply", broken))
+    assert done.code == 0 and "training or an export went wrong" in done.out
+
+
+def test_a_camera_that_sees_nothing(tmp_path: Path, capfd: Capture) -> None:
+    splats = ball(300)
+    towards = sp.look_at((0, 0, -4), (0, 0, 0), (0, -1, 0), width=32, height=32)
+    assert doubts_of_view(splats, towards) == ()
+    away = sp.look_at((0, 0, -4), (0, 0, -8), (0, -1, 0), width=32, height=32)
+    assert "all are behind the camera" in doubts_of_view(splats, away)[0].line
+    beside = sp.look_at((0, 0, -4), (9, 0, -4), (0, -1, 0), width=32, height=32)
+    assert "beside the picture" in doubts_of_view(splats, beside)[0].line
+    near = replace(splats, scales=splats.scales * 100)
+    assert doubts_of_view(near, beside) == (), "so large that they reach into the picture"
+    (tmp_path / "cam.json").write_text(away.to_json())
+    asset = saved(tmp_path / "a.ply", splats)
+    done = run(capfd, "render", asset, "--camera", tmp_path / "cam.json", "--out", tmp_path / "v")
+    assert done.code == 0 and "view_000: none of 300 Gaussians is in view" in done.err
+    done = run(capfd, "edit", asset, tmp_path / "v" / "view_000.png", "--out", tmp_path / "out.ply")
+    assert "none of 300 Gaussians is in view" in done.error and not (tmp_path / "out.ply").exists()
+
+
+PAGE = b"\n<!DOCTYPE html><html><head><title>Not found</title></head></html>" + bytes(100)
+POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 123456789\n"
+FILM = struct.pack(">I", 24) + b"ftypisom" + bytes(64)
+KINDS = [
+    (PAGE, "a web page"),
+    (b"\xef\xbb\xbf<html>" + bytes(90), "a web page"),
+    (POINTER, "a git-LFS pointer"),
+    (FILM, "a film"),
+    (b"\x1a\x45\xdf\xa3" + bytes(60), "a film"),
+    (b"\x89PNG\r\n\x1a\n" + bytes(56), "a picture"),
+    (b"\xff\xd8\xff\xe0" + bytes(60), "a picture"),
+    (b"RIFF\x10\0\0\0AVI " + bytes(52), "a film"),
+    (b"RIFF\x10\0\0\0WEBP" + bytes(52), "a picture"),
+    (bytes(257) + b"ustar" + bytes(26), "a tar archive"),
+]
+
+
+@pytest.mark.parametrize("ending", ["splat", "ply", "spz", "ksplat", "sog", "glb", "bin"])
+@pytest.mark.parametrize(("data", "what"), KINDS)
+def test_files_that_are_no_splats(data: bytes, what: str, ending: str, tmp_path: Path) -> None:
+    path = tmp_path / f"chair.{ending}"
+    path.write_bytes(data[: 32 * (len(data) // 32)] if ending == "splat" and what != "a git-LFS pointer" else data)
+    with pytest.raises(ValueError, match=rf"chair\.{ending}: is {what}.*, not a splat file; ") as error:
+        io.read(path)
+    assert "\n" not in str(error.value)
+
+
+def test_a_splat_file_of_any_positions_is_read(tmp_path: Path) -> None:
+    splats = ball(50, degree=0)
+    for first in (0.0, 1.0, -1e-20, 3e38):
+        means = splats.means.copy()
+        means[0] = first
+        path = saved(tmp_path / "a.splat", replace(splats, means=means))
+        assert len(io.read(path)) == 50
