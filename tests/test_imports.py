@@ -24,6 +24,7 @@ ORDER = (
     ("image_files",),
     ("kernels",),
     ("io",),
+    ("captures",),
     ("text_tables", "contact_sheet", "doubts"),
     ("rendering",),
     ("metrics",),

@@ -47,6 +47,16 @@ def load_object(
     Raises ValueError: longer than max_bytes, not UTF-8 JSON, nested deeper than MAX_JSON_DEPTH, not an object, or
     numbers beyond the range of a double.
     """
+    document = load_document(data, where, what, max_bytes)
+    if not isinstance(document, dict):
+        raise ValueError(f"{where}: expected an object as {what}, found {type(document).__name__}")
+    return document
+
+
+def load_document(
+    data: bytes | memoryview | str, where: Path | str, what: str, max_bytes: int = MAX_JSON_BYTES
+) -> dict[str, Any] | list[Any]:
+    """The JSON object or list in `data`. Raises ValueError: as `load_object`, and for a single value."""
     if len(data) > max_bytes:
         raise ValueError(f"{where}: {what} has {len(data)} bytes; expected at most {max_bytes}")
     try:
@@ -57,7 +67,7 @@ def load_object(
         raise ValueError(f"{where}: {what} is not JSON ({' '.join(str(error).split())[:80]})") from None
     except RecursionError:
         raise _too_deep(where, what) from None
-    if not isinstance(document, dict):
+    if not isinstance(document, dict | list):
         raise ValueError(f"{where}: expected an object as {what}, found {type(document).__name__}")
     _check_values(document, where, what)
     return document
@@ -250,7 +260,7 @@ def _line(text: str) -> str:
     return "".join(c if c.isprintable() else "?" for c in text[:100])
 
 
-def _check_values(document: dict[str, Any], where: Path | str, what: str) -> None:
+def _check_values(document: dict[str, Any] | list[Any], where: Path | str, what: str) -> None:
     level: list[Any] = [document]
     for _ in range(MAX_JSON_DEPTH):
         deeper: list[Any] = []

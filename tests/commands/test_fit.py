@@ -135,7 +135,7 @@ def test_bad_input_is_one_line_and_writes_nothing(tmp_path: Path, capfd: Capture
         (tmp_path / name / "transforms.json").write_text(text)
     (tmp_path / "bent").mkdir()
     write_png(tmp_path / "bent" / "a.png", np.zeros((8, 8, 3)))
-    frame = {"file_path": "a.png", "transform_matrix": np.eye(4).tolist(), "k1": 0.2}
+    frame = {"file_path": "a.png", "transform_matrix": np.eye(4).tolist(), "camera_model": "ORTHOPHOTO"}
     (tmp_path / "bent" / "transforms.json").write_text(json.dumps({"camera_angle_x": 0.6, "frames": [frame, frame]}))
     wide = tmp_path / "wide"
     wide.mkdir()
@@ -147,11 +147,11 @@ def test_bad_input_is_one_line_and_writes_nothing(tmp_path: Path, capfd: Capture
         ("text.obj", (), "text.obj"),
         ("one", (), "at least two pictures"),
         ("bare", (), "no camera"),
-        ("broken", (), "NeRF-style table"),
+        ("broken", (), "transforms.json: the list of cameras is not JSON"),
         ("frameless", (), "no 'frames'"),
-        ("listed", (), "NeRF-style table"),
-        ("missing", (), "no 'file_path'"),
-        ("bent", (), "distorted"),
+        ("listed", (), "transforms.json: camera 0: expected an object"),
+        ("missing", (), "frame 0: has no file_path"),
+        ("bent", (), "camera_model is ORTHOPHOTO, which no pinhole camera replaces"),
         ("wide", (), "aspect ratio"),
         ("ball.ply", ("--steps", 0), "--steps from 1"),
         ("ball.ply", ("--sh-degree", 5), "--sh-degree from 0 to 4"),

@@ -82,6 +82,7 @@ _MODULES = {
     "sog": "sog_targets",
     "sog-folder": "sog_targets",
     "picture": "picture_target",
+    "capture": "capture_target",
     "project": "project_target",
     "verify": "verify_target",
     "studio": "studio_target",

@@ -17,7 +17,7 @@ from tests.fuzz.target import make_target, names, refusal, rng_of
 from tests.fuzz.worker import FIELDS, attempt, scratch_root
 
 COUNTS = {"ply": 100, "text-ply": 100, "compressed-ply": 80, "splat": 100, "ksplat": 100, "spz": 60, "glb": 80}
-COUNTS |= {"sog": 50, "sog-folder": 30, "picture": 50, "project": 10, "verify": 60, "studio": 3}
+COUNTS |= {"sog": 50, "sog-folder": 30, "picture": 50, "capture": 100, "project": 10, "verify": 60, "studio": 3}
 """Inputs of the short run; `make fuzz` makes the long ones."""
 
 

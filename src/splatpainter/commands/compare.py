@@ -60,7 +60,7 @@ class Config:
     views: int = 8
     """How many views around the first asset."""
     camera: CameraFiles = ()
-    """Use these cameras instead (CAM.json, or pictures that carry one)."""
+    """Use these cameras instead (CAM.json, pictures that carry one, or FILE[:N] of a capture)."""
     size: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
     """Pixels of the longer side; default: 512, or what the camera says."""
     background: Annotated[str | None, arg(metavar="R,G,B", help_behavior_hint="")] = None
@@ -101,7 +101,7 @@ class Likeness:
 def run(config: Config) -> Outcome:
     """Render, measure, save."""
     _check(config)
-    given = given_cameras(config.camera, config.size)
+    given = given_cameras(config.camera, config.size, config.first)
     for camera in given:
         if min(camera.width, camera.height) < MIN_SIDE_PX:
             raise ValueError(f"splatpainter compare: expected views of {MIN_SIDE_PX} pixels or more a side")

@@ -33,8 +33,10 @@ def decal_from_options(
     width: str,
     angle: float,
     wrap: float,
+    asset: Path | None = None,
 ) -> Decal | None:
-    """The decal, or None where neither a picture nor a text is given. Raises ValueError, one line naming the option."""
+    """The decal, or None where neither a picture nor a text is given. asset: what the camera is for.
+    Raises ValueError, one line naming the option."""
     if picture is None and not text:
         for option, given in (("--at", at), ("--width", width), ("--decal-font", font)):
             if given:
@@ -51,7 +53,7 @@ def decal_from_options(
     parse_width(width)
     source = text_picture(text, _color(color), font) if picture is None else picture
     name = str(picture) if picture is not None else f"decal '{text[:40]}'"
-    return Decal(source, _pixel(at), camera_from(cameras[0]), width, angle, wrap, name)
+    return Decal(source, _pixel(at), camera_from(cameras[0], asset), width, angle, wrap, name)
 
 
 def paint_decal(splats: Splats, decal: Decal, method: Method, painter: Painter) -> tuple[Asset, list[DecalView]]:

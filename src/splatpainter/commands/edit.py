@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from splatpainter.captures import is_capture
 from splatpainter.commands import Outcome
 from splatpainter.commands.asset_doubts import warn_of_doubts
 from splatpainter.commands.decal_options import DecalView, decal_from_options, paint_decal
@@ -32,9 +33,10 @@ from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.nn.precision import Precision
 from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
 from splatpainter.receipts import Receipt, Verification, receipt_of
-from splatpainter.sources import FileEdit, edit_from_files
+from splatpainter.sources import FileEdit
 from splatpainter.sources.decals import Decal
 from splatpainter.sources.gatekeeper import Strictness
+from splatpainter.sources.photographs import laid_over, picture_edit
 from splatpainter.splats import Splats
 
 
@@ -43,19 +45,20 @@ class Config:
     """Write edited pictures of an asset onto the asset. Gaussians that the edit does not reach stay as they are, byte
     for byte where the format allows it, and the receipt proves it.
 
-    Pictures: PNG, JPEG, WebP, TIFF or OpenEXR, painted on what `splatpainter render` made. Transparent pixels mean:
-    unchanged. Later pictures win where several disagree.
+    Pictures: PNG, JPEG, WebP, TIFF or OpenEXR, painted on what `splatpainter render` made, or on a photograph that the
+    asset was made from. Transparent pixels mean: unchanged. Later pictures win where several disagree.
 
     example:
       splatpainter edit vase.ply views/view_000.png --out painted.ply
       splatpainter edit vase.ply warm.png --mode global --out warm.ply
+      splatpainter edit garden photo.jpg --camera data/sparse/0 --out painted.ply
       splatpainter edit vase.ply red_lid.png --mode spread --spread-confidence sure.png --out red.ply
       splatpainter edit vase.ply --decal label.png --at 400,300 --camera cam.json --width 20% --out new.ply
       splatpainter edit vase.ply --source gemini --prompt "mossy stone" --views auto --out mossy.ply
     """
 
     asset: AssetFile
-    """The splat file to edit; it is not changed."""
+    """The splat file to edit, or a folder of INRIA's trainer (its last iteration); it is not changed."""
     out: OutFile
     """The file to write; its name says the format."""
     pictures: Annotated[Positional[tuple[Path, ...]], arg(metavar="VIEW.png ...", help_behavior_hint="")] = ()
@@ -67,7 +70,9 @@ class Config:
     lenient: bool = False
     """Also open a file that was cut off after its last complete row; what is left of the cut part is kept."""
     camera: CameraFiles = ()
-    """Cameras of the pictures, in their order, where the pictures lost theirs (CAM.json)."""
+    """Cameras of the pictures, in their order, where the pictures lost theirs (CAM.json), or where they are photographs
+    of a capture: cameras.json, transforms.json or COLMAP's sparse/0, with :N (a number or a name) where the picture has
+    another name than the photograph. Those of the capture in ASSET's folder need none."""
     mask: Annotated[tuple[Path, ...], arg(metavar="M.png ...", help_behavior_hint="")] = ()
     """Masks of the pictures, in their order: what is not black was edited. Default: what differs from the asset."""
     mode: Mode = "local"
@@ -138,9 +143,9 @@ class Config:
     source_option: Annotated[tuple[str, ...], arg(metavar="KEY=VALUE ...", help_behavior_hint="")] = ()
     """Options of the source; `splatpainter source list` names them. Keys come from the environment alone."""
     source_strictness: Strictness = "normal"
-    """Which pictures are refused. strict: edges agree by less than 0.7 of 1, moved by over 1 %, turned by over 0.5
-    degrees, 0.25 stops off, over 10 % changed outside the mask, or cropped; normal: less than 0.38, over 10 %, 6
-    degrees, 1.5 stops; loose: less than 0.2, over 30 %, 12 degrees."""
+    """Which pictures of a source, and painted photographs, are refused. strict: edges agree by less than 0.7 of 1,
+    moved by over 1 %, turned by over 0.5 degrees, 0.25 stops off, over 10 % changed outside the mask, or cropped;
+    normal: less than 0.38, over 10 %, 6 degrees, 1.5 stops; loose: less than 0.2, over 30 %, 12 degrees."""
     source_report: Annotated[Path | None, arg(metavar="REPORT.png", help_behavior_hint="")] = None
     """Write a sheet of pictures: sent, received, mask, used, difference."""
     dry_run: bool = False
@@ -176,6 +181,7 @@ def run(config: Config) -> Outcome:
         _check_views(pictures, splats)
         _warn_of_other_assets(pictures, splats)
         _compile()
+        sources = pictures = [laid_over(one, splats, config.mode, config.source_strictness) for one in pictures]
         bar.enter("painting")
         if decal is not None:
             edited, sources = paint_decal(splats, decal, config.method, painter)
@@ -275,7 +281,7 @@ def _check(config: Config, receipt_path: Path) -> None:
     if not (decal or config.source) and not 1 <= len(config.pictures) <= MAX_VIEWS:
         count = len(config.pictures) or "none"
         raise ValueError(f"splatpainter edit: expected 1 to {MAX_VIEWS} pictures (VIEW.png) after ASSET, got {count}")
-    for name, given in (("--camera", config.camera), ("--mask", config.mask)):
+    for name, given in (("--camera", _cameras(config)), ("--mask", config.mask)):
         if given and len(given) != len(config.pictures) and not (decal or config.source):
             expected = f"as many {name} files as pictures ({len(config.pictures)})"
             raise ValueError(f"splatpainter edit: expected {expected}, got {len(given)}")
@@ -287,17 +293,25 @@ def _check(config: Config, receipt_path: Path) -> None:
 def _decal(config: Config) -> Decal | None:
     text = (config.decal_text, config.decal_font, config.decal_color)
     return decal_from_options(
-        config.decal, *text, config.at, config.camera, config.width, config.angle, config.wrap
+        config.decal, *text, config.at, config.camera, config.width, config.angle, config.wrap, config.asset
     )  # fmt: skip
+
+
+def _cameras(config: Config) -> tuple[Path, ...]:
+    """--camera of each picture; one capture serves for all, each finds its view there by its name."""
+    if len(config.camera) == 1 and is_capture(config.camera[0]):
+        return config.camera * max(len(config.pictures), 1)
+    return config.camera
 
 
 def _pictures(config: Config) -> list[FileEdit]:
     if config.source:  # its mask is that of the view that is sent
         return []
-    cameras = config.camera or (None,) * len(config.pictures)
+    cameras = _cameras(config) or (None,) * len(config.pictures)
     masks = config.mask or (None,) * len(config.pictures)
     return [
-        edit_from_files(*files) for files in zip(config.pictures, cameras[: len(config.pictures)], masks, strict=True)
+        picture_edit(*files, config.asset)
+        for files in zip(config.pictures, cameras[: len(config.pictures)], masks, strict=True)
     ]
 
 

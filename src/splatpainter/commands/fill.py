@@ -17,7 +17,7 @@ from splatpainter.commands.sourced_edit import InterruptibleSource, SourceBar, k
 from splatpainter.commands.terminal import count, seconds, stages
 from splatpainter.commands.verified_write import check_outputs, proved_record, write_proved
 from splatpainter.commands.verify import same_words
-from splatpainter.commands.view_options import given_cameras
+from splatpainter.commands.view_options import given_camera
 from splatpainter.grading.region import Region
 from splatpainter.io import read
 from splatpainter.receipts import receipt_of
@@ -96,7 +96,7 @@ def run(config: Config) -> Outcome:
         config.out, receipt_path, config.overwrite, config.asset, [config.view] if config.view is not None else []
     )
     source = _source(config, open_source, option_words)
-    cameras = given_cameras([config.view], config.size) if config.view is not None else []
+    cameras = [given_camera(config.view, config.size, config.asset)] if config.view is not None else []
     with keeping_answers(source, config.out), stages(4) as bar:
         bar.enter("reading")
         clock = time.perf_counter()

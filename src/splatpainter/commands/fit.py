@@ -41,7 +41,7 @@ class Config:
 
     SOURCE is a mesh (GLB, glTF, OBJ; rendered from all around), a splat file (fitted anew to its own renders), or a
     folder of pictures that carry their camera (as `splatpainter render` writes them) or have a NeRF-style
-    transforms.json.
+    transforms.json, COLMAP's sparse/0 or INRIA's cameras.json. Lens distortion is taken out.
 
     example:
       splatpainter fit chair.glb --out chair.ply --steps 2000

@@ -9,11 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from splatpainter.cameras import bounding_sphere
+from splatpainter.captures import captured_views, is_capture
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import AssetFile, FrameOption
 from splatpainter.commands.terminal import count, size, stages
 from splatpainter.doubts import doubts
-from splatpainter.io import FORMATS, frame_line, read
+from splatpainter.io import FORMATS, asset_file, frame_line, read
+from splatpainter.io.folders import iterations
 from splatpainter.io.losses import Losses, loss_of_edits, measured_as
 from splatpainter.io.positions import MAX_STEP, coarseness
 from splatpainter.io.sog_container import META
@@ -29,7 +31,7 @@ class Config:
     """
 
     asset: AssetFile
-    """A splat file, or a SOG folder."""
+    """A splat file, a SOG folder, or a folder of INRIA's trainer (point_cloud/iteration_N)."""
     frame: FrameOption = "auto"
     """Axes of the file's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
     lenient: bool = False
@@ -46,6 +48,8 @@ def run(config: Config) -> Outcome:
         bar.enter("reading")
         splats = read(config.asset, frame=config.frame, lenient=config.lenient)
         record = describe(splats, config.asset)
+        if config.asset.is_dir():
+            record |= describe_folder(config.asset)
         if config.losses:
             record["losses"] = losses_by_format(splats)
     return Outcome(record, _lines(record))
@@ -104,8 +108,22 @@ def losses_by_format(splats: Splats) -> dict[str, dict]:
     return out
 
 
+def describe_folder(folder: Path) -> dict:
+    """What `info` says besides of a trainer's folder: its iterations, and the cameras beside them."""
+    record: dict = {"asset_file": asset_file(folder), "iterations": list(iterations(folder)), "capture": None}
+    try:
+        if is_capture(folder):
+            views = captured_views(folder, folder)
+            photographs = sum(view.picture() is not None for view in views)
+            record["capture"] = {"cameras": len(views), "photographs": photographs}
+    except ValueError as error:  # the asset is sound without it
+        record["capture"] = {"problem": str(error)}
+    return record
+
+
 def file_size(path: Path) -> int:
     """Bytes of a file, or of the files in a folder (of a SOG asset, by its folder or its meta.json)."""
+    path = asset_file(path)
     folder = path.parent if path.name.lower() == META else path
     if folder.is_dir():
         return sum(file.stat().st_size for file in folder.iterdir() if file.is_file())
@@ -134,6 +152,7 @@ def _lines(record: dict) -> list[str]:
         "lost": f"of edited Gaussians, by rounding: {record['lossy']}" if record["lossy"] else "",
     }
     lines = [f"{name:<10} {text}" for name, text in fields.items() if text]
+    lines += _folder_lines(record) if "capture" in record else []
     lines += [f"{'problem':<10} {problem}" for problem in record["problems"]]
     lines += [f"{'doubt':<10} {doubt}" for doubt in record["doubts"]]
     for ending, entry in record.get("losses", {}).items():
@@ -152,6 +171,20 @@ def _positions(record: dict) -> str:
         return f"{coarse}, and this file has no finer positions"
     offset = ", ".join(f"{value:.15g}" for value in record["offset"])
     return f"kept relative to ({offset}); {coarse}: only .ply (as double) and .glb hold them"
+
+
+def _folder_lines(record: dict) -> list[str]:
+    steps = record["iterations"]
+    which = f"{record['asset_file'].name}, of iteration {steps[-1]:,}" if steps else record["asset_file"].name
+    earlier = f" (also there: {', '.join(f'{step:,}' for step in steps[:-1])})" if steps[:-1] else ""
+    lines = [f"{'opened':<10} {which}{earlier}"]
+    capture = record["capture"] or {}
+    if "problem" in capture:
+        return [*lines, f"{'cameras':<10} cannot be read: {capture['problem']}"]
+    if capture:
+        there = f"{capture['photographs']:,} of their photographs are there"
+        lines.append(f"{'cameras':<10} {capture['cameras']:,}, for --camera {record['file']}:N; {there}")
+    return lines
 
 
 def _point(values: np.ndarray, reach: float = 0.0) -> str:

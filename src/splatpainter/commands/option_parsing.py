@@ -22,7 +22,7 @@ OLD_AXES_OPTION = "--out-frame"
 """What --axes was called; scripts may still say it."""
 AssetFile: TypeAlias = Annotated[Positional[Path], arg(metavar="ASSET")]
 OutFile: TypeAlias = Annotated[Path, arg(metavar="OUT")]
-CameraFiles: TypeAlias = Annotated[tuple[Path, ...], arg(metavar="CAM.json ...", help_behavior_hint="")]
+CameraFiles: TypeAlias = Annotated[tuple[Path, ...], arg(metavar="CAM.json[:N] ...", help_behavior_hint="")]
 FrameOption: TypeAlias = Annotated[Frame, arg(metavar="auto|rub|rdf")]
 """Which way the numbers of a file point: rub is right-up-back (y up), rdf right-down-front (y down)."""
 AxesOption: TypeAlias = Annotated[Frame, arg(metavar="auto|rub|rdf", aliases=(OLD_AXES_OPTION,))]

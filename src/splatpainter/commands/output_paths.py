@@ -14,7 +14,7 @@ from splatpainter.atomic import brief_name, check_name, write_text
 from splatpainter.cameras import Camera
 from splatpainter.commands.terminal import reason
 from splatpainter.image_files import write_png
-from splatpainter.io import FORMATS, Format, files, format_of_name
+from splatpainter.io import FORMATS, Format, asset_file, files, format_of_name
 from splatpainter.io.sog_container import META
 
 
@@ -125,9 +125,9 @@ def save_picture(path: Path, pixels: np.ndarray, camera: Camera | None = None) -
 
 
 def _same(a: Path, b: Path) -> bool:
-    """Whether two names mean one asset; a SOG folder is its meta.json."""
-    a, b = (path / META if path.is_dir() else path for path in (a, b))
+    """Whether two names mean one asset; a SOG folder is its meta.json, a trainer's folder its last iteration."""
     try:
+        a, b = (path / META if path.is_dir() else path for path in map(asset_file, (a, b)))
         return os.path.samefile(a, b)
-    except OSError:
+    except (OSError, ValueError):
         return False

@@ -17,7 +17,7 @@ from splatpainter.commands.sourced_edit import InterruptibleSource, SourceBar, k
 from splatpainter.commands.terminal import count, decibels, seconds, stages
 from splatpainter.commands.verified_write import check_outputs, proved_record, write_proved
 from splatpainter.commands.verify import same_words
-from splatpainter.commands.view_options import given_cameras
+from splatpainter.commands.view_options import given_camera
 from splatpainter.io import read
 from splatpainter.painter import MAX_VIEWS, Painter
 from splatpainter.receipts import receipt_of
@@ -93,7 +93,7 @@ def run(config: Config) -> Outcome:
     if config.upscale is not None:
         options = {**options, "model": str(config.upscale)}
     source = InterruptibleSource(open_source(config.source, options))
-    cameras = given_cameras(config.view, config.size)
+    cameras = [given_camera(path, config.size, config.asset) for path in config.view]
     painter = replace(Painter.load("lift"), aside=True)
     with keeping_answers(source, config.out), stages(4) as bar:
         bar.enter("reading")

@@ -38,13 +38,15 @@ class Config:
     """
 
     asset: AssetFile
-    """The splat file."""
+    """The splat file, or a folder of INRIA's trainer (its last iteration)."""
     out: Annotated[Path, arg(metavar="DIR")]
     """Folder for view_000.png, view_000.json, ...; made if missing."""
     views: int = 8
     """How many views around the asset."""
     camera: CameraFiles = ()
-    """Use these cameras instead (CAM.json, or PNGs that carry one); --views, --up and so on are then ignored."""
+    """Use these cameras instead: CAM.json, PNGs that carry one, cameras.json, transforms.json, camera_path.json or
+    COLMAP's sparse/0, all of these or the one that :N behind it names by number or picture; --views, --up and so on are
+    then ignored."""
     size: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
     """Pixels of the longer side, up to 8192; default: 800, or what the camera says."""
     width: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
@@ -87,7 +89,7 @@ def run(config: Config) -> Outcome:
     """Render and save."""
     _check(config)
     options = _options(config)
-    given = given_cameras(config.camera, config.size)
+    given = given_cameras(config.camera, config.size, config.asset)
     stems = [f"view_{k:03d}" for k in range(len(given) or config.views)]
     check_folder(config.out)
     if config.out.is_dir():

@@ -17,7 +17,7 @@ from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.commands.decal_options import DecalView
 from splatpainter.commands.output_paths import check_target
 from splatpainter.commands.terminal import complain, count, warn, watched
-from splatpainter.commands.view_options import BACKGROUND, color, given_cameras
+from splatpainter.commands.view_options import BACKGROUND, color, given_camera
 from splatpainter.image_files import CAMERA_KEYWORD, encode_png, quantized
 from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
 from splatpainter.rendering import MAX_SIDE_PX
@@ -47,6 +47,8 @@ CANCEL_SECONDS = 15.0
 class SourceConfig(Protocol):
     """The options of `edit` that are read here; commands/edit.py says what they mean."""
 
+    @property
+    def asset(self) -> Path: ...
     @property
     def source(self) -> str: ...
     @property
@@ -142,10 +144,10 @@ def source_from_options(config: SourceConfig) -> SourceJob | None:
 
     references = tuple(read_picture(path).colors for path in config.reference)
     brief = SourceBrief(config.prompt, references, config.seed, config.enlarge, config.source_strictness)
-    cameras = given_cameras([] if config.view is None else [config.view], config.size)
+    camera = None if config.view is None else given_camera(config.view, config.size, config.asset)
     mask = _mask(config.mask[0]) if config.mask else None
     source = InterruptibleSource(open_source(config.source, option_words(config.source_option)))
-    return SourceJob(source, brief, cameras[0] if cameras else None, mask, config)
+    return SourceJob(source, brief, camera, mask, config)
 
 
 def paint_from_source(splats: Splats, request: SourceJob, painter: Painter) -> tuple[Asset, list[DecalView]]:

@@ -25,7 +25,7 @@ class Config:
     """
 
     asset: Annotated[Positional[Path | None], arg(metavar="ASSET|PROJECT")] = None
-    """A splat file or a .splatproj project; without one, the demo asset."""
+    """A splat file, a folder of INRIA's trainer or a .splatproj project; without one, the demo asset."""
     frame: FrameOption = "auto"
     """Axes of a splat file's numbers: rub is y up, rdf y down; auto: what it says, else what its format has. In the
     page, one click turns an asset that is upside down."""

@@ -16,7 +16,7 @@ from splatpainter.commands.asset_doubts import warn_of_doubts
 from splatpainter.commands.option_parsing import AssetFile, FrameOption, OutFile
 from splatpainter.commands.output_paths import check_target
 from splatpainter.commands.terminal import progress, size
-from splatpainter.commands.view_options import check_ranges, check_ring, color, given_cameras, ring_of_views
+from splatpainter.commands.view_options import check_ranges, check_ring, color, given_camera, ring_of_views
 from splatpainter.io import files, frame_news, read
 from splatpainter.rendering.profiles import Profile
 
@@ -52,7 +52,8 @@ class Config:
     degrees: float = 360.0
     """How far it turns, counter-clockwise seen from above; negative: the other way."""
     camera: Annotated[Path | None, arg(metavar="CAM.json", help_behavior_hint="")] = None
-    """The first view (CAM.json, or a PNG that carries one); --elevation, --fov and --distance are then ignored."""
+    """The first view (CAM.json, a PNG that carries one, or FILE:N of a capture); --elevation, --fov and --distance are
+    then ignored."""
     size: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
     """Pixels of the longer side; default: 800, or what the camera says. MP4 has an even number of rows and columns."""
     width: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
@@ -91,10 +92,10 @@ def run(config: Config) -> Outcome:
 
     options = _options(config)
     _check(config)
-    given = [] if config.camera is None else given_cameras([config.camera], config.size)
+    given = None if config.camera is None else given_camera(config.camera, config.size, config.asset)
     check_target(config.out, config.overwrite, [config.asset])
     splats = read(config.asset, frame=config.frame, lenient=config.lenient)
-    first = given[0].relative_to(splats.offset) if given else ring_of_views(config, splats, 1)[0]
+    first = given.relative_to(splats.offset) if given else ring_of_views(config, splats, 1)[0]
     if given and config.background is not None:
         first = replace(first, background=color(config.background, splats))
     warn_of_doubts(splats, config.asset)

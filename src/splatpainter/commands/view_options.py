@@ -77,12 +77,29 @@ def check_ranges(command: str, values: dict[str, tuple[float, float, float]]) ->
             raise ValueError(f"splatpainter {command}: expected {name} from {least} to {most}, got {value}")
 
 
-def given_cameras(paths: Sequence[Path], size: int | None) -> list[Camera]:
-    """The cameras in these files; size: pixels of the longer side, None: as they say. Raises ValueError."""
+def given_cameras(paths: Sequence[Path], size: int | None, asset: Path | None = None) -> list[Camera]:
+    """The cameras in these files, of captures all that a path names; size: pixels of the longer side, None: as they
+    say; asset: what they are for (captures.captured_views). Raises ValueError."""
+    from splatpainter.captures import is_capture, named_views, split_selector
     from splatpainter.sources.edit_files import camera_from
 
-    cameras = [camera_from(path) for path in paths]
+    cameras: list[Camera] = []
+    for path in paths:
+        if split_selector(path)[1] or not is_capture(path):
+            cameras.append(camera_from(path, asset))
+        else:
+            cameras += [view.camera for view in named_views(path, asset)]
+    if len(cameras) > MAX_VIEWS:
+        raise ValueError(f"{paths[0]}: expected at most {MAX_VIEWS:,} cameras, got {len(cameras):,}; name one: FILE:N")
     return cameras if size is None else [camera.with_longest_side(size) for camera in cameras]
+
+
+def given_camera(path: Path, size: int | None, asset: Path | None = None) -> Camera:
+    """The one camera in a file, else as `given_cameras`."""
+    from splatpainter.sources.edit_files import camera_from
+
+    camera = camera_from(path, asset)
+    return camera if size is None else camera.with_longest_side(size)
 
 
 def rgb(text: str) -> tuple[float, float, float]:

@@ -19,7 +19,8 @@ from splatpainter.commands.terminal import complain, count, decibels
 from splatpainter.io import files, frame_news, read, write
 from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
 from splatpainter.receipts import prove, receipt_of
-from splatpainter.sources import FileEdit, edit_from_files
+from splatpainter.sources import FileEdit
+from splatpainter.sources.photographs import laid_over, picture_edit
 from splatpainter.sources.saved_pictures import LOOK_SECONDS, SavedPictures
 from splatpainter.splats import Splats
 
@@ -36,7 +37,8 @@ class Config:
     Ctrl-C ends it.
 
     Pictures carry their camera, as those of splatpainter render do, or have it beside them (NAME.json); NAME.mask.png
-    says what of NAME.png was edited. What is in the folder at the start counts once it is saved again.
+    says what of NAME.png was edited. Photographs of the capture in whose folder ASSET lies need no camera but their
+    name. What is in the folder at the start counts once it is saved again.
 
     example:
       splatpainter watch views --asset vase.ply --out painted.ply
@@ -112,11 +114,11 @@ class _Watch:
         if path.name not in self.edits and len(self.edits) >= MAX_VIEWS:
             raise ValueError(f"{path}: more than {MAX_VIEWS} pictures; go on with OUT as the new ASSET")
         mask = path.with_name(path.stem + MASK_ENDING)
-        edit = edit_from_files(path, mask=mask if mask.is_file() else None)
+        edit = picture_edit(path, mask=mask if mask.is_file() else None, asset=self.config.asset)
         made_for = edit.camera.asset_sha256
         if made_for is not None and self.splats.sha256 is not None and made_for != self.splats.sha256:
             raise ValueError(f"{path}: was rendered from another asset (sha256 {made_for[:12]}...)")
-        return edit
+        return laid_over(edit, self.splats, self.config.mode)
 
     def _write(self) -> str:
         """All pictures onto the asset, and OUT and the receipt; a line that says so."""

@@ -15,7 +15,7 @@ from typing import Any, get_args
 
 import numpy as np
 
-from splatpainter.io import axes, files, sog_container
+from splatpainter.io import axes, files, folders, sog_container
 from splatpainter.io.foreign_files import check_not_foreign
 from splatpainter.io.write_options import AS_IT_IS, WriteOptions
 from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Frame, Source, Splats
@@ -158,7 +158,8 @@ def read(
     lenient: bool = False,
     offset: tuple[float, float, float] | None = None,
 ) -> Splats:
-    """Read a splat file (or a SOG folder) in any of FORMATS; `source` and `origin` are filled in.
+    """Read a splat file (or a SOG folder, or the last iteration in a folder of INRIA's trainer) in any of FORMATS;
+    `source` and `origin` are filled in.
 
     The content decides where it is unmistakable (PLY, compressed PLY, GLB, SOG bundle, SPZ), the name otherwise.
     frame: axes of the file's numbers, "rub" (right-up-back) or "rdf" (right-down-front), whatever the file or its
@@ -171,7 +172,7 @@ def read(
     Raises ValueError with one line: no such file, unknown format, truncated or contradictory content.
     """
     check_frame(frame)
-    location = Path(path)
+    location = asset_file(Path(path))
     key = detect(location)
     entry = FORMATS[key]
     options: dict[str, Any] = {"lenient": lenient} if "lenient" in entry.options else {}
@@ -284,14 +285,19 @@ def frame_news(splats: Splats, of: str = "") -> list[str]:
     return [f"frame of {of}: {frame_line(source, hint=False)}" if of else f"frame: {frame_line(source)}"]
 
 
+def asset_file(path: Path) -> Path:
+    """The file (or SOG folder) that a path means, as of folders.asset_file. Raises ValueError: a folder of something
+    else, or of streamed SOG."""
+    if os.path.isdir(path) and not os.path.isfile(path / folders.SOG_META) and sog_container.is_streamed(path):
+        raise ValueError(sog_container.streamed_reason(path))
+    return folders.asset_file(path)
+
+
 def detect(path: Path) -> str:
     """Key of FORMATS that the file at `path` holds. Raises ValueError when it is missing, unreadable or unknown."""
+    path = asset_file(path)
     if os.path.isdir(path):  # Path.is_dir raises where a folder above may not be searched
-        if os.path.isfile(path / "meta.json"):
-            return "sog"
-        if sog_container.is_streamed(path):
-            raise ValueError(sog_container.streamed_reason(path))
-        raise ValueError(f"{path}: is a folder without meta.json; expected a splat file or a SOG folder")
+        return "sog"
     head = files.read_head(path, files.MAX_HEADER_BYTES if path.suffix.lower() == ".ply" else 65536)
     if head[:3] == b"ply" and head[3:4] in (b"\n", b"\r"):
         end = head.find(b"end_header")

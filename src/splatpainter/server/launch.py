@@ -34,7 +34,7 @@ def open_session(
     Raises ValueError for what cannot be read."""
     if isinstance(asset, str | Path) and Path(asset).suffix.lower() == PROJECT:
         return Session.load(asset), Path(asset).stem
-    name = "demo" if asset is None else "asset" if isinstance(asset, Splats) else Path(asset).name
+    name = "demo" if asset is None else "asset" if isinstance(asset, Splats) else Path(asset).absolute().name
     splats = demo() if asset is None else asset if isinstance(asset, Splats) else read(asset, frame=frame)
     return Session(splats, Projects(projects or projects_folder()).fresh(name)), name
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.captures import choose_one, is_capture, named_views, split_selector
 from splatpainter.color import from_display, to_display
 from splatpainter.image_files import Alpha, find_alpha, find_camera
 from splatpainter.lift.masks import change_mask
@@ -34,6 +35,16 @@ MAX_CLEAR_ALPHA = 0.02
 
 
 @dataclass(frozen=True)
+class Photograph:
+    """What else is known of a picture that is a photograph of a capture, painted on (photographs.py)."""
+
+    taken: np.ndarray | None = field(default=None, repr=False)
+    """[H, W, 3] the photograph before it was painted on, straightened as the picture; None where it is not there."""
+    path: Path | None = None
+    """Its file."""
+
+
+@dataclass(frozen=True)
 class FileEdit:
     """A picture and its camera, read but not yet compared with an asset."""
 
@@ -51,6 +62,8 @@ class FileEdit:
     """Whether the picture was rendered without a background, so that behind it lies the background, not the asset."""
     view: Camera | None = None
     """The view that was rendered, where `camera` is a larger one of it, of the picture's size (larger_views.py)."""
+    photograph: Photograph | None = None
+    """What `photographs.laid_over` needs, before which there is no edit; None: a painted render."""
 
     def at_view(self) -> FileEdit:
         """The picture at the size of the view that was rendered."""
@@ -152,10 +165,17 @@ def unmultiplied(picture: Picture, kind: Alpha | None) -> Picture:
     return replace(picture, colors=np.clip(unpremultiplied(picture.colors, picture.alpha), 0, 1))
 
 
-def camera_from(path: Path) -> Camera:
-    """The camera in a JSON file, or in a PNG that carries one. Raises ValueError naming the file."""
-    if not path.exists():
+def camera_from(path: Path, asset: Path | None = None) -> Camera:
+    """The camera in a JSON file, in a PNG that carries one, or that FILE:N names in a capture (without its lens).
+    asset: the file or folder that it is for, as of `captured_views`. Raises ValueError naming the file; also where a
+    capture has several and N does not say which."""
+    file = split_selector(path)[0]
+    if not file.exists():
         raise ValueError(f"{path}: no such file; expected a camera (CAM.json, or a PNG rendered by splatpainter)")
+    if file != path or is_capture(file):
+        view = choose_one(named_views(path, asset), path)
+        _check_size(view.camera, path)
+        return view.camera
     if path.suffix.lower() in (".png", ".webp", ".tif", ".tiff", ".jpg", ".jpeg", ".exr"):
         camera = find_camera(path)
     else:
@@ -171,12 +191,13 @@ def _check_size(camera: Camera, where: Path) -> None:
 
 def _check_declared(path: Path, what: str, size: tuple[int, int] | None, target: tuple[int, int]) -> None:
     """`_check_aspect` before anything is decoded: a kilobyte can claim megapixels. EXIF may still turn the picture."""
-    if size is not None and not _fits((size[1], size[0]), target):
+    if size is not None and not has_aspect((size[1], size[0]), target):
         _check_aspect(path, what, size, target)
 
 
-def _fits(size: tuple[int, int], target: tuple[int, int]) -> bool:
-    """Equal sizes fit; others must have the target's aspect ratio within MAX_ASPECT_ERROR, or be a pixel off."""
+def has_aspect(size: tuple[int, int], target: tuple[int, int]) -> bool:
+    """Whether a size has the shape of another: equal sizes have; others must have the target's aspect ratio within
+    MAX_ASPECT_ERROR, or be a pixel off."""
     (width, height), (w, h) = size, target
     scale = (width * height / (w * h)) ** 0.5
     rounding = abs(width - w * scale) <= 1 and abs(height - h * scale) <= 1
@@ -185,7 +206,7 @@ def _fits(size: tuple[int, int], target: tuple[int, int]) -> bool:
 
 def _check_aspect(path: Path, what: str, size: tuple[int, int], target: tuple[int, int]) -> None:
     (width, height), (w, h) = size, target
-    if not _fits(size, target):
+    if not has_aspect(size, target):
         raise ValueError(
             f"{path}: expected {what} to have the aspect ratio of its camera ({w}x{h}), got {width}x{height}; "
             "resize without cropping"

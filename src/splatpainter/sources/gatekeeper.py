@@ -154,6 +154,7 @@ def admit(
     strictness: Strictness = "normal",
     regraded: bool = False,
     mask_sent: bool = True,
+    tones: bool = True,
     enlarged: Callable[[int], np.ndarray] | None = None,
     name: str = "source",
 ) -> AdmittedPicture:
@@ -162,9 +163,9 @@ def admit(
     request: what it was asked by: its image and mask are compared with. regraded: the picture is to change as a whole
     (mode global), so colours are corrected by what lies outside a mask alone. mask_sent: whether the source got the
     mask; if not, it may have changed what lies outside on purpose, and colours are corrected only by what agrees there.
-    enlarged: gives the render [k H, k W, 3]
-    at k times the view's size, on which an enlarged picture is laid; None: it is admitted at the view's size. name:
-    what errors call it.
+    tones: whether a picture that changed its tone and nothing else is meant to; photographs are not. enlarged: gives
+    the render [k H, k W, 3] at k times the view's size, on which an enlarged picture is laid; None: it is admitted at
+    the view's size. name: what errors call it.
 
     Raises RefusedPicture, one line: a picture of something else, moved or recoloured beyond the level's limits, with a
     mask that is the wrong way round, or unchanged where it was to change."""
@@ -197,7 +198,7 @@ def admit(
     if mask is not None or not regraded:
         drift = estimate_drift(aligned, render, outside & inside, mask is not None and mask_sent)
     factor = 1 if enlarged is None else _factor(registration, size, request.scale)
-    if drift.kind != "none" and factor == 1:  # enlarged pictures are to be consistent with the render
+    if drift.kind != "none" and factor == 1 and tones:  # enlarged pictures are to be consistent with the render
         tone = tone_change(aligned, render, cover & inside)
         toned = tone is not None and tone > MIN_TONE
     if toned and strictness == "strict":

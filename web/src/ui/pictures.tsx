@@ -34,6 +34,7 @@ const CAMERA_SOURCES = {
   chunk: "its camera is in the file",
   sidecar: "its camera is in the file beside it",
   export: "recognised as an exported view",
+  capture: "a photograph of this capture",
 } as const;
 
 export function Pictures() {

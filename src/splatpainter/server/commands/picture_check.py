@@ -10,15 +10,23 @@ import numpy as np
 from pydantic import Field
 
 from splatpainter.cameras import Camera
+from splatpainter.captures import capture_of, named_views
 from splatpainter.color import to_display
 from splatpainter.image_files import Alpha, find_alpha, find_camera
 from splatpainter.server import image_registration as registration
-from splatpainter.server.commands.context import CommandContext, command, render_alpha, render_display
+from splatpainter.server.commands.context import (
+    CommandContext,
+    command,
+    naming_errors,
+    render_alpha,
+    render_display,
+)
 from splatpainter.server.protocol import MAX_VIEW_PIXELS, Answer, Blob, CameraInfo, Command, Message, Unit
 from splatpainter.server.storage import StoredBlob
 from splatpainter.sources.crop_search import Crop, error_at, find_crop, find_shift, undo_shift
 from splatpainter.sources.edit_files import over_render, unmultiplied
 from splatpainter.sources.larger_views import edited_in_larger, larger_view
+from splatpainter.sources.photographs import carries_camera, laid_over, photograph_edit
 from splatpainter.sources.picture_reader import Picture, read_picture
 
 MAX_CROP_CANDIDATES = 8
@@ -26,7 +34,7 @@ MAX_CROP_CANDIDATES = 8
 LARGER_NOTE = "{0}x{1}: a larger render of its view of {2}x{3}"
 MAX_CROP_ERROR_RATIO = 0.5
 """A picture of its view's shape is a part of it only where that agrees better by this factor."""
-CameraSource = Literal["given", "chunk", "sidecar", "export"]
+CameraSource = Literal["given", "chunk", "sidecar", "export", "capture"]
 
 
 class PictureWarning(Message):
@@ -38,7 +46,8 @@ class PictureWarning(Message):
 class PictureChecked(Answer):
     camera: CameraInfo
     camera_source: CameraSource
-    """Where the camera came from; "export": the export that the picture resembles most."""
+    """Where the camera came from; "export": the export that the picture resembles most; "capture": the folder that the
+    asset lies in has a photograph of this name."""
     picture: Blob
     """PNG at the camera's size, put straight: use this one in `edit`."""
     mask: Blob
@@ -71,6 +80,9 @@ def check_picture(context: CommandContext, request: PictureCheck) -> PictureChec
     studio = context.studio
     blob = studio.blobs.get(request.picture, "picture")
     name = request.name or blob.name or "picture"
+    photograph = _photograph(context, request, blob, name)
+    if photograph is not None:
+        return photograph
     picture = read_picture(blob.path, inks=False)
     camera, source = _camera(context, request, blob, name, picture)
     alpha = _alpha_kind(context, blob, name)
@@ -138,6 +150,34 @@ def check_picture(context: CommandContext, request: PictureCheck) -> PictureChec
         shift=shift,
         notes=notes,
         warnings=warnings,
+    )
+
+
+def _photograph(context: CommandContext, request: PictureCheck, blob: StoredBlob, name: str) -> PictureChecked | None:
+    """A painted photograph of the capture in whose folder the asset lies, laid over the asset; None where the picture
+    has a camera of another kind, or no photograph's name. Raises ValueError: nothing is painted on it."""
+    studio = context.studio
+    opened = studio.session.opened.source
+    capture = None if opened is None or request.camera is not None else capture_of(Path(opened.path))
+    if opened is None or capture is None or carries_camera(blob.path):
+        return None
+    views = named_views(capture, Path(opened.path), Path(Path(name).name or "picture"))
+    if len(views) != 1 or not views[0].is_called(Path(name).name):
+        return None
+    with naming_errors(blob.path, name):
+        edit = laid_over(photograph_edit(blob.path, views[0]), studio.session.splats)
+    assert edit.mask is not None
+    picture = studio.blobs.put(registration.png_bytes(edit.picture.colors), name).sha256
+    studio.note_source(picture, studio.source_of([request.picture]))
+    return PictureChecked(
+        camera=CameraInfo.of(edit.camera),
+        camera_source="capture",
+        picture=picture,
+        mask=studio.blobs.put(registration.png_bytes(edit.mask), "mask.png").sha256,
+        share=float(edit.mask.mean()),
+        shift=(0, 0),
+        notes=list(edit.notes),
+        warnings=[],
     )
 
 

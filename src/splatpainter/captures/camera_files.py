@@ -1,0 +1,147 @@
+"""Which capture a path means, and which of its views: FILE or FOLDER, with :N behind it an index or a picture's name.
+
+views = named_views(Path("garden/cameras.json:DSC07956.JPG"))
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from splatpainter.captures import colmap, inria, nerfstudio
+from splatpainter.captures.captured_view import CapturedView
+from splatpainter.captures.nerfstudio import MAX_TABLE_BYTES, TABLES, splat_frame
+from splatpainter.io import files
+from splatpainter.io.folders import POINT_CLOUD
+from splatpainter.jsonio import load_document
+
+MAX_NAMES_LISTED = 3
+"""Pictures of a capture that an error names."""
+FRAME_LEVELS = 3
+"""Folders above an asset in which its dataparser_transforms.json is looked for: exports/splat/splat.ply."""
+
+
+def split_selector(path: Path) -> tuple[Path, str]:
+    """(file or folder, what stands behind its last colon) of FILE:N; "" where the whole is a path, or none is."""
+    if os.path.exists(path):  # Path.exists raises where a folder above may not be searched
+        return path, ""
+    text = str(path)
+    for at in range(len(text) - 1, 1, -1):  # a drive's letter and its colon are no file
+        if text[at] == ":" and os.path.exists(text[:at]):
+            return Path(text[:at]), text[at + 1 :]
+    return path, ""
+
+
+def is_capture(path: Path) -> bool:
+    """Whether a path (without selector) holds cameras of a capture: a folder of one, COLMAP's files, or JSON of
+    theirs. False for a camera of splatpainter's and for anything else."""
+    try:
+        return _capture_file(path) is not None
+    except ValueError:
+        return False
+
+
+def capture_of(asset: Path) -> Path | None:
+    """The capture that lies with an asset: its folder's, or that of the trainer's folder in which the file is."""
+    if os.path.isdir(asset):
+        return asset if is_capture(asset) else None
+    folder = asset.absolute().parents[2] if len(asset.absolute().parents) > 2 else asset.parent
+    return folder if os.path.isdir(folder / POINT_CLOUD) and is_capture(folder) else None
+
+
+def captured_views(path: Path, asset: Path | None = None) -> list[CapturedView]:
+    """All views of a capture, in its order. asset: the file or folder that they are for: the dataparser_transforms.json
+    beside or above it says where it lies in the capture's world, else one beside the capture. Raises ValueError, one
+    line naming file, entry and key: no capture, damaged, none in it."""
+    capture = _capture_file(path)
+    if capture is None:
+        raise ValueError(
+            f"{path}: expected a capture: cameras.json, transforms.json, camera_path.json, or COLMAP's sparse/0"
+        )
+    if os.path.isdir(capture):
+        frame = splat_frame(*_frame_folders(asset))
+        views = [view if frame is None else frame.moved(view) for view in colmap.read_model(capture)]
+    else:
+        record = load_document(files.read_all(capture), capture, "the list of cameras", MAX_TABLE_BYTES)
+        if isinstance(record, list):
+            views = inria.read_cameras(capture, record)
+        elif "camera_path" in record:
+            views = nerfstudio.read_path(capture, record)
+        else:
+            views = nerfstudio.read_table(capture, record, splat_frame(*_frame_folders(asset), capture.parent))
+    if not views:
+        raise ValueError(f"{capture}: expected cameras, it lists none")
+    return views
+
+
+def named_views(path: Path, asset: Path | None = None, picture: Path | None = None) -> list[CapturedView]:
+    """The views of a capture that FILE:N names: one, or all where no :N stands behind it. picture: a photograph, whose
+    name chooses where no N does; all again where none has it. asset, Raises: as `captured_views`, and for an N that is
+    no index and no name."""
+    capture, selector = split_selector(path)
+    views = captured_views(capture, asset)
+    if selector:
+        return [views[_chosen(views, selector, capture)]]
+    if picture is not None:
+        named = [view for view in views if view.is_called(picture.name)]
+        exact = [view for view in named if Path(view.name.replace("\\", "/")).name == picture.name]
+        if len(exact or named) == 1:
+            return exact or named
+    return views
+
+
+def _chosen(views: list[CapturedView], selector: str, capture: Path) -> int:
+    if selector.isascii() and selector.isdigit() and (selector == "0" or selector[0] != "0"):  # 0012 is a name
+        if int(selector) < len(views):
+            return int(selector)
+        raise ValueError(f"{capture}: expected a view from 0 to {len(views) - 1}, got {selector[:40]}")
+    name = selector.replace("\\", "/")
+    exact = [k for k, view in enumerate(views) if view.name.replace("\\", "/") == name]
+    named = exact or [k for k, view in enumerate(views) if view.is_called(name)]
+    if len(named) == 1:
+        return named[0]
+    raise ValueError(
+        f"{capture}: {'several' if named else 'no'} views of a picture called {files.printable(selector, 60)!r}; "
+        f"expected a number from 0 to {len(views) - 1}{_names(views)}"
+    )
+
+
+def _names(views: list[CapturedView]) -> str:
+    names = [files.printable(view.name, 60) for view in views[:MAX_NAMES_LISTED] if view.name]
+    more = ", ..." if len(views) > len(names) else ""
+    return f" or a name ({', '.join(names)}{more})" if names else ""
+
+
+def choose_one(views: list[CapturedView], path: Path) -> CapturedView:
+    """The view, where there is one. Raises ValueError: there are several, with how to choose."""
+    if len(views) != 1:
+        raise ValueError(
+            f"{path}: has {len(views)} cameras; choose one: {path.name}:N, N from 0 to {len(views) - 1}{_names(views)}"
+        )
+    return views[0]
+
+
+def _capture_file(path: Path) -> Path | None:
+    """A capture's JSON file, or the folder of a COLMAP model; None where there is neither."""
+    if os.path.isdir(path):
+        for name in (inria.CAMERAS, *TABLES):
+            if os.path.isfile(path / name):
+                return path / name
+        return colmap.model_folder(path)
+    if not os.path.isfile(path):
+        return None
+    if path.name in ("cameras.bin", "images.bin", "points3D.bin", "cameras.txt", "images.txt", "points3D.txt"):
+        return colmap.model_folder(path)
+    if files.read_head(path, 64).lstrip(b"\xef\xbb\xbf \t\r\n")[:1] not in (b"{", b"["):
+        return None
+    record = load_document(files.read_all(path), path, "the list of cameras", MAX_TABLE_BYTES)
+    if isinstance(record, list):
+        return path if record and isinstance(record[0], dict) else None
+    return path if "frames" in record or "camera_path" in record else None
+
+
+def _frame_folders(asset: Path | None) -> list[Path]:
+    if asset is None:
+        return []
+    here = asset.absolute()
+    return [*([here] if os.path.isdir(here) else []), *here.parents[:FRAME_LEVELS]]

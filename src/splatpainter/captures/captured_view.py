@@ -1,0 +1,98 @@
+"""One photograph's place in a capture: its camera, its lens, its name, and where its file may lie."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from splatpainter.cameras import Camera
+from splatpainter.captures.lenses import Lens, pinhole_window
+
+ENDINGS = ("", ".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG", ".webp", ".tif", ".tiff")
+"""What a file's name may go on with where a capture names it without its ending (NeRF's scenes, old cameras.json)."""
+PICTURE_FOLDERS = ("images", "images_2", "images_4", "images_8")
+"""Where ns-process-data and INRIA's convert.py put photographs, and smaller copies of them."""
+OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+"""OpenGL's cameras look along -z with y up."""
+
+
+@dataclass(frozen=True)
+class CapturedView:
+    """One entry of a capture."""
+
+    name: str
+    """The photograph as the file names it; "" where it names none."""
+    camera: Camera
+    """A pinhole camera of the photograph's size, focal lengths and principal point."""
+    lens: Lens | None = None
+    """What bends the photograph's lines besides; None: nothing, it is as `camera` says."""
+    folders: tuple[Path, ...] = field(default=(), repr=False)
+    """Where the photograph may lie; `name` is relative to these."""
+
+    def pinhole(self, *, all_of_it: bool) -> Camera:
+        """The camera of the photograph without its lens (lenses.pinhole_window)."""
+        return self.camera if self.lens is None else pinhole_window(self.camera, self.lens, all_of_it=all_of_it)
+
+    def resized(self, width: int, height: int) -> CapturedView:
+        """The same view of a photograph of another size."""
+        return replace(self, camera=self.camera.resized(width, height))
+
+    def picture(self) -> Path | None:
+        """The photograph's file, or a smaller copy of it; None where neither is there."""
+        return next((path for path in self._candidates() if os.path.isfile(path)), None)
+
+    def _candidates(self) -> Iterator[Path]:
+        if not self.name:
+            return
+        name = PurePosixPath(self.name.replace("\\", "/"))
+        for folder in self.folders:
+            for ending in ENDINGS:
+                yield folder / (str(name) + ending)
+        for folder in self.folders:
+            data = folder.parent if folder.name in (*PICTURE_FOLDERS, "input") else folder
+            for copies in PICTURE_FOLDERS:
+                for ending in ENDINGS:
+                    yield data / copies / (name.name + ending)
+
+    def is_called(self, name: str) -> bool:
+        """Whether a photograph's name, with or without folders and ending, is this one's. Captures may leave the ending
+        out, old cameras.json all behind the first dot."""
+        one, other = (PurePosixPath(text.replace("\\", "/")) for text in (self.name, name))
+        alike = other.name in (one.name, one.stem) or one.name in (other.stem, other.name.split(".")[0])
+        return bool(self.name) and (alike or one.stem == other.stem)
+
+
+def rigid(pose: np.ndarray, where: str) -> np.ndarray:
+    """[4, 4] float64 world to camera of a camera to world [3 or 4, 4] in OpenCV's axes; a scale of its axes is taken
+    out. Raises ValueError: another shape, not finite, flat."""
+    matrix = np.asarray(pose, np.float64)
+    if matrix.shape == (3, 4):
+        matrix = np.vstack([matrix, [0, 0, 0, 1]])
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        raise ValueError(f"{where}: expected a 4x4 matrix of a camera, got shape {list(matrix.shape)}")
+    size = float(np.linalg.det(matrix[:3, :3]))
+    if not size > 1e-12:
+        raise ValueError(f"{where}: expected a rotation in a camera's matrix, got a flat or mirrored one")
+    out = np.eye(4)
+    out[:3, :3] = np.linalg.inv(matrix[:3, :3] / np.cbrt(size))
+    out[:3, 3] = -out[:3, :3] @ matrix[:3, 3]
+    return out
+
+
+def posed_camera(
+    where: str,
+    size: tuple[int, int],
+    focals: tuple[float, float],
+    center: tuple[float, float],
+    world_to_camera: np.ndarray,
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> Camera:
+    """A camera of a file's numbers. Raises ValueError, naming `where`: numbers that make none."""
+    try:
+        return Camera(*size, *focals, *center, world_to_camera, background)
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"{where}: {error}") from None

@@ -1,0 +1,87 @@
+"""The folder that INRIA's trainer (and those made from it) leaves: cameras.json, cfg_args; where the asset lies in it
+is for io/folders.py to say."""
+
+from __future__ import annotations
+
+import ast
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splatpainter.captures.captured_view import CapturedView, posed_camera, rigid
+from splatpainter.io import files
+from splatpainter.jsonio import brief, finite_numbers
+
+CAMERAS = "cameras.json"
+ARGUMENTS = "cfg_args"
+MAX_ARGUMENT_BYTES = 1 << 16
+"""Of cfg_args; it is one line."""
+
+
+@dataclass(frozen=True)
+class TrainingArguments:
+    """What cfg_args says that matters here."""
+
+    source: Path | None = None
+    """The folder that was trained on, as it was called on the machine that did."""
+    images: str = "images"
+    """The folder of pictures in it."""
+    white: bool = False
+    """Whether the background was white; else black."""
+
+
+def training_arguments(folder: Path) -> TrainingArguments:
+    """What a folder's cfg_args says; the trainer's defaults where there is none or it cannot be read. It is Python
+    text, `Namespace(name=value, ...)`, of which literals are taken and nothing is run."""
+    try:
+        text = files.read_head(folder / ARGUMENTS, MAX_ARGUMENT_BYTES).decode("utf-8")
+        call = ast.parse(text.strip(), mode="eval").body
+        keywords = call.keywords if isinstance(call, ast.Call) else []
+        values = {word.arg: word.value.value for word in keywords if isinstance(word.value, ast.Constant)}
+    except (ValueError, SyntaxError, RecursionError, MemoryError):
+        return TrainingArguments()
+    source, images = values.get("source_path"), values.get("images")
+    return TrainingArguments(
+        Path(source) if isinstance(source, str) and source else None,
+        images if isinstance(images, str) and images else "images",
+        values.get("white_background") is True,
+    )
+
+
+def read_cameras(path: Path, entries: list[Any]) -> list[CapturedView]:
+    """The views of a cameras.json, which is a list of objects. Positions are the cameras' centres and rotations camera
+    to world, in OpenCV's axes; the principal point is the middle. Raises ValueError naming the entry and the key."""
+    arguments = training_arguments(path.parent)
+    folders = [path.parent]
+    if arguments.source is not None:
+        sources = [arguments.source, path.parent / arguments.source]
+        sources += [
+            above / arguments.source.name for above in path.absolute().parents[:3]
+        ]  # moved from another machine
+        names = dict.fromkeys((arguments.images, "images", ""))
+        folders = [source / name for source in sources for name in names]
+    background = (1.0, 1.0, 1.0) if arguments.white else (0.0, 0.0, 0.0)
+    return [_view(f"{path}: camera {k}", entry, tuple(folders), background) for k, entry in enumerate(entries)]
+
+
+def _view(where: str, entry: Any, folders: tuple[Path, ...], background: tuple[float, float, float]) -> CapturedView:
+    if not isinstance(entry, dict):
+        raise ValueError(f"{where}: expected an object, got {brief(entry)}")
+    missing = [key for key in ("width", "height", "fx", "fy", "position", "rotation") if key not in entry]
+    if missing:
+        raise ValueError(f"{where}: has no {', '.join(missing)}; expected cameras.json as INRIA's trainer writes it")
+    width, height, fx, fy = finite_numbers([entry[key] for key in ("width", "height", "fx", "fy")], where, "its size")
+    rotation = entry["rotation"]
+    if not isinstance(rotation, list) or len(rotation) != 3:
+        raise ValueError(f"{where}: expected a 3x3 rotation, got {brief(rotation)}")
+    rows = [finite_numbers(row, where, "rotation") for row in rotation]
+    position = finite_numbers(entry["position"], where, "position")
+    if {len(row) for row in rows} != {3} or len(position) != 3:
+        raise ValueError(f"{where}: expected a 3x3 rotation and a position of 3 numbers")
+    pose = np.concatenate([np.array(rows), position[:, None]], 1)
+    size = int(width), int(height)
+    camera = posed_camera(where, size, (fx, fy), (size[0] / 2, size[1] / 2), rigid(pose, where), background)
+    name = entry.get("img_name")
+    return CapturedView(name if isinstance(name, str) else "", camera, None, folders)

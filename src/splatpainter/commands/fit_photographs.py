@@ -1,0 +1,172 @@
+"""Pictures with cameras that `fit` fits to: those that carry them, and captures of other programs, straightened; and
+where the first Gaussians of a fit to pictures are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from splatpainter.cameras import Camera
+from splatpainter.captures import CapturedView, captured_views, is_capture
+from splatpainter.captures.colmap import model_folder, read_points
+from splatpainter.captures.nerfstudio import TABLES
+from splatpainter.image_files import find_camera, picture_header
+from splatpainter.sources.edit_files import has_aspect
+from splatpainter.sources.photographs import read_photograph, straight_picture
+from splatpainter.sources.picture_reader import Picture, read_picture
+from splatpainter.splats import Splats
+
+BACKGROUNDS = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
+"""Colours that stand in turn behind rendered views and transparent pictures: over one colour alone, Gaussians of that
+colour may as well be holes, and holes Gaussians. The demo asset (96 px, 600 steps) lost 0.059 of its alpha over its own
+dark background and the space around it gained 0.016; over these two in turn 0.005 and 0.003, held-out views 0.1 dB
+better."""
+PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
+TRIES_PER_GAUSSIAN = 20
+"""Random points per first Gaussian that carving may throw away."""
+MIN_POINTS = 16
+"""Of a start."""
+
+
+@dataclass(frozen=True)
+class PosedPicture:
+    """One picture to fit to."""
+
+    camera: Camera
+    colors: np.ndarray = field(repr=False)
+    """[H, W, 3] float32 0..1."""
+    solid: np.ndarray = field(repr=False)
+    """[H, W] bool where something may be."""
+
+
+def posed_pictures(folder: Path, size: int | None) -> list[PosedPicture]:
+    """The pictures of a folder that have cameras, in the order of their names or of their table. size: pixels of the
+    longer side; None: as they are. Raises ValueError, one line naming file and key."""
+    if is_capture(folder):
+        views = captured_views(folder)
+        paths = [_checked(view) for view in views]  # before the first is decoded
+        return [_photograph(path, view, size, k) for k, (path, view) in enumerate(zip(paths, views, strict=True))]
+    paths = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in PICTURES and path.is_file()]
+    if not paths:
+        raise ValueError(
+            f"{folder}: expected pictures with cameras, {' or '.join(TABLES)}, or COLMAP's sparse/0; found neither"
+        )
+    return [_picture(path, find_camera(path), size, k) for k, path in enumerate(paths)]
+
+
+def _checked(view: CapturedView) -> Path:
+    """The photograph of a view. Raises ValueError: it is not there, or of another shape than its camera."""
+    path = view.picture()
+    if path is None:
+        searched = ", ".join(str(folder) for folder in view.folders[:3])
+        raise ValueError(
+            f"{view.name or 'a camera'}: no such picture in {searched}; expected those that cameras are of"
+        )
+    width, height = picture_header(path)[0]
+    expected = view.camera.width, view.camera.height
+    if not has_aspect((height, width), expected):  # EXIF may still turn it
+        _check_shape(path, (width, height), expected)
+    return path
+
+
+def _photograph(path: Path, view: CapturedView, size: int | None, k: int) -> PosedPicture:
+    """Photograph k of a capture, as large as it is there, without its lens's distortion."""
+    expected = view.camera.width, view.camera.height
+    picture = read_photograph(path, expected)
+    _check_shape(path, picture.size, expected)
+    view = view.resized(*picture.size)
+    if size is not None:
+        view = replace(view, camera=view.camera.with_longest_side(size))
+    straight = straight_picture(picture, view, all_of_it=False)
+    alpha = straight.alpha if picture.alpha is not None else None
+    return _posed(straight.camera, Picture(straight.colors, alpha), k)
+
+
+def _picture(path: Path, camera: Camera, size: int | None, k: int) -> PosedPicture:
+    """Picture k, of its own camera."""
+    if size is not None:
+        camera = camera.with_longest_side(size)
+    picture = read_picture(path)
+    _check_shape(path, picture.size, (camera.width, camera.height))
+    return _posed(camera, picture.resized(camera.width, camera.height), k)
+
+
+def _check_shape(path: Path, size: tuple[int, int], expected: tuple[int, int]) -> None:
+    if not has_aspect(size, expected):
+        (width, height), (w, h) = size, expected
+        raise ValueError(f"{path}: expected the aspect ratio of its camera, {w}x{h}, got {width}x{height}")
+
+
+def _posed(camera: Camera, picture: Picture, k: int) -> PosedPicture:
+    """Transparent pixels show one of BACKGROUNDS; in pictures without any, those of exactly the camera's background
+    count as empty."""
+    if picture.alpha is not None:
+        camera = replace(camera, background=BACKGROUNDS[k % len(BACKGROUNDS)])
+        alpha, background = picture.alpha[..., None], np.array(camera.background, np.float32)
+        return PosedPicture(camera, picture.colors * alpha + background * (1 - alpha), picture.alpha > 0.02)
+    background = np.array(camera.background, np.float32)
+    return PosedPicture(camera, picture.colors, np.abs(picture.colors - background).max(-1) > 3 / 255)
+
+
+def first_gaussians(
+    folder: Path, pictures: list[PosedPicture], rows: int, sh_degree: int, seed: int
+) -> tuple[Splats, str]:
+    """(at most `rows` Gaussians to start with, a line that says where they come from): the points of COLMAP's
+    reconstruction where the folder's cameras are its, as 3DGS starts, else random points that no picture shows empty.
+    Raises ValueError: no such point."""
+    from splatpainter.fit.start import from_points
+
+    uses_table = any((folder / name).is_file() for name in TABLES)
+    model = None if uses_table else model_folder(folder)
+    if model is not None:
+        points, colors = read_points(model)
+        if len(points) >= MIN_POINTS:
+            chosen = np.random.default_rng(seed).permutation(len(points))[:rows]
+            line = f"the first Gaussians are {len(chosen):,} of the {len(points):,} points of {model.name or model}"
+            return from_points(points[chosen], colors[chosen], sh_degree), line
+    line = "no depth maps: the first Gaussians are random points where no picture shows empty space"
+    return _carved(pictures, rows, sh_degree, seed), line
+
+
+def _carved(pictures: list[PosedPicture], rows: int, sh_degree: int, seed: int) -> Splats:
+    """Random points that lie before something in every picture that they fall into (a visual hull, where backgrounds
+    are known), with their mean colour in the pictures."""
+    from splatpainter.fit.start import from_points
+
+    rng = np.random.default_rng(seed)
+    center, reach = _common_center([picture.camera for picture in pictures])
+    candidates: list[np.ndarray] = []
+    for _ in range(TRIES_PER_GAUSSIAN):
+        points = center + reach * rng.uniform(-1, 1, (rows, 3))
+        count, good = np.zeros(len(points)), np.ones(len(points), bool)
+        total = np.zeros((len(points), 3))
+        for picture in pictures:
+            camera = picture.camera
+            pixels, z = camera.project(points)
+            x, y = np.floor(np.where(z[:, None] > 1e-3, pixels, -1)).astype(np.int64).T
+            seen = (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
+            good[seen] &= picture.solid[y[seen], x[seen]]
+            total[seen] += picture.colors[y[seen], x[seen]]
+            count[seen] += 1
+        good &= count >= min(2, len(pictures))
+        candidates.append(np.concatenate([points[good], total[good] / count[good, None]], 1))
+        if sum(map(len, candidates)) >= rows:
+            break
+    both = np.concatenate(candidates)[:rows]
+    if len(both) < MIN_POINTS:
+        raise ValueError("pictures: no point in space is covered in two of them and empty in none; check their cameras")
+    return from_points(both[:, :3], both[:, 3:], sh_degree)
+
+
+def _common_center(cameras: list[Camera]) -> tuple[np.ndarray, float]:
+    """([3] the point nearest to all lines of sight, half the edge of a cube around it that the pictures show)."""
+    lines = np.array([camera.forward for camera in cameras])
+    eyes = np.array([camera.position for camera in cameras])
+    across = np.eye(3) - lines[:, :, None] * lines[:, None, :]
+    system = across.sum(0) + 1e-6 * np.eye(3)
+    center = np.linalg.solve(system, np.einsum("vij,vj->i", across, eyes) + 1e-6 * eyes.mean(0))
+    away = np.linalg.norm(eyes - center, axis=1)
+    half = [max(c.width / c.fx, c.height / c.fy) / 2 for c in cameras]
+    return center, float(np.median(away * np.array(half)))

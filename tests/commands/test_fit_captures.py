@@ -1,0 +1,173 @@
+"""`splatpainter fit` on captures: photographs turned, bent, shrunk and named as phones, lenses and programs leave them.
+
+Each is fitted for a few steps; the pictures that the fit is given are compared with the asset's own renders."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from splatpainter.cameras import Camera, spherical_cameras
+from splatpainter.commands.fit_photographs import PosedPicture, first_gaussians, posed_pictures
+from splatpainter.image_files import to_uint8
+from splatpainter.kernels.compile import ensure_compiled
+from splatpainter.metrics import psnr
+from splatpainter.rendering import render
+from tests.support.capture_folders import brown, fisheye, photograph, save_turned, write_colmap, write_table
+from tests.support.cli_scenes import Capture, ball, run
+
+SIZE = (96, 72)
+TURNS: dict[int, Callable[[np.ndarray], np.ndarray]] = {
+    1: lambda a: a,
+    2: lambda a: a[:, ::-1],
+    3: lambda a: a[::-1, ::-1],
+    4: lambda a: a[::-1],
+    5: lambda a: a.swapaxes(0, 1),
+    6: lambda a: np.rot90(a, -1),
+    7: lambda a: a[::-1, ::-1].swapaxes(0, 1),
+    8: lambda a: np.rot90(a, 1),
+}
+"""What viewers do with pixels as stored to show them as an EXIF orientation says (CIPA DC-008, 4.6.5)."""
+
+
+def cameras_around(count: int = 3, background: tuple[float, float, float] = (0.4, 0.5, 0.3)) -> list[Camera]:
+    """Off the middle, so that a turned or mirrored picture is another; light behind, so that nothing counts as
+    empty."""
+    square = spherical_cameras((0, 0, 0), 2.5, count, size=SIZE[0], fov=45, up=(0, -1, 0), backgrounds=[background])
+    return [replace(camera, height=SIZE[1], cx=44.0, cy=38.0) for camera in square]
+
+
+def drawn(camera: Camera) -> np.ndarray:
+    ensure_compiled(progress=False)
+    return np.clip(render(ball(2000), camera).colors[0], 0, 1)
+
+
+def through_no_lens(camera: Camera) -> np.ndarray:
+    """As sharp as photographs through lenses are made here."""
+    return np.clip(photograph(drawn, camera, lambda x, y: (x, y), field=1.1), 0, 1)
+
+
+def nearness(posed: list[PosedPicture], draw: Callable[[Camera], np.ndarray] = drawn) -> float:
+    """Least PSNR of the pictures against renders from their cameras, dB."""
+    background = cameras_around()[0].background
+    return min(float(psnr(draw(replace(one.camera, background=background)), one.colors)) for one in posed)
+
+
+@pytest.mark.parametrize("orientation", TURNS)
+def test_cameras_see_pixels_as_they_are_stored(orientation: int, tmp_path: Path) -> None:
+    """COLMAP, nerfstudio and INRIA's trainer look at no EXIF: the pixels as stored are what their cameras are of."""
+    cameras, names = cameras_around(), ["a.jpg", "b.jpg", "c.jpg"]
+    for camera, name in zip(cameras, names, strict=True):
+        save_turned(tmp_path / name, to_uint8(drawn(camera)), orientation)
+    write_table(tmp_path, cameras, names)
+    assert nearness(posed_pictures(tmp_path, None)) > 30
+
+
+@pytest.mark.parametrize("orientation", [5, 6, 7, 8])
+def test_cameras_of_the_turned_shape_see_turned_pixels(orientation: int, tmp_path: Path) -> None:
+    """Where w and h are those of the picture as viewers show it, a program turned it before it looked."""
+    cameras, names = cameras_around(), ["a.jpg", "b.jpg", "c.jpg"]
+    back = {6: 8, 8: 6}.get(orientation, orientation)
+    for camera, name in zip(cameras, names, strict=True):
+        save_turned(tmp_path / name, np.ascontiguousarray(TURNS[back](to_uint8(drawn(camera)))), orientation)
+    write_table(tmp_path, cameras, names)
+    assert nearness(posed_pictures(tmp_path, None)) > 30
+
+
+BENT = {
+    "brown": (brown(-0.2, 0.05, 0.004, -0.003), {"k1": -0.2, "k2": 0.05, "p1": 0.004, "p2": -0.003}),
+    "fisheye": (fisheye(0.06, -0.02), {"k1": 0.06, "k2": -0.02, "camera_model": "OPENCV_FISHEYE"}),
+}
+MODELS = {
+    "brown": ((4, "OPENCV"), (-0.2, 0.05, 0.004, -0.003)),
+    "fisheye": ((5, "OPENCV_FISHEYE"), (0.06, -0.02, 0.0, 0.0)),
+}
+
+
+@pytest.mark.parametrize("lens", BENT)
+@pytest.mark.parametrize("by", ["table", "bin", "txt"])
+def test_bent_photographs_are_made_straight(lens: str, by: str, tmp_path: Path) -> None:
+    cameras, names = cameras_around(2), ["a.png", "b.png"]
+    bend, keys = BENT[lens]
+    (tmp_path / "images").mkdir()
+    for camera, name in zip(cameras, names, strict=True):
+        pixels = to_uint8(np.clip(photograph(drawn, camera, bend), 0, 1))
+        Image.fromarray(pixels).save(tmp_path / "images" / name)
+    if by == "table":
+        write_table(tmp_path, cameras, [f"images/{name}" for name in names], **keys)
+    else:
+        model, numbers = MODELS[lens]
+        write_colmap(tmp_path / "sparse" / "0", cameras, names, ending=by, model=model, bend=numbers)
+    posed = posed_pictures(tmp_path, None)
+    assert nearness(posed, through_no_lens) > 34
+    smaller = posed_pictures(tmp_path, 48)
+    assert all(40 < max(one.camera.width, one.camera.height) < 60 for one in smaller)
+    assert nearness(smaller, through_no_lens) > 28
+    if by == "table":  # the same folder, its lens not looked at
+        write_table(tmp_path, cameras, [f"images/{name}" for name in names])
+        assert nearness(posed_pictures(tmp_path, None), through_no_lens) < nearness(posed, through_no_lens) - 8
+
+
+def test_names_of_windows_and_smaller_copies(tmp_path: Path) -> None:
+    cameras, names = cameras_around(), ["a.jpg", "b.jpg", "c.jpg"]
+    write_table(tmp_path, cameras, [f".\\images\\{name}" for name in names])
+    for folder, scale in (("images_4", 4), ("images_2", 2), ("images", 1)):
+        (tmp_path / folder).mkdir()
+        for camera, name in zip(cameras, names, strict=True):
+            small = camera.resized(SIZE[0] // scale, SIZE[1] // scale)
+            Image.fromarray(to_uint8(drawn(small))).save(tmp_path / folder / name, quality=98)
+        posed = posed_pictures(tmp_path, None)
+        assert posed[0].camera.width == SIZE[0] // scale and nearness(posed) > 26, folder
+
+
+def test_a_size_of_another_shape_is_refused_before_anything_is_decoded(tmp_path: Path) -> None:
+    cameras, names = cameras_around(), ["a.jpg", "b.jpg", "c.jpg"]
+    for camera, name in zip(cameras, names, strict=True):
+        Image.fromarray(to_uint8(drawn(camera))).save(tmp_path / name)
+    (tmp_path / "a.jpg").write_bytes((tmp_path / "a.jpg").read_bytes()[:-300])  # its header is whole
+    write_table(tmp_path, cameras, names, w=96, h=80)
+    with pytest.raises(ValueError, match=r"a\.jpg: expected the aspect ratio of its camera, 96x80, got 96x72"):
+        posed_pictures(tmp_path, None)
+    write_table(tmp_path, cameras, ["a.jpg", "b.jpg", "d.jpg"])
+    with pytest.raises(ValueError, match=r"d\.jpg: no such picture"):
+        posed_pictures(tmp_path, None)
+
+
+def test_colmaps_points_are_the_first_gaussians(tmp_path: Path) -> None:
+    cameras, names = cameras_around(2), ["a.png", "b.png"]
+    (tmp_path / "images").mkdir()
+    for camera, name in zip(cameras, names, strict=True):
+        Image.fromarray(to_uint8(drawn(camera))).save(tmp_path / "images" / name)
+    rng = np.random.default_rng(0)
+    points = np.concatenate([rng.normal(size=(40, 3)), rng.integers(0, 256, (40, 3))], 1)
+    write_colmap(tmp_path / "sparse" / "0", cameras, names, ending="bin", points=points)
+    posed = posed_pictures(tmp_path, None)
+    start, line = first_gaussians(tmp_path, posed, 100, 0, seed=0)
+    order = np.argsort(start.means[:, 0])
+    expected = points[np.argsort(points[:, 0])]
+    assert np.allclose(start.means[order], expected[:, :3], atol=1e-6)
+    assert np.allclose(0.5 + 0.28209479 * start.sh[order, 0], expected[:, 3:] / 255, atol=1e-6)
+    assert "40 of the 40 points" in line
+    assert len(first_gaussians(tmp_path, posed, 25, 0, seed=0)[0]) == 25
+
+
+def test_a_colmap_folder_is_fitted(tmp_path: Path, capfd: Capture) -> None:
+    cameras = cameras_around(8, (0.0, 0.0, 0.0))
+    names = [f"view {k}.jpg" for k in range(8)]
+    (tmp_path / "images").mkdir()
+    for k, (camera, name) in enumerate(zip(cameras, names, strict=True)):
+        save_turned(tmp_path / "images" / name, to_uint8(drawn(camera)), 1 + k)
+    truth = ball(2000)
+    points = np.concatenate([truth.means[::5], np.full((400, 3), 180)], 1).astype(np.float64)
+    write_colmap(tmp_path / "sparse" / "0", cameras, names, ending="txt", points=points)
+    options = ("--steps", 80, "--rows", 400, "--size", 48, "--sh-degree", 0, "--json")
+    done = run(capfd, "fit", tmp_path, "--out", tmp_path / "ball.ply", *options)
+    assert done.code == 0 and "400 of the 400 points" in done.err
+    record = json.loads(done.out)
+    assert record["views"] == {"training": 6, "held_out": 2} and record["psnr"]["held_out"] > 14
