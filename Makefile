@@ -1,11 +1,12 @@
 # make demo   edit the bundled asset, write pictures and receipt to demo/
 # make studio paint in the browser
+# make native compile the kernels after an edit of native/
 # make test   run the tests            make check   format, lint, types, docs      make fuzz   hostile inputs
 # make quick  while you type: < 1 min  make docs    the site
 PY := .venv/bin/python
 PIP := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: demo studio test quick fuzz check check-types check-systems check-web check-docs docs format clean
+.PHONY: demo studio native test quick fuzz check check-types check-systems check-web check-docs docs format clean
 .DEFAULT_GOAL := demo
 
 demo: .venv/installed
@@ -13,6 +14,11 @@ demo: .venv/installed
 
 studio: .venv/installed-studio
 	.venv/bin/splatpainter studio
+
+# `make demo` and every installation do this too; pip's ziglang is the compiler.
+native: .venv/installed
+	$(PIP) ziglang
+	$(PY) native/build.py
 
 # One more worker than cores (conftest.py): tests that wait for a browser, a cluster or a program leave theirs idle.
 # Workers take tests from each other when they have none left.
@@ -59,10 +65,8 @@ format: .venv/installed-dev
 	.venv/bin/ruff format .
 	.venv/bin/ruff check --fix .
 
-# CPU torch first where there is no NVIDIA GPU, so that no CUDA packages are pulled.
-.venv/installed: pyproject.toml constraints.txt scripts/install-torch
+.venv/installed: pyproject.toml constraints.txt
 	test -x $(PY) || python3 -m venv .venv
-	scripts/install-torch $(PY)
 	$(PIP) -e .
 	touch $@
 
@@ -70,8 +74,10 @@ format: .venv/installed-dev
 	$(PIP) -e '.[studio]'
 	touch $@
 
-.venv/installed-dev: .venv/installed benchmarks/pyproject.toml
-	$(PIP) -e '.[dev]' -e benchmarks
+# CPU torch first where there is no NVIDIA GPU, so that no CUDA packages are pulled.
+.venv/installed-dev: .venv/installed benchmarks/pyproject.toml networks/pyproject.toml scripts/install-torch
+	scripts/install-torch $(PY)
+	$(PIP) -e '.[dev]' -e benchmarks -e networks
 	$(PIP) --no-deps gsplat  # its plain-torch formulas are an oracle of the tests; its kernels need CUDA
 	$(PIP) --no-deps gsply gaussforge  # readers and writers of SPZ, oracles of the tests
 	touch $@

@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def faults(tag: str, version: str, changelog: str) -> list[str]:
-    """tag: "v" and a version; version: of the code; changelog: its Markdown. One line per fault, none if all is well."""
+    """tag: "v" and a version; version: of the code; changelog: its Markdown. One line per fault."""
     lines = []
     if tag != f"v{version}":
         lines.append(f"tag: expected v{version}, the version of src/splatpainter/_version.py, got {tag}")

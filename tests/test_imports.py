@@ -18,11 +18,10 @@ from tests.support.syntax import nodes, statements
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = {"splatpainter": ROOT / "src" / "splatpainter", "splatbench": ROOT / "benchmarks" / "splatbench"}
 ORDER = (
-    ("_version", "atomic", "user_folders", "processes", "jsonio", "yamlio"),
-    ("splats", "transforms", "color"),
+    ("_version", "extras", "atomic", "user_folders", "processes", "jsonio", "yamlio"),
+    ("splats", "transforms", "color", "kernels"),
     ("cameras",),
     ("image_files",),
-    ("kernels",),
     ("io",),
     ("captures",),
     ("text_tables", "contact_sheet", "doubts"),

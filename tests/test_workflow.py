@@ -46,7 +46,12 @@ def test_make_runs_where_it_is_and_its_targets_exist(jobs: dict[str, Any]) -> No
 
 def test_commands_without_make_are_those_of_the_readme(jobs: dict[str, Any]) -> None:
     readme = "".join((ROOT / name).read_text(encoding="utf-8") for name in ("README.md", "CONTRIBUTING.md"))
-    for line in ("pip install -c constraints.txt torch", "pip install -c constraints.txt -e", "splatpainter demo"):
+    for line in (
+        "pip install -c constraints.txt torch",
+        "networks",
+        "pip install -c constraints.txt -e",
+        "splatpainter demo",
+    ):
         assert line in readme and any(line in command for command in commands(jobs["pip"])), line
     assert "python -m pytest" in readme and "python -m pytest" in commands(jobs["pip"])
 

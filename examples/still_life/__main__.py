@@ -1,20 +1,21 @@
-"""Make src/splatpainter/demo_asset.npz: python -m examples.still_life, from the repository's root (some seconds).
+"""Make src/splatpainter/demo_asset.sog: python -m examples.still_life, from the repository's root (some seconds).
 
-With --check nothing is written: exit 1 where the file holds other Gaussians than this code makes. Powers and linear
+With --check nothing is written: exit 1 where the file is not what this code makes. Powers and linear
 solves may round otherwise on other processors, so that is a check for the machine that made the file, not a test.
 """
 
 from __future__ import annotations
 
-import io
 import sys
-import zipfile
+import tempfile
+from pathlib import Path
 
 import numpy as np
 
 from examples.still_life.scene import still_life
-from splatpainter.demo_asset import FILE, demo_asset
-from splatpainter.splats import ATTRIBUTES, Splats, rows_sha256
+from splatpainter.demo_asset import FILE
+from splatpainter.io import write
+from splatpainter.splats import Splats
 
 FLATNESS = 0.1
 """Thickness of a Gaussian along the normal, of its smaller tangent size."""
@@ -23,7 +24,7 @@ LIFT = 0.45
 
 
 def make(seed: int = 0) -> Splats:
-    """The still life as `demo_asset` gives it. seed: jitter and opacities of the Gaussians; the scene itself is
+    """The still life, before it is packed. seed: jitter and opacities of the Gaussians; the scene itself is
     fixed."""
     rng = np.random.default_rng(seed)
     gaussians, sh = still_life(rng)
@@ -38,18 +39,12 @@ def make(seed: int = 0) -> Splats:
 def main() -> int:
     made = make()
     if "--check" in sys.argv[1:]:
-        same = rows_sha256(made) == rows_sha256(demo_asset())
-        print(f"{FILE.name}: {'the same' if same else 'other'} Gaussians")
+        with tempfile.TemporaryDirectory() as folder:
+            write(fresh := Path(folder, FILE.name), made)
+            same = fresh.read_bytes() == FILE.read_bytes()
+        print(f"{FILE.name}: {'the same' if same else 'other'} bytes")
         return 0 if same else 1
-    with zipfile.ZipFile(FILE, "w") as file:
-        for name in ATTRIBUTES:
-            values = np.ascontiguousarray(np.moveaxis(getattr(made, name), 0, -1), "<f4")
-            planes = np.moveaxis(values[..., None].view(np.uint8), -1, 0)
-            entry = zipfile.ZipInfo(f"{name}.npy")  # without a date: equal bytes each time
-            entry.compress_type = zipfile.ZIP_DEFLATED
-            array = io.BytesIO()
-            np.lib.format.write_array(array, np.ascontiguousarray(planes))
-            file.writestr(entry, array.getbuffer(), compresslevel=9)
+    write(FILE, made, overwrite=True)
     print(f"{FILE}: {len(made)} Gaussians, {FILE.stat().st_size / 1e6:.1f} MB")
     return 0
 

@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from splatpainter.kernels import portable
 from splatpainter.splats import Array, Splats
 from splatpainter.transforms import GOLDEN_ANGLE
 
@@ -57,7 +58,9 @@ class Camera:
         if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
             raise ValueError(f"camera: expected a finite 4x4 world_to_camera, got shape {matrix.shape}")
         r = matrix[:3, :3]
-        if abs(r @ r.T - np.eye(3)).max() > 0.01 or np.linalg.det(r) < 0 or (matrix[3] != (0, 0, 0, 1)).any():
+        products = (r[:, None] * r[None]).sum(2)  # r r^T
+        left_handed = (np.cross(r[0], r[1]) * r[2]).sum() < 0
+        if abs(products - np.eye(3)).max() > 0.01 or left_handed or (matrix[3] != (0, 0, 0, 1)).any():
             raise ValueError("camera: expected a rotation and a translation as world_to_camera (last row 0 0 0 1)")
         if not (self.width > 0 and self.height > 0 and self.fx > 0 and self.fy > 0):
             raise ValueError(
@@ -99,7 +102,7 @@ class Camera:
     def position(self) -> np.ndarray:
         """[3] camera centre in world units."""
         rotation, translation = self.world_to_camera[:3, :3], self.world_to_camera[:3, 3]
-        return -rotation.T @ translation
+        return -(rotation * translation[:, None]).sum(0)
 
     @property
     def camera_to_world(self) -> np.ndarray:
@@ -109,12 +112,13 @@ class Camera:
     @property
     def forward(self) -> np.ndarray:
         """[3] unit viewing direction in world axes."""
-        return self.world_to_camera[2, :3] / np.linalg.norm(self.world_to_camera[2, :3])
+        return self.world_to_camera[2, :3] / portable.length(self.world_to_camera[2, :3])
 
     def to_camera(self, points: Array) -> Array:
         """World points [..., 3] in camera axes; float64 of numpy arrays, the dtype and device of tensors."""
         if isinstance(points, np.ndarray):
-            return points.astype(np.float64) @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3]
+            turned = portable.matmul(points.astype(np.float64, copy=False), self.world_to_camera[:3, :3].T)
+            return turned + self.world_to_camera[:3, 3]
         import torch
 
         matrix = torch.as_tensor(self.world_to_camera, dtype=points.dtype, device=points.device)
@@ -122,7 +126,7 @@ class Camera:
 
     def to_world(self, points: np.ndarray) -> np.ndarray:
         """Points [..., 3] in camera axes as world points, float64; the inverse of `to_camera`."""
-        return (points - self.world_to_camera[:3, 3]) @ self.world_to_camera[:3, :3]
+        return portable.matmul(points - self.world_to_camera[:3, 3], self.world_to_camera[:3, :3])
 
     def project(self, points: Array) -> tuple[Array, Array]:
         """(pixels x, y [..., 2], depths z [...]) of world points [..., 3]; numbers as of `to_camera`. Pixels mean
@@ -188,7 +192,7 @@ class Camera:
         with np.errstate(
             over="ignore", invalid="ignore", divide="ignore"
         ):  # rays of absurd lenses are NaN and hit nothing
-            world = self._center_lines() @ self.world_to_camera[:3, :3]
+            world = portable.matmul(self._center_lines(), self.world_to_camera[:3, :3])
             world /= np.linalg.norm(world, axis=-1, keepdims=True)
         return self.position.astype(np.float32), world.astype(np.float32)
 
@@ -279,16 +283,17 @@ def look_at(
     if not 0 < fov < 180:
         raise ValueError(f"look_at: expected a fov between 0 and 180 degrees, got {fov}")
     z = aim - position
-    z /= np.linalg.norm(z)
+    z /= portable.length(z)
     x = np.cross(z, upward)
-    if np.linalg.norm(x) < 1e-6 * np.linalg.norm(upward):  # looking straight along up: any horizontal will do
+    if portable.length(x) < 1e-6 * portable.length(upward):  # looking straight along up: any horizontal will do
         x = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
-    x /= np.linalg.norm(x)
+    x /= portable.length(x)
     y = np.cross(z, x)
     matrix = np.eye(4)
     matrix[:3, :3] = np.stack([x, y, z])
-    matrix[:3, 3] = -matrix[:3, :3] @ position
-    focal = height / (2 * math.tan(math.radians(fov) / 2))
+    matrix[:3, 3] = -(matrix[:3, :3] * position).sum(1)
+    half = math.radians(fov) / 2
+    focal = height / 2 * portable.cos(half) / portable.sin(half)
     return Camera(width, height, focal, focal, width / 2, height / 2, matrix, background)
 
 
@@ -307,15 +312,16 @@ def orbit(
 ) -> list[Camera]:
     """`count` cameras evenly around `center` at `radius` (world units), looking at it. elevation and start: degrees,
     above the horizon and of the first camera around `up`."""
-    axis = np.asarray(up, np.float64) / np.linalg.norm(up)
+    axis = np.asarray(up, np.float64)
+    axis = axis / portable.length(axis)
     side = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
-    side /= np.linalg.norm(side)
+    side /= portable.length(side)
     front = np.cross(side, axis)
     tilt = math.radians(elevation)
     cameras = []
     for angle in np.radians(start + 360.0 * np.arange(count) / max(count, 1)):
-        flat = math.cos(angle) * front + math.sin(angle) * side
-        eye = np.asarray(center) + radius * (math.cos(tilt) * flat + math.sin(tilt) * axis)
+        flat = portable.cos(angle) * front + portable.sin(angle) * side
+        eye = np.asarray(center) + radius * (portable.cos(tilt) * flat + portable.sin(tilt) * axis)
         cameras.append(look_at(eye, center, axis, width=width, height=height, fov=fov, background=background))
     return cameras
 
@@ -358,7 +364,7 @@ def orbit_cameras(
     from the centre, world units, by default so that the asset fills the picture."""
     center, radius = bounding_sphere(splats)
     if distance is None:
-        distance = FRAME_MARGIN * radius / math.sin(math.radians(fov / 2))
+        distance = FRAME_MARGIN * radius / float(portable.sin(math.radians(fov / 2)))
     axis = UPS[AUTO_UP if up == "auto" else up]
     around = {"elevation": elevation, "start": azimuth, "up": axis, "fov": fov, "background": background}
     cameras = orbit(center, distance, count, width=size, height=size, **around)
@@ -381,15 +387,16 @@ def spherical_cameras(
 
     fov: degrees. backgrounds: taken in turn. between: another lattice, turned by half a step: views that are not those
     of the first."""
-    axis = np.asarray(up, np.float64) / np.linalg.norm(up)
+    axis = np.asarray(up, np.float64)
+    axis = axis / portable.length(axis)
     side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
-    side /= np.linalg.norm(side)
+    side /= portable.length(side)
     front = np.cross(axis, side)
     cameras = []
     for k in range(count):
         height = 1 - (2 * k + 1) / count
         angle = GOLDEN_ANGLE * (k + 0.5 * between)
-        flat = np.cos(angle) * side + np.sin(angle) * front
+        flat = portable.cos(angle) * side + portable.sin(angle) * front
         eye = np.asarray(center) + distance * (height * axis + np.sqrt(1 - height**2) * flat)
         background = backgrounds[k % len(backgrounds)]
         cameras.append(look_at(eye, center, axis, width=size, height=size, fov=fov, background=background))

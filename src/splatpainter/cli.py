@@ -23,6 +23,7 @@ from typing import Any
 from splatpainter._version import __version__
 from splatpainter.commands import DISTRIBUTIONS, ENTRY_POINTS, SUMMARIES, Outcome
 from splatpainter.commands.terminal import PROGRAM, complain, reason
+from splatpainter.extras import EXTRAS, missing
 
 DEBUG = "SPLATPAINTER_DEBUG"
 """Set to 1: errors show where they come from."""
@@ -54,6 +55,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         if os.environ.get(DEBUG):
             raise
+        absent = (error.name or "").split(".")[0] if isinstance(error, ModuleNotFoundError) else ""
+        if absent in EXTRAS:
+            complain(missing(absent, f"{PROGRAM} {words[0]}"))
+            return BAD_INPUT
         complain(f"fault in splatpainter: {type(error).__name__}: {error}; set {DEBUG}=1 to see where")
         return FAULT
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from splatpainter.kernels import portable
 from splatpainter.splats import SH_C0, Array, ColorSpace
 
 LUMA = (0.2126, 0.7152, 0.0722)
@@ -25,13 +26,13 @@ LMS_TO_LAB = (
 
 def srgb_to_linear(display: Array) -> Array:
     """Display sRGB >= 0 -> linear light (IEC 61966-2-1); the curve goes on beyond white."""
-    high = ((display.clip(0.04045, None) + 0.055) / 1.055) ** 2.4
+    high = _power((display.clip(0.04045, None) + 0.055) / 1.055, 2.4)
     return _where(display <= 0.04045, display / 12.92, high)
 
 
 def linear_to_srgb(linear: Array) -> Array:
     """Linear light >= 0 -> display sRGB, the inverse of `srgb_to_linear`."""
-    high = 1.055 * linear.clip(0.0031308, None) ** (1 / 2.4) - 0.055
+    high = 1.055 * _power(linear.clip(0.0031308, None), 1 / 2.4) - 0.055
     return _where(linear <= 0.0031308, 12.92 * linear, high)
 
 
@@ -59,7 +60,8 @@ def oklab(colors: np.ndarray) -> np.ndarray:
     """[N, 3] display colours 0..1 -> [N, 3] float64 lightness, a, b (Ottosson, "A perceptual color space for image
     processing", 2020)."""
     light = srgb_to_linear(colors.astype(np.float64))
-    return np.cbrt(light @ np.array(TO_LMS).T) @ np.array(LMS_TO_LAB).T
+    lms = portable.matmul(light, np.array(TO_LMS).T).clip(0, None)
+    return portable.matmul(portable.power(lms, 1 / 3), np.array(LMS_TO_LAB).T)
 
 
 def base_color(sh: Array) -> Array:
@@ -79,6 +81,13 @@ def from_hex(text: str) -> tuple[float, float, float] | None:
         return None
     red, green, blue = (int(digits[k : k + 2], 16) / 255 for k in (0, 2, 4))
     return red, green, blue
+
+
+def _power(values: Array, exponent: float) -> Array:
+    """Of values > 0."""
+    if isinstance(values, np.ndarray | np.generic):
+        return np.asarray(portable.power(values, exponent), values.dtype)
+    return values**exponent
 
 
 def _where(condition: Array, one: Array, other: Array) -> Array:

@@ -10,8 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from splatpainter.kernels import portable
+from splatpainter.kernels.library import kernels
+from splatpainter.kernels.parallel import run
 from splatpainter.transforms import fibonacci_sphere, sh_basis
 
 COSINE_BANDS = np.array([np.pi, *[2 * np.pi / 3] * 3, *[np.pi / 4] * 5])
@@ -41,6 +43,8 @@ SPACING_SAMPLES = 256
 """Points of which the distance to their neighbours is measured."""
 SPACING_NEIGHBOR = 5
 """The neighbour whose distance counts."""
+MAPS_AT_ONCE = 8
+"""Shadow maps in memory, at most 3 MB each."""
 
 
 def prt_transfer(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -64,8 +68,11 @@ def _spacing(points: np.ndarray) -> float:
     picks = np.linspace(0, len(points) - 1, min(SPACING_SAMPLES, len(points))).astype(np.int64)
     samples, squares = points[picks].astype(np.float64), (points.astype(np.float64) ** 2).sum(1)
     near = min(SPACING_NEIGHBOR, len(points) - 1)
-    apart = [np.partition(squares - 2 * points @ one + one @ one, near)[near] for one in samples]
-    span = float(np.linalg.norm(np.ptp(points, axis=0)))
+    apart = []
+    for one in samples:
+        distances = squares - 2 * portable.matmul(points, one[:, None])[:, 0] + (one * one).sum()
+        apart.append(np.partition(distances, near)[near])
+    span = portable.length(np.ptp(points, axis=0))
     return max(0.8 * float(np.sqrt(max(np.median(apart), 0.0))), 1e-6 * span, 1e-12)
 
 
@@ -77,7 +84,7 @@ def visibility(points: np.ndarray, normals: np.ndarray, spacing: float, directio
     side = np.cross(helper, towards)
     side = (side / np.linalg.norm(side, axis=1, keepdims=True)).astype(np.float32)
     other = np.cross(towards, side).astype(np.float32)
-    span = float(np.linalg.norm(np.ptp(points, axis=0)))
+    span = portable.length(np.ptp(points, axis=0))
     if not np.isfinite(span):
         raise ValueError("visibility: expected finite points whose squares are finite in float32, got others")
     pixel = np.float32(max(1.25 * spacing, span / 900))  # a map of at most 900 pixels a side
@@ -89,73 +96,12 @@ def visibility(points: np.ndarray, normals: np.ndarray, spacing: float, directio
     shade = np.zeros((len(points), 2), np.float32)
     weights = np.full(directions, 4 * np.pi / directions, np.float32)
     moved = np.ascontiguousarray(points - center, np.float32)
-    _march(moved, normals, towards, side, other, pixel, size, folded, weights, lost_front, lost_back, shade)
+    normals = np.ascontiguousarray(normals, np.float32)
+    frames = (*(np.ascontiguousarray(axis, np.float32) for axis in (towards, side, other)), float(pixel))
+    depth = np.empty((min(MAPS_AT_ONCE, directions), size, size), np.float32)
+    for first in range(0, directions, MAPS_AT_ONCE):
+        run(kernels.draw_shadow_maps, moved, *frames, first, depth)
+        sums = (folded, weights, lost_front, lost_back, shade)
+        run(kernels.fold_shadows, moved, normals, *frames, first, depth, *sums)
     open_share = np.clip(1 - shade / np.pi, 0, 1)
     return Visibility(open_share[:, 0], open_share[:, 1], lost_front, lost_back)
-
-
-def warm() -> None:
-    """Compile (or load) the kernel of this module."""
-    points = np.eye(3, dtype=np.float32)
-    prt_transfer(points, points)
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _inside(x, last):
-    """int(x) within [0, last], 0 for NaN. Clamped as a float: casts of what an integer cannot hold are undefined."""
-    x = x if x > 0 else np.float32(0)
-    return int(x if x < last else np.float32(last))
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _march(points, normals, towards, side, other, pixel, size, folded, weights, lost_front, lost_back, shade):
-    """Adds to lost_front, lost_back [N, 9] and shade [N, 2] (cosine-weighted) what is blocked."""
-    depth = np.empty((size, size), np.float32)
-    half = np.float32(size / 2)
-    lift = np.float32(2.2) * pixel
-    bias = np.float32(0.3) * pixel
-    for k in range(len(towards)):
-        d, a, b = towards[k], side[k], other[k]
-        depth[:] = np.float32(-1e30)
-        for i in range(len(points)):
-            p = points[i]
-            u = (p[0] * a[0] + p[1] * a[1] + p[2] * a[2]) / pixel + half - np.float32(0.5)
-            v = (p[0] * b[0] + p[1] * b[1] + p[2] * b[2]) / pixel + half - np.float32(0.5)
-            t = p[0] * d[0] + p[1] * d[1] + p[2] * d[2]
-            x, y = _inside(u, size - 2), _inside(v, size - 2)
-            for ix in range(x, x + 2):  # two by two pixels: no light through the gaps between points
-                for iy in range(y, y + 2):
-                    if t > depth[ix, iy]:
-                        depth[ix, iy] = t
-        for i in range(len(points)):
-            p, n = points[i], normals[i]
-            cosine = n[0] * d[0] + n[1] * d[1] + n[2] * d[2]
-            sign = np.float32(1) if cosine >= 0 else np.float32(-1)
-            off = sign * lift
-            px, py, pz = p[0] + off * n[0], p[1] + off * n[1], p[2] + off * n[2]
-            u = (px * a[0] + py * a[1] + pz * a[2]) / pixel + half - np.float32(0.5)
-            v = (px * b[0] + py * b[1] + pz * b[2]) / pixel + half - np.float32(0.5)
-            t = px * d[0] + py * d[1] + pz * d[2] + bias
-            if not (-1 < u < size - 1 and -1 < v < size - 1):  # NaN too
-                continue
-            x, y = int(u), int(v)
-            fu, fv = u - x, v - y
-            hidden = np.float32(0)
-            if depth[x, y] > t:
-                hidden += (1 - fu) * (1 - fv)
-            if depth[x + 1, y] > t:
-                hidden += fu * (1 - fv)
-            if depth[x, y + 1] > t:
-                hidden += (1 - fu) * fv
-            if depth[x + 1, y + 1] > t:
-                hidden += fu * fv
-            if hidden > 0:
-                lost = hidden * abs(cosine)
-                if cosine >= 0:
-                    shade[i, 0] += lost * weights[k]
-                    for c in range(9):
-                        lost_front[i, c] += lost * folded[k, c]
-                else:
-                    shade[i, 1] += lost * weights[k]
-                    for c in range(9):
-                        lost_back[i, c] += lost * folded[k, c]

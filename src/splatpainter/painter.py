@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.extras import require
 from splatpainter.nn.precision import Arithmetic, Precision, autocast, resolve, setting
 from splatpainter.receipts import Receipt, scores, untouched_hashes
 from splatpainter.splats import Splats, changed_rows
@@ -239,6 +240,8 @@ class Painter:
                 f"asset: none of the {len(splats)} Gaussians can be drawn (NaN, zero scale or zero quaternion)"
             )
         needed = any(self.encodes(self.choose(method, mode)[0], mode) for mode in modes)
+        if needed:
+            require("torch", f"edit: the network of preset '{self.preset}'")
         return self._encoded(asset) if needed else asset
 
     def encodes(self, method: Method, mode: Mode) -> bool:
@@ -353,7 +356,7 @@ class Painter:
             return ""
         if self.encodes(chosen, mode):
             return resolve(self.precision, next(self.model.parameters()).device)
-        predictor = self.model.predictor
+        predictor = self.model.stored_predictor
         if predictor is None or predictor.is_untrained:
             return ""
         return "float32"  # it solves for its weights, which are never rounded
@@ -362,7 +365,7 @@ class Painter:
         """What `apply` does for a method: (method, never "auto", and the one line that says why). Weights whose notes
         hold `gain`, {mode: dB over the lift on objects kept out of training}, are used by "auto" only where that is
         above 0; a Stage II that has learnt global edits alone makes no local ones. Raises ValueError for a method that
-        is not known, or needs a model."""
+        is not known, or needs a model that is not there."""
         if method == "ttt" and self.model is None:
             raise ValueError(
                 "method 'ttt' needs a preset with trained weights; use method 'lift' or 'auto' without them"
@@ -461,13 +464,13 @@ class Painter:
 
     def _predict(self, asset: Asset) -> Predict | None:
         """The model's prediction for Gaussians that no view shows; None where it leaves that to the lift."""
-        from splatpainter.models.predictor import predicting
+        from splatpainter.models.stored_predictor import predicting
 
         model = self.model
         assert model is not None
         if model.config.carries:
             return self._carrying(asset)
-        return predicting(model.predictor, asset.splats, asset.normals, lambda: asset.transfer)
+        return predicting(model.stored_predictor, asset.splats, asset.normals, lambda: asset.transfer)
 
     def _carried(self, chosen: Method, mode: Mode) -> bool:
         """Whether Stage II makes a global edit by what it says of Gaussians that no view shows, within the lift."""
@@ -491,7 +494,7 @@ class Painter:
 
     def _facts(self, asset: Asset, ids: np.ndarray) -> np.ndarray | None:
         """[J, 21] of `gaussian_facts` of these Gaussians, for a Stage II that reads them."""
-        from splatpainter.models.predictor import gaussian_facts
+        from splatpainter.models.gaussian_facts import gaussian_facts
 
         if self.model is None or not self.model.config.refine.facts:
             return None

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from splatpainter.kernels import portable
 from splatpainter.splats import MIN_QUAT, SH_C0, Array
 
 JACOBI_SWEEPS = 6
@@ -116,7 +117,7 @@ def fibonacci_sphere(count: int, offset: float = 0.5) -> np.ndarray:
     y = 1 - 2 * (i + 0.5) / count
     angle = (i + offset) * GOLDEN_ANGLE
     ring = np.sqrt(1 - y * y)
-    return np.stack([ring * np.cos(angle), y, ring * np.sin(angle)], 1)
+    return np.stack([ring * portable.cos(angle), y, ring * portable.sin(angle)], 1)
 
 
 def sh_basis(directions: Array, degree: int) -> Array:
@@ -165,9 +166,14 @@ def sh_rotations(matrix: np.ndarray, degree: int) -> list[np.ndarray]:
     Solved from the basis functions at more directions than unknowns; exact to float64 rounding.
     """
     directions = fibonacci_sphere(64, 0)
-    before, after = sh_basis(directions @ np.asarray(matrix, np.float64), degree), sh_basis(directions, degree)
+    turned_back = portable.matmul(directions, np.asarray(matrix, np.float64))
+    before, after = sh_basis(turned_back, degree), sh_basis(directions, degree)
     bands = [slice(l * l, (l + 1) * (l + 1)) for l in range(degree + 1)]
-    return [snapped(np.linalg.lstsq(after[:, band], before[:, band], rcond=None)[0]) for band in bands]
+    ones, solved = np.ones(len(directions)), []
+    for band in bands:  # over so even directions the functions are orthogonal, nearly: normal equations lose nothing
+        right = portable.transposed_product(after[:, band], before[:, band])
+        solved.append(snapped(portable.solved(portable.gram(after[:, band], ones), right)))
+    return solved
 
 
 def snapped(values: np.ndarray) -> np.ndarray:

@@ -186,7 +186,7 @@ def test_training_it_keeps_the_rest_and_later_stages_keep_it(tmp_path: Path) -> 
     torch.manual_seed(5)
     begun = start(RECIPE, tmp_path / "refined", lambda line: None)
     assert torch.equal(begun.head.linear.weight, held.head.linear.weight)
-    assert begun.predictor is not None and begun.predictor.is_untrained
+    assert begun.predictor is not None and begun.predictor.stored().is_untrained
     torch.nn.init.normal_(begun.predictor.expected.weight)
     begun.save(tmp_path / "predicting", notes={"stage": "predict"}, dtype="float32")
     again = start(replace(RECIPE, stage="refine"), tmp_path / "predicting", lambda line: None)

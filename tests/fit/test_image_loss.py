@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from splatpainter import metrics
-from splatpainter.fit.image_loss import picture_loss, ssim_map, torch_loss
+from splatpainter.fit.image_loss import picture_loss
+from splatpainter.fit.torch_loss import ssim_map, torch_loss
 
 
 def pair(height: int = 21, width: int = 33, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

@@ -1,8 +1,9 @@
-"""Extreme values for every kernel, with bounds checked: in a process and a kernel cache of its own, because kernels
-that were compiled before ignore the switch. The cache is kept until one of the kernels' sources changes.
+"""Extreme values for every kernel, each index checked: in a process that runs another build of the native library,
+compiled from the sources as they are (`native/build.py --checked`), or one with sanitizers.
 
     python tests/fuzz/kernels.py --seconds 600 --seed 0            all kernels, float32 and float64
     python tests/fuzz/kernels.py --count 1 --seed 1234             one input again
+    python tests/fuzz/kernels.py --sanitize address,undefined      with g++ or clang++
 
 An input is a pure function of its seed. It fails where a kernel computes an index that is out of bounds, where a
 RuntimeWarning or anything but a ValueError of one line comes out, and where a row out of its range changes a picture.
@@ -11,18 +12,14 @@ RuntimeWarning or anything but a ValueError of one line comes out, and where a r
 from __future__ import annotations
 
 import argparse
-import gc
-import hashlib
 import os
-import shutil
 import subprocess
 import sys
 import time
 import traceback
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator
-from importlib.metadata import version
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +30,9 @@ EXTREMES = (0.0, -0.0, 1e-45, 1e-38, 1e-20, 1e-15, 1e-3, 1.0, 1.0000001, 2.0, 25
 EXTREMES += (1e19, 1e30, 3.4e38, np.inf, np.nan)
 EXTREMES += tuple(-value for value in EXTREMES)
 STARTED = "inside"
-CACHE = Path(__file__).with_name("__pycache__") / "checked_kernels"
+CHECKED = Path(__file__).with_name("__pycache__") / "checked_kernels"
+CURRENT = "current_input.txt"
+"""In that folder: the input that runs, for when it ends the process."""
 
 
 def extreme(rng: np.random.Generator, values: np.ndarray, share: float) -> np.ndarray:
@@ -121,7 +120,7 @@ def frames(rng: np.random.Generator, dtype: type) -> None:
     keep = rng.random(len(splats)) < 0.8 if rng.random() < 0.5 else None
     frame = project(splats, camera, gaussian_mask=keep, tiles=tiles)
     m, p = len(frame), len(frame.flatten_ids)
-    # Some operations index past numba's checks: what they are given must be sound.
+    # Some operations index past the checks: what they are given must be sound.
     assert frame.isect_offsets[-1] == frame.pair_offsets[-1] == p and (np.diff(frame.isect_offsets) >= 0).all()
     assert np.array_equal(np.sort(frame.pair_ids), np.arange(p))
     assert p == 0 or (0 <= frame.flatten_ids.min() and frame.flatten_ids.max() < m)
@@ -213,25 +212,14 @@ CASES: dict[str, Callable[[np.random.Generator, type], None]] = {
 
 def inside(names: list[str], seconds: float, count: int, seed: int, doubles: bool) -> int:
     """In the process whose bounds are checked. Returns how many inputs failed."""
-    import numba
-
-    @numba.njit(boundscheck=False)
-    def beyond(values, index):
-        return values[index]
-
-    try:
-        beyond(np.zeros(3), 5)
-        raise SystemExit("bounds are not checked here: set NUMBA_BOUNDSCHECK=1")
-    except IndexError:
-        pass
-    warnings.simplefilter("ignore", UserWarning)  # numba: kernels whose bounds are checked cannot be cached
     warnings.simplefilter("error", RuntimeWarning)
     start, done, failures, refused = time.monotonic(), Counter(), 0, Counter()
-    gc.disable()  # while kernels are compiled: what the compiler makes is alive
+    current = Path(os.environ["SPLATPAINTER_KERNELS"]).with_name(CURRENT)
     for number in range(seed, seed + count):
         if time.monotonic() - start > seconds:
             break
         for name in names:
+            current.write_text(f"{name}, seed {number}", encoding="utf-8")
             rng = np.random.default_rng([number, sorted(CASES).index(name)])
             try:
                 CASES[name](rng, np.float64 if doubles and number % 4 == 0 else np.float32)
@@ -244,9 +232,6 @@ def inside(names: list[str], seconds: float, count: int, seed: int, doubles: boo
             done[name] += 1
             if failures >= 20:
                 return failures
-        if number == seed:
-            start = time.monotonic()  # the first inputs compile
-            gc.enable()
     counts = ", ".join(f"{name} {done[name]:,} ({refused[name]:,} refused)" for name in names)
     print(f"{sum(done.values()):,} inputs in {time.monotonic() - start:.0f} s: {counts}; {failures} failed", flush=True)
     return failures
@@ -264,48 +249,39 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=10**9, help="seeds, at most")
     parser.add_argument("--seed", type=int, default=0, help="the first")
     parser.add_argument("--cases", default="drawing,frames,cubes,shadows,fitting,lifting", help=", ".join(CASES))
+    parser.add_argument("--sanitize", default="", help="address,undefined: sanitizers in place of checked indices")
     parser.add_argument("--single", action="store_true", help="float32 only")
     parser.add_argument(f"--{STARTED}", action="store_true", help=argparse.SUPPRESS)
     config = parser.parse_args()
     if config.inside:
         names = config.cases.split(",")
         return min(inside(names, config.seconds, config.count, config.seed, not config.single), 100)
-    optimised = os.environ.get("NUMBA_OPT", "1")
-    checked = {
-        "NUMBA_BOUNDSCHECK": "1",
-        "NUMBA_CACHE_DIR": str(kernel_cache(optimised)),
-        "NUMBA_OPT": optimised,
-        "PYTHONPATH": os.pathsep.join(filter(None, [str(ROOT / "src"), os.environ.get("PYTHONPATH", "")])),
+    library = build(config.sanitize)
+    environment = {
+        **os.environ,
+        "SPLATPAINTER_KERNELS": str(library),
         "SPLATPAINTER_THREADS": "1",
+        "PYTHONPATH": os.pathsep.join(filter(None, [str(ROOT / "src"), os.environ.get("PYTHONPATH", "")])),
         "PYTHONFAULTHANDLER": "1",
     }
-    command = [sys.executable, *sys.argv, f"--{STARTED}"]
-    return subprocess.run(command, env={**os.environ, **checked}, check=False).returncode
+    if "address" in config.sanitize:
+        # Python itself is not built for it: its runtime comes first, and what Python leaves behind is not looked at.
+        compiler = os.environ.get("CXX", "g++").split()
+        runtime = subprocess.run([*compiler, "-print-file-name=libasan.so"], capture_output=True, text=True, check=True)
+        environment |= {"LD_PRELOAD": runtime.stdout.strip(), "ASAN_OPTIONS": "detect_leaks=0"}
+    code = subprocess.run([sys.executable, *sys.argv, f"--{STARTED}"], env=environment, check=False).returncode
+    if code < 0:
+        print(f"--- the process ended by signal {-code} in {library.with_name(CURRENT).read_text()}", file=sys.stderr)
+    return 1 if code < 0 else code
 
 
-def kernel_cache(optimised: str) -> Path:
-    """The folder of kernels with checked bounds that were compiled from these very sources; all others are deleted."""
-    state = hashlib.sha256(f"{sys.version} {version('numba')} {version('llvmlite')} {optimised}".encode())
-    for path, source in kernel_sources():
-        state.update(f"{path}".encode() + source)
-    folder = CACHE / state.hexdigest()[:16]
-    for other in CACHE.glob("*"):
-        if other != folder:
-            shutil.rmtree(other, ignore_errors=True)
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
-
-
-def kernel_sources() -> Iterator[tuple[Path, bytes]]:
-    """What kernels are made of: modules that hold some, and those whose edits make the package's own ones stale."""
-    from splatpainter.kernels.compile import WARMUPS
-
-    package = ROOT / "src" / "splatpainter"
-    registered = tuple(str(package / path) for paths in WARMUPS.values() for path in paths)
-    for path in sorted(package.rglob("*.py")):
-        source = path.read_bytes()
-        if b"numba" in source or b"@kernel" in source or str(path).startswith(registered):
-            yield path, source
+def build(sanitize: str) -> Path:
+    """The library with checked indices, from the sources as they are; nothing is compiled where it is there already."""
+    kind = ["--sanitize", sanitize, "--compiler", os.environ.get("CXX", "g++")] if sanitize else ["--checked"]
+    folder = CHECKED / (sanitize.replace(",", "-") or "checked")
+    command = [sys.executable, str(ROOT / "native" / "build.py"), "--out", str(folder), *kind]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    return next(folder.glob("splatpainter_kernels.*"))
 
 
 if __name__ == "__main__":

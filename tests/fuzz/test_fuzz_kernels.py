@@ -1,4 +1,4 @@
-"""A short run of tests/fuzz/kernels.py, with the kernels that compile in little time; all of them: its own text."""
+"""A short run of tests/fuzz/kernels.py; a long one: its own text."""
 
 from __future__ import annotations
 

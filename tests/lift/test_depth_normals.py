@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from splatpainter.lift.depth_normals import SMOOTHING_PX, _medians
+from splatpainter.kernels.library import kernels
+from splatpainter.lift.depth_normals import SMOOTHING_PX
 
 
 def test_medians_are_those_of_the_depths_around() -> None:
@@ -13,7 +14,7 @@ def test_medians_are_those_of_the_depths_around() -> None:
     depth[rng.random(depth.shape) < 0.3] = 0  # nothing there
     depth[8:12] = 2.0  # ties
     medians = np.zeros_like(depth)
-    _medians(depth, medians, 0, 1)
+    kernels.take_depth_medians(depth, medians, 0, 1)
     for y, x in np.ndindex(depth.shape):
         rows, columns = (slice(max(k - SMOOTHING_PX, 0), k + SMOOTHING_PX + 1) for k in (y, x))
         near = np.sort(depth[rows, columns][depth[rows, columns] > 0])

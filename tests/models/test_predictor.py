@@ -12,10 +12,12 @@ from splatpainter.lift.depth_normals import outward_normals
 from splatpainter.lift.global_edit import lift_global, regressed, seen_change
 from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.lighting import prt_transfer
-from splatpainter.models import predictor as module
+from splatpainter.models import checkpoint, predictor, stored_predictor, weights
 from splatpainter.models.config import PRESETS, ModelConfig, PredictConfig
+from splatpainter.models.gaussian_facts import FACTS, gaussian_facts
 from splatpainter.models.model import SplatPainterModel
-from splatpainter.models.predictor import Predictor, gaussian_facts, predicting
+from splatpainter.models.predictor import Predictor
+from splatpainter.models.stored_predictor import predicting
 from splatpainter.painter import Edit, Painter
 from splatpainter.splats import Splats
 from tests.lift.test_global import BACK, FRONT, SIDE, ball, covered, draw, regraded
@@ -51,10 +53,43 @@ def predict_edit(net: Predictor, *facts: torch.Tensor) -> np.ndarray:
         return net(*facts).numpy()
 
 
+def without_torch(net: Predictor, *facts: torch.Tensor) -> np.ndarray:
+    """What the stored weights say in numpy."""
+    return net.stored().predict(*(x.numpy() for x in facts))
+
+
+@pytest.mark.parametrize("count", [1, 2, 60])
+def test_stored_weights_say_what_the_module_says(count: int) -> None:
+    """torch's own layers and solver are the oracle."""
+    net, observed = awake(PredictConfig(features=32, hidden=24), seed=count), edit(count)
+    expected = predict_edit(net, *observed)
+    np.testing.assert_allclose(without_torch(net, *observed), expected, atol=2e-6)
+    assert count < 2 or np.abs(expected).max() > 1e-3
+
+
+def test_shipped_weights_say_the_same_without_torch() -> None:
+    deferred, observed = weights.deferred("compact"), edit(300)
+    assert deferred is not None
+    stored, net = deferred.stored_predictor, weights.load("compact").predictor
+    assert stored is not None and not stored.is_untrained and net is not None and "_model" not in vars(deferred)
+    np.testing.assert_allclose(stored.predict(*(x.numpy() for x in observed)), predict_edit(net, *observed), atol=5e-6)
+
+
+def test_weights_of_another_shape_are_refused() -> None:
+    tensors = dict(awake().stored().tensors)
+    assert stored_predictor.checked(tensors, "here").features == CONFIG.features
+    for name, array in (("own.0.weight", tensors["own.0.weight"][:, 1:]), ("strange", np.zeros(3, np.float32))):
+        with pytest.raises(ValueError, match=f"here: 'predictor.{name}': expected"):
+            stored_predictor.checked({**tensors, name: array}, "here")
+    del tensors["trust"]
+    with pytest.raises(ValueError, match="here: 'predictor.trust': expected"):
+        stored_predictor.checked(tensors, "here")
+
+
 def test_facts_do_not_know_size_and_place_and_leave_out_what_cannot_be_drawn() -> None:
     splats = ball(400)
     facts = facts_of(splats)
-    assert facts.shape == (400, module.FACTS) and np.isfinite(facts).all() and np.abs(facts).max() < 6
+    assert facts.shape == (400, FACTS) and np.isfinite(facts).all() and np.abs(facts).max() < 6
     away = replace(splats, means=100 * splats.means + np.array([3, 4, 5], np.float32), scales=100 * splats.scales)
     np.testing.assert_allclose(facts_of(away), facts, atol=2e-3)
     odd = splats.append(replace(splats.take(np.arange(1)), means=np.full((1, 3), np.nan, np.float32)))
@@ -83,12 +118,16 @@ def test_unseen_gaussians_teach_nothing_and_without_seen_ones_nothing_changes() 
 def test_runs_of_any_size_say_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     net, observed = awake(), edit(50)
     complete = predict_edit(net, *observed)
-    monkeypatch.setattr(module, "GAUSSIANS_PER_CHUNK", 7)
+    for module in (predictor, stored_predictor):
+        monkeypatch.setattr(module, "GAUSSIANS_PER_CHUNK", 7)
     np.testing.assert_allclose(predict_edit(net, *observed), complete, atol=1e-6)
-    monkeypatch.setattr(module, "REGRESSION_GAUSSIANS", 10)
-    monkeypatch.setattr(module, "CONTEXT_GAUSSIANS", 10)
+    np.testing.assert_allclose(without_torch(net, *observed), complete, atol=1e-6)
+    for module in (predictor, stored_predictor):
+        monkeypatch.setattr(module, "REGRESSION_GAUSSIANS", 10)
+        monkeypatch.setattr(module, "CONTEXT_GAUSSIANS", 10)
     few = predict_edit(net, *observed)
     assert np.isfinite(few).all() and np.abs(few - complete).max() > 0
+    np.testing.assert_allclose(without_torch(net, *observed), few, atol=1e-6)
 
 
 def test_evidence_is_believed_as_far_as_features_reach() -> None:
@@ -116,12 +155,12 @@ def test_an_untrained_predictor_leaves_the_lift_alone() -> None:
 
     torch.manual_seed(0)
     assert PRESETS["compact"].predict.features > 0 == PRESETS["paper"].predict.features
-    assert predicting(SplatPainterModel(TINY).predictor, splats, normals, never) is None
+    assert predicting(SplatPainterModel(TINY).stored_predictor, splats, normals, never) is None
     model = SplatPainterModel(WITH)
-    assert model.predictor is not None and model.predictor.is_untrained
-    assert predicting(model.predictor, splats, normals, never) is None
+    assert model.predictor is not None and model.predictor.stored().is_untrained
+    assert predicting(model.stored_predictor, splats, normals, never) is None
     torch.nn.init.normal_(model.predictor.expected.weight, std=0.1)
-    predict = predicting(model.predictor, splats, normals, lambda: prt_transfer(splats.means, normals))
+    predict = predicting(model.stored_predictor, splats, normals, lambda: prt_transfer(splats.means, normals))
     assert predict is not None
     predicted = predict(np.full((300, 3), 0.1, np.float32), np.ones(300, np.float32))
     assert predicted.shape == (300, 3) and predicted.dtype == np.float32
@@ -205,9 +244,25 @@ def test_alone_it_needs_no_encoding(monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_array_equal(again.splats.sh, lifted.splats.sh)
 
 
-def test_weights_that_only_help_elsewhere_are_not_read(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: ANN001
-    from splatpainter.models import weights
+def test_the_predictor_is_read_where_the_networks_are_not_installed(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: ANN001
+    model = SplatPainterModel(replace(WITH, preset="compact"))
+    model.save(tmp_path / "compact", dtype="float32")
+    index = checkpoint._index(tmp_path / "compact")
+    (large,) = (shard for shard in index["shards"] if "holds" not in shard)
+    (tmp_path / "compact" / large["file"]).unlink()
+    arrays = checkpoint.load_arrays(tmp_path / "compact", "predictor.")
+    assert model.predictor is not None and arrays.keys() == model.predictor.state_dict().keys()
+    with pytest.raises(ValueError, match="no shard holds 'refiner[.]+' alone"):
+        checkpoint.load_arrays(tmp_path / "compact", "refiner.")
+    with pytest.raises(ValueError, match="missing; copy the whole folder"):
+        SplatPainterModel.load(tmp_path / "compact")
+    monkeypatch.setattr(checkpoint, "PACKAGED", tmp_path)
+    monkeypatch.setattr(checkpoint, "DISTRIBUTION_PACKAGE", "not_installed_here")
+    with pytest.raises(ValueError, match=r"the networks of 'compact' are not installed.*splatpainter\[networks\]"):
+        SplatPainterModel.load(tmp_path / "compact")
 
+
+def test_weights_that_only_help_elsewhere_are_not_read(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: ANN001
     SplatPainterModel(replace(WITH, preset="compact")).save(
         tmp_path / "compact", notes={"gain": {"local": -0.2, "global": 0.4}}
     )
@@ -225,7 +280,7 @@ def test_a_checkpoint_keeps_it_and_older_ones_have_none(tmp_path) -> None:  # no
     torch.nn.init.normal_(model.predictor.expected.weight)
     model.save(tmp_path / "new", dtype="float32")
     held = SplatPainterModel.load(tmp_path / "new")
-    assert held.predictor is not None and not held.predictor.is_untrained
+    assert held.predictor is not None and not held.predictor.stored().is_untrained
     assert torch.equal(held.predictor.trust, model.predictor.trust)
     np.testing.assert_array_equal(predict_edit(held.predictor, *edit(30)), predict_edit(model.predictor, *edit(30)))
     SplatPainterModel(TINY).save(tmp_path / "old")
@@ -235,8 +290,6 @@ def test_a_checkpoint_keeps_it_and_older_ones_have_none(tmp_path) -> None:  # no
 
 
 def test_weights_are_read_when_they_are_needed(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: ANN001
-    from splatpainter.models import weights
-
     config = replace(WITH, preset="compact", predict=replace(CONFIG, alone=True))
     config = replace(config, refine=replace(config.refine, base="lift", detail=False))
     torch.manual_seed(2)
@@ -253,8 +306,8 @@ def test_weights_are_read_when_they_are_needed(tmp_path, monkeypatch: pytest.Mon
     painter.apply(painter.encode(splats), [change])
     assert not read, "local edits are the lift's"
     made = painter.apply(painter.encode(splats), [change], mode="global")
-    assert len(read) == 1 and made.receipt is not None and made.receipt.method == "ttt"
+    assert made.receipt is not None and made.receipt.method == "ttt"
     painter.apply(made, [change], mode="global")
-    assert len(read) == 1
+    assert not read, "global ones are the stored predictor's"
     expected = Painter(model=model).apply(Painter(model=model).encode(splats), [change], mode="global", method="ttt")
     np.testing.assert_array_equal(made.splats.sh, expected.splats.sh)

@@ -10,9 +10,8 @@ import torch
 
 import splatpainter as sp
 from splatpainter.cameras import bounding_sphere
+from splatpainter.kernels.library import kernels
 from splatpainter.rendering.cpu import projected_view
-from splatpainter.rendering.cpu.compositing import blocks_hit
-from splatpainter.rendering.cpu.geometry import clamped, tile_span
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.voxels.grid import voxelize
 from tests.support.render_scenes import cameras, scene
@@ -102,13 +101,13 @@ def test_framing_and_voxels_leave_them_out_without_a_warning():
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 3.4e38, -3.4e38, 1e19, -1e19, 0.0, -0.0, 1e-45])
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_spans_are_within_their_bounds_whatever_comes_in(value, dtype):
-    value = dtype(value)
-    assert 0 <= clamped(value, 7) <= 7
-    for other in (dtype(0), dtype(30), dtype(np.inf), dtype(np.nan)):
-        begin, end = tile_span(value, other, 2, 7)
-        assert 2 <= begin <= end <= 7
-        begin, end = blocks_hit(value, other)
-        assert 0 <= begin <= end <= 4 or end == 0
+    extents = np.array([0, 30, np.inf, np.nan], dtype)
+    out = np.empty((len(extents), 5), np.int64)
+    kernels.probe_spans(np.full_like(extents, value), extents, 2, 7, out, 0, 1)
+    for clamped, first_tile, end_tile, first_block, end_block in out:
+        assert 0 <= clamped <= 7
+        assert 2 <= first_tile <= end_tile <= 7
+        assert 0 <= first_block <= end_block <= 4 or end_block == 0
 
 
 def test_more_gaussian_and_tile_pairs_than_indices_reach_are_refused_in_one_line(monkeypatch: pytest.MonkeyPatch):

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from splatpainter.splats import Splats
-from splatpainter.voxels.footprints import FIXED_POINT_UNIT, SIGMAS, index_bounds, touching
+from splatpainter.voxels.footprints import SIGMAS, index_bounds, touching
 from splatpainter.voxels.grid import MIN_OCCUPIED_DENSITY, bounding_cube, voxelize
 from tests.support.voxel_scenes import IDENTITY, make
 
@@ -111,7 +111,7 @@ def test_a_row_within_a_voxel_covers_its_share_of_the_face() -> None:
     grid = voxelize(framed([[0.3, 0.2, 0.1]], (1e-3, 2e-3, 1e-4), 0.5), 32)
     cell = tuple(((np.array([0.3, 0.2, 0.1]) - grid.min_corner) / grid.voxel).astype(int))
     expected = 0.5 * 2 * math.pi * 1e-3 * 2e-3 / grid.voxel**2
-    assert grid.density[cell] == pytest.approx(expected, abs=2 / FIXED_POINT_UNIT)
+    assert grid.density[cell] == pytest.approx(expected, abs=2 / 2**20)
 
 
 def test_a_ball_spreads_its_opacity_along_the_ray() -> None:

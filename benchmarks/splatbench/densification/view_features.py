@@ -20,7 +20,7 @@ from splatbench.densification.densify_config import DensifyConfig
 from splatpainter.cameras import Camera
 from splatpainter.fit.gradients import CpuPasses, Target, torch_pass
 from splatpainter.rendering import render
-from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.splats import Splats
 from splatpainter.transforms import quat_to_matrix
 from splatpainter.voxels.grid import bounding_cube
 
@@ -49,9 +49,9 @@ def measure_views(
 ) -> ViewMeasurements:
     """Render and differentiate every view. splats: numpy; colors: V pictures [H, W, 3] of the cameras' sizes.
     device: with "cuda", gradients are those of the centre alone, not absolute (fit/gradients.py)."""
-    asset = replace(splats.torch(device), source=None, origin=None)
-    asset = replace(asset, **{name: getattr(asset, name).contiguous() for name in ATTRIBUTES})
-    passes = CpuPasses() if torch.device(device).type == "cpu" else torch_pass
+    on_cpu = torch.device(device).type == "cpu"
+    asset = replace(splats if on_cpu else splats.torch(device), source=None, origin=None)
+    passes = CpuPasses() if on_cpu else torch_pass
     pull = np.zeros(len(splats))
     coverage, renders = [], []
     for camera, color in zip(cameras, colors, strict=True):
@@ -61,7 +61,7 @@ def measure_views(
             pulls = passes(asset, target, lambda image, truth=truth: (image - truth).square().mean(), True, True).pull
         assert pulls is not None
         pull[pulls.gaussian_ids] += np.linalg.norm(pulls.pixels, axis=1)
-        drawn = render(asset if device != "cpu" else splats, [camera], contributions=True)
+        drawn = render(asset, [camera], contributions=True)
         coverage.append(torch.as_tensor(drawn.contributions).cpu().numpy()[0])
         renders.append(torch.as_tensor(drawn.colors).cpu().numpy()[0].clip(0, 1))
     return ViewMeasurements(pull.astype(np.float32), np.stack(coverage).astype(np.float32), renders)

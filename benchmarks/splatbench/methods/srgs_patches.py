@@ -12,8 +12,9 @@ from torch import Tensor
 
 from splatbench.cases import PosedImages
 from splatbench.methods.super_resolution import Prior, blocks, pooled
-from splatpainter.fit.image_loss import picture_loss, torch_loss
+from splatpainter.fit.image_loss import picture_loss
 from splatpainter.fit.optimize import TrainingView
+from splatpainter.fit.torch_loss import torch_loss
 from splatpainter.rendering import render
 from splatpainter.splats import Splats
 

@@ -35,7 +35,7 @@ SUMMARIES = {
 """Command -> one line for `splatpainter --help`, in the order shown."""
 ENTRY_POINTS = "splatpainter.commands"
 """Group of entry points by which other distributions add commands."""
-DISTRIBUTIONS = {"bench": "the distribution splatpainter-bench: pip install ./benchmarks, in the repository"}
+DISTRIBUTIONS = {"bench": "the distribution splatpainter-bench: pip install ./benchmarks ./networks, in the repository"}
 """Commands that are not in this package -> what brings them."""
 
 

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from splatpainter.color import srgb_to_linear
+from splatpainter.kernels.arrays import readonly
+from splatpainter.kernels.library import kernels
+from splatpainter.kernels.parallel import run
 
 MAX_MAP_PX = 4096
 """Per side; larger maps are reduced, nothing here can show more."""
@@ -105,23 +107,8 @@ def _unit(value: Any, default: float) -> float:
 
 def sample_texture(pixels: np.ndarray, uvs: np.ndarray, table: np.ndarray = LINEAR_BYTES) -> np.ndarray:
     """[M, C] float32: table[pixels] interpolated at uvs [M, 2] (v up, repeating). pixels: [h, w, C] uint8."""
-    return _bilinear(np.ascontiguousarray(pixels), np.ascontiguousarray(uvs, np.float32), table)
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _bilinear(pixels, uvs, table):
-    h, w, channels = pixels.shape
-    out = np.empty((len(uvs), channels), np.float32)
-    for i in range(len(uvs)):
-        u, v = uvs[i, 0], np.float32(1) - uvs[i, 1]
-        x = (u - np.floor(u)) * w - np.float32(0.5)
-        y = (v - np.floor(v)) * h - np.float32(0.5)
-        left, top = np.floor(x), np.floor(y)
-        fx, fy = x - left, y - top
-        x0, y0 = int(left) % w, int(top) % h
-        x1, y1 = (x0 + 1) % w, (y0 + 1) % h
-        for c in range(channels):
-            upper = table[pixels[y0, x0, c]] * (1 - fx) + table[pixels[y0, x1, c]] * fx
-            lower = table[pixels[y1, x0, c]] * (1 - fx) + table[pixels[y1, x1, c]] * fx
-            out[i, c] = upper * (1 - fy) + lower * fy
+    out = np.empty((len(uvs), pixels.shape[2]), np.float32)
+    run(
+        kernels.sample_bilinear, readonly(pixels, np.uint8), readonly(uvs, np.float32), readonly(table, np.float32), out
+    )
     return out

@@ -7,10 +7,12 @@ tile (Moeller and Trumbore, "Fast, Minimum Storage Ray/Triangle Intersection", 1
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from splatpainter.cameras import Camera
 from splatpainter.data.meshes import Mesh
+from splatpainter.kernels.arrays import readonly
+from splatpainter.kernels.library import kernels
+from splatpainter.kernels.parallel import run
 
 TILE_PX = 4
 MIN_DEPTH = 1e-3
@@ -43,7 +45,18 @@ def visible_points(mesh: Mesh, camera: Camera, points: np.ndarray) -> np.ndarray
     for used, alpha in groups:
         faces = mesh.faces[used]
         starts, members = _tiled(projected(mesh.vertices, camera)[faces], across, down)
-        _hide(targets, tile, vertices[faces], mesh.uvs[faces].astype(np.float64), alpha, starts, members, visible)
+        uvs = mesh.uvs[faces].astype(np.float64)
+        run(
+            kernels.hide_points,
+            readonly(targets, np.float64),
+            tile,
+            vertices[faces],
+            uvs,
+            alpha,
+            starts,
+            members,
+            visible,
+        )
     return visible
 
 
@@ -58,62 +71,9 @@ def _tiled(corners: np.ndarray, across: int, down: int) -> tuple[np.ndarray, np.
     low[reaches], high[reaches] = 0, last
     low, high = low.clip(0), np.minimum(high, last)
     low[(z <= MIN_DEPTH).all(1)] = last + 1
-    return _fill(low, high, across, across * down)
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _fill(low, high, across, tiles):
-    starts = np.zeros(tiles + 1, np.int64)
-    for f in range(len(low)):
-        for row in range(low[f, 1], high[f, 1] + 1):
-            for column in range(low[f, 0], high[f, 0] + 1):
-                starts[row * across + column + 1] += 1
-    for t in range(tiles):
-        starts[t + 1] += starts[t]
-    members = np.empty(starts[tiles], np.int64)
-    used = np.zeros(tiles, np.int64)
-    for f in range(len(low)):
-        for row in range(low[f, 1], high[f, 1] + 1):
-            for column in range(low[f, 0], high[f, 0] + 1):
-                t = row * across + column
-                members[starts[t] + used[t]] = f
-                used[t] += 1
+    counts = np.zeros(across * down, np.int64)
+    kernels.count_tile_members(low, high, across, counts, 0, 1)
+    starts = np.concatenate([[0], np.cumsum(counts)])
+    members = np.empty(starts[-1], np.int64)
+    kernels.list_tile_members(low, high, across, starts[:-1].copy(), members, 0, 1)
     return starts, members
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _hide(points, tile, corners, uvs, alpha, starts, members, visible):
-    """Sets visible [M] to False where a triangle cuts the line from the origin to points [M, 3]."""
-    h, w = alpha.shape
-    for i in range(len(points)):
-        if not visible[i]:
-            continue
-        px, py, pz = points[i]
-        for k in range(starts[tile[i]], starts[tile[i] + 1]):
-            f = members[k]
-            ax, ay, az = corners[f, 0]
-            ux, uy, uz = corners[f, 1, 0] - ax, corners[f, 1, 1] - ay, corners[f, 1, 2] - az
-            vx, vy, vz = corners[f, 2, 0] - ax, corners[f, 2, 1] - ay, corners[f, 2, 2] - az
-            cx, cy, cz = py * vz - pz * vy, pz * vx - px * vz, px * vy - py * vx  # point x second edge
-            det = ux * cx + uy * cy + uz * cz
-            if det == 0:
-                continue
-            b = -(ax * cx + ay * cy + az * cz) / det
-            if b < 0 or b > 1:
-                continue
-            qx, qy, qz = -ay * uz + az * uy, -az * ux + ax * uz, -ax * uy + ay * ux  # -corner x first edge
-            c = (px * qx + py * qy + pz * qz) / det
-            if c < 0 or b + c > 1:
-                continue
-            t = (vx * qx + vy * qy + vz * qz) / det
-            if t <= 0 or t >= 1 - DEPTH_SLACK:
-                continue
-            if h > 1 or w > 1:
-                u = (1 - b - c) * uvs[f, 0, 0] + b * uvs[f, 1, 0] + c * uvs[f, 2, 0]
-                v = 1 - ((1 - b - c) * uvs[f, 0, 1] + b * uvs[f, 1, 1] + c * uvs[f, 2, 1])
-                column = min(int((u - np.floor(u)) * w), w - 1)
-                row = min(int((v - np.floor(v)) * h), h - 1)
-                if alpha[row, column] < 128:
-                    continue
-            visible[i] = False
-            break

@@ -1,17 +1,20 @@
-"""Even point sets on surfaces: candidates on triangles, Poisson-disk selection, neighbours. Knows no materials.
-
-Kernels keep all they call in this file, so that numba's cache sees every edit.
-"""
+"""Even point sets on surfaces: candidates on triangles, Poisson-disk selection, neighbours. Knows no materials."""
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from splatpainter.kernels.arrays import readonly
+from splatpainter.kernels.library import kernels
+from splatpainter.kernels.parallel import run
 
 SAME_SIDE = 0.25
 """Points whose normals' cosine is below this lie on different sides of an edge or a wall and do not push each other."""
 NEIGHBOURS = 5
 """Of a point, over which its distance to others is averaged."""
+Grid = tuple[np.ndarray, np.ndarray, np.ndarray, np.float32, np.ndarray]
+"""Points in cells: the last that came into each cell and the one that came before each point (int32, -1: none), the
+lowest corner ([3] float32), the edge of a cell, and the number of cells along each axis ([3] int64)."""
 
 
 def scatter(
@@ -41,25 +44,23 @@ def select(
     `evenness` * spacing until enough fit (dart throwing, Poisson disk). spacing: sqrt(area / count). normals [M, 3]."""
     order = rng.permutation(len(points))
     taken = np.zeros(len(points), np.bool_)
-    low = points.min(0)
     radius = np.float32(evenness * spacing)
-    dims = grid_dims(points, radius)
-    heads = np.full(int(np.prod(dims)), -1, np.int32)
-    following = np.full(len(points), -1, np.int32)
-    left, reach = count, radius
-    while left > 0:
+    points, normals = readonly(points, np.float32), readonly(normals, np.float32)
+    heads, following, low, _, dims = _grid(points, points.min(0), points.max(0), radius)
+    left, reach = np.array([count]), radius
+    while left[0] > 0:
         reach = reach if reach > 0.05 * radius else np.float32(0)
-        left = _throw(points, normals, order, taken, heads, following, low, radius, reach, dims, left)
+        kernels.throw_points(points, normals, order, taken, heads, following, low, radius, reach, dims, left, 0, 1)
         reach = np.float32(reach * 0.9)
     return np.flatnonzero(taken)
 
 
 def spacing_around(points: np.ndarray, normals: np.ndarray, typical: float) -> np.ndarray:
     """[N] float32 mean distance to the nearest NEIGHBOURS points of the same side, at most 2 * typical."""
-    cell = np.float32(2 * typical)
-    dims = grid_dims(points, cell)
-    heads, following = _fill(points, points.min(0), cell, dims)
-    return _mean_distance(points, normals, heads, following, points.min(0), cell, dims, NEIGHBOURS)
+    points, out = readonly(points, np.float32), np.empty(len(points), np.float32)
+    grid = _filled(points, points.min(0), points.max(0), np.float32(2 * typical))
+    run(kernels.take_mean_distances, points, readonly(normals, np.float32), *grid, out)
+    return out
 
 
 def nearest(
@@ -67,122 +68,27 @@ def nearest(
 ) -> np.ndarray:
     """[N] int64 index of the centre closest to each point, where a different orientation counts as distance (`typical`
     for a right angle); -1 where no centre lies within 2 * typical."""
-    cell = np.float32(2 * typical)
-    low = np.minimum(points.min(0), centers.min(0))
-    dims = grid_dims(np.stack([low, np.maximum(points.max(0), centers.max(0))]), cell)
-    heads, following = _fill(centers, low, cell, dims)
-    return _closest(points, normals, centers, center_normals, heads, following, low, cell, dims, np.float32(typical**2))
-
-
-def grid_dims(points: np.ndarray, cell: float | np.floating) -> np.ndarray:
-    """[3] int64 cells of size `cell` that cover the points, at most 512 along an axis (far cells then share one)."""
-    return np.minimum(np.floor(np.ptp(points, axis=0) / max(float(cell), 1e-9)).astype(np.int64) + 1, 512)
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _cell(p, low, cell, dims):
-    x = min(int((p[0] - low[0]) / cell), dims[0] - 1)
-    y = min(int((p[1] - low[1]) / cell), dims[1] - 1)
-    z = min(int((p[2] - low[2]) / cell), dims[2] - 1)
-    return x, y, z
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _fill(points, low, cell, dims):
-    heads = np.full(dims[0] * dims[1] * dims[2], -1, np.int32)
-    following = np.full(len(points), -1, np.int32)
-    for i in range(len(points)):
-        x, y, z = _cell(points[i], low, cell, dims)
-        cell_index = (x * dims[1] + y) * dims[2] + z
-        following[i] = heads[cell_index]
-        heads[cell_index] = i
-    return heads, following
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _throw(points, normals, order, taken, heads, following, low, cell, reach, dims, left):
-    """Takes points in `order` that keep `reach` from those taken before, until none are left to take."""
-    limit = reach * reach
-    for i in order:
-        if taken[i]:
-            continue
-        if left == 0:
-            break
-        p, n = points[i], normals[i]
-        x, y, z = _cell(p, low, cell, dims)
-        free = True
-        for cx in range(max(x - 1, 0), min(x + 2, dims[0])):
-            for cy in range(max(y - 1, 0), min(y + 2, dims[1])):
-                for cz in range(max(z - 1, 0), min(z + 2, dims[2])):
-                    j = heads[(cx * dims[1] + cy) * dims[2] + cz]
-                    while j >= 0 and free:
-                        q, m = points[j], normals[j]
-                        a, b, c = p[0] - q[0], p[1] - q[1], p[2] - q[2]
-                        if a * a + b * b + c * c < limit and n[0] * m[0] + n[1] * m[1] + n[2] * m[2] > SAME_SIDE:
-                            free = False
-                        j = following[j]
-                if not free:
-                    break
-            if not free:
-                break
-        if free:
-            taken[i] = True
-            cell_index = (x * dims[1] + y) * dims[2] + z
-            following[i] = heads[cell_index]
-            heads[cell_index] = i
-            left -= 1
-    return left
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _mean_distance(points, normals, heads, following, low, cell, dims, neighbours):
-    out = np.empty(len(points), np.float32)
-    best = np.empty(neighbours, np.float32)
-    for i in range(len(points)):
-        p, n = points[i], normals[i]
-        best[:] = cell * cell
-        x, y, z = _cell(p, low, cell, dims)
-        for cx in range(max(x - 1, 0), min(x + 2, dims[0])):
-            for cy in range(max(y - 1, 0), min(y + 2, dims[1])):
-                for cz in range(max(z - 1, 0), min(z + 2, dims[2])):
-                    j = heads[(cx * dims[1] + cy) * dims[2] + cz]
-                    while j >= 0:
-                        q, m = points[j], normals[j]
-                        a, b, c = p[0] - q[0], p[1] - q[1], p[2] - q[2]
-                        d = a * a + b * b + c * c
-                        same = n[0] * m[0] + n[1] * m[1] + n[2] * m[2] > SAME_SIDE
-                        if d < best[neighbours - 1] and j != i and same:
-                            k = neighbours - 1
-                            while k > 0 and best[k - 1] > d:
-                                best[k] = best[k - 1]
-                                k -= 1
-                            best[k] = d
-                        j = following[j]
-        total = np.float32(0)
-        for k in range(neighbours):
-            total += np.sqrt(best[k])
-        out[i] = total / neighbours
+    arrays = [readonly(values, np.float32) for values in (points, normals, centers, center_normals)]
+    points, centers, out = arrays[0], arrays[2], np.empty(len(points), np.int64)
+    low, high = np.minimum(points.min(0), centers.min(0)), np.maximum(points.max(0), centers.max(0))
+    grid = _filled(centers, low, high, np.float32(2 * typical))
+    run(kernels.find_closest_centers, *arrays, *grid, np.float32(typical**2), out)
     return out
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
-def _closest(points, normals, centers, center_normals, heads, following, low, cell, dims, turn):
-    out = np.full(len(points), -1, np.int64)
-    for i in range(len(points)):
-        p, n = points[i], normals[i]
-        x, y, z = _cell(p, low, cell, dims)
-        nearest_square = np.float32(1e30)
-        for cx in range(max(x - 1, 0), min(x + 2, dims[0])):
-            for cy in range(max(y - 1, 0), min(y + 2, dims[1])):
-                for cz in range(max(z - 1, 0), min(z + 2, dims[2])):
-                    j = heads[(cx * dims[1] + cy) * dims[2] + cz]
-                    while j >= 0:
-                        q, m = centers[j], center_normals[j]
-                        a, b, c = p[0] - q[0], p[1] - q[1], p[2] - q[2]
-                        cosine = n[0] * m[0] + n[1] * m[1] + n[2] * m[2]
-                        d = a * a + b * b + c * c + turn * (1 - cosine)
-                        if d < nearest_square:
-                            nearest_square = d
-                            out[i] = j
-                        j = following[j]
-    return out
+def grid_dims(low: np.ndarray, high: np.ndarray, cell: float | np.floating) -> np.ndarray:
+    """[3] int64 cells of size `cell` from `low` [3] to `high` [3], at most 512 along an axis (far cells then share
+    one)."""
+    return np.minimum(np.floor((high - low) / max(float(cell), 1e-9)).astype(np.int64) + 1, 512)
+
+
+def _grid(points: np.ndarray, low: np.ndarray, high: np.ndarray, cell: np.float32) -> Grid:
+    """Room for points, in a grid in which none lies yet."""
+    dims = grid_dims(low, high, cell)
+    return np.full(int(np.prod(dims)), -1, np.int32), np.full(len(points), -1, np.int32), low, cell, dims
+
+
+def _filled(points: np.ndarray, low: np.ndarray, high: np.ndarray, cell: np.float32) -> Grid:
+    heads, following, low, cell, dims = grid = _grid(points, low, high, cell)
+    kernels.fill_point_grid(points, low, cell, dims, heads, following, 0, 1)
+    return grid

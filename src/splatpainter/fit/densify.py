@@ -6,15 +6,16 @@ they can show: small ones are cloned, large ones split in two. Gaussians that be
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from splatpainter.cameras import Camera
+from splatpainter.fit.arrays import as_numpy, exp, indices, joined, on_device, sigmoid, zeros_like
 from splatpainter.fit.gradients import Pull
 from splatpainter.fit.parameters import RawGaussians
+from splatpainter.splats import Array
 from splatpainter.transforms import quat_to_matrix
 
 ORIGINAL_STEPS = 30_000
@@ -101,9 +102,9 @@ class Round:
 
     parameters: RawGaussians
     """Kept Gaussians in their order, then clones, then children."""
-    survivors: Tensor
+    survivors: Array
     """[M] int64 Gaussians that stay."""
-    source: Tensor
+    source: Array
     """[N'] int64 the old Gaussian that each new one is, or comes from."""
 
 
@@ -114,41 +115,43 @@ def densify(
     options: DensityOptions,
     most_gaussians: int,
     prune_large: bool,
-    generator: torch.Generator,
+    rng: np.random.Generator,
+    device: str = "cpu",
 ) -> Round:
     """One round. pulls: [N]; extent: world units; most_gaussians: after the round, as far as removing allows; where
-    more want to be cloned or split, those pulled hardest are. The generator lives on the CPU."""
-    device = parameters.means.device
-    size = parameters.scales.exp().amax(1)
-    opacity = parameters.opacities.sigmoid()
-    chosen = torch.as_tensor(pulls, device=device) >= options.threshold
-    chosen &= torch.isfinite(size) & (opacity >= options.faintest)
+    more want to be cloned or split, those pulled hardest are. device: where the parameters are."""
+    scales = exp(parameters.scales)
+    size = scales.max(1) if device == "cpu" else scales.amax(1)
+    opacity = sigmoid(parameters.opacities)
+    chosen = (on_device(pulls, device) >= options.threshold) & (opacity >= options.faintest)
+    chosen &= abs(size) < math.inf
     free = max(most_gaussians - len(parameters), 0)
     if int(chosen.sum()) > free:
-        hardest = np.argsort(-np.where(chosen.cpu().numpy(), pulls, -1), kind="stable")[:free]
-        chosen = torch.zeros_like(chosen)
-        chosen[torch.as_tensor(hardest.copy(), device=device)] = True
+        hardest = np.argsort(-np.where(as_numpy(chosen), pulls, -1), kind="stable")[:free]
+        chosen = zeros_like(chosen)
+        chosen[on_device(hardest, device)] = True
     large = size > options.dense * extent
-    cloned = torch.nonzero(chosen & ~large)[:, 0]
-    split = torch.nonzero(chosen & large)[:, 0].repeat(options.children)
+    cloned = indices(chosen & ~large)
+    split = joined([indices(chosen & large)] * options.children)
     removed = (chosen & large) | (opacity < options.faintest)
     if prune_large:
         removed |= size > options.largest * extent
-    survivors = torch.nonzero(~removed)[:, 0]
-    children = _children(parameters.take(split), options.shrink, generator)
+    survivors = indices(~removed)
+    children = _children(parameters.take(split), options.shrink, rng, device)
     densified = parameters.take(survivors).append(parameters.take(cloned), children)
-    return Round(densified, survivors, torch.cat([survivors, cloned, split]))
+    return Round(densified, survivors, joined([survivors, cloned, split]))
 
 
 def reset_opacities(parameters: RawGaussians, value: float) -> None:
     """Bring all opacities down to `value`, in place."""
-    parameters.opacities.clamp_(max=float(np.log(value / (1 - value))))
+    most = math.log(value / (1 - value))
+    parameters.opacities[parameters.opacities > most] = most
 
 
-def _children(parents: RawGaussians, shrink: float, generator: torch.Generator) -> RawGaussians:
+def _children(parents: RawGaussians, shrink: float, rng: np.random.Generator, device: str) -> RawGaussians:
     """One smaller Gaussian per parent, with its centre drawn from the parent's own density."""
-    drawn = torch.randn(parents.means.shape, generator=generator).to(parents.means)
-    offset = drawn * parents.scales.exp()
+    drawn = on_device(rng.standard_normal(tuple(parents.means.shape), np.float32), device)
+    offset = drawn * exp(parents.scales)
     parents.means = parents.means + (quat_to_matrix(parents.quats) @ offset[..., None])[..., 0]
-    parents.scales = parents.scales - float(np.log(shrink))
+    parents.scales = parents.scales - math.log(shrink)
     return parents

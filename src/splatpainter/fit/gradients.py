@@ -11,19 +11,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from splatpainter.cameras import Camera
-from splatpainter.fit.image_loss import picture_loss, torch_loss
+from splatpainter.fit.image_loss import picture_loss
 from splatpainter.rendering import render
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
-from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.splats import ATTRIBUTES, Array, Splats
 
-CustomLoss = Callable[[Tensor], Tensor]
-"""[H, W, 3] render -> scalar."""
+if TYPE_CHECKING:
+    from torch import Tensor
+
+CustomLoss = Callable[["Tensor"], "Tensor"]
+"""[H, W, 3] render, a torch tensor -> scalar."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,7 @@ class Pass:
     """One view, forward and backward."""
 
     loss: float
-    gradients: dict[str, Tensor]
+    gradients: dict[str, Array]
     """Attribute -> gradient, shaped as the attribute. Valid until the next pass."""
     pull: Pull | None
 
@@ -82,24 +84,19 @@ class CpuPasses:
     def __call__(
         self, splats: Splats, target: Target, custom_loss: CustomLoss | None, pull: bool, absolute: bool = False
     ) -> Pass:
-        """splats: torch, CPU, float32. pull: find it. absolute: see `_pull`."""
-        gaussians = replace(splats, **{name: getattr(splats, name).numpy() for name in ATTRIBUTES})
-        frame = project(gaussians, target.camera, tiles=target.tiles if custom_loss is None else None)
+        """splats: numpy, float32. pull: find it. absolute: see `_pull`."""
+        frame = project(splats, target.camera, tiles=target.tiles if custom_loss is None else None)
         shape = (target.camera.height, target.camera.width)
         image, alpha, depth = (np.empty((*shape, *rest), np.float32) for rest in ((3,), (), ()))
         ends = frame.rasterize_into(image, alpha, depth)
         loss, slope = _image_loss(image, target, custom_loss)
         nothing = np.zeros(shape, np.float32)
         sums = frame.rasterize_backward(ends, image, alpha, depth, slope, nothing, nothing)
-        if (
-            not self._out
-            or self._out[0].shape != gaussians.means.shape
-            or self._out[4].shape[1:] != gaussians.sh.shape[1:]
-        ):
-            values = [getattr(gaussians, name) for name in ATTRIBUTES]
-            self._out = tuple(np.empty_like(v if self._colors or v is not gaussians.sh else v[:0]) for v in values)
-        frame.project_backward(gaussians, sums, self._out)
-        gradients: dict[str, Tensor] = dict(zip(ATTRIBUTES, map(torch.from_numpy, self._out), strict=True))
+        if not self._out or self._out[0].shape != splats.means.shape or self._out[4].shape[1:] != splats.sh.shape[1:]:
+            values = [getattr(splats, name) for name in ATTRIBUTES]
+            self._out = tuple(np.empty_like(v if self._colors or v is not splats.sh else v[:0]) for v in values)
+        frame.project_backward(splats, sums, self._out)
+        gradients = dict(zip(ATTRIBUTES, self._out, strict=True))
         if not self._colors:
             del gradients["sh"]
         return Pass(loss, gradients, _pull(frame, sums, absolute) if pull else None)
@@ -109,6 +106,10 @@ def torch_pass(
     splats: Splats, target: Target, custom_loss: CustomLoss | None, pull: bool, absolute: bool = False
 ) -> Pass:
     """A pass as of CpuPasses, by torch, on the splats' device. absolute: not known here, and left out."""
+    import torch
+
+    from splatpainter.fit.torch_loss import torch_loss
+
     leaves = {name: getattr(splats, name).detach().requires_grad_() for name in ATTRIBUTES}
     image = render(replace(splats, **leaves), target.camera).colors[0]
     if custom_loss is None:
@@ -125,6 +126,8 @@ def torch_pass(
 
 def screen_pull(splats: Splats, gradients: dict[str, Tensor], camera: Camera) -> Pull:
     """The pull as far as the gradients of the attributes (torch) tell. Radii are three standard deviations."""
+    import torch
+
     turn = torch.as_tensor(camera.world_to_camera[:3, :3], dtype=torch.float32, device=splats.means.device)
     shift = torch.as_tensor(camera.world_to_camera[:3, 3], dtype=torch.float32, device=splats.means.device)
     z = splats.means @ turn[2] + shift[2]
@@ -139,6 +142,8 @@ def _image_loss(image: np.ndarray, target: Target, custom_loss: CustomLoss | Non
     if custom_loss is None:
         loss, slope = picture_loss(image, target.color, target.weights, target.share)
         return loss * target.weight, slope if target.weight == 1 else slope * np.float32(target.weight)
+    import torch
+
     leaf = torch.from_numpy(image).requires_grad_()
     value = custom_loss(leaf) * target.weight
     value.backward()

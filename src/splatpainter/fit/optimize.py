@@ -8,18 +8,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from splatpainter.cameras import Camera
+from splatpainter.fit.arrays import as_numpy, copied, on_device
 from splatpainter.fit.densify import ORIGINAL_STEPS, DensityOptions, Pulls, Schedule, densify, reset_opacities
 from splatpainter.fit.gradients import CpuPasses, Target, torch_pass
 from splatpainter.fit.image_loss import WINDOW
 from splatpainter.fit.parameters import Adam, RawGaussians, to_raw, with_degree
 from splatpainter.splats import ATTRIBUTES, Splats
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 __all__ = ["FitOptions", "Fitted", "TrainingView", "optimize"]
 
@@ -94,6 +96,7 @@ class Fitted:
     """Steps that were made."""
 
 
+@np.errstate(all="ignore")  # Gaussians that cannot be drawn are NaN, and stay that way
 def optimize(
     start: Splats,
     views: Sequence[TrainingView],
@@ -106,9 +109,10 @@ def optimize(
     """Move Gaussians so that renders match the views.
 
     start: N Gaussians, numpy. gaussian_ids: [M] indices of those that may change, the others keep their bits (without
-    density control only); None: all. loss: of a render [H, W, 3] (torch, not clamped) and its view, in place of L1 and
-    SSIM; the view's mask is then the loss's own business. watch: called after every step, counted from 1, with a
-    function that gives the splats as they are then. Equal arguments give equal bits on the CPU, whatever the threads.
+    density control only); None: all. loss: of a render [H, W, 3] (a torch tensor, not clamped) and its view, in place
+    of L1 and SSIM; the view's mask is then the loss's own business. watch: called after every step, counted from 1,
+    with a function that gives the splats as they are then. Equal arguments give equal bits on the CPU, whatever the
+    threads.
 
     Raises ValueError for options that do not fit together, no views, and pictures of another size than their camera's.
     """
@@ -123,7 +127,7 @@ def optimize(
         losses.append(run.step(step, targets[k], loss_of_view))
         if watch is not None:
             watch(step, run.current)
-    return Fitted(run.current(), run.parents.cpu().numpy(), losses, options.steps)
+    return Fitted(run.current(), as_numpy(run.parents), losses, options.steps)
 
 
 class _Run:
@@ -133,22 +137,20 @@ class _Run:
         self.options = options
         self.start = with_degree(start, options.sh_degree)
         device = options.device
-        self.gaussian_ids = (
-            None if gaussian_ids is None else torch.as_tensor(np.asarray(gaussian_ids, np.int64), device=device)
-        )
-        self.fixed = self.start.torch(device)
+        self.gaussian_ids = None if gaussian_ids is None else on_device(np.asarray(gaussian_ids, np.int64), device)
+        self.fixed = self.start if device == "cpu" else self.start.torch(device)
         self.full = None if gaussian_ids is None else _unshared(self.fixed, options.attributes)
         self.raw = RawGaussians.of(
             self.start if gaussian_ids is None else self.start.take(np.asarray(gaussian_ids, np.int64)), device
         )
-        self.parents = torch.arange(len(start), device=device)
+        self.parents = on_device(np.arange(len(start)), device)
         self.adam = Adam({name: getattr(self.raw, name) for name in options.attributes})
         self.extent = options.extent or extent(start)
         scaled = Schedule.scaled(options.steps, views)
         named = {"scaled": scaled, "original": Schedule()}
         self.schedule = options.schedule if isinstance(options.schedule, Schedule) else named[options.schedule]
         self.pulls = Pulls(len(start))
-        self.generator = torch.Generator().manual_seed(options.seed)
+        self.rng = np.random.default_rng(options.seed)
         self.passes = CpuPasses("sh" in options.attributes) if device == "cpu" else torch_pass
         self.was_reset = False
 
@@ -175,15 +177,15 @@ class _Run:
     def current(self) -> Splats:
         """Numpy; new arrays. What did not move keeps the start's bits: through log and logit it might come back one
         bit off."""
-        parents = self.parents.cpu().numpy()
+        parents = as_numpy(self.parents)
         reference = self.start if self.gaussian_ids is not None else self.start.take(parents)
-        gaussian_ids = slice(None) if self.gaussian_ids is None else self.gaussian_ids.cpu().numpy()
+        gaussian_ids = slice(None) if self.gaussian_ids is None else as_numpy(self.gaussian_ids)
         before = reference if self.gaussian_ids is None else reference.take(gaussian_ids)
         first = RawGaussians.of(before, self.options.device)
         moved = self.raw.splats(self.start).numpy()
         out: dict[str, np.ndarray] = {}
         for name in self.options.attributes:
-            same = (getattr(first, name) == getattr(self.raw, name)).cpu().numpy()
+            same = as_numpy(getattr(first, name) == getattr(self.raw, name))
             values = np.where(same, getattr(before, name), getattr(moved, name))
             if self.gaussian_ids is not None:
                 full = getattr(reference, name).copy()
@@ -203,21 +205,20 @@ class _Run:
             getattr(self.full, name)[self.gaussian_ids] = getattr(moved, name)
         return replace(self.full, source=None, origin=None)
 
-    def _rates(self, step: int) -> dict[str, Tensor]:
+    def _rates(self, step: int) -> dict[str, np.ndarray]:
         o = self.options
         way = (step - 1) / max(o.steps - 1, 1)
         means = self.extent * math.exp((1 - way) * math.log(o.rate_means) + way * math.log(o.rate_means_end))
         rate_sh = short_run_rate(o.steps, way) if o.rate_sh is None else o.rate_sh
-        bands = torch.full((self.raw.sh.shape[1], 3), rate_sh / 20)
+        bands = np.full((self.raw.sh.shape[1], 3), rate_sh / 20, np.float32)
         bands[0] = rate_sh
         flat = {"means": means, "quats": o.rate_quats, "scales": o.rate_scales, "opacities": o.rate_opacities}
-        rates = {name: torch.tensor([rate]) for name, rate in flat.items()} | {"sh": bands.reshape(-1)}
-        return {name: rate.to(o.device) for name, rate in rates.items()}
+        return {name: np.array([rate], np.float32) for name, rate in flat.items()} | {"sh": bands.reshape(-1)}
 
     def _densify(self) -> None:
         o = self.options
         done = densify(
-            self.raw, self.pulls.mean(), self.extent, o.density, o.most_gaussians, self.was_reset, self.generator
+            self.raw, self.pulls.mean(), self.extent, o.density, o.most_gaussians, self.was_reset, self.rng, o.device
         )
         self.raw = done.parameters
         self.parents = self.parents[done.source]
@@ -248,8 +249,8 @@ def extent(splats: Splats) -> float:
 
 
 def _unshared(splats: Splats, names: tuple[str, ...]) -> Splats:
-    """Copies of these attributes: they are written to, and tensors share memory with the caller's arrays."""
-    return replace(splats, **{name: getattr(splats, name).clone() for name in names})
+    """Copies of these attributes: they are written to, and share memory with the caller's arrays."""
+    return replace(splats, **{name: copied(getattr(splats, name)) for name in names})
 
 
 def _order(views: int, options: FitOptions) -> np.ndarray:

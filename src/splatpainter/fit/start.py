@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 
 from splatpainter.cameras import Camera
 from splatpainter.color import sh_from_color
-from splatpainter.kernels.parallel import run
+from splatpainter.kernels.library import kernels
+from splatpainter.kernels.parallel import run, threads
 from splatpainter.splats import MAX_MAGNITUDE, SH_COUNTS, ColorSpace, Splats
 
 OPACITY = 0.1
@@ -23,8 +23,6 @@ MIN_ALPHA = 0.5
 MAX_SIZE_RATIO = 16
 """Gaussians larger than this many times the median Gaussian are made this large: a stray point has no near
 neighbours."""
-POINTS_PER_BLOCK = 256
-"""Points that a thread takes at a time."""
 MAX_CELLS = 1 << 22
 
 
@@ -149,45 +147,6 @@ def mean_neighbour_squares(points: np.ndarray, count: int = 3) -> np.ndarray:
     order = np.argsort(keys, kind="stable")
     starts = np.searchsorted(keys[order], np.arange(shape.prod() + 1))
     out = np.empty(len(points), np.float32)
-    run(_search, points, points[order], order, cells, starts, shape, np.float32(cell), count, out)
+    grid = (points[order], order, cells, starts, shape, float(np.float32(cell)))
+    run(kernels.neighbour_squares, points, *grid, count, out, np.empty((threads(), count), np.float32))
     return out
-
-
-@njit(nogil=True, cache=True, error_model="numpy", boundscheck=False)
-def _search(points, listed, order, cells, starts, shape, cell, count, out, thread, threads):
-    best = np.empty(count, np.float32)
-    reach = max(shape[0], shape[1], shape[2])
-    for block in range(thread, (len(points) + POINTS_PER_BLOCK - 1) // POINTS_PER_BLOCK, threads):
-        for i in range(block * POINTS_PER_BLOCK, min(len(points), (block + 1) * POINTS_PER_BLOCK)):
-            best[:] = np.inf
-            cx, cy, cz = cells[i]
-            for ring in range(reach + 1):
-                # All points of the cells within ring - 1 are seen: nothing nearer than that is left.
-                bound = (ring - 1) * cell
-                if ring > 1 and best[count - 1] <= bound * bound:
-                    break
-                for x in range(max(cx - ring, 0), min(cx + ring + 1, shape[0])):
-                    for y in range(max(cy - ring, 0), min(cy + ring + 1, shape[1])):
-                        inner = abs(x - cx) < ring and abs(y - cy) < ring
-                        for side in range(2 * ring + 1):
-                            z = cz - ring + side
-                            if z < 0 or z >= shape[2] or (inner and 0 < side < 2 * ring):
-                                continue
-                            key = (x * shape[1] + y) * shape[2] + z
-                            for j in range(starts[key], starts[key + 1]):
-                                if order[j] == i:
-                                    continue
-                                a = listed[j, 0] - points[i, 0]
-                                b = listed[j, 1] - points[i, 1]
-                                c = listed[j, 2] - points[i, 2]
-                                d = a * a + b * b + c * c
-                                if d < best[count - 1]:
-                                    k = count - 1
-                                    while k > 0 and best[k - 1] > d:
-                                        best[k] = best[k - 1]
-                                        k -= 1
-                                    best[k] = d
-            total = np.float32(0)
-            for k in range(count):
-                total += best[k]
-            out[i] = total / count

@@ -25,28 +25,7 @@ from splatpainter.atomic import writing
 from splatpainter.kernels.parallel import cpus
 from splatpainter.user_folders import cache_folder
 
-WARMUPS: dict[str, tuple[str, ...]] = {
-    "splatpainter.rendering.cpu.warm:warm_projection": ("rendering/cpu", "rendering/profiles.py", "kernels/simd.py"),
-    "splatpainter.rendering.cpu.warm:warm_tiles": ("rendering/cpu", "rendering/profiles.py", "kernels/simd.py"),
-    "splatpainter.surface.warm:warm": (
-        "surface",
-        "rendering/cpu/geometry.py",
-        "kernels/search.py",
-        "kernels/simd.py",
-        "kernels/vector_exp.py",
-    ),  # fmt: skip
-    "splatpainter.kernels.rows:warm": ("kernels/rows.py",),
-    "splatpainter.voxels.raycast:warm": ("voxels/raycast.py", "voxels/footprints.py", "rendering/profiles.py"),
-    "splatpainter.lift.depth_normals:warm": ("lift/depth_normals.py", "rendering/cpu/geometry.py"),
-    "splatpainter.lift.joint_colors:warm": ("lift/joint_colors.py",),
-    "splatpainter.lift.gaussian_merging:warm": ("lift/gaussian_merging.py",),
-    "splatpainter.lift.detail:warm": ("lift/detail.py",),
-    "splatpainter.lift.near_surface:warm": ("lift/near_surface.py", "lift/nearest.py"),
-    "splatpainter.lighting:warm": ("lighting.py",),
-    "splatpainter.spread.warm:warm": ("spread", "kernels/search.py"),
-    "splatpainter.voxels.neighbours:warm": ("voxels/neighbours.py", "kernels/search.py"),
-    "splatpainter.session.curvature:warm": ("session/curvature.py", "surface/unwrap.py"),
-}
+WARMUPS: dict[str, tuple[str, ...]] = {}
 """Registry. "module:function" that calls every kernel of its package once with float32 arrays -> files and folders
 (relative to the package) whose edits make its compiled kernels stale. Two processes take entries from the front: those
 whose kernels others call come first, and long ones before short ones. A package listed here calls `drop_stale()` before

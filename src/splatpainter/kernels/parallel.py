@@ -1,17 +1,19 @@
-"""Run one numba kernel on several threads: `run(kernel, *args)` calls kernel(*args, thread, threads) once per thread.
+"""Run one kernel on several threads: `run(kernel, *args)` calls kernel(*args, thread, threads) once per thread.
 
-Kernels are `@njit(nogil=True)` and take their share of the work from (thread, threads). numba's own parallel=True is
-not used: its default layer aborts the process when two Python threads enter it at once, and it compiles twice as long.
+A kernel (splatpainter.kernels.library) releases the GIL and takes its share of the work from (thread, threads).
 """
 
 from __future__ import annotations
 
+import functools
 import os
 import sys
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
+
+from splatpainter.kernels.library import Kernel
 
 THREADS_VARIABLE = "SPLATPAINTER_THREADS"
 Item = TypeVar("Item")
@@ -43,13 +45,14 @@ def run(kernel: Callable[..., Any], *args: Any) -> None:
     """Call kernel(*args, thread, threads) for every thread and wait for all; the caller's thread does its share.
     Workers never wait for other workers, so any number of callers may run at once."""
     count = threads()
+    share = kernel.bind(*args) if isinstance(kernel, Kernel) else functools.partial(kernel, *args)
     if count == 1:
-        kernel(*args, 0, 1)
+        share(0, 1)
         return
     pool = _workers()
-    rest = [pool.submit(kernel, *args, thread, count) for thread in range(1, count)]
+    rest = [pool.submit(share, thread, count) for thread in range(1, count)]
     try:
-        kernel(*args, 0, count)
+        share(0, count)
     finally:
         # Also when the caller's own share fails (Ctrl-C): the arrays must outlive every worker.
         for future in rest:

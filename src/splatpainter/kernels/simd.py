@@ -16,6 +16,21 @@ from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic, overload
 
+from splatpainter.kernels.arrays import aligned, readonly
+
+__all__ = [
+    "LANES",
+    "FAST",
+    "aligned",
+    "device",
+    "exp",
+    "kernel",
+    "prefetch",
+    "readonly",
+    "scratch",
+    "strict",
+    "sum_lanes",
+]
 LANES = 16
 """Lanes of one inner loop."""
 
@@ -30,22 +45,6 @@ from another file; see compile.drop_stale."""
 strict = functools.partial(njit, forceinline=True, error_model="numpy", boundscheck=False)
 """As `device`, in exact IEEE arithmetic: for results that two kernels must agree on to the last bit. Inlined by LLVM,
 because numba would give it the fast-math flags of its caller."""
-
-
-def aligned(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
-    """np.empty on a 64-byte boundary, so that 16 float32 numbers are one cache line."""
-    size = math.prod(shape) * dtype.itemsize
-    raw = np.empty(size + 64, np.uint8)
-    start = -raw.ctypes.data % 64
-    return raw[start : start + size].view(dtype).reshape(shape)
-
-
-def readonly(array: np.ndarray, dtype: np.dtype | type) -> np.ndarray:
-    """A C-contiguous, aligned, read-only view or copy. Every kernel input passes here: numba compiles again for each
-    layout and writability it meets, and files mapped from disk are read-only."""
-    view = np.require(array, dtype, ["C", "A"]).view()
-    view.flags.writeable = False
-    return view
 
 
 def exp(x):

@@ -4,21 +4,10 @@ normals of Gaussians: their shortest axes, turned to the side from which they ar
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from splatpainter.cameras import Camera, look_at, orbit
+from splatpainter.cameras import Camera, orbit
+from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
-from splatpainter.rendering.cpu.geometry import (
-    CONIC_A,
-    CONIC_B,
-    CONIC_C,
-    DEPTH,
-    EXTENT_X,
-    EXTENT_Y,
-    MEAN_X,
-    MEAN_Y,
-    OPACITY,
-)
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.splats import Splats
 from splatpainter.transforms import quat_to_matrix
@@ -40,10 +29,20 @@ def surface(view: ProjectedView, pixels: np.ndarray) -> tuple[np.ndarray, np.nda
     shape = pixels.shape
     raw, host = np.zeros(shape, np.float32), np.full(shape, -1, np.int32)
     chosen, share = np.ascontiguousarray(pixels), np.float32(STOPPED_LIGHT)
-    run(_stopped_at, view.projected, view.flatten_ids, view.tile_ids, view.isect_offsets, chosen, share, raw, host)
+    run(
+        kernels.find_stopping_depths,
+        view.projected,
+        view.flatten_ids,
+        view.tile_ids,
+        view.isect_offsets,
+        chosen,
+        share,
+        raw,
+        host,
+    )
     medians, smooth = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    run(_medians, raw, medians)
-    run(_means, medians, smooth)
+    run(kernels.take_depth_medians, raw, medians)
+    run(kernels.take_depth_means, medians, smooth)
     return smooth, host
 
 
@@ -93,7 +92,7 @@ def outward_normals(splats: Splats) -> np.ndarray:
         # What shimmers through the far wall is seen from within.
         weight = np.where(sums.weight > 0.1 * sums.alpha, sums.weight, 0)
         towards[projected.gaussian_ids] += weight[:, None] * away / np.linalg.norm(away, axis=1, keepdims=True)
-    side = np.einsum("ni,ni->n", normal, towards)
+    side = (normal * towards).sum(1)
     normal = np.where(side[:, None] < 0, -normal, normal)
     return normal.astype(np.float32)
 
@@ -103,107 +102,3 @@ def scattered(values: np.ndarray, mask: np.ndarray) -> np.ndarray:
     full = np.zeros((len(mask), *values.shape[1:]), values.dtype)
     full[mask] = values
     return full
-
-
-def warm() -> None:
-    """Compile (or load) the kernels of this module."""
-    one = np.ones((1, 3), np.float32)
-    splats = Splats(one * 0, np.ones((1, 4), np.float32), one, one[:, 0] * 0.9, one[:, None])
-    view = project(splats, look_at((0, 0, -3), (0, 0, 0), width=32, height=32))
-    surface(view, np.ones((32, 32), bool))
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _stopped_at(projected, flatten_ids, tile_ids, isect_offsets, pixels, share, depth, host, thread, threads):
-    """Walk each pixel's Gaussians front to back until `share` of the light is stopped; and note the heaviest."""
-    height, width = pixels.shape
-    across = (width + 15) // 16
-    for k in range(thread, tile_ids.shape[0], threads):
-        y0, x0 = (tile_ids[k] // across) * 16, (tile_ids[k] % across) * 16
-        for y in range(y0, min(y0 + 16, height)):
-            for x in range(x0, min(x0 + 16, width)):
-                if not pixels[y, x]:
-                    continue
-                clear, best = np.float32(1), np.float32(0)
-                for p in range(isect_offsets[k], isect_offsets[k + 1]):
-                    i = flatten_ids[p]
-                    dx = projected[i, MEAN_X] - (np.float32(x) + np.float32(0.5))
-                    dy = projected[i, MEAN_Y] - (np.float32(y) + np.float32(0.5))
-                    if abs(dy) > projected[i, EXTENT_Y] or abs(dx) > projected[i, EXTENT_X]:  # most Gaussians of a tile
-                        continue
-                    sigma = projected[i, CONIC_A] * dx * dx + projected[i, CONIC_C] * dy * dy
-                    sigma = np.float32(0.5) * sigma + projected[i, CONIC_B] * dx * dy
-                    alpha = min(np.float32(0.999), projected[i, OPACITY] * np.exp(-max(sigma, np.float32(0))))
-                    if alpha < np.float32(1 / 255):
-                        continue
-                    weight = alpha * clear
-                    if weight > best:
-                        best = weight
-                        host[y, x] = i
-                    clear -= weight
-                    if depth[y, x] == 0 and 1 - clear >= share:
-                        depth[y, x] = projected[i, DEPTH]
-                    if clear < np.float32(1e-3):
-                        break
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _medians(depth, out, thread, threads):
-    """Median of the depths around each pixel that has one."""
-    height, width = depth.shape
-    near = np.empty((2 * SMOOTHING_PX + 1) ** 2, np.float32)
-    for y in range(thread, height, threads):
-        for x in range(width):
-            if not depth[y, x] > 0:  # NaN too
-                continue
-            n = 0
-            for v in range(max(y - SMOOTHING_PX, 0), min(y + SMOOTHING_PX + 1, height)):
-                for u in range(max(x - SMOOTHING_PX, 0), min(x + SMOOTHING_PX + 1, width)):
-                    if depth[v, u] > 0:
-                        near[n] = depth[v, u]
-                        n += 1
-            out[y, x] = _smallest(near, n, n // 2)
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _smallest(values, count, rank):
-    """The value that would have a rank (0: the smallest) if the first so many were sorted; puts them into another
-    order (Hoare's quickselect)."""
-    low, high = 0, count - 1
-    while low < high:
-        pivot = values[(low + high) // 2]
-        i, j = low, high
-        while i <= j:
-            while values[i] < pivot:
-                i += 1
-            while values[j] > pivot:
-                j -= 1
-            if i <= j:
-                values[i], values[j] = values[j], values[i]
-                i += 1
-                j -= 1
-        if rank <= j:
-            high = j
-        elif rank >= i:
-            low = i
-        else:
-            break
-    return values[rank]
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _means(depth, out, thread, threads):
-    """Mean of the depths around each pixel that has one that lie on the same surface (within 2 %)."""
-    height, width = depth.shape
-    for y in range(thread, height, threads):
-        for x in range(width):
-            z = depth[y, x]
-            if not z > 0:
-                continue
-            total, n = np.float32(0), 0
-            for v in range(max(y - SMOOTHING_PX, 0), min(y + SMOOTHING_PX + 1, height)):
-                for u in range(max(x - SMOOTHING_PX, 0), min(x + SMOOTHING_PX + 1, width)):
-                    if depth[v, u] > 0 and abs(depth[v, u] - z) < np.float32(0.02) * z:
-                        total += depth[v, u]
-                        n += 1
-            out[y, x] = total / np.float32(n)

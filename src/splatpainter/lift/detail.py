@@ -12,14 +12,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from splatpainter.kernels import portable
+from splatpainter.kernels.arrays import readonly
+from splatpainter.kernels.library import kernels
+from splatpainter.kernels.parallel import run
 from splatpainter.lift.colors import recolor
 from splatpainter.lift.depth_normals import SMOOTHING_PX, surface, surface_normals
 from splatpainter.lift.masks import box_mean, dilated
 from splatpainter.rendering.cpu.projected_view import ProjectedView
 from splatpainter.splats import MAX_MAGNITUDE, Splats
-from splatpainter.transforms import matrix_to_quat, principal_axes
+from splatpainter.transforms import matrix_to_quat, principal_axes, turned
 
 REACHES_PX = (0.4, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0)
 """Half lengths and half widths of what a detail Gaussian covers, pixels; ..."""
@@ -60,18 +63,19 @@ def detail_layer(
     target: [H, W, 3]; view: of `splats`; reaches: ascending, as REACHES_PX. None when no pixel has a surface."""
     camera = view.camera
     depth, host = surface(view, dilated(pixels, 2 * SMOOTHING_PX))
-    ys, xs = np.nonzero(pixels & (depth > 0) & (host >= 0))
+    ys, xs = (np.ascontiguousarray(at) for at in np.nonzero(pixels & (depth > 0) & (host >= 0)))
     if not len(ys):
         return None
     direction = _edge_directions(target, ys, xs)
-    picture, wide = np.ascontiguousarray(target, np.float32), np.array(reaches, np.float64)
+    picture, wide = readonly(target, np.float32), np.array(reaches, np.float64)
+    other = np.ascontiguousarray(direction[:, ::-1] * (-1, 1))
     along, across = np.empty((2, len(ys)))
-    _measure(picture, depth, ys, xs, direction, wide, along)
-    _measure(picture, depth, ys, xs, direction[:, ::-1] * (-1, 1), wide, across)
+    for way, size in ((direction, along), (other, across)):
+        run(kernels.measure_reaches, picture, depth, ys, xs, way, wide, size)
     across = np.minimum(across, along)
     order = np.argsort(-along * across, kind="stable")
     chosen = np.zeros(len(ys), bool)
-    _choose(ys, xs, direction, along, across, order, np.zeros(pixels.shape, bool), chosen)
+    kernels.choose_details(ys, xs, direction, along, across, order, np.zeros(pixels.shape, bool), chosen, 0, 1)
     ys, xs, direction, along, across = ys[chosen], xs[chosen], direction[chosen], along[chosen], across[chosen]
     z = depth[ys, xs].astype(np.float64)
     axes, scales = _axes(depth, ys, xs, direction, DETAIL_WIDTH * along, DETAIL_WIDTH * across, view)
@@ -107,8 +111,8 @@ def _edge_directions(target: np.ndarray, ys: np.ndarray, xs: np.ndarray) -> np.n
     down, across = window[2:, 1:-1] - window[:-2, 1:-1], window[1:-1, 2:] - window[1:-1, :-2]
     products = np.stack([(a * b).sum(-1) for a, b in ((across, across), (down, down), (across, down))], 2)
     xx, yy, xy = box_mean(products, DIRECTION_PX)[ys - top, xs - left].T
-    angle = 0.5 * np.arctan2(2 * xy, xx - yy).astype(np.float64) + np.pi / 2
-    return np.stack([np.cos(angle), np.sin(angle)], 1)
+    angle = 0.5 * portable.arctan2(2 * xy, xx - yy).astype(np.float64) + np.pi / 2
+    return np.stack([portable.cos(angle), portable.sin(angle)], 1)
 
 
 def _axes(
@@ -135,59 +139,5 @@ def _axes(
     flat /= np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-30)
     ends.append((DETAIL_THICKNESS * np.minimum(along, across) * unit)[:, None] * flat)
     conjugate = np.stack(ends, 2)
-    squares, axes = principal_axes(conjugate @ conjugate.transpose(0, 2, 1))
-    return np.einsum("ji,njk->nik", camera.world_to_camera[:3, :3], axes), np.sqrt(np.maximum(squares, 1e-30))
-
-
-def warm() -> None:
-    """Compile (or load) the kernels of this module."""
-    at, flag = np.zeros(1, np.int64), np.zeros(1, bool)
-    one = np.ones(1)
-    picture, depth = np.zeros((1, 1, 3), np.float32), np.ones((1, 1), np.float32)
-    _measure(picture, depth, at, at, np.ones((1, 2)), np.array(REACHES_PX), np.empty(1))
-    _choose(at, at, np.ones((1, 2)), one, one, at, np.zeros((1, 1), bool), flag)
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _measure(picture, depth, ys, xs, directions, reaches, out):
-    """How far each pixel's colour goes on, both ways: the largest of the reaches (ascending)."""
-    height, width = depth.shape
-    for n in range(len(ys)):
-        y, x = ys[n], xs[n]
-        out[n] = reaches[0]
-        for k in range(1, len(reaches)):
-            reach, same = UNIFORM_COLOR_REACHES * reaches[k], True
-            steps = int(np.ceil(reach))
-            for s in range(-steps, steps + 1):
-                row = int(np.floor(y + 0.5 + s / steps * reach * directions[n, 1]))
-                column = int(np.floor(x + 0.5 + s / steps * reach * directions[n, 0]))
-                if row < 0 or column < 0 or row >= height or column >= width or not depth[row, column] > 0:
-                    same = False
-                    break
-                for c in range(3):
-                    same &= abs(picture[row, column, c] - picture[y, x, c]) <= ONE_COLOR
-                if not same:
-                    break
-            if not same:
-                break
-            out[n] = reaches[k]
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _choose(ys, xs, directions, along, across, order, covered, chosen):
-    """Choose, in this order, pixels that no ellipse of a chosen one covers yet."""
-    height, width = covered.shape
-    for n in order:
-        y, x = ys[n], xs[n]
-        if covered[y, x]:
-            continue
-        chosen[n] = True
-        covered[y, x] = True
-        reach = int(np.ceil(max(along[n], across[n])))
-        for row in range(max(y - reach, 0), min(y + reach + 1, height)):
-            for column in range(max(x - reach, 0), min(x + reach + 1, width)):
-                dx, dy = column - x, row - y
-                u = (dx * directions[n, 0] + dy * directions[n, 1]) / along[n]
-                v = (dy * directions[n, 0] - dx * directions[n, 1]) / across[n]
-                if u * u + v * v <= 1:
-                    covered[row, column] = True
+    squares, axes = principal_axes(portable.matmul(conjugate, conjugate.transpose(0, 2, 1)))
+    return turned(camera.world_to_camera[:3, :3].T, axes), np.sqrt(np.maximum(squares, 1e-30))

@@ -11,12 +11,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numba import njit
 
 from splatpainter.cameras import Camera
+from splatpainter.kernels import portable
+from splatpainter.kernels.library import kernels
 from splatpainter.rendering.profiles import EPS2D, MIN_ALPHA
 from splatpainter.splats import Splats
-from splatpainter.transforms import matrix_to_quat, principal_axes, quat_to_matrix
+from splatpainter.transforms import matrix_to_quat, principal_axes, quat_to_matrix, turned
 
 MAX_MERGE_ROUNDS = 12
 """Rounds of pairs, at most; ..."""
@@ -81,12 +82,12 @@ class _Mixture:
         order = np.argsort(keys, kind="stable")
         blurred = self.covariances + BLUR_PX**2 * np.eye(3)
         masses = self.peaks * self.areas()
-        log_volumes = np.log(_determinants(blurred))
+        log_volumes = portable.log(_determinants(blurred))
         out = np.full(len(self), -1, np.int64)
         points, colors, pixels, slots = self.points[order], self.colors[order], self.pixels[order], self.slots[order]
         shapes = (points, blurred[order], log_volumes[order], masses[order])
-        costs = np.full(len(self), MAX_COST)
-        _find_partners(keys[order], *shapes, colors, pixels, slots, np.expm1(2 * MAX_LOSS), costs, out)
+        costs, limit = np.full(len(self), MAX_COST), portable.exp(2 * MAX_LOSS) - 1
+        kernels.find_partners(keys[order], *shapes, colors, pixels, slots, limit, costs, out, 0, 1)
         partners = np.full(len(self), -1, np.int64)
         partners[order] = np.where(out >= 0, order[out], -1)
         return partners
@@ -138,7 +139,7 @@ def merge(
     0 how many pixels show it."""
     count = len(splats)
     drawn = splats.opacities >= MIN_ALPHA
-    chosen = may & (drawn | slots) & (splats.means @ camera.world_to_camera[2, :3] > -camera.world_to_camera[2, 3])
+    chosen = may & (drawn | slots) & (camera.to_camera(splats.means)[:, 2] > 0)
     ids = np.flatnonzero(chosen)
     group = np.arange(count)
     group[may & ~drawn & ~slots] = -1
@@ -211,14 +212,13 @@ def _picture_space(
 ) -> _Mixture:
     """M Gaussians before the camera, in the picture's space."""
     turn = camera.world_to_camera[:3, :3]
-    axes = turn @ (quat_to_matrix(splats.quats.astype(np.float64)) * splats.scales[:, None, :])
+    axes = turned(turn, quat_to_matrix(splats.quats.astype(np.float64)) * splats.scales[:, None, :])
     x, y, z = camera.to_camera(splats.means.astype(np.float64)).T
-    points = np.stack([x / z * camera.fx, y / z * camera.fy, camera.fx * np.log(z)], 1)
-    axes = _jacobians(points, z, camera) @ axes
+    points = np.stack([x / z * camera.fx, y / z * camera.fy, camera.fx * portable.log(z)], 1)
+    axes = portable.matmul(_jacobians(points, z, camera), axes)
     peaks = np.maximum(splats.opacities.astype(np.float64), 1e-6)
-    return _Mixture(
-        points, axes @ axes.transpose(0, 2, 1), peaks, colors.astype(np.float64), pixels.astype(np.float64), slots
-    )
+    covariances = portable.matmul(axes, axes.transpose(0, 2, 1))
+    return _Mixture(points, covariances, peaks, colors.astype(np.float64), pixels.astype(np.float64), slots)
 
 
 def _jacobians(points: np.ndarray, z: np.ndarray, camera: Camera) -> np.ndarray:
@@ -247,68 +247,11 @@ def _determinants(m: np.ndarray) -> np.ndarray:
 def _world_space(mixture: _Mixture, ids: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """([K, 3] means, [K, 4] quats, [K, 3] scales) of some of the mixture."""
     points = mixture.points[ids]
-    z = np.exp(points[:, 2] / camera.fx)
+    z = portable.exp(points[:, 2] / camera.fx)
     before_camera = np.stack([points[:, 0] / camera.fx * z, points[:, 1] / camera.fy * z, z], 1)
     back = _inverse_jacobians(points, z, camera)
-    turn = camera.world_to_camera[:3, :3]
-    covariances = turn.T @ (back @ mixture.covariances[ids] @ back.transpose(0, 2, 1)) @ turn
+    back = portable.matmul(camera.world_to_camera[:3, :3].T, back)
+    covariances = portable.matmul(portable.matmul(back, mixture.covariances[ids]), back.transpose(0, 2, 1))
     squares, axes = principal_axes(covariances)
     scales = np.sqrt(np.maximum(squares, MIN_FLATNESS**2 * squares[:, -1:]))
-    return (before_camera - camera.world_to_camera[:3, 3]) @ turn, matrix_to_quat(axes), scales
-
-
-def warm() -> None:
-    """Compile (or load) the kernel of this module."""
-    one = np.ones(1)
-    arrays = (np.ones((1, 3)), np.ones((1, 3, 3)), one, one, np.ones((1, 3)), one, one > 0)
-    _find_partners(np.zeros(1, np.int64), *arrays, 1.0, np.ones(1), np.empty(1, np.int64))
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _find_partners(keys, points, covariances, log_volumes, masses, colors, pixels, slots, limit, costs, partners):
-    """`_Mixture.partners`, of arrays in ascending order of their cells' keys; covariances are blurred; limit: of the
-    squared distance that a pair may have, over the larger of their traces and by their shares; costs: [M] MAX_COST."""
-    count, row = keys.shape[0], 2 * _CELLS
-    begins = np.zeros(5, np.int64)  # of the four rows of cells after that of each one, from 1 on
-    for i in range(count):
-        for k in range(5):
-            if k == 0:
-                last, begin = keys[i] + 1, i + 1
-            else:
-                first = keys[i] + (row if k == 1 else row * row + row * (k - 3)) - 1
-                last, begin = first + 2, begins[k]
-                while begin < count and keys[begin] < first:
-                    begin += 1
-                begins[k] = begin
-            for j in range(begin, count):
-                if keys[j] > last:
-                    break
-                if slots[i] and slots[j]:
-                    continue
-                total = pixels[i] + pixels[j]
-                red, green, blue = colors[i, 0] - colors[j, 0], colors[i, 1] - colors[j, 1], colors[i, 2] - colors[j, 2]
-                cost = (red * red + green * green + blue * blue) * pixels[i] * pixels[j] / (3 * total)
-                if cost >= costs[i] and cost >= costs[j]:
-                    continue
-                p, q = covariances[i], covariances[j]
-                x, y, z = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1], points[j, 2] - points[i, 2]
-                share = masses[i] / (masses[i] + masses[j])
-                other, spread = 1 - share, share * (1 - share)
-                size = max(p[0, 0] + p[1, 1] + p[2, 2], q[0, 0] + q[1, 1] + q[2, 2])
-                if spread * (x * x + y * y + z * z) > limit * size:
-                    continue
-                a = share * p[0, 0] + other * q[0, 0] + spread * x * x
-                b = share * p[0, 1] + other * q[0, 1] + spread * x * y
-                c = share * p[0, 2] + other * q[0, 2] + spread * x * z
-                d = share * p[1, 1] + other * q[1, 1] + spread * y * y
-                e = share * p[1, 2] + other * q[1, 2] + spread * y * z
-                f = share * p[2, 2] + other * q[2, 2] + spread * z * z
-                volume = a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d)
-                loss = 0.5 * (np.log(volume) - share * log_volumes[i] - other * log_volumes[j])
-                if not loss < MAX_LOSS:
-                    continue
-                cost += SHAPE_COST * total * max(loss, 0.0)
-                if cost < costs[i]:
-                    costs[i], partners[i] = cost, j
-                if cost < costs[j]:
-                    costs[j], partners[j] = cost, i
+    return camera.to_world(before_camera), matrix_to_quat(axes), scales

@@ -14,6 +14,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.color import base_color, sh_from_color
+from splatpainter.kernels import portable
 from splatpainter.lift.colors import MAX_COLOR, MIN_SEEN_PX, SolidView, joint_change, total_weight
 from splatpainter.lift.depth_normals import outward_normals, scattered
 from splatpainter.lift.options import GLOBAL_DEFAULTS, GlobalOptions
@@ -82,7 +83,8 @@ def lift_global(
         )
     features = regression_features(np.clip(old, 0, 1), normals)
     solution, inverse = ridge(features[seen], change[seen], weight[seen], options)
-    predicted = features @ solution if predict is None else predict(change, weight)  # [N, 3] change of base colour
+    # [N, 3] change of base colour
+    predicted = portable.matmul(features, solution) if predict is None else predict(change, weight)
     if options.far_side:
         predicted = predicted - _far_side(splats, solid, change, weight, options)
     share = (weight / (weight + options.half_seen))[:, None]
@@ -90,13 +92,13 @@ def lift_global(
     sh = splats.sh.copy()
     sh[:, 0] = sh_from_color(new)
     if sh.shape[1] > 1:
-        sh[:, 1:] = sh[:, 1:] @ color_matrices(features, solution).transpose(0, 2, 1)
+        sh[:, 1:] = portable.matmul(sh[:, 1:], color_matrices(features, solution).transpose(0, 2, 1))
     result = replace(splats, sh=sh.astype(splats.sh.dtype))
     if options.last_rounds:
         projected = [project(result, view.camera) for view in solid]
         last = joint_change(solid, options.last_rounds, projected=projected, hold=options.hold)
         result.sh[:, 0] += last / SH_C0  # its own copy
-    leverage = ((features @ inverse.astype(np.float32)) * features).sum(1)
+    leverage = (portable.matmul(features, inverse.astype(np.float32)) * features).sum(1)
     typical = np.maximum(np.average(leverage[seen], weights=weight[seen]), 1e-12)
     certain = share[:, 0] + (1 - share[:, 0]) * 0.5 / (1 + leverage / (4 * typical))
     values = (certain, share[:, 0], old + predicted, normals)
@@ -125,7 +127,7 @@ def regressed(
     one). splats: all drawable; normals: [N, 3]; change, weight: of `seen_change`."""
     features = regression_features(np.clip(base_color(splats.sh), 0, 1), normals)
     seen = weight > MIN_SEEN_PX
-    return features @ ridge(features[seen], change[seen], weight[seen], options)[0]
+    return portable.matmul(features, ridge(features[seen], change[seen], weight[seen], options)[0])
 
 
 def _far_side(
@@ -159,8 +161,9 @@ def unexplained_by_color(
     capped = np.minimum(weight, MAX_WEIGHT_PX).astype(np.float64)[:, None]
     r, g, b = np.clip(colors, 0, 1).astype(np.float64).T
     terms = np.stack([np.ones_like(r), r, g, b, r * r, g * g, b * b, r * g, g * b, b * r], 1)
-    gram = (terms * capped).T @ terms + options.ridge * capped.sum() * np.eye(10)
-    rest = change - terms @ np.linalg.solve(gram, (terms * capped).T @ change)
+    gram = portable.gram(terms, capped[:, 0]) + options.ridge * capped.sum() * np.eye(10)
+    solution = portable.solved(gram, portable.transposed_product(terms * capped, change))
+    rest = change - portable.matmul(terms, solution)
     return float((capped * rest**2).sum() / max((capped * change.astype(np.float64) ** 2).sum(), 1e-12))
 
 
@@ -197,12 +200,10 @@ def ridge(
     """(solution [36, 3], inverse normal matrix [36, 36]) in float64. features: [S, 36]; change: [S, 3]; weight: [S]
     pixels that show each."""
     capped = np.minimum(weight, MAX_WEIGHT_PX).astype(np.float64)
-    scaled = features * np.sqrt(capped).astype(np.float32)[:, None]
-    gram = (scaled.T @ scaled).astype(np.float64)
     penalty = np.full(36, options.ridge_normals)
     penalty[:4] = options.ridge
-    inverse = np.linalg.inv(gram + np.diag(penalty * capped.sum()))
-    return inverse @ (scaled.T @ (change * np.sqrt(capped)[:, None]).astype(np.float32)), inverse
+    inverse = portable.solved(portable.gram(features, capped) + np.diag(penalty * capped.sum()), np.eye(36))
+    return portable.matmul(inverse, portable.transposed_product(features, change * capped[:, None])), inverse
 
 
 def color_matrices(features: np.ndarray, solution: np.ndarray) -> np.ndarray:
@@ -210,7 +211,7 @@ def color_matrices(features: np.ndarray, solution: np.ndarray) -> np.ndarray:
     diagonal so that an extrapolation never inverts a highlight."""
     basis = features.reshape(-1, 9, 4)[:, :, 3]  # the SH of the normal (the feature that multiplies 1)
     linear = solution.reshape(9, 4, 3)[:, :3]  # [9, in, out]
-    matrix = (basis @ linear.transpose(0, 2, 1).reshape(9, 9).astype(np.float32)).reshape(-1, 3, 3) + np.eye(3)
-    diagonal = np.clip(np.einsum("nii->ni", matrix), 0, 2)
-    matrix[:, [0, 1, 2], [0, 1, 2]] = diagonal
+    linear = linear.transpose(0, 2, 1).reshape(9, 9).astype(np.float32)
+    matrix = portable.matmul(basis, linear).reshape(-1, 3, 3) + np.eye(3)
+    matrix[:, range(3), range(3)] = np.clip(matrix[:, range(3), range(3)], 0, 2)
     return matrix.astype(np.float32)

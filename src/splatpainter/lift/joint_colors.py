@@ -9,8 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 
+from splatpainter.kernels import portable
+from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
 from splatpainter.lift.colors import MAX_COLOR, MIN_CHANGE, MIN_SEEN_PX
 from splatpainter.lift.evidence import footprints
@@ -28,8 +29,6 @@ MIN_DIVISOR = 1e-6
 """Pixels' worth of weight; keeps divisors above 0."""
 DIRECTION_RIDGE = 1.0
 """Pixels' worth of weight that each pixel's worth that shows a Gaussian adds to the divisors of band 1."""
-GAUSSIANS_PER_BLOCK = 1024
-"""Gaussians of a picture that a thread takes at a time."""
 
 
 class TargetPicture:
@@ -64,8 +63,8 @@ class TargetPicture:
         """Add sum_p w_ip m_p (target_p - image_p) y_i to `gain` [N, B, 3], with bands changed by `change` [N, B, 3].
         basis: [C, B] y."""
         colors = np.empty_like(self.before)
-        run(_change_colors, self.ids, basis, change, self.before, np.float32(MAX_COLOR), colors)
-        run(_add_residual, self.ids, basis, np.ascontiguousarray(self._steps.residual(colors)), gain)
+        run(kernels.change_colors, self.ids, basis, change, self.before, np.float32(MAX_COLOR), colors)
+        run(kernels.add_residual, self.ids, basis, np.ascontiguousarray(self._steps.residual(colors)), gain)
 
 
 def recolored_together(
@@ -92,7 +91,7 @@ def recolored_together(
     divisor = np.zeros((count, bands, bands), np.float32)
     every = [(picture, picture.basis(splats, degree)) for picture in (*pictures, *around)]
     for picture, basis in every:
-        run(_add_squares, picture.ids, basis, picture.weight, divisor)
+        run(kernels.add_squares, picture.ids, basis, picture.weight, divisor)
         weight[picture.ids] += picture.weight
     slow = UNSEEN_DAMPING * hidden
     divisor[:, 0, 0] += SH_C0**2 * np.maximum(slow, MIN_DIVISOR)
@@ -106,7 +105,7 @@ def recolored_together(
         for picture, basis in every:
             picture.add_gain(basis, change, gain)
         limit = MAX_COLOR / SH_C0
-        change[rows] = np.clip(change.take(rows, 0) + steps @ gain.take(rows, 0), -limit, limit)
+        change[rows] = np.clip(change.take(rows, 0) + portable.matmul(steps, gain.take(rows, 0)), -limit, limit)
     size = SH_C0 * np.abs(change).max((1, 2))
     moved = np.flatnonzero(size > MIN_CHANGE)
     if not len(moved):
@@ -119,52 +118,3 @@ def recolored_together(
         sh[moved, 0] += (1 - keep) * mean / SH_C0
         sh[moved, 1:] *= keep[..., None]
     return sh
-
-
-def warm() -> None:
-    """Compile (or load) the kernels of this module."""
-    ids, basis, colors = np.zeros(1, np.int64), np.zeros((1, 1), np.float32), np.zeros((1, 3), np.float32)
-    bands = np.zeros((1, 1, 3), np.float32)
-    run(_change_colors, ids, basis, bands, colors, np.float32(1), colors.copy())
-    run(_add_residual, ids, basis, colors, bands)
-    run(_add_squares, ids, basis, np.zeros(1, np.float32), np.zeros((1, 1, 1), np.float32))
-
-
-_kernel = njit(nogil=True, cache=True, error_model="numpy", boundscheck=False)
-"""A view shows each Gaussian once, so that threads never write to the same one."""
-
-
-@_kernel
-def _change_colors(ids, basis, change, before, ceiling, out, thread, threads):
-    """out [C, 3]: `before` with changed bands, 0 to the ceiling (or as far above it as before)."""
-    count, bands = basis.shape
-    for block in range(thread, (count + GAUSSIANS_PER_BLOCK - 1) // GAUSSIANS_PER_BLOCK, threads):
-        for c in range(block * GAUSSIANS_PER_BLOCK, min(count, (block + 1) * GAUSSIANS_PER_BLOCK)):
-            for k in range(3):
-                sum_of_bands = np.float32(0)
-                for b in range(bands):
-                    sum_of_bands += basis[c, b] * change[ids[c], b, k]
-                value = before[c, k] + sum_of_bands
-                out[c, k] = min(max(value, np.float32(0)), max(before[c, k], ceiling))
-
-
-@_kernel
-def _add_residual(ids, basis, residual, gain, thread, threads):
-    """gain [N, B, 3] += y r^T of each of a view's Gaussians."""
-    count, bands = basis.shape
-    for block in range(thread, (count + GAUSSIANS_PER_BLOCK - 1) // GAUSSIANS_PER_BLOCK, threads):
-        for c in range(block * GAUSSIANS_PER_BLOCK, min(count, (block + 1) * GAUSSIANS_PER_BLOCK)):
-            for b in range(bands):
-                for k in range(3):
-                    gain[ids[c], b, k] += basis[c, b] * residual[c, k]
-
-
-@_kernel
-def _add_squares(ids, basis, weight, divisor, thread, threads):
-    """divisor [N, B, B] += w y y^T of each of a view's Gaussians."""
-    count, bands = basis.shape
-    for block in range(thread, (count + GAUSSIANS_PER_BLOCK - 1) // GAUSSIANS_PER_BLOCK, threads):
-        for c in range(block * GAUSSIANS_PER_BLOCK, min(count, (block + 1) * GAUSSIANS_PER_BLOCK)):
-            for a in range(bands):
-                for b in range(bands):
-                    divisor[ids[c], a, b] += weight[c] * basis[c, a] * basis[c, b]

@@ -112,7 +112,7 @@ def dilated(mask: np.ndarray, reach: int) -> np.ndarray:
 
 def _contrast(image: np.ndarray) -> np.ndarray:
     """[H, W] difference of each pixel's grey to its right and lower neighbours'."""
-    grey = image @ np.full(3, 1 / 3, image.dtype)
+    grey = (image[..., 0] + image[..., 1] + image[..., 2]) * np.asarray(1 / 3, image.dtype)
     return np.abs(np.diff(grey, axis=1, append=grey[:, -1:])) + np.abs(np.diff(grey, axis=0, append=grey[-1:]))
 
 

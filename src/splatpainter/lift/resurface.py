@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.kernels import portable
 from splatpainter.lift.colors import MIN_CHANGE, lift_colors, recolor
 from splatpainter.lift.fringe import FringedSurface, fringe_of, fringe_paint
 from splatpainter.lift.masks import box_mean, dilated
@@ -301,7 +302,7 @@ def _within_horizon(
     normals = quat_to_matrix(geometry.quats)[:, :, 2]
     sight = means - camera.position
     facing = np.abs((normals * sight).sum(1)) / np.maximum(np.linalg.norm(sight, axis=1), 1e-30)
-    far = np.flatnonzero(facing < math.cos(math.radians(HORIZON_DEGREES)))
+    far = np.flatnonzero(facing < portable.cos(math.radians(HORIZON_DEGREES)))
     far = far[_sigmas(hidden, hidden_ids[far], means[far]) > MAX_HOST_SIGMAS]
     height, width = heaviest.shape
     xs, ys = pixels[far].astype(np.int64).T
@@ -322,7 +323,8 @@ def _sigmas(splats: Splats, ids: np.ndarray, points: np.ndarray) -> np.ndarray:
     turn = quat_to_matrix(splats.quats[ids].astype(np.float64))
     scales = splats.scales[ids].astype(np.float64)
     scales = np.maximum(scales, MIN_HOST_FLATNESS * scales.max(1, keepdims=True))
-    offset = np.einsum("nji,nj->ni", turn, points - splats.means[ids]) / scales
+    apart = (points - splats.means[ids])[:, None]
+    offset = portable.matmul(apart, turn)[:, 0] / scales
     return np.sqrt((offset**2).sum(1))
 
 
@@ -405,7 +407,7 @@ def _assemble(
     written_gaussians = fresh.take(np.concatenate([slots, first + placed]))
     recolored = replace(splats.take(painted.ids), sh=painted.sh)
     written = np.concatenate([painted.ids, pieces.parent_ids[slots], index[placed]])
-    order = np.argsort(written)
+    order = np.argsort(written, kind="stable")
     written, values = written[order], recolored.append(written_gaussians).take(order)
     differs = np.zeros(len(written), bool)
     for name in ATTRIBUTES:

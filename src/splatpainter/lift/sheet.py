@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.kernels import portable
 from splatpainter.lift.fringe import FringedSurface
 from splatpainter.surface.visible import PixelSurface, VisibleSurface
-from splatpainter.transforms import matrix_to_quat
+from splatpainter.transforms import matrix_to_quat, turned
 
 MAX_CELL_PX = 8
 """Edge of the largest cell of flat paint, pixels."""
@@ -235,12 +236,12 @@ def pixel_gaussians(
     across = np.where(size > 1e-6, np.cross(normals, slant / np.maximum(size, 1e-12)), np.cross(normals, fallback))
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
     along = np.cross(normals, across)
-    rotation = np.einsum("ji,njk->nik", camera.world_to_camera[:3, :3], np.stack([across, along, normals], 2))
-    flip = np.linalg.det(rotation) < 0
+    rotation = turned(camera.world_to_camera[:3, :3].T, np.stack([across, along, normals], 2))
+    flip = (np.cross(across, along) * normals).sum(1) < 0
     rotation[flip, :, 0] *= -1
     width = width_px * depth / camera.fx
     scales = np.stack([width, width * stretch / count, width * SHEET_THICKNESS_RATIO], 1)
-    world_along = along @ camera.world_to_camera[:3, :3]
+    world_along = portable.matmul(along, camera.world_to_camera[:3, :3])
     means = camera.unproject(depth, pixels)
     means += (shift * cell_px * depth / camera.fx * stretch)[:, None] * world_along
     return SheetGeometry(means, matrix_to_quat(rotation), scales)

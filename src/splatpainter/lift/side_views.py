@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from splatpainter.cameras import Camera, look_at
+from splatpainter.kernels import portable
 from splatpainter.lift.depth_normals import surface
 from splatpainter.lift.edit_views import EditView
 from splatpainter.lift.masks import box_mean, dilated
@@ -23,6 +24,8 @@ from splatpainter.lift.warping import ViewedChange, bilinear, seen_in_both, shru
 from splatpainter.rendering.cpu.projected_view import project, tiles_of_mask
 from splatpainter.splats import Splats
 
+DB_PER_NEPER = 4.342944819032518
+"""10 / ln 10: of a ratio of squares."""
 SIDE_DEGREES = 35.0
 """Degrees between the edited view and those from the side: left, right, above, below."""
 MAX_SIDE_PX = 256
@@ -64,7 +67,7 @@ def side_view_score(before: Splats, after: Splats, view: EditView) -> SideViewSc
     errors = np.concatenate([np.zeros((0, 3)), *(pair.soft_errors for pair in pairs)])
     if not len(errors):
         return SideViewScore(None, covered)
-    return SideViewScore(min(-10 * math.log10(max(float((errors**2).mean()), 1e-12)), MAX_DB), covered)
+    return SideViewScore(min(DB_PER_NEPER * portable.log(1 / max(float((errors**2).mean()), 1e-12)), MAX_DB), covered)
 
 
 @dataclass(frozen=True)
@@ -132,14 +135,14 @@ class _Window:
         """The painted part from another side at the same distance; turns in SIDE_DEGREES."""
         axes = self.edit.camera.world_to_camera[:3, :3]
         offset = self.edit.camera.position - self.center
-        towards = math.sin(math.radians(SIDE_DEGREES)) * (right * axes[0] - up * axes[1])
-        distance = float(np.linalg.norm(offset))
-        eye = math.cos(math.radians(SIDE_DEGREES)) * offset / distance + towards
+        towards = portable.sin(math.radians(SIDE_DEGREES)) * (right * axes[0] - up * axes[1])
+        distance = portable.length(offset)
+        eye = portable.cos(math.radians(SIDE_DEGREES)) * offset / distance + towards
         size = max(self.edit.camera.width, self.edit.camera.height)
-        fov = math.degrees(2 * math.atan(size / 2 / self.edit.camera.fy))
+        fov = math.degrees(2 * portable.arctan2(size / 2, self.edit.camera.fy))
         upwards = -axes[1] if not up else -axes[1] - up * self.edit.camera.forward
         background = self.edit.camera.background
-        eye = self.center + distance * eye / np.linalg.norm(eye)
+        eye = self.center + distance * eye / portable.length(eye)
         return look_at(eye, self.center, upwards, width=size, height=size, fov=fov, background=background).local
 
     def seen_from(self, before: Splats, after: Splats, camera: Camera) -> SideView:

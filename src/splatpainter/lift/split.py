@@ -19,6 +19,7 @@ from importlib.resources import files
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.kernels import portable
 from splatpainter.splats import Splats
 from splatpainter.transforms import quat_to_matrix, turned
 
@@ -44,7 +45,7 @@ def child_peaks(opacities: np.ndarray) -> np.ndarray:
     """[N] parent peak alphas -> [N, 2 CHILD_REACH_SITES + 1] peaks of the children, in the order of their sites."""
     parents, peaks = table()
     inner = np.clip(opacities, parents[0], parents[-1])
-    half = np.stack([np.interp(inner, parents, column) for column in peaks.T], 1)
+    half = np.stack([portable.interp(inner, parents, column) for column in peaks.T], 1)
     half *= np.minimum(opacities / inner, 1)[:, None]  # below the table alpha is additive
     return half[:, np.abs(np.arange(-CHILD_REACH_SITES, CHILD_REACH_SITES + 1))]
 
@@ -62,12 +63,12 @@ def projected_sizes(splats: Splats, camera: Camera) -> np.ndarray:
     """[N, 3] length in pixels of one standard deviation along each axis, seen from the camera (without the
     renderer's 0.3 px^2 blur)."""
     turn = camera.world_to_camera[:3, :3].astype(np.float32)
-    x, y, z = (splats.means @ turn.T + camera.world_to_camera[:3, 3].astype(np.float32)).T
+    x, y, z = (portable.matmul(splats.means, turn.T) + camera.world_to_camera[:3, 3].astype(np.float32)).T
     z = np.maximum(z, 1e-6)
     axes = turned(turn, quat_to_matrix(splats.quats)) * splats.scales[:, None, :]  # [N, camera xyz, axis]
     u = camera.fx * (axes[:, 0] - (x / z)[:, None] * axes[:, 2]) / z[:, None]
     v = camera.fy * (axes[:, 1] - (y / z)[:, None] * axes[:, 2]) / z[:, None]
-    return np.hypot(u, v)
+    return portable.hypot(u, v)
 
 
 @dataclass(frozen=True)
@@ -98,11 +99,11 @@ class Lattice:
         parent = np.arange(n) if parent is None else parent
         if sized is None:
             sizes = projected_sizes(base, camera)
-            axes = np.argsort(-sizes, 1)[:, :2]
+            axes = np.argsort(-sizes, 1, kind="stable")[:, :2]
             sizes = np.take_along_axis(sizes, axes, 1)
         else:
             lengths = projected_sizes(base.geometry(sized), camera)
-            order = np.argsort(-lengths, 1)[:, :2]
+            order = np.argsort(-lengths, 1, kind="stable")[:, :2]
             axes, sizes = np.zeros((n, 2), np.int64), np.zeros((n, 2), lengths.dtype)
             axes[sized], sizes[sized] = order, np.take_along_axis(lengths, order, 1)
         zeros, peak = np.zeros((len(parent), 2), np.int64), base.opacities[parent].astype(np.float64)
@@ -133,7 +134,7 @@ class Lattice:
         part, center = scales[halved], means[halved].astype(np.float64)
         for k in range(2):
             axis = self.axes[parent, k]
-            width = self.base.scales[parent, axis] * 0.5 ** self.level[halved, k]
+            width = self.base.scales[parent, axis] * np.ldexp(1.0, -self.level[halved, k])
             center += (SPACING * width * self.site[halved, k])[:, None] * rotation[n, :, axis]
             part[n, axis] = width
         means[halved], scales[halved] = center, part

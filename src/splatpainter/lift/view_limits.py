@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.kernels import portable
 from splatpainter.lift.masks import dilated
 from splatpainter.lift.options import MAX_DEPTH_EDGE_LIMIT_PX
 from splatpainter.rendering.cpu.projected_view import project
@@ -67,7 +68,7 @@ def paintable(visible: VisibleSurface, pixels: np.ndarray, angle_limit: float, d
     if angle_limit > 0:
         rays = visible.camera.sight_lines(centers)
         facing = -(rays * at.normals).sum(1) / np.linalg.norm(rays, axis=1)
-        angle = np.degrees(np.arccos(np.clip(facing, 0, 1)))
+        angle = np.degrees(portable.arccos(np.clip(facing, 0, 1)))
         soft = min(SOFT_DEGREES, max(90.0 - angle_limit, 1e-3))
         share = np.clip(1 - (angle - angle_limit) / soft, 0, 1)
         out[ys, xs] *= np.where(seen, share, 1).astype(np.float32)

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.kernels import portable
 from splatpainter.lift.colors import MIN_SOLID_ALPHA, SolidView, joint_change
 from splatpainter.lift.edit_views import EditView
 from splatpainter.lift.masks import box_mean, dilated, largest_channel
@@ -280,7 +281,7 @@ def _distance_px(mask: np.ndarray) -> np.ndarray:
     """[H, W] pixels to the nearest one of the mask, inf beyond MAX_MARGIN_PX."""
     nearest = nearest_pixels(mask)
     ys, xs = np.indices(mask.shape)
-    distance = np.hypot(ys - nearest // mask.shape[1], xs - nearest % mask.shape[1])
+    distance = portable.hypot(ys - nearest // mask.shape[1], xs - nearest % mask.shape[1])
     return np.where((nearest >= 0) & (distance <= MAX_MARGIN_PX), distance, np.inf)
 
 

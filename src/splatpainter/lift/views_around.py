@@ -20,6 +20,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from splatpainter.cameras import Camera, look_at
+from splatpainter.kernels import portable
 from splatpainter.lift.depth_normals import surface
 from splatpainter.lift.edit_views import EditView
 from splatpainter.lift.warping import ViewedChange, shrunk
@@ -105,7 +106,7 @@ def _faded(first: Camera, other: Camera, depth: np.ndarray) -> np.ndarray:
         np.linalg.norm(to_other, axis=-1) * np.linalg.norm(to_first, axis=-1), 1e-12
     )
     low, high = FADE_DEGREES
-    return np.clip((high - np.degrees(np.arccos(np.clip(cosines, -1, 1)))) / (high - low), 0, 1)[..., None]
+    return np.clip((high - np.degrees(portable.arccos(np.clip(cosines, -1, 1)))) / (high - low), 0, 1)[..., None]
 
 
 def _cameras(splats: Splats, first: Camera, count: int) -> tuple[list[Camera], float]:
@@ -113,8 +114,8 @@ def _cameras(splats: Splats, first: Camera, count: int) -> tuple[list[Camera], f
     size of their pixels at the asset's middle, world units."""
     means = splats.means[splats.drawable]
     low, high = np.percentile(means.astype(np.float64), BOUNDS_PERCENTILES, axis=0)
-    center, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-6)
-    distance = radius / math.sin(math.radians(FOV_DEGREES / 2))
+    center, radius = (low + high) / 2, max(portable.length(high - low) / 2, 1e-6)
+    distance = radius / portable.sin(math.radians(FOV_DEGREES / 2))
     cameras = []
     for direction in fibonacci_sphere(count):
         up = np.eye(3)[int(np.argmin(np.abs(direction)))]

@@ -28,6 +28,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from splatpainter.kernels import portable
 from splatpainter.lift.edit_views import EditView, errors_name
 from splatpainter.lift.joint_colors import TargetPicture, recolored_together
 from splatpainter.lift.local_edit import MIN_VISIBLE_SHARE, NOTHING_THERE, split_local
@@ -130,7 +131,7 @@ def _coarse_error(image: np.ndarray, view: EditView, count: int) -> float:
 def _rate_of_scales(coarse: float) -> float:
     """coarse: share of the change that is coarser than the Gaussians' spacing."""
     low, high = RATE_SCALES
-    return float(np.interp(coarse, COARSE_SHARES, (low, high, high, low)))
+    return float(portable.interp(coarse, COARSE_SHARES, (low, high, high, low)))
 
 
 def _visible(splats: Splats, views: Sequence[EditView], projected: Sequence[ProjectedView]) -> np.ndarray:

@@ -1,8 +1,13 @@
 """Checkpoints: a folder of safetensors shards of at most 15 MiB and `model.json`, which names them and the config.
 
     model.json                      {"format", "version", "config", "notes", "tensors": {name: {"shape", "parts"}},
-                                     "shards": [{"file", "sha256"}], "base": {"folder", "sha256": [...], "tensors"}}
+                                     "shards": [{"file", "sha256", "holds"}],
+                                     "base": {"folder", "sha256": [...], "tensors"}}
     weights-<sha256[:16]>.safetensors
+
+"holds", which most shards lack, is the beginning of the names of all tensors of a shard: what begins so can be read
+without the others (`load_arrays`), which may then be missing. What is missing is looked for in the folder of the same
+name in the distribution DISTRIBUTION, too: the networks are larger than all else, and most edits do without.
 
 "base", which most lack, names a folder beside this one whose checkpoint holds the tensors "tensors" (beginnings of
 names) that both have in common, so that a package need not hold them twice; "sha256" are the base's shards.
@@ -17,10 +22,11 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import importlib.util
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Protocol, TypeVar, overload
@@ -29,8 +35,11 @@ from splatpainter.io.files import read_all, writing
 from splatpainter.models.config import MAX_CONFIG_BYTES, ModelConfig
 
 if TYPE_CHECKING:
+    import numpy as np
     import torch
 
+PACKAGED = Path(__file__).parents[1] / "weights"
+"""Folder of the checkpoints that come with the package."""
 FORMAT_PREFIX = "splatpainter "
 """What every format begins with."""
 VERSION = 1
@@ -41,6 +50,8 @@ MAX_PART_BYTES = MAX_SHARD_BYTES - 4096
 """Bytes of a part of a tensor, at most: a shard has a header too."""
 BASE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 SHARD_NAME = re.compile(r"weights-[0-9a-f]{16}\.safetensors")
+DISTRIBUTION, DISTRIBUTION_PACKAGE = "splatpainter-networks", "splatpainter_networks"
+"""The distribution with the large shards of the packaged checkpoints, one folder each, and its only package."""
 
 
 class CheckpointConfig(Protocol):
@@ -79,10 +90,12 @@ def save(
     notes: Mapping[str, Any] | None = None,
     base: str = "",
     shared: tuple[str, ...] = (),
+    apart: tuple[str, ...] = (),
 ) -> None:
     """Write a checkpoint, all or nothing; an older one in the folder is replaced.
 
-    tensors: a module's state_dict(); dtype: how floats are stored; base: name of a folder beside this one whose
+    tensors: a module's state_dict(); dtype: how floats are stored; apart: tensors whose names begin so get shards of
+    their own (`load_arrays`); base: name of a folder beside this one whose
     checkpoint holds the tensors that begin with `shared`, bit for bit, which are then left out. Raises ValueError for a
     tensor that is not finite in that type (half ends at 65,504), for a folder that cannot be written, and for a base
     that is not there or holds others.
@@ -111,13 +124,15 @@ def save(
     except OSError as error:
         raise ValueError(f"{target}: the folder cannot be made ({error.strerror or error})") from None
     shards = []
-    for batch in _batches(parts):
+    groups = [(start, [part for part in parts if part[0].startswith(start)]) for start in apart]
+    groups.append(("", [part for part in parts if not part[0].startswith(apart)]))
+    for start, batch in ((start, batch) for start, group in groups for batch in _batches(group)):
         data = pack(dict(batch))
         digest = hashlib.sha256(data).hexdigest()
         file = f"weights-{digest[:16]}.safetensors"
         with writing(target / file) as out:
             out.write(data)
-        shards.append({"file": file, "sha256": digest})
+        shards.append({"file": file, "sha256": digest, **({"holds": start} if start else {})})
     index = {
         "format": config.format,
         "version": VERSION,
@@ -158,7 +173,7 @@ def load(folder: Path | str, preset: str | None = None, *, kind: type[Any] = Mod
         raise ValueError(f"{where}: expected lists of shards and tensors, and notes; the file is damaged")
     stored: dict[str, torch.Tensor] = {}
     for shard in shards:
-        for name, tensor in _shard(target, shard, where).items():
+        for name, tensor in _shard(target, shard, where, _unpack_torch).items():
             if name in stored:
                 raise ValueError(f"{where}: tensor '{name}' is in two shards")
             stored[name] = tensor
@@ -168,6 +183,24 @@ def load(folder: Path | str, preset: str | None = None, *, kind: type[Any] = Mod
             raise ValueError(f"{where}: tensor '{name}' is both here and in its base")
         tensors[name] = tensor
     return Checkpoint(config, tensors, notes)
+
+
+def load_arrays(folder: Path | str, start: str) -> dict[str, np.ndarray]:
+    """The tensors of a checkpoint whose names begin with `start`, without it, in the stored type: of the shards that
+    say they hold these, without torch and without the others. Raises ValueError as `load`, and where no shard says
+    so."""
+    target = Path(folder)
+    where, shards = f"{target / INDEX}", _index(target).get("shards")
+    holding = [s for s in shards if isinstance(s, dict) and s.get("holds") == start] if isinstance(shards, list) else []
+    if not holding:
+        raise ValueError(f"{where}: no shard holds '{start}...' alone")
+    arrays: dict[str, np.ndarray] = {}
+    for shard in holding:
+        arrays |= _shard(target, shard, where, _unpack_numpy)
+    strange = [name for name in arrays if not name.startswith(start)]
+    if strange:
+        raise ValueError(f"{where}: a shard that holds '{start}...' has '{strange[0]}' too")
+    return {name.removeprefix(start): array for name, array in arrays.items()}
 
 
 def config(folder: Path | str) -> ModelConfig:
@@ -286,18 +319,15 @@ def _common(folder: Path, record: dict[str, Any], where: str) -> dict[str, torch
     return {key: tensor for key, tensor in held.tensors.items() if key.startswith(tuple(shared))}
 
 
-def _shard(folder: Path, shard: Any, where: str) -> dict[str, torch.Tensor]:
+def _shard(folder: Path, shard: Any, where: str, unpack: Callable[[bytes], dict[str, Any]]) -> dict[str, Any]:
     """The tensors of one shard; nothing of it is used before its hash is right."""
     from safetensors import SafetensorError
-    from safetensors.torch import load as unpack
 
     file, digest = (shard.get("file"), shard.get("sha256")) if isinstance(shard, dict) else (None, None)
     # Also keeps paths that lead out of the folder away.
     if not (isinstance(file, str) and SHARD_NAME.fullmatch(file)):
         raise ValueError(f"{where}: expected shards named weights-*.safetensors, got {file!r}")
-    path = folder / file
-    if not path.is_file():
-        raise ValueError(f"{path}: missing; copy the whole folder")
+    path = _shard_path(folder, file)
     if path.stat().st_size > MAX_SHARD_BYTES:
         raise ValueError(f"{path}: expected at most {MAX_SHARD_BYTES} bytes, got {path.stat().st_size}")
     data = read_all(path)
@@ -307,6 +337,36 @@ def _shard(folder: Path, shard: Any, where: str) -> dict[str, torch.Tensor]:
         return unpack(data)
     except SafetensorError as error:
         raise ValueError(f"{path}: not a safetensors file ({error})") from None
+
+
+def _shard_path(folder: Path, file: str) -> Path:
+    """Where a shard is: in its folder, or, of a packaged checkpoint, in the distribution of the networks. Raises
+    ValueError where it is in neither."""
+    path = folder / file
+    if path.is_file():
+        return path
+    if folder.parent == PACKAGED:
+        spec = importlib.util.find_spec(DISTRIBUTION_PACKAGE)
+        for root in spec.submodule_search_locations or () if spec else ():
+            if (elsewhere := Path(root, folder.name, file)).is_file():
+                return elsewhere
+        raise ValueError(
+            f"the networks of '{folder.name}' are not installed: expected {file} in {DISTRIBUTION}; "
+            f"pip install 'splatpainter[networks]' brings them (edits by the lift and global edits need none)"
+        )
+    raise ValueError(f"{path}: missing; copy the whole folder")
+
+
+def _unpack_torch(data: bytes) -> dict[str, torch.Tensor]:
+    from safetensors.torch import load
+
+    return load(data)
+
+
+def _unpack_numpy(data: bytes) -> dict[str, np.ndarray]:
+    from safetensors.numpy import load
+
+    return load(data)
 
 
 def _joined(stored: dict[str, torch.Tensor], table: dict[str, Any], where: str) -> dict[str, torch.Tensor]:

@@ -24,8 +24,9 @@ from splatpainter.lift.colors import MIN_SEEN_PX
 from splatpainter.lift.features import HALF_SEEN_PX
 from splatpainter.lift.global_edit import Predict
 from splatpainter.models.decode import color_change
+from splatpainter.models.gaussian_facts import gaussian_facts
 from splatpainter.models.model import GaussianInputs
-from splatpainter.models.predictor import described_facts, gaussian_facts, spread_evenly
+from splatpainter.models.predictor import described_facts, spread_evenly
 from splatpainter.splats import Splats
 
 if TYPE_CHECKING:

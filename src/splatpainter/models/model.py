@@ -30,6 +30,7 @@ from splatpainter.models.image_tokens import Pictures, tokenize
 from splatpainter.models.lrm import AssetViews, GaussianLrm
 from splatpainter.models.predictor import Predictor
 from splatpainter.models.refine import LATENTS_PER_CHUNK, Refiner, RefineState
+from splatpainter.models.stored_predictor import StoredPredictor
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.voxels.grid import VoxelGrid
 
@@ -137,9 +138,13 @@ class SplatPainterModel(nn.Module):
         base: str = "",
         shared: tuple[str, ...] = (),
     ) -> None:
-        """Write a checkpoint, all or nothing. base, shared: as of checkpoint.save. Raises ValueError as that."""
+        """Write a checkpoint, all or nothing; the predictor gets a shard of its own. base, shared: as of
+        checkpoint.save. Raises ValueError as that."""
         stored = self.notes if notes is None else notes
-        checkpoint.save(folder, self.config, self.state_dict(), dtype=dtype, notes=stored, base=base, shared=shared)
+        apart = ("predictor.",) if self.predictor is not None else ()
+        checkpoint.save(
+            folder, self.config, self.state_dict(), dtype=dtype, notes=stored, base=base, shared=shared, apart=apart
+        )
 
     def groups(self, grid: VoxelGrid) -> GaussianGroups:
         """The Gaussians of a grid, grouped as Stage I wants them. Raises ValueError for a grid of another
@@ -149,6 +154,11 @@ class SplatPainterModel(nn.Module):
                 f"encode: expected a grid of {self.config.compress.resolution} voxels per edge, got {grid.resolution}"
             )
         return GaussianGroups.of(grid, self.config.compress.largest_group)
+
+    @property
+    def stored_predictor(self) -> StoredPredictor | None:
+        """A copy of the predictor's weights, as an edit uses them; None for a model without."""
+        return None if self.predictor is None else self.predictor.stored()
 
     def encode_views(self, views: AssetViews) -> Tensor:
         """[P, token width] tokens of an asset's canonical views. Raises ValueError as GaussianLrm."""

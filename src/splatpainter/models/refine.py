@@ -18,8 +18,8 @@ from torch.utils.checkpoint import checkpoint
 from splatpainter.lift.features import LIFT_FEATURES, SEEN_FEATURE
 from splatpainter.models.compress import LatentScale
 from splatpainter.models.config import RefineConfig
+from splatpainter.models.gaussian_facts import INPUT_CHANNELS as FACT_FEATURES
 from splatpainter.models.image_tokens import PictureTokens
-from splatpainter.models.predictor import INPUT_CHANNELS as FACT_FEATURES
 from splatpainter.nn.attention import CrossGroups, Groups
 from splatpainter.nn.fast_weights import FastWeights
 from splatpainter.nn.layers import CrossAttention, SelfAttention, SwiGLU, layer_norm, linear

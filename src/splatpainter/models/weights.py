@@ -8,9 +8,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+from splatpainter.extras import require
 from splatpainter.models import checkpoint
-from splatpainter.models.checkpoint import INDEX
+from splatpainter.models.checkpoint import INDEX, PACKAGED
 from splatpainter.models.config import PRESETS
+from splatpainter.models.stored_predictor import StoredPredictor, checked
 
 if TYPE_CHECKING:
     from splatpainter.models.model import SplatPainterModel
@@ -20,8 +22,6 @@ VARIABLE = "SPLATPAINTER_WEIGHTS"
 NAMES = (*PRESETS, "rows")
 """Names under which weights are found: the presets, and "rows": `compact` without its predictor, so that Stage II is
 the only carrier of global edits (models/edit_propagation.py), as the paper has it."""
-PACKAGED = Path(__file__).parents[1] / "weights"
-"""Folder of the weights that come with the package."""
 
 
 def weight_folders(preset: str) -> list[Path]:
@@ -36,13 +36,24 @@ def find(preset: str, *more_roots: Path) -> Path | None:
     return next((folder for folder in folders if (folder / INDEX).is_file()), None)
 
 
+PREDICTOR = "predictor."
+"""Beginning of the names of the predictor's tensors, which have a shard of their own."""
+
+
 class _Deferred:
-    """A model of which config and notes are known, and whose weights are read when anything else is asked for: torch
-    and 18 MB are seconds that an edit by the lift should not wait for."""
+    """A model of which config, notes and the stored predictor are known, and whose networks are read when anything else
+    is asked for: torch and 15 MB are seconds that an edit by the lift should not wait for, and may not be installed."""
 
     def __init__(self, folder: Path) -> None:
         self.config, self.notes = checkpoint.config(folder), checkpoint.notes(folder)
         self._folder, self._reading = folder, threading.Lock()
+
+    @cached_property
+    def stored_predictor(self) -> StoredPredictor | None:
+        """As of SplatPainterModel. Raises ValueError for weights that are damaged."""
+        if not self.config.predict.features:
+            return None
+        return checked(checkpoint.load_arrays(self._folder, PREDICTOR), str(self._folder))
 
     @cached_property
     def _model(self) -> SplatPainterModel:
@@ -81,6 +92,7 @@ def load(preset: str) -> SplatPainterModel:
         if not folder.is_dir():
             choices = ", ".join(["auto", "lift", *NAMES])
             raise ValueError(f"preset: expected one of {choices}, or a folder of weights, got {preset!r}")
+    require("torch", f"preset '{preset}'")
     from splatpainter.models.model import SplatPainterModel
 
     return SplatPainterModel.load(folder, preset if preset in NAMES else None)

@@ -22,6 +22,7 @@ from splatpainter.color import (
     srgb_to_linear,
     to_display,
 )
+from splatpainter.kernels import portable
 from splatpainter.lift.colors import MAX_COLOR
 from splatpainter.splats import Splats
 
@@ -51,9 +52,8 @@ class ColorChange:
         x = x / light
         start = np.outer((share[:, None] * y).sum(0), LUMA)  # [3, 3]
         columns = np.concatenate([x, np.ones((len(x), 1))], 1)  # [P, 4]
-        # Sums without BLAS, whose order depends on its threads.
         gram = _summed(columns, columns, share) + np.diag([HOLD_MATRIX] * 3 + [HOLD_OFFSET])
-        solved = np.linalg.solve(gram, _summed(columns, y - _mapped(x, start), share))  # [4, 3]
+        solved = portable.solved(gram, _summed(columns, y - _mapped(x, start), share))  # [4, 3]
         return ColorChange((start + solved[:3].T) / light, solved[3])
 
     def __call__(self, colors: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ import numpy as np
 from splatpainter.cameras import Camera, bounding_sphere
 from splatpainter.color import luminance, to_display
 from splatpainter.image_files import to_uint8
+from splatpainter.kernels import portable
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import Splats
 
@@ -26,7 +27,7 @@ def confidence_overlay(splats: Splats, confidence: np.ndarray, threshold: float,
     frame = project(splats, replace(camera, background=(0.0, 0.0, 0.0)))
     relative = confidence[frame.gaussian_ids] / max(threshold, 1e-3)
     amount = np.clip(2 * relative, 0, 1)
-    ramp = [np.interp(relative, RAMP_AT, [color[k] for color in RAMP]) for k in range(3)]
+    ramp = [portable.interp(relative, RAMP_AT, [color[k] for color in RAMP]) for k in range(3)]
     dtype = frame.projected.dtype
     colors = frame.rasterize((np.stack(ramp, 1) * amount[:, None]).astype(dtype))[0]
     total = frame.rasterize(np.repeat(amount[:, None], 3, 1).astype(dtype))[0][..., :1]
@@ -49,8 +50,9 @@ def behind(camera: Camera, center: np.ndarray) -> Camera:
     """The view turned by half a circle around the vertical of its picture through `center` [3]."""
     turn = np.diag([-1.0, 1.0, -1.0])
     rotation = camera.world_to_camera[:3, :3]
-    half = rotation.T @ turn @ rotation  # about the camera's y, in world axes
+    half = portable.matmul(portable.matmul(rotation.T, turn), rotation)  # about the camera's y, in world axes
     pose = np.eye(4)
-    pose[:3, :3] = rotation @ half
-    pose[:3, 3] = camera.world_to_camera[:3, 3] + rotation @ (center - half @ center)
+    pose[:3, :3] = portable.matmul(rotation, half)
+    shift = center - (half * center).sum(1)
+    pose[:3, 3] = camera.world_to_camera[:3, 3] + (rotation * shift).sum(1)
     return replace(camera, world_to_camera=pose)

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from splatpainter.color import base_color, to_display
+from splatpainter.kernels import portable
 from splatpainter.lift.edit_views import EditView
 from splatpainter.lift.edits import LiftedEdit
 from splatpainter.lift.features import no_features
@@ -128,7 +129,7 @@ def _smooth(answer: np.ndarray, descriptors: Descriptors, examples: Examples) ->
     for n in range(1, near.shape[1]):
         other = near[:, n]
         square = ((descriptors.colors[other] - descriptors.colors) ** 2).sum(1)
-        links[:, n] = np.exp(-square / (2 * COLOR_SIMILARITY**2)) * descriptors.weights[other]
+        links[:, n] = portable.exp(-square / (2 * COLOR_SIMILARITY**2)) * descriptors.weights[other]
     links /= np.maximum(links.sum(1, keepdims=True), 1e-12)
     counted = examples.positive | (examples.negative & (not examples.is_partial))
     target = np.where(examples.positive, 1, np.where(counted, 0, answer))

@@ -10,10 +10,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 
-from splatpainter.kernels.search import first_not_below
-from splatpainter.kernels.simd import aligned
+from splatpainter.kernels import portable
+from splatpainter.kernels.arrays import aligned
 from splatpainter.splats import Splats
 from splatpainter.transforms import quat_to_matrix
 
@@ -21,14 +20,13 @@ MIN_OPACITY = 0.02
 """Fainter Gaussians say nothing about the surface."""
 MIN_FLATNESS_SCALE = 1e-3
 """Shortest axis over longest, at least: flatter Gaussians count as this flat."""
+LN_2 = 0.6931471805599453
 MAX_LEVELS = 24
 """Cell sizes double from level to level: a range of 16 million."""
 CELL_BITS = 20
 """Bits of a cell's index along each axis."""
-MEAN, AXES, SCALES, OPACITY, PATCH_COLUMNS = 0, 3, 12, 15, 16
-"""Columns of `SurfaceSamples.patches`, and how many there are."""
-MAX_TESTED = 1 << 14
-"""Samples and columns that one search looks at: a million Gaussians at one point cost no more."""
+PATCH_COLUMNS = 16
+"""Of `SurfaceSamples.patches`."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +73,8 @@ class SurfaceSamples:
         low, high = np.quantile(means, [0.001, 0.999], axis=0).astype(np.float64)
         # No smaller than indices can tell apart over the asset without its outliers.
         smallest = max(2 * float(np.quantile(scales[:, 0], 0.1)), float((high - low).max()) / (1 << (CELL_BITS - 1)))
-        level = np.ceil(np.log2(np.maximum(2 * scales[:, 0].astype(np.float64) / smallest, 1)) - 1e-9)
+        doublings = portable.log(np.maximum(2 * scales[:, 0].astype(np.float64) / smallest, 1)) / LN_2
+        level = np.ceil(doublings - 1e-9)
         level = np.clip(level, 0, MAX_LEVELS - 1).astype(np.int64)
         # Far outliers share the outermost cells: indices are clamped, which finds a few neighbours too many there.
         corner = low - smallest * (1 << (CELL_BITS - 2))
@@ -104,68 +103,10 @@ class SurfaceSamples:
 
     @cached_property
     def patches(self) -> np.ndarray:
-        """[M, 16] float32 what queries read of each, in one cache line: columns MEAN (3), AXES (9), SCALES (3),
-        OPACITY."""
+        """[M, 16] float32 what queries read of each, in one cache line: mean (3), axes (9), scales (3),
+        opacity."""
         count = len(self)
         parts = (self.means, self.axes.reshape(count, 9), self.scales, self.opacities[:, None])
         out = aligned((count, PATCH_COLUMNS), np.dtype(np.float32))
         np.concatenate(parts, 1, out=out)
         return out
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def cell_range(position, radius, corner, size):
-    """First and last cell index along one axis within `radius` of a position, clamped to what keys can hold."""
-    top = float((1 << 20) - 1)
-    low = (position - radius - corner) / size
-    high = (position + radius - corner) / size
-    low = min(max(low, 0.0), top) if low == low else 0.0
-    high = min(max(high, 0.0), top) if high == high else 0.0
-    return int(low), int(high)
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def gather(keys, level_starts, cell_sizes, reaches, corner, patches, point, window, sigmas, out):
-    """Indices of samples whose patch, widened by `window` (world units), reaches a point [3] within `sigmas` standard
-    deviations of its longest axis, into `out`; returns their number, or len(out) + 1 where they do not fit or too many
-    (MAX_TESTED) had to be looked at. Costs as many steps as there are samples and occupied columns of cells near the
-    point, however small the cells are against the window."""
-    count, tested = 0, 0
-    mask = (1 << CELL_BITS) - 1
-    for level in range(cell_sizes.shape[0]):
-        size = cell_sizes[level]
-        radius = sigmas * (reaches[level] ** 2 + window * window) ** 0.5
-        x0, x1 = cell_range(point[0], radius, corner[0], size)
-        y0, y1 = cell_range(point[1], radius, corner[1], size)
-        z0, z1 = cell_range(point[2], radius, corner[2], size)
-        end = level_starts[level + 1]
-        i = first_not_below(keys, level_starts[level], end, (x0 << 2 * CELL_BITS) | (y0 << CELL_BITS) | z0)
-        while i < end:
-            key = keys[i]
-            x, y, z = key >> 2 * CELL_BITS, (key >> CELL_BITS) & mask, key & mask
-            if x > x1:
-                break
-            tested += 1
-            if tested > MAX_TESTED:
-                return out.shape[0] + 1
-            # Outside the box: on to its next cell in the order of keys.
-            if y < y0:
-                i = first_not_below(keys, i, end, (x << 2 * CELL_BITS) | (y0 << CELL_BITS) | z0)
-            elif y > y1 or (y == y1 and z > z1):
-                i = first_not_below(keys, i, end, ((x + 1) << 2 * CELL_BITS) | (y0 << CELL_BITS) | z0)
-            elif z > z1:
-                i = first_not_below(keys, i, end, (x << 2 * CELL_BITS) | ((y + 1) << CELL_BITS) | z0)
-            elif z < z0:
-                i = first_not_below(keys, i, end, (x << 2 * CELL_BITS) | (y << CELL_BITS) | z0)
-            else:
-                dx = float(patches[i, MEAN]) - point[0]
-                dy = float(patches[i, MEAN + 1]) - point[1]
-                dz = float(patches[i, MEAN + 2]) - point[2]
-                reach = float(patches[i, SCALES])
-                if dx * dx + dy * dy + dz * dz < sigmas * sigmas * (reach * reach + window * window):
-                    if count == out.shape[0]:
-                        return count + 1
-                    out[count] = i
-                    count += 1
-                i += 1
-    return count

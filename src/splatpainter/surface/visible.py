@@ -8,20 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields
 
 import numpy as np
-from numba import njit
 
 from splatpainter.cameras import Camera
+from splatpainter.kernels import portable
+from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
-from splatpainter.rendering.cpu.geometry import (
-    CONIC_A,
-    CONIC_B,
-    CONIC_C,
-    EXTENT_X,
-    EXTENT_Y,
-    MEAN_X,
-    MEAN_Y,
-    OPACITY,
-)
 from splatpainter.rendering.cpu.projected_view import ProjectedView
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface, SurfacePoints
@@ -71,10 +62,11 @@ class VisibleSurface:
     def at(self, pixels: np.ndarray) -> PixelSurface:
         """Surface at Q places of the picture. pixels: [Q, 2] float64 x, y (centres at .5)."""
         out = np.zeros((len(pixels), 6))
-        slopes = self.camera.slopes(pixels)
-        planes = (self.index, self.step, self.points, self.normals, self.windows, self.residuals, self.trusted)
         if len(pixels) and len(self.points):
-            run(_interpolate, *planes, np.ascontiguousarray(pixels, np.float64), slopes, out)
+            columns = (self.points, self.normals, self.windows, self.residuals)
+            planes = [np.ascontiguousarray(column, np.float64) for column in columns]
+            places = [np.ascontiguousarray(a, np.float64) for a in (pixels, self.camera.slopes(pixels))]
+            run(kernels.interpolate_planes, self.index, self.step, *planes, self.trusted, *places, out)
         return PixelSurface(out[:, 0], out[:, 1:4], out[:, 4], out[:, 5])
 
 
@@ -149,7 +141,7 @@ def visible_surface(
     camera = view.camera
     entry = np.full(pixels.shape, -1, np.int32)
     lists = (view.projected, view.flatten_ids, view.tile_ids, view.isect_offsets)
-    run(_front_entries, *lists, np.ascontiguousarray(pixels), np.float32(STOPPED_LIGHT), entry)
+    run(kernels.find_front_entries, *lists, np.ascontiguousarray(pixels), STOPPED_LIGHT, entry)
     step = step or _lattice_step(splats, view, entry)
     xs, ys, index = _lattice(entry, step)
     ids = view.gaussian_ids[entry[ys, xs]]
@@ -158,7 +150,7 @@ def visible_surface(
     rotation = camera.world_to_camera[:3, :3]
     starts = camera.to_world(rays * depth[:, None])
     lengths = np.linalg.norm(rays, axis=1)
-    directions = (rays / lengths[:, None]) @ rotation
+    directions = portable.matmul(rays / lengths[:, None], rotation)
     window = np.maximum(WINDOW_WIDTHS * width, MIN_WINDOW_PX * depth / camera.fx)
     # An edited Gaussian may be far smaller than the surface's own patches; those decide.
     window = np.maximum(window, 0.25 * surface.typical_width)
@@ -166,7 +158,7 @@ def visible_surface(
     estimates = SightEstimates.of(surface, ys * camera.width + xs, queries, earlier, camera.width * camera.height)
     result = estimates.result
     local = camera.to_camera(result.points)
-    normals = result.normals @ rotation.T
+    normals = portable.matmul(result.normals, rotation.T)
     valid = (result.trust >= MIN_TRUST) & (local[:, 2] > 0)
     trusted = valid & (_agreeing(index, local, normals, result.windows, valid) >= MIN_AGREEING)
     return VisibleSurface(camera, step, index, local, normals, result.windows, result.residuals, trusted, estimates)
@@ -205,8 +197,8 @@ def depths_along(splats: Splats, camera: Camera, rays: np.ndarray) -> tuple[np.n
     axes = turned(turn, quat_to_matrix(splats.quats.astype(np.float64)))  # columns
     scales = splats.scales.astype(np.float64)
     scales = np.maximum(scales, 1e-3 * scales.max(1, keepdims=True))
-    along = np.einsum("nik,ni->nk", axes, rays) / scales
-    offset = np.einsum("nik,ni->nk", axes, mean) / scales
+    along = (axes * rays[:, :, None]).sum(1) / scales
+    offset = (axes * mean[:, :, None]).sum(1) / scales
     depth = (along * offset).sum(1) / np.maximum((along**2).sum(1), 1e-300)
     reach = 2 * scales.max(1)
     ordered = np.sort(scales, 1)
@@ -230,78 +222,3 @@ def _agreeing(index, points, normals, windows, valid) -> np.ndarray:
             close = (np.abs((way * normals[a]).sum(1)) < limit) & (np.abs((way * normals[b]).sum(1)) < limit)
             out[a] += close & valid[b]
     return out
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _front_entries(projected, flatten_ids, tile_ids, isect_offsets, pixels, share, entry, thread, threads):
-    """Walk each pixel's Gaussians front to back until `share` of the light is stopped; note the one that stops it."""
-    height, width = pixels.shape
-    across = (width + 15) // 16
-    for k in range(thread, tile_ids.shape[0], threads):
-        y0, x0 = (tile_ids[k] // across) * 16, (tile_ids[k] % across) * 16
-        for y in range(y0, min(y0 + 16, height)):
-            for x in range(x0, min(x0 + 16, width)):
-                if not pixels[y, x]:
-                    continue
-                clear = np.float32(1)
-                for p in range(isect_offsets[k], isect_offsets[k + 1]):
-                    i = flatten_ids[p]
-                    dx = projected[i, MEAN_X] - (np.float32(x) + np.float32(0.5))
-                    dy = projected[i, MEAN_Y] - (np.float32(y) + np.float32(0.5))
-                    if abs(dy) > projected[i, EXTENT_Y] or abs(dx) > projected[i, EXTENT_X]:
-                        continue
-                    sigma = projected[i, CONIC_A] * dx * dx + projected[i, CONIC_C] * dy * dy
-                    sigma = np.float32(0.5) * sigma + projected[i, CONIC_B] * dx * dy
-                    alpha = min(np.float32(0.999), projected[i, OPACITY] * np.exp(-max(sigma, np.float32(0))))
-                    if alpha < np.float32(1 / 255):
-                        continue
-                    clear -= alpha * clear
-                    if 1 - clear >= share:
-                        entry[y, x] = i
-                        break
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _interpolate(index, step, points, normals, windows, residuals, trusted, pixels, rays, out, thread, threads):
-    """Depths and normals of the planes around each pixel, by distance in the picture, of those that agree."""
-    height, width = index.shape
-    for q in range(thread, pixels.shape[0], threads):
-        px, py = pixels[q, 0] / step, pixels[q, 1] / step
-        bx, by = int(min(max(px, 0.0), width - 1.0)), int(min(max(py, 0.0), height - 1.0))
-        anchor = index[by, bx]
-        if anchor < 0 or not trusted[anchor]:
-            continue
-        z0, h0 = 0.0, windows[anchor]
-        for turn in range(2):
-            total, z, nx, ny, nz, h, r = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            for y in range(max(by - 1, 0), min(by + 2, height)):
-                for x in range(max(bx - 1, 0), min(bx + 2, width)):
-                    k = index[y, x]
-                    if k < 0 or not trusted[k] or (turn == 0 and k != anchor):
-                        continue
-                    slope = rays[q, 0] * normals[k, 0] + rays[q, 1] * normals[k, 1] + normals[k, 2]
-                    if not slope < -0.05:
-                        continue
-                    depth = points[k, 0] * normals[k, 0] + points[k, 1] * normals[k, 1] + points[k, 2] * normals[k, 2]
-                    depth /= slope
-                    if not abs(depth - points[k, 2]) < 3.0 * windows[k]:
-                        continue
-                    if turn == 1 and not abs(depth - z0) * -slope < 0.5 * h0:
-                        continue
-                    dx, dy = x + 0.5 - px, y + 0.5 - py
-                    w = np.exp(-(dx * dx + dy * dy) / 0.7)
-                    total += w
-                    z += w * depth
-                    nx += w * normals[k, 0]
-                    ny += w * normals[k, 1]
-                    nz += w * normals[k, 2]
-                    h += w * windows[k]
-                    r += w * residuals[k] * windows[k]
-            if not total > 0.0:
-                break
-            z0 = z / total
-            if turn == 1:
-                scale = 1.0 / max((nx * nx + ny * ny + nz * nz) ** 0.5, 1e-30)
-                out[q, 0] = z0
-                out[q, 1], out[q, 2], out[q, 3] = nx * scale, ny * scale, nz * scale
-                out[q, 4], out[q, 5] = h / total, r / total

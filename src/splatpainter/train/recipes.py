@@ -27,7 +27,9 @@ FOLDER = Path(__file__).with_name("recipes")
 ENTRY_POINTS = "splatpainter.training_stages"
 """Group of entry points by which other distributions add stages: modules with RECIPE_CLASS, a subclass of
 `Recipe`, RECIPES, the folder of its recipes, and `make_task(recipe, weights, say)`."""
-DISTRIBUTIONS = {"densify": "the distribution splatpainter-bench: pip install ./benchmarks, in the repository"}
+DISTRIBUTIONS = {
+    "densify": "the distribution splatpainter-bench: pip install ./benchmarks ./networks, in the repository"
+}
 """Stages that are not in this package -> what brings them."""
 
 

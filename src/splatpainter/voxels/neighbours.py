@@ -1,4 +1,4 @@
-"""Points near to points: the nearest one within a radius, and what hangs together. numpy and numba, no tree.
+"""Points near to points: the nearest one within a radius, and what hangs together. no tree.
 
 Points are sorted by the cube that they lie in; a query looks into the 27 cubes around it. What lies farther than
 MAX_CELLS cubes from the middle of the points counts as lying at that distance: a few strays must not cost anything.
@@ -7,17 +7,14 @@ MAX_CELLS cubes from the middle of the points counts as lying at that distance: 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
-from splatpainter.kernels.search import first_not_below
 
 CELL_BITS = 20
 """Bits of a cube's index along each axis."""
 MAX_CELLS = 1 << (CELL_BITS - 2)
 """Cubes to either side of the median point."""
-QUERIES_PER_BLOCK = 256
-"""Queries that a thread takes at a time."""
 
 
 def nearest_within(points: np.ndarray, queries: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
@@ -30,7 +27,7 @@ def nearest_within(points: np.ndarray, queries: np.ndarray, radius: float) -> tu
         keys, order = _sorted(_cells(points, middle, radius))
         cells = _cells(queries, middle, radius)
         arrays = (np.ascontiguousarray(points, np.float64), np.ascontiguousarray(queries, np.float64))
-        run(_nearest, *arrays, keys, order, cells, float(radius), nearest, distance)
+        run(kernels.find_nearest, *arrays, keys, order, cells, float(radius), nearest, distance)
     return nearest, distance
 
 
@@ -49,12 +46,12 @@ def components(points: np.ndarray, size: float) -> np.ndarray:
                 at = np.searchsorted(keys, keys + step)
                 exists = at < len(keys)
                 exists[exists] = keys[at[exists]] == keys[exists] + step
-                _join(parents, np.flatnonzero(exists), at[exists])
-    _flatten(parents)
+                kernels.join_labels(np.flatnonzero(exists), at[exists], parents, 0, 1)
+    kernels.flatten_labels(parents, 0, 1)
     roots = parents[inverse]
     _, first, labels = np.unique(roots, return_index=True, return_inverse=True)
     rank = np.empty(len(first), np.int64)
-    rank[np.argsort(first)] = np.arange(len(first))
+    rank[np.argsort(first, kind="stable")] = np.arange(len(first))
     return rank[labels]
 
 
@@ -75,63 +72,9 @@ def _sorted(cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return keys[order], order
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
-def _nearest(points, queries, keys, order, cells, radius, nearest, distance, thread, threads):
-    for start in range(thread * QUERIES_PER_BLOCK, queries.shape[0], threads * QUERIES_PER_BLOCK):
-        for i in range(start, min(start + QUERIES_PER_BLOCK, queries.shape[0])):
-            least, best = radius * radius, -1
-            for x in range(cells[i, 0] - 1, cells[i, 0] + 2):
-                for y in range(cells[i, 1] - 1, cells[i, 1] + 2):
-                    row = (x << 40) | (y << 20)
-                    k = first_not_below(keys, 0, keys.shape[0], row | (cells[i, 2] - 1))
-                    while k < keys.shape[0] and keys[k] <= row | (cells[i, 2] + 1):
-                        j = order[k]
-                        k += 1
-                        dx, dy = points[j, 0] - queries[i, 0], points[j, 1] - queries[i, 1]
-                        dz = points[j, 2] - queries[i, 2]
-                        square = dx * dx + dy * dy + dz * dz
-                        if square < least or (best < 0 and square == least):
-                            least, best = square, j
-            if best >= 0:
-                nearest[i] = best
-                distance[i] = np.sqrt(least)
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _root(parents, k):
-    while parents[k] != k:
-        parents[k] = parents[parents[k]]
-        k = parents[k]
-    return k
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _join(parents, one, two):
-    for i in range(one.shape[0]):
-        a, b = _root(parents, one[i]), _root(parents, two[i])
-        if a < b:
-            parents[b] = a
-        elif b < a:
-            parents[a] = b
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _flatten(parents):
-    for k in range(parents.shape[0]):
-        parents[k] = _root(parents, k)
-
-
 def joined_labels(count: int, one: np.ndarray, two: np.ndarray) -> np.ndarray:
     """[count] int64: labels after one[i] and two[i] were made the same for every i; the smallest of each stays."""
     parents = np.arange(count)
-    _join(parents, one, two)
-    _flatten(parents)
+    kernels.join_labels(*(np.ascontiguousarray(a, np.int64) for a in (one, two)), parents, 0, 1)
+    kernels.flatten_labels(parents, 0, 1)
     return parents
-
-
-def warm() -> None:
-    """Compile (or load) the kernels."""
-    points = np.array([[0.0, 0, 0], [1, 0, 0], [9, 0, 0]])
-    nearest_within(points, points, 1.5)
-    components(points, 1.0)
-    joined_labels(2, np.zeros(1, np.int64), np.ones(1, np.int64))

@@ -1,27 +1,61 @@
 """Rays through the voxel cube: the first voxel that each one hits, and the Gaussians that an edit of pixels may touch.
 
-The walk is Amanatides & Woo, "A Fast Voxel Traversal Algorithm for Ray Tracing" (Eurographics 1987). Knows no
-renderer and no network: what a pixel really owes to a Gaussian is the lift's business, this keeps its candidates few.
+The walk is Amanatides & Woo, "A Fast Voxel Traversal Algorithm for Ray Tracing" (Eurographics 1987), over empty space
+in long steps (native/voxels/rays.h). Knows no renderer and no network: what a pixel really owes to a Gaussian is the
+lift's business, this keeps its candidates few.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from splatpainter.cameras import Camera
-from splatpainter.kernels import parallel
+from splatpainter.kernels.library import kernels
+from splatpainter.kernels.parallel import run
 from splatpainter.splats import Splats
 from splatpainter.voxels import footprints
-from splatpainter.voxels.grid import RESOLUTION, VoxelGrid, bounding_cube, voxelize
+from splatpainter.voxels.grid import RESOLUTION, VoxelGrid, bounding_cube
 
 MAX_RAY_THICKNESS = 3.0
 """Optical thickness after which a ray is spent and sees nothing more (exp(-3) = 5 % would get through)."""
-RAY_BLOCK = 256
-"""Rays that a thread takes at a time."""
+BRICK_EDGE = 4
+"""Voxels along an edge of a brick, whose 64 bits are one number."""
+
+
+@dataclass(frozen=True)
+class Bricks:
+    """A volume of R^3 voxels, packed for rays, and the rays' common origin."""
+
+    words: np.ndarray
+    """[B^3] uint64 the set voxels of each brick."""
+    clearances: np.ndarray
+    """[B^3] uint8 distance to the nearest brick in which something is set, in bricks along the longest axis: 0 in such
+    a one, 15 at most."""
+    resolution: int
+    """R."""
+    box: np.ndarray
+    """[3, 2] int64 (first, last + 1) voxel along each axis of the bricks in which something is set."""
+
+    @staticmethod
+    def of(volume: np.ndarray) -> Bricks:
+        """volume: [R, R, R] uint8, set where not 0, or float32, set where above 0."""
+        resolution = len(volume)
+        count = (-(-resolution // BRICK_EDGE)) ** 3
+        words, clearances = np.empty(count, np.uint64), np.empty(count, np.uint8)
+        pack = kernels.pack_dense if volume.dtype == np.float32 else kernels.pack_marked
+        run(pack, volume.ravel(), resolution, words)
+        scratch = (np.empty(count, np.uint8), np.empty(count, np.uint8))
+        kernels.measure_clearances(words, resolution, clearances, *scratch, 0, 1)
+        edge = -(-resolution // BRICK_EDGE)
+        box = BRICK_EDGE * footprints.index_bounds((clearances == 0).reshape((edge,) * 3))
+        return Bricks(words, clearances, resolution, box)
+
+    @property
+    def arrays(self) -> tuple[np.ndarray, np.ndarray, int, np.ndarray]:
+        return self.words, self.clearances, self.resolution, self.box
 
 
 def first_hits(
@@ -33,12 +67,12 @@ def first_hits(
     directions: [..., 3], any non-zero length. Returns (keys [...] int64, distances [...] float32 to where the ray
     enters that voxel, in lengths of its direction: world units for unit directions, 0 if it starts inside it); -1 and
     -1 where no voxel is hit."""
-    volume = np.ascontiguousarray(occupancy, np.uint8)
+    volume = np.ascontiguousarray(occupancy).view(np.uint8)
     assert volume.shape == (grid.resolution,) * 3, f"first_hits: occupancy has shape {volume.shape}"
     rays = np.ascontiguousarray(directions, np.float32).reshape(-1, 3)
     keys, distances = np.empty(len(rays), np.int64), np.empty(len(rays), np.float32)
-    args = (volume.ravel(), grid.resolution, footprints.index_bounds(volume), _in_voxels(grid, origin))
-    parallel.run(_first, *args, float(grid.voxel), rays, keys, distances)
+    args = (_in_voxels(grid, origin), float(grid.voxel), rays, keys, distances)
+    run(kernels.find_first_voxels, *Bricks.of(volume).arrays, *args)
     shape = np.shape(directions)[:-1]
     return keys.reshape(shape), distances.reshape(shape)
 
@@ -47,10 +81,11 @@ def seen_voxels(grid: VoxelGrid, origin: np.ndarray, directions: np.ndarray) -> 
     """([R, R, R] bool voxels of any density that rays cross before they are spent, [...] bool rays that leave the cube
     unspent, so that something behind it shows). origin: [3]; directions: [..., 3], any non-zero length."""
     rays = np.ascontiguousarray(directions, np.float32).reshape(-1, 3)
-    seen, through = np.zeros(grid.density.size, np.uint8), np.zeros(len(rays), np.uint8)
-    args = (grid.density.ravel(), grid.resolution, footprints.index_bounds(grid.density), _in_voxels(grid, origin))
-    parallel.run(_see, *args, rays, MAX_RAY_THICKNESS, seen, through)
-    return seen.astype(bool).reshape(grid.density.shape), through.astype(bool).reshape(np.shape(directions)[:-1])
+    density = np.ascontiguousarray(grid.density, np.float32)
+    seen, through = np.zeros(density.shape, bool), np.empty(len(rays), bool)
+    args = (_in_voxels(grid, origin), density.ravel(), rays, MAX_RAY_THICKNESS, seen.ravel(), through)
+    run(kernels.mark_seen_voxels, *Bricks.of(density).arrays, *args)
+    return seen, through.reshape(np.shape(directions)[:-1])
 
 
 def editable_gaussians(grid: VoxelGrid, splats: Splats, camera: Camera, mask: np.ndarray, reach: int = 1) -> np.ndarray:
@@ -131,16 +166,6 @@ def _is_far(splats: Splats, point: np.ndarray) -> bool:
     return bool((point < low - margin).any() or (point > high + margin).any())
 
 
-def warm() -> None:
-    """Compile (or load) the kernels of this module and of footprints."""
-    one = np.ones((1, 3), np.float32)
-    splats = Splats(one, np.ones((1, 4), np.float32), one, one[:, 0], one[:, None])
-    grid = voxelize(splats, 2)
-    first_hits(grid.occupancy, grid, np.zeros(3), one)
-    seen_voxels(grid, np.zeros(3), one)
-    footprints.warm()
-
-
 def _in_voxels(grid: VoxelGrid, point: np.ndarray) -> np.ndarray:
     """[3] float64 a world point in voxels from the cube's corner."""
     return (np.asarray(point, np.float64) - grid.min_corner) / grid.voxel
@@ -167,13 +192,12 @@ def _visible_strays(
     """[M] bool: outliers whose box in the picture holds a masked pixel (nearer than the cube's middle) or one
     whose ray gets through the cube (farther)."""
     arrays = splats.numpy()
-    matrix = view.world_to_camera
-    local = arrays.means[ids].astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+    local = view.to_camera(arrays.means[ids])
     z = local[:, 2]
     radius = footprints.SIGMAS * arrays.scales[ids].max(1)
     # From the near side of its ball: a box that is too large only makes a candidate.
     near = np.maximum(z - radius, 1e-3 * np.abs(z) + 1e-12)
-    center_z = (grid.min_corner + grid.extent / 2) @ matrix[2, :3] + matrix[2, 3]
+    center_z = view.to_camera(grid.min_corner + grid.extent / 2)[2]
     front = z < center_z
 
     def edges(offset: np.ndarray, focal: float, center: float, pixels: int) -> tuple[np.ndarray, np.ndarray]:
@@ -190,121 +214,3 @@ def _visible_strays(
         return sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left] > 0
 
     return (z + radius > 0) & np.where(front, holds(window), holds(beyond))
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _enter(origin, ray, box):
-    """(distance at which a ray enters the box [3, 2], at which it leaves it); it misses unless first < second."""
-    near, far = 0.0, math.inf
-    for axis in range(3):
-        d, o = float(ray[axis]), origin[axis]
-        if not (abs(d) < math.inf and abs(o) < math.inf):
-            return 0.0, -1.0
-        if d == 0.0:
-            if o < box[axis, 0] or o >= box[axis, 1]:
-                return 0.0, -1.0
-        else:
-            a, b = (box[axis, 0] - o) / d, (box[axis, 1] - o) / d
-            near, far = max(near, min(a, b)), min(far, max(a, b))
-    return near, far
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _axis(origin, d, near, first, end):
-    """Along one axis: (first cell, step, cells left before the ray is out, distance of the next wall, of one cell)."""
-    # Clamped as a float: casts of what an integer cannot hold are undefined.
-    position = math.floor(origin + near * d)
-    position = position if position > first else float(first)
-    cell = int(position if position < end - 1 else float(end - 1))
-    if d > 0.0:
-        return cell, 1, end - cell, (cell + 1 - origin) / d, 1.0 / d
-    if d < 0.0:
-        return cell, -1, cell + 1 - first, (cell - origin) / d, -1.0 / d
-    return cell, 0, 1, math.inf, math.inf
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _first(volume, resolution, box, origin, voxel, rays, keys, distances, thread, threads):
-    for start in range(thread * RAY_BLOCK, rays.shape[0], threads * RAY_BLOCK):
-        for m in range(start, min(start + RAY_BLOCK, rays.shape[0])):
-            keys[m] = -1
-            distances[m] = -1.0
-            t, far = _enter(origin, rays[m], box)
-            if not t < far:
-                continue
-            x, sx, nx, tx, ax = _axis(origin[0], float(rays[m, 0]), t, box[0, 0], box[0, 1])
-            y, sy, ny, ty, ay = _axis(origin[1], float(rays[m, 1]), t, box[1, 0], box[1, 1])
-            z, sz, nz, tz, az = _axis(origin[2], float(rays[m, 2]), t, box[2, 0], box[2, 1])
-            key = (x * resolution + y) * resolution + z
-            px, py, pz = sx * resolution * resolution, sy * resolution, sz
-            while volume[key] == 0:
-                if tx <= ty and tx <= tz:
-                    nx -= 1
-                    if nx == 0:
-                        break
-                    t = tx
-                    tx += ax
-                    key += px
-                elif ty <= tz:
-                    ny -= 1
-                    if ny == 0:
-                        break
-                    t = ty
-                    ty += ay
-                    key += py
-                else:
-                    nz -= 1
-                    if nz == 0:
-                        break
-                    t = tz
-                    tz += az
-                    key += pz
-            else:
-                keys[m] = key
-                distances[m] = t * voxel
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _see(density, resolution, box, origin, rays, spent, seen, through, thread, threads):
-    # Threads may mark the same voxel: all of them write 1.
-    for start in range(thread * RAY_BLOCK, rays.shape[0], threads * RAY_BLOCK):
-        for m in range(start, min(start + RAY_BLOCK, rays.shape[0])):
-            through[m] = 1
-            t, far = _enter(origin, rays[m], box)
-            if not t < far:
-                continue
-            dx, dy, dz = float(rays[m, 0]), float(rays[m, 1]), float(rays[m, 2])
-            length = math.sqrt(dx * dx + dy * dy + dz * dz)
-            x, sx, nx, tx, ax = _axis(origin[0], dx, t, box[0, 0], box[0, 1])
-            y, sy, ny, ty, ay = _axis(origin[1], dy, t, box[1, 0], box[1, 1])
-            z, sz, nz, tz, az = _axis(origin[2], dz, t, box[2, 0], box[2, 1])
-            key = (x * resolution + y) * resolution + z
-            px, py, pz = sx * resolution * resolution, sy * resolution, sz
-            depth = 0.0
-            while True:
-                leave = min(tx, ty, tz)
-                if density[key] > 0.0:
-                    seen[key] = 1
-                    depth += density[key] * (leave - t) * length
-                    if depth > spent:
-                        through[m] = 0
-                        break
-                t = leave
-                if tx <= ty and tx <= tz:
-                    nx -= 1
-                    if nx == 0:
-                        break
-                    tx += ax
-                    key += px
-                elif ty <= tz:
-                    ny -= 1
-                    if ny == 0:
-                        break
-                    ty += ay
-                    key += py
-                else:
-                    nz -= 1
-                    if nz == 0:
-                        break
-                    tz += az
-                    key += pz

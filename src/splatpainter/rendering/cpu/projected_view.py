@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.kernels import simd
+from splatpainter.kernels.arrays import aligned, readonly
+from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run, threads
-from splatpainter.rendering.cpu import backproject, backward, geometry, projection, rasterize, tile_binning
-from splatpainter.rendering.cpu.geometry import COLUMNS, TILE
+from splatpainter.rendering.cpu import geometry
+from splatpainter.rendering.cpu.geometry import COLUMNS, GAUSSIANS_PER_BLOCK, SUMS, TILE
 from splatpainter.rendering.profiles import Profile
 from splatpainter.splats import ATTRIBUTES, MAX_MAGNITUDE, Splats
 
@@ -122,7 +123,7 @@ class ProjectedView:
         """[TH, TW] bool: all tiles, drawn or not, that the ellipses of these entries ([M] bool) touch."""
         grid = np.array([0, self.tiles.shape[1], 0, self.tiles.shape[0]])
         hit = np.zeros((threads(), self.tiles.size), bool)
-        run(tile_binning.mark_tiles, self.projected, simd.readonly(entries, np.bool_), grid, hit)
+        run(kernels.mark_tiles, self.projected, readonly(entries, np.bool_), grid, hit)
         return np.any(hit, axis=0).reshape(self.tiles.shape)
 
     def part(self, *, tiles: np.ndarray | None = None, gaussian_mask: np.ndarray | None = None) -> ProjectedView:
@@ -131,9 +132,9 @@ class ProjectedView:
         at, part = self._lists_of(tiles, gaussian_mask)
         if part is self:
             return self
-        projected, gaussian_ids = simd.aligned((len(at), COLUMNS), self.projected.dtype), np.empty(len(at), np.int64)
-        run(tile_binning.take_entries, at, self.projected, self.gaussian_ids, projected, gaussian_ids)
-        return replace(part, gaussian_ids=gaussian_ids, projected=simd.readonly(projected, projected.dtype))
+        projected, gaussian_ids = aligned((len(at), COLUMNS), self.projected.dtype), np.empty(len(at), np.int64)
+        run(kernels.put_entries, at, None, self.projected, self.gaussian_ids, projected, gaussian_ids)
+        return replace(part, gaussian_ids=gaussian_ids, projected=readonly(projected, projected.dtype))
 
     def _lists_of(self, tiles: np.ndarray | None, gaussian_mask: np.ndarray | None) -> tuple[np.ndarray, ProjectedView]:
         """([M'] int64 entries of a part, the lists of the part beside the entries of this view)."""
@@ -144,14 +145,14 @@ class ProjectedView:
         selected = np.zeros(0, bool) if gaussian_mask is None else gaussian_mask[self.gaussian_ids]
         lists = (self.flatten_ids, self.isect_offsets, used, selected)
         per_entry, per_tile = np.zeros(len(self), np.int32), np.empty(len(used), np.int64)
-        tile_binning.count_pairs(*lists, per_entry, per_tile)
+        kernels.count_pairs(*lists, per_entry, per_tile, 0, 1)
         at = np.flatnonzero(per_entry)
         total = int(per_tile.sum())
         pair_offsets = np.append(0, np.cumsum(per_entry[at], dtype=np.int64))
         new_entry, begins = np.empty((2, len(self)), np.int32)
         new_entry[at], begins[at] = np.arange(len(at)), pair_offsets[:-1]
         flatten_ids, pair_ids = np.empty((2, total), np.int32)
-        tile_binning.take_pairs(*lists, new_entry, begins, flatten_ids, pair_ids)
+        kernels.take_pairs(*lists, new_entry, begins, flatten_ids, pair_ids, 0, 1)
         part = replace(
             self,
             tiles=tiles,
@@ -182,18 +183,18 @@ class ProjectedView:
         first_entries = (self.depths[at], self.gaussian_ids[at], part.pair_offsets)
         ties = other.gaussian_ids if ties is None else ties
         other_entries = (np.ascontiguousarray(other.depths), ties, other.pair_offsets)
-        tile_binning.merge_entries(*first_entries, *other_entries, entry, entry2, pair_offsets)
-        projected, gaussian_ids = simd.aligned((m, COLUMNS), dtype), np.empty(m, np.int64)
+        kernels.merge_entries(*first_entries, *other_entries, entry, entry2, pair_offsets, 0, 1)
+        projected, gaussian_ids = aligned((m, COLUMNS), dtype), np.empty(m, np.int64)
         for view, taken, numbers in ((self, at, entry), (other, np.arange(len(other)), entry2)):
-            run(tile_binning.put_entries, taken, numbers, view.projected, view.gaussian_ids, projected, gaussian_ids)
+            run(kernels.put_entries, taken, numbers, view.projected, view.gaussian_ids, projected, gaussian_ids)
         flatten_ids, pair_ids = np.empty((2, len(part.flatten_ids) + len(other.flatten_ids)), np.int32)
         lists = [(v.flatten_ids, v.pair_ids, v.isect_offsets, v.pair_offsets) for v in (part, other)]
-        run(tile_binning.merge_pairs, *lists[0], entry, *lists[1], entry2, pair_offsets, flatten_ids, pair_ids)
+        run(kernels.merge_pairs, *lists[0], entry, *lists[1], entry2, pair_offsets, flatten_ids, pair_ids)
         return replace(
             part,
             num_gaussians=max(self.num_gaussians, other.num_gaussians),
             gaussian_ids=gaussian_ids,
-            projected=simd.readonly(projected, dtype),
+            projected=readonly(projected, dtype),
             pair_offsets=pair_offsets,
             flatten_ids=flatten_ids,
             pair_ids=pair_ids,
@@ -231,16 +232,16 @@ class ProjectedView:
             image[:], alpha[:], depth[:] = background, 0, 0
         ends = np.empty(len(self.tile_ids), np.int64)
         lists = (self.with_colors(colors), self.flatten_ids, self.tile_ids, self.isect_offsets)
-        run(rasterize.rasterize_tiles, *lists, background, image, alpha, depth, ends, _profile_selector(profile))
+        run(kernels.rasterize_tiles, *lists, background, image, alpha, depth, ends, _profile_number(profile))
         return ends
 
     def rasterize_backward(self, ends: np.ndarray, *pictures: np.ndarray) -> np.ndarray:
-        """[P, 16] sums of backward.py, from what `rasterize_into` returned. pictures: image [H, W, 3], alpha and depth
+        """[P, 16] sums of backward.h, from what `rasterize_into` returned. pictures: image [H, W, 3], alpha and depth
         [H, W] as they were rasterized, then their gradients."""
         dtype = self.projected.dtype
-        sums = simd.aligned((len(self.flatten_ids), COLUMNS), dtype)
-        inputs = [simd.readonly(picture, dtype) for picture in pictures]
-        run(backward.rasterize_backward_tiles, *self.tile_lists(self.projected), ends, *inputs, sums)
+        sums = aligned((len(self.flatten_ids), COLUMNS), dtype)
+        inputs = [readonly(picture, dtype) for picture in pictures]
+        run(kernels.rasterize_backward_tiles, *self.tile_lists(self.projected), ends, *inputs, sums)
         return sums
 
     def project_backward(
@@ -249,13 +250,13 @@ class ProjectedView:
         """Write (or add) this view's gradients to `out`: arrays shaped as the splats' attributes, in ATTRIBUTES' order;
         that of `sh` may have no rows, and is then left out. splats: those that were projected; sums: of
         `rasterize_backward`."""
-        attributes = [simd.readonly(getattr(splats, name), sums.dtype) for name in ATTRIBUTES]
+        attributes = [readonly(getattr(splats, name), sums.dtype) for name in ATTRIBUTES]
         entries = np.full(len(splats), -1, np.int32)
         entries[self.gaussian_ids] = np.arange(len(self), dtype=np.int32)
         camera = geometry.camera_vector(self.camera, np.zeros(4), sums.dtype)
         settings = (splats.sh_degree, camera, bool(splats.antialiased))
         run(
-            projection.project_gaussians_backward,
+            kernels.project_gaussians_backward,
             *attributes,
             *settings,
             entries,
@@ -270,15 +271,15 @@ class ProjectedView:
         """The adjoint of compositing over the drawn tiles, with w_ip = alpha_ip T_ip (0 below 1/255 and behind the
         stop). values: [H, W, 3]; mask: [H, W] weights m_p >= 0."""
         dtype = self.projected.dtype
-        sums = simd.aligned((len(self.flatten_ids), backproject.SUMS), dtype)
+        sums = aligned((len(self.flatten_ids), SUMS), dtype)
         values, mask = self._readonly_pictures(values, mask)
         run(
-            backproject.backproject_tiles,
+            kernels.backproject_tiles,
             *self.tile_lists(self.projected),
             values,
             mask,
             sums,
-            _profile_selector(profile),
+            _profile_number(profile),
         )
         out = self._reduce(sums)
         return Backprojection(out[:, 3], out[:, 4], out[:, 5], out[:, :3])
@@ -286,10 +287,10 @@ class ProjectedView:
     def mask_sums(self, mask: np.ndarray, mask2: np.ndarray) -> tuple[MaskSums, MaskSums]:
         """`backproject` for two masks ([H, W] bool, or weights m_p >= 0), without values, in the time of one."""
         dtype = self.projected.dtype
-        sums, out = simd.aligned((len(self.flatten_ids), backproject.SUMS), dtype), np.empty((len(self), 6), dtype)
-        masks = [simd.readonly(one, dtype) for one in (mask, mask2)]
-        run(backproject.mask_sums_tiles, *self.tile_lists(self.projected), *masks, sums)
-        run(backproject.reduce_mask_sums, self.pair_offsets, sums, out)
+        sums, out = aligned((len(self.flatten_ids), SUMS), dtype), np.empty((len(self), 6), dtype)
+        masks = [readonly(one, dtype) for one in (mask, mask2)]
+        run(kernels.mask_sums_tiles, *self.tile_lists(self.projected), *masks, sums)
+        run(kernels.reduce_mask_sums, self.pair_offsets, sums, out)
         return MaskSums(out[:, 3], out[:, 4], out[:, 5]), MaskSums(out[:, 0], out[:, 1], out[:, 2])
 
     def sirt_step(
@@ -300,12 +301,12 @@ class ProjectedView:
         Costs time in proportion to the drawn tiles under the mask."""
         dtype = self.projected.dtype
         sums, errors = (
-            simd.aligned((len(self.flatten_ids), backproject.SUMS), dtype),
+            aligned((len(self.flatten_ids), SUMS), dtype),
             np.empty(len(self.tile_ids), dtype),
         )
         target, mask = self._readonly_pictures(target, mask)
         lists = self.tile_lists(self.with_colors(colors))
-        run(backproject.sirt_tiles, *lists, self._background(), target, mask, sums, errors)
+        run(kernels.sirt_tiles, *lists, self._background(), target, mask, sums, errors)
         return self._reduce(sums)[:, :3], float(errors.sum(dtype=np.float64))
 
     def heaviest_gaussians(self, profile: Profile = "inria") -> np.ndarray:
@@ -313,7 +314,7 @@ class ProjectedView:
         where nothing is drawn. All tiles are to be drawn."""
         entries = np.full((self.camera.height, self.camera.width), -1, np.int32)
         lists = (self.projected, self.flatten_ids, self.tile_ids, self.isect_offsets)
-        run(rasterize.heaviest_tiles, *lists, entries, _profile_selector(profile))
+        run(kernels.heaviest_tiles, *lists, entries, _profile_number(profile))
         return np.append(self.gaussian_ids, -1)[entries]
 
     def with_colors(self, colors: np.ndarray | None) -> np.ndarray:
@@ -321,10 +322,10 @@ class ProjectedView:
         if colors is None:
             return self.projected
         assert colors.shape == (len(self), 3), f"colors: expected [{len(self)}, 3], got {colors.shape}"
-        projected = simd.aligned(self.projected.shape, self.projected.dtype)
+        projected = aligned(self.projected.shape, self.projected.dtype)
         projected[:] = self.projected
         projected[:, geometry.RED : geometry.BLUE + 1] = colors
-        return simd.readonly(projected, projected.dtype)
+        return readonly(projected, projected.dtype)
 
     def _with_tiles(self, tiles: np.ndarray) -> ProjectedView:
         """This view for rasterizing some drawn tiles alone: all Gaussians, in no pairs."""
@@ -340,16 +341,16 @@ class ProjectedView:
         return projected, self.flatten_ids, self.pair_ids, self.tile_ids, self.isect_offsets
 
     def _background(self) -> np.ndarray:
-        return simd.readonly(np.array(self.camera.background), self.projected.dtype)
+        return readonly(np.array(self.camera.background), self.projected.dtype)
 
     def _readonly_pictures(self, values: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         shape = (self.camera.height, self.camera.width)
         assert values.shape == (*shape, 3) and mask.shape == shape, f"{values.shape}, {mask.shape}: picture is {shape}"
-        return simd.readonly(values, self.projected.dtype), simd.readonly(mask, self.projected.dtype)
+        return readonly(values, self.projected.dtype), readonly(mask, self.projected.dtype)
 
     def _reduce(self, sums: np.ndarray) -> np.ndarray:
         out = np.empty((len(self), 6), sums.dtype)
-        run(backproject.reduce_pairs, self.pair_offsets, sums, out)
+        run(kernels.reduce_pairs, self.pair_offsets, sums, out)
         return out
 
 
@@ -380,29 +381,29 @@ def project(
     )
     tile_ids = np.flatnonzero(tiles).astype(np.int32)
     tile_slots, grid, window = _tile_layout(tiles, tile_ids, camera)
-    attributes = [simd.readonly(getattr(splats, name), dtype) for name in ATTRIBUTES]
+    attributes = [readonly(getattr(splats, name), dtype) for name in ATTRIBUTES]
     cam = geometry.camera_vector(camera, window, dtype)
     if gaussian_mask is None:
         gaussian_mask = np.empty(n if len(tile_ids) < tiles.size and n >= MIN_PRESELECTED else 0, bool)
         if len(gaussian_mask):
-            run(projection.select_near_window, *(attributes[k] for k in (0, 2, 3)), cam, gaussian_mask)
-    selected = simd.readonly(gaussian_mask, np.bool_)
+            run(kernels.select_near_window, *(attributes[k] for k in (0, 2, 3)), cam, gaussian_mask)
+    selected = readonly(gaussian_mask, np.bool_)
 
-    blocks = -(-n // projection.GAUSSIANS_PER_BLOCK)
-    size = blocks * projection.GAUSSIANS_PER_BLOCK
-    block_projected, keys = simd.aligned((size, COLUMNS), dtype), np.empty(size, dtype)
+    blocks = -(-n // GAUSSIANS_PER_BLOCK)
+    size = blocks * GAUSSIANS_PER_BLOCK
+    block_projected, keys = aligned((size, COLUMNS), dtype), np.empty(size, dtype)
     (block_ids, block_tiles), counts = np.empty((2, size), np.int32), np.empty(blocks, np.int32)
     if len(tile_ids) and n and np.abs(camera.position).max() <= MAX_MAGNITUDE:
         settings = (splats.sh_degree, selected, cam, bool(splats.antialiased), grid, tile_slots)
         arguments = (*attributes, attributes[4].reshape(n, -1), *settings)
-        run(projection.project_gaussians, *arguments, block_projected, keys, block_ids, block_tiles, counts)
+        run(kernels.project_gaussians, *arguments, block_projected, keys, block_ids, block_tiles, counts)
     else:
         counts[:] = 0
 
-    order = tile_binning.depth_order(keys, counts)
+    order = _depth_order(keys, counts)
     m = len(order)
-    projected, (gaussian_ids, max_tiles) = simd.aligned((m, COLUMNS), dtype), np.empty((2, m), np.int32)
-    run(tile_binning.gather_sorted, order, block_projected, block_ids, block_tiles, projected, gaussian_ids, max_tiles)
+    projected, (gaussian_ids, max_tiles) = aligned((m, COLUMNS), dtype), np.empty((2, m), np.int32)
+    run(kernels.gather_sorted, order, block_projected, block_ids, block_tiles, projected, gaussian_ids, max_tiles)
     del block_projected
     begins = np.cumsum(max_tiles, dtype=np.int64) - max_tiles
 
@@ -413,19 +414,19 @@ def project(
         raise ValueError(f"render: expected {limit}, got {max_pairs:,} at {size}; render a smaller picture")
     ends, pair_tiles = np.empty(m, np.int64), np.empty(max_pairs, np.int32)
     histogram = np.zeros((threads(), len(tile_ids)), np.int64)
-    run(tile_binning.list_pairs, projected, begins, max_tiles, grid, tile_slots, ends, pair_tiles, histogram)
+    run(kernels.list_pairs, projected, begins, max_tiles, grid, tile_slots, ends, pair_tiles, histogram)
     pair_offsets, isect_offsets = np.zeros(m + 1, np.int64), np.zeros(len(tile_ids) + 1, np.int64)
     np.cumsum(ends - begins, out=pair_offsets[1:])
     np.cumsum(histogram.sum(0), out=isect_offsets[1:])
     first = np.cumsum(histogram, 0) - histogram + isect_offsets[:-1]
     flatten_ids, pair_ids = np.empty((2, int(isect_offsets[-1])), np.int32)
-    run(tile_binning.place_pairs, begins, ends, pair_tiles, pair_offsets, first, flatten_ids, pair_ids)
+    run(kernels.place_pairs, begins, ends, pair_tiles, pair_offsets, first, flatten_ids, pair_ids)
     return ProjectedView(
         camera=camera,
         num_gaussians=n,
         tiles=tiles,
         gaussian_ids=gaussian_ids.astype(np.int64),
-        projected=simd.readonly(projected, dtype),
+        projected=readonly(projected, dtype),
         pair_offsets=pair_offsets,
         flatten_ids=flatten_ids,
         pair_ids=pair_ids,
@@ -434,20 +435,35 @@ def project(
     )
 
 
-def _profile_selector(profile: Profile) -> bool | None:
-    """What kernels take for a profile; see compositing.py."""
-    return None if profile == "inria" else True
+def _depth_order(keys: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """[M] int32 slots of what the blocks wrote, front to back, ties in the order of the Gaussians."""
+    total = int(counts.sum())
+    if keys.dtype == np.float32:
+        order, spare = np.empty((2, total), np.int32)
+        value, value2 = np.empty((2, total), np.uint32)
+        swapped = np.zeros(1, bool)
+        kernels.sort_depths(keys, counts, order, spare, value, value2, swapped, 0, 1)
+        return spare if swapped[0] else order
+    slots = np.concatenate(
+        [np.arange(c) + b * GAUSSIANS_PER_BLOCK for b, c in enumerate(counts)] or [np.empty(0, np.int64)]
+    )
+    return slots[np.argsort(keys[slots], kind="stable")].astype(np.int32)
+
+
+def _profile_number(profile: Profile) -> int:
+    """What kernels take for a profile; see compositing.h."""
+    return 0 if profile == "inria" else 1
 
 
 def _tile_layout(tiles: np.ndarray, tile_ids: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(tile_slots, grid, window) for project_gaussians, of the tiles in use."""
     height, width = tiles.shape
     if len(tile_ids) == tiles.size:
-        empty = simd.readonly(np.empty((0, 0)), np.int32)
+        empty = readonly(np.empty((0, 0)), np.int32)
         return empty, np.array([0, width, 0, height]), np.array([0, camera.width, 0, camera.height])
     tile_slots = np.full(tiles.size, -1, np.int32)
     tile_slots[tile_ids] = np.arange(len(tile_ids))
     across, down = np.flatnonzero(tiles.any(0)), np.flatnonzero(tiles.any(1))
     grid = np.array([across[0], across[-1] + 1, down[0], down[-1] + 1] if len(tile_ids) else [0, 0, 0, 0])
     edge = np.minimum(grid * TILE, [camera.width, camera.width, camera.height, camera.height])
-    return simd.readonly(tile_slots.reshape(tiles.shape), np.int32), grid, edge
+    return readonly(tile_slots.reshape(tiles.shape), np.int32), grid, edge

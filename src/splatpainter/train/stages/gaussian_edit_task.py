@@ -24,8 +24,8 @@ from splatpainter.lift.global_edit import regressed
 from splatpainter.models.cache import encode_cached
 from splatpainter.models.edit_propagation import EncodedGaussians, carry
 from splatpainter.models.encode import encode_asset
+from splatpainter.models.gaussian_facts import gaussian_facts
 from splatpainter.models.model import SplatPainterModel
-from splatpainter.models.predictor import gaussian_facts
 from splatpainter.train.recipes import Carrier
 from splatpainter.train.stages.task import Task, ValidationScore, freeze
 

@@ -17,8 +17,8 @@ from splatpainter.data.global_edits import GlobalEdit
 from splatpainter.lift.colors import MIN_SEEN_PX
 from splatpainter.lift.global_edit import regressed
 from splatpainter.lift.options import GlobalOptions
+from splatpainter.models.gaussian_facts import gaussian_facts
 from splatpainter.models.model import SplatPainterModel
-from splatpainter.models.predictor import gaussian_facts
 from splatpainter.train.stages.task import Task, ValidationScore, freeze
 
 MIN_SQUARED_ERROR = 1e-5

@@ -27,9 +27,10 @@ from splatpainter.metrics.lpips import Lpips
 from splatpainter.models.apply_edit import assemble, refine_edit
 from splatpainter.models.edit_propagation import carrying
 from splatpainter.models.encode import Encoded, encode_asset
+from splatpainter.models.gaussian_facts import gaussian_facts
 from splatpainter.models.gaussian_groups import GaussianGroups, TokenLinks
 from splatpainter.models.model import SplatPainterModel
-from splatpainter.models.predictor import gaussian_facts, predicting
+from splatpainter.models.stored_predictor import predicting
 from splatpainter.rendering import render
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.train.loss import PictureLoss, PictureTarget, global_target, joined, local_target
@@ -200,7 +201,7 @@ class RefineTask(Task[SplatPainterModel]):
         transfer = cache(lambda: prt_transfer(splats.means, normals))
         if self.model.config.refine.facts:
             facts = gaussian_facts(splats, normals, transfer())
-        return normals, facts, predicting(self.model.predictor, splats, normals, transfer)
+        return normals, facts, predicting(self.model.stored_predictor, splats, normals, transfer)
 
     def _encoded(self, prepared: PreparedAsset, parents: np.ndarray) -> Encoded:
         """The asset's latents, those of the given Gaussians at least."""

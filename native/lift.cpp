@@ -1,0 +1,21 @@
+#include "kernels.h"
+#include "lift/detail.h"
+#include "lift/joint_colors.h"
+#include "lift/merging.h"
+#include "lift/near_surface.h"
+#include "lift/nearest_pixels.h"
+#include "lift/visible_depth.h"
+
+SP_KERNELS(lift,
+    ONE(find_nearest_pixels),
+    BOTH(classify_sides),
+    ONE(find_partners),
+    BOTH(find_stopping_depths),
+    ONE(take_depth_medians),
+    ONE(take_depth_means),
+    ONE(measure_reaches),
+    ONE(choose_details),
+    ONE(change_colors),
+    ONE(add_residual),
+    ONE(add_squares)
+)

@@ -1,0 +1,7 @@
+#include "kernels.h"
+#include "lighting.h"
+
+SP_KERNELS(lighting,
+    ONE(draw_shadow_maps),
+    ONE(fold_shadows)
+)

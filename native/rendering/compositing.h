@@ -1,0 +1,189 @@
+// Compositing a tile front to back: what all kernels over tiles share. Knows no cameras, only `projected` and lists.
+//
+// C = sum_i w_i c_i + T bg with w_i = alpha_i T_i, T_i = prod_{j<i} (1 - alpha_j). A tile is 16 x 16 pixels = 16 blocks
+// of 4 x 4; a block is 16 lanes. Field 0 of a tile's state is the transmittance T. A pixel that accepts no more Gaussians
+// has its T negated: w is then negative, and `T - w > MIN_TRANSMITTANCE` fails for ever after, without a branch.
+//
+// Alphas are computed as powers of 2 above MIN_ALPHA: log2(alpha / MIN_ALPHA) is a quadratic of the pixel whose
+// coefficients are the Gaussian's, below 0 where it is not drawn, and bounded by the logarithm of the largest alpha.
+#pragma once
+#include "geometry.h"
+
+namespace sp { namespace {
+
+constexpr int SIDE = TILE / 4, BLOCKS = SIDE * SIDE;
+// What is read is asked for this many list entries before it is used.
+constexpr i64 PREFETCH_ENTRIES = 6;
+constexpr double LOG2_E = 1.4426950408889634;
+// log2 of the largest alpha of the profile inria over the smallest.
+constexpr double MAX_LEVEL = 7.992910019989189;
+// Blocks are tested with a bound that is this much too large: rounding must not drop what is drawn.
+constexpr double CULLING_MARGIN = 1.01;
+
+// Which renderer's pictures: see splatpainter/rendering/profiles.py.
+enum class Profile { inria, playcanvas };
+
+template <class F> using Field = F[BLOCKS][LANES];
+// A set of blocks: bit b is block b.
+using BlockSet = u32;
+constexpr BlockSet ALL_BLOCKS = (1u << BLOCKS) - 1;
+
+struct Pixel { i64 x, y; };
+SP_INLINE Pixel pixel_of(i64 x0, i64 y0, int b, int l) {
+    return {x0 + (b % SIDE) * 4 + (l & 3), y0 + (b / SIDE) * 4 + (l >> 2)};
+}
+
+// First pixel of a tile; T = 1 inside the picture, -1 (accepts nothing) outside, other fields 0.
+template <class F>
+SP_INLINE Pixel open_tile(i64 tile, i64 width, i64 height, Field<F>* state, int fields) {
+    const i64 across = (width + TILE - 1) / TILE, ty = tile / across;
+    const Pixel first = {(tile - ty * across) * TILE, ty * TILE};
+    __builtin_memset(state, 0, fields * sizeof(Field<F>));
+    const int right = (int)min_of<i64>(width - first.x, TILE), low = (int)min_of<i64>(height - first.y, TILE);
+    for (int b = 0; b < BLOCKS; ++b)
+        for (int l = 0; l < LANES; ++l) {
+            const Pixel p = pixel_of(0, 0, b, l);
+            state[0][b][l] = p.y < low && p.x < right ? F(1) : F(-1);
+        }
+    return first;
+}
+
+// The open blocks without those in which no pixel accepts more.
+template <class F>
+SP_INLINE BlockSet still_open(const Field<F>& T, BlockSet open) {
+    for (BlockSet rest = open; rest; rest &= rest - 1) {
+        const int b = __builtin_ctz(rest);
+        BlockSet some = 0;
+        SP_LANES(F, l) some |= bits_where(load(&T[b][l]) > F(0));
+        if (!some) open &= ~(1u << b);
+    }
+    return open;
+}
+
+// Centres of pixels and blocks (px), relative to that of the tile's first pixel.
+template <class F> struct Places {
+    alignas(64) Field<F> pixel_x = {}, pixel_y = {};
+    alignas(64) F block_x[BLOCKS] = {}, block_y[BLOCKS] = {};
+    constexpr Places() {
+        for (int b = 0; b < BLOCKS; ++b) {
+            block_x[b] = F((b % SIDE) * 4 + 1.5), block_y[b] = F((b / SIDE) * 4 + 1.5);
+            for (int l = 0; l < LANES; ++l)
+                pixel_x[b][l] = F((b % SIDE) * 4 + (l & 3)), pixel_y[b][l] = F((b / SIDE) * 4 + (l >> 2));
+        }
+    }
+};
+template <class F> constexpr Places<F> PLACES;
+
+struct Blocks { int begin, end; };
+
+// Blocks of a tile that [m - e, m + e] hits, m relative to the centre of the tile's first pixel.
+template <class F>
+SP_INLINE Blocks blocks_hit(F m, F e) {
+    const F limit = F(TILE - 1);
+    if (m + e < F(0)) return {0, 0};
+    // In this order of arguments NaN becomes the bound: casts of NaN are undefined.
+    return {(int)min_of(limit, max_of(F(0), m - e)) >> 2, ((int)min_of(limit, m + e) >> 2) + 1};
+}
+
+// A Gaussian in a tile: its centre relative to that of the tile's first pixel, the coefficients of the quadratic, its
+// largest values with and without the bound on alpha, its opacity, and the blocks that its ellipse may touch.
+template <class F>
+struct Footprint {
+    F mx, my, a2, b1, c2, level, bound, opacity;
+    BlockSet blocks;
+};
+
+// Blocks that may have a pixel with a positive level, by the ellipse and its box at the blocks' centres: in the norm of
+// the ellipse no pixel is farther from its block's centre than the block's corners.
+template <class F>
+SP_INLINE BlockSet blocks_of(F mx, F my, F a2, F b1, F c2, F level, F ex, F ey) {
+    const F corner = F(2.25) * (a2 + abs_of(b1) + c2), reach = sqrt_of(level) + sqrt_of(corner);
+    const F limit = F(CULLING_MARGIN) * reach * reach, right = ex + F(2), low = ey + F(2);
+    BlockSet out = 0;
+    using V = Wide<F>;
+    SP_LANES(F, l) {
+        const V dx = mx - load(&PLACES<F>.block_x[l]), dy = my - load(&PLACES<F>.block_y[l]);
+        const V distance = fused(fused(all(a2), dx, b1 * dy), dx, c2 * dy * dy);
+        const auto inside = (distance <= limit) & (dx <= right) & (dx >= -right) & (dy <= low) & (dy >= -low);
+        out |= bits_where(inside) << l;
+    }
+    return out;
+}
+
+template <class F>
+SP_INLINE Footprint<F> footprint(const F* p, Pixel first) {
+    const F mx = p[MEAN_X] - (F(first.x) + F(0.5)), my = p[MEAN_Y] - (F(first.y) + F(0.5));
+    const F half = F(0.5 * LOG2_E), a2 = half * p[CONIC_A], b1 = F(LOG2_E) * p[CONIC_B], c2 = half * p[CONIC_C];
+    // SQUARED_RADIUS = 2 ln(opacity / MIN_ALPHA) + RADIUS_MARGIN
+    const F level = half * (p[SQUARED_RADIUS] - F(RADIUS_MARGIN));
+    return {mx, my, a2, b1, c2, level, min_of(level, F(MAX_LEVEL)), p[OPACITY],
+            blocks_of(mx, my, a2, b1, c2, level, p[EXTENT_X], p[EXTENT_Y])};
+}
+
+// body(b) for each block of a set, in order.
+template <class Body>
+SP_INLINE void over_blocks(BlockSet blocks, Body body) {
+    for (; blocks; blocks &= blocks - 1) body(__builtin_ctz(blocks));
+}
+
+// MIN_ALPHA 2^x for x from 0 to 8; anything outside.
+SP_INLINE Wide<float> alpha_at_level(Wide<float> x) {
+    using V = Wide<float>;
+    using U = Wide<u32>;
+    const float shift = 12582912.0f;  // 1.5 2^23: added and taken away again, it rounds to an integer
+    const V shifted = x + shift, r = x - (shifted - shift);
+    constexpr double s = MIN_ALPHA;
+    V p = fused(all(float(s * 1.339887440266574e-3)), r, all(float(s * 9.618437357674640e-3)));
+    p = fused(p, r, all(float(s * 5.550332471162809e-2)));
+    p = fused(p, r, all(float(s * 2.402264791363012e-1)));
+    p = fused(p, r, all(float(s * 6.931472028550421e-1)));
+    p = fused(p, r, all(float(s)));
+    return (V)((U)p + ((U)shifted << 23));
+}
+SP_INLINE Wide<double> alpha_at_level(Wide<double> x) {
+    for (int l = 0; l < W<double>; ++l) x[l] = MIN_ALPHA * exp_of(6.931471805599453e-1 * x[l]);
+    return x;
+}
+
+// Offsets (px) from the pixels of lanes l .. l + W of block b to a Gaussian's centre, and the level there.
+template <class F> struct Offset { Wide<F> dx, dy, level; };
+template <class F>
+SP_INLINE Offset<F> offset(const Footprint<F>& g, int b, int l) {
+    using V = Wide<F>;
+    const V dx = g.mx - load(&PLACES<F>.pixel_x[b][l]), dy = g.my - load(&PLACES<F>.pixel_y[b][l]);
+    const V slope = fused(all(g.a2), dx, g.b1 * dy);
+    return {dx, dy, fused(-slope, dx, fused(-g.c2 * dy, dy, all(g.level)))};
+}
+
+// Alphas of a Gaussian in lanes l .. l + W of block b, 0 where that is too little to be drawn.
+template <Profile profile, class F>
+SP_INLINE Wide<F> alpha_of(const Footprint<F>& g, Wide<F> level) {
+    using V = Wide<F>;
+    const V zero = {};
+    if constexpr (profile == Profile::inria) {
+        const V bound = all(g.bound), bounded = bound < level ? bound : level;  // NaN stays NaN
+        return level >= F(0) ? alpha_at_level(bounded) : zero;
+    } else {
+        const V bound = all(g.level), bounded = bound < level ? bound : level, cap = all(F(PLAYCANVAS_MAX_ALPHA));
+        V alpha = alpha_at_level(bounded) - g.opacity * F(PLAYCANVAS_FALLOFF);
+        alpha = alpha < cap ? alpha : cap;
+        const auto drawn = (level >= F(0)) & (alpha >= F(MIN_ALPHA));
+        return drawn ? alpha : zero;
+    }
+}
+template <Profile profile, class F>
+SP_INLINE Wide<F> alpha_of(const Footprint<F>& g, int b, int l) {
+    return alpha_of<profile, F>(g, offset(g, b, l).level);
+}
+
+// Weights w = alpha T, 0 where the pixel accepts no more. T goes on.
+template <Profile profile, class F>
+SP_INLINE Wide<F> accept(F* T, Wide<F> alpha) {
+    using V = Wide<F>;
+    const V before = load(T), w = alpha * before, next = before - w;
+    const auto accepted = profile == Profile::inria ? next > F(MIN_TRANSMITTANCE) : before >= F(MIN_TRANSMITTANCE);
+    store(T, accepted ? next : -magnitude_of(before));
+    return accepted ? w : V{};
+}
+
+} }  // namespace sp

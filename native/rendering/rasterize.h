@@ -1,0 +1,107 @@
+// Rasterization: tiles -> colours, alpha, depth, and the Gaussian that weighs most in each pixel.
+//
+// Kernels over tiles begin with `ProjectedView.tile_lists`: projected [M, 16]; flatten_ids [P], entries of `projected`,
+// tile after tile, front to back; pair_ids [P], where each of these keeps its sums; tile_ids [T], numbered row by row
+// over the picture; isect_offsets [T + 1], where each tile begins in flatten_ids.
+#pragma once
+#include "compositing.h"
+
+namespace sp { namespace {
+
+// Add list entries [begin, end) to fields T, r, g, b, depth of a tile; returns one past the last entry used.
+template <Profile profile, class F>
+SP_INLINE i64 composite(const Rows<const F, COLUMNS>& projected, const Array1<const i32>& flatten_ids, i64 begin,
+                        i64 end, Pixel first, Field<F>* __restrict state, BlockSet& open) {
+    for (i64 p = begin; p < end; ++p) {
+        prefetch_row(projected, flatten_ids(min_of(p + PREFETCH_ENTRIES, end - 1)));
+        const F* row = projected.row(flatten_ids(p));
+        const Footprint<F> g = footprint(row, first);
+        const F channels[4] = {row[RED], row[GREEN], row[BLUE], row[DEPTH]};
+        over_blocks(g.blocks & open, [&](int b) {
+            SP_LANES(F, l) {
+                const Wide<F> w = accept<profile>(&state[0][b][l], alpha_of<profile>(g, b, l));
+                for (int c = 0; c < 4; ++c)
+                    store(&state[1 + c][b][l], fused(w, all(channels[c]), load(&state[1 + c][b][l])));
+            }
+        });
+        if (((p - begin) & 7) == 7 && !(open = still_open<F>(state[0], open))) return p + 1;
+    }
+    return end;
+}
+
+template <Profile profile, class F>
+void rasterize_tiles_as(Rows<const F, COLUMNS> projected, Array1<const i32> flatten_ids, Array1<const i32> tile_ids,
+                        Array1<const i64> isect_offsets, Array1<const F> background, Pixels<F, 3> image,
+                        Array2<F> alpha, Array2<F> depth, Array1<i64> ends, i64 thread, i64 threads) {
+    const i64 height = alpha.shape[0], width = alpha.shape[1];
+    const F back[3] = {background(0), background(1), background(2)};
+    alignas(64) Field<F> state[5];
+    for (i64 k = thread; k < tile_ids.shape[0]; k += threads) {
+        const Pixel first = open_tile<F>(tile_ids(k), width, height, state, 5);
+        BlockSet open = ALL_BLOCKS;
+        ends(k) = composite<profile>(projected, flatten_ids, isect_offsets(k), isect_offsets(k + 1), first, state, open);
+        for (int b = 0; b < BLOCKS; ++b)
+            for (int l = 0; l < LANES; ++l) {
+                const auto [x, y] = pixel_of(first.x, first.y, b, l);
+                if (y >= height || x >= width) continue;
+                const F T = abs_of(state[0][b][l]);
+                F* out = image.row(y, x);
+                for (int c = 0; c < 3; ++c) out[c] = state[1 + c][b][l] + T * back[c];
+                alpha(y, x) = F(1) - T;
+                depth(y, x) = T < F(1) ? state[4][b][l] / (F(1) - T) : F(0);
+            }
+    }
+}
+
+// profile: 0 inria, 1 playcanvas. Out: image over the background, alpha, expected depth (0 where alpha is 0), and ends
+// [T], one past the last entry of flatten_ids used.
+template <class F>
+void rasterize_tiles(Rows<const F, COLUMNS> projected, Array1<const i32> flatten_ids, Array1<const i32> tile_ids,
+                     Array1<const i64> isect_offsets, Array1<const F> background, Pixels<F, 3> image, Array2<F> alpha,
+                     Array2<F> depth, Array1<i64> ends, i64 profile, i64 thread, i64 threads) {
+    auto kernel = profile == 0 ? rasterize_tiles_as<Profile::inria, F> : rasterize_tiles_as<Profile::playcanvas, F>;
+    kernel(projected, flatten_ids, tile_ids, isect_offsets, background, image, alpha, depth, ends, thread, threads);
+}
+
+template <Profile profile, class F>
+void heaviest_tiles_as(Rows<const F, COLUMNS> projected, Array1<const i32> flatten_ids, Array1<const i32> tile_ids,
+                       Array1<const i64> isect_offsets, Array2<i32> entries, i64 thread, i64 threads) {
+    const i64 height = entries.shape[0], width = entries.shape[1];
+    alignas(64) Field<F> state[2];  // T, the largest weight
+    i32 heaviest[BLOCKS][LANES];
+    for (i64 k = thread; k < tile_ids.shape[0]; k += threads) {
+        const Pixel first = open_tile<F>(tile_ids(k), width, height, state, 2);
+        BlockSet open = ALL_BLOCKS;
+        __builtin_memset(heaviest, -1, sizeof heaviest);
+        const i64 begin = isect_offsets(k), end = isect_offsets(k + 1);
+        for (i64 p = begin; p < end; ++p) {
+            const i32 i = flatten_ids(p);
+            prefetch_row(projected, flatten_ids(min_of(p + PREFETCH_ENTRIES, end - 1)));
+            const Footprint<F> g = footprint(projected.row(i), first);
+            over_blocks(g.blocks & open, [&](int b) {
+                SP_LANES(F, l) {
+                    const Wide<F> w = accept<profile>(&state[0][b][l], alpha_of<profile>(g, b, l));
+                    const Wide<F> peak = load(&state[1][b][l]);
+                    store(&state[1][b][l], w > peak ? w : peak);
+                    for (int j = 0; j < W<F>; ++j) heaviest[b][l + j] = w[j] > peak[j] ? i : heaviest[b][l + j];
+                }
+            });
+            if (((p - begin) & 7) == 7 && !(open = still_open<F>(state[0], open))) break;
+        }
+        for (int b = 0; b < BLOCKS; ++b)
+            for (int l = 0; l < LANES; ++l) {
+                const auto [x, y] = pixel_of(first.x, first.y, b, l);
+                if (y < height && x < width) entries(y, x) = heaviest[b][l];
+            }
+    }
+}
+
+// entries [H, W]: the entry of `projected` with the largest weight, of equal ones the front one; -1 for none.
+template <class F>
+void heaviest_tiles(Rows<const F, COLUMNS> projected, Array1<const i32> flatten_ids, Array1<const i32> tile_ids,
+                    Array1<const i64> isect_offsets, Array2<i32> entries, i64 profile, i64 thread, i64 threads) {
+    auto kernel = profile == 0 ? heaviest_tiles_as<Profile::inria, F> : heaviest_tiles_as<Profile::playcanvas, F>;
+    kernel(projected, flatten_ids, tile_ids, isect_offsets, entries, thread, threads);
+}
+
+} }  // namespace sp

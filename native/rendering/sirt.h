@@ -1,0 +1,135 @@
+// Steps of SIRT in the colours of some Gaussians: what they weigh in every pixel is found once (cache_tiles), and a step
+// (cached_step_tiles) then costs what they cost. See splatpainter/rendering/cpu/sirt.py.
+#pragma once
+#include "backproject.h"
+
+namespace sp { namespace {
+
+// Fields of a tile between steps: what the movable Gaussians are to make up (3), and the pixels' weight m.
+constexpr int SIRT_FIELDS = 4;
+constexpr i64 TILE_PIXELS = BLOCKS * LANES;
+
+// Fields T, r, g, b of a tile without the movable Gaussians; the weights of these into `weights`. pairs [first, last):
+// where in flatten_ids they stand.
+template <class F>
+SP_INLINE void cache_tile(const Rows<const F, COLUMNS>& projected, const Array1<const i32>& flatten_ids, i64 begin,
+                          i64 end, Pixel start, const Array1<const i64>& pairs, i64 first, i64 last,
+                          const Rows<const i64, 4>& boxes, const Array1<const i64>& block_offsets, Field<F>* state,
+                          BlockSet open, const Rows<F, LANES>& weights) {
+    i64 q = first;
+    for (i64 p = begin; p < end; ++p) {
+        prefetch_row(projected, flatten_ids(min_of(p + PREFETCH_ENTRIES, end - 1)));
+        const F* row = projected.row(flatten_ids(p));
+        const Footprint<F> g = footprint(row, start);
+        F channels[3] = {row[RED], row[GREEN], row[BLUE]};
+        const bool movable = q < last && pairs(q) == p;
+        i64 slot = 0;
+        BlockSet blocks = g.blocks & open;
+        if (movable) {
+            const i64* box = boxes.row(q);
+            blocks = 0;
+            for (i64 by = box[0]; by < box[1]; ++by)
+                for (i64 bx = box[2]; bx < box[3]; ++bx) blocks |= 1u << checked(by * SIDE + bx, BLOCKS);
+            slot = block_offsets(q++);
+            for (F& c : channels) c = F(0);
+        }
+        over_blocks(blocks, [&](int b) {
+            F* out = movable ? weights.row(slot++) : nullptr;
+            if (!(open >> b & 1)) {
+                __builtin_memset(out, 0, LANES * sizeof(F));
+                return;
+            }
+            SP_LANES(F, l) {
+                const Wide<F> w = accept<Profile::inria>(&state[0][b][l], alpha_of<Profile::inria>(g, b, l));
+                for (int c = 0; c < 3; ++c)
+                    store(&state[1 + c][b][l], fused(w, all(channels[c]), load(&state[1 + c][b][l])));
+                if (movable) store(out + l, w);
+            }
+        });
+        if (((p - begin) & 7) == 7 && !(open = still_open<F>(state[0], open))) break;
+    }
+    for (i64 k = block_offsets(q); k < block_offsets(last); ++k) __builtin_memset(weights.row(k), 0, LANES * sizeof(F));
+}
+
+// Q pairs of movable Gaussians: pairs [Q], where in flatten_ids they stand; begins [T + 1] of each tile in these; boxes
+// [Q, 4] blocks that each touches; block_offsets [Q + 1] of each pair's blocks in the weights. Out: weights [B, 16]
+// (aligned to 64 bytes), remainder [T, 4, 16, 16]: target minus what the other Gaussians make, and m.
+template <class F>
+void cache_tiles(Rows<const F, COLUMNS> projected, Array1<const i32> flatten_ids, Array1<const i32> /*pair_ids*/,
+                 Array1<const i32> tile_ids, Array1<const i64> isect_offsets, Array1<const F> background,
+                 Pixels<const F, 3> target, Array2<const F> mask, Array1<const i64> pairs, Array1<const i64> begins,
+                 Rows<const i64, 4> boxes, Array1<const i64> block_offsets, Rows<F, LANES> weights,
+                 Array4<F> remainder, i64 thread, i64 threads) {
+    const i64 height = mask.shape[0], width = mask.shape[1];
+    alignas(64) Field<F> state[5];
+    for (i64 k = thread; k < tile_ids.shape[0]; k += threads) {
+        const Pixel first = open_tile<F>(tile_ids(k), width, height, state, 5);
+        F* out = &remainder(k, 0, 0, 0);
+        const BlockSet open = load_mask<F>(mask, first, state[4]);
+        if (!open) {
+            __builtin_memset(out, 0, SIRT_FIELDS * TILE_PIXELS * sizeof(F));
+            for (i64 b = block_offsets(begins(k)); b < block_offsets(begins(k + 1)); ++b)
+                __builtin_memset(weights.row(b), 0, LANES * sizeof(F));
+            continue;
+        }
+        cache_tile(projected, flatten_ids, isect_offsets(k), isect_offsets(k + 1), first, pairs, begins(k),
+                   begins(k + 1), boxes, block_offsets, state, open, weights);
+        for (int b = 0; b < BLOCKS; ++b)
+            for (int l = 0; l < LANES; ++l) {
+                const auto [x, y] = pixel_of(first.x, first.y, b, l);
+                const F T = abs_of(state[0][b][l]);
+                for (int c = 0; c < 3; ++c) {
+                    const F rest = state[1 + c][b][l] + T * background(c);
+                    out[c * TILE_PIXELS + b * LANES + l] = target(min_of(y, height - 1), min_of(x, width - 1), c) - rest;
+                }
+                out[3 * TILE_PIXELS + b * LANES + l] = state[4][b][l];
+            }
+    }
+}
+
+// entries [Q]: which movable Gaussian each pair is of; pair_ids [Q]: where it keeps its sums; colors [C, 3] -> sums [Q, 8].
+template <class F>
+void cached_step_tiles(Array1<const i64> begins, Rows<const i64, 4> boxes, Array1<const i64> block_offsets,
+                       Array1<const i64> entries, Array1<const i64> pair_ids, Rows<const F, LANES> weights,
+                       Array4<const F> remainder, Rows<const F, 3> colors, Rows<F, SUMS> sums, i64 thread, i64 threads) {
+    alignas(64) Field<F> state[SIRT_FIELDS];
+    alignas(64) F lanes[SIRT_FIELDS][LANES];
+    for (i64 k = thread; k < remainder.shape[0]; k += threads) {
+        if (begins(k) == begins(k + 1)) continue;
+        __builtin_memcpy(state, &remainder(k, 0, 0, 0), sizeof state);
+        for (i64 q = begins(k); q < begins(k + 1); ++q) {
+            const F* color = colors.row(entries(q));
+            const i64* box = boxes.row(q);
+            i64 slot = block_offsets(q);
+            for (i64 by = box[0]; by < box[1]; ++by)
+                for (i64 bx = box[2]; bx < box[3]; ++bx, ++slot) {
+                    const i64 b = checked(by * SIDE + bx, BLOCKS);
+                    SP_LANES(F, l) {
+                        const Wide<F> w = load(weights.row(slot) + l);
+                        for (int c = 0; c < 3; ++c)
+                            store(&state[c][b][l], fused(w, all(-color[c]), load(&state[c][b][l])));
+                    }
+                }
+        }
+        for (int b = 0; b < BLOCKS; ++b)
+            for (int l = 0; l < LANES; ++l)
+                for (int f = 0; f < 3; ++f) state[f][b][l] *= state[3][b][l];
+        for (i64 q = begins(k); q < begins(k + 1); ++q) {
+            const i64* box = boxes.row(q);
+            SP_LANES(F, l) {
+                Wide<F> s[SIRT_FIELDS] = {};
+                i64 slot = block_offsets(q);
+                for (i64 by = box[0]; by < box[1]; ++by)
+                    for (i64 bx = box[2]; bx < box[3]; ++bx, ++slot) {
+                        const Wide<F> w = load(weights.row(slot) + l);
+                        for (int f = 0; f < SIRT_FIELDS; ++f)
+                            s[f] = fused(w, load(&state[f][by * SIDE + bx][l]), s[f]);
+                    }
+                for (int f = 0; f < SIRT_FIELDS; ++f) store(&lanes[f][l], s[f]);
+            }
+            sums_of<SIRT_FIELDS, F>(lanes, sums.row(pair_ids(q)));
+        }
+    }
+}
+
+} }  // namespace sp

@@ -1,0 +1,11 @@
+#include "kernels.h"
+#include "spread/fourier.h"
+#include "spread/point_neighbours.h"
+
+SP_KERNELS(spread,
+    ONE(find_neighbours),
+    ONE(take_neighbour_means),
+    ONE(smooth_once),
+    ONE(take_fourier_features),
+    ONE(predict_from_features)
+)

@@ -1,0 +1,16 @@
+#include "kernels.h"
+#include "surface/curvature.h"
+#include "surface/estimate.h"
+#include "surface/unwrap.h"
+#include "surface/visible.h"
+
+SP_KERNELS(surface,
+    ONE(estimate_surface),
+    BOTH(find_front_entries),
+    ONE(interpolate_planes),
+    ONE(thin_points),
+    ONE(smooth_points),
+    ONE(spread_map),
+    ONE(interpolate_map),
+    ONE(sum_turns)
+)

@@ -1,0 +1,1 @@
+"""Weights of SplatPainter's networks: one folder per preset, found by splatpainter.models.checkpoint."""

@@ -1,0 +1,79 @@
+"""The few operations of the optimiser that numpy and torch name differently: arrays on the CPU, tensors elsewhere.
+
+Exponentials and logarithms of arrays are the core's, so that a fit gives the same bits on every machine.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from splatpainter.kernels.library import kernels
+from splatpainter.kernels.parallel import run
+from splatpainter.splats import Array
+
+
+def on_device(values: Any, device: str) -> Array:
+    """A copy of numpy values where the optimiser works: an array for "cpu", else a tensor."""
+    if device == "cpu":
+        return np.array(values)
+    import torch
+
+    return torch.tensor(values, device=device)
+
+
+def as_numpy(values: Array) -> np.ndarray:
+    """The values as an array; shares memory on the CPU."""
+    return values if isinstance(values, np.ndarray) else values.detach().cpu().numpy()
+
+
+def copied(values: Array) -> Array:
+    return values.copy() if isinstance(values, np.ndarray) else values.clone()
+
+
+def zeros_like(values: Array, rows: int | None = None) -> Array:
+    """Zeros in the shape of [N, ...] values, or with another N."""
+    shape = (len(values) if rows is None else rows, *values.shape[1:])
+    return np.zeros(shape, values.dtype) if isinstance(values, np.ndarray) else values.new_zeros(shape)
+
+
+def joined(parts: list[Array]) -> Array:
+    """Along the first axis."""
+    if isinstance(parts[0], np.ndarray):
+        return np.concatenate(parts)
+    import torch
+
+    return torch.cat(parts)
+
+
+def indices(mask: Array) -> Array:
+    """[M] int64 where a mask [N] is set."""
+    if isinstance(mask, np.ndarray):
+        return np.flatnonzero(mask)
+    import torch
+
+    return torch.nonzero(mask)[:, 0]
+
+
+def exp(values: Array) -> Array:
+    return _elementwise("exp", values)
+
+
+def log(values: Array) -> Array:
+    """Natural; NaN below 0."""
+    return _elementwise("log", values)
+
+
+def sigmoid(values: Array) -> Array:
+    """1 / (1 + exp(-x))."""
+    return 1 / (1 + exp(-values)) if isinstance(values, np.ndarray) else values.sigmoid()
+
+
+def _elementwise(name: str, values: Array) -> Array:
+    if not isinstance(values, np.ndarray):
+        return getattr(values, name)()
+    flat = np.ascontiguousarray(values).reshape(-1)
+    out = np.empty_like(flat)
+    run(getattr(kernels, f"{name}_each"), flat, out)
+    return out.reshape(values.shape)

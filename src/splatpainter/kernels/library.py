@@ -1,0 +1,260 @@
+"""The kernels compiled ahead of time (native/): `run(kernels.project_gaussians, *arguments)`.
+
+The shared library lies beside this file. It says itself what each kernel's parameters are, so nothing is declared
+twice; arguments are checked against that before a kernel sees them. A kernel with float32 and float64 forms is chosen
+by its first array of floats. Kernels run without the GIL.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import functools
+import hashlib
+import os
+import struct
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+CPU_VARIABLE = "SPLATPAINTER_CPU"
+"""Name of a kind of CPU ("base", "v3", "v4"): for tests of what other machines run."""
+LIBRARY_VARIABLE = "SPLATPAINTER_KERNELS"
+"""Path of another build of the library (checked, sanitized): for tests."""
+LIBRARY = {"darwin": "splatpainter_kernels.dylib", "win32": "splatpainter_kernels.dll"}.get(
+    sys.platform, "splatpainter_kernels.so"
+)
+BUILD = "run `make native` (or `python native/build.py` after `python -m pip install ziglang`)"
+MAX_DIMENSIONS = 4
+_NUMBERS = {"q": "q", "?": "?7x", "d": "d", "f": "d"}
+"""dtype of a parameter that is a number -> struct's letter of it; a float travels as a double."""
+
+
+class _KernelRow(ctypes.Structure):
+    _fields_ = [("name", ctypes.c_char_p), ("signature", ctypes.c_char_p), ("call", ctypes.c_void_p)]
+
+
+class _TargetRow(ctypes.Structure):
+    _fields_ = [("name", ctypes.c_char_p), ("tables", ctypes.POINTER(ctypes.POINTER(_KernelRow)))]
+
+
+_ENTRY = ctypes.CFUNCTYPE(None, ctypes.c_char_p, ctypes.c_int64, ctypes.c_int64)
+
+
+class _Parameter:
+    """What one argument must be."""
+
+    def __init__(self, word: str):
+        self.dtype, self.dimensions, self.written = np.dtype(word[0]), int(word[1]), word[2] == "w"
+        self.columns = int(word[3:] or 0)
+        self.number = "" if self.dimensions else _NUMBERS[word[0]]
+
+    def __str__(self) -> str:
+        if not self.dimensions:
+            return f"a number ({self.dtype})"
+        shape = ["?"] * self.dimensions
+        if self.columns:
+            shape[-1] = str(self.columns)
+        return f"{'a writable' if self.written else 'a'} C-contiguous {self.dtype} array of shape [{', '.join(shape)}]"
+
+    def words(self, value: Any) -> tuple[Any, ...]:
+        """Address and shape as a kernel reads them. Raises TypeError for another kind of array."""
+        if not self.dimensions:
+            return 0, value, 0, 0, 0
+        if value is None:
+            return 0, 0, 0, 0, 0
+        flags, shape = value.flags, value.shape
+        if (
+            value.dtype != self.dtype
+            or len(shape) != self.dimensions
+            or not flags.c_contiguous
+            or not flags.aligned
+            or (self.columns and shape[-1] != self.columns)
+            or (self.written and not flags.writeable)
+        ):
+            raise TypeError
+        return value.__array_interface__["data"][0], *shape, *(0,) * (MAX_DIMENSIONS - len(shape))
+
+
+class _Form:
+    """A kernel for one dtype."""
+
+    def __init__(self, signature: str, address: int):
+        self.parameters = [_Parameter(word) for word in signature.split()]
+        self.layout = struct.Struct("<" + "".join(f"q{p.number or 'q'}qqq" for p in self.parameters))
+        self.entry = _ENTRY(address)
+
+
+class Kernel:
+    """One kernel in all its dtypes: kernel(*arguments, thread, threads)."""
+
+    def __init__(self, name: str):
+        self.name = name
+        self._forms: dict[str, _Form] = {}
+        self._chooser = 0
+
+    def __repr__(self) -> str:
+        return f"<native kernel {self.name}>"
+
+    def add(self, signature: str, address: int) -> None:
+        form = _Form(signature, address)
+        floats = [(at, p.dtype.char) for at, p in enumerate(form.parameters) if p.dimensions and p.dtype.char in "fd"]
+        self._chooser, char = floats[0] if floats else (0, "")
+        if char in self._forms:
+            raise ValueError(f"kernel {self.name}: listed twice in native/")
+        self._forms[char] = form
+
+    def bind(self, *arguments: Any) -> Callable[[int, int], None]:
+        """The call of these arguments by (thread, threads). Arrays must be C-contiguous and of the kernel's dtypes and
+        dimensions (None: an array without entries); nothing is converted. Raises TypeError for others."""
+        form = self._form(arguments)
+        words: list[Any] = []
+        for at, (value, parameter) in enumerate(zip(arguments, form.parameters, strict=True)):
+            try:
+                words += parameter.words(value)
+            except (TypeError, AttributeError):
+                raise TypeError(f"{self.name}: argument {at}: expected {parameter}, got {_described(value)}") from None
+        try:
+            packed = form.layout.pack(*words)
+        except (struct.error, TypeError):
+            numbers = [(at, value) for at, value in enumerate(arguments) if not form.parameters[at].dimensions]
+            listed = ", ".join(
+                f"argument {at}: {form.parameters[at]}, got {_described(value)}" for at, value in numbers
+            )
+            raise TypeError(f"{self.name}: expected numbers: {listed}") from None
+
+        def call(thread: int, threads: int, _arrays: tuple[Any, ...] = arguments) -> None:  # arrays live as long as it
+            form.entry(packed, thread, threads)
+
+        return call
+
+    def __call__(self, *arguments: Any) -> None:
+        self.bind(*arguments[:-2])(arguments[-2], arguments[-1])
+
+    def _form(self, arguments: tuple[Any, ...]) -> _Form:
+        forms = self._forms
+        first = next(iter(forms.values()))
+        if len(arguments) != len(first.parameters):
+            raise TypeError(f"{self.name}: expected {len(first.parameters)} arguments, got {len(arguments)}")
+        if len(forms) == 1:
+            return first
+        dtype = getattr(arguments[self._chooser], "dtype", None)
+        form = forms.get(getattr(dtype, "char", ""))
+        if form is None:
+            raise TypeError(f"{self.name}: argument {self._chooser}: expected a float32 or float64 array, got {dtype}")
+        return form
+
+
+class Kernels:
+    """The kernels of one library for one kind of CPU, as attributes."""
+
+    def __init__(self, path: Path, cpu: str = ""):
+        """cpu: "base", "v3", "v4"; default: the best for this machine. Raises OSError where the library is missing,
+        not loadable, or older than the sources of its checkout, ValueError for a kind that this machine has not."""
+        self._library = _loaded(path)
+        targets = (_TargetRow * 4)()
+        self._library.splatpainter_targets(targets)
+        names = [row.name.decode() for row in targets if row.name]
+        self.cpus: tuple[str, ...] = tuple(names)
+        """Kinds of CPU that this machine is one of, the best first."""
+        self.cpu: str = cpu or names[0]
+        """The one in use."""
+        if self.cpu not in names:
+            raise ValueError(f"{CPU_VARIABLE}: expected one of {', '.join(names)}, got {cpu!r}")
+        self._kernels: dict[str, Kernel] = {}
+        for kernel, signature, address in _rows(targets[names.index(self.cpu)].tables):
+            self._kernels.setdefault(kernel, Kernel(kernel)).add(signature, address)
+
+    def __getattr__(self, name: str) -> Kernel:
+        try:
+            return self.__dict__["_kernels"][name]
+        except KeyError:
+            raise AttributeError(f"no kernel {name!r} in native/") from None
+
+    def __dir__(self) -> list[str]:
+        return sorted(self._kernels)
+
+
+class _Current:
+    """The kernels in use; loaded when first asked for."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(current(), name)
+
+
+kernels: Any = _Current()
+"""`kernels.NAME`: the kernel of that name in native/."""
+_chosen: Kernels | None = None
+
+
+def current() -> Kernels:
+    """Those in use: of the variables SPLATPAINTER_KERNELS and SPLATPAINTER_CPU, or this package's for this machine."""
+    return _chosen or _default()
+
+
+@contextlib.contextmanager
+def using(cpu: str) -> Iterator[Kernels]:
+    """Run the kernels of another kind of CPU, in all threads: for tests."""
+    global _chosen
+    before, _chosen = _chosen, Kernels(_path(), cpu)
+    try:
+        yield _chosen
+    finally:
+        _chosen = before
+
+
+@functools.cache
+def _default() -> Kernels:
+    return Kernels(_path(), os.environ.get(CPU_VARIABLE, ""))
+
+
+def _path() -> Path:
+    return Path(os.environ.get(LIBRARY_VARIABLE) or Path(__file__).with_name(LIBRARY))
+
+
+def _loaded(path: Path) -> ctypes.CDLL:
+    if not path.exists():
+        raise OSError(f"{path}: the compiled kernels are missing; in a checkout, {BUILD}")
+    try:
+        library = ctypes.CDLL(os.fspath(path))
+        library.splatpainter_sources.restype = ctypes.c_char_p
+    except (OSError, AttributeError) as error:
+        raise OSError(f"{path}: the compiled kernels cannot be loaded ({error}); in a checkout, {BUILD}") from None
+    sources = Path(__file__).resolve().parents[3] / "native"
+    if (sources / "build.py").exists() and library.splatpainter_sources().decode() != hash_of_sources(sources):
+        raise OSError(f"{path}: the compiled kernels are older than {sources}; {BUILD}")
+    return library
+
+
+def hash_of_sources(folder: Path) -> str:
+    """Of all C++ files, as native/build.py puts it into the library."""
+    digest = hashlib.sha256()
+    for path in sorted(path for path in folder.rglob("*") if path.suffix in (".h", ".cpp")):
+        digest.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()[:32]
+
+
+def _rows(tables: Any) -> Iterator[tuple[str, str, int]]:
+    """(name, signature, address) of every kernel of one kind of CPU."""
+    at = 0
+    while tables[at]:
+        row = 0
+        while tables[at][row].name:
+            yield tables[at][row].name.decode(), tables[at][row].signature.decode(), tables[at][row].call
+            row += 1
+        at += 1
+
+
+def _described(value: Any) -> str:
+    if not isinstance(value, np.ndarray):
+        return f"{type(value).__name__} {value!r}"[:80]
+    flags = value.flags
+    kind = [
+        word
+        for word, holds in (("not contiguous", not flags.c_contiguous), ("read-only", not flags.writeable))
+        if holds
+    ]
+    return f"{value.dtype} {list(value.shape)}" + (f" ({', '.join(kind)})" if kind else "")

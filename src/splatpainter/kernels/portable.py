@@ -1,0 +1,148 @@
+"""Products and functions of arrays with the same bits on every machine.
+
+numpy's `@`, `dot`, `einsum` and `linalg` go to a BLAS and a LAPACK whose sums depend on the CPU, and so do its `exp`,
+`log`, `sin` and their like, its `hypot` and `**`. Sums, products, quotients, roots, `norm(axis=...)`, `cross`, `sum`,
+`mean`, `cumsum`, `bincount` and stable sorts do not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+NUMBERS_PER_THREAD = 1 << 14
+"""Fewer results are not worth waking threads for."""
+Number = Any
+"""A number, or an array of float32 or float64."""
+
+
+def matmul(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """first @ second: [..., K] by [K, J], or stacks of matrices [N, I, K] by [N, K, J], either of which may be one
+    matrix [K, J]. Each sum runs from the first term to the last, in the larger of the dtypes."""
+    dtype = np.result_type(first, second)
+    if second.ndim == 2:
+        shape = (*first.shape[:-1], second.shape[1])
+        one, other = first.reshape(1, math.prod(first.shape[:-1]), first.shape[-1]), second[None]
+    else:
+        one, other = first if first.ndim == 3 else first[None], second
+        shape = (len(other) if len(one) == 1 else len(one), one.shape[1], other.shape[2])
+    if one.shape[2] != other.shape[1] or 1 not in (len(one), len(other)) and len(one) != len(other):
+        raise ValueError(f"matmul: expected [..., K] and [K, J], got {first.shape} and {second.shape}")
+    if 0 in (one.size, other.size):
+        return np.zeros(shape, dtype)
+    out = np.empty(shape, dtype)
+    stack = out if second.ndim == 3 else out.reshape(1, one.shape[1], shape[-1])
+    _run("multiply_matrices", stack.size, _input(one, dtype), _input(other, dtype), stack)
+    return out
+
+
+def gram(rows: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """[F, F] float64 sum_i w_i r_i r_i^T of rows [M, F] (float32 or float64) and weights [M]."""
+    size = rows.shape[1]
+    upper, weights = np.zeros((size, size)), _input(weights, np.float64)
+    _run(
+        "add_normal_equations", rows.size, _input(rows, rows.dtype), weights, np.zeros(len(rows)), upper, np.empty(size)
+    )
+    below = np.tril_indices(size, -1)
+    upper[below] = upper.T[below]
+    return upper
+
+
+def transposed_product(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """[F, C] float64 first^T second of [M, F] (float32 or float64) and [M, C]."""
+    out = np.zeros((first.shape[1], second.shape[1]))
+    _run("add_transposed_product", first.size, _input(first, first.dtype), _input(second, np.float64), out)
+    return out
+
+
+def solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """[F, C] float64 matrix^-1 right of a symmetric positive matrix [F, F], by its Cholesky factor."""
+    factor, out = np.array(matrix, np.float64), np.array(right, np.float64)
+    _run("solve_symmetric", 0, factor, out)
+    return out
+
+
+def length(vector: np.ndarray) -> float:
+    """Of a vector [K]; `np.linalg.norm` of one asks a BLAS."""
+    return float(np.sqrt((vector * vector).sum()))
+
+
+def hypot(x: Number, y: Number) -> Number:
+    """The root of x^2 + y^2."""
+    return np.sqrt(x * x + y * y)
+
+
+def interp(x: Number, points: Sequence[float] | np.ndarray, values: Sequence[float] | np.ndarray) -> Any:
+    """`np.interp`: piecewise linear between points [K], ascending, whose values [K] are given; constant outside."""
+    points, values = np.asarray(points, np.float64), np.asarray(values, np.float64)
+    at = np.clip(np.searchsorted(points, x, side="right") - 1, 0, len(points) - 2)
+    slope = (values[at + 1] - values[at]) / (points[at + 1] - points[at])
+    return np.where(x >= points[-1], values[-1], slope * (np.maximum(x, points[0]) - points[at]) + values[at])
+
+
+def exp(x: Number) -> Number:
+    """e^x; 0 below -708."""
+    return _each("exp_each", x)
+
+
+def log(x: Number) -> Number:
+    """Natural logarithm; -inf of 0, NaN below."""
+    return _each("log_each", x)
+
+
+def sin(x: Number) -> Number:
+    """Of radians, up to a million."""
+    return _each("sin_each", x)
+
+
+def cos(x: Number) -> Number:
+    """Of radians, up to a million."""
+    return _each("cos_each", x)
+
+
+def arccos(x: Number) -> Number:
+    """0 to pi; NaN outside of -1 to 1."""
+    return _each("acos_each", x)
+
+
+def arctan2(y: Number, x: Number) -> Number:
+    """Angle of (x, y), -pi to pi."""
+    y, x = np.broadcast_arrays(y, x)
+    return _each("atan2_each", y, x)
+
+
+def power(x: Number, exponent: float) -> Number:
+    """x^exponent of x >= 0; by logarithms, so that the relative error of x^2.4 is about 1e-15."""
+    return _each("power_each", x, numbers=(exponent,))
+
+
+def silu(x: np.ndarray) -> np.ndarray:
+    """x / (1 + exp(-x)) of float32."""
+    return _each("silu_each", np.asarray(x, np.float32))
+
+
+def _each(name: str, *values: Number, numbers: tuple[float, ...] = ()) -> Number:
+    """A kernel over stack arrays: float32 where all are, else float64; a number gives a number."""
+    arrays = [np.asarray(value) for value in values]
+    dtype = np.float32 if all(array.dtype == np.float32 for array in arrays) else np.float64
+    out = np.empty(arrays[0].shape, dtype)
+    _run(name, out.size, *(_input(array, dtype).reshape(-1) for array in arrays), *numbers, out.reshape(-1))
+    return out if out.ndim else out.item()
+
+
+def _input(values: np.ndarray, dtype: Any) -> np.ndarray:
+    return np.require(values, dtype, ["C", "A"])
+
+
+def _run(name: str, size: int, *arguments: Any) -> None:
+    # Cameras and transforms are made of these functions, and start-up needs neither threads nor the library.
+    from splatpainter.kernels.library import kernels
+    from splatpainter.kernels.parallel import run
+
+    if size < NUMBERS_PER_THREAD:
+        getattr(kernels, name)(*arguments, 0, 1)
+    else:
+        run(getattr(kernels, name), *arguments)
