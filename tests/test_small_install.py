@@ -26,8 +26,10 @@ sys.meta_path.insert(0, Blocked())
 from splatpainter.cli import main
 sys.exit(main())
 """
-EXTRAS = {"torch", "numba", "llvmlite", "scipy", "OpenImageIO", "fastapi", "uvicorn", "httpx", "yaml", "jinja2", "trimesh",
-          "mitsuba", "spandrel", "splatpainter_networks"}  # fmt: skip
+EXTRAS = {
+    "torch", "numba", "llvmlite", "scipy", "OpenImageIO", "fastapi", "uvicorn", "httpx", "yaml", "jinja2", "trimesh",
+    "mitsuba", "spandrel", "splatpainter_networks",
+}  # fmt: skip
 
 
 def run_core(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
@@ -91,7 +93,7 @@ def test_a_wide_edit_moves_gaussians_without_torch(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "missing", "extra"),
     [
-        ("edit demo/asset.ply demo/regraded.png --mode global --method ttt --preset rows --out x.ply", "torch", "networks"),
+        ("edit demo/asset.ply demo/regraded.png --mode global --preset rows --out x.ply", "torch", "networks"),
         ("train rows --out run", "torch", "networks"),
         ("studio demo/asset.ply --no-browser", "fastapi", "studio"),
     ],

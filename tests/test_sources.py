@@ -248,9 +248,12 @@ def test_a_plain_picture_leaves_the_mask_to_the_painter(view: Path) -> None:
 
 
 def test_the_order_of_cameras(view: Path, tmp_path: Path, camera: Camera) -> None:
-    bare = without_camera(view, tmp_path / "bare.png")
-    with pytest.raises(ValueError, match="no camera"):
+    (tmp_path / "elsewhere").mkdir()
+    bare = without_camera(view, tmp_path / "elsewhere" / "bare.png")
+    with pytest.raises(ValueError, match="no camera in it, in bare.json, or given with --camera, and no view beside"):
         edit_from_files(bare)
+    bare = without_camera(view, tmp_path / "bare.png")
+    assert edit_from_files(bare).camera.width == 64, "that of the view beside it that it matches"
     (tmp_path / "bare.json").write_text(camera.resized(32, 24).to_json())
     assert edit_from_files(bare).at_view().camera.width == 32, "the sidecar"
     (tmp_path / "view.json").write_text(camera.resized(32, 24).to_json())

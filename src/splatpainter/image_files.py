@@ -43,6 +43,7 @@ HALF_MAX = 65504.0
 """Largest 16-bit float."""
 MAX_CHANNELS = 1024
 """Channels that a header may claim; four of them are read."""
+SEVERAL_PAGES = "expected one picture, got a TIFF of several pages or layers; flatten it, or save a PNG"
 CAMERA_KEYWORD = "splatpainter"
 """Keyword of the PNG tEXt chunk, or name of the OpenEXR header attribute, that carries a camera."""
 SRGB_INTENT = b"\0"
@@ -173,6 +174,11 @@ class PixelSamples:
     """Whether colours are multiplied by alpha."""
     orientation: int = 1
     """How it is turned, as EXIF says it: 1 to 8."""
+    profile: bytes | None = None
+    """ICC profile, where it has one."""
+    primaries: tuple[float, ...] | None = None
+    """x, y of white, red, green and blue, where an OpenEXR file says them."""
+    is_float: bool = False
 
 
 def is_exr(path: Path) -> bool:
@@ -223,7 +229,37 @@ def read_deep(path: Path, max_pixels: int) -> PixelSamples:
         values = _windowed(np.nan_to_num(pixels), spec)
         turned = spec.getattribute("Orientation")
         orientation = turned if isinstance(turned, int) and 1 <= turned <= 8 else 1
-    return PixelSamples(values, len(channels), bool(associated), orientation)
+        if source.seek_subimage(1, 0) and source.format_name() == "tiff":
+            raise ValueError(f"{path}: {SEVERAL_PAGES}")
+        profile, primaries = _profile(spec), _primaries(spec)
+        is_float = str(spec.format) in ("half", "float", "double")
+    return PixelSamples(values, len(channels), bool(associated), orientation, profile, primaries, is_float)
+
+
+def has_deep_samples(path: Path) -> bool:
+    """Whether OpenImageIO finds a picture of floats, or of integers of more than 16 bits, in a TIFF. Raises ValueError:
+    it is not installed, and more pixels than `read_deep` takes."""
+    try:
+        with _opened(path, MAX_PICTURE_PIXELS) as (_, spec):
+            return str(spec.format) in ("half", "float", "double", "uint", "int", "uint32", "int32")
+    except ValueError as error:
+        if "needs OpenImageIO" in str(error) or "megapixels" in str(error):
+            raise
+        return False
+
+
+def _profile(spec: Any) -> bytes | None:
+    stored = spec.getattribute("ICCProfile")
+    return None if stored is None or isinstance(stored, str | int | float) else bytes(np.asarray(stored, np.uint8))
+
+
+def _primaries(spec: Any) -> tuple[float, ...] | None:
+    """OpenEXR's order is red, green, blue, white."""
+    stored = spec.getattribute("chromaticities")
+    if stored is None or isinstance(stored, str | int | float) or len(stored) != 8:
+        return None
+    red_to_blue = [float(value) for value in stored]
+    return (*red_to_blue[6:], *red_to_blue[:6])
 
 
 def _windowed(pixels: np.ndarray, spec: Any) -> np.ndarray:
@@ -322,6 +358,12 @@ def find_camera(png: str | Path, explicit: str | Path | None = None) -> Camera:
     return Camera.from_json(text, where)
 
 
+def has_camera(picture: str | Path) -> bool:
+    """Whether a picture says its camera, or has NAME.json beside it. Raises ValueError as `find_camera`, of a picture
+    that cannot be read."""
+    return _camera_text(Path(picture), None)[0] is not None
+
+
 def find_alpha(png: str | Path, explicit: str | Path | None = None) -> Alpha | None:
     """How a picture that was rendered without a background keeps its colours, as it says beside its camera, looked for
     as by `find_camera`; None for other pictures. OpenEXR is "straight": its readers take the alpha out again."""
@@ -338,7 +380,7 @@ def find_alpha(png: str | Path, explicit: str | Path | None = None) -> Alpha | N
 
 def _camera_text(picture: Path, explicit: Path | None) -> tuple[str | None, str]:
     """(the JSON of a camera or None, where it was found)."""
-    from PIL import Image
+    from PIL import Image, UnidentifiedImageError
 
     if explicit is not None:
         return _read_text(explicit), str(explicit)
@@ -352,6 +394,10 @@ def _camera_text(picture: Path, explicit: Path | None) -> tuple[str | None, str]
                 with Image.open(picture) as image:
                     # `text` decodes the picture, to look for chunks behind it: only where none stands ahead.
                     text = image.info.get(CAMERA_KEYWORD) or getattr(image, "text", {}).get(CAMERA_KEYWORD)
+        except UnidentifiedImageError:  # of layers, or of floats: it may have a sidecar
+            if not picture.is_file():
+                raise ValueError(f"{picture}: cannot be read as a picture (no regular file)") from None
+            text = None
         except Exception as error:  # decoders of damaged files raise anything
             raise ValueError(f"{picture}: cannot be read as a picture ({_reason(error)})") from None
     if text:

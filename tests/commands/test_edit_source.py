@@ -123,7 +123,7 @@ def test_what_came_back_is_kept_where_it_is_refused(capfd: Capture, folder: Path
     with Image.open(folder / "report.png") as page:
         assert page.width > 1000 and page.height > 360
     assert str(second) in sourced(capfd, folder, "same").error
-    assert run(capfd, "edit", folder / "ball.ply", first, "--out", folder / "out.ply").code == 0
+    assert run(capfd, "edit", folder / "ball.ply", first, "--out", folder / "out.ply", "--force").code == 0
 
 
 def test_what_came_back_is_kept_after_an_interrupt(tmp_path: Path, capfd: Capture) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from splatpainter.fit.arrays import as_numpy, copied
+from splatpainter.fit.devices import as_numpy, copied
 from splatpainter.fit.parameters import BETAS, EPSILON, Adam
 
 SHAPES = {"means": (3000, 3), "opacities": (3000,), "sh": (3000, 4, 3)}

@@ -7,6 +7,7 @@ import io
 import json
 import random
 import struct
+import zipfile
 import zlib
 from pathlib import Path
 
@@ -17,12 +18,16 @@ from splatpainter.cameras import Camera, look_at
 from splatpainter.image_files import CAMERA_KEYWORD
 from splatpainter.sources import edit_from_files
 from splatpainter.sources.edit_files import camera_from
+from tests.sources.test_color_profiles import float_tiff
+from tests.sources.test_layered_files import psd
 
 from .mutations import bend_bytes, bend_integer, bend_json, bend_list, few, json_bytes, maybe
 from .target import Fault, Target, Verdict, refusal
 
 MAGIC = b"\x89PNG\r\n\x1a\n"
 KINDS = (b"IHDR", b"PLTE", b"IDAT", b"IEND", b"tEXt", b"zTXt", b"iTXt", b"iCCP", b"eXIf", b"tRNS", b"gAMA", b"acTL")
+KINDS += (b"cICP", b"cHRM", b"sRGB")
+NAMES = {"JPEG": "a.jpg", "WEBP": "a.webp", "TIFF": "a.tif", "PSD": "a.psd", "ORA": "a.ora"}
 
 
 class PictureTarget(Target):
@@ -41,6 +46,14 @@ class PictureTarget(Target):
             out = io.BytesIO()
             Image.fromarray(pixels).convert(mode).save(out, kind)
             self.other_pictures.append((kind, out.getvalue()))
+        for layers, large in ((None, False), (-1, False), (None, True)):
+            planes = list(np.moveaxis(pixels, -1, 0))
+            self.other_pictures.append(("PSD", psd(planes, layers=layers, large=large)))
+        merged = io.BytesIO()
+        with zipfile.ZipFile(merged, "w") as archive:
+            archive.writestr("mergedimage.png", join(self.pngs[0]))
+        self.other_pictures.append(("ORA", merged.getvalue()))
+        self.other_pictures.append(("TIFF", float_tiff(pixels[..., :3] / 255)))
 
     def _png(self, pixels: np.ndarray, mode: str) -> list[tuple[bytes, bytes]]:
         out, note = io.BytesIO(), PngImagePlugin.PngInfo()
@@ -59,7 +72,9 @@ class PictureTarget(Target):
             files["a.png"] = self._bent_png(rng)
         else:
             kind, data = rng.choice(self.other_pictures)
-            files[{"JPEG": "a.jpg", "WEBP": "a.webp", "TIFF": "a.tif"}[kind]] = bend_bytes(rng, data)
+            files[{"JPEG": "a.jpg", "WEBP": "a.webp", "TIFF": "a.tif", "PSD": "a.psd", "ORA": "a.ora"}[kind]] = (
+                bend_bytes(rng, data)
+            )
         if maybe(rng, 0.4):
             files["a.json"] = self._camera_text(rng)
         if maybe(rng, 0.2):

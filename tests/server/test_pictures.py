@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import time
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from splatpainter.rendering import render
 from splatpainter.server.image_registration import png_bytes
 from splatpainter.server.watched_folder import saved_picture
 from splatpainter.sources import crop_search
+from tests.sources.test_layered_files import planes_of, psd
 from tests.support.studio_scenes import Live, ball, live_with_folder, view, wire
 
 
@@ -49,6 +51,30 @@ def test_a_painted_export_comes_back_with_its_camera_and_mask(studio: Live) -> N
     seen = fetch(studio, checked["mask"]) > 127
     assert (seen & mask).sum() > 0.95 * mask.sum() and (seen & ~mask).sum() < 0.2 * mask.sum()
     assert checked["share"] == pytest.approx(seen.mean())
+
+
+def test_the_flattened_picture_of_a_psd_is_painted_with(studio: Live, tmp_path: Path) -> None:
+    studio.post("view.export", camera=wire(view()))
+    image, mask = painted(shot())
+    levels = (image * 255).round().astype(np.uint8)
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("mergedimage.png", png_bytes(image))
+    for data, name in ((psd(planes_of(levels)), "a.psd"), (file.getvalue(), "a.kra")):
+        checked = studio.post("picture.check", picture=studio.send(data, name))
+        assert checked["camera_source"] == "export" and checked["warnings"] == []
+        seen = fetch(studio, checked["mask"]) > 127
+        assert (seen & mask).sum() > 0.95 * mask.sum() and (seen & ~mask).sum() < 0.2 * mask.sum()
+
+
+def test_a_picture_that_differs_everywhere_is_explained(studio: Live, tmp_path: Path) -> None:
+    mirrored = png_bytes(np.ascontiguousarray(shot()[::-1]))
+    checked = studio.post("picture.check", picture=studio.send(mirrored), camera=wire(view()))
+    assert any("mirrored from top to bottom" in warning["message"] for warning in checked["warnings"])
+    file = io.BytesIO()
+    Image.fromarray((shot() * 255).round().astype(np.uint8)).save(file, "JPEG", quality=40)
+    checked = studio.post("picture.check", picture=studio.send(file.getvalue()), camera=wire(view()))
+    assert checked["share"] == 0, "what JPEG did is no paint"
 
 
 def test_cameras_are_found_in_the_sidecar_the_exports_and_by_resemblance(studio: Live, tmp_path: Path) -> None:

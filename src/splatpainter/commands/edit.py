@@ -37,6 +37,7 @@ from splatpainter.sources import FileEdit
 from splatpainter.sources.decals import Decal
 from splatpainter.sources.gatekeeper import Strictness
 from splatpainter.sources.photographs import laid_over, picture_edit
+from splatpainter.sources.picture_gate import checked_picture
 from splatpainter.splats import Splats
 
 
@@ -45,8 +46,9 @@ class Config:
     """Write edited pictures of an asset onto the asset. Gaussians that the edit does not reach stay as they are, byte
     for byte where the format allows it, and the receipt proves it.
 
-    Pictures: PNG, JPEG, WebP, TIFF or OpenEXR, painted on what `splatpainter render` made, or on a photograph that the
-    asset was made from. Transparent pixels mean: unchanged. Later pictures win where several disagree.
+    Pictures: PNG, JPEG, WebP, TIFF, OpenEXR, PSD, OpenRaster or Krita, painted on what `splatpainter render` made, or
+    on a photograph that the asset was made from. Transparent pixels mean: unchanged. Later pictures win where several
+    disagree.
 
     example:
       splatpainter edit vase.ply views/view_000.png --out painted.ply
@@ -70,11 +72,19 @@ class Config:
     lenient: bool = False
     """Also open a file that was cut off after its last complete row; what is left of the cut part is kept."""
     camera: CameraFiles = ()
-    """Cameras of the pictures, in their order, where the pictures lost theirs (CAM.json), or where they are photographs
-    of a capture: cameras.json, transforms.json or COLMAP's sparse/0, with :N (a number or a name) where the picture has
-    another name than the photograph. Those of the capture in ASSET's folder need none."""
+    """Cameras of the pictures, in their order, where the pictures lost theirs: CAM.json, the view that was painted on,
+    or a folder of views, of which the one counts that the picture matches. For photographs of a capture: cameras.json,
+    transforms.json or COLMAP's sparse/0, with :N (a number or a name) where the picture has another name than the
+    photograph. Default: what the picture says, or NAME.json beside it, or the capture in ASSET's folder, or the view
+    beside the picture or beside ASSET that it matches."""
     mask: Annotated[tuple[Path, ...], arg(metavar="M.png ...", help_behavior_hint="")] = ()
     """Masks of the pictures, in their order: what is not black was edited. Default: what differs from the asset."""
+    correct: bool = False
+    """Put pictures right first: what a mistake did to all of one (another gamma, a mirror, a grade) is undone, and it
+    is laid over its view, its colours corrected and cut to what was painted, as a source's picture is
+    (--source-strictness)."""
+    force: bool = False
+    """Paint with a picture as it is, also where it differs from its view everywhere or was compressed hard."""
     mode: Mode = "local"
     """local: only what was painted changes. global: a regraded or relit picture changes the whole asset. spread: the
     painted material changes all around, also where the pictures do not show it."""
@@ -181,7 +191,7 @@ def run(config: Config) -> Outcome:
         _check_views(pictures, splats)
         _warn_of_other_assets(pictures, splats)
         _compile()
-        sources = pictures = [laid_over(one, splats, config.mode, config.source_strictness) for one in pictures]
+        sources = pictures = _checked(pictures, splats, config)
         bar.enter("painting")
         if decal is not None:
             edited, sources = paint_decal(splats, decal, config.method, painter)
@@ -276,6 +286,10 @@ def _check(config: Config, receipt_path: Path) -> None:
         raise ValueError("splatpainter edit: --spread-threshold and --spread-confidence are for --mode spread")
     if config.source and config.mode == "spread":
         raise ValueError("splatpainter edit: a source's picture is painted in mode local or global, not spread")
+    if (config.correct or config.force) and (decal or config.source):
+        raise ValueError("splatpainter edit: --correct and --force are for pictures (VIEW.png), no source or decal")
+    if config.correct and config.force:
+        raise ValueError("splatpainter edit: expected one of --correct and --force")
     if config.spread_confidence is not None:
         check_target(config.spread_confidence, config.overwrite, [config.asset], config.pictures)
     if not (decal or config.source) and not 1 <= len(config.pictures) <= MAX_VIEWS:
@@ -309,10 +323,22 @@ def _pictures(config: Config) -> list[FileEdit]:
         return []
     cameras = _cameras(config) or (None,) * len(config.pictures)
     masks = config.mask or (None,) * len(config.pictures)
+    folders = (config.asset.parent, config.asset.parent / "views")  # where `render` was likely told to put them
     return [
-        picture_edit(*files, config.asset)
+        picture_edit(*files, config.asset, folders)
         for files in zip(config.pictures, cameras[: len(config.pictures)], masks, strict=True)
     ]
+
+
+def _checked(pictures: list[FileEdit], splats: Splats, config: Config) -> list[FileEdit]:
+    """The pictures as they are painted with. Raises ValueError for one that differs from its view everywhere."""
+    policy = "correct" if config.correct else "force" if config.force else "refuse"
+    painted = [laid_over(picture, splats, config.mode, config.source_strictness) for picture in pictures]
+    checked = [checked_picture(picture, splats, config.mode, policy, config.source_strictness) for picture in painted]
+    for picture in checked:
+        if picture.warning:
+            warn(picture.warning)
+    return [picture.source for picture in checked]
 
 
 def _warn_of_other_assets(sources: list[FileEdit], splats: Splats) -> None:

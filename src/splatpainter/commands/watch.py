@@ -15,12 +15,13 @@ from splatpainter.commands import Outcome
 from splatpainter.commands.asset_doubts import warn_of_doubts
 from splatpainter.commands.option_parsing import AxesOption, FrameOption
 from splatpainter.commands.output_paths import check_target, placed, splat_format
-from splatpainter.commands.terminal import complain, count, decibels
+from splatpainter.commands.terminal import complain, count, decibels, warn
 from splatpainter.io import files, frame_news, read, write
 from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
 from splatpainter.receipts import prove, receipt_of
 from splatpainter.sources import FileEdit
 from splatpainter.sources.photographs import laid_over, picture_edit
+from splatpainter.sources.picture_gate import checked_picture
 from splatpainter.sources.saved_pictures import LOOK_SECONDS, SavedPictures
 from splatpainter.splats import Splats
 
@@ -54,6 +55,10 @@ class Config:
     """The file to write; its name says the format. It must lie outside of DIR or not be a picture."""
     mode: Mode = "local"
     """local: only what was painted changes. global: a regraded or relit picture changes the whole asset."""
+    correct: bool = False
+    """Put pictures right first, as in splatpainter edit."""
+    force: bool = False
+    """Paint with pictures that differ from their view everywhere as they are."""
     method: Method = "auto"
     """Method of the edit, as in splatpainter edit."""
     preset: Annotated[str, arg(metavar="NAME|DIR")] = "auto"
@@ -114,11 +119,22 @@ class _Watch:
         if path.name not in self.edits and len(self.edits) >= MAX_VIEWS:
             raise ValueError(f"{path}: more than {MAX_VIEWS} pictures; go on with OUT as the new ASSET")
         mask = path.with_name(path.stem + MASK_ENDING)
-        edit = picture_edit(path, mask=mask if mask.is_file() else None, asset=self.config.asset)
+        folder = self.config.asset.parent
+        edit = picture_edit(
+            path,
+            mask=mask if mask.is_file() else None,
+            asset=self.config.asset,
+            folders=(folder, folder / "views"),
+        )
         made_for = edit.camera.asset_sha256
         if made_for is not None and self.splats.sha256 is not None and made_for != self.splats.sha256:
             raise ValueError(f"{path}: was rendered from another asset (sha256 {made_for[:12]}...)")
-        return laid_over(edit, self.splats, self.config.mode)
+        policy = "correct" if self.config.correct else "force" if self.config.force else "refuse"
+        painted = laid_over(edit, self.splats, self.config.mode)
+        checked = checked_picture(painted, self.splats, self.config.mode, policy)
+        if checked.warning:
+            warn(checked.warning)
+        return checked.source
 
     def _write(self) -> str:
         """All pictures onto the asset, and OUT and the receipt; a line that says so."""
@@ -187,6 +203,8 @@ def run(config: Config) -> Outcome:
 def _check(config: Config, receipt_path: Path) -> None:
     if not config.folder.is_dir():
         raise ValueError(f"{config.folder}: no such folder; expected the folder to watch")
+    if config.correct and config.force:
+        raise ValueError("splatpainter watch: expected one of --correct and --force")
     if config.timeout is not None and not config.timeout > 0:
         raise ValueError(f"splatpainter watch: expected --timeout of more than 0 seconds, got {config.timeout:g}")
     splat_format(config.out)

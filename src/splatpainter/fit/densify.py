@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.fit.arrays import as_numpy, exp, indices, joined, on_device, sigmoid, zeros_like
+from splatpainter.fit.devices import as_numpy, exp, indices, joined, on_device, sigmoid, zeros_like
 from splatpainter.fit.gradients import Pull
 from splatpainter.fit.parameters import RawGaussians
 from splatpainter.splats import Array

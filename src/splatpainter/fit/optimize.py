@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.fit.arrays import as_numpy, copied, on_device
 from splatpainter.fit.densify import ORIGINAL_STEPS, DensityOptions, Pulls, Schedule, densify, reset_opacities
+from splatpainter.fit.devices import as_numpy, copied, on_device
 from splatpainter.fit.gradients import CpuPasses, Target, torch_pass
 from splatpainter.fit.image_loss import WINDOW
 from splatpainter.fit.parameters import Adam, RawGaussians, to_raw, with_degree

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.fit.arrays import exp, joined, log, on_device, sigmoid, zeros_like
+from splatpainter.fit.devices import exp, joined, log, on_device, sigmoid, zeros_like
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
 from splatpainter.splats import ATTRIBUTES, Array, Splats

@@ -10,6 +10,13 @@ MAX_NOISE = 24 / 255
 """No picture is so noisy that larger differences are not edits."""
 MAX_LOSSLESS = 0.3 / 255
 """Where a picture has detail, JPEG even of quality 100 leaves more than this at all but one pixel in twenty."""
+MAX_EXACT = 1.5 / 255
+"""Mean difference over 3 x 3 pixels up to which two pictures are one, decoded by two programs."""
+LOSS_REACH_PX, MAX_LOSS_LEVELS, MAX_EXACT_LOSS_LEVELS = 8, 3.0, 1.0
+"""Pixels around one in which the loss of an encoding is like its own: a block of JPEG. What is lost may exceed its mean
+level there by so much; where it is known pixel by pixel, by less."""
+MIN_LOSS, MIN_EXACT_LOSS = 0.5 / 255, 0.25
+"""Level of loss from which there is any, and share of those pixels that must be as expected for it to be known."""
 DETAIL_BINS = 8
 """Levels of detail, each with its noise."""
 MIN_MEDIAN_CHANGE = 1.15 / 255
@@ -43,16 +50,41 @@ def change_mask(edited: np.ndarray, render: np.ndarray) -> np.ndarray:
     signed = np.clip(edited, 0, 1) - before
     signed[np.abs(signed) < 0.51 / 255] = 0  # what rounding to 8 bits leaves
     difference = largest_channel(np.abs(signed))
-    near, contrast = box_mean(difference, 1), _contrast(before)
-    detailed = contrast > 0.5 / 255
+    near, detail = box_mean(difference, 1), contrast(before)
+    detailed = detail > 0.5 / 255
     if not detailed.any() or np.quantile(near[detailed], 0.05) <= MAX_LOSSLESS:
         core = near > MAX_ROUNDING
     else:
         shift = largest_channel(np.abs(box_mean(signed, 2)))
-        noise = _noise(shift, box_mean(contrast, 8))  # 17 x 17: the reach of JPEG's blocks
+        noise = _noise(shift, box_mean(detail, 8))  # 17 x 17: the reach of JPEG's blocks
         core = (shift > np.clip(MAX_ROUNDING + 6 * noise, MAX_ROUNDING, MAX_NOISE)) | (near > MAX_NOISE)
     core &= box_mean(core, 1) > 3.5 / 9
     return (box_mean(core, 1) > 0.5 / 9) & (difference > MAX_ROUNDING)
+
+
+def change_mask_beyond(edited: np.ndarray, render: np.ndarray, expected: np.ndarray) -> np.ndarray:
+    """[H, W] bool: as `change_mask`, of a picture that was stored with loss. expected: [H, W, 3] the render after the
+    same loss: what differs from both of them by more than the loss does around it was edited.
+
+    Averaged over 5 x 5 pixels, as there: what is lost averages out, up to a few times its level around a pixel. Where
+    much of the picture is exactly as expected, the loss is known, and fainter paint is told from it."""
+    before, lossy = np.clip(render, 0, 1), np.clip(expected, 0, 1)
+    picture = np.clip(edited, 0, 1)
+    level = box_mean(largest_channel(np.abs(box_mean(lossy - before, 2))), LOSS_REACH_PX)
+    near = box_mean(largest_channel(np.abs(picture - lossy)), 1)
+    lost = level > MIN_LOSS
+    levels = MAX_LOSS_LEVELS if not lost.any() or exact_share(near, lost) < MIN_EXACT_LOSS else MAX_EXACT_LOSS_LEVELS
+    core = near > MAX_ROUNDING
+    for base in (before, lossy):
+        core &= largest_channel(np.abs(box_mean(picture - base, 2))) > MAX_ROUNDING + levels * level
+    core &= box_mean(core, 1) > 3.5 / 9
+    return (box_mean(core, 1) > 0.5 / 9) & (largest_channel(np.abs(picture - before)) > MAX_ROUNDING)
+
+
+def exact_share(near: np.ndarray, region: np.ndarray) -> float:
+    """Share of the pixels of a region, both [H, W], where the mean difference over 3 x 3 pixels is no more than what
+    another decoder makes; 1 of an empty one."""
+    return float((near <= MAX_EXACT)[region].mean()) if region.any() else 1.0
 
 
 def edited_mask(edited: np.ndarray, render: np.ndarray, alpha: np.ndarray) -> np.ndarray:
@@ -86,7 +118,7 @@ def _more_detailed(edited: np.ndarray, render: np.ndarray, solid: np.ndarray, me
     """Whether a picture has more detail than the render nearly everywhere, and more than noise. solid: [H, W] bool the
     asset's pixels; median: of the difference there."""
     fine = float(np.median(largest_channel(np.abs(box_mean(edited - render, 1)))[solid]))
-    before, after = (box_mean(_contrast(image), 4)[solid] for image in (render, edited))
+    before, after = (box_mean(contrast(image), 4)[solid] for image in (render, edited))
     return fine > MIN_FINE_SHARE * median and float((after > RISE * before).mean()) >= MIN_RISEN_SHARE
 
 
@@ -110,7 +142,7 @@ def dilated(mask: np.ndarray, reach: int) -> np.ndarray:
     return out
 
 
-def _contrast(image: np.ndarray) -> np.ndarray:
+def contrast(image: np.ndarray) -> np.ndarray:
     """[H, W] difference of each pixel's grey to its right and lower neighbours'."""
     grey = (image[..., 0] + image[..., 1] + image[..., 2]) * np.asarray(1 / 3, image.dtype)
     return np.abs(np.diff(grey, axis=1, append=grey[:, -1:])) + np.abs(np.diff(grey, axis=0, append=grey[-1:]))

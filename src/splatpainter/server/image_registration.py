@@ -1,25 +1,17 @@
-"""Pictures that come back from elsewhere: which view they show, and what was changed in them.
+"""Pictures that come back from elsewhere: what was changed in them.
 
-Views are recognised by thumbnails; whether a picture was moved or cropped is for sources/registration.py. Pure. H, W:
-pixels of the camera; colours are display sRGB 0..1.
+Which view they show is for sources/view_search.py, whether they were moved or cropped for sources/registration.py.
+Pure. H, W: pixels of the camera; colours are display sRGB 0..1.
 """
 
 from __future__ import annotations
-
-from collections.abc import Iterable
 
 import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.image_files import CAMERA_KEYWORD, encode_png, to_uint8
 from splatpainter.lift.masks import edited_mask
-from splatpainter.sources.edit_files import MAX_ASPECT_ERROR
-from splatpainter.sources.picture_reader import resample
 
-THUMBNAIL_PX = 48
-"""Pixels of the thumbnails that pictures are recognised by."""
-MAX_THUMBNAIL_DIFFERENCE = 0.08
-"""Mean difference of thumbnails up to which a picture is taken for an edit of an exported view."""
 FAINT_DIFFERENCE = 1.5 / 255
 """Differences outside the mask up to here are rounding and compression."""
 FAINT_WARNING_SHARE = 0.02
@@ -28,32 +20,10 @@ REGRADED_SHARE = 0.6
 """Where more than this share of the asset changed, somebody regraded it."""
 
 
-def same_shape(size: tuple[int, int], target: tuple[int, int]) -> bool:
-    """Whether a picture of `size` (width, height) is one of `target`, resized."""
-    return abs((size[0] / size[1]) / (target[0] / target[1]) - 1) <= MAX_ASPECT_ERROR or (
-        abs(size[0] - size[1] * target[0] / target[1]) <= 1
-    )
-
-
 def png_bytes(image: np.ndarray, camera: Camera | None = None) -> bytes:
     """PNG of [H, W, 3 or 4] or [H, W] values (float 0..1, uint8 or bool), with its camera inside. Fast, not small."""
     pixels = image.astype(np.uint8) * 255 if image.dtype == bool else to_uint8(image)
     return encode_png(pixels, None if camera is None else {CAMERA_KEYWORD: camera.to_json()}, level=1)
-
-
-def thumbnail(image: np.ndarray) -> np.ndarray:
-    """[THUMBNAIL_PX, THUMBNAIL_PX, 3] a picture shrunk, to be recognised by."""
-    return resample(np.clip(image, 0, 1), THUMBNAIL_PX, THUMBNAIL_PX)
-
-
-def most_alike(picture: np.ndarray, candidates: Iterable[np.ndarray]) -> int | None:
-    """Which thumbnail the picture [h, w, 3] was made from, or None where none is like it. The half of the pixels that
-    agrees best decides: the other half may have been painted over."""
-    pixels, half = thumbnail(picture), THUMBNAIL_PX**2 // 2
-    scores = [float(np.sort(np.abs(pixels - other).mean(-1), axis=None)[:half].mean()) for other in candidates]
-    if not scores or min(scores) > MAX_THUMBNAIL_DIFFERENCE / 2:
-        return None
-    return int(np.argmin(scores))
 
 
 def changed_mask(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray, threshold: float | None) -> np.ndarray:

@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pydantic import ValidationError
 
 from splatpainter.cameras import Camera
@@ -38,6 +37,7 @@ from splatpainter.server.storage import Blobs, Downloads, Folder, Projects, Rece
 from splatpainter.session import Session
 from splatpainter.session.layer_factory import thumbnail
 from splatpainter.session.scratch import ScratchFolder, sweep_folder, sweep_scratch
+from splatpainter.sources.view_search import NamedView
 from splatpainter.splats import Splats
 from splatpainter.user_folders import projects_folder
 
@@ -58,16 +58,6 @@ class StudioOptions:
     projects: Path | None = None
     """Where new projects are saved; None: the user's data folder."""
     limits: UploadLimits = field(default_factory=UploadLimits)
-
-
-@dataclass(frozen=True)
-class ExportedView:
-    """A view that was given out to be edited elsewhere."""
-
-    name: str
-    camera: Camera
-    thumbnail: np.ndarray = field(repr=False)
-    """[S, S, 3] float32 what it looked like."""
 
 
 class Studio:
@@ -91,7 +81,7 @@ class Studio:
         self._preparing: threading.Thread | None = None
         self._drawn: int | None = None
         """Version of the session of which its project has a picture; None: it has none."""
-        self.exports: deque[ExportedView] = deque(maxlen=MAX_EXPORTED_VIEWS)
+        self.exports: deque[NamedView] = deque(maxlen=MAX_EXPORTED_VIEWS)
         self._sourced: OrderedDict[str, dict[str, Any]] = OrderedDict()
         """Pictures that a source made: sha256 -> what receipts say of it."""
         self.written: dict[str, str] = {}

@@ -13,7 +13,8 @@ from splatpainter.io.bounded import Gunzip, zip_directory
 from splatpainter.io.files import read_head, reading
 from splatpainter.io.ply_container import read_header
 from splatpainter.sources.cube_lut import MAX_CUBE_BYTES
-from splatpainter.sources.picture_reader import MAX_PICTURE_PIXELS, PICTURE_KINDS, SIZE_LIMIT
+from splatpainter.sources.layered_files import holds_merged, is_psd, psd_size
+from splatpainter.sources.picture_reader import MAX_PICTURE_PIXELS, PICTURE_KINDS, SIZE_LIMIT, declared_size
 
 Kind = Literal["picture", "asset", "project", "layer", "lut"]
 CUBE_ENDING = ".cube"
@@ -42,7 +43,7 @@ def sniff(path: Path, name: str, max_gaussians: int) -> UploadInfo:
     head = read_head(path, 16)
     if head == SQLITE:
         return UploadInfo("project", ".splatproj", "application/octet-stream")
-    picture = _picture(path, name)
+    picture = _picture(path, name) or _layered(path, name)
     if picture is not None:
         return picture
     if head[:4] == ZIP and _is_layer(path):
@@ -101,6 +102,18 @@ def _picture(path: Path, name: str) -> UploadInfo | None:
     if width * height > MAX_PICTURE_PIXELS:
         raise ValueError(f"{name or 'picture'}: expected {SIZE_LIMIT}, got {width}x{height}")
     return UploadInfo("picture", ENDINGS[kind], MEDIA[kind], width, height)
+
+
+def _layered(path: Path, name: str) -> UploadInfo | None:
+    """A PSD, OpenRaster or Krita file, which browsers do not show."""
+    psd = is_psd(path)
+    if not psd and not holds_merged(path):
+        return None
+    try:
+        width, height = (psd_size(path) if psd else declared_size(path)) or (0, 0)
+    except ValueError as error:
+        raise ValueError(str(error).replace(str(path), name or "picture")) from None
+    return UploadInfo("picture", ".psd" if psd else ".ora", "application/octet-stream", width, height)
 
 
 def _declared_count(path: Path, key: str) -> int:

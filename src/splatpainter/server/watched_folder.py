@@ -19,7 +19,7 @@ from splatpainter.server.storage import StoredBlob
 from splatpainter.server.studio import Studio
 from splatpainter.sources.picture_reader import read_picture
 
-SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
+SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".psd", ".psb", ".ora", ".kra")
 QUIET_MS = 300
 """Without a change, after which a file counts as saved."""
 RETRY_SECONDS = 5.0

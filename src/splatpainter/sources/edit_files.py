@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -10,12 +11,14 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.captures import choose_one, is_capture, named_views, split_selector
 from splatpainter.color import from_display, to_display
-from splatpainter.image_files import Alpha, find_alpha, find_camera
-from splatpainter.lift.masks import change_mask
+from splatpainter.image_files import Alpha, find_alpha, find_camera, has_camera
+from splatpainter.lift.masks import change_mask, change_mask_beyond
 from splatpainter.painter import Edit, Mode
+from splatpainter.sources.encodings import edited_in_encoded
 from splatpainter.sources.larger_views import edited_in_larger, larger_view
 from splatpainter.sources.picture_reader import (
     MAX_PICTURE_PIXELS,
+    PICTURE_SUFFIXES,
     SIZE_LIMIT,
     Picture,
     declared_size,
@@ -24,10 +27,9 @@ from splatpainter.sources.picture_reader import (
     resample,
     unpremultiplied,
 )
+from splatpainter.sources.view_search import MAX_ASPECT_ERROR, lost_camera
 from splatpainter.splats import Splats
 
-MAX_ASPECT_ERROR = 0.01
-"""A picture's aspect ratio may differ from its camera's by this part (one pixel of rounding, and some)."""
 MIN_MASK = 0.25
 """Value from which a resampled mask counts: a thin stroke survives being shrunk."""
 MAX_CLEAR_ALPHA = 0.02
@@ -77,57 +79,98 @@ class FileEdit:
         notes = (*self.notes[:-1], _resampled(self.original_size, view))
         return replace(self, picture=picture, camera=view, mask=mask, notes=notes, view=None)
 
+    def relative_to(self, offset: tuple[float, float, float]) -> FileEdit:
+        """The same picture for an asset with this offset (Splats.offset)."""
+        view = None if self.view is None else self.view.relative_to(offset)
+        return replace(self, camera=self.camera.relative_to(offset), view=view)
+
     def edit(self, splats: Splats, mode: Mode = "local") -> Edit:
         """The edit of this asset. Transparent pixels show the asset's own render, so they change nothing; a mode
         "global" edit does not learn from them, and takes the picture at its view's size. Renders the asset where it has
         to."""
         if mode == "global" and self.view is not None:
             return self.at_view().edit(splats, mode)
-        camera = self.camera.relative_to(splats.offset)
-        if camera is not self.camera:
-            view = None if self.view is None else self.view.relative_to(splats.offset)
-            return replace(self, camera=camera, view=view).edit(splats, mode)
+        if self.camera.relative_to(splats.offset) is not self.camera:
+            return self.relative_to(splats.offset).edit(splats, mode)
         alpha, mask = self.picture.alpha, self.mask
         resized = self.view is not None or self.original_size != (self.camera.width, self.camera.height)
         colors = from_display(self.picture.colors, splats.color_space)
-        if alpha is not None or (resized and mask is None and mode == "local"):
-            render, cover = _draw(splats, self.camera)
+        unmasked = mask is None and (mode == "local" if resized else self.is_lossy and mode != "global")
+        if alpha is not None or unmasked:
+            render, cover = draw(splats, self.camera)
             if alpha is not None:
                 behind = self.camera.background if self.cut_out else None
                 colors = over_render(colors, alpha, np.clip(render, 0, 1), cover, behind)
-            if resized and mask is None and mode == "local":
+            if unmasked:
                 mask = self._changed(colors, render, cover, splats)
+                if self.is_lossy and mask is not None and not mask.any():
+                    assert self.picture.encoding is not None
+                    raise ValueError(
+                        f"{self.path}: nothing was painted: it differs from its view only as "
+                        f"{self.picture.encoding.words} does"
+                    )
             if alpha is not None and (mask is not None or mode == "global"):
                 mask = (alpha > MAX_CLEAR_ALPHA) & (True if mask is None else mask)
         return Edit(np.ascontiguousarray(colors, np.float32), self.camera, mask, str(self.path))
 
-    def _changed(self, colors: np.ndarray, render: np.ndarray, cover: np.ndarray, splats: Splats) -> np.ndarray:
-        """Pixels that differ from a render that went through the same change of size and back: resampling alone
-        moves every edge by more than an edit's tolerance."""
+    @property
+    def is_lossy(self) -> bool:
+        """Whether it is known how its file loses something."""
+        return self.picture.encoding is not None
+
+    def _changed(self, colors: np.ndarray, render: np.ndarray, cover: np.ndarray, splats: Splats) -> np.ndarray | None:
+        """Pixels that differ from a render that went through the same change of size and back, and was stored alike:
+        these alone move every edge by more than an edit's tolerance. None: the painter is to say."""
+        space, encoding = splats.color_space, self.picture.encoding
+        picture, displayed = to_display(colors, space), np.clip(to_display(render, space), 0, 1)
         if self.view is not None:
-            space, small = splats.color_space, _draw(splats, self.view)[0]
-            large, small = to_display(render, space), to_display(small, space)
-            return edited_in_larger(to_display(colors, space), large, small, cover)
-        displayed = np.clip(to_display(render, splats.color_space), 0, 1)
+            small = to_display(draw(splats, self.view)[0], space)
+            mask = edited_in_larger(picture, displayed, small, cover)
+            if encoding is None or mask.all():
+                return mask
+            return mask & change_mask_beyond(
+                picture, displayed, encoding.fitted(picture, displayed, cover).applied(displayed)
+            )
+        camera = self.camera
+        if encoding is not None:
+            if self.original_size == (camera.width, camera.height):
+                return edited_in_encoded(picture, displayed, cover, encoding)
+            fitted = encoding.fitted(picture, displayed, cover)
+            stored = fitted.applied(resample(displayed, *self.original_size))
+            expected = resample(stored, camera.width, camera.height)
+            return change_mask_beyond(picture, displayed, expected)
         resized = resample(displayed, *self.original_size)
-        back = from_display(resample(resized, self.camera.width, self.camera.height), splats.color_space)
-        return change_mask(colors, back)
+        return change_mask(colors, from_display(resample(resized, camera.width, camera.height), space))
 
 
-def edit_from_files(picture: Path, camera: Path | None = None, mask: Path | None = None) -> FileEdit:
-    """Read an edited picture, its camera (given: CAM.json or a PNG that carries one; else in the picture, else in its
-    sidecar NAME.json) and its mask. A larger picture of the camera's shape is a larger render of the same view: the
-    edit is made at its size. Another picture of another size but the same aspect ratio is resampled.
+def edit_from_files(
+    picture: Path, camera: Path | None = None, mask: Path | None = None, folders: Sequence[Path] = ()
+) -> FileEdit:
+    """Read an edited picture, its camera (given: CAM.json, a PNG that carries one, or a folder of views, the one that
+    it matches; else in the picture, else in its sidecar NAME.json, else that of the view that it matches, in its own
+    folder and in `folders`) and its mask. A larger picture of the camera's shape is a larger render of the same view:
+    the edit is made at its size. Another picture of another size but the same aspect ratio is resampled.
 
     Raises ValueError, one line naming the file: an unreadable, too large or animated picture, inks (CMYK), no camera or
     a broken one, an aspect ratio more than 1 % off, an empty mask."""
     declared = declared_size(picture)
-    view = camera_from(camera) if camera is not None else find_camera(picture)
+    searched: list[Path] | None = None
+    if camera is not None and camera.is_dir():
+        searched, camera = [camera], None
+    elif camera is None and not has_camera(picture):
+        searched = [picture.parent, *folders]
+    if searched is not None:
+        recognised = read_picture(picture, inks=False)
+        view, view_name = lost_camera(picture, recognised, searched)
+        camera_notes = [f"has no camera: that of {view_name}, which it matches"]
+    else:
+        recognised, camera_notes = None, []
+        view = camera_from(camera) if camera is not None else find_camera(picture)
     _check_size(view, camera or picture)
     target_size = (view.width, view.height)
     _check_declared(picture, "the picture", declared, target_size)
-    decoded = read_picture(picture, inks=False)
-    notes = list(decoded.notes)
+    decoded = recognised or read_picture(picture, inks=False)
+    notes = [*camera_notes, *decoded.notes]
     _check_aspect(picture, "the picture", decoded.size, target_size)
     larger = larger_view(view, *decoded.size)
     if larger is not None:
@@ -176,7 +219,7 @@ def camera_from(path: Path, asset: Path | None = None) -> Camera:
         view = choose_one(named_views(path, asset), path)
         _check_size(view.camera, path)
         return view.camera
-    if path.suffix.lower() in (".png", ".webp", ".tif", ".tiff", ".jpg", ".jpeg", ".exr"):
+    if path.suffix.lower() in PICTURE_SUFFIXES:
         camera = find_camera(path)
     else:
         camera = find_camera(path, path)
@@ -234,7 +277,7 @@ def over_render(
     return share * colors + erased * drawn + (1 - np.maximum(share, cover)) * background
 
 
-def _draw(splats: Splats, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+def draw(splats: Splats, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """([H, W, 3] colours, [H, W] alpha)."""
     from splatpainter.rendering import render
 

@@ -12,7 +12,7 @@ than a photograph does. Exposure and place are taken back by the gatekeeper.
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -128,7 +128,11 @@ def straight_picture(picture: Picture, view: CapturedView, *, all_of_it: bool) -
 
 
 def picture_edit(
-    picture: Path, camera: Path | None = None, mask: Path | None = None, asset: Path | None = None
+    picture: Path,
+    camera: Path | None = None,
+    mask: Path | None = None,
+    asset: Path | None = None,
+    folders: Sequence[Path] = (),
 ) -> FileEdit:
     """As `edit_from_files`; where `camera` is FILE[:N] of a capture, or the asset lies in a folder with one and the
     picture has no camera but the name of a photograph of it: that photograph, painted on.
@@ -136,7 +140,7 @@ def picture_edit(
     Raises ValueError, one line naming the file: as `edit_from_files`, and for a capture in which nothing says which
     view it is."""
     if camera is not None and split_selector(camera)[0] == camera and not is_capture(camera):
-        return edit_from_files(picture, camera, mask)
+        return edit_from_files(picture, camera, mask, folders)
     if carries_camera(picture):  # a render's, painted on: no photograph
         return edit_from_files(picture, None, mask)
     if camera is not None:
@@ -145,7 +149,7 @@ def picture_edit(
     views = [] if beside is None else named_views(beside, asset, picture)
     if len(views) == 1 and views[0].is_called(picture.name):
         return photograph_edit(picture, views[0], mask)
-    return edit_from_files(picture, None, mask)
+    return edit_from_files(picture, None, mask, folders)
 
 
 def carries_camera(picture: Path) -> bool:
@@ -271,6 +275,7 @@ def laid_over(edit: FileEdit, splats: Splats, mode: Mode = "local", strictness: 
     photograph = edit.photograph
     if photograph is None:
         return edit
+    edit = edit.relative_to(splats.offset)
     drawn = render_views(splats, edit.camera)
     space = splats.color_space
     render, cover = np.clip(to_display(drawn.colors[0], space), 0, 1).astype(np.float32), drawn.alphas[0, ..., 0]

@@ -7,6 +7,7 @@ where OpenImageIO is not installed 16-bit colour is read with its upper 8 bits, 
 from __future__ import annotations
 
 import io
+import tempfile
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,15 +18,45 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from splatpainter.color import to_display
-from splatpainter.image_files import EXTRA, MAX_PICTURE_PIXELS, PixelSamples, can_do_deep, is_deep, is_exr, read_deep
+from splatpainter.image_files import (
+    EXTRA,
+    MAX_PICTURE_PIXELS,
+    SEVERAL_PAGES,
+    PixelSamples,
+    can_do_deep,
+    has_deep_samples,
+    is_deep,
+    is_exr,
+    read_deep,
+)
+from splatpainter.sources.color_profiles import (
+    ColorStatement,
+    PngColors,
+    matrix_profile,
+    png_colors,
+    primaries_to_srgb,
+)
+from splatpainter.sources.encodings import Encoding, encoding_of
+from splatpainter.sources.layered_files import (
+    first_bytes,
+    foreign_kind,
+    is_psd,
+    is_zip,
+    merged_png,
+    psd_size,
+    read_psd,
+)
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
 SIZE_LIMIT = f"at most {MAX_PICTURE_PIXELS // 10**6} megapixels"
 Kernel = Literal["nearest", "bilinear", "bicubic", "lanczos"]
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", ".psd", ".psb", ".ora", ".kra")
+"""Endings of files that are read as pictures."""
 PICTURE_KINDS = ("PNG", "JPEG", "WEBP", "TIFF")
-LOSSY_KINDS = ("JPEG", "WEBP")
+LOSSY_KINDS = ("JPEG", "WebP")
+TIFF_MAGICS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 INKS = ("CMYK", "LAB")
 """Pillow's modes whose colours depend on a profile and do not come back as they were painted."""
 MAX_LOSSY_NOISE = 16
@@ -46,6 +77,8 @@ class Picture:
     """[H, W] float32 0..1; None where every pixel is opaque."""
     notes: tuple[str, ...] = ()
     """What was done to it that its owner may want to know, one line each."""
+    encoding: Encoding | None = None
+    """How its file loses something; None: not, or nobody can say how."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -65,38 +98,57 @@ class Picture:
 
 def read_picture(path: Path, *, inks: bool = True) -> Picture:
     """Decode a PNG, JPEG, WebP or TIFF file as its owner sees it: turned as EXIF says, converted from its embedded
-    profile to sRGB; or an OpenEXR file of linear light (sRGB primaries). inks: whether colours may be of INKS, not in
+    profile, or from what a PNG says of its colours, to sRGB; or an OpenEXR file of linear light; or the flattened
+    picture of a PSD, OpenRaster or Krita file. inks: whether colours may be of INKS, not in
     pictures that are compared with a render. Raises ValueError: missing, unreadable, damaged, another kind of file,
     animated, more than MAX_PICTURE_PIXELS pixels, OpenEXR without OpenImageIO."""
     if is_exr(path):
         return _light(read_deep(path, MAX_PICTURE_PIXELS))
+    if is_zip(path):
+        with _merged_file(path) as merged:
+            return read_picture(merged, inks=inks)
+    if is_psd(path):
+        return _composite(path)
+    if _is_tiff_beyond_pillow(path):
+        return _beyond_pillow(read_deep(path, MAX_PICTURE_PIXELS))
     with _opened(path) as image:
         from PIL import ImageOps
 
         if not inks and image.mode in INKS:
             raise ValueError(f"{path}: expected RGB colours, got {image.mode}; save it as RGB")
         turned = ImageOps.exif_transpose(image)
-        notes: list[str] = []
+        stated = png_colors(path) if image.format == "PNG" else PngColors(profiled=True)
+        notes = list(stated.notes)
         if turned.mode.startswith("I") or turned.mode == "F":
-            return Picture(*_deep_grey(turned))
-        profile = image.info.get("icc_profile")
+            return _in_srgb(Picture(*_deep_grey(turned), notes=tuple(notes)), stated.statement)
+        profile = image.info.get("icc_profile") if stated.profiled else None
         alpha = _alpha(turned)
         colors, note = _srgb(turned, profile)
+        if is_deep(path, image):
+            statement = matrix_profile(profile) if note and profile else None
+            if can_do_deep() and (statement is not None or not note):
+                picture = replace(_deep(read_deep(path, MAX_PICTURE_PIXELS)), notes=tuple(notes))
+                if statement is None:
+                    return _in_srgb(picture, stated.statement)
+                return replace(picture, colors=statement.to_srgb(picture.colors), notes=(*notes, note))
+            if not note:
+                notes.append(f"read with 8 of its 16 bits; pip install 'splatpainter[{EXTRA}]' to read all")
         notes += [note] if note else []
-        if is_deep(path, image) and not note:
-            if can_do_deep():
-                return _deep(read_deep(path, MAX_PICTURE_PIXELS))
-            notes.append(f"read with 8 of its 16 bits; pip install 'splatpainter[{EXTRA}]' to read all")
         pixels = np.asarray(colors, np.float32)
         pixels = np.divide(pixels, 255, out=pixels if pixels.flags.writeable else None)
-        return Picture(pixels, alpha, tuple(notes))
+        return _in_srgb(Picture(pixels, alpha, tuple(notes), encoding_of(image)), stated.statement)
 
 
 def declared_size(path: Path) -> tuple[int, int] | None:
-    """(width, height) by a picture's header, before EXIF turns it: nothing is decoded. None for OpenEXR, whose windows
-    the reader judges. Raises ValueError as `read_picture`."""
-    if is_exr(path):
+    """(width, height) by a picture's header, before EXIF turns it: nothing is decoded. None for OpenEXR and TIFF
+    of floats, whose windows the reader judges. Raises ValueError as `read_picture`."""
+    if is_exr(path) or _is_tiff_beyond_pillow(path):
         return None
+    if is_psd(path):
+        return psd_size(path)
+    if is_zip(path):
+        with _merged_file(path) as merged:
+            return declared_size(merged)
     with _opened(path, decode=False) as image:
         return image.size
 
@@ -104,11 +156,8 @@ def declared_size(path: Path) -> tuple[int, int] | None:
 def read_mask(path: Path) -> np.ndarray:
     """[H, W] bool: where a mask picture is not black or, if any of it is transparent, where it is not transparent.
     Raises ValueError as `read_picture`."""
-    lossy = False
-    if not is_exr(path):
-        with _opened(path) as image:
-            lossy = image.format in LOSSY_KINDS
     picture = read_picture(path)
+    lossy = picture.encoding is not None and picture.encoding.kind in LOSSY_KINDS
     if picture.alpha is not None:
         return picture.alpha > 0
     return picture.colors.max(-1) > (MAX_LOSSY_NOISE / 255 if lossy else 0)
@@ -144,7 +193,9 @@ def _opened(path: Path, decode: bool = True) -> Iterator[Image]:
         try:
             image = Image.open(path, formats=PICTURE_KINDS)
         except UnidentifiedImageError:
-            raise ValueError(f"{path}: expected a PNG, JPEG, WebP or TIFF picture, got another kind of file") from None
+            kind = foreign_kind(path)
+            actual = "another kind of file" if kind is None else f"{kind}; export it as PNG"
+            raise ValueError(f"{path}: expected a PNG, JPEG, WebP or TIFF picture, got {actual}") from None
         except Image.DecompressionBombError:
             raise ValueError(f"{path}: expected {SIZE_LIMIT}; scale it down") from None
         except Exception as error:
@@ -167,6 +218,68 @@ def _opened(path: Path, decode: bool = True) -> Iterator[Image]:
                 raise ValueError(f"{path}: damaged picture ({_short(error)})") from None
 
 
+@contextmanager
+def _merged_file(path: Path) -> Iterator[Path]:
+    """The flattened picture of an OpenRaster or Krita file, as a file; errors name the file that it lies in."""
+    data = merged_png(path)
+    with tempfile.TemporaryDirectory(prefix="splatpainter-merged-") as folder:
+        merged = Path(folder) / "merged.png"
+        merged.write_bytes(data)
+        try:
+            yield merged
+        except ValueError as error:
+            raise ValueError(str(error).replace(str(merged), str(path))) from None
+
+
+def _composite(path: Path) -> Picture:
+    """The flattened picture of a PSD in sRGB."""
+    composite = read_psd(path)
+    picture = Picture(composite.colors, composite.alpha)
+    if composite.profile is None:
+        return picture
+    statement = matrix_profile(composite.profile)
+    if statement is None:
+        return replace(picture, notes=("its colour profile cannot be used; its colours are taken as sRGB",))
+    return picture if statement.is_srgb else _in_srgb(picture, statement)
+
+
+def _is_tiff_beyond_pillow(path: Path) -> bool:
+    """Whether it is a TIFF that Pillow cannot open: floats or 32-bit integers of several channels."""
+    if first_bytes(path, 4) not in TIFF_MAGICS:
+        return False
+    from PIL import Image, UnidentifiedImageError
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            with Image.open(path, formats=("TIFF",)):
+                return False
+        except UnidentifiedImageError:
+            return has_deep_samples(path)
+        except Exception:  # decoders of damaged files raise anything; the reader says what
+            return False
+
+
+def _beyond_pillow(samples: PixelSamples) -> Picture:
+    """A TIFF of floats, in sRGB: by its profile, else its numbers are taken as they are, which a note says."""
+    picture = _deep(samples)
+    statement = None if samples.profile is None else matrix_profile(samples.profile)
+    if statement is not None:
+        return picture if statement.is_srgb else _in_srgb(picture, statement)
+    if samples.is_float:
+        note = "floats without a colour profile that is read here: taken as sRGB numbers; save linear light as OpenEXR"
+        return replace(picture, notes=(note,))
+    return picture
+
+
+def _in_srgb(picture: Picture, statement: ColorStatement | None) -> Picture:
+    """A picture whose stored values mean what a statement says; None: sRGB already."""
+    if statement is None:
+        return picture
+    note = f"converted from its colours ({statement.name}) to sRGB"
+    return replace(picture, colors=statement.to_srgb(picture.colors), notes=(*picture.notes, note))
+
+
 def _check_still(path: Path, image: Image) -> None:
     """Raises ValueError: frames, or pages (GIMP's layers in a TIFF), of which the first alone would count. The second
     picture in JPEG files of phones is a preview."""
@@ -175,9 +288,7 @@ def _check_still(path: Path, image: Image) -> None:
         actual = f"{kind} with {getattr(image, 'n_frames', 'several')} frames"
         raise ValueError(f"{path}: expected a still picture, got {actual}; save one of them as PNG")
     if kind == "TIFF" and getattr(getattr(image, "tag_v2", None), "next", 0):
-        raise ValueError(
-            f"{path}: expected one picture, got a TIFF of several pages or layers; flatten it, or save a PNG"
-        )
+        raise ValueError(f"{path}: {SEVERAL_PAGES}")
 
 
 def _short(error: Exception) -> str:
@@ -212,9 +323,21 @@ def _light(samples: PixelSamples) -> Picture:
     values = samples.values
     alpha = np.clip(values[..., -1], 0, 1) if samples.channels in (2, 4) else None
     light = values[..., :3] if samples.channels >= 3 else np.repeat(values[..., :1], 3, -1)
+    light = _of_srgb_primaries(light, samples.primaries)
     colors = to_display(light if alpha is None else unpremultiplied(light, alpha), "linear")
     opaque = alpha is None or alpha.min() == 1
     return Picture(colors.astype(np.float32), None if opaque else alpha)
+
+
+def _of_srgb_primaries(light: np.ndarray, primaries: tuple[float, ...] | None) -> np.ndarray:
+    """[H, W, 3] linear light of other primaries, as an OpenEXR file names them, in those of sRGB."""
+    if primaries is None:
+        return light
+    try:
+        matrix = primaries_to_srgb(primaries)
+    except ValueError:  # they make no sense
+        return light
+    return light if np.abs(matrix - np.eye(3)).max() < 1e-3 else (light @ matrix.T).astype(np.float32)
 
 
 def unpremultiplied(colors: np.ndarray, alpha: np.ndarray) -> np.ndarray:

@@ -9,7 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeAlias
 
-SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr")
+from splatpainter.sources.picture_reader import PICTURE_SUFFIXES
+
 QUIET_SECONDS = 0.3
 """Without a change, after which a file counts as saved."""
 LOOK_SECONDS = 0.1
@@ -65,7 +66,7 @@ class SavedPictures:
         signatures: dict[str, Signature] = {}
         try:
             for path in self.folder.iterdir():
-                if path.name.startswith(".") or path.suffix.lower() not in SUFFIXES:
+                if path.name.startswith(".") or path.suffix.lower() not in PICTURE_SUFFIXES:
                     continue
                 if (signature := _signature(path)) is not None:
                     signatures[path.name] = signature

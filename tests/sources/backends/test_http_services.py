@@ -118,7 +118,7 @@ def test_answers_of_gemini_that_are_no_picture(service: FakeService, reply: obje
         (animated(), "expected a still picture, got PNG with 2 frames"),
         (inks(), "expected RGB colours, got CMYK"),
         (bomb(), "at most 67 megapixels"),
-        (b"GIF89a", "expected a PNG, JPEG, WebP or TIFF picture, got another kind of file"),
+        (b"GIF89a", "expected a PNG, JPEG, WebP or TIFF picture, got a GIF; export it as PNG"),
         (png()[:60], "damaged|cannot be read"),
     ],
 )

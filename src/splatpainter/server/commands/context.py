@@ -20,12 +20,12 @@ from splatpainter.color import to_display
 from splatpainter.rendering import render
 from splatpainter.rendering.profiles import Profile
 from splatpainter.server.describe import layer_info
-from splatpainter.server.image_registration import same_shape
 from splatpainter.server.page_state import PageState
 from splatpainter.server.protocol import Answer, Command, LayerMade
 from splatpainter.server.studio import Studio
 from splatpainter.server.work_queue import Lane, Ticket
 from splatpainter.sources.picture_reader import read_mask, resample
+from splatpainter.sources.view_search import same_shape
 from splatpainter.splats import Splats
 
 Run = Callable[["CommandContext", Any], Answer]

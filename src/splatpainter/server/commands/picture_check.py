@@ -25,9 +25,12 @@ from splatpainter.server.protocol import MAX_VIEW_PIXELS, Answer, Blob, CameraIn
 from splatpainter.server.storage import StoredBlob
 from splatpainter.sources.crop_search import Crop, error_at, find_crop, find_shift, undo_shift
 from splatpainter.sources.edit_files import over_render, unmultiplied
+from splatpainter.sources.encodings import edited_in_encoded
 from splatpainter.sources.larger_views import edited_in_larger, larger_view
+from splatpainter.sources.mistaken_pictures import explain
 from splatpainter.sources.photographs import carries_camera, laid_over, photograph_edit
 from splatpainter.sources.picture_reader import Picture, read_picture
+from splatpainter.sources.view_search import most_alike, same_shape, views_in
 
 MAX_CROP_CANDIDATES = 8
 """Latest exported views that a picture without a camera may be a part of."""
@@ -91,7 +94,7 @@ def check_picture(context: CommandContext, request: PictureCheck) -> PictureChec
     size = (camera.width, camera.height)
     render = _render(context, camera)
     crop = _crop(picture, render)
-    if crop is None and not registration.same_shape(picture.size, size):
+    if crop is None and not same_shape(picture.size, size):
         actual, expected = f"{picture.size[0]}x{picture.size[1]}", f"{size[0]}x{size[1]}"
         raise ValueError(
             f"{name}: expected the shape of its view ({expected}) or a part of it, got {actual}, which matches "
@@ -122,6 +125,9 @@ def check_picture(context: CommandContext, request: PictureCheck) -> PictureChec
         mask = edited_in_larger(colors, render, view_render, cover)
     else:
         mask = registration.changed_mask(colors, render, cover, request.threshold)
+        if picture.encoding is not None and picture.size == size and crop is None and request.threshold is None:
+            edited = edited_in_encoded(colors, render, cover, picture.encoding)
+            mask = np.ones(mask.shape, bool) if edited is None else edited
     share = float(mask.mean())
     if camera.asset_sha256 not in (None, studio.session.opened.sha256):
         text = "The picture was rendered from another asset: every difference counts as an edit."
@@ -137,6 +143,10 @@ def check_picture(context: CommandContext, request: PictureCheck) -> PictureChec
             )
             overlay = studio.blobs.put(registration.png_bytes(registration.overlay(faint)), "outside.png").sha256
             warnings.append(PictureWarning(message=text, picture=overlay))
+    explanation = explain(colors, render, cover)
+    if explanation is not None and explanation.cause != "look":
+        differs = f"differs from its view on {100 * (1 - explanation.agreeing):.0f} % of what they show"
+        warnings.append(PictureWarning(message=f"The picture {differs}; most likely it is {explanation.words}."))
     if not mask.any():
         warnings.append(PictureWarning(message="The picture does not differ from the asset as it is now."))
     straight = studio.blobs.put(registration.png_bytes(colors), name).sha256
@@ -227,18 +237,21 @@ def _find_camera(
         with contextlib.suppress(ValueError):
             sidecar = studio.folder.file(f"{stem}.json")
             return find_camera(blob.path, sidecar), "sidecar"
-    candidates = [e for e in studio.exports if registration.same_shape(picture.size, (e.camera.width, e.camera.height))]
+    candidates = [e for e in studio.exports if same_shape(picture.size, (e.camera.width, e.camera.height))]
     for export in reversed(candidates):
         if Path(export.name).stem == stem and stem != "view":
             return export.camera, "export"
     colors = _flat(picture, 0.0, picture.size)
-    best = registration.most_alike(colors, [export.thumbnail for export in candidates])
+    best = most_alike(colors, candidates, stem)
+    if best is None and studio.folder is not None:
+        root = studio.folder.root
+        best = most_alike(colors, views_in([root], picture.size, besides=root / Path(name).name), stem)
     if best is None:
         camera = _cropped_from(context, colors)
         if camera is not None:
             return camera, "export"
         raise ValueError(f"{name}: it has no camera and matches no exported view; go to its view and drop it there")
-    return candidates[best].camera, "export"
+    return best.camera, "export"
 
 
 def _crop(picture: Picture, render: np.ndarray) -> Crop | None:
@@ -247,7 +260,7 @@ def _crop(picture: Picture, render: np.ndarray) -> Crop | None:
     if picture.size == (width, height):
         return None
     crop = find_crop(_flat(picture, 0.0, picture.size), render)
-    if crop is not None and registration.same_shape(picture.size, (width, height)):
+    if crop is not None and same_shape(picture.size, (width, height)):
         uncropped_error = error_at(_flat(picture, 0.0, (width, height)), render)
         return crop if crop.error < MAX_CROP_ERROR_RATIO * uncropped_error else None
     return crop

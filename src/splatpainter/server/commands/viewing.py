@@ -16,7 +16,7 @@ from splatpainter.rendering.profiles import Profile
 from splatpainter.server import picking
 from splatpainter.server.commands.context import CommandContext, RawExpr, command, python_line, render_display
 from splatpainter.server.describe import up_axis
-from splatpainter.server.image_registration import png_bytes, thumbnail
+from splatpainter.server.image_registration import png_bytes
 from splatpainter.server.protocol import (
     MAX_VIEW_PIXELS,
     Answer,
@@ -28,11 +28,11 @@ from splatpainter.server.protocol import (
     Point,
     Rgb,
 )
-from splatpainter.server.studio import ExportedView
 from splatpainter.session.asset_files import view_files_of
 from splatpainter.session.conflicts import PREDICTED, SEEN
 from splatpainter.session.conflicts import coverage as covered
 from splatpainter.session.layer_factory import spread_options_of
+from splatpainter.sources.view_search import NamedView, thumbnail
 from splatpainter.view_files import Aov, PictureOptions
 
 MAX_EXPORT_PIXELS = 1 << 24
@@ -133,7 +133,7 @@ def export_view(context: CommandContext, request: ViewExport) -> ViewExported:
     plain = (options.format, options.depth, options.transparent, sized) == ("png", 8, None, preview_camera)
     preview = outputs[first] if plain else png_bytes(image, preview_camera)
     blob = studio.blobs.put(preview, f"{request.name}.png")
-    studio.exports.append(ExportedView(first, sized, thumbnail(image)))
+    studio.exports.append(NamedView(first, sized, thumbnail(image)))
     keywords = {"bits": bits, "transparent": request.transparent, "aovs": list(aovs) or None}
     keywords["profile"] = None if request.profile == "inria" else request.profile
     line = python_line("session.export_view", first, RawExpr("camera"), **keywords)

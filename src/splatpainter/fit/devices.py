@@ -32,9 +32,9 @@ def copied(values: Array) -> Array:
     return values.copy() if isinstance(values, np.ndarray) else values.clone()
 
 
-def zeros_like(values: Array, rows: int | None = None) -> Array:
+def zeros_like(values: Array, count: int | None = None) -> Array:
     """Zeros in the shape of [N, ...] values, or with another N."""
-    shape = (len(values) if rows is None else rows, *values.shape[1:])
+    shape = (len(values) if count is None else count, *values.shape[1:])
     return np.zeros(shape, values.dtype) if isinstance(values, np.ndarray) else values.new_zeros(shape)
 
 

@@ -1,0 +1,259 @@
+"""What a lossy encoding makes of a picture: the same is made of a render, to tell paint from what storing it did.
+
+JPEG files say their tables of quantisation, palettes their colours; of lossy WebP, and of pictures that were stored so
+before they became a PNG, the settings that agree best are looked for. Pure, but for Pillow's encoders in memory.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from splatpainter.lift.masks import (
+    MAX_EXACT,
+    box_mean,
+    change_mask_beyond,
+    changed_throughout,
+    contrast,
+    exact_share,
+    largest_channel,
+)
+
+if TYPE_CHECKING:
+    from PIL.Image import Image as PillowImage
+
+EncodingKind = Literal["JPEG", "WebP", "palette", "blur"]
+MAX_PALETTE = 256
+"""Colours of a palette."""
+JPEG_QUALITIES = (95, 90, 85, 80, 75, 70, 60, 50, 40, 30)
+WEBP_QUALITIES = (95, 90, 80, 70, 60, 50, 40, 30, 20, 10)
+BLURS_PX = (0.6, 1.0, 1.5, 2.0)
+"""Standard deviations of blurs that are tried."""
+SEARCH_PX, SEARCH_WEBP_PX = 256, 1024
+"""Side of the part of a picture on which settings are looked for. Blocks of JPEG do not depend on each other; WebP
+spreads its bits over the whole picture."""
+UNPAINTED_SHARE = 0.25
+"""Share of the asset's pixels that is left unpainted, at least, where settings are looked for."""
+HALF_LEVEL = 0.51 / 255
+"""What rounding to 8 bits leaves."""
+MIN_LOSSLESS, MIN_ROUNDED = 0.05, 0.8
+"""Share of the asset's pixels that agree so far with the render from which a picture may have been stored without loss,
+and their part of those that agree nearly."""
+TIE_SHARE = 1e-3
+"""Part of the mean error that decides between settings that leave what agrees best alike: flat parts."""
+MAX_ERROR_RATIO = 0.7
+"""Error of a guessed encoding in parts of that of none, where it is not met exactly. WebP of quality 30 to 80 of
+painted renders has 0.53 to 0.60, noise and sharpening 0.88 and more."""
+MIN_EXACT, MIN_GAIN = 0.5, 0.25
+"""Share of the asset's pixels that a guessed encoding must meet exactly, and its gain over none."""
+MIN_LEFT_ALONE = 0.1
+"""Share of the asset's pixels that paint leaves alone, at least; else all of a picture was made anew."""
+STANDARD_LUMA_MEAN = 57.625
+"""Mean of JPEG's example table of luminance (ITU-T T.81, table K.1)."""
+
+
+@dataclass(frozen=True)
+class Encoding:
+    """A lossy way to store a picture, with its settings."""
+
+    kind: EncodingKind
+    words: str
+    """How it is called: "JPEG of quality 60"."""
+    settings: dict[str, Any] = field(default_factory=dict, repr=False)
+    """JPEG and WebP: arguments of Pillow's encoder; none of WebP: to be distinct. blur: `radius`, pixels."""
+    palette: np.ndarray | None = field(default=None, repr=False)
+    """[K, 3] uint8, of a palette."""
+
+    def applied(self, colors: np.ndarray) -> np.ndarray:
+        """[H, W, 3] colours 0..1 as they come back after being stored so."""
+        from PIL import Image, ImageFilter
+
+        image = Image.fromarray((np.clip(np.nan_to_num(colors), 0, 1) * 255 + 0.5).astype(np.uint8))
+        if self.kind == "palette":
+            assert self.palette is not None
+            flat = np.resize(self.palette, (MAX_PALETTE, 3))  # repeats: no colour that is not there
+            holder = Image.new("P", (1, 1))
+            holder.putpalette(flat.tobytes())
+            image = image.quantize(palette=holder, dither=Image.Dither.NONE)
+        elif self.kind == "blur":
+            if "factor" in self.settings:
+                size, factor = image.size, self.settings["factor"]
+                smaller = image.resize((-(-size[0] // factor), -(-size[1] // factor)), Image.Resampling.LANCZOS)
+                image = smaller.resize(size, Image.Resampling.BICUBIC)
+            else:
+                image = image.filter(ImageFilter.GaussianBlur(self.settings["radius"]))
+        else:
+            file = io.BytesIO()
+            grey = self.settings.get("grey")
+            settings = {key: value for key, value in self.settings.items() if key != "grey"}
+            (image.convert("L") if grey else image).save(file, self.kind, **settings)
+            image = Image.open(file)
+        return np.asarray(image.convert("RGB"), np.float32) / 255
+
+    def fitted(self, picture: np.ndarray, render: np.ndarray, alpha: np.ndarray) -> Encoding:
+        """The encoding with settings that make a render [H, W, 3] most like the picture [H, W, 3], where its file does
+        not say them (WebP). alpha: [H, W] of the render."""
+        if self.kind != "WebP" or self.settings:
+            return self
+        part = _busiest(alpha, SEARCH_WEBP_PX)
+        seen, before, solid = picture[part], render[part], alpha[part] > 0.5
+        return min(_webp_options(), key=lambda option: _low_error(seen, option.applied(before), solid))
+
+
+def encoding_of(image: PillowImage) -> Encoding | None:
+    """How the file of an opened picture was stored; None: without loss, or as nobody can say."""
+    if image.format == "JPEG":
+        tables = getattr(image, "quantization", None)
+        if not tables:
+            return None
+        return _jpeg(image, tables)
+    if image.format == "WEBP":
+        return None if _is_lossless_webp(image) else Encoding("WebP", "lossy WebP")
+    if image.mode == "P" and image.palette is not None:
+        palette = np.frombuffer(image.palette.tobytes(), np.uint8)
+        channels = len(image.palette.mode) or 3
+        colors = palette[: len(palette) // channels * channels].reshape(-1, channels)[:, :3]
+        return palette_of(colors) if len(colors) else None
+    return None
+
+
+def palette_of(colors: np.ndarray) -> Encoding:
+    """colors: [K, 3] uint8, at most MAX_PALETTE of them."""
+    return Encoding("palette", f"a palette of {len(colors)} colours", palette=np.ascontiguousarray(colors))
+
+
+def _jpeg(image: PillowImage, tables: dict[int, list[int]]) -> Encoding:
+    from PIL import JpegImagePlugin
+
+    scale = 100 * float(np.mean(tables[min(tables)])) / STANDARD_LUMA_MEAN
+    quality = 5000 / scale if scale > 100 else (200 - scale) / 2
+    settings: dict[str, Any] = {"qtables": [list(tables[key]) for key in sorted(tables)][:2]}
+    if image.mode == "L":
+        settings["grey"] = True
+    else:
+        sampling = JpegImagePlugin.get_sampling(image)
+        settings["subsampling"] = sampling if sampling in (0, 1, 2) else 2
+    return Encoding("JPEG", f"JPEG of quality {max(1, round(quality))}", settings)
+
+
+def _is_lossless_webp(image: PillowImage) -> bool:
+    """By the kind of its first picture chunk."""
+    file = getattr(image, "filename", "")
+    if not file:
+        return False
+    try:
+        with open(file, "rb") as stream:
+            head = stream.read(1 << 16)
+    except OSError:
+        return False
+    lossless, lossy = head.find(b"VP8L"), head.find(b"VP8 ")
+    return lossless >= 0 and (lossy < 0 or lossless < lossy)
+
+
+def edited_in_encoded(
+    picture: np.ndarray, render: np.ndarray, alpha: np.ndarray, encoding: Encoding
+) -> np.ndarray | None:
+    """[H, W] bool: what was edited in a picture [H, W, 3] that was stored so; None where all of it was made anew, so
+    that nothing is as storing the render [H, W, 3] would have made it. alpha: [H, W] of the render."""
+    expected = encoding.fitted(picture, render, alpha).applied(render)
+    mask = change_mask_beyond(picture, render, expected)
+    if changed_throughout(picture, render, alpha) and changed_throughout(picture, expected, alpha):
+        rest = np.where(mask, 0, alpha)  # paint leaves something alone, beyond what storing it did
+        if (rest > 0.9).sum() < MIN_LEFT_ALONE * (alpha > 0.9).sum() or changed_throughout(picture, expected, rest):
+            return None
+    return mask
+
+
+def _webp_options() -> list[Encoding]:
+    return [Encoding("WebP", f"WebP of quality {quality}", {"quality": quality}) for quality in WEBP_QUALITIES]
+
+
+def guessed_encoding(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray) -> Encoding | None:
+    """How a picture [H, W, 3] was stored before, or softened, as far as it agrees with its render [H, W, 3] after the
+    same; None where it agrees without, or with nothing that is tried. alpha: [H, W] of the render."""
+    colors = _few_colors(picture)
+    if colors is not None:
+        return palette_of(colors)
+    best, plain = None, 1.0
+    errors: list[tuple[float, Encoding]] = []
+    for options, side in ((_guesses(), SEARCH_PX), (_webp_options(), SEARCH_WEBP_PX)):
+        part = _busiest(alpha, side)
+        seen, before = picture[part], np.clip(render[part], 0, 1)
+        solid = _detailed(before, alpha[part] > 0.5)
+        if best is not None or _is_lossless(seen, before, solid):
+            break
+        share = max(MIN_EXACT, _exact_share(seen, before, solid) + MIN_GAIN)
+        plain = min(plain, _low_error(seen, before, solid))
+        for option in options:
+            expected = option.applied(before)
+            errors.append((_low_error(seen, expected, solid), option))
+            exact = _exact_share(seen, expected, solid)
+            if exact > share:
+                best, share = option, exact
+    if best is None and errors:  # paint changes all of a WebP a little: then that which comes nearest
+        error, nearest = min(errors, key=lambda pair: pair[0])
+        return nearest if error < MAX_ERROR_RATIO * plain else None
+    return best
+
+
+def _guesses() -> Iterator[Encoding]:
+    for radius in BLURS_PX:
+        yield Encoding("blur", "blurring or resampling", {"radius": radius})
+    yield Encoding("blur", "shrinking and enlarging", {"factor": 2})
+    for quality in JPEG_QUALITIES:
+        for subsampling in (2, 0):
+            yield Encoding("JPEG", f"JPEG of quality {quality}", {"quality": quality, "subsampling": subsampling})
+
+
+def _few_colors(picture: np.ndarray) -> np.ndarray | None:
+    """[K, 3] uint8 all colours of a picture; None where they are more than a palette holds."""
+    levels = np.round(np.clip(picture, 0, 1) * 255).astype(np.uint32)
+    codes = levels[..., 0] << 16 | levels[..., 1] << 8 | levels[..., 2]
+    for part in (codes.ravel()[:: max(1, codes.size // 4096)], codes):  # most pictures have more in a few thousand
+        distinct = np.unique(part)
+        if len(distinct) > MAX_PALETTE:
+            return None
+    return np.stack([distinct >> 16, distinct >> 8 & 255, distinct & 255], -1).astype(np.uint8)
+
+
+def _detailed(render: np.ndarray, solid: np.ndarray) -> np.ndarray:
+    """[H, W] bool: the half of the asset's pixels with more detail: flat ones survive every encoding."""
+    if not solid.any():
+        return solid
+    detail = box_mean(contrast(render), 1)
+    return solid & (detail >= np.median(detail[solid]))
+
+
+def _busiest(alpha: np.ndarray, side: int) -> tuple[slice, slice]:
+    """The part of a view with most of the asset, of at most `side` pixels a side; it begins with a whole block."""
+    out = []
+    for axis in (1, 0):
+        weight = np.concatenate([[0], np.cumsum(alpha.sum(axis, dtype=np.float64))])
+        size = min(side, len(weight) - 1)
+        starts = np.arange(0, len(weight) - size, 16)
+        start = int(starts[np.argmax(weight[starts + size] - weight[starts])])
+        out.append(slice(start, start + size))
+    return out[0], out[1]
+
+
+def _exact_share(picture: np.ndarray, expected: np.ndarray, region: np.ndarray) -> float:
+    return exact_share(box_mean(largest_channel(np.abs(picture - expected)), 1), region)
+
+
+def _is_lossless(picture: np.ndarray, render: np.ndarray, solid: np.ndarray) -> bool:
+    """Whether what agrees at all agrees to the rounding of 8 bits: it was painted on, and stored without loss."""
+    near = box_mean(largest_channel(np.abs(picture - render)), 1)[solid]
+    if not len(near):
+        return True
+    return bool((near <= HALF_LEVEL).mean() >= max(MIN_LOSSLESS, MIN_ROUNDED * (near <= MAX_EXACT).mean()))
+
+
+def _low_error(picture: np.ndarray, expected: np.ndarray, solid: np.ndarray) -> float:
+    """The error of what agrees best: the rest may be painted over."""
+    error = box_mean(largest_channel(np.abs(picture - expected)), 1)
+    values = error[solid] if solid.any() else error.ravel()
+    return float(np.quantile(values, UNPAINTED_SHARE) + TIE_SHARE * values.mean())

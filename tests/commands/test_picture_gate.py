@@ -1,0 +1,110 @@
+"""Pictures given by hand meet the gate: wrong ones cost nothing, paint passes, `--correct` and `--force` go on."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from splatpainter.splats import SH_C0
+from tests.support.cli_scenes import BOX, Capture, ball, ball_and_painted_view, refused, run, saved, without_camera
+
+
+def pixels_of(path: Path) -> np.ndarray:
+    return np.asarray(Image.open(path).convert("RGB"))
+
+
+def saved_beside(view: Path, name: str, pixels: np.ndarray, **settings: object) -> Path:
+    """With the camera of the view beside it."""
+    target = view.parent / name
+    Image.fromarray(np.ascontiguousarray(pixels)).save(target, **settings)  # type: ignore[arg-type]
+    (target.parent / f"{target.stem}.json").write_bytes((view.parent / "views" / "view_000.json").read_bytes())
+    return target
+
+
+def linear(pixels: np.ndarray) -> np.ndarray:
+    colors = pixels / 255
+    light = np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)
+    return (light * 255).round().astype(np.uint8)
+
+
+def test_a_wrong_picture_is_refused_before_anything_is_spent(tmp_path: Path, capfd: Capture) -> None:
+    view = ball_and_painted_view(tmp_path, capfd)
+    pixels = pixels_of(view)
+    line = refused(capfd, tmp_path, saved_beside(view, "flipped.png", pixels[::-1]))
+    assert "most likely it is mirrored from top to bottom (usual reasons: recompressed, another gamma" in line
+    assert "--mask M.png" in line and "--correct" in line and "--force" in line and "--mode global" not in line
+    line = refused(capfd, tmp_path, saved_beside(view, "linear.tif", linear(pixels)))
+    assert "linear light without a profile" in line and "--mode global takes it as a look" in line
+    noise = np.random.default_rng(0).integers(0, 256, pixels.shape, np.uint8)
+    assert "of another asset, another view or another camera" in refused(
+        capfd, tmp_path, saved_beside(view, "noise.png", noise)
+    )
+
+
+def test_force_and_mask_and_global_pass(tmp_path: Path, capfd: Capture) -> None:
+    view = ball_and_painted_view(tmp_path, capfd)
+    picture = saved_beside(view, "linear.png", linear(pixels_of(view)))
+    mask = np.zeros(pixels_of(view).shape[:2], np.uint8)
+    mask[BOX[1] : BOX[3], BOX[0] : BOX[2]] = 255
+    Image.fromarray(mask).save(tmp_path / "m.png")
+    for more in (["--force"], ["--mode", "global"], ["--mask", tmp_path / "m.png"]):
+        done = run(capfd, "edit", tmp_path / "ball.ply", picture, "--out", tmp_path / "o.ply", "--overwrite", *more)
+        assert done.code == 0, done.err
+        assert ("painted with as it is" in done.err) == (more == ["--force"])
+
+
+@pytest.mark.parametrize("name", ["linear.png", "mirrored.jpg"])
+def test_correct_paints_what_was_painted(name: str, tmp_path: Path, capfd: Capture) -> None:
+    view = ball_and_painted_view(tmp_path, capfd)
+    pixels = pixels_of(view)
+    pixels = linear(pixels) if name == "linear.png" else pixels[::-1]
+    settings = {"quality": 97, "subsampling": 0} if name.endswith("jpg") else {}
+    picture = saved_beside(view, name, pixels, **settings)
+    done = run(capfd, "edit", tmp_path / "ball.ply", picture, "--out", tmp_path / "o.ply", "--correct")
+    assert done.code == 0, done.err
+    assert "put right: it was" in done.out
+    plain = run(capfd, "edit", tmp_path / "ball.ply", view, "--out", tmp_path / "p.ply", "--json")
+    corrected = run(
+        capfd, "edit", tmp_path / "ball.ply", picture, "--out", tmp_path / "o.ply", "--correct", "--json", "--overwrite"
+    )
+    one, other = (ran.json["receipt"]["touched_rows"] for ran in (plain, corrected))
+    assert 0.6 * one < other < 3 * one  # the gatekeeper softens the edge of a stroke of 9 pixels by four
+
+
+def test_compression_is_no_paint(tmp_path: Path, capfd: Capture) -> None:
+    view = ball_and_painted_view(tmp_path, capfd)
+    clean = pixels_of(tmp_path / "views" / "view_000.png")
+    for name, settings, words in (
+        ("a.jpg", {"quality": 60}, "JPEG of quality 60"),
+        ("b.webp", {"quality": 20}, "lossy WebP"),
+    ):
+        line = refused(capfd, tmp_path, saved_beside(view, name, clean, **settings))
+        assert f"nothing was painted: it differs from its view only as {words} does" in line
+    file = io.BytesIO()
+    Image.fromarray(clean).save(file, "JPEG", quality=60)
+    line = refused(capfd, tmp_path, saved_beside(view, "c.png", np.asarray(Image.open(file))))
+    assert "only as JPEG of quality 60 does" in line
+
+
+def test_options_that_exclude_each_other(tmp_path: Path, capfd: Capture) -> None:
+    view = ball_and_painted_view(tmp_path, capfd)
+    assert "expected one of --correct and --force" in refused(capfd, tmp_path, view, "--correct", "--force")
+
+
+def test_a_picture_of_another_view_says_so(tmp_path: Path, capfd: Capture) -> None:
+    splats = ball()
+    splats.sh[:, 0] = 0.45 * np.sin(7 * splats.means) / SH_C0  # another face on each side
+    splats.means[:, 1] *= 1.6  # and another outline
+    asset, camera = saved(tmp_path / "ball.ply", splats), tmp_path / "views" / "view_000.json"
+    for folder, elevation in (("views", 15), ("above", 80)):
+        ring = ["--views", 1, "--size", 96, "--elevation", elevation]
+        assert run(capfd, "render", asset, "--out", tmp_path / folder, *ring).code == 0
+    other = tmp_path / "above" / "view_000.png"
+    line = refused(capfd, tmp_path, other, "--camera", camera)
+    assert "of another view: it has a camera of its own (leave --camera out)" in line
+    line = refused(capfd, tmp_path, without_camera(other, tmp_path / "above" / "lost.png"), "--camera", camera)
+    assert f"of another view: it is like view_000.png (--camera {other})" in line
