@@ -58,18 +58,6 @@ def pytest_configure(config: pytest.Config) -> None:
             tempfile.tempdir = None  # is looked up again
 
 
-def pytest_sessionstart(session: pytest.Session) -> None:
-    """Kernels are compiled before xdist's workers start when the whole suite is run: else each would compile those that
-    it needs, both at the same time."""
-    config = session.config
-    several = getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput")
-    if several and config.args_source is pytest.Config.ArgsSource.TESTPATHS and not config.option.collectonly:
-        from splatpainter.kernels.compile import ensure_compiled
-
-        with contextlib.suppress(RuntimeError):  # a kernel that does not compile is for its tests to show
-            ensure_compiled(progress=False)
-
-
 @pytest.hookimpl(wrapper=True)
 def pytest_collection(session: pytest.Session) -> Iterator[None]:
     """What is imported while tests are collected stays: the garbage collector need not walk through torch for it, and

@@ -31,9 +31,11 @@ namespace {
 
 #ifdef SP_CHECKED
 extern "C" int printf(const char*, ...);
+extern "C" int fflush(void*);
 extern "C" [[noreturn]] void abort();
 [[noreturn]] __attribute__((noinline)) void out_of_bounds(i64 index, i64 size) {
     printf("splatpainter kernel: index %lld of %lld\n", (long long)index, (long long)size);
+    fflush(nullptr);
     abort();
 }
 SP_INLINE i64 checked(i64 index, i64 size) {

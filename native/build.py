@@ -107,43 +107,32 @@ def build(
         *([] if system == "windows" else ["-fPIC"]),
     ]
     kinds = KINDS_X86["zig" if zig else "gcc"] if x86 else {"base": []}
-    objects = objects or OBJECTS / target
+    objects = (objects or OBJECTS / target).resolve()
     objects.mkdir(parents=True, exist_ok=True)
 
     subjects = sorted(path.stem for path in HERE.glob("*.cpp") if path.stem != "library")
     names = " ".join(f"X({subject})" for subject in subjects)
     strings = ["-DSP_SUBJECTS(X)=" + names, f'-DSP_SOURCES="{hash_of_sources()}"']
     work = [
-        (HERE / f"{subject}.cpp", objects / f"{subject}_{kind}.o", [*machine, f"-DSP_TARGET={kind}"])
+        (f"{subject}.cpp", objects / f"{subject}_{kind}.o", [*machine, f"-DSP_TARGET={kind}"])
         for subject in subjects
         for kind, machine in kinds.items()
     ]
-    work.append((HERE / "library.cpp", objects / "library.o", [*kinds["base"], "-DSP_TARGET=base", *strings]))
+    work.append(("library.cpp", objects / "library.o", [*kinds["base"], "-DSP_TARGET=base", *strings]))
 
-    def compiled(item: tuple[Path, Path, list[str]]) -> Path:
+    def compiled(item: tuple[str, Path, list[str]]) -> Path:
         source, out, extra = item
-        words = [
-            *command,
-            *common,
-            *extra,
-            "-MMD",
-            "-MF",
-            str(out.with_suffix(".d")),
-            "-c",
-            str(source),
-            "-o",
-            str(out),
-        ]
+        words = [*command[-2:], *common, *extra, source]
         if not _is_current(out, words):
-            subprocess.run(words, check=True)
+            # From within the folder: what is compiled is then the same wherever the checkout lies.
+            files = ["-MMD", "-MF", str(out.with_suffix(".d")), "-c", source, "-o", str(out)]
+            subprocess.run([*command, *common, *extra, *files], check=True, cwd=HERE)
             out.with_suffix(".key").write_text(_key(out, words), encoding="utf-8")
         return out
 
     # Long ones first.
-    work.sort(key=lambda item: -sum(path.stat().st_size for path in (HERE / item[0].stem).glob("*.h")))
-    with ThreadPoolExecutor(
-        max(1, len(getattr(os, "sched_getaffinity", lambda _: range(os.cpu_count() or 1))(0)))
-    ) as pool:
+    work.sort(key=lambda item: -sum(path.stat().st_size for path in (HERE / item[0]).with_suffix("").glob("*.h")))
+    with ThreadPoolExecutor(_cpus()) as pool:
         files = list(pool.map(compiled, work))
     library = objects / LIBRARIES[system]
     # No C++ runtime, and on Linux no C library to link against: memcpy and the like are in every process. zig would
@@ -160,12 +149,12 @@ def _cpus() -> int:
 
 
 def _key(out: Path, words: list[str]) -> str:
-    """Hash of the command and of all files that the compiler read."""
+    """Hash of the options and of all files here that the compiler read."""
     rule = out.with_suffix(".d").read_text(encoding="utf-8").replace("\\\n", " ")
     digest = hashlib.sha256("\0".join(words).encode())
     for name in rule.split(": ", 1)[1].split():
-        path = Path(name)
-        if HERE in path.resolve().parents:
+        path = (HERE / name).resolve()
+        if HERE in path.parents:
             digest.update(path.read_bytes())
     return digest.hexdigest()
 
@@ -191,7 +180,10 @@ def main() -> None:
         flags, kind = ["-DSP_CHECKED"], kind + "-checked"
     if args.sanitize:
         link = [f"-fsanitize={args.sanitize}"]
-        flags, kind = [*flags, *link, "-fno-omit-frame-pointer", "-g"], kind + "-" + args.sanitize.replace(",", "-")
+        flags, kind = (
+            [*flags, *link, "-O1", "-fno-omit-frame-pointer", "-g"],
+            kind + "-" + args.sanitize.replace(",", "-"),
+        )
     if args.compiler:
         kind += "-" + args.compiler.split()[0].rsplit("/", 1)[-1]
     library = build(args.target, args.compiler, OBJECTS / kind, tuple(flags), tuple(link))

@@ -129,6 +129,18 @@ SP_INLINE Wide<double> magnitude_of(Wide<double> x) {
     return (Wide<double>)((Wide<u64>)x & 0x7fffffffffffffffu);
 }
 
+SP_INLINE float magnitude_of(float x) { return __builtin_fabsf(x); }
+SP_INLINE double magnitude_of(double x) { return __builtin_fabs(x); }
+
+// Of numbers and of vectors, lane by lane; the first argument where one is NaN.
+template <class V> SP_INLINE V smaller_of(V a, V b) { return b < a ? b : a; }
+template <class V> SP_INLINE V larger_of(V a, V b) { return b > a ? b : a; }
+
+// The number type of a vector, or of a number.
+template <class V> struct ScalarOf { using type = V; };
+template <> struct ScalarOf<Wide<float>> { using type = float; };
+template <> struct ScalarOf<Wide<double>> { using type = double; };
+
 // The first argument where the second is NaN.
 template <class F> SP_INLINE F min_of(F a, F b) { return b < a ? b : a; }
 template <class F> SP_INLINE F max_of(F a, F b) { return b > a ? b : a; }

@@ -3,5 +3,6 @@
 
 SP_KERNELS(lighting,
     ONE(draw_shadow_maps),
-    ONE(fold_shadows)
+    ONE(fold_shadows),
+    ONE(measure_neighbour_squares)
 )

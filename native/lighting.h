@@ -30,6 +30,25 @@ struct Views {
 
 }  // namespace shadows
 
+// Squared distances from some points to their `rank`-th nearest others, by looking at all of them. rank: 0 (itself) to 7.
+inline void measure_neighbour_squares(Rows<const float, 3> points, Array1<const i64> picks, i64 rank,
+                                      Array1<double> squares, i64 thread, i64 threads) {
+    for (i64 k = thread; k < picks.shape[0]; k += threads) {
+        const Vector p = as_vector(points.row(picks(k)));
+        double nearest[8];  // ascending
+        for (int n = 0; n <= rank; ++n) nearest[n] = INFINITE;
+        for (i64 i = 0; i < points.shape[0]; ++i) {
+            const Vector d = as_vector(points.row(i)) - p;
+            const double square = dot(d, d);
+            if (!(square < nearest[rank])) continue;
+            i64 at = rank;
+            for (; at > 0 && nearest[at - 1] > square; --at) nearest[at] = nearest[at - 1];
+            nearest[at] = square;
+        }
+        squares(k) = nearest[rank];
+    }
+}
+
 // depth [B, size, size]: how far towards directions first .. first + B (as many as there are) the points reach.
 inline void draw_shadow_maps(Rows<const float, 3> points, Rows<const float, 3> towards, Rows<const float, 3> side,
                              Rows<const float, 3> other, float pixel, i64 first, Array3<float> depth, i64 thread,

@@ -23,6 +23,19 @@ SP_INLINE float floor_of(float x) { return __builtin_floorf(x); }
 SP_INLINE double floor_of(double x) { return __builtin_floor(x); }
 SP_INLINE float ceil_of(float x) { return __builtin_ceilf(x); }
 SP_INLINE double ceil_of(double x) { return __builtin_ceil(x); }
+#if defined(__clang__)
+SP_INLINE Wide<float> sqrt_of(Wide<float> x) { return __builtin_elementwise_sqrt(x); }
+SP_INLINE Wide<double> sqrt_of(Wide<double> x) { return __builtin_elementwise_sqrt(x); }
+#else
+SP_INLINE Wide<float> sqrt_of(Wide<float> x) {
+    for (int l = 0; l < W<float>; ++l) x[l] = sqrt_of(x[l]);
+    return x;
+}
+SP_INLINE Wide<double> sqrt_of(Wide<double> x) {
+    for (int l = 0; l < W<double>; ++l) x[l] = sqrt_of(x[l]);
+    return x;
+}
+#endif
 template <class F> SP_INLINE bool is_finite(F x) { return abs_of(x) < F(INFINITE); }
 
 // Integers of numbers that they cannot hold are undefined in C++ and differ between CPUs: clamp first. 0 for NaN.
@@ -122,6 +135,30 @@ SP_INLINE double log_of(double x) {
     return x < INFINITE ? value : x;
 }
 SP_INLINE float log_of(float x) { return (float)log_of((double)x); }
+
+// The natural logarithm of positive normal numbers in vectors; anything for others. float: Cephes' logf, error about 1e-7
+// of the result and of 1.
+SP_INLINE Wide<float> log_of_positive(Wide<float> x) {
+    using V = Wide<float>;
+    using U = Wide<u32>;
+    const U bits = (U)x - 0x3f3504f3u;  // sqrt(1/2)
+    const Wide<i32> exponent = (Wide<i32>)bits >> 23;
+    const V k = __builtin_convertvector(exponent, V), f = (V)((bits & 0x007fffffu) + 0x3f3504f3u) - 1.0f, z = f * f;
+    V p = fused(all(7.0376836292e-2f), f, all(-1.1514610310e-1f));
+    p = fused(p, f, all(1.1676998740e-1f));
+    p = fused(p, f, all(-1.2420140846e-1f));
+    p = fused(p, f, all(1.4249322787e-1f));
+    p = fused(p, f, all(-1.6668057665e-1f));
+    p = fused(p, f, all(2.0000714765e-1f));
+    p = fused(p, f, all(-2.4999993993e-1f));
+    p = fused(p, f, all(3.3333331174e-1f));
+    const V rest = fused(k, all(-2.12194440e-4f), fused(p * f, z, -0.5f * z));
+    return fused(k, all(0.693359375f), f + rest);
+}
+SP_INLINE Wide<double> log_of_positive(Wide<double> x) {
+    for (int l = 0; l < W<double>; ++l) x[l] = log_of(x[l]);
+    return x;
+}
 
 namespace angles {
 

@@ -17,6 +17,7 @@ SP_INLINE double length_of(Vector a) { return __builtin_sqrt(dot(a, a)); }
 
 // Three numbers as they lie in memory.
 template <class F> SP_INLINE Vec3<F> vector_from(const F* v) { return {v[0], v[1], v[2]}; }
+SP_INLINE Vector as_vector(const float* v) { return {v[0], v[1], v[2]}; }
 template <class F> SP_INLINE void store_vector(F* out, Vec3<F> v) { out[0] = v.x, out[1] = v.y, out[2] = v.z; }
 
 // Whether squares of both are far from overflow; not for NaN.

@@ -39,7 +39,8 @@ OTHER_PROGRAMS = {"ADAPTERS.md"}
 @cache
 def programs() -> tuple[str, ...]:
     """Every Python and TypeScript file of the repository."""
-    roots = (ROOT / name for name in ("src", "tests", "benchmarks", "scripts", "examples", "integrations", "web/src"))
+    folders = ("src", "tests", "benchmarks", "scripts", "native", "examples", "integrations", "web/src")
+    roots = (ROOT / name for name in folders)
     files = [path for root in roots for ending in ("py", "ts", "tsx") for path in root.rglob(f"*.{ending}")]
     return tuple("/" + path.relative_to(ROOT).as_posix() for path in files)
 

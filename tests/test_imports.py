@@ -60,7 +60,7 @@ FRONT = {"train", "commands", "cli"}
 LEVEL = {name: level for level, names in enumerate(ORDER) for name in names}
 MAX_LINES = 700
 """Of a file."""
-HEAVY = ("torch", "numba", "PIL", "tyro", "scipy", "safetensors", "fastapi")
+HEAVY = ("torch", "PIL", "tyro", "scipy", "safetensors", "fastapi")
 """What `import splatpainter` and `splatpainter --help` must not load."""
 
 

@@ -34,9 +34,7 @@ WINDOWS = SimpleNamespace(platform="win32", executable=sys.executable)
 
 
 def test_the_main_paths_need_nothing_that_only_posix_has(tmp_path: Path) -> None:
-    from splatpainter.kernels.compile import ensure_compiled
 
-    ensure_compiled(progress=False)  # with all the threads there are; the program below finds the kernels
     script = Path(__file__).parent / "support" / "without_posix.py"
     variables = {**os.environ, "XDG_CACHE_HOME": str(tmp_path / "cache"), "SPLATPAINTER_THREADS": "2"}
     folders = [str(ROOT / "src"), str(ROOT / "benchmarks"), str(ROOT), os.environ.get("PYTHONPATH", "")]

@@ -22,7 +22,6 @@ FUNCTIONS = {
 MATH = {"exp", "log", "log2", "log10", "pow", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "hypot"}
 EXCEPTIONS = {
     "cameras.py: @": "tensors alone",
-    "kernels/simd.py: math.exp": "goes with the last numba kernel",
     "cameras.py: np.linalg.inv": "the path tracer of training data alone",
 }
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import runpy
 import shutil
 import subprocess
 import sys
@@ -19,7 +20,6 @@ from PIL import Image
 import splatpainter
 from splatpainter import processes
 from splatpainter.commands.demo import FRAMES
-from splatpainter.kernels.compile import ensure_compiled
 from splatpainter.user_folders import PROJECTS_VARIABLE
 from tests.support.cli_scenes import Capture, ball, rows_of, run, saved
 
@@ -43,8 +43,13 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
     source = folder / "source"
     shutil.copytree(ROOT / "src", source / "src", ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
-    for name in ("pyproject.toml", "README.md", "LICENSE"):
+    for name in ("pyproject.toml", "README.md", "LICENSE", "setup.py", "MANIFEST.in"):
         shutil.copy(ROOT / name, source)
+    shutil.copytree(ROOT / "native", source / "native", ignore=shutil.ignore_patterns("__pycache__"))
+    # Objects of the same sources and options are not compiled again.
+    objects = Path("build", "native", runpy.run_path(str(ROOT / "native" / "build.py"))["target_here"]())
+    if (ROOT / objects).is_dir():
+        shutil.copytree(ROOT / objects, source / objects)
     build = [sys.executable, "-c", BUILD, str(folder)]
     done = subprocess.run(build, cwd=source, capture_output=True, encoding="utf-8", errors="replace")
     assert done.returncode == 0, done.stderr
@@ -54,23 +59,21 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder that it is installed into. Its kernels and bytecode are those of the checkout, as long as the code is:
-    compiling them again would take longer than all tests here."""
+    """The folder that it is installed into. Its bytecode is that of the checkout, as long as the code is: compiling it
+    again would take longer than all tests here."""
     folder = tmp_path_factory.mktemp("site")
     words = ["install", "--no-compile", "--no-deps", "--no-index", "--target", str(folder), str(wheel)]
     done = subprocess.run([*PIP, *words], capture_output=True, encoding="utf-8", errors="replace")
     assert done.returncode == 0, done.stderr
-    ensure_compiled(progress=False)
     checkout = Path(splatpainter.__file__).parent
     for source in checkout.rglob("*.py"):
         copy = folder / "splatpainter" / source.relative_to(checkout)
         assert copy.read_bytes() == source.read_bytes()
-        os.utime(copy, ns=(source.stat().st_atime_ns, source.stat().st_mtime_ns))  # what numba's cache goes by
-    for pattern in ("*.nbi", "*.nbc", "*.json", "*.pyc"):
-        for cached in checkout.rglob(f"__pycache__/{pattern}"):
-            target = folder / "splatpainter" / cached.relative_to(checkout)
-            target.parent.mkdir(exist_ok=True)
-            shutil.copy(cached, target)
+        os.utime(copy, ns=(source.stat().st_atime_ns, source.stat().st_mtime_ns))
+    for cached in checkout.rglob("__pycache__/*.pyc"):
+        target = folder / "splatpainter" / cached.relative_to(checkout)
+        target.parent.mkdir(exist_ok=True)
+        shutil.copy(cached, target)
     return folder
 
 

@@ -244,7 +244,6 @@ def bench(name: str, words: Sequence[str]) -> Outcome:
         raise ValueError(f"{program}: expected --methods of {', '.join(methods)}, got {unknown[0]!r}")
     from splatbench.report.gallery import write_contact_sheet
     from splatbench.runner import run
-    from splatpainter.kernels.compile import ensure_compiled
 
     weights = named_folders(options.weights, program)
     config = RunConfig(
@@ -260,7 +259,6 @@ def bench(name: str, words: Sequence[str]) -> Outcome:
         parallel_methods=options.parallel_methods,
         named=bool(options.methods),
     )
-    ensure_compiled(progress=watched())
     result = run(config, _say)
     sheet = write_contact_sheet(result.folder, result.folder / "sheet.png")
     lines = [result.table, "", *(f"- {note}" for note in result.notes), f"-> {result.folder}"]

@@ -112,7 +112,6 @@ class Lift:
 def run(config: LiftBench, report: Callable[[str], None] | None = None) -> list[Lift]:
     """Edit every asset; write lift.csv, lift.md, sheet.png and strips; return the lines. report: called with a line per
     asset. Raises ValueError for files that are missing or no splats, and for sizes under 64."""
-    from splatpainter.kernels.compile import ensure_compiled
 
     if config.size < 64 or config.repeats < 1:
         raise ValueError(
@@ -122,7 +121,6 @@ def run(config: LiftBench, report: Callable[[str], None] | None = None) -> list[
     if not paths:
         raise ValueError("bench lift: expected splat files, folders of them, or the demo asset; got none of these")
     where = machine()
-    ensure_compiled()
     config.out.mkdir(parents=True, exist_ok=True)
     lines: list[Lift] = []
     strips: list[Strip] = []

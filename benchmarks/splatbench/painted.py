@@ -180,7 +180,6 @@ def methods(preset: str) -> dict[str, EditFunction]:
 def run(config: PaintedBench, report: Callable[[str], None] | None = None) -> list[MethodMeans]:
     """Measure every method on every object; write painted.csv, painted.md and sheet.png; return the means. report:
     called with a line per object. Raises ValueError for options that make no sense, and for data that is not there."""
-    from splatpainter.kernels.compile import ensure_compiled
 
     check_options("painted", config, ("meshes", "environments", "decals", "fonts", "perceptual_weights"))
     if not config.methods:
@@ -190,7 +189,6 @@ def run(config: PaintedBench, report: Callable[[str], None] | None = None) -> li
     if unknown := [name for name in config.methods if name not in available]:
         raise ValueError(f"bench painted: expected --methods of {', '.join(available)}, got {unknown[0]!r}")
     where = machine()
-    ensure_compiled()
     config.out.mkdir(parents=True, exist_ok=True)
     scores: list[PaintedScore] = []
     strips: list[Strip] = []

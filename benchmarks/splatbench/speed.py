@@ -7,9 +7,7 @@ import statistics
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -21,7 +19,6 @@ from splatbench.speed_cases import OPERATIONS
 from splatbench.timing import Timing, machine, measure
 from splatpainter import text_tables as tables
 from splatpainter.image_files import write_png
-from splatpainter.kernels.parallel import cpus
 
 Report = Callable[[str], None]
 REFERENCE_GAUSSIANS, REFERENCE_PX = 2000, 64
@@ -32,7 +29,6 @@ LARGE_PX = 512
 SMALL_SCENE = "small scene"
 EDIT_FILE = "from start to end: open a PLY, edit it (dab), save it"
 INFO = "from start to end: splatpainter info"
-COMPILE = "first run: compiling every kernel"
 NOTES = (
     "Median and fastest of the repeats, after one untimed call. Every line is a process of its own: its peak memory "
     "holds the interpreter, the kernels and the scene. `local edit` is the whole of `Painter.apply`: mask, lift, and "
@@ -97,12 +93,10 @@ class Speed:
 def run(config: SpeedBench, report: Report | None = None) -> list[Speed]:
     """Measure, write speed.csv and speed.md, and return the lines. report: called with one sentence per measurement.
     Raises ValueError for rows, sizes, degrees or words that make no sense."""
-    from splatpainter.kernels.compile import ensure_compiled
 
     config = _checked(config)
     report = report or (lambda _: None)
     where = machine()
-    ensure_compiled()
     results: list[Speed] = []
 
     def add(lines: Iterator[Speed]) -> None:
@@ -134,7 +128,7 @@ def _checked(config: SpeedBench) -> SpeedBench:
         raise ValueError(f"bench speed: expected --sizes of 16 to 8192 pixels, got {list(config.sizes)}")
     if not 0 <= config.sh_degree <= 3:
         raise ValueError(f"bench speed: expected --sh-degree 0 to 3, got {config.sh_degree}")
-    names = (*OPERATIONS, SMALL_SCENE, EDIT_FILE, INFO, COMPILE)
+    names = (*OPERATIONS, SMALL_SCENE, EDIT_FILE, INFO)
     unknown = [word for word in config.only if not any(word in name for name in names)]
     if unknown:
         raise ValueError(f"bench speed: expected --only words of {'; '.join(names)}; got {unknown[0]!r}")
@@ -228,21 +222,3 @@ def _programs(config: SpeedBench, gaussians: int, scene: Path, folder: Path) -> 
             partial(subprocess.run, command, check=True, capture_output=True), repeats=repeats + 2, budget=30
         )
         yield _line(INFO, gaussians, None, asdict(timing))
-    if config.wants(COMPILE) and not config.quick:
-        seconds, peak = _compile(folder / "cache")
-        yield _line(COMPILE, None, None, asdict(Timing(seconds, seconds, 1)), peak=peak)
-
-
-def _compile(cache: Path) -> tuple[float, float]:
-    """(seconds, MiB of the larger process) with an empty cache, in as many processes as `ensure_compiled` uses."""
-    from splatpainter.kernels.compile import WARMUPS
-
-    count = min(2, cpus(), len(WARMUPS))
-    task = "splatpainter.kernels.compile:run_warmups"
-    variables, taken = {"NUMBA_CACHE_DIR": str(cache)}, cache / "taken"
-    taken.mkdir(parents=True)
-    start = time.perf_counter()
-    with ThreadPoolExecutor(count) as pool:
-        jobs = [pool.submit(in_fresh_process, task, {"folder": str(taken)}, variables) for _ in range(count)]
-        peaks = [job.result().peak_mib for job in jobs]
-    return time.perf_counter() - start, max(peaks)

@@ -113,11 +113,9 @@ class SpreadMeans:
 def run(config: SpreadBench, report: Callable[[str], None] | None = None) -> list[SpreadMeans]:
     """Measure every object; write spread.csv, spread.md and sheet.png; return the means. report: called with a line per
     object. Raises ValueError for options that make no sense, and for data that is not there."""
-    from splatpainter.kernels.compile import ensure_compiled
 
     check_options("spread", config, ("meshes", "environments"))
     where = machine()
-    ensure_compiled()
     config.out.mkdir(parents=True, exist_ok=True)
     scores: list[SpreadScore] = []
     strips: list[Strip] = []

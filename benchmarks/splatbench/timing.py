@@ -56,7 +56,7 @@ def machine() -> str:
         with contextlib.suppress(ValueError, OSError):
             parts.append(f"{os.sysconf('SC_PAGE_SIZE') * os.sysconf('SC_PHYS_PAGES') / 2**30:.0f} GiB")
     parts.append(f"{platform.system()} {platform.machine()}")
-    versions = [f"{name} {_version(name)}" for name in ("numba", "numpy", "torch", "splatpainter")]
+    versions = [f"{name} {_version(name)}" for name in ("numpy", "torch", "splatpainter")]
     parts.append(f"Python {platform.python_version()}, " + ", ".join(versions))
     if sys.platform != "win32":
         parts.append(f"load {os.getloadavg()[0]:.1f} at the start")

@@ -14,7 +14,6 @@ from splatbench.command import TableOptions
 
 from benchmarks.tests.support import stubs as paper_stubs
 from splatpainter.cli import main
-from splatpainter.kernels import compile as warmup
 
 
 @pytest.fixture()
@@ -24,7 +23,6 @@ def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv(paper_stubs.VARIABLE, str(tmp_path / "trouble"))
     monkeypatch.delenv("SPLATPAINTER_PERCEPTUAL", raising=False)
     monkeypatch.setattr(runner, "WORKER", (sys.executable, paper_stubs.__file__))
-    monkeypatch.setattr(warmup, "ensure_compiled", lambda progress: None)
     monkeypatch.setattr(protocols, "NAMES", ("toy",))
     monkeypatch.setitem(command.TABLES, "toy", "for the tests")
     paper_stubs.register(monkeypatch)
@@ -101,7 +99,7 @@ def test_help_is_light() -> None:
     program = (
         "import sys\nfrom splatpainter.cli import main\n"
         "code = main(['bench']) or main(['bench', 'relight', '--help'])\n"
-        "print([name for name in ('torch', 'numba', 'mitsuba', 'PIL') if name in sys.modules], file=sys.stderr)"
+        "print([name for name in ('torch', 'mitsuba', 'PIL') if name in sys.modules], file=sys.stderr)"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "[]\n")

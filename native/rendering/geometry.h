@@ -22,30 +22,31 @@ template <class F> struct Vec3 { F x, y, z; };
 // linearisation far outside explodes), and the clamped u, v.
 template <class F> struct Jacobian { F j00, j02, j11, j12, uc, vc; };
 
-template <class F>
-SP_INLINE Vec3<F> to_camera(const F* cam, F px, F py, F pz) {
+template <class C, class F>
+SP_INLINE Vec3<F> to_camera(const C* cam, F px, F py, F pz) {
     return {cam[0] * px + cam[1] * py + cam[2] * pz + cam[9],
             cam[3] * px + cam[4] * py + cam[5] * pz + cam[10],
             cam[6] * px + cam[7] * py + cam[8] * pz + cam[11]};
 }
 
-template <class F>
-SP_INLINE Jacobian<F> jacobian(const F* cam, F u, F v, F rz) {
-    F uc = min_of(max_of(u, cam[U_MIN]), cam[U_MAX]);
-    F vc = min_of(max_of(v, cam[V_MIN]), cam[V_MAX]);
+template <class C, class F>
+SP_INLINE Jacobian<F> jacobian(const C* cam, F u, F v, F rz) {
+    const F zero = {};
+    const F uc = smaller_of(larger_of(u, zero + cam[U_MIN]), zero + cam[U_MAX]);
+    const F vc = smaller_of(larger_of(v, zero + cam[V_MIN]), zero + cam[V_MAX]);
     F j00 = cam[FX] * rz, j11 = cam[FY] * rz;
     return {j00, -j00 * uc, j11, -j11 * vc, uc, vc};
 }
 
 // Whether the box of half extents ex, ey around (mx, my) meets the camera's window; not for NaN.
-template <class F>
-SP_INLINE bool meets_window(const F* cam, F mx, F my, F ex, F ey) {
-    return mx + ex > cam[X_MIN] && mx - ex < cam[X_MAX] && my + ey > cam[Y_MIN] && my - ey < cam[Y_MAX];
+template <class C, class F>
+SP_INLINE auto meets_window(const C* cam, F mx, F my, F ex, F ey) {
+    return (mx + ex > cam[X_MIN]) & (mx - ex < cam[X_MAX]) & (my + ey > cam[Y_MIN]) & (my - ey < cam[Y_MAX]);
 }
 
 // J W, [2, 3]: of the pixel with respect to the world point.
-template <class F>
-SP_INLINE void to_world(const F* cam, const Jacobian<F>& j, F* p) {
+template <class C, class F>
+SP_INLINE void to_world(const C* cam, const Jacobian<F>& j, F* p) {
     for (int k = 0; k < 3; ++k) {
         p[k] = j.j00 * cam[k] + j.j02 * cam[6 + k];
         p[3 + k] = j.j11 * cam[3 + k] + j.j12 * cam[6 + k];
@@ -55,9 +56,10 @@ SP_INLINE void to_world(const F* cam, const Jacobian<F>& j, F* p) {
 // out [4] = quat / |quat|, NaN for the zero one; returns 1 / |quat|. Scaled first: float32 squares of 1e-25 vanish.
 template <class F>
 SP_INLINE F unit_quat(const F* quat, F* out) {
-    const F big = F(1) / max_of(max_of(abs_of(quat[0]), abs_of(quat[1])), max_of(abs_of(quat[2]), abs_of(quat[3])));
+    const F big = 1 / larger_of(larger_of(magnitude_of(quat[0]), magnitude_of(quat[1])),
+                                larger_of(magnitude_of(quat[2]), magnitude_of(quat[3])));
     const F w = quat[0] * big, x = quat[1] * big, y = quat[2] * big, z = quat[3] * big;
-    const F inverse = F(1) / sqrt_of(w * w + x * x + y * y + z * z);
+    const F inverse = 1 / sqrt_of(w * w + x * x + y * y + z * z);
     out[0] = w * inverse, out[1] = x * inverse, out[2] = y * inverse, out[3] = z * inverse;
     return inverse * big;
 }
@@ -66,9 +68,9 @@ SP_INLINE F unit_quat(const F* quat, F* out) {
 template <class F>
 SP_INLINE void rotation(const F* unit, F* q) {
     const F w = unit[0], x = unit[1], y = unit[2], z = unit[3];
-    q[0] = F(1) - F(2) * (y * y + z * z), q[1] = F(2) * (x * y - w * z), q[2] = F(2) * (x * z + w * y);
-    q[3] = F(2) * (x * y + w * z), q[4] = F(1) - F(2) * (x * x + z * z), q[5] = F(2) * (y * z - w * x);
-    q[6] = F(2) * (x * z - w * y), q[7] = F(2) * (y * z + w * x), q[8] = F(1) - F(2) * (x * x + y * y);
+    q[0] = 1 - 2 * (y * y + z * z), q[1] = 2 * (x * y - w * z), q[2] = 2 * (x * z + w * y);
+    q[3] = 2 * (x * y + w * z), q[4] = 1 - 2 * (x * x + z * z), q[5] = 2 * (y * z - w * x);
+    q[6] = 2 * (x * z - w * y), q[7] = 2 * (y * z + w * x), q[8] = 1 - 2 * (x * x + y * y);
 }
 
 // P R, [2, 3]: the rotated axes in pixels per world unit.
@@ -79,13 +81,16 @@ SP_INLINE void project_axes(const F* p, const F* q, F* out) {
             out[3 * row + k] = p[3 * row] * q[k] + p[3 * row + 1] * q[3 + k] + p[3 * row + 2] * q[6 + k];
 }
 
-// Whether a Gaussian's mean and quaternion are in the ranges of Splats.drawable; NaN is not.
+// Whether Gaussians' means and quaternions are in the ranges of Splats.drawable; NaN is not.
 template <class F>
-SP_INLINE bool within_range(const F* mean, const F* quat) {
-    const F largest = F(MAX_MAGNITUDE);
-    F norm = max_of(max_of(abs_of(quat[0]), abs_of(quat[1])), max_of(abs_of(quat[2]), abs_of(quat[3])));
-    if (!(norm >= F(MIN_QUAT) && norm <= largest)) return false;
-    return abs_of(mean[0]) <= largest && abs_of(mean[1]) <= largest && abs_of(mean[2]) <= largest;
+SP_INLINE auto in_range(F x, F y, F z, const F* quat) {
+    const auto largest = decltype(x[0] + 0)(MAX_MAGNITUDE), smallest = decltype(x[0] + 0)(MIN_QUAT);
+    const F norm = larger_of(larger_of(magnitude_of(quat[0]), magnitude_of(quat[1])),
+                             larger_of(magnitude_of(quat[2]), magnitude_of(quat[3])));
+    // A larger one may hide NaN.
+    const F sum = quat[0] + quat[1] + quat[2] + quat[3];
+    return (norm >= smallest) & (norm <= largest) & (sum == sum) & (magnitude_of(x) <= largest) &
+           (magnitude_of(y) <= largest) & (magnitude_of(z) <= largest);
 }
 
 struct Span { i64 begin, end; };
@@ -124,23 +129,24 @@ SP_INLINE Span tile_columns(F mx, F my, F a, F b, F q, F ex, F ey, F y0, i64 fir
 }
 
 // Real spherical harmonics for a unit direction, INRIA's order and signs, (degree + 1)^2 entries.
-template <class F>
-SP_INLINE void sh_basis(F x, F y, F z, i64 degree, F* b) {
-    b[0] = F(0.2820947917738781);
+template <class V>
+SP_INLINE void sh_basis(V x, V y, V z, i64 degree, V* b) {
+    using F = typename ScalarOf<V>::type;
+    b[0] = V{} + F(0.2820947917738781);
     if (degree < 1) return;
     b[1] = F(-0.48860251190292) * y;
     b[2] = F(0.48860251190292) * z;
     b[3] = F(-0.48860251190292) * x;
     if (degree < 2) return;
-    F zz = z * z, c1 = x * x - y * y, s1 = F(2) * x * y;
+    V zz = z * z, c1 = x * x - y * y, s1 = F(2) * x * y;
     b[4] = F(0.5462742152960395) * s1;
     b[5] = F(-1.092548430592079) * z * y;
     b[6] = F(0.9461746957575601) * zz - F(0.3153915652525201);
     b[7] = F(-1.092548430592079) * z * x;
     b[8] = F(0.5462742152960395) * c1;
     if (degree < 3) return;
-    F linear = F(-2.285228997322329) * zz + F(0.4570457994644658);
-    F c2 = x * c1 - y * s1, s2 = x * s1 + y * c1;
+    V linear = F(-2.285228997322329) * zz + F(0.4570457994644658);
+    V c2 = x * c1 - y * s1, s2 = x * s1 + y * c1;
     b[9] = F(-0.5900435899266435) * s2;
     b[10] = F(1.445305721320277) * z * s1;
     b[11] = linear * y;
@@ -149,9 +155,9 @@ SP_INLINE void sh_basis(F x, F y, F z, i64 degree, F* b) {
     b[14] = F(1.445305721320277) * z * c1;
     b[15] = F(-0.5900435899266435) * c2;
     if (degree < 4) return;
-    F cubic = z * (F(-4.683325804901025) * zz + F(2.007139630671868));
-    F square = F(3.31161143515146) * zz - F(0.47308734787878);
-    F c3 = x * c2 - y * s2, s3 = x * s2 + y * c2;
+    V cubic = z * (F(-4.683325804901025) * zz + F(2.007139630671868));
+    V square = F(3.31161143515146) * zz - F(0.47308734787878);
+    V c3 = x * c2 - y * s2, s3 = x * s2 + y * c2;
     b[16] = F(0.6258357354491763) * s3;
     b[17] = F(-1.770130769779931) * z * s2;
     b[18] = square * s1;

@@ -4,6 +4,7 @@
 
 #include "../maths.h"
 #include "../search.h"
+#include "falloff.h"
 
 namespace sp { namespace {
 namespace surface {
@@ -55,9 +56,8 @@ struct Grid {
 
 // What one thread writes on while it works.
 struct Workspace {
-    static constexpr int STRIDE = MAX_NEIGHBOURS + LANES;
-    i64 near[MAX_NEIGHBOURS], order[MAX_NEIGHBOURS];
-    alignas(64) double mass[MAX_NEIGHBOURS], terms[8][MAX_NEIGHBOURS], rows[ROWS][STRIDE], sums[18];
+        i64 near[MAX_NEIGHBOURS + 1], order[MAX_NEIGHBOURS];
+    alignas(64) double mass[MAX_NEIGHBOURS], terms[8][MAX_NEIGHBOURS], rows[ROWS][MAX_NEIGHBOURS], sums[18];
 };
 
 struct Range { i64 first, last; };
@@ -70,7 +70,7 @@ SP_INLINE Range cell_range(double position, double radius, double corner, double
 }
 
 // Samples whose patch, widened by `window`, reaches a point within SIGMAS standard deviations of its longest axis, into
-// `out`; returns their number, or room + 1 where they do not fit or too many had to be looked at. Costs as many
+// `out` [room + 1]; returns their number, or room + 1 where they do not fit or too many had to be looked at. Costs as many
 // steps as there are samples and occupied columns of cells near the point, however small cells are against the window.
 inline i64 gather(const Grid& g, const double* point, double window, i64* out, i64 room) {
     i64 count = 0, tested = 0;
@@ -89,19 +89,21 @@ inline i64 gather(const Grid& g, const double* point, double window, i64* out, i
             if (x > x1) break;
             if (++tested > MAX_TESTED) return room + 1;
             // Outside the box: on to its next cell in the order of keys.
-            if (y < y0) i = first_not_below(g.keys, i, end, key_of(x, y0, z0));
-            else if (y > y1 || (y == y1 && z > z1)) i = first_not_below(g.keys, i, end, key_of(x + 1, y0, z0));
-            else if (z > z1) i = first_not_below(g.keys, i, end, key_of(x, y + 1, z0));
-            else if (z < z0) i = first_not_below(g.keys, i, end, key_of(x, y, z0));
+            if (y < y0) i = first_not_below_near(g.keys, i, end, key_of(x, y0, z0));
+            else if (y > y1 || (y == y1 && z > z1)) i = first_not_below_near(g.keys, i, end, key_of(x + 1, y0, z0));
+            else if (z > z1) i = first_not_below_near(g.keys, i, end, key_of(x, y + 1, z0));
+            else if (z < z0) i = first_not_below_near(g.keys, i, end, key_of(x, y, z0));
             else {
-                const float* p = g.patches.row(i);
-                const double dx = p[MEAN] - point[0], dy = p[MEAN + 1] - point[1], dz = p[MEAN + 2] - point[2];
-                const double longest = p[SCALES];
-                if (dx * dx + dy * dy + dz * dz < SIGMAS * SIGMAS * (longest * longest + window * window)) {
-                    if (count == room) return count + 1;
-                    out[count++] = i;
+                // The rest of a column within the box. Which samples count cannot be foreseen, so there is no branch.
+                const i64 last = key_of(x, y, z1);
+                for (; i < end && g.keys(i) <= last; ++i, ++tested) {
+                    const float* p = g.patches.row(i);
+                    const double dx = p[MEAN] - point[0], dy = p[MEAN + 1] - point[1], dz = p[MEAN + 2] - point[2];
+                    const double longest = p[SCALES];
+                    out[count] = i;
+                    count += dx * dx + dy * dy + dz * dz < SIGMAS * SIGMAS * (longest * longest + window * window);
+                    if (count > room || tested > MAX_TESTED) return room + 1;
                 }
-                ++i;
             }
         }
     }
@@ -149,6 +151,7 @@ SP_INLINE void normalize(double* n) {
 
 // What the patches near[:count] weigh in the window h around a point.
 inline void masses(const Grid& g, i64 count, const double* point, double h, Workspace& w) {
+    using V = Wide<double>;
     const double squared = h * h;
     for (i64 k = 0; k < count; ++k) {
         const float* p = g.patches.row(w.near[k]);
@@ -161,18 +164,17 @@ inline void masses(const Grid& g, i64 count, const double* point, double h, Work
         }
         w.terms[7][k] = p[OPACITY_COLUMN];
     }
-    for (int a = 0; a < 3; ++a) {
-        double *d = w.terms[a], *v = w.terms[4 + a];
-        for (i64 k = 0; k < count; ++k) {
-            const double t = v[k] + squared;
-            d[k] = d[k] * d[k] / t;
-            v[k] = a < 2 ? sqrt_of(v[k] / t) : h / sqrt_of(t);
+    for (i64 start = 0; start < count; start += 8)
+        SP_EIGHT(lane) {
+            const i64 k = start + lane;
+            V exponent = {}, area = load(&w.terms[7][k]);
+            for (int a = 0; a < 3; ++a) {
+                const V d = load(&w.terms[a][k]), v = load(&w.terms[4 + a][k]), t = v + squared;
+                exponent += d * d / t;
+                area *= a < 2 ? root_of(v / t) : h / root_of(t);
+            }
+            store(&w.mass[k], area * falloff(-0.5 * exponent));
         }
-    }
-    for (i64 k = 0; k < count; ++k) {
-        const double area = w.terms[7][k] * w.terms[4][k] * w.terms[5][k] * w.terms[6][k];
-        w.mass[k] = area * exp_of(-0.5 * (w.terms[0][k] + w.terms[1][k] + w.terms[2][k]));
-    }
 }
 
 // The columns of patch i in a window h, into rows[:][k].
@@ -192,65 +194,44 @@ SP_INLINE void patch(const Grid& g, i64 i, double weight, double h, Workspace& w
     w.rows[MASS][k] = weight, w.rows[FLATNESS][k] = flat * flat;
 }
 
-// What the first `used` patches say of the surface at a point with normal n: see `_votes` of estimate.py.
+// What the first `used` patches say of the surface at a point with normal n, into `sums` [18]: weights, and times these:
+// means (3) and second moments (6) of the patches within the window, whose covariances are h^2 (1 - M); normals turned to
+// n (3); offsets along the mean of both normals; squared heights; then squared weights, variances along n, cosines of
+// normals. Eight patches at a time, each lane with sums of its own, which are added up at the end; patches behind the
+// last one weigh nothing.
 inline void votes(Workspace& work, i64 used, const double* point, const double* n, double h, double tau) {
+    using V = Wide<double>;
     auto& rows = work.rows;
     const double px = point[0], py = point[1], pz = point[2], n0 = n[0], n1 = n[1], n2 = n[2];
-    const double inverse_tau = 1.0 / (tau * h);
-    alignas(64) double t[18][LANES], creases[LANES];
-    double s[18] = {};
-    for (i64 start = 0; start < used; start += LANES) {
-        for (int lane = 0; lane < LANES; ++lane) {
+    const double inverse_tau = 1.0 / (tau * h), squared = h * h;
+    alignas(64) double sums[18][8] = {};
+    for (i64 start = 0; start < used; start += 8)
+        SP_EIGHT(lane) {
             const i64 k = start + lane;
-            const double x = rows[X][k] - px, y = rows[Y][k] - py, z = rows[Z][k] - pz;
-            const double ux = rows[MXX][k] * x + rows[MXY][k] * y + rows[MXZ][k] * z;
-            const double uy = rows[MXY][k] * x + rows[MYY][k] * y + rows[MYZ][k] * z;
-            const double uz = rows[MXZ][k] * x + rows[MYZ][k] * y + rows[MZZ][k] * z;
-            const double nx = rows[NX][k], ny = rows[NY][k], nz = rows[NZ][k];
-            double cosine = nx * n0 + ny * n1 + nz * n2;
-            const bool away = cosine < 0.0;
-            cosine = away ? -cosine : cosine;
-            const double plane = ux * n0 + uy * n1 + uz * n2, r = plane * inverse_tau;
-            t[1][lane] = ux, t[2][lane] = uy, t[3][lane] = uz, t[14][lane] = plane, t[17][lane] = cosine;
-            t[10][lane] = away ? -nx : nx;
-            t[11][lane] = away ? -ny : ny;
-            t[12][lane] = away ? -nz : nz;
-            t[0][lane] = -0.5 * r * r;
-            creases[lane] = (cosine - 1.0) / 0.3;
+            auto row = [&](int column) { return load(&rows[column][k]); };
+            const V mxx = row(MXX), mxy = row(MXY), mxz = row(MXZ), myy = row(MYY), myz = row(MYZ), mzz = row(MZZ);
+            const V x = row(X) - px, y = row(Y) - py, z = row(Z) - pz, flat = row(FLATNESS);
+            const V ux = mxx * x + mxy * y + mxz * z, uy = mxy * x + myy * y + myz * z, uz = mxz * x + myz * y + mzz * z;
+            // The patch's normal, turned to n.
+            V nx = row(NX), ny = row(NY), nz = row(NZ), cosine = nx * n0 + ny * n1 + nz * n2;
+            const auto away = cosine < 0.0;
+            nx = away ? -nx : nx, ny = away ? -ny : ny, nz = away ? -nz : nz, cosine = away ? -cosine : cosine;
+            // Patches off the plane, and those that face elsewhere, lose their vote.
+            const V plane = ux * n0 + uy * n1 + uz * n2, r = plane * inverse_tau;
+            const V crease = falloff(((cosine < 1.0 ? cosine : all(1.0)) - 1.0) * (1.0 / 0.3));
+            const V w = row(MASS) * falloff(-0.5 * r * r) * (1.0 - flat + flat * crease);
+            const V c = w * squared, f = w * flat;
+            // Offset along the mean of both normals, as far as the patch has one.
+            const V offset = w * plane + 0.5 * f * (ux * nx + uy * ny + uz * nz - plane);
+            const V along = mxx * n0 * n0 + myy * n1 * n1 + mzz * n2 * n2 +
+                            2.0 * (mxy * n0 * n1 + mxz * n0 * n2 + myz * n1 * n2);
+            const V wx = w * ux, wy = w * uy, wz = w * uz;
+            const V terms[18] = {w, wx, wy, wz, wx * ux + c * (1.0 - mxx), wx * uy - c * mxy, wx * uz - c * mxz,
+                                 wy * uy + c * (1.0 - myy), wy * uz - c * myz, wz * uz + c * (1.0 - mzz), f * nx, f * ny,
+                                 f * nz, offset, w * plane * plane, w * w, c * (1.0 - along), w * cosine};
+            for (int t = 0; t < 18; ++t) store(&sums[t][lane], load(&sums[t][lane]) + terms[t]);
         }
-        for (int lane = 0; lane < LANES; ++lane) {
-            t[0][lane] = rows[MASS][start + lane] * exp_of(t[0][lane]);
-            creases[lane] = exp_of(creases[lane]);
-        }
-        for (int lane = 0; lane < LANES; ++lane) {
-            const i64 k = start + lane;
-            const double flat = rows[FLATNESS][k];
-            const double w = t[0][lane] * (1.0 - flat + flat * creases[lane]);
-            const double ux = t[1][lane], uy = t[2][lane], uz = t[3][lane], plane = t[14][lane], cosine = t[17][lane];
-            const double nx = t[10][lane], ny = t[11][lane], nz = t[12][lane];
-            const double c = w * h * h, f = w * flat;
-            t[0][lane] = w;
-            t[1][lane] = w * ux, t[2][lane] = w * uy, t[3][lane] = w * uz;
-            t[4][lane] = w * ux * ux + c * (1.0 - rows[MXX][k]);
-            t[5][lane] = w * ux * uy - c * rows[MXY][k];
-            t[6][lane] = w * ux * uz - c * rows[MXZ][k];
-            t[7][lane] = w * uy * uy + c * (1.0 - rows[MYY][k]);
-            t[8][lane] = w * uy * uz - c * rows[MYZ][k];
-            t[9][lane] = w * uz * uz + c * (1.0 - rows[MZZ][k]);
-            t[10][lane] = f * nx, t[11][lane] = f * ny, t[12][lane] = f * nz;
-            t[13][lane] = w * plane + 0.5 * f * (ux * nx + uy * ny + uz * nz - plane);
-            t[14][lane] = w * plane * plane;
-            t[15][lane] = w * w;
-            double along = rows[MXX][k] * n0 * n0 + rows[MYY][k] * n1 * n1 + rows[MZZ][k] * n2 * n2;
-            along += 2.0 * (rows[MXY][k] * n0 * n1 + rows[MXZ][k] * n0 * n2 + rows[MYZ][k] * n1 * n2);
-            t[16][lane] = c * (1.0 - along);
-            t[17][lane] = w * cosine;
-        }
-        const int lanes = (int)min_of<i64>(used - start, LANES);
-        for (int lane = 0; lane < lanes; ++lane)
-            for (int c = 0; c < 18; ++c) s[c] += t[c][lane];
-    }
-    __builtin_memcpy(work.sums, s, sizeof s);
+    for (int t = 0; t < 18; ++t) work.sums[t] = sum_of_eight(sums[t]);
 }
 
 // The order of values[:count], ascending, equal ones as they come: into bins, and by insertion within these.
@@ -380,6 +361,9 @@ inline void estimate(const Grid& g, const double* query, const double* d, double
     i64 used = 0;
     for (i64 k = 0; k < count; ++k)
         if (w.mass[k] >= MIN_MASS * largest) patch(g, w.near[k], w.mass[k], h, w, used++);
+    // The votes go on by eights.
+    for (i64 k = used; k % 8; ++k)
+        for (auto& row : w.rows) row[k] = 0.0;
     // First normal: of the patches, turned to the viewer.
     for (int j = 0; j < 3; ++j) n[j] = -1e-3 * d[j];
     for (i64 k = 0; k < used; ++k) {

@@ -9,6 +9,9 @@ namespace point_cells {
 constexpr int CELL_BITS = 21;  // of a cell's index along each axis
 constexpr i64 LAST = (i64(1) << CELL_BITS) - 1;
 }  // namespace point_cells
+// Points of PointCells.sorted_rows that kernels read at a time, and their numbers.
+constexpr int READ_AT_ONCE = 8;
+alignas(64) constexpr double COUNTING[READ_AT_ONCE] = {0, 1, 2, 3, 4, 5, 6, 7};
 
 struct Cell { i64 x, y, z; };
 
@@ -28,30 +31,32 @@ struct PointCells {
         return {index(__builtin_trunc(c.x)), index(__builtin_trunc(c.y)), index(__builtin_trunc(c.z))};
     }
 
-    // visit(first, last): the entries of each row of cells along z, of those 27 around one.
+    // visit(first, last): the entries of each row of cells along z, of those 27 around one. Rows come in the order of keys,
+    // so that each is looked for behind the last one; a visit that returns false ends them.
     template <class Visit>
     SP_INLINE void rows_around(Cell cell, Visit visit) const {
         const i64 count = keys.shape[0], z0 = max_of<i64>(cell.z - 1, 0), z1 = cell.z + 1;
-        for (i64 x = max_of<i64>(cell.x - 1, 0); x <= min_of(cell.x + 1, point_cells::LAST); ++x)
-            for (i64 y = max_of<i64>(cell.y - 1, 0); y <= cell.y + 1; ++y) {
-                const i64 row = (x << 2 * point_cells::CELL_BITS) | (y << point_cells::CELL_BITS);
-                const i64 first = first_not_below(keys, 0, count, row | z0);
-                i64 last = first;
-                while (last < count && keys(last) <= (row | z1)) ++last;
-                visit(first, last);
+        i64 last = 0;
+        for (i64 x = max_of<i64>(cell.x - 1, 0); x <= min_of(cell.x + 1, point_cells::LAST); ++x) {
+            const i64 plane = x << 2 * point_cells::CELL_BITS, y0 = max_of<i64>(cell.y - 1, 0);
+            for (i64 y = y0; y <= cell.y + 1; ++y) {
+                const i64 row = plane | (y << point_cells::CELL_BITS);
+                const i64 first = y == y0 ? first_not_below(keys, last, count, row | z0)
+                                          : first_not_below_near(keys, last, count, row | z0);
+                for (last = first; last < count && keys(last) <= (row | z1);) ++last;
+                if (first < last && !visit(first, last)) return;
             }
+        }
     }
 
     // visit(point) for each point in the 27 cells around one, until a call returns false.
     template <class Visit>
     SP_INLINE void around(Cell cell, Visit visit) const {
-        const i64 count = keys.shape[0], z0 = max_of<i64>(cell.z - 1, 0), z1 = cell.z + 1;
-        for (i64 x = max_of<i64>(cell.x - 1, 0); x <= min_of(cell.x + 1, point_cells::LAST); ++x)
-            for (i64 y = max_of<i64>(cell.y - 1, 0); y <= cell.y + 1; ++y) {
-                const i64 row = (x << 2 * point_cells::CELL_BITS) | (y << point_cells::CELL_BITS);
-                for (i64 k = first_not_below(keys, 0, count, row | z0); k < count && keys(k) <= (row | z1); ++k)
-                    if (!visit(order(k))) return;
-            }
+        rows_around(cell, [&](i64 first, i64 last) {
+            for (i64 k = first; k < last; ++k)
+                if (!visit(order(k))) return false;
+            return true;
+        });
     }
 
 private:

@@ -2,6 +2,7 @@
 // splatpainter/surface/unwrap.py, which explains them.
 #pragma once
 #include "../maths.h"
+#include "falloff.h"
 #include "point_cells.h"
 
 namespace sp { namespace {
@@ -9,7 +10,6 @@ namespace unwrapping {
 
 constexpr i64 MAX_NEIGHBOURS = 256;                  // of a sample; beyond them it has none
 constexpr i64 POINTS_PER_BLOCK = 256;                // that a thread takes at a time
-constexpr int SMOOTHED_AT_ONCE = 8;                  // samples: as many may be read behind the last one
 constexpr double MAX_CREASE_COSINE = -0.4999999999999998;  // of 120 degrees, between the normals of neighbours, ...
 constexpr double HINGE_COSINE = 0.9396926207859084;  // ... and of 20, from which a step turns around the line where both
                                                      // tangent planes meet
@@ -52,45 +52,64 @@ inline i64 neighbours(const Samples& s, i64 i, Vector p, Vector n, i64* out) {
     return count;
 }
 
+// Of a number, or of as many as a register holds.
+template <class V>
 struct Step {
-    double length, u, v;
-    Vector right;
+    V length, u, v;
+    Vec3<V> right;
 };
 
+// A way along an arc over its chord: t / sin t for t = share atan(half), half = sine / (1 + cosine) being the tangent of
+// half the angle between the normals, share 0 to 1.
+SP_INLINE double arc_over_chord(double half, double share) {
+    const double turn = atan_of(half) * share;
+    return turn > 1e-4 ? turn / sin_of(turn) : 1.0;
+}
+// Series for angles of up to 22 degrees, to a relative error of 1e-12.
+SP_INLINE Wide<double> arc_over_chord(Wide<double> half, Wide<double> share) {
+    using V = Wide<double>;
+    const V x = half * half;
+    const V atan = 1.0 - x * (1.0 / 3 - x * (1.0 / 5 - x * (1.0 / 7 - x * (1.0 / 9 - x * (1.0 / 11 - x * (1.0 / 13 - x * (1.0 / 15)))))));
+    const V turn = half * atan * share, y = turn * turn;
+    V out = 1.0 + y * (1.0 / 6 + y * (7.0 / 360 + y * (31.0 / 15120 + y * (127.0 / 604800 + y * (73.0 / 3421440)))));
+    const auto large = ~(half <= 0.2);
+    if (bits_where(large))
+        for (int l = 0; l < W<double>; ++l)
+            if (large[l]) out[l] = arc_over_chord((double)half[l], (double)share[l]);
+    return out;
+}
+
 // The step from a sample to a neighbour q with normal m: its length, (u, v) of the way, and the direction of right there.
-inline Step step_to(Vector point, Vector n, Vector right, Vector q, Vector m) {
-    const Vector d = q - point;
+template <class V>
+SP_INLINE Step<V> step_to(Vec3<V> point, Vec3<V> n, Vec3<V> right, Vec3<V> q, Vec3<V> m) {
+    const V zero = V{}, one = zero + 1.0, least = zero + 1e-30;
+    auto larger = [](V x, V y) { return y > x ? y : x; };
+    auto norm = [](Vec3<V> x) { return root_of(dot(x, x)); };
+    const Vec3<V> d = q - point;
     // Right, turned with the normal by the smallest rotation: v - (v.(n + m)) / (1 + n.m) (n + m), for v.n = 0; then made
     // exactly tangent and exactly unit.
-    const double cosine = dot(n, m);
-    Vector r = right - dot(right, m) / max_of(1.0 + cosine, 1e-9) * (n + m);
+    const V cosine = dot(n, m), half_turn = larger(one + cosine, zero + 1e-9);
+    Vec3<V> r = right - (dot(right, m) / half_turn) * (n + m);
     r = r - dot(r, m) * m;
-    r = 1.0 / max_of(length_of(r), 1e-30) * r;
-    const Vector up = cross(n, right);
-    double length = length_of(d);
-    if (length <= 0.0) return {0.0, 0.0, 0.0, r};
-    Vector hinge = cross(n, m);
-    const double sine = length_of(hinge);
-    if (cosine < HINGE_COSINE && sine > 1e-6) {
-        // Around the line where the planes meet: along it, then across it in both planes.
-        hinge = {hinge.x / sine, hinge.y / sine, hinge.z / sine};
-        const Vector out = cross(hinge, n);  // across, in the first plane
-        const double second = -dot(d, n) / sine, first = dot(d, out) - second * cosine;
-        if (first * second >= 0.0) {
-            const double across = first + second, along = dot(d, hinge);
-            const Vector way = across * out + along * hinge;
-            return {sqrt_of(across * across + along * along), dot(way, right), dot(way, up), r};
-        }
-    }
-    // As an arc: its chord lies half-way between both tangent planes.
-    const double c0 = dot(d, right) + dot(d, r), c1 = dot(d, up) + dot(d, cross(m, r));
-    const double scale = sqrt_of(c0 * c0 + c1 * c1);
-    if (scale <= 1e-12 * length) return {length, 0.0, 0.0, r};
-    const Vector lever = cross(d, hinge);
-    double turn = lever.z * lever.z + lever.x * lever.x + lever.y * lever.y;
-    turn = 0.5 * atan2_of(sine, cosine) * sqrt_of(turn) / max_of(sine * length, 1e-30);
-    length *= turn > 1e-4 ? turn / sin_of(turn) : 1.0;
-    return {length, length * c0 / scale, length * c1 / scale, r};
+    r = (one / larger(norm(r), least)) * r;
+    const Vec3<V> up = cross(n, right), hinge = cross(n, m);
+    const V chord = norm(d), sine = norm(hinge);
+    // Around the line where the planes meet, if they meet at a crease and each end lies on its side of it: along that line,
+    // then across it in both planes.
+    const Vec3<V> line = (one / larger(sine, least)) * hinge, out = cross(line, n);  // out: across, in the first plane
+    const V second = -dot(d, n) / larger(sine, least), first = dot(d, out) - second * cosine;
+    const V across = first + second, along = dot(d, line);
+    const Vec3<V> way = across * out + along * line;
+    const auto creased = (cosine < HINGE_COSINE) & (sine > 1e-6) & (first * second >= 0.0);
+    // Else as an arc: its chord lies half-way between both tangent planes.
+    const V c0 = dot(d, right) + dot(d, r), c1 = dot(d, up) + dot(d, cross(m, r)), scale = root_of(c0 * c0 + c1 * c1);
+    const auto pointed = scale > 1e-12 * chord;
+    const V lever = norm(cross(d, hinge)) / larger(sine * chord, least);
+    const V arc = chord * arc_over_chord(sine / half_turn, lever), share = pointed ? arc / scale : zero;
+    const auto still = chord <= 0.0;
+    const V length = creased ? root_of(across * across + along * along) : (pointed ? arc : chord);
+    const V u = creased ? dot(way, right) : share * c0, v = creased ? dot(way, up) : share * c1;
+    return {still ? zero : length, still ? zero : u, still ? zero : v, r};
 }
 
 struct Place {
@@ -106,33 +125,60 @@ struct Map {
     Array1<const double> distances;
 };
 
-// Where the reached ones of some neighbours see a point. ways: [MAX_NEIGHBOURS] to write on.
-inline Place average(const Samples& s, const Map& map, const i64* near, i64 count, Vector p, Vector n, Step* ways) {
-    i64 best = -1, reached = 0;
-    double shortest = INFINITE, best_u = 0.0, best_v = 0.0;
+// What `average` writes on: the reached neighbours and the steps from them, each number of all of them in a row.
+struct Ways {
+    i64 samples[MAX_NEIGHBOURS];
+    alignas(64) double from[12][MAX_NEIGHBOURS], length[MAX_NEIGHBOURS], step[6][MAX_NEIGHBOURS];
+};
+
+// Where the reached ones of some neighbours see a point.
+inline Place average(const Samples& s, const Map& map, const i64* near, i64 count, Vector p, Vector n, Ways& ways) {
+    using V = Wide<double>;
+    i64 reached = 0;
     for (i64 k = 0; k < count; ++k) {
         const i64 j = near[k];
         if (!(map.distances(j) < INFINITE)) continue;
-        Step way = step_to(vector_from(s.points.row(j)), vector_from(s.normals.row(j)), vector_from(map.right.row(j)), p, n);
-        const double length = map.distances(j) + way.length;
-        way.u = map.uv(j, 0) + way.u, way.v = map.uv(j, 1) + way.v;
-        if (length < shortest) best = j, shortest = length, best_u = way.u, best_v = way.v;
-        ways[reached++] = way;
+        const double *point = s.points.row(j), *normal = s.normals.row(j), *right = map.right.row(j);
+        for (int a = 0; a < 3; ++a) {
+            ways.from[a][reached] = point[a], ways.from[3 + a][reached] = normal[a];
+            ways.from[6 + a][reached] = right[a];
+        }
+        ways.from[9][reached] = map.uv(j, 0), ways.from[10][reached] = map.uv(j, 1);
+        ways.from[11][reached] = map.distances(j);
+        ways.samples[reached++] = j;
     }
-    if (best < 0) return {-1, 0.0, 0.0, {0.0, 0.0, 0.0}};
+    if (reached == 0) return {-1, 0.0, 0.0, {0.0, 0.0, 0.0}};
+    // Steps from all of them, as many at a time as a register holds; lanes behind the last one do as it does.
+    for (i64 k = reached; k % W<double>; ++k)
+        for (auto& row : ways.from) row[k] = row[reached - 1];
+    const Vec3<V> target = {all(p.x), all(p.y), all(p.z)}, facing = {all(n.x), all(n.y), all(n.z)};
     const double width = WEIGHT_WIDTH * s.spacing, sheet = (SAME_SHEET * s.spacing) * (SAME_SHEET * s.spacing);
+    for (i64 k = 0; k < reached; k += W<double>) {
+        auto from = [&](int row) { return load(&ways.from[row][k]); };
+        const Step<V> step = step_to<V>({from(0), from(1), from(2)}, {from(3), from(4), from(5)},
+                                        {from(6), from(7), from(8)}, target, facing);
+        const V distance = step.length / width;
+        store(&ways.length[k], from(11) + step.length);
+        store(&ways.step[0][k], falloff(-0.5 * distance * distance) + 1e-9);
+        store(&ways.step[1][k], from(9) + step.u), store(&ways.step[2][k], from(10) + step.v);
+        store(&ways.step[3][k], step.right.x), store(&ways.step[4][k], step.right.y), store(&ways.step[5][k], step.right.z);
+    }
+    i64 best = 0;
+    for (i64 k = 1; k < reached; ++k)
+        if (ways.length[k] < ways.length[best]) best = k;
+    // Those that are not on another sheet than the nearest one.
+    const double best_u = ways.step[1][best], best_v = ways.step[2][best];
     double total = 0.0, u = 0.0, v = 0.0;
     Vector right = {0.0, 0.0, 0.0};
     for (i64 k = 0; k < reached; ++k) {
-        const double ju = ways[k].u, jv = ways[k].v, length = ways[k].length / width;
+        const double w = ways.step[0][k], ju = ways.step[1][k], jv = ways.step[2][k];
         if ((ju - best_u) * (ju - best_u) + (jv - best_v) * (jv - best_v) > sheet) continue;
-        const double w = exp_of(-0.5 * length * length) + 1e-9;
         total += w, u += w * ju, v += w * jv;
-        right = right + w * ways[k].right;
+        right = right + w * Vector{ways.step[3][k], ways.step[4][k], ways.step[5][k]};
     }
     right = right - dot(right, n) * n;
     right = 1.0 / max_of(length_of(right), 1e-30) * right;
-    return {best, u / total, v / total, right};
+    return {ways.samples[best], u / total, v / total, right};
 }
 
 // Samples by their distance from the first one, the nearest first, of equal ones the lower number.
@@ -170,41 +216,27 @@ struct Heap {
 };
 
 // What samples say of the surface at a point: their weights, and by these their offsets (3) and normals (3). Eight
-// samples at a time on every CPU, in as many registers as that takes, so that sums are the same bits everywhere.
+// samples at a time, each lane with sums of its own.
 struct Sums {
-    alignas(64) double lanes[7][SMOOTHED_AT_ONCE] = {};
+    alignas(64) double lanes[7][READ_AT_ONCE] = {};
 
     // rows: six rows of numbers, `stride` apart, at the first sample; used: how many of the eight count.
     SP_INLINE void add(const double* rows, i64 stride, i64 used, Vector p, Vector n, double squared) {
         using V = Wide<double>;
-        alignas(64) double offsets[3][SMOOTHED_AT_ONCE], weights[SMOOTHED_AT_ONCE];
-        for (int l = 0; l < SMOOTHED_AT_ONCE; l += W<double>) {
-            const V x = load_unaligned(rows + l) - p.x, y = load_unaligned(rows + stride + l) - p.y;
-            const V z = load_unaligned(rows + 2 * stride + l) - p.z;
-            const V fx = load_unaligned(rows + 3 * stride + l), fy = load_unaligned(rows + 4 * stride + l);
-            const V fz = load_unaligned(rows + 5 * stride + l);
+        SP_EIGHT(l) {
+            auto row = [&](int r) { return load_unaligned(rows + r * stride + l); };
+            const V x = row(0) - p.x, y = row(1) - p.y, z = row(2) - p.z, fx = row(3), fy = row(4), fz = row(5);
             const V square = (x * x + y * y + z * z) / squared, cosine = fx * n.x + fy * n.y + fz * n.z;
-            const V exponent = -2.0 * square + (cosine - 1.0) / SMOOTHED_TURN;
-            // Those that are too far away or face elsewhere weigh nothing.
-            store(&weights[l], ((square > 1.0) | (cosine < MIN_AGREEING_COSINE)) ? all(-INFINITE) : exponent);
-            store(&offsets[0][l], x), store(&offsets[1][l], y), store(&offsets[2][l], z);
-        }
-        for (int l = 0; l < SMOOTHED_AT_ONCE; ++l) weights[l] = l < used ? exp_of(weights[l]) : 0.0;
-        for (int l = 0; l < SMOOTHED_AT_ONCE; l += W<double>) {
-            const V w = load(&weights[l]);
-            store(&lanes[0][l], load(&lanes[0][l]) + w);
-            for (int c = 0; c < 3; ++c) {
-                store(&lanes[1 + c][l], load(&lanes[1 + c][l]) + w * load(&offsets[c][l]));
-                store(&lanes[4 + c][l], load(&lanes[4 + c][l]) + w * load_unaligned(rows + (3 + c) * stride + l));
-            }
+            // Those that are too far away or face elsewhere weigh nothing. A cosine may be 1 and a bit.
+            const V turn = (cosine < 1.0 ? cosine - 1.0 : V{}) / SMOOTHED_TURN;
+            const auto counts = (square <= 1.0) & (cosine >= MIN_AGREEING_COSINE) & (load(&COUNTING[l]) < (double)used);
+            const V w = counts ? falloff(turn - 2.0 * square) : V{};
+            const V terms[7] = {w, w * x, w * y, w * z, w * fx, w * fy, w * fz};
+            for (int t = 0; t < 7; ++t) store(&lanes[t][l], load(&lanes[t][l]) + terms[t]);
         }
     }
 
-    // Halves first: always in this order.
-    SP_INLINE double of(int field) const {
-        const double* v = lanes[field];
-        return ((v[0] + v[4]) + (v[2] + v[6])) + ((v[1] + v[5]) + (v[3] + v[7]));
-    }
+    SP_INLINE double of(int field) const { return sum_of_eight(lanes[field]); }
 };
 
 }  // namespace unwrapping
@@ -229,7 +261,7 @@ inline void thin_points(Rows<const double, 3> points, Rows<const double, 3> norm
     }
 }
 
-// samples: [6, S + SMOOTHED_AT_ONCE] points and normals, in the order of `keys` [S] (cells of `radius`). Every lane has sums of
+// samples: [6, S + READ_AT_ONCE] points and normals, in the order of `keys` [S] (cells of `radius`). Every lane has sums of
 // its own, added up at the end; samples that do not count have weight 0.
 inline void smooth_points(Array2<const double> samples, Array1<const i64> keys, Array1<const double> corner,
                           double radius, Rows<const double, 3> points, Rows<const double, 3> normals, Array2<double> out,
@@ -247,10 +279,11 @@ inline void smooth_points(Array2<const double> samples, Array1<const i64> keys, 
                 if (cell.x < 0 || cell.y < 0 || cell.z < 0) break;
                 Sums sums;
                 cells.rows_around(cell, [&](i64 first, i64 last) {
-                    for (i64 begin = first; begin < last; begin += SMOOTHED_AT_ONCE) {
-                        checked(begin + SMOOTHED_AT_ONCE - 1, stride);
+                    for (i64 begin = first; begin < last; begin += READ_AT_ONCE) {
+                        checked(begin + READ_AT_ONCE - 1, stride);
                         sums.add(samples.data + begin, stride, last - begin, p, n, squared);
                     }
+                    return true;
                 });
                 const Vector turn = {sums.of(4), sums.of(5), sums.of(6)};
                 const double mass = sums.of(0), length = length_of(turn);
@@ -279,7 +312,7 @@ inline void spread_map(Rows<const double, 3> points, Rows<const double, 3> norma
     Heap heap = {heap_keys, heap_ids, 0};
     for (i64 i = 0; i < total; ++i) tentative(i) = INFINITE, settled(i) = false;
     i64 near[MAX_NEIGHBOURS];
-    Step ways[MAX_NEIGHBOURS];
+    Ways ways;
     const Vector first_normal = vector_from(normals.row(0));
     tentative(0) = 0.0;
     heap.add(0.0, 0);
@@ -312,7 +345,7 @@ inline void spread_map(Rows<const double, 3> points, Rows<const double, 3> norma
             if (settled(j)) continue;
             const Vector q = vector_from(points.row(j));
             if (key + MIN_CHORD_RATIO * length_of(q - p) >= tentative(j)) continue;
-            const double length = key + step_to(p, n, here, q, vector_from(normals.row(j))).length;
+            const double length = key + step_to<double>(p, n, here, q, vector_from(normals.row(j))).length;
             if (length < tentative(j) && heap.filled < heap_keys.shape[0]) {
                 tentative(j) = length;
                 heap.add(length, j);
@@ -331,7 +364,7 @@ inline void interpolate_map(Rows<const double, 3> points, Rows<const double, 3> 
     const Samples samples = {points, normals, spacing, reach, {keys, order, corner, size}};
     const Map map = {uv, right, distances};
     i64 near[MAX_NEIGHBOURS];
-    Step ways[MAX_NEIGHBOURS];
+    Ways ways;
     const i64 total = queries.shape[0], block = POINTS_PER_BLOCK;
     for (i64 start = thread * block; start < total; start += threads * block)
         for (i64 q = start; q < min_of(start + block, total); ++q) {

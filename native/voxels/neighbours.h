@@ -5,14 +5,17 @@
 #include "../vectors.h"
 
 namespace sp { namespace {
+namespace neighbours {
+constexpr int CELL_BITS = 20;            // of a cube's index along each axis
+constexpr i64 QUERIES_PER_BLOCK = 256;   // that a thread takes at a time
+}  // namespace neighbours
 
 // The point nearest to each query within a radius, among the 27 cubes around it; of equally near ones the first in the
 // order of keys. `nearest` and `distance` stay as they are where there is none.
 inline void find_nearest(Rows<const double, 3> points, Rows<const double, 3> queries, Array1<const i64> keys,
                          Array1<const i64> order, Rows<const i64, 3> cells, double radius, Array1<i64> nearest,
                          Array1<double> distance, i64 thread, i64 threads) {
-    constexpr int CELL_BITS = 20;
-    constexpr i64 QUERIES_PER_BLOCK = 256;
+    using namespace neighbours;
     const i64 count = queries.shape[0];
     for (i64 start = thread * QUERIES_PER_BLOCK; start < count; start += threads * QUERIES_PER_BLOCK)
         for (i64 i = start; i < min_of(start + QUERIES_PER_BLOCK, count); ++i) {

@@ -13,7 +13,7 @@ import numpy as np
 
 from splatpainter.kernels import portable
 from splatpainter.kernels.library import kernels
-from splatpainter.kernels.parallel import run
+from splatpainter.kernels.parallel import run, threads
 from splatpainter.transforms import fibonacci_sphere, sh_basis
 
 COSINE_BANDS = np.array([np.pi, *[2 * np.pi / 3] * 3, *[np.pi / 4] * 5])
@@ -43,8 +43,6 @@ SPACING_SAMPLES = 256
 """Points of which the distance to their neighbours is measured."""
 SPACING_NEIGHBOR = 5
 """The neighbour whose distance counts."""
-MAPS_AT_ONCE = 8
-"""Shadow maps in memory, at most 3 MB each."""
 
 
 def prt_transfer(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -66,14 +64,11 @@ def prt_transfer(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
 def _spacing(points: np.ndarray) -> float:
     """A little less than the distance of a point to its SPACING_NEIGHBOR-th neighbour: closed for the shadow maps."""
     picks = np.linspace(0, len(points) - 1, min(SPACING_SAMPLES, len(points))).astype(np.int64)
-    samples, squares = points[picks].astype(np.float64), (points.astype(np.float64) ** 2).sum(1)
+    squares = np.empty(len(picks))
     near = min(SPACING_NEIGHBOR, len(points) - 1)
-    apart = []
-    for one in samples:
-        distances = squares - 2 * portable.matmul(points, one[:, None])[:, 0] + (one * one).sum()
-        apart.append(np.partition(distances, near)[near])
+    run(kernels.measure_neighbour_squares, np.ascontiguousarray(points, np.float32), picks, near, squares)
     span = portable.length(np.ptp(points, axis=0))
-    return max(0.8 * float(np.sqrt(max(np.median(apart), 0.0))), 1e-6 * span, 1e-12)
+    return max(0.8 * float(np.sqrt(np.median(squares))), 1e-6 * span, 1e-12)
 
 
 def visibility(points: np.ndarray, normals: np.ndarray, spacing: float, directions: int = 48) -> Visibility:
@@ -98,8 +93,9 @@ def visibility(points: np.ndarray, normals: np.ndarray, spacing: float, directio
     moved = np.ascontiguousarray(points - center, np.float32)
     normals = np.ascontiguousarray(normals, np.float32)
     frames = (*(np.ascontiguousarray(axis, np.float32) for axis in (towards, side, other)), float(pixel))
-    depth = np.empty((min(MAPS_AT_ONCE, directions), size, size), np.float32)
-    for first in range(0, directions, MAPS_AT_ONCE):
+    # A map for each thread, 3 MB at most: more would fall out of the CPU's caches before they are looked into.
+    depth = np.empty((min(threads(), directions), size, size), np.float32)
+    for first in range(0, directions, len(depth)):
         run(kernels.draw_shadow_maps, moved, *frames, first, depth)
         sums = (folded, weights, lost_front, lost_back, shade)
         run(kernels.fold_shadows, moved, normals, *frames, first, depth, *sums)

@@ -18,7 +18,6 @@ from PIL import Image
 from splatpainter.cameras import Camera, spherical_cameras
 from splatpainter.image_files import find_camera, to_uint8
 from splatpainter.io import read, write
-from splatpainter.kernels.compile import ensure_compiled
 from splatpainter.rendering import render
 from splatpainter.splats import Splats
 from tests.support.capture_folders import (
@@ -72,7 +71,6 @@ def last(folder: Path) -> Path:
 
 
 def drawn(camera: Camera) -> np.ndarray:
-    ensure_compiled(progress=False)
     return np.clip(render(speckled(), camera).colors[0], 0, 1)
 
 

@@ -16,7 +16,6 @@ from PIL import Image
 from splatpainter.cameras import Camera, spherical_cameras
 from splatpainter.commands.fit_photographs import PosedPicture, first_gaussians, posed_pictures
 from splatpainter.image_files import to_uint8
-from splatpainter.kernels.compile import ensure_compiled
 from splatpainter.metrics import psnr
 from splatpainter.rendering import render
 from tests.support.capture_folders import brown, fisheye, photograph, save_turned, write_colmap, write_table
@@ -44,7 +43,6 @@ def cameras_around(count: int = 3, background: tuple[float, float, float] = (0.4
 
 
 def drawn(camera: Camera) -> np.ndarray:
-    ensure_compiled(progress=False)
     return np.clip(render(ball(2000), camera).colors[0], 0, 1)
 
 

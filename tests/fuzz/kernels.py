@@ -265,10 +265,12 @@ def main() -> int:
         "PYTHONFAULTHANDLER": "1",
     }
     if "address" in config.sanitize:
-        # Python itself is not built for it: its runtime comes first, and what Python leaves behind is not looked at.
+        # Python itself is not built for it: its runtime comes first, and C++'s for the exceptions of torch; what Python
+        # leaves behind is not looked at.
         compiler = os.environ.get("CXX", "g++").split()
-        runtime = subprocess.run([*compiler, "-print-file-name=libasan.so"], capture_output=True, text=True, check=True)
-        environment |= {"LD_PRELOAD": runtime.stdout.strip(), "ASAN_OPTIONS": "detect_leaks=0"}
+        paths = [[*compiler, f"-print-file-name={name}"] for name in ("libasan.so", "libstdc++.so.6")]
+        runtimes = [subprocess.run(words, capture_output=True, text=True, check=True).stdout.strip() for words in paths]
+        environment |= {"LD_PRELOAD": " ".join(runtimes), "ASAN_OPTIONS": "detect_leaks=0"}
     code = subprocess.run([sys.executable, *sys.argv, f"--{STARTED}"], env=environment, check=False).returncode
     if code < 0:
         print(f"--- the process ended by signal {-code} in {library.with_name(CURRENT).read_text()}", file=sys.stderr)

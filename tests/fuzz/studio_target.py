@@ -17,7 +17,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from splatpainter.kernels import compile as kernels
+from splatpainter.kernels import library
 from splatpainter.server.app import create_app
 from splatpainter.server.client import protocol_hash
 from splatpainter.server.commands import COMMANDS
@@ -63,9 +63,7 @@ class StudioTarget(Target):
         self.camera = json.loads(camera(24).to_json())
 
     def warm_up(self) -> None:
-        # A command that compiles takes ten seconds of CPU, on a busy machine a minute.
-        kernels.ensure_compiled(progress=False)
-        kernels.load()
+        library.current()
 
     # ---- making scripts
 

@@ -13,7 +13,6 @@ from PIL import Image, ImageDraw, PngImagePlugin
 
 from splatpainter.cli import main
 from splatpainter.io import write
-from splatpainter.kernels.compile import ensure_compiled
 from splatpainter.splats import SH_C0, Splats
 
 Capture: TypeAlias = pytest.CaptureFixture[str]
@@ -44,7 +43,6 @@ class Ran:
 
 def run(capfd: Capture, *words: object) -> Ran:
     """`splatpainter words...` in this process."""
-    ensure_compiled(progress=False)
     capfd.readouterr()
     code = main([str(word) for word in words])
     captured = capfd.readouterr()

@@ -23,7 +23,6 @@ import fastapi  # noqa: F401
 import filelock  # noqa: F401
 import httpx  # noqa: F401
 import mitsuba  # noqa: F401
-import numba  # noqa: F401
 import numpy as np
 import PIL.Image
 import platformdirs  # noqa: F401
@@ -67,12 +66,8 @@ def hide() -> None:
 
 def main() -> None:
     import splatpainter as sp
-    from splatpainter.kernels import compile as warmup
 
-    machine, fingerprint = warmup._machine, warmup._machine()
     hide()
-    assert len(machine()) == 16
-    warmup._machine = lambda: fingerprint  # or the kernels that are there would count as another machine's
     for module in pkgutil.walk_packages(sp.__path__, "splatpainter."):
         if "decode_slat" not in module.name:  # runs in another system's environment
             importlib.import_module(module.name)

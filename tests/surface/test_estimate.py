@@ -232,16 +232,16 @@ def test_one_search_looks_at_bounded_numbers_and_finds_what_brute_force_finds():
     many = splats_of(rng.uniform(-1, 1, (count, 3)), rng.normal(size=(count, 4)), scales, np.full(count, 0.9))
     s = SurfaceSamples.of(many)
     assert len(s.cell_sizes) > 4
-    out, found = np.empty(count, np.int64), np.zeros(1, np.int64)
+    out, number = np.empty(count + 1, np.int64), np.zeros(1, np.int64)
     arrays = (s.keys, s.level_starts, s.cell_sizes, s.reaches, s.min_corner, s.patches)
     for window in (1e-3, 0.02, 0.2):
         for point in rng.uniform(-1.2, 1.2, (20, 3)):
-            kernels.probe_gather(*arrays, point, window, out, found, 0, 1)
+            kernels.probe_gather(*arrays, point, window, out, number, 0, 1)
             square = ((s.means.astype(np.float64) - point) ** 2).sum(1)
             reach = s.scales[:, 0].astype(np.float64) ** 2 + window**2
-            np.testing.assert_array_equal(np.sort(out[: found[0]]), np.flatnonzero(square < 2.5**2 * reach))
-    kernels.probe_gather(*arrays, np.zeros(3), 10.0, np.empty(100, np.int64), found, 0, 1)
-    assert found[0] == 101
+            np.testing.assert_array_equal(np.sort(out[: number[0]]), np.flatnonzero(square < 2.5**2 * reach))
+    kernels.probe_gather(*arrays, np.zeros(3), 10.0, np.empty(101, np.int64), number, 0, 1)
+    assert number[0] == 101
 
 
 def test_equal_bits_for_any_number_of_threads_and_any_batch(monkeypatch):

@@ -69,6 +69,28 @@ def test_the_first_hit_is_the_nearest_box_of_all(seed: int, resolution: int, fil
     aim = grid.min_corner + grid.extent * rng.random((15, 3)) - origin
     rays[:15] = np.where(rays[:15] == 0, 0, aim)
     rays[(rays == 0).all(1)] = (1, 0, 0)
+    check_first_hits(grid, origin, rays)
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.integers(0, 10**6), st.sampled_from([31, 64, 90]), st.integers(0, 12), st.sampled_from([0.1, 0.4, 1.5, 40.0]))
+def test_rays_cross_empty_space_and_miss_nothing_in_it(seed: int, resolution: int, boxes: int, away: float) -> None:
+    rng = np.random.default_rng(seed)
+    volume = np.zeros((resolution,) * 3, bool)
+    cells = rng.integers(0, resolution, (boxes, 3))
+    volume[tuple(cells.T)] = True
+    grid = box_grid(volume, lo=rng.normal(size=3), size=float(rng.uniform(0.5, 3)))
+    origin = grid.min_corner + grid.extent * (0.5 + away * rng.normal(size=3))
+    rays = random_rays(rng, 30)
+    if boxes:  # at what is there, so that some hit
+        aim = grid.min_corner + (cells[rng.integers(0, boxes, 20)] + rng.random((20, 3))) * grid.voxel - origin
+        rays[:20] = np.where(rays[:20] == 0, 0, aim)
+        rays[(rays == 0).all(1)] = (1, 0, 0)
+    check_first_hits(grid, origin, rays)
+
+
+def check_first_hits(grid: VoxelGrid, origin: np.ndarray, rays: np.ndarray) -> None:
+    volume = grid.occupancy
     keys, distances = first_hits(grid.occupancy, grid, origin, rays)
     cells = np.argwhere(volume)
     # Rounding moves walls: a box that is only grazed may be hit or not.

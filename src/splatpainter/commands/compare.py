@@ -162,9 +162,7 @@ def _compared(
 ) -> tuple[list[Likeness], list[list[np.ndarray]]]:
     """(likeness per view, the three pictures per view shrunk for the sheet); saves a picture of each view."""
     from splatpainter.contact_sheet import Strip, sheet, write_sheet
-    from splatpainter.kernels.compile import ensure_compiled
 
-    ensure_compiled()
     results, thumbs = [], []
     for camera, name in progress(zip(cameras, names, strict=True), len(names), "comparing"):
         behind = to_display(np.array(camera.background), first.color_space)

@@ -51,13 +51,11 @@ def run(config: Config) -> Outcome:
     """Make, render, paint, edit, look."""
     from splatpainter.demo_asset import BACKGROUND, demo_asset
     from splatpainter.io.axes import flip
-    from splatpainter.kernels.compile import ensure_compiled
 
     if not 64 <= config.size <= 2048:
         raise ValueError(f"splatpainter demo: expected --size from 64 to 2048, got {config.size}")
     check_folder(config.out)
     make_folder(config.out)
-    ensure_compiled()
     out, clock = config.out, _Steps()
     with stages(6) as bar:
         bar.enter("asset")

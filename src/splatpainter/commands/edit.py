@@ -175,7 +175,6 @@ def run(config: Config) -> Outcome:
     _check(config, receipt_path)
     decal, source_edit = _decal(config), source_from_options(config)
     if source_edit is not None and config.dry_run:
-        _compile()
         return Outcome(*plan_lines(read(config.asset, frame=config.frame, lenient=config.lenient).numpy(), source_edit))
     pictures = _pictures(config)
     sources: Sequence[FileEdit | DecalView]
@@ -190,7 +189,6 @@ def run(config: Config) -> Outcome:
         doubtful = warn_of_doubts(splats, config.asset, editing=True)
         _check_views(pictures, splats)
         _warn_of_other_assets(pictures, splats)
-        _compile()
         sources = pictures = _checked(pictures, splats, config)
         bar.enter("painting")
         if decal is not None:
@@ -354,12 +352,6 @@ def _check_views(sources: list[FileEdit], splats: Splats) -> None:
     for source in sources:
         for doubt in doubts_of_view(splats, source.camera, str(source.path)):
             raise ValueError(doubt.line)
-
-
-def _compile() -> None:
-    from splatpainter.kernels.compile import ensure_compiled
-
-    ensure_compiled()
 
 
 def _record(

@@ -80,7 +80,6 @@ class Config:
 
 def run(config: Config) -> Outcome:
     """Check, read, fill, write, verify."""
-    from splatpainter.kernels.compile import ensure_compiled
     from splatpainter.source_edits.fill import fill
     from splatpainter.sources.registry import open_source
     from splatpainter.sources.source_options import option_words
@@ -103,7 +102,6 @@ def run(config: Config) -> Outcome:
         splats = read(config.asset, frame=config.frame, lenient=config.lenient)
         warn_of_doubts(splats, config.asset, editing=True)
         read_seconds = time.perf_counter() - clock
-        ensure_compiled()
         bar.enter("filling")
         weights = region.weights(splats)
         with SourceBar() as progress:

@@ -138,9 +138,7 @@ def _fitted(config: Config, pictures: FitPictures) -> Splats:
     from tqdm import tqdm
 
     from splatpainter.fit.optimize import FitOptions, TrainingView, optimize
-    from splatpainter.kernels.compile import ensure_compiled
 
-    ensure_compiled()
     options = FitOptions(
         steps=config.steps,
         densify=not config.fixed,

@@ -76,14 +76,12 @@ def is_mesh(path: Path) -> bool:
 
 
 def _from_asset(source: Path, settings: FitPictureSettings) -> FitPictures:
-    from splatpainter.kernels.compile import ensure_compiled
 
     splats = read(source)
     if not splats.drawable.any():
         raise ValueError(f"{source}: none of its {len(splats):,} Gaussians can be drawn; there is nothing to fit to")
     if any(splats.offset):
         raise ValueError(f"{source}: has positions that float32 cannot hold; move it near 0, then fit to it")
-    ensure_compiled()
     center, radius = bounding_sphere(splats)
 
     pictures = _rendered("asset", partial(_drawn, splats), center, radius, np.array(UPS[AUTO_UP]), settings, np.eye(4))
@@ -110,9 +108,7 @@ def _surfels(
 ) -> Callable[[Sequence[Camera]], tuple[np.ndarray, ...]]:
     from splatpainter.data.lights import shade
     from splatpainter.data.surfels import sample_surfels, to_splats
-    from splatpainter.kernels.compile import ensure_compiled
 
-    ensure_compiled()
     dense = sample_surfels(mesh, settings.surfels, settings.seed)
     truth = to_splats(dense, shade(dense, light, min(settings.sh_degree, 2))).numpy()
     return partial(_drawn, truth)
@@ -131,9 +127,7 @@ def _traced(
     from splatpainter.data.pathtrace import PathOptions, display, path_trace
 
     def render_views(cameras: Sequence[Camera]) -> tuple[np.ndarray, ...]:
-        from splatpainter.kernels.compile import ensure_compiled
 
-        ensure_compiled()
         traced = path_trace(mesh, light.environment.numpy(), cameras, PathOptions(settings.samples, seed=settings.seed))
         return display(traced, float(light.exposure), cameras), traced.depths, traced.alphas
 

@@ -1,4 +1,4 @@
-"""`splatpainter info`: what a file holds. Loads neither torch nor numba."""
+"""`splatpainter info`: what a file holds. Loads no torch."""
 
 from __future__ import annotations
 

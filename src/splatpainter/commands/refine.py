@@ -75,7 +75,6 @@ class Config:
 
 def run(config: Config) -> Outcome:
     """Check, read, ask, lift, write, verify."""
-    from splatpainter.kernels.compile import ensure_compiled
     from splatpainter.source_edits.edit import refine_views, usual_scale
     from splatpainter.source_edits.view_edit import SourceBrief
     from splatpainter.sources.registry import open_source
@@ -101,7 +100,6 @@ def run(config: Config) -> Outcome:
         splats = read(config.asset, frame=config.frame, lenient=config.lenient)
         warn_of_doubts(splats, config.asset, editing=True)
         read_seconds = time.perf_counter() - clock
-        ensure_compiled()
         bar.enter("refining")
         with SourceBar() as progress:
             brief = SourceBrief(config.prompt, scale=config.scale or usual_scale(source))

@@ -128,11 +128,9 @@ def _files(out: Path, stem: str, camera: Camera, options: PictureOptions) -> dic
 def _save_all(
     splats: Splats, cameras: list[Camera], stems: list[str], out: Path, options: PictureOptions
 ) -> Iterator[None]:
-    from splatpainter.kernels.compile import ensure_compiled
     from splatpainter.surface.estimate import Surface
     from splatpainter.view_files import normals_of, view_files
 
-    ensure_compiled()
     normals = normals_of(splats) if "normal" in options.aovs else None
     surface = Surface.of(splats.numpy()) if {"normal", "depth"} & {*options.aovs} else None
     for camera, stem in zip(cameras, stems, strict=True):

@@ -47,7 +47,6 @@ def run(config: Config) -> Outcome:
         from splatpainter.server.launch import address, listen, make_server, open_session, warm
     except ImportError as error:
         raise ValueError(f"splatpainter studio: needs {error.name}; pip install 'splatpainter[studio]'") from None
-    from splatpainter.kernels.compile import ensure_compiled
     from splatpainter.server.security import Access
     from splatpainter.server.studio import Studio, StudioOptions
 
@@ -57,7 +56,6 @@ def run(config: Config) -> Outcome:
     bound = listen(config.host, config.port)
     session = None
     try:
-        ensure_compiled()
         session, name = open_session(config.asset, frame=config.frame)
         studio = Studio(session, name, StudioOptions(config.folder))
     except BaseException:

@@ -84,7 +84,7 @@ def run(config: Config) -> Outcome:
 
 def _against(config: Config) -> Outcome:
     """Every range of a merged asset."""
-    from splatpainter.scene.merge import verify_merge  # seams need numba
+    from splatpainter.scene.merge import verify_merge
 
     merged = config.original
     if config.edited is not None:

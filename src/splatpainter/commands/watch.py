@@ -166,7 +166,6 @@ def run(config: Config) -> Outcome:
     saved = SavedPictures(config.folder)
     splats = read(config.asset, frame=config.frame)
     warn_of_doubts(splats, config.asset, editing=True)
-    _compile()
     watch = _Watch(config, receipt_path, splats, painter, painter.encode(splats, config.method, [config.mode]))
     until = None if config.timeout is None else time.monotonic() + config.timeout
     if not config.json:
@@ -216,9 +215,3 @@ def _check(config: Config, receipt_path: Path) -> None:
 
 def _same(a: Path, b: Path) -> bool:
     return os.path.abspath(a) == os.path.abspath(b)
-
-
-def _compile() -> None:
-    from splatpainter.kernels.compile import ensure_compiled
-
-    ensure_compiled()

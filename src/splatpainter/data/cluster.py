@@ -130,7 +130,7 @@ def _alone(
 
 def _pool(workers: int) -> ProcessPoolExecutor:
     share = max(1, cpus() // workers)
-    # spawn: a forked child of a process with threads (torch, numba, Mitsuba) can hang.
+    # spawn: a forked child of a process with threads (torch, Mitsuba) can hang.
     limit = 61 if sys.platform == "win32" else workers  # what Windows can wait for at once
     return ProcessPoolExecutor(
         min(workers, limit), multiprocessing.get_context("spawn"), initializer=_begin_worker, initargs=(share,)

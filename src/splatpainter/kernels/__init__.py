@@ -1,1 +1,1 @@
-"""What all numba kernels share: threads, SIMD vectors, compilation before the first use."""
+"""The native kernels of native/: the library that they lie in, threads, arrays."""

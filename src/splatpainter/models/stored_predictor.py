@@ -66,8 +66,8 @@ class StoredPredictor:
         # What the asset as a whole is like, and what the pictures say of it, are two vectors that all Gaussians hear.
         inputs = described(facts[seen])
         seen_change = portable.matmul(change[seen], opponent.T)
-        evidence_inputs = np.concatenate([inputs, np.float32(EVIDENCE_GAIN) * seen_change], 1)
-        evidence = (share * self._mlp("evidence", evidence_inputs)).sum(0)
+        changed = np.concatenate([inputs, np.float32(EVIDENCE_GAIN) * seen_change], 1)
+        evidence = (share * self._mlp("evidence", changed)).sum(0)
         everyone = evenly_spread(np.arange(len(facts)), CONTEXT_GAUSSIANS)
         context = self._mlp("company", self._mlp("own", described(facts[everyone]))).mean(0)
         around = np.concatenate([context, evidence])
@@ -128,8 +128,10 @@ def checked(tensors: Mapping[str, np.ndarray], where: str) -> StoredPredictor:
     expected = shapes(width, features)
     for name in sorted(expected.keys() | arrays.keys()):
         if name not in expected or name not in arrays or arrays[name].shape != expected[name]:
-            actual = list(arrays[name].shape) if name in arrays else "none"
-            raise ValueError(f"{where}: 'predictor.{name}': expected {expected.get(name, 'no such tensor')}, got {actual}")
+            shape = list(arrays[name].shape) if name in arrays else "none"
+            raise ValueError(
+                f"{where}: 'predictor.{name}': expected {expected.get(name, 'no such tensor')}, got {shape}"
+            )
     return StoredPredictor(arrays)
 
 

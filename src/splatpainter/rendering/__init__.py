@@ -1,6 +1,6 @@
 """`render(splats, cameras) -> Render`: colours, alpha, expected depth and contributions of one or more views.
 
-One contract, three backends: numba CPU kernels (cpu/), gsplat on CUDA (cuda.py), plain torch (reference.py, which is
+One contract, three backends: native CPU kernels (cpu/), gsplat on CUDA (cuda.py), plain torch (reference.py, which is
 the specification). numpy in, numpy out, without importing torch; torch in, torch out, differentiable.
 """
 

@@ -70,13 +70,14 @@ def address(access: Access, bound: socket.socket) -> str:
 
 
 def warm() -> threading.Thread:
-    """Load the compiled kernels beside everything else, so that the first stroke need not wait a second for them. To be
-    joined before the process ends."""
-    from splatpainter.kernels import compile as kernels
+    """Load what edits are made of beside everything else, so that the first stroke need not wait for it. To be joined
+    before the process ends."""
 
     def load() -> None:
-        kernels.ensure_compiled(progress=False)
-        kernels.load()
+        from splatpainter.kernels import library
+        from splatpainter.lift import edits  # noqa: F401
+
+        library.current()
 
     thread = threading.Thread(target=load, name="splatpainter-warm")
     thread.start()

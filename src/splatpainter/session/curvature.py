@@ -49,7 +49,8 @@ def bend_degrees(splats: Splats) -> np.ndarray:
     cells = PointCells.of(means[chosen], radius)
     sums = np.zeros((len(drawable), 3))
     queries = np.ascontiguousarray(means[drawable]), np.ascontiguousarray(normals[drawable])
-    run(kernels.sum_turns, means[chosen], normals[chosen], *cells.arrays, radius, *queries, sums)
+    samples = cells.sorted_rows(means[chosen], normals[chosen])
+    run(kernels.sum_turns, samples, cells.keys, cells.corner, radius, *queries, sums)
     count, turns, squares = sums.T
     curvature = np.where(count >= MIN_SAMPLES, turns / np.maximum(squares, 1e-30), 0.0)  # in units of the radius
     out[drawable] = np.degrees(np.clip(2 * curvature, -math.pi, math.pi))

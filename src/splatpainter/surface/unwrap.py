@@ -27,8 +27,8 @@ NEIGHBOUR_SPACINGS = 2.2
 """Distance up to which samples are neighbours, in spacings."""
 CELL_BITS = 21
 """Bits of a cell's index along each axis."""
-SMOOTHED_AT_ONCE = 8
-"""Samples that one is smoothed by at a time: as many numbers may be read behind the last one."""
+READ_AT_ONCE = 8
+"""Points of `PointCells.sorted_rows` that kernels read at a time: as many may be read behind the last one."""
 MAX_HEAP_ENTRIES = 64
 """Of each sample, in the heap of those that are to be reached."""
 
@@ -97,6 +97,14 @@ class PointCells:
     def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
         return self.keys, self.order, self.corner, self.size
 
+    def sorted_rows(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """[6, S + 8] float64 of the points and their normals, in the order of `keys`: a coordinate of those that lie
+        together is read at once."""
+        out = np.zeros((6, len(points) + READ_AT_ONCE))
+        for axis in range(3):
+            out[axis, : len(points)], out[3 + axis, : len(points)] = points[self.order, axis], normals[self.order, axis]
+        return out
+
 
 def thinned(points: np.ndarray, normals: np.ndarray, spacing: float) -> np.ndarray:
     """[S] int64 ascending: points that keep MIN_DISTANCE spacings between each other, the first of them first. Points
@@ -120,10 +128,8 @@ def smoothed(
     points, normals = arrays[2].copy(), arrays[3].copy()
     if len(points) and len(arrays[0]):
         cells = PointCells.of(arrays[0], radius)
-        sorted_samples = np.zeros((6, len(arrays[0]) + SMOOTHED_AT_ONCE))
-        sorted_samples[:, : len(arrays[0])] = np.concatenate([arrays[0], arrays[1]], 1)[cells.order].T
-        queries = (arrays[2], arrays[3])
-        run(kernels.smooth_points, sorted_samples, cells.keys, cells.corner, radius, *queries, points, normals)
+        lists = (cells.sorted_rows(arrays[0], arrays[1]), cells.keys, cells.corner)
+        run(kernels.smooth_points, *lists, radius, arrays[2], arrays[3], points, normals)
     return points, normals
 
 

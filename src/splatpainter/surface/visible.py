@@ -65,8 +65,8 @@ class VisibleSurface:
         if len(pixels) and len(self.points):
             columns = (self.points, self.normals, self.windows, self.residuals)
             planes = [np.ascontiguousarray(column, np.float64) for column in columns]
-            places = [np.ascontiguousarray(a, np.float64) for a in (pixels, self.camera.slopes(pixels))]
-            run(kernels.interpolate_planes, self.index, self.step, *planes, self.trusted, *places, out)
+            lines = [np.ascontiguousarray(a, np.float64) for a in (pixels, self.camera.slopes(pixels))]
+            run(kernels.interpolate_planes, self.index, self.step, *planes, self.trusted, *lines, out)
         return PixelSurface(out[:, 0], out[:, 1:4], out[:, 4], out[:, 5])
 
 

@@ -73,8 +73,7 @@ def voxelize(splats: Splats, resolution: int = RESOLUTION) -> VoxelGrid:
     """Group an asset's Gaussians in resolution^3 voxels over `bounding_cube`. Every drawable one gets a voxel.
     Permuting them permutes `index` and the members of each group; equal opacities in a group are in the asset's order.
     Raises ValueError when none can be drawn."""
-    # Imported here: numba is not loaded for the types alone.
-    from splatpainter.voxels import footprints
+    from splatpainter.voxels import footprints  # which imports this module
 
     assert 1 <= resolution <= 1024, "keys are int32"
     arrays = splats.numpy()

@@ -82,9 +82,6 @@ def run(config: Config) -> Outcome:
     require_jinja()
     make_folder(plan.out)
     with _locked(plan.out):
-        from splatpainter.kernels.compile import ensure_compiled
-
-        ensure_compiled()  # here, once, and not in every worker at the same time
         work = BatchWork(plan.jobs)
         records = follow_jobs(work, plan.jobs, config) if config.events else run_jobs(work, plan.jobs, config)
         write_summary(plan, records)

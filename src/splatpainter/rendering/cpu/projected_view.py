@@ -395,7 +395,7 @@ def project(
     (block_ids, block_tiles), counts = np.empty((2, size), np.int32), np.empty(blocks, np.int32)
     if len(tile_ids) and n and np.abs(camera.position).max() <= MAX_MAGNITUDE:
         settings = (splats.sh_degree, selected, cam, bool(splats.antialiased), grid, tile_slots)
-        arguments = (*attributes, attributes[4].reshape(n, -1), *settings)
+        arguments = (*attributes[:4], attributes[4].reshape(n, -1), *settings)
         run(kernels.project_gaussians, *arguments, block_projected, keys, block_ids, block_tiles, counts)
     else:
         counts[:] = 0
