@@ -95,7 +95,7 @@ def test_a_wide_edit_moves_gaussians_without_torch(tmp_path: Path) -> None:
     [
         ("edit demo/asset.ply demo/regraded.png --mode global --preset rows --out x.ply", "torch", "networks"),
         ("train rows --out run", "torch", "networks"),
-        ("studio demo/asset.ply --no-browser", "fastapi", "studio"),
+        ("studio demo/asset.ply --no-browser", "uvicorn", "studio"),
     ],
 )
 def test_what_is_missing_is_said_in_one_line(words: str, missing: str, extra: str, folder: Path) -> None:
