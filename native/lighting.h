@@ -30,7 +30,8 @@ struct Views {
 
 }  // namespace shadows
 
-// Squared distances from some points to their `rank`-th nearest others, by looking at all of them. rank: 0 (itself) to 7.
+// Squared distances from some points to their `rank`-th nearest others, by looking at all of them. rank: 0 (itself) to
+// 7.
 inline void measure_neighbour_squares(Rows<const float, 3> points, Array1<const i64> picks, i64 rank,
                                       Array1<double> squares, i64 thread, i64 threads) {
     for (i64 k = thread; k < picks.shape[0]; k += threads) {
@@ -72,8 +73,8 @@ inline void draw_shadow_maps(Rows<const float, 3> points, Rows<const float, 3> t
     }
 }
 
-// Adds to lost_front, lost_back [N, 9] and shade [N, 2] (cosine-weighted) what these maps say is blocked. folded: [K, 9]
-// the directions' SH, weights: [K] their solid angles.
+// Adds to lost_front, lost_back [N, 9] and shade [N, 2] (cosine-weighted) what these maps say is blocked. folded: [K,
+// 9] the directions' SH, weights: [K] their solid angles.
 inline void fold_shadows(Rows<const float, 3> points, Rows<const float, 3> normals, Rows<const float, 3> towards,
                          Rows<const float, 3> side, Rows<const float, 3> other, float pixel, i64 first,
                          Array3<const float> depth, Rows<const float, 9> folded, Array1<const float> weights,

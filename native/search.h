@@ -4,8 +4,8 @@
 
 namespace sp { namespace {
 
-// Index of the first of keys[low:high] (ascending) that is >= key; `high` where none is. Without branches that depend on
-// keys: half of them would be foreseen wrongly.
+// Index of the first of keys[low:high] (ascending) that is >= key; `high` where none is. Without branches that depend
+// on keys: half of them would be foreseen wrongly.
 template <class T, class K>
 SP_INLINE i64 first_not_below(const Array1<const T>& keys, i64 low, i64 high, K key) {
     i64 count = high - low;

@@ -4,8 +4,8 @@
 
 namespace sp { namespace {
 
-// What one search finds: found[0] samples, in `out`, which has room for one more; as many as it is long where they do not
-// fit.
+// What one search finds: found[0] samples, in `out`, which has room for one more; as many as it is long where they do
+// not fit.
 void probe_gather(Array1<const i64> keys, Array1<const i64> level_starts, Array1<const double> cell_sizes,
                   Array1<const double> reaches, Array1<const double> corner,
                   Rows<const float, surface::PATCH_COLUMNS> patches, Array1<const double> point, double window,

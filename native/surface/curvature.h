@@ -13,7 +13,8 @@ constexpr double MIN_AGREEING_COSINE = -0.2;
 }  // namespace curvature
 
 // out: [Q, 3] per point: how many samples are within `radius`, and in sum their (n2 - n1) (p2 - p1) and squared
-// distances, in units of it. samples: [6, S + READ_AT_ONCE] points and normals, in the order of `keys` [S] (cells of `radius`).
+// distances, in units of it. samples: [6, S + READ_AT_ONCE] points and normals, in the order of `keys` [S] (cells of
+// `radius`).
 inline void sum_turns(Array2<const double> samples, Array1<const i64> keys, Array1<const double> corner, double radius,
                       Rows<const double, 3> points, Rows<const double, 3> normals, Rows<double, 3> out, i64 thread,
                       i64 threads) {
@@ -31,7 +32,8 @@ inline void sum_turns(Array2<const double> samples, Array1<const i64> keys, Arra
                     checked(begin + READ_AT_ONCE - 1, stride);
                     SP_EIGHT(l) {
                         auto row = [&](int r) { return load_unaligned(samples.data + r * stride + begin + l); };
-                        const V x = (row(0) - p.x) * inverse, y = (row(1) - p.y) * inverse, z = (row(2) - p.z) * inverse;
+                        const V x = (row(0) - p.x) * inverse, y = (row(1) - p.y) * inverse;
+                        const V z = (row(2) - p.z) * inverse;
                         const V fx = row(3), fy = row(4), fz = row(5), square = x * x + y * y + z * z;
                         const V cosine = fx * n.x + fy * n.y + fz * n.z;
                         const V turn = x * (fx - n.x) + y * (fy - n.y) + z * (fz - n.z), zero = {};

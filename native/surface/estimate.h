@@ -1,5 +1,6 @@
 // Height, normal, window, residual and trust of the surface at any points: moving least squares over patches, as in
-// splatpainter/surface/estimate.py and splatpainter/surface/surface_samples.py, which explain it. Plain IEEE arithmetic, in the order of patches.
+// splatpainter/surface/estimate.py and splatpainter/surface/surface_samples.py, which explain it. Plain IEEE
+// arithmetic, in the order of patches.
 #pragma once
 
 #include "../maths.h"
@@ -42,9 +43,9 @@ constexpr int DEPTH_BINS = 128;        // into which patches are sorted by depth
 constexpr int RAY_ROWS = 6;            // of the workspace that following the rays takes
 constexpr i64 QUERY_BLOCK = 64;        // queries that a thread takes at a time
 constexpr int CELL_BITS = 20;          // of a cell's index along each axis
-// Columns of SurfaceSamples.patches, and of a patch within a window: its mean; M, which takes the mean's offset from any
-// point to the mean of the product of patch and window there (their covariance is h^2 (1 - M)); its unsigned normal; its
-// weight; 0..1 how far it has a normal.
+// Columns of SurfaceSamples.patches, and of a patch within a window: its mean; M, which takes the mean's offset from
+// any point to the mean of the product of patch and window there (their covariance is h^2 (1 - M)); its unsigned
+// normal; its weight; 0..1 how far it has a normal.
 enum { MEAN = 0, AXES = 3, SCALES = 12, OPACITY_COLUMN = 15, PATCH_COLUMNS = 16 };
 enum { X, Y, Z, MXX, MXY, MXZ, MYY, MYZ, MZZ, NX, NY, NZ, MASS, FLATNESS, ROWS };
 
@@ -70,8 +71,9 @@ SP_INLINE Range cell_range(double position, double radius, double corner, double
 }
 
 // Samples whose patch, widened by `window`, reaches a point within SIGMAS standard deviations of its longest axis, into
-// `out` [room + 1]; returns their number, or room + 1 where they do not fit or too many had to be looked at. Costs as many
-// steps as there are samples and occupied columns of cells near the point, however small cells are against the window.
+// `out` [room + 1]; returns their number, or room + 1 where they do not fit or too many had to be looked at. Costs as
+// many steps as there are samples and occupied columns of cells near the point, however small cells are against the
+// window.
 inline i64 gather(const Grid& g, const double* point, double window, i64* out, i64 room) {
     i64 count = 0, tested = 0;
     const i64 mask = (1 << CELL_BITS) - 1;
@@ -194,11 +196,11 @@ SP_INLINE void patch(const Grid& g, i64 i, double weight, double h, Workspace& w
     w.rows[MASS][k] = weight, w.rows[FLATNESS][k] = flat * flat;
 }
 
-// What the first `used` patches say of the surface at a point with normal n, into `sums` [18]: weights, and times these:
-// means (3) and second moments (6) of the patches within the window, whose covariances are h^2 (1 - M); normals turned to
-// n (3); offsets along the mean of both normals; squared heights; then squared weights, variances along n, cosines of
-// normals. Eight patches at a time, each lane with sums of its own, which are added up at the end; patches behind the
-// last one weigh nothing.
+// What the first `used` patches say of the surface at a point with normal n, into `sums` [18]: weights, and times
+// these: means (3) and second moments (6) of the patches within the window, whose covariances are h^2 (1 - M); normals
+// turned to n (3); offsets along the mean of both normals; squared heights; then squared weights, variances along n,
+// cosines of normals. Eight patches at a time, each lane with sums of its own, which are added up at the end; patches
+// behind the last one weigh nothing.
 inline void votes(Workspace& work, i64 used, const double* point, const double* n, double h, double tau) {
     using V = Wide<double>;
     auto& rows = work.rows;
@@ -211,7 +213,8 @@ inline void votes(Workspace& work, i64 used, const double* point, const double* 
             auto row = [&](int column) { return load(&rows[column][k]); };
             const V mxx = row(MXX), mxy = row(MXY), mxz = row(MXZ), myy = row(MYY), myz = row(MYZ), mzz = row(MZZ);
             const V x = row(X) - px, y = row(Y) - py, z = row(Z) - pz, flat = row(FLATNESS);
-            const V ux = mxx * x + mxy * y + mxz * z, uy = mxy * x + myy * y + myz * z, uz = mxz * x + myz * y + mzz * z;
+            const V ux = mxx * x + mxy * y + mxz * z, uy = mxy * x + myy * y + myz * z;
+            const V uz = mxz * x + myz * y + mzz * z;
             // The patch's normal, turned to n.
             V nx = row(NX), ny = row(NY), nz = row(NZ), cosine = nx * n0 + ny * n1 + nz * n2;
             const auto away = cosine < 0.0;
@@ -227,8 +230,8 @@ inline void votes(Workspace& work, i64 used, const double* point, const double* 
                             2.0 * (mxy * n0 * n1 + mxz * n0 * n2 + myz * n1 * n2);
             const V wx = w * ux, wy = w * uy, wz = w * uz;
             const V terms[18] = {w, wx, wy, wz, wx * ux + c * (1.0 - mxx), wx * uy - c * mxy, wx * uz - c * mxz,
-                                 wy * uy + c * (1.0 - myy), wy * uz - c * myz, wz * uz + c * (1.0 - mzz), f * nx, f * ny,
-                                 f * nz, offset, w * plane * plane, w * w, c * (1.0 - along), w * cosine};
+                                 wy * uy + c * (1.0 - myy), wy * uz - c * myz, wz * uz + c * (1.0 - mzz), f * nx,
+                                 f * ny, f * nz, offset, w * plane * plane, w * w, c * (1.0 - along), w * cosine};
             for (int t = 0; t < 18; ++t) store(&sums[t][lane], load(&sums[t][lane]) + terms[t]);
         }
     for (int t = 0; t < 18; ++t) work.sums[t] = sum_of_eight(sums[t]);

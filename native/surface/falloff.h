@@ -4,8 +4,8 @@
 
 namespace sp { namespace {
 
-// e^x for x <= 0: 2^n times the exponential's series for the rest, |rest| <= ln 2 / 2. Relative error below 4e-16; 0 below
-// -708. NaN stays NaN.
+// e^x for x <= 0: 2^n times the exponential's series for the rest, |rest| <= ln 2 / 2. Relative error below 4e-16; 0
+// below -708. NaN stays NaN.
 SP_INLINE Wide<double> falloff(Wide<double> x) {
     using V = Wide<double>;
     using I = Wide<i64>;
@@ -36,6 +36,8 @@ SP_INLINE Wide<double> root_of(Wide<double> x) {
 #define SP_EIGHT(l) for (int l = 0; l < 8; l += W<double>)
 
 // The sum of eight lanes, halves first: always in this order.
-SP_INLINE double sum_of_eight(const double* v) { return ((v[0] + v[4]) + (v[2] + v[6])) + ((v[1] + v[5]) + (v[3] + v[7])); }
+SP_INLINE double sum_of_eight(const double* v) {
+    return ((v[0] + v[4]) + (v[2] + v[6])) + ((v[1] + v[5]) + (v[3] + v[7]));
+}
 
 } }  // namespace sp

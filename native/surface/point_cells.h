@@ -31,8 +31,8 @@ struct PointCells {
         return {index(__builtin_trunc(c.x)), index(__builtin_trunc(c.y)), index(__builtin_trunc(c.z))};
     }
 
-    // visit(first, last): the entries of each row of cells along z, of those 27 around one. Rows come in the order of keys,
-    // so that each is looked for behind the last one; a visit that returns false ends them.
+    // visit(first, last): the entries of each row of cells along z, of those 27 around one. Rows come in the order of
+    // keys, so that each is looked for behind the last one; a visit that returns false ends them.
     template <class Visit>
     SP_INLINE void rows_around(Cell cell, Visit visit) const {
         const i64 count = keys.shape[0], z0 = max_of<i64>(cell.z - 1, 0), z1 = cell.z + 1;

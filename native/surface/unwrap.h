@@ -8,20 +8,20 @@
 namespace sp { namespace {
 namespace unwrapping {
 
-constexpr i64 MAX_NEIGHBOURS = 256;                  // of a sample; beyond them it has none
-constexpr i64 POINTS_PER_BLOCK = 256;                // that a thread takes at a time
-constexpr double MAX_CREASE_COSINE = -0.4999999999999998;  // of 120 degrees, between the normals of neighbours, ...
-constexpr double HINGE_COSINE = 0.9396926207859084;  // ... and of 20, from which a step turns around the line where both
-                                                     // tangent planes meet
-constexpr double MAX_LIFT = 0.35;       // sine of the angle at which a neighbour may lie above or below the tangent plane,
-                                        // where the normals agree
-constexpr double SAME_SHEET = 1.5;      // spacings by which neighbours may disagree about a point and still be averaged:
-                                        // behind a bump, ways around it meet
-constexpr double WEIGHT_WIDTH = 0.8;    // standard deviation of the weights of neighbours, in spacings
-constexpr double MIN_CHORD_RATIO = 1 - 1e-6;  // no way is shorter than so many straight lines: where that is too long
-                                              // already, the way need not be measured
+constexpr i64 MAX_NEIGHBOURS = 256;    // of a sample; beyond them it has none
+constexpr i64 POINTS_PER_BLOCK = 256;  // that a thread takes at a time
+// Cosines of 120 degrees, at most between the normals of neighbours, and of 20, from which a step turns around the line
+// where both tangent planes meet.
+constexpr double MAX_CREASE_COSINE = -0.4999999999999998, HINGE_COSINE = 0.9396926207859084;
+// Sine of the angle at which a neighbour may lie above or below the tangent plane, where the normals agree.
+constexpr double MAX_LIFT = 0.35;
+// Spacings by which neighbours may disagree about a point and still be averaged: behind a bump, ways around it meet.
+constexpr double SAME_SHEET = 1.5;
+constexpr double WEIGHT_WIDTH = 0.8;  // standard deviation of the weights of neighbours, in spacings
+// No way is shorter than so many straight lines: where that is too long already, the way need not be measured.
+constexpr double MIN_CHORD_RATIO = 1 - 1e-6;
 constexpr double MIN_AGREEING_COSINE = 0.2;  // between the normals of a query and of a sample that smooths it
-constexpr double SMOOTHED_TURN = 0.4;   // by which this cosine is below 1 where a sample's weight has fallen to 1/e
+constexpr double SMOOTHED_TURN = 0.4;        // by which it is below 1 where a sample's weight has fallen to 1/e
 
 struct Samples {
     Rows<const double, 3> points, normals;
@@ -59,8 +59,8 @@ struct Step {
     Vec3<V> right;
 };
 
-// A way along an arc over its chord: t / sin t for t = share atan(half), half = sine / (1 + cosine) being the tangent of
-// half the angle between the normals, share 0 to 1.
+// A way along an arc over its chord: t / sin t for t = share atan(half), half = sine / (1 + cosine) being the tangent
+// of half the angle between the normals, share 0 to 1.
 SP_INLINE double arc_over_chord(double half, double share) {
     const double turn = atan_of(half) * share;
     return turn > 1e-4 ? turn / sin_of(turn) : 1.0;
@@ -69,7 +69,8 @@ SP_INLINE double arc_over_chord(double half, double share) {
 SP_INLINE Wide<double> arc_over_chord(Wide<double> half, Wide<double> share) {
     using V = Wide<double>;
     const V x = half * half;
-    const V atan = 1.0 - x * (1.0 / 3 - x * (1.0 / 5 - x * (1.0 / 7 - x * (1.0 / 9 - x * (1.0 / 11 - x * (1.0 / 13 - x * (1.0 / 15)))))));
+    V atan = {};
+    for (int k = 15; k > 0; k -= 2) atan = 1.0 / k - x * atan;
     const V turn = half * atan * share, y = turn * turn;
     V out = 1.0 + y * (1.0 / 6 + y * (7.0 / 360 + y * (31.0 / 15120 + y * (127.0 / 604800 + y * (73.0 / 3421440)))));
     const auto large = ~(half <= 0.2);
@@ -79,23 +80,24 @@ SP_INLINE Wide<double> arc_over_chord(Wide<double> half, Wide<double> share) {
     return out;
 }
 
-// The step from a sample to a neighbour q with normal m: its length, (u, v) of the way, and the direction of right there.
+// The step from a sample to a neighbour q with normal m: its length, (u, v) of the way, and the direction of right
+// there.
 template <class V>
 SP_INLINE Step<V> step_to(Vec3<V> point, Vec3<V> n, Vec3<V> right, Vec3<V> q, Vec3<V> m) {
     const V zero = V{}, one = zero + 1.0, least = zero + 1e-30;
     auto larger = [](V x, V y) { return y > x ? y : x; };
     auto norm = [](Vec3<V> x) { return root_of(dot(x, x)); };
     const Vec3<V> d = q - point;
-    // Right, turned with the normal by the smallest rotation: v - (v.(n + m)) / (1 + n.m) (n + m), for v.n = 0; then made
-    // exactly tangent and exactly unit.
+    // Right, turned with the normal by the smallest rotation: v - (v.(n + m)) / (1 + n.m) (n + m), for v.n = 0; then
+    // made exactly tangent and exactly unit.
     const V cosine = dot(n, m), half_turn = larger(one + cosine, zero + 1e-9);
     Vec3<V> r = right - (dot(right, m) / half_turn) * (n + m);
     r = r - dot(r, m) * m;
     r = (one / larger(norm(r), least)) * r;
     const Vec3<V> up = cross(n, right), hinge = cross(n, m);
     const V chord = norm(d), sine = norm(hinge);
-    // Around the line where the planes meet, if they meet at a crease and each end lies on its side of it: along that line,
-    // then across it in both planes.
+    // Around the line where the planes meet, if they meet at a crease and each end lies on its side of it: along that
+    // line, then across it in both planes.
     const Vec3<V> line = (one / larger(sine, least)) * hinge, out = cross(line, n);  // out: across, in the first plane
     const V second = -dot(d, n) / larger(sine, least), first = dot(d, out) - second * cosine;
     const V across = first + second, along = dot(d, line);
@@ -161,7 +163,8 @@ inline Place average(const Samples& s, const Map& map, const i64* near, i64 coun
         store(&ways.length[k], from(11) + step.length);
         store(&ways.step[0][k], falloff(-0.5 * distance * distance) + 1e-9);
         store(&ways.step[1][k], from(9) + step.u), store(&ways.step[2][k], from(10) + step.v);
-        store(&ways.step[3][k], step.right.x), store(&ways.step[4][k], step.right.y), store(&ways.step[5][k], step.right.z);
+        store(&ways.step[3][k], step.right.x), store(&ways.step[4][k], step.right.y);
+        store(&ways.step[5][k], step.right.z);
     }
     i64 best = 0;
     for (i64 k = 1; k < reached; ++k)
@@ -187,7 +190,9 @@ struct Heap {
     Array1<i64> ids;
     i64 filled;
 
-    SP_INLINE bool before(double key, i64 id, i64 at) const { return key < keys(at) || (key == keys(at) && id < ids(at)); }
+    SP_INLINE bool before(double key, i64 id, i64 at) const {
+        return key < keys(at) || (key == keys(at) && id < ids(at));
+    }
 
     void add(double key, i64 id) {
         i64 at = filled++;
@@ -261,11 +266,11 @@ inline void thin_points(Rows<const double, 3> points, Rows<const double, 3> norm
     }
 }
 
-// samples: [6, S + READ_AT_ONCE] points and normals, in the order of `keys` [S] (cells of `radius`). Every lane has sums of
-// its own, added up at the end; samples that do not count have weight 0.
+// samples: [6, S + READ_AT_ONCE] points and normals, in the order of `keys` [S] (cells of `radius`). Every lane has
+// sums of its own, added up at the end; samples that do not count have weight 0.
 inline void smooth_points(Array2<const double> samples, Array1<const i64> keys, Array1<const double> corner,
-                          double radius, Rows<const double, 3> points, Rows<const double, 3> normals, Array2<double> out,
-                          Rows<double, 3> out_normals, i64 thread, i64 threads) {
+                          double radius, Rows<const double, 3> points, Rows<const double, 3> normals,
+                          Array2<double> out, Rows<double, 3> out_normals, i64 thread, i64 threads) {
     using namespace unwrapping;
     const PointCells cells = {keys, keys, corner, radius};
     const double squared = radius * radius;
@@ -299,9 +304,9 @@ inline void smooth_points(Array2<const double> samples, Array1<const i64> keys, 
 
 // Dijkstra's order over the samples, from sample 0, by a heap whose older entries are skipped. One thread: each sample
 // takes its place from those before it. tentative, settled [S], heap_keys, heap_ids [H]: to write on.
-inline void spread_map(Rows<const double, 3> points, Rows<const double, 3> normals, double spacing, double reach, Array1<const i64> keys,
-                       Array1<const i64> order, Array1<const double> corner, double size, double limit_u,
-                       double limit_v, double limit_cosine, Rows<double, 2> uv, Rows<double, 3> right,
+inline void spread_map(Rows<const double, 3> points, Rows<const double, 3> normals, double spacing, double reach,
+                       Array1<const i64> keys, Array1<const i64> order, Array1<const double> corner, double size,
+                       double limit_u, double limit_v, double limit_cosine, Rows<double, 2> uv, Rows<double, 3> right,
                        Array1<double> distances, Rows<double, 3> rims, Array1<double> tentative, Array1<bool> settled,
                        Array1<double> heap_keys, Array1<i64> heap_ids, i64 thread, i64) {
     using namespace unwrapping;

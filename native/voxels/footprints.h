@@ -9,7 +9,8 @@ namespace lattice {
 
 constexpr i64 MAX_SAMPLES = 4096;  // of one Gaussian: larger ones are sampled more coarsely, not longer
 constexpr double SIGMAS = 2.5;     // half-length of a footprint in standard deviations
-constexpr double FULL_OPACITY = 0.08925449056284993;  // MIN_ALPHA exp(SIGMAS^2 / 2): fainter ones have shorter footprints
+// MIN_ALPHA exp(SIGMAS^2 / 2): fainter ones have shorter footprints.
+constexpr double FULL_OPACITY = 0.08925449056284993;
 constexpr double SQRT_TWO_PI = 2.5066282746310002;
 constexpr double FIXED_POINT_UNIT = 1 << 20;  // steps per unit of optical thickness
 // Cap of one sample's thickness, so that sums over a hundred million Gaussians stay below 2^63.
@@ -84,9 +85,7 @@ inline i64 footprint_of(const Gaussians& g, i64 n, const Cube& cube, Workspace& 
     const Vector a = la * Vector{1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)};
     const Vector b = lb * Vector{2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)};
     const Vector c = lc * Vector{2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)};
-    const float* mean = g.means.row(n);
-    const Vector center = {((double)mean[0] - cube.corner.x) / cube.voxel, ((double)mean[1] - cube.corner.y) / cube.voxel,
-                           ((double)mean[2] - cube.corner.z) / cube.voxel};
+    const Vector center = (1.0 / cube.voxel) * (as_vector(g.means.row(n)) - cube.corner);
 
     // Rows along the third axis, so far as they are inside the ellipsoid. The exponential of the three axes' sum is the
     // product of theirs.
@@ -117,8 +116,8 @@ inline i64 footprint_of(const Gaussians& g, i64 n, const Cube& cube, Workspace& 
 
 }  // namespace lattice
 
-// Adds the Gaussians' thickness, in fixed point, to totals [volumes, R^3]: each of the first few threads has a volume of
-// its own; more would cost more memory than they save time.
+// Adds the Gaussians' thickness, in fixed point, to totals [volumes, R^3]: each of the first few threads has a volume
+// of its own; more would cost more memory than they save time.
 inline void deposit_thickness(Rows<const float, 3> means, Rows<const float, 4> quats, Rows<const float, 3> scales,
                               Array1<const float> opacities, Array1<const i64> gaussian_ids,
                               Array1<const double> min_corner, double voxel, i64 resolution, Array2<i64> totals,

@@ -1,9 +1,9 @@
 // Rays through the voxel cube, as in splatpainter/voxels/raycast.py, which says what they are for.
 //
 // A walk from wall to wall (Amanatides & Woo, Eurographics 1987) would take a hundred steps through empty voxels. The
-// volume is packed into bricks of 4 x 4 x 4 voxels, 64 bits each, and every empty brick knows its clearance: the distance
-// to the nearest brick that is not empty, in bricks along the longest axis. So a ray leaves a cube of empty bricks in one
-// step, and walks from voxel to voxel only where there are some.
+// volume is packed into bricks of 4 x 4 x 4 voxels, 64 bits each, and every empty brick knows its clearance: the
+// distance to the nearest brick that is not empty, in bricks along the longest axis. So a ray leaves a cube of empty
+// bricks in one step, and walks from voxel to voxel only where there are some.
 #pragma once
 #include "../maths.h"
 #include "../vectors.h"
@@ -131,9 +131,11 @@ SP_INLINE void follow(const Volume& v, const float* rays, int count, Visit visit
     Lanes x = ax.cell_at(time), y = ay.cell_at(time), z = az.cell_at(time);
     const double bricks_across = (double)v.count;
     while (any_of(going)) {
-        const Lanes bx = floor_of(x * (1.0 / BRICK_EDGE)), by = floor_of(y * (1.0 / BRICK_EDGE)), bz = floor_of(z * (1.0 / BRICK_EDGE));
+        const double shrink = 1.0 / BRICK_EDGE;
+        const Lanes bx = floor_of(x * shrink), by = floor_of(y * shrink), bz = floor_of(z * shrink);
         const Indices brick = indices_of((bx * bricks_across + by) * bricks_across + bz);
-        const Indices bit = indices_of(((x - bx * BRICK_EDGE) * BRICK_EDGE + (y - by * BRICK_EDGE)) * BRICK_EDGE + (z - bz * BRICK_EDGE));
+        const Lanes row = (x - bx * BRICK_EDGE) * BRICK_EDGE + (y - by * BRICK_EDGE);
+        const Indices bit = indices_of(row * BRICK_EDGE + (z - bz * BRICK_EDGE));
         Lanes clearance;
         Mask set;
         for (int l = 0; l < AT_ONCE; ++l) {
