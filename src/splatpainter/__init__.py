@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from splatpainter.cameras import Camera as Camera
     from splatpainter.cameras import look_at as look_at
     from splatpainter.cameras import orbit as orbit
+    from splatpainter.grading.grade import adjust as adjust
     from splatpainter.grading.grade import grade as grade
     from splatpainter.grading.region import Region as Region
     from splatpainter.io import read as read
@@ -58,6 +59,7 @@ _HOME = {
     "edit_with_source": "source_edits.edit",
     "refine": "source_edits.edit",
     "fill": "source_edits.fill",
+    "adjust": "grading.grade",
     "grade": "grading.grade",
     "GradeSettings": "sources.color_grading",
     "Region": "grading.region",
@@ -88,6 +90,7 @@ __all__ = [
     "Session",
     "Splats",
     "WriteOptions",
+    "adjust",
     "edit_with_source",
     "fill",
     "grade",

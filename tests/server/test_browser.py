@@ -393,7 +393,7 @@ def test_nothing_serious_for_those_who_cannot_see_or_point(opened: tuple[studio_
     for panel, button, title in (
         ("Pictures", "Edit with a source", "Edit with a source"),
         ("Views", "More ...", "Export the view"),
-        ("Views", "Film ...", "Turntable"),
+        ("Views", "Turntable...", "Turntable"),
     ):
         page.tab.get_by_role("tab", name=panel).click()
         page.tab.get_by_role("button", name=button).click()

@@ -7,9 +7,6 @@ import contextlib
 import io
 import os
 import re
-import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -23,46 +20,14 @@ from splatpainter.cameras import Camera
 from splatpainter.io import read, write
 from splatpainter.receipts import verify
 from splatpainter.rendering import render
-from splatpainter.server.launch import listen
 from splatpainter.splats import SH_C0, Splats
-from splatpainter.user_folders import PROJECTS_VARIABLE
 from tests.support.cli_scenes import ball
 from tests.support.studio_pages import FEW_PIXELS, Page, window
+from tests.support.studio_process import Server
 from tests.support.systems import posix_only
 
 SHOTS = os.environ.get("SPLATPAINTER_SCREENSHOTS")
 """Folder for a screenshot of each step."""
-
-
-class Server:
-    """`splatpainter studio` in a process of its own, on one port whenever it is started."""
-
-    def __init__(self, asset: Path, folder: Path) -> None:
-        with listen("127.0.0.1", 0) as free:
-            self.port = free.getsockname()[1]
-        self.url = f"http://127.0.0.1:{self.port}/"
-        self._command = [sys.executable, "-m", "splatpainter", "studio", str(asset), "--no-browser"]
-        self._command += ["--port", str(self.port)]
-        self._environment = {**os.environ, PROJECTS_VARIABLE: str(folder / "projects")}
-        self._process: subprocess.Popen[str] | None = None
-
-    def start(self) -> None:
-        """Until it serves."""
-        self._process = subprocess.Popen(self._command, stderr=subprocess.PIPE, text=True, env=self._environment)
-        assert self._process.stderr is not None
-        for line in self._process.stderr:
-            if self.url in line:
-                return
-        raise AssertionError("the studio did not start")
-
-    def end(self, crash: bool) -> None:
-        if self._process is not None:
-            if crash:
-                self._process.kill()
-            else:
-                self._process.send_signal(signal.SIGINT)
-            self._process.communicate()
-        self._process = None
 
 
 class Artist:
@@ -79,6 +44,7 @@ class Artist:
     ) -> np.ndarray:
         """A step is over: saved, without complaints, and the view is another one (or the same). where: the place that
         must have changed, shares of the view. resized: the view has other pixels now. Returns what is seen."""
+        self.page.fold()
         self.page.settled()
         self.steps.append(what)
         if changed:

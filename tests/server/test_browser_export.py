@@ -72,7 +72,7 @@ def test_every_format_says_its_size_before_it_is_written(opened: tuple[studio_sc
 def test_a_film_of_the_chosen_size_and_background(opened: tuple[studio_scenes.Live, Page]) -> None:
     _, page = opened
     page.tab.get_by_role("tab", name="Views").click()
-    page.tab.get_by_role("button", name="Film ...").click()
+    page.tab.get_by_role("button", name="Turntable...").click()
     dialog = page.tab.locator("dialog")
     dialog.get_by_label("Size").select_option("custom")
     dialog.get_by_label("Width").fill("99999")

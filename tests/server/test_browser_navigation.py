@@ -198,7 +198,15 @@ def test_fingers_turn_pinch_and_paint_and_the_pens_other_end_erases(opened: tupl
 def test_photoshops_keys(opened: tuple[studio_scenes.Live, Page]) -> None:
     _, page = opened
     keys = page.tab.keyboard
-    tools = {"b": "Brush", "e": "Eraser", "g": "Fill", "t": "Text", "i": "Eyedropper", "s": "Clone", "j": "Heal"}
+    tools = {
+        "b": "Brush",
+        "e": "Eraser",
+        "g": "Paint bucket",
+        "t": "Text",
+        "i": "Eyedropper",
+        "s": "Clone",
+        "j": "Heal",
+    }
     for key, name in tools.items():
         keys.press(key)
         pressed = page.tab.locator(".toolbar .button[aria-pressed=true]")
@@ -295,7 +303,7 @@ def test_keys_can_be_changed_and_are_remembered(opened: tuple[studio_scenes.Live
     stage.focus()
     keys.press("?")
     sheet = page.tab.get_by_role("dialog", name="Shortcuts")
-    sheet.get_by_role("button", name="G: Fill. Change the key").click()
+    sheet.get_by_role("button", name="G: Paint bucket. Change the key").click()
     keys.press("Control+w")
     assert "Browsers keep Ctrl-W" in sheet.get_by_role("alert").inner_text()
     keys.press("b")
@@ -305,8 +313,8 @@ def test_keys_can_be_changed_and_are_remembered(opened: tuple[studio_scenes.Live
     page.open()
     stage.focus()
     keys.press("b")
-    fill = page.tab.get_by_role("button", name="Fill", exact=True)
-    assert fill.get_attribute("aria-pressed") == "true" and fill.get_attribute("title") == "Fill (B)"
+    fill = page.tab.get_by_role("button", name="Paint bucket", exact=True)
+    assert fill.get_attribute("aria-pressed") == "true" and fill.get_attribute("title") == "Paint bucket (B)"
     keys.press("?")
     sheet.get_by_role("button", name="Reset all").click()
     sheet.get_by_role("button", name="Close").click()
@@ -354,9 +362,13 @@ def test_settings_that_do_not_fit_open_below_the_bar(opened: tuple[studio_scenes
         if is_open():
             break
     assert is_open(), "the focus went to what was below"
-    page.drag((0.3, 0.8), (0.4, 0.8))
-    assert not is_open() and page.ask("document.querySelector('.options-row').scrollTop") == 0
+    bottom = "document.querySelector('.options').getBoundingClientRect().bottom"
+    assert page.ask(bottom) <= page.tab.locator("#stage").bounding_box()["y"], "it covers nothing of the view"
+    page.drag((0.45, 0.5), (0.55, 0.5))
     page.wait("the stroke", lambda: page.names() == ["Paint"])
+    assert is_open(), "painting does not move the view under the pen"
+    page.fold()
+    assert row.evaluate("(row) => row.scrollTop") == 0
     page.tab.set_viewport_size({"width": 1100, "height": 520})
     page.tab.keyboard.press("m")
     page.wait("a tool whose settings fit", lambda: more.count() == 0)

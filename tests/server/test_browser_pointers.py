@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from splatpainter.server.image_registration import png_bytes
 from tests.support import studio_scenes
@@ -87,9 +89,9 @@ def test_every_tool_answers(opened: tuple[studio_scenes.Live, Page], kind: str) 
     hand.tool("Heal")
     hand.drag((0.5, 0.62), (0.53, 0.62))
     hand.step("Heal in Paint")
-    hand.tool("Fill")
+    hand.tool("Paint bucket")
     hand.drag((0.5, 0.35))
-    hand.step("Fill in Paint")
+    hand.step("Bucket in Paint")
     hand.tool("Eyedropper, as seen")
     before = tab.get_by_role("textbox", name="Colour", exact=True).input_value()
     hand.drag((0.56, 0.68))
@@ -157,6 +159,95 @@ def test_symmetry_mirrors_strokes_and_says_where_it_does_not(opened: tuple[studi
     keys.press("b")
     tab.locator(".options").get_by_role("button", name="Symmetry").click()
     page.wait("no hint", lambda: "Symmetry:" not in tab.locator(".options").inner_text())
+
+
+RAW = """([type, x, y, pressure, buttons]) => {
+  const stage = document.getElementById("stage");
+  const box = stage.getBoundingClientRect();
+  stage.setPointerCapture = () => {};
+  stage.dispatchEvent(new PointerEvent(type, {
+    pointerId: 40, pointerType: "pen", pressure, buttons, button: type === "pointerdown" ? 0 : -1,
+    clientX: box.left + x * box.width, clientY: box.top + y * box.height, bubbles: true, cancelable: true,
+  }));
+}"""
+"""One event of a pen, as the system sends it: with what is pressed."""
+
+
+def widths(live: studio_scenes.Live, page: Page, *positions: float) -> list[int]:
+    """Rows of the latest stroke's mask at shares of the view's width."""
+    digest = page.state()["layers"][-1]["views"][-1]["mask"]
+    picture = Image.open(io.BytesIO(live.http.get(f"/api/blobs/{digest}").content)).convert("L")
+    mask = np.asarray(picture) > 127
+    return [int(mask[:, int(x * mask.shape[1])].sum()) for x in positions]
+
+
+@pytest.mark.slow
+def test_a_pen_presses_from_nothing_is_taken_back_and_ends_where_it_was_seen(browser: Any, tmp_path: Path) -> None:
+    with opened_page(browser, tmp_path, still=True, resolution="1") as (live, page):
+        keys = page.tab.keyboard
+        keys.press("b")
+
+        def pen(event: str, x: float, y: float, pressure: float = 0.5, buttons: int = 1) -> None:
+            page.ask(RAW, [f"pointer{event}", x, y, pressure, buttons])
+
+        def strokes() -> int:
+            return sum(layer["strokes"] for layer in page.state()["layers"])
+
+        # the first contact says 0: no blot
+        pen("down", 0.42, 0.4, 0.0)
+        for k in range(1, 8):
+            pen("move", 0.42 + 0.02 * k, 0.4, 0.1)
+        pen("up", 0.56, 0.4, 0.0, 0)
+        page.wait("a stroke", lambda: page.names() == ["Paint"])
+        page.settled()
+        start, end = widths(live, page, 0.425, 0.54)
+        assert 0 < start <= end < 14, (start, end)
+
+        # Ctrl-Z with the pen down takes back that stroke and no earlier one
+        pen("down", 0.42, 0.5)
+        pen("move", 0.5, 0.5)
+        keys.press("Control+z")
+        pen("move", 0.55, 0.5)
+        pen("up", 0.55, 0.5, 0.0, 0)
+        page.settled()
+        assert strokes() == 1 and page.state()["cursor"] == 1
+
+        # ... and right after it went up, that stroke and no earlier one
+        pen("down", 0.42, 0.5)
+        pen("move", 0.5, 0.5)
+        pen("up", 0.5, 0.5, 0.0, 0)
+        keys.press("Control+z")
+        page.settled()
+        page.wait("the first one alone", lambda: strokes() == 1 and page.state()["cursor"] == 1)
+
+        # a move without a button: its end was not seen
+        pen("down", 0.42, 0.55)
+        pen("move", 0.48, 0.55)
+        pen("move", 0.6, 0.65, 0.0, 0)
+        page.wait("that stroke", lambda: strokes() == 2)
+        page.settled()
+        assert widths(live, page, 0.46, 0.56)[0] > 0 == widths(live, page, 0.56)[0]
+
+        # taken away by the system: what it drew stays
+        pen("down", 0.42, 0.6)
+        pen("move", 0.5, 0.6)
+        pen("cancel", 0.5, 0.6, 0.0, 0)
+        page.wait("that stroke, too", lambda: strokes() == 3)
+        page.settled()
+
+
+@pytest.mark.slow
+def test_a_pen_without_pressure_paints(browser: Any, tmp_path: Path) -> None:
+    with opened_page(browser, tmp_path, still=True, resolution="1") as (live, page):
+        page.tab.keyboard.press("b")
+        page.ask(RAW, ["pointerdown", 0.42, 0.5, 0.0, 1])
+        for k in range(1, 10):
+            page.ask(RAW, ["pointermove", 0.42 + 0.015 * k, 0.5, 0.0, 1])
+        page.ask(RAW, ["pointerup", 0.56, 0.5, 0.0, 0])
+        page.wait("a stroke", lambda: page.names() == ["Paint"])
+        page.settled()
+        start, end = widths(live, page, 0.44, 0.54)
+        assert start == end > 15, "as wide as half of the pressure, all along"
 
 
 def cross() -> bytes:

@@ -254,12 +254,13 @@ def test_nothing_serious_about_the_card(opened: tuple[studio_scenes.Live, Page])
     assert page.serious() == []
 
 
-BOX_HANDLES = """() => {
-  const { camera, state } = window.studio;
-  const [view, { center, radius }] = [camera.value, state.value.asset];
+BOX_HANDLES = """([low, high]) => {
+  const { camera } = window.studio;
+  const view = camera.value;
+  const center = low.map((v, axis) => (v + high[axis]) / 2);
   const stage = document.getElementById("stage").getBoundingClientRect();
   return [0, 1, 2].flatMap((axis) => [-1, 1].map((sign) => {
-    const at = center.map((v, k) => v + (k === axis ? sign * radius : 0));
+    const at = center.map((v, k) => (k === axis ? (sign < 0 ? low : high)[k] : v));
     const [x, y, z] = view.world_to_camera.map((row) => row[0] * at[0] + row[1] * at[1] + row[2] * at[2] + row[3]);
     const pixel = [view.fx * x / z + view.cx, view.fy * y / z + view.cy];
     return [pixel[0] / view.width * stage.width + stage.left, pixel[1] / view.height * stage.height + stage.top];
@@ -289,7 +290,9 @@ def test_undo_takes_back_selections_and_the_box_has_handles(opened: tuple[studio
     page.tab.get_by_role("tab", name="Select").click()
     page.tab.get_by_text("Box", exact=True).click()
     click(page, "Set a box")
-    handles = page.ask(BOX_HANDLES)
+    fields = [[f"{axis} {side}, number" for axis in "XYZ"] for side in ("from", "to")]
+    sides = [[float(page.tab.get_by_role("textbox", name=name).input_value()) for name in row] for row in fields]
+    handles = page.ask(BOX_HANDLES, sides)
     top = page.tab.get_by_role("textbox", name="Y from, number")
     start = float(top.input_value())
     x, y = handles[2]  # -y is up
@@ -328,10 +331,10 @@ def test_what_is_selected_is_filled_from_around(opened: tuple[studio_scenes.Live
     page.drag((0.42, 0.4), (0.58, 0.6))
     selected(page)
     page.tab.get_by_role("tab", name="Select").click()
-    button = page.tab.get_by_title("Fill the selected part of this view from its surroundings")
+    button = page.tab.get_by_title("Heal the selected part of this view from its surroundings")
     page.wait("its picture", button.is_enabled)
     button.click()
-    page.wait("the fill", lambda: page.state()["history"][-1]["label"].startswith("Fill from around"))
+    page.wait("the fill", lambda: page.state()["history"][-1]["label"].startswith("Heal from around"))
     page.settled()
     page.tab.keyboard.press("Control+d")
     page.wait("nothing selected", lambda: count(page) == 0)

@@ -427,3 +427,47 @@ def test_erasing_back_to_the_original_goes_on_in_one_layer_and_thumbnails_stay_t
             session.erase_more(session.layers[1].id, [replace(right, camera=SIDE)])
         with pytest.raises(ValueError, match="of the same views"):
             session.erase_more(paint, [right])
+
+
+def test_a_merged_layer_takes_strokes_on_top_of_what_it_is_made_of(path: Path) -> None:
+    with flat(project=path) as session, flat() as single:
+        lower, upper = painted(session, 2), painted(session, 3)
+        merged = session.merge([lower, upper], "both").id
+        before = print_of(session)
+        session.paint(merged, [dab(GREEN, 20)], name="more")
+        session.paint(merged, [dab(RED, 14, camera=SIDE)], name="and more")
+        assert [layer.name for layer in session.layers] == ["both"]
+        assert [len(leaf.strokes) for leaf in session.layers[0].leaves()] == [2, 5]
+        for strokes in (2, 3):
+            painted(single, strokes)
+        layer = single.layers[-1].id
+        single.paint(layer, [dab(GREEN, 20)])
+        single.paint(layer, [dab(RED, 14, camera=SIDE)])
+        assert print_of(session) == print_of(single), "as if they had not been merged"
+        after = print_of(session)
+        session.undo(), session.undo()
+        assert print_of(session) == before
+        session.redo(), session.redo()
+        session.set(merged, opacity=0.5)
+        paler = print_of(session)
+        session.paint(merged, [dab(BLUE, 25)], name="at half opacity")
+        session.undo()
+        assert print_of(session) == paler != after
+    with load(path) as session:
+        assert print_of(session) == paler and not session.verify()
+
+
+def test_a_merged_layer_whose_uppermost_mixes_gets_a_new_one_inside() -> None:
+    with flat() as session:
+        lower, upper = painted(session, 1), painted(session, 1)
+        session.set(upper, opacity=0.5)
+        merged = session.merge([lower, upper]).id
+        session.paint(merged, [dab(GREEN, 20)], name="more")
+        leaves = list(session.layers[0].leaves())
+        assert [len(leaf.strokes) for leaf in leaves] == [1, 1, 1] and leaves[1].opacity == 0.5
+        assert len({leaf.id for leaf in leaves} | {merged}) == 4
+        with pytest.raises(ValueError, match="is merged, and nothing can be erased in it"):
+            session.paint(merged, [dab(GREEN, 20)], kind="erase")
+        with pytest.raises(ValueError, match="is hidden"):
+            session.set(merged, visible=False)
+            session.paint(merged, [dab(GREEN, 20)])

@@ -277,6 +277,13 @@ class Page:
         if button.get_attribute("aria-pressed") == "false":
             button.click()
 
+    def fold(self) -> None:
+        """Put away what `more` brought out: the view is as high as it was."""
+        for button in self.tab.locator(".settings-bar .more button[aria-pressed=true]").all():
+            button.click()
+            self.wait("folded settings", lambda: not self.tab.locator(".options-row.open").count())
+            self.ask("new Promise((next) => requestAnimationFrame(() => requestAnimationFrame(next)))")  # its new size
+
     def serious(self) -> list[str]:
         """What axe calls serious or critical about the page as it is; skips where axe is not installed."""
         axe = WEB / "node_modules/axe-core/axe.min.js"

@@ -53,6 +53,13 @@ def make_studio(
     return Studio(session, "ball", options)
 
 
+def fill_disk(session: Session) -> None:
+    """From now on SQLite finds no room for more in the session's project file."""
+    connection = session._project._db
+    (pages,) = connection.execute("PRAGMA page_count").fetchone()
+    connection.execute(f"PRAGMA max_page_count = {pages}").fetchall()
+
+
 @dataclass
 class Live:
     """A studio that is being served."""

@@ -11,10 +11,13 @@ import {
   orbit,
   pan,
   project,
+  reshaped,
+  rewindowed,
   sameViewpoint,
   sub,
   target,
   toCamera,
+  viewSize,
   zoomLens,
   type Pose,
   type Vec3,
@@ -125,5 +128,45 @@ describe("three-camera", () => {
       near([((clip.x + 1) / 2) * 640, ((1 - clip.y) / 2) * 480], [x, y], 6);
     }
     near(sub(lens.getWorldPosition(new THREE.Vector3()).toArray() as Vec3, pose.eye), [0, 0, 0], 9);
+  });
+});
+
+describe("the window", () => {
+  it("keeps in sight what was, upright and back", () => {
+    const aspects = [1.6, 0.6, 2, 0.4, 1.6];
+    let now = pose;
+    // the target is as large as the shorter side shows it
+    const seen = (p: Pose, aspect: number) => {
+      const camera = toCamera(p, 1000 * aspect, 1000, [0, 0, 0]);
+      return camera.fy / p.distance / Math.min(camera.width, camera.height);
+    };
+    const first = seen(now, aspects[0]);
+    for (let k = 1; k < aspects.length; k++) {
+      now = reshaped(now, aspects[k - 1], aspects[k]);
+      expect(seen(now, aspects[k])).toBeCloseTo(first, 9);
+      near(target(now), target(pose));
+    }
+    near(now.eye, pose.eye);
+  });
+
+  it("carries pixels to where the same is seen in another one", () => {
+    const [from, to] = [toCamera(pose, 640, 480, [0, 0, 0]), toCamera(pose, 800, 430, [0, 0, 0])];
+    const point: Vec3 = [0.4, 0.1, 0.2];
+    const [x, y] = project(from, point);
+    const carried = rewindowed(from, to)!;
+    near(carried.at(x, y), project(to, point).slice(0, 2));
+    expect(carried.scale).toBeCloseTo(430 / 480, 9);
+    expect(rewindowed(from, toCamera(dolly(pose, 0.9, 0), 800, 430, [0, 0, 0]))).toBe(null);
+  });
+
+  it("has the device's pixels, as many as the server draws", () => {
+    expect(viewSize(900, 520, 1, 4e6)).toEqual({ width: 900, height: 520, density: 1 });
+    expect(viewSize(900.4, 520, 2, 4e6)).toEqual({ width: 1801, height: 1040, density: 2 });
+    const large = viewSize(1500, 900, 2, 4e6);
+    expect(large.width * large.height).toBeLessThanOrEqual(4e6);
+    expect(large.width * large.height).toBeGreaterThan(3.99e6);
+    expect(large.width / large.height).toBeCloseTo(1500 / 900, 2);
+    expect(large.density).toBeCloseTo(Math.sqrt(4e6 / (1500 * 900)), 9);
+    expect(viewSize(0, 0, 1, 4e6)).toEqual({ width: 16, height: 16, density: 1 });
   });
 });

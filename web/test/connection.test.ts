@@ -203,6 +203,37 @@ describe("link", () => {
     expect(last().sent.at(-1)).toMatchObject({ do: "sync", since: null });
   });
 
+  it("does not ask for those of another asset that have come already", () => {
+    const link = connected();
+    last().frame(FRAME_SNAPSHOT, 0, 3);
+    link.enter("t");
+    expect(asked()).toEqual(["hello"]);
+    link.enter("u");
+    expect(asked()).toEqual(["hello", "sync"]);
+  });
+
+  it("says when nothing was heard for 20 seconds while an answer is due, and when something is again", async () => {
+    const said: boolean[] = [];
+    handlers.silent = (is) => void said.push(is);
+    const link = connected();
+    vi.advanceTimersByTime(60_000); // nothing is due
+    const done = link.do("undo", {}, () => {});
+    vi.advanceTimersByTime(19_000);
+    last().say({ re: done.id, progress: 0.5, stage: "x" });
+    vi.advanceTimersByTime(19_999);
+    expect(said).toEqual([]);
+    vi.advanceTimersByTime(1);
+    expect(said).toEqual([true]);
+    last().say({ re: done.id, ok: true, version: 7, python: "" });
+    await done;
+    expect(said).toEqual([true, false]);
+    vi.advanceTimersByTime(60_000);
+    link.do("redo", {}).catch(() => {});
+    last().drop(); // that is said otherwise
+    vi.advanceTimersByTime(60_000);
+    expect(said).toEqual([true, false]);
+  });
+
   it("stops when the server is of another version or refuses it", () => {
     const link = new Link("ws://x/ws", handlers, () => new FakeSocket() as unknown as WebSocket);
     link.connect();

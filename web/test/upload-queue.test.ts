@@ -33,12 +33,14 @@ function setUp(each: number) {
   let time = 0;
   const order: Frame[] = [];
   const pauses: (() => void)[] = [];
-  const uploads = new UploadQueue<Table>(
+  const loads: { written: number; total: number }[] = [];
+  const uploads: UploadQueue<Table> = new UploadQueue<Table>(
     (_, frame) => order.push(frame),
     (go) => pauses.push(go),
     () => (time += each),
+    () => loads.push(uploads.load),
   );
-  return { uploads, order, pauses };
+  return { uploads, order, pauses, loads };
 }
 
 it("finishes small frames at once", () => {
@@ -77,4 +79,14 @@ it("forgets what a snapshot replaces", () => {
   uploads.add(next, frame);
   while (pauses.length) pauses.shift()!();
   expect([old.shown, next.shown, order]).toEqual([0, 5, [frame]]);
+});
+
+it("says how much of a large one is written, after each slice", () => {
+  const { uploads, pauses, loads } = setUp(5);
+  uploads.add(new Table(), frameOf(10_000));
+  while (pauses.length) pauses.shift()!();
+  expect(loads.length).toBeGreaterThan(2);
+  expect(loads.every(({ total }) => total === 10_000)).toBe(true);
+  for (let k = 1; k < loads.length; k++) expect(loads[k].written).toBeGreaterThan(loads[k - 1].written);
+  expect(uploads.load).toEqual({ written: 0, total: 0 });
 });

@@ -1,7 +1,7 @@
 """An asset under a look: only colours change, only of the Gaussians of a region, with a receipt. Pure.
 
-    edited = grade(splats, GradeSettings(exposure=0.5, temperature=0.3))
-    edited = grade(splats, read_cube(Path("film.cube")), Region.parse(["hue=340..20"]), strength=0.7)
+    edited = adjust(splats, GradeSettings(exposure=0.5, temperature=0.3))
+    edited = adjust(splats, read_cube(Path("film.cube")), Region.parse(["hue=340..20"]), strength=0.7)
 
 A look is a function of display colours. It acts on each Gaussian's base colour, and by its slope there on the SH bands
 above (color_grading.py), so highlights are graded with the surface they lie on. Gaussians are compared bit by bit: what
@@ -74,7 +74,7 @@ def hex_color(text: str, where: str = "", mark: str = "") -> tuple[float, float,
     return color
 
 
-def grade(splats: Splats, look: Look, region: Region | None = None, *, strength: float = 1.0) -> Asset:
+def adjust(splats: Splats, look: Look, region: Region | None = None, *, strength: float = 1.0) -> Asset:
     """The asset under a look. region: what it changes (None: everything); strength: 0..1 of the change.
 
     Raises ValueError: a strength out of range, nothing that would change, a region that reaches nothing."""
@@ -114,6 +114,10 @@ def grade(splats: Splats, look: Look, region: Region | None = None, *, strength:
         note=_one_line("; ".join(filter(None, what))),
     )
     return Asset(edited, receipt, original=splats)
+
+
+grade = adjust
+"""The older name; the command is still called so."""
 
 
 def fitted(splats: Splats, look: Look, weights: np.ndarray | None) -> ColorMap:

@@ -142,7 +142,7 @@ def layer_info(session: Session, layer: Layer) -> protocol.LayerInfo:
         mode=layer.mode,
         method=facts.get("method", layer.method),
         views=views,
-        strokes=len(layer.strokes) if _takes_strokes(layer) else None,
+        strokes=sum(len(leaf.strokes) for leaf in layer.leaves()) if _takes_strokes(layer) else None,
         placed=_placed(layer),
         mask=_mask_info(layer.mask),
         parameters=json.loads(json.dumps(layer.parameters)),
@@ -181,6 +181,8 @@ def latest_edit(session: Session) -> protocol.EditFigures | None:
 
 def _takes_strokes(layer: Layer) -> bool:
     """Whether strokes can be painted into it (document.add_stroke)."""
+    if layer.kind == "merged":
+        return True
     pictured = layer.kind in ("paint", "clone") and layer.mode == "local" and bool(layer.views)
     return layer.holds_strokes or (pictured and PLACED not in layer.parameters)
 

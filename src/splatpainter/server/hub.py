@@ -21,6 +21,7 @@ from splatpainter.server.protocol import Answer, Command, Message, Problem, Stat
 from splatpainter.server.studio import Studio
 from splatpainter.server.work_queue import Busy, Cancelled, Ticket, WorkQueue
 from splatpainter.session import Session
+from splatpainter.session.database import UnwritableError
 
 log = logging.getLogger("splatpainter.server")
 
@@ -222,6 +223,7 @@ def problem_of(error: Exception) -> Problem:
     if isinstance(error, ValueError) and not isinstance(error, sqlite3.Error):
         text = " ".join(str(error).encode("utf-8", "replace").decode().split())
         message, _, hint = text.rpartition("; ")
-        return Problem(kind="input", message=message or hint, hint=hint if message else "")
+        kind = "storage" if isinstance(error, UnwritableError) else "input"
+        return Problem(kind=kind, message=message or hint, hint=hint if message else "")
     log.error("fault", exc_info=error)
     return Problem(kind="fault", message=f"Fault in the studio: {type(error).__name__}: {error}"[:300])

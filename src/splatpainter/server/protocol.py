@@ -389,8 +389,9 @@ class CommandProgress(Message):
 
 
 class Problem(Message):
-    kind: Literal["input", "cancelled", "busy", "schema", "fault"]
-    """input: the user can mend it; busy: too much is waiting; schema: reload the page; fault: ours."""
+    kind: Literal["input", "cancelled", "busy", "schema", "storage", "fault"]
+    """input: the user can mend it; busy: too much is waiting; schema: reload the page; storage: the project cannot be
+    written where it is (a full disk), see `project.folders`; fault: ours."""
     message: str
     hint: str = ""
 

@@ -15,8 +15,9 @@ from typing import Any
 from pydantic.json_schema import JsonSchemaMode, models_json_schema
 
 from splatpainter.server import frames
-from splatpainter.server.commands import COMMANDS
+from splatpainter.server.commands import COMMANDS, HANDLERS
 from splatpainter.server.protocol import (
+    MAX_VIEW_PIXELS,
     Answer,
     BatchEvent,
     CommandProgress,
@@ -60,11 +61,15 @@ def typescript() -> str:
     """The text of messages.ts."""
     parts = [HEAD, f'export const SCHEMA_HASH = "{schema_hash()}";']
     parts += [f"export const {name} = 0x{value:x};" for name, value in FRAME.items()]
+    parts += [f"/** Most pixels of a view. */\nexport const MAX_VIEW_PIXELS = {MAX_VIEW_PIXELS:_};"]
     parts += [_interface(name, shape) for name, shape in sorted(definitions().items())]
     lines = [f'  "{name}": [{kind.__name__}, {kind.ANSWER.__name__}];' for name, kind in COMMANDS.items()]
     parts.append(
         "\n".join(["/** Name -> what is sent and what is answered. */", "export interface Commands {", *lines, "}"])
     )
+    writing = [f'  "{name}",' for name, kind in COMMANDS.items() if kind in HANDLERS and HANDLERS[kind].writes]
+    start = "export const WRITING: ReadonlySet<keyof Commands> = new Set<keyof Commands>(["
+    parts.append("\n".join(["/** Commands that may change the project. */", start, *writing, "]);"]))
     parts.append(f"export type Event = {' | '.join(kind.__name__ for kind in EVENTS)};")
     return "\n".join(parts) + "\n"
 

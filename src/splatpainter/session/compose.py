@@ -343,8 +343,11 @@ class Replay:
     def painted_on(self, document: Document, layer: str) -> Splats:
         """The Gaussians that the next stroke of a layer is painted on."""
         at = document.index(layer)
-        below = self.compose(replace(document, layers=document.layers[:at]))
         target = document.layers[at]
+        if target.kind == "merged":  # on all that it is made of, in full
+            full = replace(target, opacity=1.0, blend="normal", mask=None, visible=True)
+            return self.compose(replace(document, layers=(*document.layers[:at], full))).splats
+        below = self.compose(replace(document, layers=document.layers[:at]))
         if not target.strokes:
             return below.splats
         chain = StrokeKeys.of(below.key, target.strokes)

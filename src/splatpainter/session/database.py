@@ -98,6 +98,10 @@ class ContentError(ValueError):
     """The content of a project file is not what a project holds."""
 
 
+class UnwritableError(ValueError):
+    """The disk is full, or does not let the project be written: another place may."""
+
+
 class Database:
     """A connection whose statements are bounded. Not locked: its owner orders the calls of several threads."""
 
@@ -143,7 +147,7 @@ def one_line(path: Path) -> Iterator[None]:
     except (sqlite3.Error, UnicodeDecodeError, OverflowError, RecursionError, ContentError) as error:
         message = files.printable(" ".join(str(error).split()), 300)  # SQLite quotes damaged bytes
         if is_unwritable(error):
-            raise ValueError(f"{path}: cannot be read or written ({message}); nothing was changed") from None
+            raise UnwritableError(f"{path}: cannot be read or written ({message}); nothing was changed") from None
         raise ValueError(f"{path}: damaged project file ({message})") from None
 
 

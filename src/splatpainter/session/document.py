@@ -284,10 +284,12 @@ def move_layer(document: Document, layer: str, index: int) -> Document:
 
 def add_stroke(document: Document, layer: str, stroke: Layer) -> tuple[Document, Layer]:
     """The document with one more stroke in a layer: (the document, the stroke with its id). A paint layer of local
-    views becomes one that holds strokes, with what it was as the first. Raises ValueError where the layer takes
-    none."""
+    views becomes one that holds strokes, with what it was as the first; a merged layer gets it as the uppermost of
+    what it is made of. Raises ValueError where the layer takes none."""
     at = document.index(layer)
     target = document.layers[at]
+    if target.kind == "merged":
+        return _add_stroke_on_top(document, at, stroke)
     if target.kind in ("paint", "clone") and target.mode == "local" and target.views:
         if PLACED in target.parameters:
             raise ValueError(f"{target.title}: is a text or a picture that can be changed; paint into another layer")
@@ -301,6 +303,26 @@ def add_stroke(document: Document, layer: str, stroke: Layer) -> tuple[Document,
         raise ValueError(f"{target.title}: holds {MAX_STROKES} strokes already; make a new layer")
     stroke = replace(stroke, id=str(document.next_id))
     target = replace(target, strokes=(*target.strokes, stroke))
+    layers = (*document.layers[:at], target, *document.layers[at + 1 :])
+    return replace(document, layers=layers, next_id=document.next_id + 1), stroke
+
+
+def _add_stroke_on_top(document: Document, at: int, stroke: Layer) -> tuple[Document, Layer]:
+    """The document with a stroke in the uppermost layer inside a merged one, or in a new one on top of them where that
+    holds no strokes, or mixes them with what is below."""
+    merged = document.layers[at]
+    if stroke.kind == "erase":
+        raise ValueError(f"{merged.title}: is merged, and nothing can be erased in it; hide parts of it by its mask")
+    *rest, top = merged.layers
+    plain = top.visible and top.opacity == 1 and top.blend == "normal" and top.mask is None
+    if not (plain and top.holds_strokes and len(top.strokes) < MAX_STROKES):
+        rest = [*merged.layers]
+        top = Layer(str(document.next_id), stroke.name, "paint", method=stroke.method, asset=merged.asset)
+        top = replace(top, painter=stroke.painter)
+        document = replace(document, next_id=document.next_id + 1)
+    stroke = replace(stroke, id=str(document.next_id))
+    top = replace(top, strokes=(*top.strokes, stroke))
+    target = replace(merged, layers=(*rest, top))
     layers = (*document.layers[:at], target, *document.layers[at + 1 :])
     return replace(document, layers=layers, next_id=document.next_id + 1), stroke
 

@@ -81,7 +81,7 @@ class StrokeCommands(Commands):
     ) -> Layer:
         """One more stroke in a paint layer, from any view; returns the layer. Only the stroke is computed, on what the
         strokes before it made (`painted_on` shows that). It is one step of the history. A layer of local views that
-        `add` made takes strokes too.
+        `add` made takes strokes too, and a merged one: on top of what it is made of, erasers excepted.
 
         kind: paint, clone, or erase, which takes this layer's paint away, and nothing below it; parameters:
         angle_limit, depth_edge_limit, as of `add`; name: of the step. Raises ValueError as `add`, and for a layer that

@@ -17,7 +17,7 @@ const TABLE = [
   { id: "tool.orbit", group: "Tools", label: "Turn the view", keys: ["H", "V"] },
   { id: "tool.brush", group: "Tools", label: "Brush", keys: ["B"] },
   { id: "tool.erase", group: "Tools", label: "Eraser", keys: ["E"] },
-  { id: "tool.fill", group: "Tools", label: "Fill", keys: ["G"] },
+  { id: "tool.fill", group: "Tools", label: "Paint bucket", keys: ["G"] },
   { id: "tool.line", group: "Tools", label: "Line", keys: ["U"] },
   { id: "tool.text", group: "Tools", label: "Text", keys: ["T"] },
   { id: "tool.stamp", group: "Tools", label: "Picture stamp", keys: ["P"] },

@@ -48,6 +48,8 @@ export interface Handlers {
   answered: (answer: Answer) => void;
   /** Returns false when the Gaussians must be sent again. */
   frame: (frame: Frame) => boolean;
+  /** Commands were sent, and nothing has been heard for 20 seconds; or something has, again. */
+  silent?: (is: boolean) => void;
 }
 
 export interface Running<A> extends Promise<A> {
@@ -57,6 +59,8 @@ export interface Running<A> extends Promise<A> {
 
 const FIRST_WAIT_MS = 250;
 const MAX_WAIT_MS = 8000;
+/** So long without a word, while an answer is due, is said; tests do not wait for it. */
+export const limits = { silentMs: 20_000 };
 
 export class Link {
   private socket: WebSocket | null = null;
@@ -72,6 +76,10 @@ export class Link {
   private version: number | null = null;
   private syncing = false;
   private greeted = false;
+  /** A snapshot has come since the greeting, or since the session was entered. */
+  private renewed = false;
+  private listening: ReturnType<typeof setTimeout> | undefined;
+  private isSilent = false;
 
   constructor(
     private readonly url: string,
@@ -102,12 +110,20 @@ export class Link {
     return promise;
   }
 
-  /** Another asset was opened (by whomever): all its Gaussians must come. */
+  /** Another asset was opened (by whomever): all its Gaussians must come, unless they came just before the word of it. */
   enter(session: string): void {
     if (session === this.session) return;
     this.session = session;
+    const came = this.renewed;
+    this.renewed = false;
+    if (came) return;
     this.version = null;
     this.sync();
+  }
+
+  /** The version of the asset whose Gaussians have come. */
+  get received(): number | null {
+    return this.version;
   }
 
   /** Drop the connection as a bad network would; it comes back by itself. For tests. */
@@ -123,6 +139,7 @@ export class Link {
         const greeting = answer as Greeting;
         this.wait = FIRST_WAIT_MS;
         this.greeted = true;
+        this.renewed = false;
         const swapped = this.session !== null && this.session !== greeting.state.session;
         this.session = greeting.state.session;
         if (!greeting.returning) this.fail((number) => this.sent.has(number));
@@ -155,7 +172,22 @@ export class Link {
       if (text === null || this.sent.has(id)) continue;
       this.sent.add(id);
       this.socket.send(text);
+      this.listening ??= setTimeout(() => this.setSilent(true), limits.silentMs);
     }
+  }
+
+  /** Something was heard, or nobody is there any more. */
+  private heard(): void {
+    clearTimeout(this.listening);
+    this.listening = undefined;
+    this.setSilent(false);
+    if (this.sent.size > 0 && this.greeted) this.listening = setTimeout(() => this.setSilent(true), limits.silentMs);
+  }
+
+  private setSilent(is: boolean): void {
+    if (is === this.isSilent) return;
+    this.isSilent = is;
+    this.handlers.silent?.(is);
   }
 
   /** Give up commands: whether they took effect is not known. */
@@ -175,7 +207,15 @@ export class Link {
   }
 
   private receive(data: string | ArrayBuffer): void {
-    if (typeof data !== "string") return this.apply(parseFrame(data));
+    if (typeof data !== "string") {
+      this.apply(parseFrame(data));
+      return this.heard();
+    }
+    this.take(data);
+    this.heard();
+  }
+
+  private take(data: string): void {
     const message = JSON.parse(data) as Answer | Failure | CommandProgress | Event;
     if ("event" in message) return this.handlers.event(message);
     const pending = this.pending.get(message.re);
@@ -196,6 +236,7 @@ export class Link {
     if (fits && this.handlers.frame(frame)) {
       this.version = frame.to;
       this.syncing = false;
+      this.renewed ||= frame.snapshot;
     } else {
       if (fits) this.version = null; // the table must be made anew: ask for everything
       this.sync();
@@ -214,6 +255,7 @@ export class Link {
     if (socket !== this.socket) return;
     this.socket = null;
     this.greeted = this.syncing = false;
+    this.heard();
     this.fail((id) => this.pending.get(id)!.text === null);
     if (code === 1008) return this.stop(reason || "The server refused this page.");
     this.handlers.status("lost", "");

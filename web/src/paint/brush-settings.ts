@@ -2,7 +2,7 @@
 
 import { computed, signal } from "@preact/signals";
 
-import { brush, state, view } from "../state/store";
+import { brush, density, state } from "../state/store";
 import type { BuiltInTip, Texture } from "./tips";
 import { BUILT_IN_TIPS, TEXTURES, TIP_PX } from "./tips";
 
@@ -53,8 +53,8 @@ export const PLAIN: Engine = {
 export const engine = signal<Engine>(PLAIN);
 export const setEngine = (part: Partial<Engine>): void => void (engine.value = { ...engine.value, ...part });
 
-/** Pixels of the view per pixel of the screen. */
-export const viewScale = computed(() => view.value.resolution);
+/** Pixels of the view per pixel of the page (CSS). */
+export const viewScale = computed(() => density.value);
 
 /** Share of the asset's radius: the range of sizes in world units. */
 export const MIN_WORLD_SHARE = 1e-3;

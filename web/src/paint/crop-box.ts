@@ -2,6 +2,7 @@
 
 import { camera, state } from "../state/store";
 import { add, dot, project, scale, sub, unit, type CameraJson, type Vec3 } from "../view/camera";
+import { viewScale } from "./brush-settings";
 import { cropBox } from "./selection";
 import type { Pen, ToolHandler } from "./tool";
 
@@ -20,7 +21,7 @@ export interface BoxHandle {
   at: Vec3;
 }
 
-/** A handle is grabbed within so many pixels of the view. */
+/** A handle is grabbed within so many pixels of the page. */
 const GRAB_PX = 11;
 /** Least width of the box, as a share of the asset's radius. */
 const MIN_WIDTH_SHARE = 0.01;
@@ -44,7 +45,7 @@ export function boxHandles(box: Box, view: CameraJson): BoxHandle[] {
 /** The handle at a point of the view, the nearest of several; null: none. */
 export function handleAt(box: Box, view: CameraJson, x: number, y: number): BoxHandle | null {
   const reach = (handle: BoxHandle) => Math.hypot(handle.x - x, handle.y - y);
-  const near = boxHandles(box, view).filter((handle) => reach(handle) <= GRAB_PX);
+  const near = boxHandles(box, view).filter((handle) => reach(handle) <= GRAB_PX * viewScale.value);
   return near.sort((a, b) => reach(a) - reach(b))[0] ?? null;
 }
 

@@ -16,6 +16,7 @@ import {
   originalPixels,
   viewPixels,
 } from "./stroke-queue";
+import type { LayerInfo } from "../messages";
 import type { Pixels } from "./flood";
 import { setColor } from "./point-tools";
 import { heal } from "./heal";
@@ -79,8 +80,7 @@ function along(
 const NAMES = { normal: "Brush", color: "Colour", darken: "Darken", lighten: "Lighten" } as const;
 
 /** Hide or show the layer whose mask is chosen. */
-function maskStroke(shows: boolean): Stroke | null {
-  const layer = chosenMask();
+function maskStroke(shows: boolean, layer: LayerInfo | null = chosenMask()): Stroke | null {
   if (!layer) return null;
   const stroke = beginStroke("mask", shows ? "Show" : "Hide", brush.value.opacity, { layer: layer.id });
   stroke?.setSource(solid(shows ? [255, 255, 255] : [0, 0, 0], "normal", () => stroke.base));
@@ -100,6 +100,7 @@ export const paintBrush = along(() => {
 export const eraser = along((pen) => {
   if (chosenMask()) return maskStroke(!maskShows.value);
   const chosen = pen.shift ? null : chosenPaintLayer();
+  if (chosen?.kind === "merged") return maskStroke(false, chosen); // all that it is made of goes there
   const more = chosenEraser();
   const stroke = chosen
     ? beginStroke("erase", "Erase")
@@ -174,12 +175,12 @@ export const healer = sampling(
   ),
 );
 
-/** Fill what is selected of the view from what lies around it: tone from its border, texture from beside it. */
-export async function fillFromAround(): Promise<void> {
+/** Heal what is selected of the view from what lies around it: tone from its border, texture from beside it. */
+export async function healFromAround(): Promise<void> {
   const area = selection.value;
   if (!area) return;
   await viewPixels();
-  const stroke = beginStroke("clone", "Fill from around", 1);
+  const stroke = beginStroke("clone", "Heal from around", 1);
   if (!stroke) return;
   stroke.mask.data.set(area.data);
   stroke.setSource(solid([128, 128, 128], "lighten", () => stroke.base));

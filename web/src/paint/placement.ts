@@ -18,7 +18,7 @@ import {
   tool,
 } from "../state/store";
 import { go, report, run } from "../state/studio";
-import { fromCamera, type CameraJson, type Vec3 } from "../view/camera";
+import { fromCamera, rewindowed, type CameraJson, type Vec3 } from "../view/camera";
 import {
   anchorAt,
   anchorPixel,
@@ -64,24 +64,30 @@ export const placement = signal<Placement | null>(null);
  */
 export const editedLayer = signal<{ layer: string; name: string; gesture: string; strokes?: boolean } | null>(null);
 
-const GRAB = 14;
+/** Reach of a handle, pixels of the screen: more for a finger. */
+const GRAB_PX = 14;
+const TOUCH_GRAB_PX = 22;
+const grabReach = (): number => (matchMedia("(pointer: coarse)").matches ? TOUCH_GRAB_PX : GRAB_PX) * viewScale.value;
 /** Of angles while Shift is held. */
 const STEP = Math.PI / 12;
-/** The knob for turning stands this far above the box, view pixels. */
-export const KNOB = 28;
+/** The knob for turning stands this far above the box, pixels of the screen. */
+const KNOB_PX = 28;
 
 /** It is being laid on the surface by the server. */
 export const laying = signal(false);
 
 /** Corners of the box (left upper, right upper, right lower, left lower) and the knob, in view pixels. */
 export function handles(p: Placement): { corners: [number, number][]; knob: [number, number] } {
-  if (p.anchor) return decalHandles(camera.value!, p.anchor, p.image.width, p.image.height, KNOB);
+  if (p.anchor) return decalHandles(camera.value!, p.anchor, p.image.width, p.image.height, KNOB_PX * viewScale.value);
   const [w, h] = [(p.image.width * p.scale) / 2, (p.image.height * p.scale) / 2];
   const toView = (x: number, y: number): [number, number] => [
     p.x + x * Math.cos(p.angle) - y * Math.sin(p.angle),
     p.y + x * Math.sin(p.angle) + y * Math.cos(p.angle),
   ];
-  return { corners: [toView(-w, -h), toView(w, -h), toView(w, h), toView(-w, h)], knob: toView(0, -h - KNOB) };
+  return {
+    corners: [toView(-w, -h), toView(w, -h), toView(w, h), toView(-w, h)],
+    knob: toView(0, -h - KNOB_PX * viewScale.value),
+  };
 }
 
 /** Draw it (not its handles). */
@@ -165,6 +171,19 @@ function laid(p: Placement): Placement {
   return anchor ? { ...p, anchor, unit: size } : p;
 }
 
+let windowSeen: CameraJson | null = null;
+
+effect(() => {
+  // what lies on the view stays on its place of the picture when only the window changes
+  const now = camera.value;
+  const same = windowSeen && now && rewindowed(windowSeen, now);
+  windowSeen = now;
+  const p = placement.peek();
+  if (!p || p.anchor || !same) return;
+  const [x, y] = same.at(p.x, p.y);
+  placement.value = { ...p, x, y, scale: p.scale * same.scale };
+});
+
 effect(() => {
   // it goes onto the surface as soon as that is known, stays there when the view turns, and comes off it again
   const [view, { on }, now] = [viewSurface.value, wrapping.value, camera.value];
@@ -180,15 +199,26 @@ effect(() => {
 
 type Grip = { part: "move" | "scale" | "turn"; from: Placement; pen: Pen };
 let grip: Grip | null = null;
+/** A text was begun by the press that is under way. */
+let begun = false;
+
+/** Where the words of a text are written: the place of the caret in them; null: nobody writes. */
+export const caret = signal<number | null>(null);
+/** Gives the keys to the words; set by whoever shows their field. select: all of them, to be replaced. */
+export const words: { focus: (select: boolean) => void } = { focus: () => {} };
 
 /** Drag the inside to move, a corner to scale, the knob to turn (Shift: steps of 15 degrees). A text starts where one clicks. */
 export const placer: ToolHandler = {
   down(pen) {
     const p = placement.value;
     if (laying.value) return;
-    if (!p) return void (tool.value === "text" && startText(pen));
+    if (!p) {
+      begun = tool.value === "text";
+      if (begun) startText(pen);
+      return;
+    }
     const { corners, knob } = handles(p);
-    const grabbed = ([x, y]: [number, number]) => Math.hypot(pen.x - x, pen.y - y) < GRAB;
+    const grabbed = ([x, y]: [number, number]) => Math.hypot(pen.x - x, pen.y - y) < grabReach();
     grip = { part: grabbed(knob) ? "turn" : corners.some(grabbed) ? "scale" : "move", from: p, pen };
   },
   move(pen) {
@@ -206,10 +236,16 @@ export const placer: ToolHandler = {
   },
   up() {
     grip = null;
+    if (begun) words.focus(true); // a click is a caret: not before it is over, or the view would take the keys again
+    begun = false;
   },
   cancel() {
+    const held = grip;
     grip = null;
-    void discardPlacement();
+    begun = false;
+    if (held)
+      placement.value = held.from; // the drag is taken back, not the picture
+    else void discardPlacement();
   },
 };
 
@@ -255,8 +291,8 @@ export async function changePlaced(layer: LayerInfo): Promise<void> {
   const kind = placed.kind === "text" ? "text" : "stamp";
   let image: Placement["image"];
   if (kind === "text") {
-    const { text: words, font, size, bold, italic } = placed;
-    text.value = { text: words, font, size, bold, italic };
+    const { text: written, font, size, bold, italic } = placed;
+    text.value = { text: written, font, size, bold, italic };
     color.value = placed.color;
     image = textImage();
   } else {
@@ -289,23 +325,56 @@ function startText(pen: Pen): void {
   placement.value = { kind: "text", image: textImage(), name: "Text", x: pen.x, y: pen.y, scale, angle: 0 };
 }
 
+/** The CSS font of the text as it is set. */
+function textFont(): string {
+  const { font, size, bold, italic } = text.value;
+  const family = JSON.stringify(font).replace(/^"(serif|sans-serif|monospace|cursive)"$/, "$1");
+  return `${italic ? "italic " : ""}${bold ? "bold " : ""}${size}px ${family}`;
+}
+
+/** Height of a line, and where the middle of the first one is, of the letters' size. */
+const LINE = 1.25;
+const FIRST_MIDDLE = 0.72;
+
 /** The text in its font and colour on a canvas that just holds it. */
 function textImage(): HTMLCanvasElement {
-  const { text: words, font, size, bold, italic } = text.value;
+  const { text: written, size } = text.value;
   const canvas = document.createElement("canvas");
   const context = canvas.getContext("2d")!;
-  const style = `${italic ? "italic " : ""}${bold ? "bold " : ""}${size}px ${JSON.stringify(font).replace(/^"(serif|sans-serif|monospace|cursive)"$/, "$1")}`;
-  const lines = (words || " ").split("\n");
-  context.font = style;
+  const lines = (written || " ").split("\n");
+  context.font = textFont();
   const width = Math.max(...lines.map((line) => context.measureText(line).width));
   canvas.width = Math.ceil(width + size * 0.4);
-  canvas.height = Math.ceil(size * 1.25 * lines.length + size * 0.2);
-  context.font = style;
+  canvas.height = Math.ceil(size * LINE * lines.length + size * 0.2);
+  context.font = textFont();
   context.textBaseline = "middle";
   context.textAlign = "center";
   context.fillStyle = color.value;
-  lines.forEach((line, k) => context.fillText(line, canvas.width / 2, size * (0.72 + 1.25 * k)));
+  lines.forEach((line, k) => context.fillText(line, canvas.width / 2, size * (FIRST_MIDDLE + LINE * k)));
   return canvas;
+}
+
+/** The two ends of the caret in the words that are being written, view pixels; null: there is none. */
+export function caretLine(p: Placement): [number, number, number, number] | null {
+  const at = caret.value;
+  if (at === null || p.kind !== "text" || laying.value) return null;
+  const context = (p.image as HTMLCanvasElement).getContext("2d")!;
+  const { text: written, size } = text.value;
+  const before = written.slice(0, at).split("\n");
+  const line = written.split("\n")[before.length - 1];
+  const { width, height } = p.image;
+  const x = (width - context.measureText(line).width) / 2 + context.measureText(before.at(-1)!).width;
+  const middle = size * (FIRST_MIDDLE + LINE * (before.length - 1));
+  const [leftUpper, rightUpper, rightLower, leftLower] = handles(p).corners;
+  const toView = (u: number, v: number): [number, number] =>
+    [0, 1].map((k) => {
+      const [above, below] = [
+        leftUpper[k] + (rightUpper[k] - leftUpper[k]) * u,
+        leftLower[k] + (rightLower[k] - leftLower[k]) * u,
+      ];
+      return above + (below - above) * v;
+    }) as [number, number];
+  return [...toView(x / width, (middle - 0.55 * size) / height), ...toView(x / width, (middle + 0.55 * size) / height)];
 }
 
 effect(() => {
@@ -320,8 +389,7 @@ async function placedInfo(p: Placement): Promise<Placed> {
   const { x, y, scale, angle } = p;
   const surface = { unit: p.anchor?.unit ?? null, wrap: wrapping.value.limit, view: p.anchor ? camera.value! : null };
   const common = { x, y, scale, angle, opacity: brush.value.opacity, mode: paintMode.value, ...surface };
-  const { text: words, font, size, bold, italic } = text.value;
-  const written = { text: words, font, size, bold, italic, color: color.value, image: null };
+  const written = { ...text.value, color: color.value, image: null };
   if (p.kind === "text") return { kind: "text", ...common, ...written };
   const canvas = new OffscreenCanvas(p.image.width, p.image.height);
   canvas.getContext("2d")!.drawImage(p.image, 0, 0);

@@ -31,7 +31,7 @@ async function fillAt(pen: Pen): Promise<void> {
   const { tolerance, contiguous } = fill.value;
   const pixels = await viewPixels();
   const mask = soften(likeColor(pixels, Math.floor(pen.x), Math.floor(pen.y), tolerance, contiguous), 1);
-  const stroke = beginStroke("paint", "Fill", brush.value.opacity);
+  const stroke = beginStroke("paint", "Bucket", brush.value.opacity);
   if (!stroke) return;
   stroke.setSource(colorSource(stroke));
   stroke.setGrain(grainOf());

@@ -12,17 +12,23 @@ import {
   limits,
   maskedLayer,
   method,
+  pendingStrokes,
   readOnly,
   selectedLayer,
   spreading,
   state,
+  status,
+  swapped,
   toast,
   tool,
 } from "../state/store";
 import { painting } from "../state/pending-layers";
+import { storageAnswered } from "../state/storage";
+import { giveUpWaiting, isShown, projectIsBack } from "../state/waiting";
 import { link, report, run, track, viewer } from "../state/studio";
+import { CommandError } from "../net/connection";
 import type { LayerInfo } from "../messages";
-import type { CameraJson } from "../view/camera";
+import { rewindowed, sameView, type CameraJson } from "../view/camera";
 import type { Pixels } from "./flood";
 import { limitsToSend } from "./limits";
 import { selection, selectionSent } from "./selection";
@@ -31,8 +37,6 @@ import { mirrorOfStroke } from "./symmetry";
 
 /** Tools whose paint can go on over the material that it lies on. */
 export const SPREADING_TOOLS: readonly string[] = ["brush", "line", "fill"];
-/** Strokes that are not layers yet. */
-export const pendingStrokes = signal(0);
 /** Above 0 while the camera must stay: a stroke still reads the view. */
 export const frozen = signal(0);
 /** Where clone and heal read from, in view pixels, and the stroke's offset once it began. */
@@ -119,6 +123,10 @@ export function beginStroke(
   const target = spreads ? { spread: spreading.value.threshold } : given;
   const now = camera.value;
   if (!now || viewer.count === 0) return null;
+  if (swapped.value) {
+    toast("warning", "Painting waits for your answer above.", `Go back to ${swapped.value.name}, or stay here.`);
+    return null;
+  }
   if (readOnly.value) {
     toast(
       "warning",
@@ -133,7 +141,7 @@ export function beginStroke(
     return null;
   }
   const single = target !== undefined;
-  const [before, session] = [selectedLayer.value, state.value!.session];
+  const [before, session, home] = [selectedLayer.value, state.value!.session, state.value!.project.id];
   fitOverlay(now);
   const base = asSeen();
   const stroke = new Stroke({
@@ -142,10 +150,13 @@ export function beginStroke(
     overlay,
     base,
     after: Promise.all([lastCommit, selectionSent()]).then(() => {}),
-    onScreen: () => camera.value === now,
+    onScreen: () => camera.value !== null && sameView(camera.value, now),
     kind,
     layer: kind === "erase" && !single ? (chosen?.id ?? null) : null,
     name: single && !target.replaces && !target.layer ? unused(name) : name,
+    project: home,
+    isHome: () => status.value !== "open" || isShown(home),
+    newestStep,
     target: single ? () => target : paintTarget(),
     commit: async (fields) => {
       const { layer: id, into_new, replaces } = fields;
@@ -180,13 +191,15 @@ export function endStroke(stroke: Stroke, finish: (stroke: Stroke) => void = () 
     await before;
     try {
       await stroke.ready;
-      finish(stroke);
-      const layer = await stroke.end();
+      if (!stroke.withdrawn) finish(stroke);
+      const layer = await committed(stroke);
       if (layer) selectedLayer.value = layer.id;
       await viewer.settle();
     } catch (error) {
-      report(error, stroke.name);
-      await stroke.cancel();
+      if (!stroke.withdrawn) {
+        report(error, stroke.name);
+        await stroke.cancel();
+      }
     } finally {
       forget(stroke);
       warmUp();
@@ -195,17 +208,85 @@ export function endStroke(stroke: Stroke, finish: (stroke: Stroke) => void = () 
   return lastCommit;
 }
 
-export async function cancelStroke(stroke: Stroke): Promise<void> {
-  await stroke.cancel();
-  forget(stroke);
+/** The stroke's layer; null where there is nothing of it. Where its project is away it waits for it. */
+async function committed(stroke: Stroke): Promise<LayerInfo | null> {
+  for (;;) {
+    if (stroke.withdrawn) return null;
+    try {
+      return await stroke.end();
+    } catch (error) {
+      const { project, committing } = stroke;
+      if (error instanceof CommandError && error.kind === "storage" && !stroke.withdrawn) {
+        stroke.committing = null; // nothing of it was saved
+        report(error, stroke.name);
+        if (!(await storageAnswered())) {
+          await stroke.cancel();
+          return null;
+        }
+        stroke.again();
+        continue;
+      }
+      const away = error instanceof CommandError && error.kind === "lost";
+      if (stroke.withdrawn || !(away || state.value?.project.id !== project)) throw error;
+      if (!(await projectIsBack(project))) {
+        await stroke.cancel();
+        return null;
+      }
+      if (committing !== null && wasCommitted(stroke.name, committing)) return null;
+      stroke.again();
+    }
+  }
 }
 
-/** Another camera: what lies on the old view goes. */
+/** Number of the step in effect. */
+const newestStep = (): number => state.value?.history[state.value.cursor]?.id ?? 0;
+
+/** Whether a step of that name came after `newest` and is in effect: the stroke was saved, only its answer is lost. */
+function wasCommitted(name: string, newest: number): boolean {
+  const { history, cursor } = state.value!;
+  return history.slice(0, cursor + 1).some((step) => step.id > newest && step.label.includes(name));
+}
+
+/** Resolves when every stroke that was drawn is a layer, or is given up. */
+export const strokesCommitted = (): Promise<void> => lastCommit;
+
+/** Take back the newest stroke that is not being saved yet; false: there is none. */
+export function takeBackPending(): boolean {
+  const newest = [...active].filter((one) => one.committing === null && !one.withdrawn).at(-1);
+  if (newest) void cancelStroke(newest);
+  return newest !== undefined;
+}
+
+/** Stay in the project that is shown: what waits for another one goes. */
+export function stayHere(): void {
+  const count = active.size;
+  giveUpWaiting();
+  swapped.value = null;
+  if (count > 0) toast("info", count === 1 ? "One stroke was given up." : `${count} strokes were given up.`);
+}
+
+export async function cancelStroke(stroke: Stroke): Promise<void> {
+  const told = stroke.cancel();
+  forget(stroke);
+  await told;
+}
+
+let seen: CameraJson | null = null;
+
+/** Another camera: what lies on the old view goes. The source of clone and heal stays where only the window changed. */
 export function viewMoved(): void {
   const now = camera.value;
   if (now) fitOverlay(now);
   overlay.clearRect(0, 0, overlayCanvas.width, overlayCanvas.height);
-  if (cloneFrom.value) cloneFrom.value = null;
+  for (const stroke of active) stroke.paint(); // back on their view, those that wait are seen again
+  const same = seen && now && rewindowed(seen, now);
+  seen = now;
+  const from = cloneFrom.value;
+  if (!from) return;
+  if (!same) return void (cloneFrom.value = null);
+  const [x, y] = same.at(from.x, from.y);
+  const offset: [number, number] | null = from.offset && [from.offset[0] * same.scale, from.offset[1] * same.scale];
+  cloneFrom.value = { x, y, offset };
 }
 
 /** Read the view before a stroke needs it. */

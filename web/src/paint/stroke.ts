@@ -25,6 +25,12 @@ export interface StrokeOptions {
   /** Of an eraser: the layer whose paint it takes away; null: back to the original. */
   layer: string | null;
   name: string;
+  /** Id of the project that it is drawn in. */
+  project: string;
+  /** Whether that project is the one that the server has open, as far as is known. */
+  isHome: () => boolean;
+  /** Number of the newest step of that project's history that the page knows of. */
+  newestStep: () => number;
   /** Where it goes, asked when the strokes before it are committed. */
   target: () => StrokeTarget;
   /** Send the commit. */
@@ -48,7 +54,15 @@ export class Stroke {
   /** Resolves when `base` is there. */
   readonly ready: Promise<void>;
   readonly name: string;
-  private readonly id: Promise<string>;
+  /** Id of the project that it belongs to, and no other. */
+  readonly project: string;
+  /** Step of the history that was the newest when its commit was sent; null: it was not sent. */
+  committing: number | null = null;
+  /** It was taken back: nothing more is sent. */
+  withdrawn = false;
+  private id: Promise<string>;
+  /** Whether it is drawn once more on another server, which knows neither the stroke nor what was selected. */
+  private replayed = false;
   private dirty: Rect = NOTHING;
   private touched: Rect = NOTHING;
   /** Changed and not on the overlay yet: a pen gives more points than the screen has frames. */
@@ -61,16 +75,32 @@ export class Stroke {
   private failure: unknown = null;
 
   constructor(private readonly options: StrokeOptions) {
-    const { camera, kind, layer, link, mirror } = options;
+    const { camera } = options;
     this.name = options.name;
+    this.project = options.project;
     this.mask = emptyMask(camera.width, camera.height);
     this.ready = options.base.then((pixels) => {
       this.base = pixels; // read before the first preview changes the view
       this.paint();
     });
-    this.id = Promise.all([this.ready, options.after])
-      .then(() => link.do("paint.begin", { camera, kind, layer, mirror }))
-      .then((answer) => answer.stroke);
+    this.id = Promise.all([this.ready, options.after]).then(() => this.begin());
+    this.id.catch(() => {});
+  }
+
+  private async begin(): Promise<string> {
+    const { camera, kind, layer, link, mirror, isHome } = this.options;
+    if (!isHome()) throw new CommandError("lost", "Another project is open.");
+    return (await link.do("paint.begin", { camera, kind, layer, mirror })).stroke;
+  }
+
+  /** Begin anew on the server, with all that was drawn: what it knew of the stroke is lost. */
+  again(): void {
+    this.replayed = true;
+    this.failure = null;
+    this.done = false;
+    this.committing = null;
+    this.dirty = this.touched;
+    this.id = this.begin();
     this.id.catch(() => {});
   }
 
@@ -121,12 +151,14 @@ export class Stroke {
     while (this.dirty.width || this.pumping) await (this.pumping ??= this.pump());
     this.done = true;
     if (this.failure) throw this.failure;
-    const { name, method, limits, target, commit } = this.options;
+    if (this.withdrawn) return null;
+    const { name, method, limits, target, commit, newestStep } = this.options;
+    this.committing = newestStep();
     return commit({ stroke, name, method, limits, ...target() });
   }
 
   async cancel(): Promise<void> {
-    this.done = true;
+    this.done = this.withdrawn = true;
     this.dirty = NOTHING;
     this.erase();
     await this.id.then((stroke) => this.discard(stroke)).catch(() => {});
@@ -159,7 +191,8 @@ export class Stroke {
       while (this.dirty.width && !this.done) {
         const rect = this.dirty;
         this.dirty = NOTHING;
-        await this.options.link.do("paint.dab", { stroke, ...rect, rgba: base64(this.patch(rect, null)) });
+        const selection = this.replayed ? this.options.selection : null; // else the server keeps to it, from all sides
+        await this.options.link.do("paint.dab", { stroke, ...rect, rgba: base64(this.patch(rect, selection)) });
       }
     } catch (error) {
       this.failure ??= error;

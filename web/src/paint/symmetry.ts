@@ -49,7 +49,7 @@ export async function toggleSymmetry(on: boolean): Promise<void> {
 }
 
 /** Steps whose colours are those of their place: on the other side they would be wrong. */
-const ONE_SIDED: readonly string[] = ["Heal", "Fill from around"];
+const ONE_SIDED: readonly string[] = ["Heal", "Heal from around"];
 
 /** What a stroke that begins now is told about it. */
 export function mirrorOfStroke(kind: "paint" | "clone" | "erase" | "mask", name: string): Symmetry | null {

@@ -25,7 +25,17 @@ export class UploadQueue<T extends Target> {
     private readonly finished: (target: T, frame: Frame) => void,
     private readonly pause: (go: () => void) => void = (go) => setTimeout(go, 0),
     private readonly clock: () => number = () => performance.now(),
+    /** Called after each slice that was not the last. */
+    private readonly progressed: () => void = () => {},
   ) {}
+
+  /** Gaussians of what is not shown yet: those that are written, and all. */
+  get load(): { written: number; total: number } {
+    return this.queue.reduce(
+      ({ written, total }, { frame, next }) => ({ written: written + next, total: total + frame.gaussians.count }),
+      { written: 0, total: 0 },
+    );
+  }
 
   add(target: T, frame: Frame): void {
     this.queue.push({ target, frame, next: 0 });
@@ -65,6 +75,7 @@ export class UploadQueue<T extends Target> {
 
   private later(): void {
     this.paused = true;
+    this.progressed();
     this.pause(() => {
       this.paused = false;
       this.run();

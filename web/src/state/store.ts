@@ -61,8 +61,11 @@ export const view = signal({
   profile: "inria" as "inria" | "playcanvas",
   compare: false,
   coverage: false,
+  /** Pixels of the view per pixel of the device, in each direction. */
   resolution: 1,
 });
+/** Pixels of the view per pixel of the page (CSS), as it is drawn now. */
+export const density = signal(1);
 /** Where the before/after line is, 0..1 of the width. */
 export const compareAt = signal(0.5);
 
@@ -73,6 +76,8 @@ export const maskedLayer = signal<string | null>(null);
 /** Whether the brush shows the layer there, or hides it. */
 export const maskShows = signal(false);
 export const help = signal(false);
+/** Whether the panels are put away, so that the view has all the room. */
+export const panelsFolded = signal(false);
 /** What was done from this window, as Python lines. */
 export const pythonLog = signal<string[]>([]);
 export interface Toast {
@@ -91,14 +96,33 @@ export interface Job {
   cancel: () => void;
 }
 export const jobs = signal<Job[]>([]);
-/** Commands under way that change something: nothing is "Saved" before they are answered. */
+/** Strokes that are not layers yet. */
+export const pendingStrokes = signal(0);
+/** Commands under way that change the project: nothing is "Saved" before they are answered. */
+export const saving = signal(0);
+/** Commands of this page under way that open another project. */
+export const opening = signal(0);
+/** Commands under way that take a while and change nothing: a turntable, an export, a picture. */
 export const working = signal(0);
+/** How far the picture is behind the Gaussians that have come, and how far these are behind the state. */
+export const drawn = signal({ behind: false, written: 0, total: 0, version: -1 });
+/** Nothing was heard of the server for long, while an answer is due. */
+export const silent = signal(false);
+/** The graphics card took the view away; `again`: soon after another time, so that the page does not reload by itself. */
+export const graphicsLost = signal<{ again: boolean } | null>(null);
 /** Why the latest command was refused; it stays until another one works or it is closed. */
 export const refusal = signal<{ what: string; message: string; hint: string } | null>(null);
 
 /** The project that this page was in when another one was opened without it asking: in another window, or while it had
  * no connection. */
-export const swapped = signal<{ id: string; name: string; file: string | null; layers: number } | null>(null);
+export const swapped = signal<{
+  id: string;
+  name: string;
+  file: string | null;
+  layers: number;
+  /** When something was last done in it, as far as this page knows; seconds since 1970. */
+  changed: number;
+} | null>(null);
 
 export const readOnly = computed(() => state.value?.project.read_only ?? false);
 export const canUndo = computed(() => (state.value ? state.value.cursor + state.value.selection.undo > 0 : false));

@@ -2,20 +2,28 @@
 
 import { effect } from "@preact/signals";
 
-import type { AssetInfo, Event, State, StateEvent } from "../messages";
+import { MAX_VIEW_PIXELS, WRITING, type AssetInfo, type Event, type State, type StateEvent } from "../messages";
 import { CommandError, Link, type Fields, type Name, type Result } from "../net/connection";
-import { between, fromCamera, sameView, toCamera, type Pose, type Vec3 } from "../view/camera";
+import { between, fromCamera, reshaped, sameView, toCamera, viewSize, type Pose, type Vec3 } from "../view/camera";
 import { Viewer } from "../view/viewer";
 import { applyBatch, learnBatch } from "./batch";
+import { watchGraphics } from "./graphics";
 import { axisName } from "./up-axis";
+import { noteStorage } from "./storage";
+import { noteSuccessor, waitingElsewhere } from "./waiting";
 import {
   camera,
+  density,
+  drawn,
   jobs,
+  opening,
   pose,
   pythonLog,
   refusal,
   rgb,
+  saving,
   selectedLayer,
+  silent,
   state,
   status,
   stopped,
@@ -35,11 +43,8 @@ const JOB_DELAY_MS = 400;
 
 export function start(canvas: HTMLCanvasElement): void {
   viewer = new Viewer(canvas);
-  canvas.addEventListener("webglcontextlost", (event) => {
-    event.preventDefault(); // else it never comes back
-    toast("warning", "The graphics card was reset.", "The page reloads; nothing is lost.");
-  });
-  canvas.addEventListener("webglcontextrestored", () => location.reload());
+  viewer.onProgress = (progress) => (drawn.value = { ...progress, version: link?.received ?? -1 });
+  watchGraphics(canvas);
   const scheme = location.protocol === "https:" ? "wss" : "ws";
   link = new Link(`${scheme}://${location.host}/ws`, {
     status: (next, reason) => {
@@ -55,6 +60,7 @@ export function start(canvas: HTMLCanvasElement): void {
       if (python) pythonLog.value = [...pythonLog.value, python].slice(-500);
     },
     frame: (frame) => viewer.apply(frame),
+    silent: (is) => (silent.value = is),
   });
   effect(() => {
     const now = camera.value;
@@ -68,6 +74,11 @@ export function start(canvas: HTMLCanvasElement): void {
       viewer.grid.setGround(center, asset.radius, up, viewer.depthBelow(center, up) ?? undefined);
     }
     viewer.invalidate();
+  });
+  effect(() => {
+    // whoever opened the other project: what waits must be asked about
+    const project = waitingElsewhere.value;
+    if (project !== null && swapped.value === null) swapped.value = leftProjects.get(project) ?? null;
   });
   link.connect();
 }
@@ -92,15 +103,15 @@ export async function track<N extends Name>(name: N, fields: Fields<N>, label: s
   });
   const job = { id: running.id, label, progress: 0, stage: "", cancel: () => running.cancel() };
   const timer = label ? setTimeout(() => (jobs.value = [...jobs.value, job]), JOB_DELAY_MS) : undefined;
-  if (label) working.value++;
-  if (OPENING.includes(name)) opening++;
+  const counted = OPENING.includes(name) ? opening : WRITING.has(name) ? saving : working;
+  const counts = label !== "" || counted === opening;
+  if (counts) counted.value++;
   try {
     const answer = await running;
     if (label) refusal.value = null;
     return answer;
   } finally {
-    if (label) working.value--;
-    if (OPENING.includes(name)) opening--;
+    if (counts) counted.value--;
     clearTimeout(timer);
     jobs.value = jobs.value.filter((other) => other.id !== running.id);
   }
@@ -110,6 +121,7 @@ export async function track<N extends Name>(name: N, fields: Fields<N>, label: s
 export function report(error: unknown, what = ""): void {
   if (error instanceof CommandError) {
     if (error.kind === "cancelled") return;
+    if (error.kind === "storage") return noteStorage(error.message, error.hint); // a card, which stays
     toast(error.kind === "fault" ? "error" : "warning", error.message, error.hint);
     refusal.value = { what, message: error.message, hint: error.hint };
   } else {
@@ -140,22 +152,32 @@ export function go(next: Pose): void {
   cancelAnimationFrame(gliding);
   pose.value = next;
   const size = canvasSize();
+  shape = size.width / size.height;
+  density.value = size.density;
   const now = toCamera(next, size.width, size.height, rgb(view.value.background));
   if (!camera.value || !sameView(camera.value, now)) camera.value = now;
 }
 
-/** The window's size or background changed. */
+/** Width / height of the view that is shown. */
+let shape = 1;
+
+/** The window's size or background changed: what was in sight stays in sight. */
 export function refresh(): void {
-  if (pose.value) go(pose.value);
+  if (!pose.value) return;
+  const { width, height } = canvasSize();
+  go(reshaped(pose.value, shape, width / height));
 }
 
-function canvasSize(): { width: number; height: number } {
+/** The first view of an asset, in this window. */
+export function homePose({ home, center }: AssetInfo): Pose {
+  const { width, height } = canvasSize();
+  return reshaped(fromCamera(home, center as Vec3), home.width / home.height, width / height);
+}
+
+function canvasSize(): ReturnType<typeof viewSize> {
   const { clientWidth, clientHeight } = viewer.renderer.domElement.parentElement!;
-  const factor = view.value.resolution;
-  return {
-    width: Math.max(16, Math.round(clientWidth * factor)),
-    height: Math.max(16, Math.round(clientHeight * factor)),
-  };
+  const factor = view.value.resolution * (window.devicePixelRatio || 1);
+  return viewSize(clientWidth, clientHeight, factor, MAX_VIEW_PIXELS);
 }
 
 function event(message: Event): void {
@@ -177,18 +199,25 @@ function applyState({ state: present, history, bookmarks }: StateEvent): void {
 
 /** Commands of this page that open another project. */
 const OPENING: readonly Name[] = ["asset.open", "project.open"];
-let opening = 0;
+/** When the layers were last changed: seconds since 1970. */
+let changed = 0;
+/** Projects that this page was in, as they were left, by their ids. */
+const leftProjects = new Map<string, NonNullable<typeof swapped.value>>();
 
 function adopt(next: State): void {
   const before = state.value;
-  state.value = next;
-  if (before && before.session !== next.session) {
+  const another = before !== null && before.session !== next.session;
+  if (another) noteSuccessor(before, next);
+  if (!another && before && before.version !== next.version) changed = Date.now() / 1000;
+  state.value = next; // what waits for this project goes on
+  if (another) {
     const same = before.project.id !== "" && before.project.id === next.project.id;
     const { id, name, file } = before.project;
-    const expected = opening > 0 || (swapped.value !== null && swapped.value.id === next.project.id);
+    const expected = opening.value > 0 || (swapped.value !== null && swapped.value.id === next.project.id);
     const nothingDone = before.history.length < 2;
-    if (same || expected || nothingDone) swapped.value = null;
-    else swapped.value = { id, name: file ?? before.asset.name ?? name, file, layers: before.layers.length };
+    const left = { id, name: file ?? before.asset.name ?? name, file, layers: before.layers.length, changed };
+    leftProjects.set(id, left);
+    swapped.value = same || expected || nothingDone ? null : left;
   }
   const chosen = selectedLayer.value;
   if (chosen !== null && !next.layers.some((one) => one.id === chosen)) {
@@ -220,5 +249,5 @@ function adopt(next: State): void {
 /** The grid under the asset and the eye before it, with its up direction up. */
 function resetView(asset: AssetInfo): void {
   viewer.grid.setGround(asset.center as Vec3, asset.radius, asset.up as Vec3);
-  go(fromCamera(asset.home, asset.center as Vec3));
+  go(homePose(asset));
 }

@@ -5,14 +5,14 @@ import { useEffect } from "preact/hooks";
 
 import { startStamp } from "../paint/placement";
 import { addPicture } from "../state/dropped-images";
-import { camera, state, tab, tool, type Tab } from "../state/store";
+import { camera, panelsFolded, state, tab, tool, type Tab } from "../state/store";
 import { report } from "../state/studio";
 import { BatchDialog } from "./batch";
 import { AssetHandles } from "./asset-handles";
 import { Assets } from "./assets";
 import { BrushPanel } from "./brush-panel";
 import { ColorsPanel } from "./colors-panel";
-import { Away, Jobs, StatusLine, Toasts } from "./feedback";
+import { Away, Jobs, Loading, StatusLine, Toasts } from "./feedback";
 import { listenToDrops } from "./drops";
 import { Continue, Files, openFile, Swapped } from "./files";
 import { Gizmo } from "./gizmo";
@@ -26,6 +26,7 @@ import { Pictures } from "./pictures";
 import { ReceiptPanel } from "./receipt";
 import { SelectionChip, SelectionPanel } from "./selection";
 import { Stage } from "./stage";
+import { StorageProblem } from "./storage";
 import { Toolbar } from "./toolbar";
 import { Tour } from "./tour";
 import { Views } from "./views";
@@ -60,7 +61,7 @@ export function App({ canvas }: { canvas: HTMLCanvasElement }) {
   }, []);
   useEffect(() => listenToDrops((over) => (dropping.value = over), take), []);
   return (
-    <div class="app">
+    <div class={`app${panelsFolded.value ? " folded" : ""}`}>
       <Header />
       <Options />
       <Toolbar />
@@ -69,13 +70,10 @@ export function App({ canvas }: { canvas: HTMLCanvasElement }) {
         <Stage canvas={canvas} />
         {state.value && <AssetHandles />}
         {state.value && <Gizmo />}
-        {!state.value && (
-          <p class="loading" role="status">
-            Opening
-          </p>
-        )}
+        <Loading />
         <SelectionChip />
         <Swapped />
+        <StorageProblem />
         <Jobs />
         <Toasts />
         <Away />

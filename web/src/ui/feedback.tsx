@@ -1,7 +1,21 @@
 /** Messages of the studio: toasts, progress, the status line, the sheet of shortcuts. */
 
-import { dismiss, jobs, pythonLog, refusal, state, status, stopped, toast, toasts } from "../state/store";
+import {
+  dismiss,
+  drawn,
+  graphicsLost,
+  jobs,
+  pythonLog,
+  refusal,
+  silent,
+  state,
+  status,
+  stopped,
+  toast,
+  toasts,
+} from "../state/store";
 import { BatchChip } from "./batch";
+import { LOADING_GAUSSIANS } from "../state/activity";
 import { aside } from "../state/side-view";
 import { Button } from "./parts";
 
@@ -37,6 +51,22 @@ export function Jobs() {
           <Button label={`Cancel: ${job.label}`} text="Cancel" onClick={job.cancel} />
         </div>
       ))}
+    </div>
+  );
+}
+
+/** While the asset is on its way to the screen. */
+export function Loading() {
+  const { written, total } = drawn.value;
+  const waits = state.value === null && status.value !== "stopped";
+  if (!waits && total < LOADING_GAUSSIANS) return null;
+  const words = waits ? "Opening" : `Loading ${total.toLocaleString()} Gaussians`;
+  return (
+    <div class="loading" role="status">
+      <span>
+        {words}
+        <progress max={1} value={waits ? undefined : written / total} aria-label={words} />
+      </span>
     </div>
   );
 }
@@ -104,8 +134,21 @@ export function StatusLine() {
   );
 }
 
-/** Over everything while the server is away. */
+/** Over everything while the server or the view is away. */
 export function Away() {
+  if (graphicsLost.value)
+    return (
+      <div class="away" role="alert">
+        <p>
+          The graphics card took the view away. Every stroke that was finished is saved.
+          <br />
+          {graphicsLost.value.again
+            ? "This has happened twice: close what else uses the graphics card, or choose fewer pixels, then reload."
+            : "The page reloads in two seconds."}
+        </p>
+        <Button label="Reload the page" text="Reload" primary onClick={() => location.reload()} />
+      </div>
+    );
   if (status.value === "stopped")
     return (
       <div class="away" role="alert">
@@ -113,10 +156,16 @@ export function Away() {
         <Button label="Reload the page" text="Reload" primary onClick={() => location.reload()} />
       </div>
     );
+  if (status.value === "open" && silent.value)
+    return (
+      <div class="away-note" role="status">
+        No answer for 20 seconds. Still waiting; what you paint stays on the screen.
+      </div>
+    );
   if (status.value === "open" || (status.value === "connecting" && !state.value)) return null;
   return (
     <div class="away-note" role="status">
-      Connection lost. What was saved is safe; trying again.
+      Connection lost. What was saved is safe, what you paint now is kept; trying again.
     </div>
   );
 }

@@ -1,10 +1,11 @@
 /** Open and save: assets, projects, single layers, exports. */
 
-import { useEffect, useState } from "preact/hooks";
+import { useEffect, useRef, useState } from "preact/hooks";
 
 import type { RecentInfo, RecentProjects } from "../messages";
 import { blobUrl, download, sendBlob } from "../net/blobs";
-import { readOnly, selectedLayer, state, swapped } from "../state/store";
+import { stayHere } from "../paint/stroke-queue";
+import { pendingStrokes, readOnly, selectedLayer, state, swapped } from "../state/store";
 import { report, run } from "../state/studio";
 import { ExportAsset } from "./export-asset";
 import { Button, Dialog, FileButton } from "./parts";
@@ -132,9 +133,9 @@ export function Continue() {
   return (
     <Dialog title={`${now.asset.name} was painted before`} onClose={stay}>
       <ul class="list">
-        {now.earlier.map((one) => (
+        {now.earlier.map((one, k) => (
           <li key={one.id}>
-            <button type="button" onClick={() => void openRecent(one)}>
+            <button type="button" autofocus={k === 0} onClick={() => void openRecent(one)}>
               {one.picture && <img class="thumbnail" src={blobUrl(one.picture)} alt="" />}
               <span>
                 Continue ({layersOf(one.layers)}
@@ -152,27 +153,42 @@ export function Continue() {
   );
 }
 
+const strokesOf = (count: number): string => (count === 1 ? "1 stroke" : `${count} strokes`);
+
 /** The studio shows another project than this page was in when it lost it. */
 export function Swapped() {
   const before = swapped.value;
   const now = state.value;
+  const answer = useRef<HTMLDivElement>(null);
+  const asked = before !== null && now !== null;
+  useEffect(() => {
+    if (asked) answer.current?.querySelector<HTMLElement>("button")?.focus();
+  }, [asked, before?.id]);
   if (!before || !now) return null;
   const back = async () => {
     const fields = before.file ? { file: before.file } : { recent: before.id };
     const answer = await run("project.open", fields, `Opening ${before.name}`);
     if (answer) swapped.value = null;
   };
-  const restarted = now.earlier.some((one) => one.id === before.id); // of the same asset
-  const words = restarted ? "Continue" : `Back to ${before.name}`;
+  const earlier = now.earlier.find((one) => one.id === before.id); // of the same asset
+  const changed = earlier?.changed ?? before.changed;
+  const drawn = pendingStrokes.value;
+  const words = earlier ? `Continue (${layersOf(earlier.layers)}${timeOf(changed)})` : `Back to ${before.name}`;
   return (
-    <div class="elsewhere swapped" role="alert">
+    <div class="elsewhere swapped" role="alert" ref={answer}>
       <span>
-        {restarted ? "The studio was started again." : `The studio has another project open now: ${now.project.name}.`}{" "}
+        {earlier ? "The studio was started again." : `The studio has another project open now: ${now.project.name}.`}{" "}
         You were in {before.name} ({layersOf(before.layers)}
+        {changed > 0 && `last change ${timeOf(changed)}, `}
         nothing of it is lost).
+        {drawn > 0 && ` ${strokesOf(drawn)} drawn since ${drawn === 1 ? "waits" : "wait"} to go into it.`}
       </span>
-      {before.id && <Button label={words} text={words} onClick={() => void back()} />}
-      <Button label="Stay here" text="Stay here" onClick={() => (swapped.value = null)} />
+      {before.id && <Button label={words} text={words} primary onClick={() => void back()} />}
+      <Button
+        label="Stay here"
+        text={drawn > 0 ? `Stay here without the ${strokesOf(drawn)}` : "Stay here"}
+        onClick={stayHere}
+      />
     </div>
   );
 }

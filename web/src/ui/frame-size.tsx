@@ -1,4 +1,4 @@
-/** Which pixels and which background a picture or a film gets: the same choices for both. */
+/** Which pixels and which background a picture or a turntable gets: the same choices for both. */
 
 import { signal, type Signal } from "@preact/signals";
 

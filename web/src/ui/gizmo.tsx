@@ -13,8 +13,10 @@ const onButton = (event: PointerEvent) => (event.target as HTMLElement).closest(
 const confirmFront = (answer: unknown) =>
   answer && toast("info", "This side is the front.", `${labelOf("view.home")}: ${spoken(keyOf("view.home"))}.`);
 
-const SIZE = 84;
-const REACH = 30;
+/** Larger where fingers are to hit its axes. Pixels. */
+const TOUCHED = matchMedia("(pointer: coarse)").matches;
+const SIZE = TOUCHED ? 156 : 84;
+const REACH = TOUCHED ? 54 : 30;
 const RADIANS_PER_PIXEL = Math.PI / 200;
 const AXES: readonly (readonly [string, Vec3])[] = [
   ["+X", [1, 0, 0]],
@@ -43,6 +45,7 @@ export function Gizmo() {
   return (
     <div
       class="gizmo"
+      style={{ width: `${SIZE}px`, height: `${SIZE}px` }}
       role="group"
       aria-label="Axes"
       onPointerDown={(event) => onButton(event) || event.currentTarget.setPointerCapture(event.pointerId)}

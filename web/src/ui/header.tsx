@@ -2,13 +2,27 @@
 
 import { signal } from "@preact/signals";
 
-import { pendingStrokes } from "../paint/stroke-queue";
+import { strokesCommitted, takeBackPending } from "../paint/stroke-queue";
 import { batchOpen } from "../state/batch";
-import { canRedo, canUndo, help, pose, readOnly, state, status, view, working } from "../state/store";
+import { activity } from "../state/activity";
+import {
+  canRedo,
+  canUndo,
+  help,
+  panelsFolded,
+  pendingStrokes,
+  pose,
+  readOnly,
+  state,
+  status,
+  view,
+} from "../state/store";
 import { go, run } from "../state/studio";
 import { axisName, OPPOSITE } from "../state/up-axis";
 import { frame, zoomLens, type Vec3 } from "../view/camera";
+import { OverflowBar } from "./overflow-bar";
 import { Button, Choice, Slider } from "./parts";
+import { takeBackDrawing } from "./stage";
 
 export const filesOpen = signal<"open" | "save" | null>(null);
 
@@ -31,7 +45,12 @@ const PROFILES: readonly (readonly [string, string])[] = [
 ];
 
 const stepAt = (at: number): string => state.value?.history[state.value.cursor + at]?.label ?? "";
-export const undo = () => void run("undo", {}, `Undo: ${state.value?.selection.undo ? "selection" : stepAt(0)}`);
+/** The stroke under the pen first, then one that is not being saved yet, then the newest step. */
+export async function undo(): Promise<void> {
+  if (takeBackDrawing() || takeBackPending()) return;
+  await strokesCommitted(); // one that is being saved is the newest step then
+  await run("undo", {}, `Undo: ${state.value?.selection.undo ? "selection" : stepAt(0)}`);
+}
 export const redo = () => void run("redo", {}, `Redo: ${state.value?.selection.redo ? "selection" : stepAt(1)}`);
 
 /** The whole asset in the window, seen from the same side. */
@@ -88,66 +107,78 @@ export function Header() {
           </em>
         )}
       </span>
-      <Button icon="undo" command="edit.undo" disabled={!canUndo.value} onClick={undo} />
+      <Button
+        icon="undo"
+        command="edit.undo"
+        disabled={!canUndo.value && pendingStrokes.value === 0}
+        onClick={() => void undo()}
+      />
       <Button icon="redo" command="edit.redo" disabled={!canRedo.value} onClick={redo} />
-      <span class="gap" />
-      <Slider
-        label="Lens"
-        value={pose.value?.fov ?? 40}
-        min={8}
-        max={100}
-        step={1}
-        unit="°"
-        onInput={(fov) => pose.value && go(zoomLens(pose.value, fov))}
-      />
-      <Choice
-        label="Background"
-        value={options.background}
-        options={BACKGROUNDS}
-        onChange={(background) => set({ background })}
-      />
-      <Choice
-        label="Pixels"
-        value={String(options.resolution)}
-        options={RESOLUTIONS}
-        onChange={(value) => set({ resolution: Number(value) })}
-      />
-      <Button icon="frame" command="view.all" onClick={frameAll} />
-      <Button
-        icon="turn"
-        label="Upside down? Turn the asset over on the screen (saved in the project; the asset does not change)"
-        disabled={!now || readOnly.value}
-        onClick={turnOver}
-      />
-      <Button icon="grid" command="view.grid" pressed={options.grid} onClick={() => set({ grid: !options.grid })} />
-      <Button
-        icon="lens"
-        command="view.truecolor"
-        pressed={options.trueColor}
-        onClick={() => set({ trueColor: !options.trueColor })}
-      />
-      {options.trueColor && (
-        <Choice
-          label="Rendered like"
-          value={options.profile}
-          options={PROFILES}
-          onChange={(profile) => set({ profile: profile as typeof options.profile })}
+      <OverflowBar class="view-settings" label="View settings" more="More settings of the view" of="view">
+        <Slider
+          label="Lens"
+          value={pose.value?.fov ?? 40}
+          min={8}
+          max={100}
+          step={1}
+          unit="°"
+          onInput={(fov) => pose.value && go(zoomLens(pose.value, fov))}
         />
-      )}
-      <Button
-        icon="compare"
-        command="view.compare"
-        pressed={options.compare}
-        onClick={() => set({ compare: !options.compare })}
-      />
-      <Button
-        icon="coverage"
-        command="view.coverage"
-        pressed={options.coverage}
-        onClick={() => set({ coverage: !options.coverage })}
-      />
-      <Button icon="help" command="help" onClick={() => (help.value = true)} />
+        <Choice
+          label="Background"
+          value={options.background}
+          options={BACKGROUNDS}
+          onChange={(background) => set({ background })}
+        />
+        <Choice
+          label="Pixels"
+          value={String(options.resolution)}
+          options={RESOLUTIONS}
+          onChange={(value) => set({ resolution: Number(value) })}
+        />
+        <Button icon="frame" command="view.all" onClick={frameAll} />
+        <Button
+          icon="turn"
+          label="Upside down? Turn the asset over on the screen (saved in the project; the asset does not change)"
+          disabled={!now || readOnly.value}
+          onClick={turnOver}
+        />
+        <Button icon="grid" command="view.grid" pressed={options.grid} onClick={() => set({ grid: !options.grid })} />
+        <Button
+          icon="lens"
+          command="view.truecolor"
+          pressed={options.trueColor}
+          onClick={() => set({ trueColor: !options.trueColor })}
+        />
+        {options.trueColor && (
+          <Choice
+            label="Rendered like"
+            value={options.profile}
+            options={PROFILES}
+            onChange={(profile) => set({ profile: profile as typeof options.profile })}
+          />
+        )}
+        <Button
+          icon="compare"
+          command="view.compare"
+          pressed={options.compare}
+          onClick={() => set({ compare: !options.compare })}
+        />
+        <Button
+          icon="coverage"
+          command="view.coverage"
+          pressed={options.coverage}
+          onClick={() => set({ coverage: !options.coverage })}
+        />
+        <Button icon="help" command="help" onClick={() => (help.value = true)} />
+      </OverflowBar>
       <Connection />
+      <Button
+        icon="panels"
+        label={panelsFolded.value ? "Show the panels" : "Fold the panels away"}
+        pressed={!panelsFolded.value}
+        onClick={() => (panelsFolded.value = !panelsFolded.value)}
+      />
     </header>
   );
 }
@@ -159,16 +190,16 @@ function Connection() {
     lost: "Connection lost, trying again",
     stopped: "Stopped",
   }[status.value];
-  const busy = pendingStrokes.value > 0 || working.value > 0;
+  const now = activity.value;
   const otherWindows = (state.value?.clients ?? 1) - 1;
   return (
     <span
-      class={`connection ${status.value}${busy ? " busy" : ""}`}
+      class={`connection ${status.value}${now === "Saved" ? "" : " busy"}`}
       role="status"
       title={otherWindows > 0 ? `${words}; ${otherWindows} more window${otherWindows > 1 ? "s" : ""}` : words}
     >
       <i aria-hidden="true" />
-      <span class="quiet">{status.value === "open" ? (busy ? "Saving" : "Saved") : words}</span>
+      <span class="quiet">{status.value === "open" ? now : words}</span>
     </span>
   );
 }

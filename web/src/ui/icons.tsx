@@ -41,6 +41,7 @@ const PATHS = {
   lock: "M6 11h12v9H6zM9 11V8a3 3 0 0 1 6 0v3",
   drag: "M9 6h.01M15 6h.01M9 12h.01M15 12h.01M9 18h.01M15 18h.01",
   check: "M5 12.5l4.5 4.5L19 7.5",
+  panels: "M4 5h16v14H4zM14.5 5v14",
   film: "M4 5h16v14H4zM8 5v14M16 5v14M4 12h16",
   batch: "M4 4h7v7H4zM13 4h7v7h-7zM4 13h7v7H4zM16.5 13.5v6M13.5 16.5h6",
   next: "M5 12h13M13 6l6 6-6 6",

@@ -4,7 +4,7 @@ import { chordOf } from "../keys/chord";
 import { commandFor } from "../keys/bindings";
 import type { CommandId } from "../keys/table";
 import { resizeBrush } from "../paint/brush-settings";
-import { commitPlacement, placement } from "../paint/placement";
+import { commitPlacement, laying, placement, words } from "../paint/placement";
 import { setColor } from "../paint/point-tools";
 import { changeSelection, deselect, fillSelected, hideSelected, tinted, withSelection } from "../paint/selection";
 import { transformLayer } from "../paint/transform";
@@ -24,8 +24,8 @@ import {
   type Tool,
 } from "../state/store";
 import { batchOpen } from "../state/batch";
-import { glide, report, run } from "../state/studio";
-import { fromCamera, lookAlong, type Vec3 } from "../view/camera";
+import { glide, homePose, report, run } from "../state/studio";
+import { lookAlong, type Vec3 } from "../view/camera";
 import { FLY_KEYS } from "../view/gestures";
 import { axesOf, type Side } from "../view/sides";
 import { filesOpen, frameAll, redo, undo } from "./header";
@@ -66,7 +66,7 @@ export function viewFrom(side: Side | Vec3): void {
 /** The view with which the asset was opened. */
 export function goHome(): void {
   const asset = state.value?.asset;
-  if (asset && cameraFree()) glide(fromCamera(asset.home, asset.center as Vec3));
+  if (asset && cameraFree()) glide(homePose(asset));
 }
 
 function layerAt(by: number): { index: number; id: string | undefined; count: number } {
@@ -203,9 +203,20 @@ function writing(target: EventTarget | null): boolean {
   );
 }
 
+/**
+ * Whether a key writes although the view has the keys, as after the text was moved: letters are its words then, and no
+ * shortcuts. Digits are its opacity.
+ */
+function writesWords(event: KeyboardEvent): boolean {
+  if (placement.value?.kind !== "text" || laying.value) return false;
+  if (event.ctrlKey || event.metaKey || event.altKey) return false;
+  return /^(\p{L}|Backspace|Delete)$/u.test(event.key);
+}
+
 export function listen(): void {
   window.addEventListener("keydown", (event) => {
     if (writing(event.target) || document.querySelector("dialog[open]")) return;
+    if (writesWords(event)) return words.focus(false); // the key itself goes there then
     const chord = chordOf(event);
     if (!event.ctrlKey && !event.metaKey && (FLY_KEYS.includes(event.code) || event.key === "Shift")) {
       if (gestures.fly(event.code, true)) return event.preventDefault();

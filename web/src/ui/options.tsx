@@ -1,11 +1,20 @@
 /** The bar under the header: settings of the tool in hand. */
 
 import { signal } from "@preact/signals";
+import { useEffect, useRef } from "preact/hooks";
 
 import { shadingApplies } from "../paint/brush";
 import { chosenMask, cloneFrom, SPREADING_TOOLS } from "../paint/stroke-queue";
 import { choosingSource } from "../paint/freehand";
-import { commitPlacement, discardPlacement, editedLayer, placement, startStamp } from "../paint/placement";
+import {
+  caret,
+  commitPlacement,
+  discardPlacement,
+  editedLayer,
+  placement,
+  startStamp,
+  words,
+} from "../paint/placement";
 import { LIMITED_TOOLS, MAX_ANGLE_DEGREES, MAX_DEPTH_EDGE_PX } from "../paint/limits";
 import { setColor } from "../paint/point-tools";
 import { relief } from "../paint/relief";
@@ -59,7 +68,7 @@ export function Options() {
   const round = ["brush", "erase", "line", "clone", "heal"].includes(current);
   const colored = ["brush", "line", "fill", "text", "stamp"].includes(current);
   return (
-    <OverflowBar label="Tool settings" of={current}>
+    <OverflowBar class="options" label="Tool settings" more="More settings of the tool" of={current}>
       {round && <Round />}
       {current === "select" && selecting.value.kind === "brush" && <Tip />}
       {current === "fill" && <Fill />}
@@ -180,12 +189,30 @@ function Fill() {
 function Text() {
   const t = text.value;
   const set = (part: Partial<typeof t>) => (text.value = { ...text.value, ...part });
+  const field = useRef<HTMLInputElement>(null);
+  const follow = () => (caret.value = document.activeElement === field.current ? field.current!.selectionEnd : null);
+  useEffect(() => {
+    words.focus = (select) => {
+      field.current?.focus({ preventScroll: true });
+      const end = field.current?.value.length ?? 0;
+      field.current?.setSelectionRange(select ? 0 : end, end);
+    };
+    document.addEventListener("selectionchange", follow);
+    return () => {
+      words.focus = () => {};
+      caret.value = null;
+      document.removeEventListener("selectionchange", follow);
+    };
+  }, []);
   return (
     <>
       {placement.value && <Place />}
       <input
+        ref={field}
         class="words"
         type="text"
+        onFocus={follow}
+        onBlur={follow}
         aria-label="Text"
         value={t.text}
         onKeyDown={(event) => {
@@ -194,7 +221,10 @@ function Text() {
           if (event.key === "Escape") void discardPlacement();
           if (event.key === "Enter" || event.key === "Escape") toStage(event.currentTarget);
         }}
-        onInput={(event) => set({ text: event.currentTarget.value })}
+        onInput={(event) => {
+          set({ text: event.currentTarget.value });
+          follow();
+        }}
       />
       <Choice
         label="Font"
@@ -222,7 +252,7 @@ function Text() {
       <Check label="Bold" value={t.bold} onChange={(bold) => set({ bold })} />
       <Check label="Italic" value={t.italic} onChange={(italic) => set({ italic })} />
       {!placement.value?.flat && <OnSurface />}
-      {!placement.value && <span class="hint">Click on the asset</span>}
+      {!placement.value && <span class="hint">Click on the asset and write</span>}
     </>
   );
 }

@@ -1,6 +1,7 @@
 /**
  * A bar whose settings go on below it where they do not fit: the first line is always there, "More" (or the keyboard,
- * when it goes there) opens the rest over the view. Nothing is taken out of the page and put back, so nothing loses focus.
+ * when it goes there) opens the rest, and the view gets as much lower: it is never covered. Nothing is taken out of the page
+ * and put back, so nothing loses focus.
  */
 
 import type { ComponentChildren } from "preact";
@@ -14,7 +15,17 @@ const NEXT_LINE_PX = 20;
 const isBelow = (row: HTMLElement, one: Element): boolean =>
   one.getBoundingClientRect().top - row.firstElementChild!.getBoundingClientRect().top > NEXT_LINE_PX;
 
-export function OverflowBar({ label, of, children }: { label: string; of: string; children: ComponentChildren }) {
+interface Props {
+  label: string;
+  /** What "More" brings out. */
+  more: string;
+  /** It is folded where this changes. */
+  of: string;
+  class: string;
+  children: ComponentChildren;
+}
+
+export function OverflowBar({ label, more: moreLabel, of, class: name, children }: Props) {
   const section = useRef<HTMLElement>(null);
   const row = useRef<HTMLDivElement>(null);
   const [more, setMore] = useState(false);
@@ -48,6 +59,8 @@ export function OverflowBar({ label, of, children }: { label: string; of: string
   const pressed = useRef(false);
   /** Whether the pointer was last used in the bar, and no key since: the view has the focus again after a click. */
   const clicked = useRef(false);
+  /** Whether the pointer was last used in the bar, whatever keys came since. */
+  const pointed = useRef(false);
   const waiting = useRef<(() => void) | null>(null);
   const whenReleased = (action: () => void) => {
     if (pressed.current) waiting.current = action;
@@ -55,7 +68,7 @@ export function OverflowBar({ label, of, children }: { label: string; of: string
   };
   useEffect(() => {
     const press = (event: PointerEvent) => {
-      pressed.current = clicked.current = section.current!.contains(event.target as Node);
+      pressed.current = clicked.current = pointed.current = section.current!.contains(event.target as Node);
       waiting.current = null;
     };
     const typed = () => (clicked.current = false);
@@ -77,23 +90,22 @@ export function OverflowBar({ label, of, children }: { label: string; of: string
   // with the settings, not after the browser has drawn them: an Escape right after them was lost
   useLayoutEffect(() => {
     if (!open) return;
-    const outside = (event: PointerEvent) => !section.current!.contains(event.target as Node) && setOpen(false);
     const escape = (event: KeyboardEvent) => {
       if (event.key !== "Escape") return;
+      // it is the view's where that was used last, and a field's that is written in
+      const target = event.target as HTMLElement;
+      const isHere = section.current!.contains(document.activeElement) || pointed.current;
+      if (!isHere || (target instanceof HTMLInputElement && target.type === "text")) return;
       event.stopPropagation();
       setOpen(false);
       const bar = section.current!;
       if (bar.contains(document.activeElement)) bar.querySelector<HTMLElement>(".more button")?.focus();
     };
-    document.addEventListener("pointerdown", outside, true);
     document.addEventListener("keydown", escape, true);
-    return () => {
-      document.removeEventListener("pointerdown", outside, true);
-      document.removeEventListener("keydown", escape, true);
-    };
+    return () => document.removeEventListener("keydown", escape, true);
   }, [open]);
   return (
-    <section ref={section} class="options" aria-label={label}>
+    <section ref={section} class={`settings-bar ${name}`} aria-label={label}>
       <div
         ref={row}
         class={`options-row${open ? " open" : ""}`}
@@ -111,7 +123,7 @@ export function OverflowBar({ label, of, children }: { label: string; of: string
       {more && (
         <span class="more">
           <Button
-            label={open ? "Fewer settings" : "More settings of the tool"}
+            label={open ? "Fewer settings" : moreLabel}
             text="More"
             pressed={open}
             onClick={() => setOpen(!open)}

@@ -10,7 +10,7 @@ import { mirroredPixel, mirrorPlane } from "../paint/symmetry";
 import { pulled } from "../paint/freehand";
 import { cloneFrom } from "../paint/stroke-queue";
 import { boxHandles, handleAt } from "../paint/crop-box";
-import { drawPlacement, handles, laying, placement } from "../paint/placement";
+import { caretLine, drawPlacement, handles, laying, placement } from "../paint/placement";
 import { draft } from "../paint/point-tools";
 import { outline } from "../paint/selection-masks";
 import type { Mask } from "../paint/raster";
@@ -36,6 +36,7 @@ export function drawOverlay(canvas: HTMLCanvasElement, ratio: () => number): () 
   let lines: { mask: unknown; path: Path2D } | null = null;
   return effect(() => {
     const k = ratio();
+    const px = viewScale.value; // of the view, in a pixel of the screen
     context.setTransform(1, 0, 0, 1, 0, 0);
     context.clearRect(0, 0, canvas.width, canvas.height);
     let empty = true;
@@ -44,11 +45,11 @@ export function drawOverlay(canvas: HTMLCanvasElement, ratio: () => number): () 
       // dark under light: visible on everything
       empty = false;
       context.setLineDash([]);
-      context.lineWidth = 3 / k;
+      context.lineWidth = 3 * px;
       context.strokeStyle = "rgba(0,0,0,.55)";
       context.stroke(path);
-      context.setLineDash(dash.map((d) => d / k));
-      context.lineWidth = 1.25 / k;
+      context.setLineDash(dash.map((d) => d * px));
+      context.lineWidth = 1.25 * px;
       context.strokeStyle = "#fff";
       context.stroke(path);
     };
@@ -63,7 +64,7 @@ export function drawOverlay(canvas: HTMLCanvasElement, ratio: () => number): () 
       two(lines.path, [4, 4]);
     }
     if (mask && tinted.value && faintPoints.value.length) {
-      const rings = dots(faintPoints.value, MARK_RADIUS / k);
+      const rings = dots(faintPoints.value, MARK_RADIUS * px);
       context.fillStyle = MARK_COLOR;
       context.fill(rings);
       two(rings);
@@ -77,7 +78,7 @@ export function drawOverlay(canvas: HTMLCanvasElement, ratio: () => number): () 
       for (const handle of boxHandles(box, now)) {
         const dot = new Path2D();
         const over = near?.axis === handle.axis && near.side === handle.side;
-        dot.arc(handle.x, handle.y, (over ? 8 : 6) / k, 0, 7);
+        dot.arc(handle.x, handle.y, (over ? 8 : 6) * px, 0, 7);
         context.fillStyle = AXIS_COLORS[handle.axis];
         context.fill(dot);
         two(dot);
@@ -93,9 +94,11 @@ export function drawOverlay(canvas: HTMLCanvasElement, ratio: () => number): () 
       const { corners, knob } = laying.value ? { corners: [], knob: [0, 0] as [number, number] } : handles(placed);
       empty = false;
       if (corners.length) two(polyline(corners.flat()));
+      const line = caretLine(placed);
+      if (line) two(segments(line));
       for (const [x, y] of corners.length ? [...corners, knob] : []) {
         const dot = new Path2D();
-        dot.arc(x, y, 5 / k, 0, 7);
+        dot.arc(x, y, 5 * px, 0, 7);
         context.fillStyle = "#fff";
         context.fill(dot);
         two(dot);
@@ -106,7 +109,7 @@ export function drawOverlay(canvas: HTMLCanvasElement, ratio: () => number): () 
     const current = tool.value;
     if (from && (current === "clone" || current === "heal")) {
       const [x, y] = from.offset && at ? [at.x - from.offset[0], at.y - from.offset[1]] : [from.x, from.y];
-      two(cross(x, y, 7 / k));
+      two(cross(x, y, 7 * px));
     }
     const plane = mirrorPlane.value;
     if (plane && now && BRUSH_TOOLS.includes(current) && !placed) {
@@ -129,7 +132,7 @@ export function drawOverlay(canvas: HTMLCanvasElement, ratio: () => number): () 
       const ring = new Path2D();
       ring.arc(at.x, at.y, Math.max((brush.value.size / 2) * viewScale.value, 1), 0, 7);
       two(ring);
-    } else if (at && (current === "pick" || current === "fill" || current === "select")) two(cross(at.x, at.y, 7 / k));
+    } else if (at && (current === "pick" || current === "fill" || current === "select")) two(cross(at.x, at.y, 7 * px));
     canvas.style.visibility = empty ? "hidden" : "visible"; // Chromium goes on showing what was on a canvas that is only cleared
   });
 }

@@ -3,7 +3,7 @@
 import { signal } from "@preact/signals";
 
 import type { SelectByAttribute } from "../messages";
-import { fillFromAround } from "../paint/freehand";
+import { healFromAround } from "../paint/freehand";
 import {
   changeSelection,
   cropBox,
@@ -94,10 +94,10 @@ export function SelectionPanel() {
           onClick={() => void fillSelected(false)}
         />
         <Button
-          label="Fill the selected part of this view from its surroundings"
+          label="Heal the selected part of this view from its surroundings"
           text="Heal"
           disabled={off || !selection.value}
-          onClick={() => void fillFromAround().catch(report)}
+          onClick={() => void healFromAround().catch(report)}
         />
       </p>
       <details open>

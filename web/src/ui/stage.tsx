@@ -6,6 +6,7 @@ import { useEffect, useRef } from "preact/hooks";
 import { frozen, overlayCanvas, viewMoved, warmUp } from "../paint/stroke-queue";
 import { clone, eraser, healer, line, paintBrush } from "../paint/freehand";
 import { boxTool } from "../paint/crop-box";
+import { Drawing, NO_PRESSURE, type PenKnowledge } from "../paint/drawing";
 import { placement, placer } from "../paint/placement";
 import { eyedropper, filler, pickColor, selector } from "../paint/point-tools";
 import type { Pen, ToolHandler } from "../paint/tool";
@@ -44,7 +45,8 @@ export const gestures = new Gestures({
   frame: () => viewer.renderer.domElement.getBoundingClientRect(),
   hit: (eye, direction) => viewer.hit(eye, direction),
 });
-let drawing: { handler: ToolHandler; pointer: number; last: PointerEvent } | null = null;
+let drawing: { drag: Drawing; pointer: number; last: PointerEvent } | null = null;
+const pens: PenKnowledge = { pressed: null };
 /** Alt is held and the pointer down: a click takes a colour, a drag turns the view. */
 let choosing: { pen: Pen; event: PointerEvent; dragged: boolean } | null = null;
 let penSeen = false;
@@ -56,9 +58,15 @@ const ERASER_BUTTON = 5;
 
 /** Take back what the pen has begun (Escape). */
 export function cancelDrawing(): void {
-  if (drawing) drawing.handler.cancel();
-  else HANDLERS[tool.value]?.cancel();
+  if (!takeBackDrawing()) HANDLERS[tool.value]?.cancel();
+}
+
+/** Take back the stroke (or drag) that the pen is at; false: it is at none. */
+export function takeBackDrawing(): boolean {
+  const begun = drawing;
   drawing = null;
+  begun?.drag.cancel();
+  return begun !== null;
 }
 
 /** Whether the camera may move now: no stroke reads the view. */
@@ -97,6 +105,15 @@ export function Stage({ canvas }: { canvas: HTMLCanvasElement }) {
       refresh();
     });
     size.observe(element);
+    // another screen, or the browser's zoom: other pixels in the same place
+    let screen: MediaQueryList | null = null;
+    const otherScreen = () => {
+      screen?.removeEventListener("change", otherScreen);
+      screen = matchMedia(`(resolution: ${window.devicePixelRatio}dppx)`);
+      screen.addEventListener("change", otherScreen);
+      if (pose.value) refresh();
+    };
+    otherScreen();
     const stopOverlay = drawOverlay(overlay.current!, ratio);
     const stopView = view.subscribe(() => refresh());
     let timer: ReturnType<typeof setTimeout>;
@@ -111,6 +128,7 @@ export function Stage({ canvas }: { canvas: HTMLCanvasElement }) {
     });
     return () => {
       size.disconnect();
+      screen?.removeEventListener("change", otherScreen);
       stopOverlay();
       stopView();
       stopCamera();
@@ -120,7 +138,9 @@ export function Stage({ canvas }: { canvas: HTMLCanvasElement }) {
   const penOf = (event: PointerEvent): Pen => {
     const frame = box.current!.getBoundingClientRect();
     const scale = (camera.value?.width ?? frame.width) / frame.width;
-    const pressure = event.pointerType === "mouse" ? 1 : event.pressure || 0.5;
+    // what a pen's 0 means is found out by Drawing; fingers without pressure may say 0 as well
+    const pressure =
+      event.pointerType === "mouse" ? 1 : event.pointerType === "pen" ? event.pressure : event.pressure || NO_PRESSURE;
     return {
       x: (event.clientX - frame.left) * scale,
       y: (event.clientY - frame.top) * scale,
@@ -132,8 +152,11 @@ export function Stage({ canvas }: { canvas: HTMLCanvasElement }) {
 
   const draw = (event: PointerEvent, handler: ToolHandler | undefined, pen: Pen) => {
     if (!handler || drawing) return;
-    drawing = { handler, pointer: event.pointerId, last: event };
-    handler.down(pen);
+    drawing = {
+      drag: new Drawing(handler, pen, event.pointerType === "pen", pens),
+      pointer: event.pointerId,
+      last: event,
+    };
   };
 
   const down = (event: PointerEvent) => {
@@ -166,10 +189,11 @@ export function Stage({ canvas }: { canvas: HTMLCanvasElement }) {
   const move = (event: PointerEvent) => {
     const pen = penOf(event);
     hover.value = event.pointerType === "touch" ? null : { x: pen.x, y: pen.y };
+    if (event.buttons === 0) return released(event);
     if (drawing?.pointer === event.pointerId) {
       drawing.last = event;
       const between = event.getCoalescedEvents?.() ?? [];
-      for (const one of between.length ? between : [event]) drawing.handler.move(penOf(one));
+      for (const one of between.length ? between : [event]) drawing.drag.move(penOf(one));
       return;
     }
     if (choosing && !choosing.dragged) {
@@ -179,6 +203,16 @@ export function Stage({ canvas }: { canvas: HTMLCanvasElement }) {
     }
     if (frozen.value === 0) gestures.move(event);
     else gestures.rest(event);
+  };
+
+  /** Nothing is pressed: where something still goes on, its end was not seen (outside of the window, or lost). */
+  const released = (event: PointerEvent) => {
+    gestures.up(event);
+    choosing = null;
+    if (drawing?.pointer !== event.pointerId) return;
+    const { drag } = drawing;
+    drawing = null;
+    drag.up();
   };
 
   const up = (event: PointerEvent) => {
@@ -191,10 +225,12 @@ export function Stage({ canvas }: { canvas: HTMLCanvasElement }) {
       return void pickColor(pen).catch(report);
     }
     if (drawing?.pointer !== event.pointerId) return;
-    const { handler } = drawing;
+    const { drag } = drawing;
     drawing = null;
-    if (event.type === "pointercancel") handler.cancel();
-    else handler.up(penOf(event));
+    if (event.type !== "pointercancel") drag.up(penOf(event));
+    else if (event.pointerType === "touch")
+      drag.cancel(); // the system made another gesture of it
+    else drag.up(); // a pen that is taken away keeps what it drew
   };
 
   const grabbing = spaceHeld.value || tool.value === "orbit";

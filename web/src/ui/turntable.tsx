@@ -1,4 +1,4 @@
-/** A turn around the asset as a film: how large, how long, on what. */
+/** A turn around the asset, moving: how large, how long, on what. */
 
 import { signal } from "@preact/signals";
 

@@ -123,9 +123,9 @@ export function Views() {
       <h3>Turntable</h3>
       <p class="row">
         <Button
-          label="One turn as an MP4 or an animated WebP"
+          label="One turn around the asset as an MP4 or an animated WebP"
           icon="film"
-          text="Film ..."
+          text="Turntable..."
           onClick={() => (filming.value = true)}
         />
       </p>

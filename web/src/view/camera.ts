@@ -120,6 +120,27 @@ export function frame(pose: Pose, center: Vec3, radius: number, aspect: number):
   return { ...pose, eye: sub(center, scale(pose.forward, distance)), distance };
 }
 
+/**
+ * Pixels of a view that fills width x height pixels of the page (CSS) with `factor` of its own in each direction, or
+ * fewer where that would be more than `most`; density: how many there are then.
+ */
+export function viewSize(
+  width: number,
+  height: number,
+  factor: number,
+  most: number,
+): { width: number; height: number; density: number } {
+  const density = Math.min(factor, Math.sqrt(most / Math.max(1, width * height)));
+  const side = density < factor ? Math.floor : Math.round;
+  return { width: Math.max(16, side(width * density)), height: Math.max(16, side(height * density)), density };
+}
+
+/** The pose for a window of another shape (width / height): what fitted into the old one fits into the new one. */
+export function reshaped(pose: Pose, before: number, after: number): Pose {
+  const factor = Math.min(1, before) / Math.min(1, after);
+  return factor === 1 ? pose : dolly(pose, factor, 0);
+}
+
 /** Another field of view with the target as large as before. */
 export function zoomLens(pose: Pose, fov: number): Pose {
   const factor = Math.tan((pose.fov * Math.PI) / 360) / Math.tan((fov * Math.PI) / 360);
@@ -157,6 +178,16 @@ export function sameViewpoint(a: CameraJson, b: CameraJson): boolean {
     one.every((v, k) => Math.abs(v - two[k]) <= tolerance);
   const scale = Math.max(1, ...extrinsics(a).map(Math.abs));
   return close(intrinsics(a), intrinsics(b), 2e-3) && close(extrinsics(a), extrinsics(b), 1e-5 * scale);
+}
+
+/** Where pixels of one picture lie in another one from the same eye, of another window; null: the eye is elsewhere. */
+export function rewindowed(
+  from: CameraJson,
+  to: CameraJson,
+): { scale: number; at: (x: number, y: number) => [number, number] } | null {
+  if (!from.world_to_camera.flat().every((v, k) => v === to.world_to_camera.flat()[k])) return null;
+  const scale = to.fx / from.fx;
+  return { scale, at: (x, y) => [to.cx + (x - from.cx) * scale, to.cy + (y - from.cy) * scale] };
 }
 
 /** Turn around any point, so that it stays where it is in the picture's axes: orbit about what was clicked. */

@@ -11,6 +11,18 @@ import { Grid } from "./grid";
 import { setThreeCamera } from "./three-camera";
 import { makeSpark } from "./spark";
 
+/** How far the picture is behind the Gaussians that have come. */
+export interface Progress {
+  /** Whether it does not show the newest ones. */
+  behind: boolean;
+  /** Gaussians on their way to the graphics card: those written, and all; 0 where none are. */
+  written: number;
+  total: number;
+}
+
+/** A picture that is not the final one is drawn again after so long, whether the screen asks for it or not. */
+const CATCH_UP_MS = 300;
+
 const sleep = (ms: number) => new Promise((resolve) => setTimeout(resolve, ms));
 
 export class Viewer {
@@ -25,7 +37,12 @@ export class Viewer {
   private table: SplatTable | null = null;
   /** Where the next Gaussians go: `table`, or the one that replaces it once it is written. */
   private newest: SplatTable | null = null;
-  private readonly uploads = new UploadQueue<SplatTable>((table) => this.written(table));
+  private readonly uploads = new UploadQueue<SplatTable>(
+    (table) => this.written(table),
+    undefined,
+    undefined,
+    () => this.report(),
+  );
   private view: CameraJson | null = null;
   /** The animation frame that will draw; 0: none was asked for since the last picture. */
   private requested = 0;
@@ -35,6 +52,11 @@ export class Viewer {
   revision = 0;
   /** What the picture in the target shows, once it was drawn in its final order. */
   private still: { view: CameraJson; revision: number } | null = null;
+  /** The revision that was drawn last in its final order, whatever the camera. */
+  private shown = 0;
+  private catchingUp: ReturnType<typeof setTimeout> | undefined;
+  /** Told when the picture falls behind the newest Gaussians, or has caught up: see `Progress`. */
+  onProgress: (progress: Progress) => void = () => {};
 
   constructor(canvas: HTMLCanvasElement, antialiased = false) {
     this.renderer = new THREE.WebGLRenderer({
@@ -87,7 +109,13 @@ export class Viewer {
       this.newest = new SplatTable(this.renderer, frame);
     } else if (!this.newest?.fits(frame)) return false;
     this.uploads.add(this.newest, frame);
+    this.report();
     return true;
+  }
+
+  private report(): void {
+    const { written, total } = this.uploads.load;
+    this.onProgress({ behind: total > 0 || this.shown !== this.revision, written, total });
   }
 
   private written(table: SplatTable): void {
@@ -185,5 +213,12 @@ export class Viewer {
     if (this.grid.draw(renderer, this.threeCamera)) this.blit.show(renderer, view.background, true); // behind the asset
     const final = !this.outdated && !this.sorting && this.table?.mesh.isInitialized;
     this.still = final ? { view, revision } : null;
+    if (final) this.shown = revision;
+    else
+      this.catchingUp ??= setTimeout(() => {
+        this.catchingUp = undefined;
+        if (this.shown !== this.revision) void this.settle();
+      }, CATCH_UP_MS);
+    this.report();
   }
 }

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import shutil
+import tempfile
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,6 +20,7 @@ from splatpainter.server.protocol import (
     Command,
     Exported,
     FileName,
+    Message,
     Name,
     RecentInfo,
 )
@@ -25,6 +28,13 @@ from splatpainter.server.storage import PROJECT, StoredBlob, demo
 from splatpainter.server.studio import Studio
 from splatpainter.session import Session
 from splatpainter.session.scratch import scratch_folder
+
+MIN_FREE_BYTES = 64 << 20
+"""That a disk has to have beside the project's own size: room for some hours of strokes."""
+
+
+FolderKey = Literal["studio", "projects", "home", "temporary"]
+"""Folders that a project can go on in: the watched one, that of unnamed projects, the user's, the system's."""
 
 
 class BookmarkMade(Answer):
@@ -185,6 +195,86 @@ def save_as(context: CommandContext, request: ProjectSaveAs) -> Answer:
         files.remove(before)  # it moved
     studio.name = path.stem
     return Answer(python=python_line("session.save_as", name))
+
+
+class ProjectMoved(Answer):
+    folder: str
+    """For people."""
+    file: str
+
+
+class FolderInfo(Message):
+    """A folder of this machine that has room for the project."""
+
+    key: FolderKey
+    name: str
+    """For people."""
+    free: int
+    """Bytes free on its disk."""
+
+
+class RoomyFolders(Answer):
+    folders: list[FolderInfo]
+    """The most durable first; that in which the project is, and those that are full, are left out."""
+
+
+class ProjectFolders(Command):
+    """Where the project could go on if its disk is full."""
+
+    NAME = "project.folders"
+    ANSWER = RoomyFolders
+
+
+@command(ProjectFolders)
+def list_folders(context: CommandContext, request: ProjectFolders) -> RoomyFolders:
+    roomy = _roomy_folders(context.studio)
+    return RoomyFolders(folders=[FolderInfo(key=key, name=name, free=free) for key, (name, _, free) in roomy.items()])
+
+
+class ProjectMove(Command):
+    """Go on in another folder, under the same name. A project of the studio's own folder moves; others stay as they
+    are."""
+
+    NAME = "project.move"
+    ANSWER = ProjectMoved
+    folder: FolderKey
+
+
+@command(ProjectMove, writes=True)
+def move_project(context: CommandContext, request: ProjectMove) -> ProjectMoved:
+    studio = context.studio
+    roomy = _roomy_folders(studio)
+    if request.folder not in roomy:
+        raise ValueError("project: that folder has no room for it any more; choose another one")
+    name, folder, _ = roomy[request.folder]
+    before = studio.session.path
+    file = before.name if before is not None else studio.projects.fresh(studio.name).name
+    studio.session.save_as(folder / file)
+    if before is not None and before.parent == studio.projects.root:
+        with contextlib.suppress(OSError):  # the disk that refuses to be written
+            files.remove(before)
+    return ProjectMoved(folder=name, file=file, python=python_line("session.save_as", file))
+
+
+def _roomy_folders(studio: Studio) -> dict[FolderKey, tuple[str, Path, int]]:
+    """Key -> (name for people, folder, free bytes) of where the project would fit, the most durable first."""
+    path = studio.session.path
+    size = 0 if path is None else path.stat().st_size
+    named: dict[FolderKey, tuple[str, Path]] = {
+        "projects": ("the studio's own folder", studio.projects.root),
+        "home": ("the home folder", Path.home()),
+        "temporary": ("the temporary folder, which the system empties", Path(tempfile.gettempdir())),
+    }
+    if studio.folder is not None:
+        named = {"studio": (f"the folder {studio.folder.root.name}", studio.folder.root), **named}
+    out: dict[FolderKey, tuple[str, Path, int]] = {}
+    for key, (name, folder) in named.items():
+        with contextlib.suppress(OSError):
+            free = shutil.disk_usage(folder).free
+            is_here = path is not None and folder.resolve() == path.parent.resolve()
+            if not is_here and free > size + MIN_FREE_BYTES and os.access(folder, os.W_OK):
+                out[key] = (name, folder, free)
+    return out
 
 
 class ProjectDownload(Command):

@@ -1,4 +1,4 @@
-"""Turntables: a turn around the asset as it is, as a film."""
+"""Turntables: a turn around the asset as it is, moving."""
 
 from __future__ import annotations
 

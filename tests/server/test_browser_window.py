@@ -1,0 +1,204 @@
+"""The window as users have it: dense screens, tablets held upright, a lost graphics card, words that are written."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from splatpainter.io import write
+from tests.support import studio_scenes
+from tests.support.studio_pages import Page, opened_page
+
+TOO_SMALL = """() => {
+  const controls = document.querySelectorAll("button, select, input:not([hidden]), summary, [role=tab]");
+  const shown = [...controls].filter((one) => one.checkVisibility() && one.getBoundingClientRect().width > 0);
+  const nameOf = (one) => one.getAttribute("aria-label") || one.innerText || one.type;
+  return shown
+    .map((one) => [nameOf(one), (one.closest("label") ?? one).getBoundingClientRect()])
+    .filter(([, { width, height }]) => width < 43.9 || height < 43.9)
+    .map(([name, { width, height }]) => `${name}: ${Math.round(width)} x ${Math.round(height)}`);
+}"""
+"""Controls that a finger would miss: less than 44 pixels wide or high."""
+BOX = "(name) => { const { x, y, width, height } = document.querySelector(name).getBoundingClientRect(); " + (
+    "return [x, y, width, height]; }"
+)
+
+
+@pytest.fixture
+def opened(browser: Any, tmp_path: Path) -> Iterator[tuple[studio_scenes.Live, Page]]:
+    with opened_page(browser, tmp_path, still=True) as (live, page):
+        yield live, page
+
+
+@contextlib.contextmanager
+def screen(browser: Any, folder: Path, width: int, height: int, resolution: str, **how: Any) -> Iterator[Page]:
+    """A page on a screen of its own kind."""
+    with studio_scenes.live(studio_scenes.make_studio(folder)) as live:
+        context = browser.new_context(**how)
+        try:
+            page = Page(browser, live.url, width, height, tab=context.new_page(), resolution=resolution)
+            page.tab.emulate_media(reduced_motion="reduce")
+            yield page
+            assert page.problems == []
+        finally:
+            context.close()
+
+
+@pytest.mark.slow
+def test_a_tablet_held_upright(browser: Any, tmp_path: Path) -> None:
+    with screen(browser, tmp_path, 768, 1024, "0.25", has_touch=True, is_mobile=True) as page:
+        tab = page.tab
+        page.settled()
+        x, y, width, height = page.ask(BOX, ".connection")
+        assert width > 0 and x + width <= 768 and y + height < 60, "the state is in sight"
+        assert page.ask(TOO_SMALL) == []
+        for name in ("Brush", "Colours", "History", "Adjust", "Select", "Pictures", "Views", "Receipt"):
+            tab.get_by_role("tab", name=name).click()
+            assert page.ask(TOO_SMALL) == [], name
+        for key in ("Control+s", "Control+o", "?"):
+            tab.keyboard.press(key)
+            tab.get_by_role("dialog").wait_for()
+            assert page.ask(TOO_SMALL) == [], key
+            tab.keyboard.press("Escape")
+            page.wait("no dialogue", lambda: tab.get_by_role("dialog").count() == 0)
+        before, camera = page.ask(BOX, "#stage"), page.camera()
+        tab.get_by_role("button", name="Fold the panels away").click()
+        page.wait("more room", lambda: page.ask(BOX, "#stage")[3] > before[3] + 200)
+        page.wait("the view to fill it", lambda: page.camera()["height"] > camera["height"] + 40)
+        now = page.camera()
+        shorter = [min(one["width"], one["height"]) for one in (camera, now)]
+        sizes = [one["fy"] / eye(one) / short for one, short in zip((camera, now), shorter, strict=True)]
+        assert abs(sizes[0] / sizes[1] - 1) < 0.02, "the asset is as large in what is seen"
+        tab.get_by_role("button", name="Show the panels").click()
+        page.wait("the panels", lambda: page.ask(BOX, "#stage")[3] == before[3])
+        page.wait("the view as it was", lambda: page.camera()["height"] == camera["height"])
+        assert eye(page.camera()) == pytest.approx(eye(camera), rel=1e-9)
+
+
+def eye(camera: dict[str, Any]) -> float:
+    """Distance of the camera from the ball's middle."""
+    matrix = camera["world_to_camera"]
+    return sum(matrix[k][3] ** 2 for k in range(3)) ** 0.5
+
+
+@pytest.mark.slow
+def test_the_view_has_the_pixels_of_a_dense_screen(browser: Any, tmp_path: Path) -> None:
+    with screen(browser, tmp_path, 700, 420, "1", device_scale_factor=2) as page:
+        _, _, width, height = page.ask(BOX, "#stage")
+        camera = page.camera()
+        assert (camera["width"], camera["height"]) == (round(2 * width), round(2 * height))
+        radius = page.ask("window.studio.brushRadius(0.5, 0.5)")
+        assert radius == pytest.approx(40, rel=1e-6), "a brush of 40 px is as wide on every screen"
+        page.tab.keyboard.press("b")
+        page.drag((0.45, 0.5), (0.55, 0.5))
+        page.wait("a stroke", lambda: page.names() == ["Paint"])
+        page.settled()
+        page.set_resolution("2")
+        camera = page.camera()
+        assert 3.9e6 < camera["width"] * camera["height"] <= 4e6 or camera["width"] == round(4 * width)
+
+
+@pytest.mark.slow
+def test_a_lost_view_leaves_a_card_and_comes_back(opened: tuple[studio_scenes.Live, Page]) -> None:
+    _, page = opened
+    page.tab.keyboard.press("b")
+    page.drag((0.45, 0.5), (0.55, 0.5))
+    page.wait("a stroke", lambda: page.names() == ["Paint"])
+    page.settled()
+    page.ask("""() => {
+      window.before = true;
+      window.studio.viewer.renderer.getContext().getExtension("WEBGL_lose_context").loseContext();
+    }""")
+    card = page.tab.get_by_role("alert").filter(has_text="The graphics card took the view away")
+    card.wait_for()
+    assert "reloads in two seconds" in card.inner_text()
+    page.tab.wait_for_timeout(1000)
+    assert card.count() == 1 and page.ask("window.before"), "it stays until then"
+    page.wait("another page", lambda: page.ask("!window.before && (window.studio?.viewer.count ?? 0) > 0"))
+    page.wait("the layer", lambda: page.names() == ["Paint"])
+    page.settled()
+    assert card.count() == 0
+    page.problems = [one for one in page.problems if "Context Lost" not in one and "CONTEXT_LOST" not in one]
+
+
+@pytest.mark.slow
+def test_a_click_with_the_text_tool_is_a_caret(opened: tuple[studio_scenes.Live, Page]) -> None:
+    """Letters are words, not shortcuts: B, E and E chose tools and dropped the text."""
+    _, page = opened
+    tab, keys = page.tab, page.tab.keyboard
+    keys.press("t")
+    tab.get_by_role("checkbox", name="On the surface", exact=True).uncheck()
+    page.drag((0.5, 0.5))
+    keys.type("BEE")
+    field = tab.get_by_role("textbox", name="Text", exact=True)
+    assert field.input_value() == "BEE"
+    pressed = tab.get_by_role("button", name="Text", exact=True).get_attribute("aria-pressed")
+    assert pressed == "true" and page.ask("window.studio.placement.value.kind") == "text"
+    page.drag((0.5, 0.5), (0.52, 0.45))  # moved; the view has the keys
+    assert page.ask("document.activeElement.id") == "stage"
+    keys.type("S")
+    assert field.input_value() == "BEES" and page.ask("window.studio.placement.value?.kind") == "text"
+    keys.press("Backspace")
+    assert field.input_value() == "BEE"
+    keys.press("Enter")
+    page.wait("its layer", lambda: page.names() == ["Text: BEE"])
+    page.settled()
+    keys.press("b")
+    assert tab.get_by_role("button", name="Brush", exact=True).get_attribute("aria-pressed") == "true"
+
+
+@pytest.mark.slow
+def test_a_stroke_for_which_the_disk_has_no_room_is_kept_and_saved_elsewhere(browser: Any, tmp_path: Path) -> None:
+    with opened_page(browser, tmp_path, still=True) as (live, page):
+        tab, project = page.tab, page.state()["project"]["id"]
+        tab.keyboard.press("b")
+        page.drag((0.45, 0.4), (0.55, 0.4))
+        page.wait("a stroke", lambda: page.names() == ["Paint"])
+        page.settled()
+        studio_scenes.fill_disk(live.studio.session)
+        page.drag((0.45, 0.5), (0.55, 0.5))
+        card = tab.get_by_role("alert").filter(has_text="The project cannot be saved where it is")
+        card.wait_for()
+        assert "disk is full" in card.inner_text() and "The stroke is kept" in card.inner_text()
+        page.drag((0.45, 0.6), (0.55, 0.6))
+        page.wait("both of them", lambda: "2 strokes are kept" in card.inner_text())
+        painted = "() => document.querySelector('canvas.overlay').getContext('2d').getImageData(0, 0, 999, 999)"
+        assert page.ask(f"({painted})().data.some((v) => v > 0)")
+        card.get_by_role("button", name="Try again").click()
+        page.wait("it again", lambda: card.count() == 1 and "2 strokes" in card.inner_text())
+        card.get_by_role("button", name="Save it in the studio's own folder").click()
+        page.wait("all strokes", lambda: page.state()["layers"][0]["strokes"] == 3)
+        page.settled()
+        assert card.count() == 0 and page.state()["project"]["id"] == project
+        moved = live.studio.session.path
+        assert moved is not None and moved.parent == live.studio.projects.root
+
+
+@pytest.mark.slow
+def test_a_bar_says_how_far_a_large_asset_is(browser: Any, tmp_path: Path) -> None:
+    (tmp_path / "shared").mkdir()
+    write(tmp_path / "shared" / "large.ply", studio_scenes.ball(60_000, 1))
+    with opened_page(browser, tmp_path, still=True) as (live, page):
+        page.ask("""() => {
+          window.bars = [];
+          window.states = new Set();
+          const look = () => {
+            const bar = document.querySelector(".loading progress");
+            if (bar) window.bars.push([bar.getAttribute("aria-label"), bar.value]);
+            window.states.add(document.querySelector(".connection").innerText.trim());
+          };
+          new MutationObserver(look).observe(document.body, { childList: true, subtree: true, attributes: true });
+        }""")
+        page.tab.keyboard.press("Control+o")
+        page.tab.get_by_role("button", name="large.ply", exact=True).click()
+        page.wait("the asset", lambda: page.ask("window.studio.viewer.count") == 60_000)
+        page.settled()
+        bars = page.ask("window.bars")
+        assert bars and {name for name, _ in bars} == {"Loading 60,000 Gaussians"}
+        shares = [share for _, share in bars]
+        assert shares == sorted(shares) and shares[-1] > shares[0]
+        assert "Loading" in page.ask("[...window.states]") and page.tab.locator(".loading").count() == 0

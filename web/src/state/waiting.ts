@@ -1,0 +1,66 @@
+/**
+ * What was drawn while its project was away: the server ended, or shows another project. It waits until its own project
+ * (by id) is back, or until the user gives it up; it never goes into another one.
+ */
+
+import { computed, effect, signal } from "@preact/signals";
+
+import type { State } from "../messages";
+import { state, status } from "./store";
+
+interface Waiting {
+  project: string;
+  resolve: (back: boolean) => void;
+}
+
+const waiting = signal<readonly Waiting[]>([]);
+
+/** Projects that took the place of others in which nothing had been done. */
+const successors = new Map<string, string>();
+/** Projects whose strokes were given up, until they are shown again. */
+const givenUp = new Set<string>();
+
+/** A project as it was left, and the one that the studio shows instead. */
+export function noteSuccessor(before: State, next: State): void {
+  if (before.history.length < 2 && before.asset.sha256 === next.asset.sha256)
+    successors.set(before.project.id, next.project.id);
+}
+
+/** Whether a project is the one that is open, as far as this page knows. */
+export function isShown(project: string): boolean {
+  const shown = state.value?.project?.id;
+  return status.value === "open" && (shown === project || (shown !== undefined && successors.get(project) === shown));
+}
+
+/** The project for which something waits while another one is shown; null: there is none. */
+export const waitingElsewhere = computed(() =>
+  status.value === "open" ? (waiting.value.find(({ project }) => !isShown(project))?.project ?? null) : null,
+);
+
+/** Resolves when the project is open again: true; or false when what waits for it was given up. */
+export function projectIsBack(project: string): Promise<boolean> {
+  if (isShown(project)) return Promise.resolve(true);
+  if (givenUp.has(project)) return Promise.resolve(false);
+  return new Promise((resolve) => {
+    waiting.value = [...waiting.value, { project, resolve }];
+  });
+}
+
+/** Give up all that waits, and what is still to come of the same projects. */
+export function giveUpWaiting(): void {
+  const all = waiting.value;
+  waiting.value = [];
+  for (const { project, resolve } of all) {
+    givenUp.add(project);
+    resolve(false);
+  }
+}
+
+effect(() => {
+  const shown = state.value?.project?.id;
+  if (shown !== undefined) givenUp.delete(shown);
+  const back = waiting.value.filter(({ project }) => isShown(project));
+  if (back.length === 0) return;
+  waiting.value = waiting.value.filter((one) => !back.includes(one));
+  for (const { resolve } of back) resolve(true);
+});
