@@ -12,7 +12,7 @@ import pytest
 from tests.support.cli_scenes import ball, saved
 
 ROOT = Path(__file__).resolve().parents[1]
-CORE = ("numpy", "pillow", "zstandard", "safetensors", "tyro", "docstring-parser", "tqdm", "platformdirs")
+CORE = ("numpy", "pillow", "backports.zstd", "safetensors", "tyro", "docstring-parser", "tqdm", "platformdirs")
 """What `pip install splatpainter` brings, besides what these bring along."""
 BLOCKED = """
 import sys

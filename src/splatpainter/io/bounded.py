@@ -153,18 +153,18 @@ def zip_directory(file: BinaryIO, where: Path | str) -> list[zipfile.ZipInfo]:
 def unzstd(data: bytes | memoryview, size: int, where: Path | str, what: str) -> bytes:
     """One zstd frame of exactly `size` unpacked bytes, which the caller has judged. Raises ValueError: damaged, other
     size."""
-    import zstandard
+    from splatpainter.io import zstd
 
     try:
-        declared = zstandard.frame_content_size(bytes(data[:18]))
-        if declared not in (-1, size):
+        declared = zstd.declared_size(data)
+        if declared not in (None, size):
             raise ValueError(f"{where}: {what} should unpack to {size} bytes, its zstd frame says {declared}")
         if size == 0:
             return b""
         if size > TWO_PASS_BYTES:
             _prove_zstd(data, size, where, what)
-        out = zstandard.ZstdDecompressor().decompress(bytes(data), max_output_size=size, allow_extra_data=False)
-    except zstandard.ZstdError as error:
+        out = zstd.unpack(data, size)
+    except zstd.ZstdError as error:
         raise ValueError(f"{where}: damaged zstd stream: {what} ({error})") from None
     if len(out) != size:
         raise ValueError(f"{where}: {what} should unpack to {size} bytes, got {len(out)}")
@@ -172,11 +172,12 @@ def unzstd(data: bytes | memoryview, size: int, where: Path | str, what: str) ->
 
 
 def _prove_zstd(data: bytes | memoryview, size: int, where: Path | str, what: str) -> None:
-    import zstandard
+    from splatpainter.io import zstd
 
     available = 0
-    with zstandard.ZstdDecompressor().stream_reader(data) as stream:
-        while available <= size and (piece := stream.read(PIECE_BYTES)):
-            available += len(piece)
+    for piece in zstd.pieces(data, PIECE_BYTES):
+        available += len(piece)
+        if available > size:
+            break
     if available != size:
         raise ValueError(f"{where}: {what} should unpack to {size} bytes, got {available}")

@@ -325,12 +325,12 @@ def _gzip_bytes(file: SpzFile) -> bytes:
 
 
 def _plain_bytes(file: SpzFile) -> bytes:
-    import zstandard
+    from splatpainter.io import zstd
 
     count, reserved = len(file.streams["alphas"]), file.reserved.ljust(12, b"\0")
     pieces = [file.streams[name].tobytes() for name in STREAMS]
     pieces = [piece for piece in pieces if piece]
-    packed = [zstandard.ZstdCompressor(level=12).compress(piece) for piece in pieces]
+    packed = [zstd.pack(piece, level=12) for piece in pieces]
     counts = (file.degree, file.fractional_bits, file.flags, len(pieces), 32 + len(file.extensions))
     header = struct.pack("<4sIIBBBBI", MAGIC, 4, count, *counts)
     table = b"".join(struct.pack("<QQ", len(a), len(b)) for a, b in zip(packed, pieces, strict=True))

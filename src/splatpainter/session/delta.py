@@ -154,9 +154,11 @@ def encode(delta: Delta) -> Iterator[bytes]:
 
     Older versions, which are still read, have floats as they are; version 1 has no base, version 2 has one, version 3
     says whether; the bits of `faded` are in version 3 only."""
-    import zstandard
+    from splatpainter.io import zstd
 
-    pack = zstandard.ZstdCompressor(level=3, write_checksum=True).compress
+    def pack(data: bytes) -> bytes:
+        return zstd.pack(data, level=3, checksum=True)
+
     head = {"count": delta.count, "rows": len(delta.gaussian_ids), "appended": len(delta.appended)}
     head["coefficients"] = int(delta.values.sh.shape[1])
     faded = np.zeros(len(delta.gaussian_ids), bool) if delta.faded is None else delta.faded
@@ -173,22 +175,20 @@ def encode(delta: Delta) -> Iterator[bytes]:
 
 def decode(parts: Iterable[bytes], where: str = "delta") -> Delta:
     """The inverse of `encode`. Raises ValueError naming `where` for anything that `encode` does not write."""
-    import zstandard
+    from splatpainter.io import zstd
 
-    decompress = zstandard.ZstdDecompressor().decompress
     source = iter(parts)
     packed = unpacked = version = 0
 
     def unpack(part: bytes) -> bytes:
         nonlocal packed, unpacked
-        # A frame that says its size is given that much memory, whatever max_output_size is.
-        size = zstandard.frame_content_size(part)
-        if not 0 <= size <= PART_BYTES:
+        size = zstd.declared_size(part)
+        if size is None or size > PART_BYTES:
             raise ValueError("a part is too large")
         packed, unpacked = packed + len(part), unpacked + size
         if unpacked > max(UNPACKED_FREE_BYTES, UNPACKED_RATIO * packed):
             raise ValueError(f"{packed} bytes unpack to more than {unpacked >> 20} MiB")
-        return decompress(part, max_output_size=PART_BYTES)
+        return zstd.unpack(part, PART_BYTES)
 
     def column(count: int, dtype: str) -> np.ndarray:
         size = count * np.dtype(dtype).itemsize
@@ -234,7 +234,7 @@ def decode(parts: Iterable[bytes], where: str = "delta") -> Delta:
         return Delta(n, gaussian_ids, values, appended, parent_ids, base, faded)
     except StopIteration:
         raise ValueError(f"{where}: damaged (parts are missing)") from None
-    except (ValueError, KeyError, TypeError, OverflowError, RecursionError, zstandard.ZstdError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError, zstd.ZstdError) as error:
         raise ValueError(f"{where}: damaged ({printable(str(error), MAX_REASON)})") from None
 
 
