@@ -104,6 +104,12 @@ struct Axis {
     SP_INLINE Lanes cell_at(Lanes time) const {
         return floor_of(higher(all(low), lower(all(high - 1.0), origin + time * direction)));
     }
+    // The same, and never behind a cell where they were: a ray through an edge of cells would go back through the wall
+    // that it just crossed, and cross it again, for ever.
+    SP_INLINE Lanes cell_from(Lanes cell, Lanes time) const {
+        const Lanes there = cell_at(time);
+        return forward > 0.0 ? higher(cell, there) : lower(cell, there);
+    }
     // The wall through which they leave a cell, or the cube of empty bricks of this clearance around it.
     SP_INLINE Lanes wall_of(Lanes cell, Lanes clearance) const {
         const Lanes first = floor_of(cell * (1.0 / BRICK_EDGE)) * (double)BRICK_EDGE;
@@ -154,9 +160,9 @@ SP_INLINE void follow(const Volume& v, const float* rays, int count, Visit visit
         // Through one wall; along the other axes only a cube's cells change.
         const Mask by_x = (tx <= ty) & (tx <= tz), by_y = ~by_x & (ty <= tz), by_z = ~by_x & ~by_y;
         const Mask within = clearance == 0.0;
-        const Lanes x2 = by_x ? wx + ax.forward - 1.0 : (within ? x : ax.cell_at(exit));
-        const Lanes y2 = by_y ? wy + ay.forward - 1.0 : (within ? y : ay.cell_at(exit));
-        const Lanes z2 = by_z ? wz + az.forward - 1.0 : (within ? z : az.cell_at(exit));
+        const Lanes x2 = by_x ? wx + ax.forward - 1.0 : (within ? x : ax.cell_from(x, exit));
+        const Lanes y2 = by_y ? wy + ay.forward - 1.0 : (within ? y : ay.cell_from(y, exit));
+        const Lanes z2 = by_z ? wz + az.forward - 1.0 : (within ? z : az.cell_from(z, exit));
         going &= exit < end;
         x = going ? x2 : x, y = going ? y2 : y, z = going ? z2 : z, time = exit;
     }
