@@ -108,6 +108,7 @@ def test_every_key_of_a_receipt_is_documented() -> None:
         merge={},
         merge_touched=rows,
         options=sp.WriteOptions(sh_degree=1),
+        core="0123456789ab",
     )
     record = json.loads(everything.to_json())
     keys = {*record, *record["views"][0], *record["aside"][0]}

@@ -172,7 +172,7 @@ def strict(text: str) -> dict:
         {},
         {"touched": np.zeros(0, np.int64)},
         {"views": (), "seconds": {}, "note": ""},
-        {"precision": "bfloat16"},
+        {"precision": "bfloat16", "core": "0123456789ab"},
         {"replaced": np.array([0, 2]), "removed": np.array([7, 9]), "limited_px": (2.5, 0.0)},
         {"merge": {"sources": [{"name": "a.ply", "rows": 5}]}, "merge_touched": np.array([1, 4])},
     ],

@@ -32,6 +32,7 @@ from splatpainter.io import (
 from splatpainter.io.losses import loss_line, measure
 from splatpainter.io.sog_container import META
 from splatpainter.io.write_options import AS_IT_IS, WriteOptions
+from splatpainter.kernels import library
 from splatpainter.splats import ATTRIBUTES, Frame, Splats, row_blocks, rows_sha256
 
 RECEIPT_ENDING = ".receipt.json"
@@ -112,6 +113,8 @@ class Receipt:
     """[M] int64 ascending: rows that edits of the merged asset touched before this one."""
     options: WriteOptions = AS_IT_IS
     """What the file was to hold less or otherwise than the asset; it is compared with the original written so."""
+    core: str = ""
+    """Version of the native core that computed it (kernels.library.version); "" in older receipts."""
 
     @property
     def untouched_rows(self) -> int:
@@ -141,6 +144,8 @@ class Receipt:
             record["limited_px"] = list(self.limited_px)
         if self.precision:
             record["precision"] = self.precision
+        if self.core:
+            record["core"] = self.core
         if self.dropped is not None:
             record["dropped"] = self.dropped
         if self.source is not None:
@@ -197,6 +202,7 @@ class Receipt:
                 None if data.get("merge") is None else dict(_plain(data["merge"])),
                 _rows(data, "merge_touched"),
                 WriteOptions.from_record(dict(data.get("options", {}))),
+                _text(data.get("core", "")),
             )
         except (AttributeError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
             reason = " ".join(repr(error).split())
@@ -461,6 +467,7 @@ def prove(
     receipt = replace(
         receipt,
         output_sha256=edited.sha256,
+        core=library.version(),
         output_rows=len(edited),
         note="; ".join(filter(None, notes)),
     )

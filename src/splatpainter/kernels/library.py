@@ -229,6 +229,12 @@ def _loaded(path: Path) -> ctypes.CDLL:
     return library
 
 
+def version() -> str:
+    """Of the core in use: the first digits of `hash_of_sources`. Cores of one version give the same bytes on every
+    machine."""
+    return _loaded(_path()).splatpainter_sources().decode()[:12]
+
+
 def hash_of_sources(folder: Path) -> str:
     """Of all C++ files, as native/build.py puts it into the library."""
     digest = hashlib.sha256()
