@@ -179,22 +179,19 @@ def _page() -> Iterator[Measurement]:
 
 def _starts(config: StudioBench, asset: Path, folder: Path) -> Iterator[Measurement]:
     warm = 1 if config.quick else 3
-    kinds: list[tuple[str, Path | None, dict[str, str], int, float | None]] = [
-        ("start", asset, {}, warm, START_MS),
-    ]
+    kinds: list[tuple[str, Path | None]] = [("start", asset)]
     if not config.quick:
-        kinds.append(("start with the demo", None, {}, warm, START_MS))
-        kinds.append(("start, first run", asset, {"NUMBA_CACHE_DIR": str(folder / "cache")}, 1, None))
-    for name, opened, variables, repeats, target in kinds:
+        kinds.append(("start with the demo", None))
+    for name, opened in kinds:
         times: dict[str, list[float]] = {}
         resident = []
-        for _ in range(repeats):
-            with serving(opened, folder, variables) as server:
+        for _ in range(warm):
+            with serving(opened, folder) as server:
                 for step, seconds in _first_picture(server).items():
                     times.setdefault(step, []).append(1000 * seconds)
                 resident.append(server.memory()[0])
         for step, values in times.items():
-            yield line(f"{name}: to the {step}", values, target=target if step == "first picture" else None)
+            yield line(f"{name}: to the {step}", values, target=START_MS if step == "first picture" else None)
         yield line(f"memory: after {name}", resident, "MiB", MEMORY_MIB)
 
 
