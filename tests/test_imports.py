@@ -37,7 +37,7 @@ ORDER = (
     ("spread",),
     ("nn",),
     ("models",),
-    ("painter", "comparison", "receipts"),
+    ("painter", "editing", "comparison", "receipts"),
     ("sources",),
     ("scene",),
     ("view_files",),

@@ -61,6 +61,19 @@ def hash_without(splats: Splats, skipped: np.ndarray, rows: int) -> str:
 # What an edit does
 
 
+def test_one_call_is_what_a_painter_does_and_goes_on_from_its_asset() -> None:
+    splats = object_()
+    dabbed = dab(splats, RED)
+    by_painter = apply(splats, [dabbed])
+    once = sp.edit(splats, [(dabbed.image, CAMERA)])
+    assert same_bits(once.splats, by_painter.splats) and receipt_of(once).method == "lift"
+    twice = sp.edit(once, [dab(once.splats, BLUE, x=30)], method="lift")
+    expected = Painter.load("lift").apply(by_painter, [dab(by_painter.splats, BLUE, x=30)])
+    assert same_bits(twice.splats, expected.splats)
+    with pytest.raises(ValueError, match="expected 1 to 16 edited views, got 0"):
+        sp.edit(splats, [])
+
+
 def test_receipts_score_whole_views_though_only_parts_are_drawn() -> None:
     splats = object_()
     free = dab(splats, RED, 40, 44)

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from splatpainter.cameras import Camera as Camera
     from splatpainter.cameras import look_at as look_at
     from splatpainter.cameras import orbit as orbit
+    from splatpainter.editing import edit as edit
     from splatpainter.grading.grade import adjust as adjust
     from splatpainter.grading.grade import grade as grade
     from splatpainter.grading.region import Region as Region
@@ -52,6 +53,7 @@ _HOME = {
     "WriteOptions": "io.write_options",
     "render": "rendering",
     "Render": "rendering",
+    "edit": "editing",
     "Painter": "painter",
     "Asset": "painter",
     "Edit": "painter",
@@ -91,6 +93,7 @@ __all__ = [
     "Splats",
     "WriteOptions",
     "adjust",
+    "edit",
     "edit_with_source",
     "fill",
     "grade",
