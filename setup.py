@@ -4,17 +4,16 @@ SPLATPAINTER_TARGET (zig's name of a system, see native/build.py) builds the whe
 """
 
 import os
-import sys
+import runpy
 from pathlib import Path
+from types import SimpleNamespace
 
 from setuptools import Distribution, setup
 from setuptools.command.bdist_wheel import bdist_wheel
 from setuptools.command.build_py import build_py
 
-sys.path.insert(0, str(Path(__file__).resolve().parent / "native"))
-import build as native  # noqa: E402
-
 ROOT = Path(__file__).resolve().parent
+native = SimpleNamespace(**runpy.run_path(str(ROOT / "native" / "build.py")))
 TARGET = os.environ.get("SPLATPAINTER_TARGET", "")
 
 

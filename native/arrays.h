@@ -21,7 +21,8 @@ using u32 = uint32_t;
 using i64 = int64_t;
 using u64 = uint64_t;
 
-// What Python fills in for every argument: an array, or a number in `shape[0]` (for float and double: the double's bits).
+// What Python fills in for every argument: an array, or a number in `shape[0]` (for float and double: the double's
+// bits).
 struct Argument {
     void* data;
     i64 shape[4];

@@ -167,7 +167,7 @@ def _is_current(out: Path, words: list[str]) -> bool:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--compiler", default="", help="zig, or a command like g++")
     parser.add_argument("--target", default="", help="zig's name of another system: aarch64-macos.11.0")
     parser.add_argument("--out", type=Path, default=PACKAGE, help="folder that the library is copied to")
@@ -177,7 +177,7 @@ def main() -> None:
     start = time.monotonic()
     flags, link, kind = [], [], args.target or target_here()
     if args.checked:
-        flags, kind = ["-DSP_CHECKED"], kind + "-checked"
+        flags, kind = ["-DSP_CHECKED", "-O1"], kind + "-checked"
     if args.sanitize:
         link = [f"-fsanitize={args.sanitize}"]
         flags, kind = (

@@ -6,7 +6,8 @@ namespace sp { namespace {
 
 constexpr i64 ADAM_BLOCK = 1024, NEIGHBOUR_BLOCK = 256;  // Gaussians and points that a thread takes at a time
 
-// One step of Adam in place; all arrays [N, C], rates [C]. old1 and new1 are beta1 and 1 - beta1, old2 and new2 of beta2.
+// One step of Adam in place; all arrays [N, C], rates [C]. old1 and new1 are beta1 and 1 - beta1, old2 and new2 of
+// beta2.
 template <class F>
 void adam_step(Array2<F> value, Array2<const F> gradient, Array2<F> mean, Array2<F> square, Array1<const F> rates,
                F old1, F new1, F old2, F new2, F epsilon, F correction, i64 thread, i64 threads) {
@@ -21,8 +22,8 @@ void adam_step(Array2<F> value, Array2<const F> gradient, Array2<F> mean, Array2
             }
 }
 
-// out [M]: mean squared distance of each point to its `count` nearest others, from a grid: order [M], the points' numbers
-// cell after cell; listed [M, 3] these points; cells [M, 3]; starts [cells + 1]. best: [threads, count].
+// out [M]: mean squared distance of each point to its `count` nearest others, from a grid: order [M], the points'
+// numbers cell after cell; listed [M, 3] these points; cells [M, 3]; starts [cells + 1]. best: [threads, count].
 void neighbour_squares(Rows<const float, 3> points, Rows<const float, 3> listed, Array1<const i64> order,
                        Rows<const i64, 3> cells, Array1<const i64> starts, Array1<const i64> shape, double cell,
                        i64 count, Array1<float> out, Array2<float> scratch, i64 thread, i64 threads) {

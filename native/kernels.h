@@ -88,11 +88,11 @@ template <auto function, class... P> struct Entry<function, void (*)(P...)> {
         (Parameter<A>::write(out), ...);
         return out;
     }
-    using Own = typename WithoutThreads<Parameters<>, P...>::type;
+    using Bare = typename WithoutThreads<Parameters<>, P...>::type;
     static void call(const Argument* a, i64 thread, i64 threads) {
-        unpack(a, thread, threads, Own{}, typename CountTo<(int)sizeof...(P) - 2>::type{});
+        unpack(a, thread, threads, Bare{}, typename CountTo<(int)sizeof...(P) - 2>::type{});
     }
-    static constexpr Text signature = text_of(Own{});
+    static constexpr Text signature = text_of(Bare{});
 };
 
 template <auto function> constexpr Kernel kernel(const char* name) {

@@ -15,7 +15,8 @@ SP_INLINE void each(Array1<const F> x, Array1<F> out, i64 thread, i64 threads, F
     void name##_each(Array1<const F> x, Array1<F> out, i64 thread, i64 threads) {             \
         each(x, out, thread, threads, [](F v) { return F(name##_of(v)); });                   \
     }
-SP_ELEMENTWISE(exp) SP_ELEMENTWISE(log) SP_ELEMENTWISE(sin) SP_ELEMENTWISE(cos) SP_ELEMENTWISE(acos) SP_ELEMENTWISE(atan)
+SP_ELEMENTWISE(exp) SP_ELEMENTWISE(log) SP_ELEMENTWISE(sin) SP_ELEMENTWISE(cos) SP_ELEMENTWISE(acos)
+SP_ELEMENTWISE(atan)
 
 template <class F>
 void atan2_each(Array1<const F> y, Array1<const F> x, Array1<F> out, i64 thread, i64 threads) {

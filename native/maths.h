@@ -1,7 +1,8 @@
 // Elementary functions with the same bits on every system: libm's differ between systems and versions.
 //
-// Only sums, products, quotients, roots and fused multiply-adds, each rounded as IEEE 754 says. Formulas and coefficients
-// of log, sin, cos, acos and atan are those of FreeBSD's msun (fdlibm), errors below 1 unit in the last place:
+// Only sums, products, quotients, roots and fused multiply-adds, each rounded as IEEE 754 says. Formulas and
+// coefficients of log, sin, cos, acos and atan are those of FreeBSD's msun (fdlibm), errors below 1 unit in the last
+// place:
 //
 //   Copyright (C) 1993 by Sun Microsystems, Inc. All rights reserved.
 //   Developed at SunSoft, a Sun Microsystems, Inc. business. Permission to use, copy, modify, and distribute this
@@ -77,8 +78,8 @@ SP_INLINE void sums_of(const F (*lanes)[LANES], F* out) {
     __builtin_memcpy(out, &all, sizeof all);
 }
 
-// exp(x) for x <= 0 in single precision: 2^n times a polynomial (Cephes' exp2f coefficients); relative error about 1e-7,
-// 2^-126 below, and for NaN.
+// exp(x) for x <= 0 in single precision: 2^n times a polynomial (Cephes' exp2f coefficients); relative error about
+// 1e-7, 2^-126 below, and for NaN.
 SP_INLINE Wide<float> exp_of_negative(Wide<float> x) {
     using V = Wide<float>;
     using I = Wide<i32>;
@@ -97,8 +98,8 @@ SP_INLINE Wide<float> exp_of_negative(Wide<float> x) {
 
 // exp(x), by a table (P. T. P. Tang, "Table-Driven Implementation of the Exponential Function in IEEE Floating-Point
 // Arithmetic", ACM TOMS 1989): x = k ln 2 / 128 + r, exp(x) = 2^(k / 128) exp(r). Size of the table, coefficients and
-// order of operations are those of Szabolcs Nagy's exp (Arm Optimized Routines, MIT licence), which glibc has since 2.28.
-// Error below 0.52 units in the last place; 0 below -708, infinity above 709.
+// order of operations are those of Szabolcs Nagy's exp (Arm Optimized Routines, MIT licence), which glibc has since
+// 2.28. Error below 0.52 units in the last place; 0 below -708, infinity above 709.
 SP_INLINE double exp_of(double x) {
     const double shift = 0x1.8p52;  // added and taken away again, it rounds to an integer
     const double bounded = x > -800.0 ? (x < 800.0 ? x : 800.0) : (x == x ? -800.0 : x);
@@ -130,14 +131,15 @@ SP_INLINE double log_of(double x) {
     const double even = w * (3.999999999940941908e-01 + w * (2.222219843214978396e-01 + w * 1.531383769920937332e-01));
     const double odd = z * (6.666666666666735130e-01 + w * (2.857142874366239149e-01 +
                        w * (1.818357216161805012e-01 + w * 1.479819860511658591e-01)));
-    const double value = s * (half + (odd + even)) + k * 1.90821492927058770002e-10 - half + f + k * 6.93147180369123816490e-01;
+    const double low = s * (half + (odd + even)) + k * 1.90821492927058770002e-10;
+    const double value = low - half + f + k * 6.93147180369123816490e-01;
     if (!(x >= 0x1p-1022)) return x >= 0.0 ? -INFINITE : NOT_A_NUMBER;
     return x < INFINITE ? value : x;
 }
 SP_INLINE float log_of(float x) { return (float)log_of((double)x); }
 
-// The natural logarithm of positive normal numbers in vectors; anything for others. float: Cephes' logf, error about 1e-7
-// of the result and of 1.
+// The natural logarithm of positive normal numbers in vectors; anything for others. float: Cephes' logf, error about
+// 1e-7 of the result and of 1.
 SP_INLINE Wide<float> log_of_positive(Wide<float> x) {
     using V = Wide<float>;
     using U = Wide<u32>;
@@ -186,14 +188,16 @@ SP_INLINE double sine(double x, double y) {  // of x + y, |x| <= pi / 4
 }
 SP_INLINE double cosine(double x, double y) {
     const double z = x * x, w = z * z;
-    const double r = z * (4.16666666666666019037e-02 + z * (-1.38888888888741095749e-03 + z * 2.48015872894767294178e-05)) +
-                     w * w * (-2.75573143513906633035e-07 + z * (2.08757232129817482790e-09 + z * -1.13596475577881948265e-11));
+    const double first = -1.38888888888741095749e-03 + z * 2.48015872894767294178e-05;
+    const double second = 2.08757232129817482790e-09 + z * -1.13596475577881948265e-11;
+    const double r = z * (4.16666666666666019037e-02 + z * first) + w * w * (-2.75573143513906633035e-07 + z * second);
     const double half = 0.5 * z, rest = 1.0 - half;
     return rest + (((1.0 - rest) - half) + (z * r - x * y));
 }
 SP_INLINE double acos_ratio(double z) {
-    const double p = z * (1.66666666666666657415e-01 + z * (-3.25565818622400915405e-01 + z * (2.01212532134862925881e-01 +
-                     z * (-4.00555345006794114027e-02 + z * (7.91534994289814532176e-04 + z * 3.47933107596021167570e-05)))));
+    const double tail = -4.00555345006794114027e-02 + z * (7.91534994289814532176e-04 + z * 3.47933107596021167570e-05);
+    const double p = z * (1.66666666666666657415e-01 +
+                          z * (-3.25565818622400915405e-01 + z * (2.01212532134862925881e-01 + z * tail)));
     const double q = 1.0 + z * (-2.40339491173441421878e+00 + z * (2.02094576023350569471e+00 +
                      z * (-6.88283971605453293030e-01 + z * 7.70381505559019352791e-02)));
     return p / q;
@@ -246,10 +250,13 @@ SP_INLINE double atan_of(double x) {
         else piece = 3, t = -1.0 / size;
     }
     const double z = t * t, w = z * z;
-    const double even = z * (3.33333333333329318027e-01 + w * (1.42857142725034663711e-01 + w * (9.09088713343650656196e-02 +
-                        w * (6.66107313738753120669e-02 + w * (4.97687799461593236017e-02 + w * 1.62858201153657823623e-02)))));
-    const double odd = w * (-1.99999999998764832476e-01 + w * (-1.11111104054623557880e-01 + w * (-7.69187620504482999495e-02 +
-                       w * (-5.83357013379057348645e-02 + w * -3.65315727442169155270e-02))));
+    const double even_tail = 6.66107313738753120669e-02 +
+                             w * (4.97687799461593236017e-02 + w * 1.62858201153657823623e-02);
+    const double even = z * (3.33333333333329318027e-01 +
+                             w * (1.42857142725034663711e-01 + w * (9.09088713343650656196e-02 + w * even_tail)));
+    const double odd_tail = -7.69187620504482999495e-02 +
+                            w * (-5.83357013379057348645e-02 + w * -3.65315727442169155270e-02);
+    const double odd = w * (-1.99999999998764832476e-01 + w * (-1.11111104054623557880e-01 + w * odd_tail));
     const double value = piece < 0 ? t - t * (even + odd) : HIGH[piece] - ((t * (even + odd) - LOW[piece]) - t);
     return x < 0.0 ? -value : value;
 }

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import runpy
 import subprocess
 import sys
 import time
@@ -16,12 +17,13 @@ import zipfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "native"))
-from build import LIBRARIES, PLATFORMS  # noqa: E402
+NATIVE = runpy.run_path(str(ROOT / "native" / "build.py"))
+LIBRARIES: dict[str, str] = NATIVE["LIBRARIES"]
+PLATFORMS: dict[str, str] = NATIVE["PLATFORMS"]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("targets", nargs="*", default=list(PLATFORMS), metavar="TARGET", help=", ".join(PLATFORMS))
     parser.add_argument("--out", type=Path, default=ROOT / "dist")
     args = parser.parse_args()

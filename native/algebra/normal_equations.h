@@ -1,5 +1,5 @@
-// Weighted least squares in double precision: normal matrix, right side, solution. Each sum is one thread's, in the order
-// of the rows, so that a solution has the same bits on every CPU and for any number of threads.
+// Weighted least squares in double precision: normal matrix, right side, solution. Each sum is one thread's, in the
+// order of the rows, so that a solution has the same bits on every CPU and for any number of threads.
 #pragma once
 #include "../maths.h"
 
@@ -49,7 +49,8 @@ void add_normal_equations(Array2<const F> features, Array1<const double> weights
             const i64 columns = min_of<i64>(COLUMNS, size - a);
             pack(features, start, a, &weights(start), weighted);
             for (i64 i = 0; i < rows; ++i)
-                for (i64 k = 0; k < columns; ++k) right(a + k) += values(start + i) * (double)features(start + i, a + k);
+                for (i64 k = 0; k < columns; ++k)
+                    right(a + k) += values(start + i) * (double)features(start + i, a + k);
             for (i64 b = 0; b < a + columns; b += LINES) {
                 pack<LINES>(features, start, b, nullptr, plain);
                 const i64 lines = min_of<i64>(LINES, size - b);
@@ -64,8 +65,8 @@ void add_normal_equations(Array2<const F> features, Array1<const double> weights
     }
 }
 
-// right [F, C] <- matrix^-1 right for a symmetric positive matrix [F, F], given on and above the diagonal, which becomes
-// its Cholesky factor. By one thread.
+// right [F, C] <- matrix^-1 right for a symmetric positive matrix [F, F], given on and above the diagonal, which
+// becomes its Cholesky factor. By one thread.
 void solve_symmetric(Array2<double> upper, Array2<double> right, i64, i64) {
     const i64 n = right.shape[0], columns = right.shape[1];
     for (i64 j = 0; j < n; ++j) {

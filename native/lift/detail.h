@@ -38,8 +38,8 @@ void measure_reaches(Pixels<const float, 3> picture, Array2<const float> depth, 
     }
 }
 
-// Chooses, in this order, pixels that no ellipse of a chosen one covers yet. along, across: [A] half lengths and widths,
-// pixels; covered: [H, W] false; chosen: [A] false. By one thread.
+// Chooses, in this order, pixels that no ellipse of a chosen one covers yet. along, across: [A] half lengths and
+// widths, pixels; covered: [H, W] false; chosen: [A] false. By one thread.
 void choose_details(Array1<const i64> ys, Array1<const i64> xs, Rows<const double, 2> directions,
                            Array1<const double> along, Array1<const double> across, Array1<const i64> order,
                            Array2<bool> covered, Array1<bool> chosen, i64, i64) {

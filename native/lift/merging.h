@@ -11,9 +11,9 @@ constexpr double MAX_LOSS = 0.3, SHAPE_COST = 0.02;
 }  // namespace merging
 
 // Of M Gaussians in ascending order of their cells' keys. covariances: [M, 3, 3] blurred; log_volumes: [M] of these;
-// slots: [M], no two of which are joined; limit: of the squared distance that a pair may have, over the larger of their
-// traces and by their shares; costs: [M] the highest that a partner may have; partners: [M] -1. By one thread: each pair
-// is looked at once, for both.
+// slots: [M], no two of which are joined; limit: of the squared distance that a pair may have, over the larger of
+// their traces and by their shares; costs: [M] the highest that a partner may have; partners: [M] -1. By one thread:
+// each pair is looked at once, for both.
 void find_partners(Array1<const i64> keys, Rows<const double, 3> points, Array3<const double> covariances,
                           Array1<const double> log_volumes, Array1<const double> masses, Rows<const double, 3> colors,
                           Array1<const double> pixels, Array1<const bool> slots, double limit, Array1<double> costs,

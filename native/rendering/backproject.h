@@ -132,7 +132,8 @@ void mask_sums_tiles(Rows<const F, COLUMNS> projected, Array1<const i32> flatten
     }
 }
 
-// Rasterize, subtract and backproject, tile by tile, while the tile is in cache. errors [T]: sum of m |target - image|^2.
+// Rasterize, subtract and backproject, tile by tile, while the tile is in cache. errors [T]: sum of m |target -
+// image|^2.
 template <class F>
 void sirt_tiles(Rows<const F, COLUMNS> projected, Array1<const i32> flatten_ids, Array1<const i32> pair_ids,
                 Array1<const i32> tile_ids, Array1<const i64> isect_offsets, Array1<const F> background,

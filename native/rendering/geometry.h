@@ -18,8 +18,8 @@ enum { MEAN_X, MEAN_Y, CONIC_A, CONIC_B, CONIC_C, OPACITY, RED, GREEN, BLUE, DEP
 enum { FX = 12, FY, CX, CY, U_MIN, U_MAX, V_MIN, V_MAX, X_MIN, X_MAX, Y_MIN, Y_MAX, EYE_X, EYE_Y, EYE_Z, CAMERA_SIZE };
 
 template <class F> struct Vec3 { F x, y, z; };
-// Of the pixel with respect to the camera-space point, at (u, v) = (x, y) / z clamped to a little outside the picture (a
-// linearisation far outside explodes), and the clamped u, v.
+// Of the pixel with respect to the camera-space point, at (u, v) = (x, y) / z clamped to a little outside the picture
+// (a linearisation far outside explodes), and the clamped u, v.
 template <class F> struct Jacobian { F j00, j02, j11, j12, uc, vc; };
 
 template <class C, class F>

@@ -6,8 +6,11 @@ namespace sp { namespace {
 
 constexpr i64 GAUSSIANS_PER_BLOCK = 1024, MAX_LOOSE_TILES = 16;
 
+// selected [N]: false for Gaussians that project_gaussians would drop by its first, cheap tests. With margins: dropped
+// is only what fails for certain: NaN is left to the tests that know it.
 template <class F>
-void select_near_window(Rows<const F, 3> means, Rows<const F, 3> scales, Array1<const F> opacities, Array1<const F> camera,
+void select_near_window(Rows<const F, 3> means, Rows<const F, 3> scales, Array1<const F> opacities,
+                        Array1<const F> camera,
                         Array1<bool> selected, i64 thread, i64 threads) {
     const F near = F(0.999 * NEAR_PLANE), faint = F(0.999 * MIN_ALPHA), eps = F(EPS2D);
     F cam[CAMERA_SIZE];
@@ -132,16 +135,16 @@ SP_INLINE Shade<F> shade(const F* c, i64 coefficients, const F (*basis)[LANES], 
     return {total[0], total[1], total[2], magnitude + ((sizes[0] + sizes[1]) + (sizes[2] + sizes[3]))};
 }
 
-// flat_sh: [N, 3 K]. selected [N], or [0]: all. grid [4]: tile columns and rows in
-// use, x0, x1, y0, y1. tile_slots [TH, TW]: index among the tiles in use or -1, or [0, 0]: all are in use. Out, of which
-// each block of GAUSSIANS_PER_BLOCK writes the first counts[block]: projected, keys (z), gaussian_ids, tile_counts
-// (tiles touched, at most).
+// flat_sh: [N, 3 K]. selected [N], or [0]: all. grid [4]: tile columns and rows in use, x0, x1, y0, y1. tile_slots
+// [TH, TW]: index among the tiles in use or -1, or [0, 0]: all are in use. Out, of which each block of
+// GAUSSIANS_PER_BLOCK writes the first counts[block]: projected, keys (z), gaussian_ids, tile_counts (tiles touched,
+// at most).
 template <class F>
-void project_gaussians(Rows<const F, 3> means, Rows<const F, 4> quats, Rows<const F, 3> scales, Array1<const F> opacities,
-                       Array2<const F> flat_sh, i64 degree, Array1<const bool> selected, Array1<const F> camera,
-                       bool antialiased, Array1<const i64> grid, Array2<const i32> tile_slots, Rows<F, COLUMNS> projected,
-                       Array1<F> keys, Array1<i32> gaussian_ids, Array1<i32> tile_counts, Array1<i32> counts, i64 thread,
-                       i64 threads) {
+void project_gaussians(Rows<const F, 3> means, Rows<const F, 4> quats, Rows<const F, 3> scales,
+                       Array1<const F> opacities, Array2<const F> flat_sh, i64 degree, Array1<const bool> selected,
+                       Array1<const F> camera, bool antialiased, Array1<const i64> grid, Array2<const i32> tile_slots,
+                       Rows<F, COLUMNS> projected, Array1<F> keys, Array1<i32> gaussian_ids, Array1<i32> tile_counts,
+                       Array1<i32> counts, i64 thread, i64 threads) {
     const F zero = F(0), largest = F(MAX_MAGNITUDE);
     F cam[CAMERA_SIZE];
     checked(CAMERA_SIZE - 1, camera.shape[0]);

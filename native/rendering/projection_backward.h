@@ -139,7 +139,8 @@ SP_INLINE void geometry_backward(GradientLanes<F>& w, const F* cam, bool antiali
         V gx = j.j00 * vmx, gy = j.j11 * vmy;
         V gz = g[9] - j.j00 * u * vmx - j.j11 * v * vmy - rz * (j.j00 * vj00 + j.j11 * vj11);
         gz += rz * (j.j00 * j.uc * vj02 + j.j11 * j.vc * vj12);
-        const V zero = {}, along_u = j.uc == u ? j.j00 * rz * vj02 : zero, along_v = j.vc == v ? j.j11 * rz * vj12 : zero;
+        const V zero = {}, along_u = j.uc == u ? j.j00 * rz * vj02 : zero;
+        const V along_v = j.vc == v ? j.j11 * rz * vj12 : zero;
         gx -= along_u, gz += along_u * u;
         gy -= along_v, gz += along_v * v;
         for (int c = 0; c < 3; ++c) store(&w.out[c][l], cam[c] * gx + cam[3 + c] * gy + cam[6 + c] * gz);
@@ -153,7 +154,8 @@ SP_INLINE void geometry_backward(GradientLanes<F>& w, const F* cam, bool antiali
     }
 }
 
-// What the means get by way of the directions that colours are seen from; w.mixed: sums of the colours' gradients by SH.
+// What the means get by way of the directions that colours are seen from; w.mixed: sums of the colours' gradients by
+// SH.
 template <class F>
 SP_INLINE void direction_backward(GradientLanes<F>& w, i64 degree) {
     using V = Wide<F>;

@@ -39,7 +39,8 @@ void rasterize_tiles_as(Rows<const F, COLUMNS> projected, Array1<const i32> flat
     for (i64 k = thread; k < tile_ids.shape[0]; k += threads) {
         const Pixel first = open_tile<F>(tile_ids(k), width, height, state, 5);
         BlockSet open = ALL_BLOCKS;
-        ends(k) = composite<profile>(projected, flatten_ids, isect_offsets(k), isect_offsets(k + 1), first, state, open);
+        const i64 begin = isect_offsets(k), end = isect_offsets(k + 1);
+        ends(k) = composite<profile>(projected, flatten_ids, begin, end, first, state, open);
         for (int b = 0; b < BLOCKS; ++b)
             for (int l = 0; l < LANES; ++l) {
                 const auto [x, y] = pixel_of(first.x, first.y, b, l);

@@ -1,5 +1,5 @@
-// Steps of SIRT in the colours of some Gaussians: what they weigh in every pixel is found once (cache_tiles), and a step
-// (cached_step_tiles) then costs what they cost. See splatpainter/rendering/cpu/sirt.py.
+// Steps of SIRT in the colours of some Gaussians: what they weigh in every pixel is found once (cache_tiles), and a
+// step (cached_step_tiles) then costs what they cost. See splatpainter/rendering/cpu/sirt.py.
 #pragma once
 #include "backproject.h"
 
@@ -80,18 +80,21 @@ void cache_tiles(Rows<const F, COLUMNS> projected, Array1<const i32> flatten_ids
                 const F T = abs_of(state[0][b][l]);
                 for (int c = 0; c < 3; ++c) {
                     const F rest = state[1 + c][b][l] + T * background(c);
-                    out[c * TILE_PIXELS + b * LANES + l] = target(min_of(y, height - 1), min_of(x, width - 1), c) - rest;
+                    const F goal = target(min_of(y, height - 1), min_of(x, width - 1), c);
+                    out[c * TILE_PIXELS + b * LANES + l] = goal - rest;
                 }
                 out[3 * TILE_PIXELS + b * LANES + l] = state[4][b][l];
             }
     }
 }
 
-// entries [Q]: which movable Gaussian each pair is of; pair_ids [Q]: where it keeps its sums; colors [C, 3] -> sums [Q, 8].
+// entries [Q]: which movable Gaussian each pair is of; pair_ids [Q]: where it keeps its sums; colors [C, 3] -> sums
+// [Q, 8].
 template <class F>
 void cached_step_tiles(Array1<const i64> begins, Rows<const i64, 4> boxes, Array1<const i64> block_offsets,
                        Array1<const i64> entries, Array1<const i64> pair_ids, Rows<const F, LANES> weights,
-                       Array4<const F> remainder, Rows<const F, 3> colors, Rows<F, SUMS> sums, i64 thread, i64 threads) {
+                       Array4<const F> remainder, Rows<const F, 3> colors, Rows<F, SUMS> sums, i64 thread,
+                       i64 threads) {
     alignas(64) Field<F> state[SIRT_FIELDS];
     alignas(64) F lanes[SIRT_FIELDS][LANES];
     for (i64 k = thread; k < remainder.shape[0]; k += threads) {

@@ -54,7 +54,8 @@ void sort_depths(Array1<const float> keys, Array1<const i32> counts, Array1<i32>
 
 template <class F>
 void gather_sorted(Array1<const i32> order, Rows<const F, COLUMNS> unsorted, Array1<const i32> ids,
-                   Array1<const i32> tile_counts, Rows<F, COLUMNS> projected, Array1<i32> gaussian_ids, Array1<i32> max_tiles,
+                   Array1<const i32> tile_counts, Rows<F, COLUMNS> projected, Array1<i32> gaussian_ids,
+                   Array1<i32> max_tiles,
                    i64 thread, i64 threads) {
     const i64 m = order.shape[0];
     for (i64 i = m * thread / threads; i < m * (thread + 1) / threads; ++i) {
@@ -126,8 +127,8 @@ void mark_tiles(Rows<const F, COLUMNS> projected, Array1<const bool> selected, A
         }
 }
 
-// Pairs in the tiles in use ([T]) of selected entries ([M], or [0]: all): added to per_entry [M], which begins as zeros,
-// and per_tile [T].
+// Pairs in the tiles in use ([T]) of selected entries ([M], or [0]: all): added to per_entry [M], which begins as
+// zeros, and per_tile [T].
 void count_pairs(Array1<const i32> flatten_ids, Array1<const i64> isect_offsets, Array1<const bool> used,
                  Array1<const bool> selected, Array1<i32> per_entry, Array1<i64> per_tile, i64 thread, i64) {
     if (thread != 0) return;
@@ -143,8 +144,8 @@ void count_pairs(Array1<const i32> flatten_ids, Array1<const i64> isect_offsets,
     }
 }
 
-// These pairs, tile after tile: their entries' new numbers [M] into `to`, their own into `pairs`. at [M]: where the pairs
-// of each entry begin; pairs of one entry are in the order of their tiles.
+// These pairs, tile after tile: their entries' new numbers [M] into `to`, their own into `pairs`. at [M]: where the
+// pairs of each entry begin; pairs of one entry are in the order of their tiles.
 void take_pairs(Array1<const i32> flatten_ids, Array1<const i64> isect_offsets, Array1<const bool> used,
                 Array1<const bool> selected, Array1<const i32> new_entry, Array1<i32> at, Array1<i32> to,
                 Array1<i32> pairs, i64 thread, i64) {

@@ -25,17 +25,19 @@ struct Nearest {
     void insert(i64 id, double square) {
         if (full() && square >= squares[ROOM - 1]) return;
         int slot = full() ? ROOM - 1 : filled;
-        for (; slot > 0 && squares[slot - 1] > square; --slot) squares[slot] = squares[slot - 1], ids[slot] = ids[slot - 1];
+        for (; slot > 0 && squares[slot - 1] > square; --slot)
+            squares[slot] = squares[slot - 1], ids[slot] = ids[slot - 1];
         squares[slot] = square, ids[slot] = id;
         filled = min_of(filled + 1, ROOM);
     }
 };
 }  // namespace point_neighbours
 
-// keys: [M] ascending, of the cubes in which points lie; order: [M] the points in that order; cells: [M, 3] cube of each
-// point; size: of a cube, world units; out: [M, NEIGHBOURS].
+// keys: [M] ascending, of the cubes in which points lie; order: [M] the points in that order; cells: [M, 3] cube of
+// each point; size: of a cube, world units; out: [M, NEIGHBOURS].
 void find_neighbours(Rows<const double, 3> points, Array1<const i64> keys, Array1<const i64> order,
-                            Rows<const i64, 3> cells, double size, Rows<i32, point_neighbours::NEIGHBOURS> out, i64 thread, i64 threads) {
+                            Rows<const i64, 3> cells, double size, Rows<i32, point_neighbours::NEIGHBOURS> out,
+                            i64 thread, i64 threads) {
     using namespace point_neighbours;
     const i64 count = keys.shape[0];
     share_out(points.shape[0], thread, threads, [&](i64 i) {

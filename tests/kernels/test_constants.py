@@ -51,3 +51,10 @@ def test_constants_are_read():
     text += "constexpr i64 E = 1 << 20, F = E;"
     assert constants(text) == {"A": 0.3, "B": 0.25, "D": 0.02, "E": 1 << 20}
     assert len(PAIRS) > 10
+
+
+def test_lines_of_kernels_fit_as_pythons_do():
+    files = [path for path in NATIVE.rglob("*") if path.suffix in (".h", ".cpp")]
+    lines = [(f"{f.name}:{k}", line) for f in files for k, line in enumerate(f.read_text("utf-8").split("\n"), 1)]
+    long = [where for where, line in lines if len(line) > 120]
+    assert len(files) > 20 and not long

@@ -117,12 +117,12 @@ CASES: dict[str, Callable[[], list[np.ndarray]]] = {
     "elementary functions": elementary,
 }
 GOLDENS = {
-    "drawn": "c27661c402d8193c",
+    "drawn": "1c144bb3d5a2e33c",
     "drawn in float64": "3557e39ad047db57",
-    "drawn as PlayCanvas": "1c76d6773e23d273",
-    "gradients": "aaaf7c42f9edb41b",
+    "drawn as PlayCanvas": "7f5d94237afeaa4c",
+    "gradients": "8b34a62b6feb1dc1",
     "gradients, antialiased": "a9d1704353a7c120",
-    "lifted": "d1a739e93c6d6e91",
+    "lifted": "dd61df295a2874cb",
     "lifted in float64": "63dc895e7c3fd7a6",
     "fitted": "73113d1aad8ae5c8",
     "elementary functions": "086ca96cf866fa06",

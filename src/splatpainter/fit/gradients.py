@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -96,7 +96,7 @@ class CpuPasses:
             values = [getattr(splats, name) for name in ATTRIBUTES]
             self._out = tuple(np.empty_like(v if self._colors or v is not splats.sh else v[:0]) for v in values)
         frame.project_backward(splats, sums, self._out)
-        gradients = dict(zip(ATTRIBUTES, self._out, strict=True))
+        gradients: dict[str, Any] = dict(zip(ATTRIBUTES, self._out, strict=True))
         if not self._colors:
             del gradients["sh"]
         return Pass(loss, gradients, _pull(frame, sums, absolute) if pull else None)
