@@ -279,10 +279,10 @@ def work(ready: Callable[[], None] | None = None) -> None:
 
 
 def load_kernels() -> None:
-    """Load the compiled kernels of the renderer and the lift."""
-    from splatpainter.kernels import compile as kernels
+    """Load the compiled kernels."""
+    from splatpainter.kernels import library
 
-    kernels.load()
+    library.current()
 
 
 def _maker(values: dict[str, Any]) -> Callable[[dict[str, Any]], str]:

@@ -445,9 +445,11 @@ def test_a_merged_layer_takes_strokes_on_top_of_what_it_is_made_of(path: Path) -
         single.paint(layer, [dab(RED, 14, camera=SIDE)])
         assert print_of(session) == print_of(single), "as if they had not been merged"
         after = print_of(session)
-        session.undo(), session.undo()
+        session.undo()
+        session.undo()
         assert print_of(session) == before
-        session.redo(), session.redo()
+        session.redo()
+        session.redo()
         session.set(merged, opacity=0.5)
         paler = print_of(session)
         session.paint(merged, [dab(BLUE, 25)], name="at half opacity")

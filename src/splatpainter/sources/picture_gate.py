@@ -90,6 +90,8 @@ def checked_picture(
         warning = f"{source.path}: it looks {explanation.words}" if free and policy == "refuse" else ""
     elif explanation is not None and free and policy == "refuse":
         raise ValueError(f"{_complaint(source, explanation)}; {_advice(explanation)}")
+    elif explanation is not None and mode == "global" and explanation.cause == "other" and not _other_view(source):
+        pass  # a new light changes everything, too, and nothing explains it
     elif explanation is not None and (free or explanation.cause in NEVER_MEANT):
         warning = f"{_complaint(source, explanation)}; painted with as it is"
     if policy == "force":
