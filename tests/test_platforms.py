@@ -185,6 +185,42 @@ def test_a_file_that_a_scanner_holds_is_tried_again(tmp_path: Path, monkeypatch:
     assert [path.name for path in tmp_path.iterdir()] == ["a.bin"]
 
 
+@pytest.mark.parametrize("number", atomic.BUSY_ERRORS)
+def test_a_rename_that_a_served_folder_finds_busy_is_tried_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    """Folders of Windows and of virtual machines, mounted here."""
+    real, calls = os.replace, []
+
+    def busy(*names: Any) -> None:
+        calls.append(names)
+        if len(calls) < 3:
+            raise OSError(number, "busy")
+        real(*names)
+
+    monkeypatch.setattr(os, "replace", busy)
+    with atomic.writing(tmp_path / "a.bin") as file:
+        file.write(b"after")
+    assert len(calls) == 3 and (tmp_path / "a.bin").read_bytes() == b"after"
+    monkeypatch.setattr(atomic, "REPLACE_SECONDS", 0.05)
+    monkeypatch.setattr(os, "replace", lambda *names: (_ for _ in ()).throw(OSError(number, "busy")))
+    with pytest.raises(ValueError, match=r"a\.bin: cannot be written \(busy\)$"):
+        atomic.write_text(tmp_path / "a.bin", "never")
+    assert (tmp_path / "a.bin").read_bytes() == b"after"
+
+
+def test_a_folder_without_permissions_of_its_own_takes_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """vboxsf, 9p and exFAT refuse to change them."""
+
+    def refused(*words: Any, **how: Any) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "chmod", refused)
+    for text in ("first", "second"):
+        atomic.write_text(tmp_path / "a.txt", text)
+        assert (tmp_path / "a.txt").read_text() == text
+
+
 @pytest.mark.parametrize("windows", [False, True])
 def test_a_file_that_stays_refused_is_one_line(windows: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls = []

@@ -16,9 +16,11 @@ from pathlib import Path
 from typing import BinaryIO
 
 REPLACE_SECONDS = 2.0
-"""How long `replace` waits for other programs of Windows to let go of a file."""
+"""How long `replace` waits for other programs to let go of a file."""
 SHARING_ERRORS = (5, 32, 33)
 """Windows: access denied, sharing violation, lock violation."""
+BUSY_ERRORS = (errno.EBUSY, errno.ETXTBSY, errno.EINTR)
+"""The same, as folders of Windows and of virtual machines (SMB, 9p, vboxsf) say it elsewhere."""
 RESERVED_NAMES = re.compile(r"(con|prn|aux|nul|conin\$|conout\$|com[0-9¹²³]|lpt[0-9¹²³])[ ]*(\.|$)", re.IGNORECASE)
 """Devices of Windows, whatever ending follows the name."""
 RESERVED_CHARACTERS = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
@@ -57,7 +59,7 @@ def writing(path: Path) -> Iterator[BinaryIO]:
             file.flush()
             os.fsync(file.fileno())
         if target.exists():
-            shutil.copymode(target, partial)
+            copy_mode(target, partial)
         replace(partial, target)
         sync_folder(target.parent)
     except OSError as error:
@@ -73,18 +75,26 @@ def write_text(path: Path, text: str) -> None:
 
 
 def replace(source: Path, target: Path) -> None:
-    """`os.replace`. On Windows a virus scanner or an indexer holds a new file open for a moment: there it is tried
-    again for REPLACE_SECONDS. Raises OSError: the last one."""
+    """`os.replace`. A virus scanner, an indexer or a program that synchronises folders holds a new file for a moment:
+    on Windows, and in folders that another system serves, it is tried again for REPLACE_SECONDS. Raises OSError: the
+    last one."""
     until = time.monotonic() + REPLACE_SECONDS
     while True:
         try:
             os.replace(source, target)
             return
-        except PermissionError as error:
-            # winerror is absent elsewhere: POSIX renames over open files, so its refusals are final
-            if getattr(error, "winerror", None) not in SHARING_ERRORS or time.monotonic() > until:
+        except OSError as error:
+            # winerror is absent elsewhere: POSIX renames over open files, so its refusals of rights are final
+            busy = getattr(error, "winerror", None) in SHARING_ERRORS or error.errno in BUSY_ERRORS
+            if not busy or time.monotonic() > until:
                 raise
         time.sleep(0.02)
+
+
+def copy_mode(source: Path, target: Path) -> None:
+    """Give a file the permissions of another one, where its file system has any (vboxsf, 9p and exFAT refuse)."""
+    with contextlib.suppress(OSError):
+        shutil.copymode(source, target)
 
 
 def remove(path: Path) -> None:

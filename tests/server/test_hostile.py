@@ -427,11 +427,11 @@ def _made(folder: Path) -> Path:
 def test_a_watch_that_fails_is_begun_again_and_shutdown_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     begun = []
 
-    def failing(*words, **how):
+    def failing(folder):
         begun.append(1)
-        raise RuntimeError("no more watches")
+        raise RuntimeError("no such folder any more")
 
-    monkeypatch.setattr("watchfiles.awatch", failing)
+    monkeypatch.setattr(watched_folder, "SavedPictures", failing)
     hosted = make_studio(tmp_path, shared=_made(tmp_path / "shared"))
 
     async def run() -> None:

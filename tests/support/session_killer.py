@@ -2,7 +2,8 @@
 
 Each round forks a writer that opens the project (the first one makes it), runs random commands, and after each one
 tells its parent through a pipe what it has acknowledged: how many steps there are, where the cursor is, and the hash of
-the shown rows. The parent kills it (SIGKILL) at a random moment, opens the project itself, and compares.
+the shown rows. The parent kills it (SIGKILL) at a random moment, opens the project itself, and compares. "journal" as
+the last argument: as on disks where maps cannot be shared.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from splatpainter.session import Session
+from splatpainter.session import Session, database
 from tests.support.session_scenes import RED, FlatPainter, asset, dab, flat, print_of
 
 
@@ -141,4 +142,7 @@ def verified(path: Path) -> list[str]:
 
 
 if __name__ == "__main__":
+    if sys.argv[4:] == ["journal"]:
+        writable = database._writable
+        database._writable = lambda path, shares_maps: writable(path, False)
     print(json.dumps(main(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]))))

@@ -31,7 +31,6 @@ import torch.utils.tensorboard  # noqa: F401
 import trimesh  # noqa: F401
 import tyro  # noqa: F401
 import uvicorn.protocols.http.auto  # noqa: F401
-import watchfiles  # noqa: F401
 import webdataset  # noqa: F401
 import websockets.sync.client  # noqa: F401
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from splatpainter.atomic import brief_name, check_name, write_text
+from splatpainter.atomic import brief_name, check_name, copy_mode, write_text
 from splatpainter.cameras import Camera
 from splatpainter.commands.terminal import reason
 from splatpainter.image_files import write_png
@@ -95,7 +95,7 @@ def placed(path: Path) -> Iterator[Path]:
                 _move_into(partial, final)
             else:
                 if final.exists():
-                    shutil.copymode(final, partial)
+                    copy_mode(final, partial)
                 files.replace(partial, final)
                 files.sync_folder(final.parent)
         except OSError as error:

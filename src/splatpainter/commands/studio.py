@@ -12,6 +12,7 @@ from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import FrameOption
+from splatpainter.commands.terminal import complain
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,7 @@ def run(config: Config) -> Outcome:
     except ImportError as error:
         raise ValueError(f"splatpainter studio: needs {error.name}; pip install 'splatpainter[studio]'") from None
     from splatpainter.server.security import Access
+    from splatpainter.server.storage import usable_projects
     from splatpainter.server.studio import Studio, StudioOptions
 
     if config.port is not None and not 0 <= config.port <= 65535:
@@ -56,8 +58,13 @@ def run(config: Config) -> Outcome:
     bound = listen(config.host, config.port)
     session = None
     try:
-        session, name = open_session(config.asset, frame=config.frame)
-        studio = Studio(session, name, StudioOptions(config.folder))
+        projects, note = usable_projects()
+        if note:
+            complain(note)
+        session, name = open_session(config.asset, projects, config.frame)
+        if session.note:
+            complain(session.note)
+        studio = Studio(session, name, StudioOptions(config.folder, projects, note=note))
     except BaseException:
         if session is not None:
             session.close()

@@ -33,6 +33,7 @@ from splatpainter.server.protocol import (
     Problem,
     State,
     Sync,
+    ToastEvent,
 )
 from splatpainter.server.schema import schema_hash
 from splatpainter.server.work_queue import Ticket
@@ -278,6 +279,8 @@ class CommandReader:
         )
         client.greeted = True
         client.send(greeting)
+        for note in () if greeting.returning else studio.notes():
+            client.send(ToastEvent(level="warning", message=note))
         for other in self.hub.clients - {client}:
             other.mark_dirty()
 

@@ -135,6 +135,8 @@ class Hub:
         for other in self.clients - {client} if notice else ():
             if other.greeted:
                 other.send(ToastEvent(level="info", message=notice))
+        for line in self.studio.news if handler.writes and opened else ():
+            self.publish(ToastEvent(level="warning", message=line))
         return answer.model_copy(update={"seconds": round(seconds, 4)})
 
     def _writer(self, loop: asyncio.AbstractEventLoop) -> Callable[[Callable[[], Any]], Any]:

@@ -15,7 +15,7 @@ from splatpainter.io import read
 from splatpainter.server.app import create_app
 from splatpainter.server.limits import MAX_DAB_BYTES, ConnectionLimits, bounded
 from splatpainter.server.security import Access
-from splatpainter.server.storage import PROJECT, Projects, demo
+from splatpainter.server.storage import PROJECT, Projects, demo, usable_projects
 from splatpainter.server.studio import Studio, StudioOptions
 from splatpainter.session import Session
 from splatpainter.splats import Frame, Splats
@@ -138,11 +138,12 @@ def studio(
     pictures. frame: of a splat file, as in io.read. Raises ValueError as `open_session` and `listen`."""
     access = Access.of("127.0.0.1")
     bound = listen(access.host, port)
-    projects_path = None if projects is None else Path(projects)
     session = None
     try:
+        projects_path, note = usable_projects(None if projects is None else Path(projects))
         session, name = open_session(asset, projects_path, frame)
-        opened = Studio(session, name, StudioOptions(None if folder is None else Path(folder), projects_path))
+        options = StudioOptions(None if folder is None else Path(folder), projects_path, note=note)
+        opened = Studio(session, name, options)
     except BaseException:
         if session is not None:
             session.close()

@@ -12,6 +12,8 @@ import hashlib
 import os
 import re
 import secrets
+import stat
+import tempfile
 import threading
 import time
 from collections import OrderedDict
@@ -24,16 +26,19 @@ from splatpainter.io import files, format_of_name, read, write
 from splatpainter.io.axes import flip
 from splatpainter.jsonio import brief
 from splatpainter.server.upload_sniffing import UploadInfo, sniff
+from splatpainter.session.disk_probe import NO_LOCKS, locks_refused
 from splatpainter.session.project_summary import ProjectSummary, summarize
 from splatpainter.session.scratch import ScratchFolder
 from splatpainter.splats import Splats
-from splatpainter.user_folders import cache_folder
+from splatpainter.user_folders import PROJECTS_VARIABLE, cache_folder, projects_folder
 
 PROJECT = ".splatproj"
 MAX_SUMMARIES = 512
 """Most summaries of project files, in memory."""
 MAX_DOWNLOADS = 16
 """Exported files that are kept for their download."""
+PROBE_BYTES = 1 << 20
+"""Room that a folder of projects has to have when the studio starts."""
 DEMO_FLIP = (-1, -1, 1)
 """The bundled asset is made with y up; the studio shows the frame of captures, y down."""
 
@@ -171,6 +176,49 @@ class Projects:
     def _paths(self) -> list[Path]:
         paths = self.root.glob(f"*{PROJECT}")
         return [path for path in paths if not path.name.startswith(".") and path.is_file()]
+
+
+def usable_projects(named: Path | None = None) -> tuple[Path, str]:
+    """(folder of new projects, a line on why it is not the user's data folder; "" where it is). named: that one and no
+    other. Raises ValueError where none can be used: it cannot be made or written, its disk is full, or its file system
+    refuses file locks."""
+    root = named or projects_folder()
+    why = _why_unusable(root)
+    if not why:
+        return root, ""
+    what_helps = f"set {PROJECTS_VARIABLE} to a folder on a local disk"
+    if named is None and not os.environ.get(PROJECTS_VARIABLE):
+        other = _temporary_projects()
+        if other is not None and not _why_unusable(other):
+            what_helps = f"{what_helps}, or save them under a name"
+            return other, f"{root}: {why}; new projects are in {other}, which the system may empty: {what_helps}"
+    raise ValueError(f"{root}: projects cannot be saved here ({why}); {what_helps}")
+
+
+def _why_unusable(root: Path) -> str:
+    """Why projects cannot be saved in a folder, which is made where it is missing; "" where they can."""
+    probe = root / f".room.{secrets.token_hex(4)}.part"  # a name that the sweep knows
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+        with open(probe, "wb") as file:
+            file.write(bytes(PROBE_BYTES))
+    except OSError as error:
+        return error.strerror or str(error)
+    finally:
+        files.remove(probe)
+    return NO_LOCKS if locks_refused(root) else ""
+
+
+def _temporary_projects() -> Path | None:
+    """A folder of this user alone among the system's temporary ones, the same each time; None where there is none."""
+    user = getattr(os, "getuid", lambda: "")()  # Windows: its temporary folder is the user's own
+    path = Path(tempfile.gettempdir()) / f"splatpainter-projects{user}"
+    with contextlib.suppress(OSError):
+        path.mkdir(mode=0o700, exist_ok=True)
+        status = path.lstat()
+        foreign = user != "" and (status.st_uid != user or stat.S_IMODE(status.st_mode) & 0o077)
+        return path if stat.S_ISDIR(status.st_mode) and not foreign else Path(tempfile.mkdtemp(prefix=path.name))
+    return None
 
 
 @dataclass

@@ -58,6 +58,8 @@ class StudioOptions:
     projects: Path | None = None
     """Where new projects are saved; None: the user's data folder."""
     limits: UploadLimits = field(default_factory=UploadLimits)
+    note: str = ""
+    """A line about `projects`, which is shown to who opens the page."""
 
 
 class Studio:
@@ -84,6 +86,8 @@ class Studio:
         self.exports: deque[NamedView] = deque(maxlen=MAX_EXPORTED_VIEWS)
         self._sourced: OrderedDict[str, dict[str, Any]] = OrderedDict()
         """Pictures that a source made: sha256 -> what receipts say of it."""
+        self.news: list[str] = []
+        """What `open` found of the project that it closed and of the one that it opened, for people."""
         self.written: dict[str, str] = {}
         """Pictures that the studio itself wrote into the folder: name -> sha256, to be told from saved ones."""
         try:
@@ -109,7 +113,9 @@ class Studio:
             fresh.close()
             raise
         self.exports.clear()
+        before = old.note
         _close(old, self.projects)
+        self.news = [self.public(note) for note in (old.note if old.note != before else "", fresh.note) if note]
 
     def prepare_edit(self, camera: Camera) -> None:
         """Make what the next local edit, in this view, needs in a thread of its own, unless one is at it; `close` waits
@@ -226,6 +232,10 @@ class Studio:
             is_open=getattr(self, "session", None) is not None and self.session.path == project.path,
         )
 
+    def notes(self) -> list[str]:
+        """Lines that who opens the page, or a project, has to know of where they are saved."""
+        return [self.public(line) for line in (self.options.note, self.session.note) if line]
+
     def draw_picture(self, listed: bool = False) -> None:
         """Leave a small picture of the asset in its project, for lists. listed: also where nothing was done in it yet;
         such a project goes when it is left."""
@@ -291,6 +301,7 @@ def _close(session: Session, projects: Projects) -> None:
     path = session.path
     unused = path is not None and path.parent == projects.root and not session.read_only
     unused = unused and len(session.history) == 1 and not session.bookmarks() and not session.oriented
+    unused = unused and session.has_its_file
     session.close()
     if unused and path is not None:
         files.remove(path)

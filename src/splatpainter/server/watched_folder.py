@@ -1,5 +1,8 @@
 """The watched folder: a picture that is saved there is offered to every client as an edit.
 
+The folder is looked at every moment, as `splatpainter watch` does it: network folders, and those that a virtual machine
+shares, send no events.
+
 What is wrong with one file is sent to the clients, and the watch goes on.
 """
 
@@ -8,8 +11,8 @@ from __future__ import annotations
 import asyncio
 import os
 import stat
+import time
 from collections.abc import Callable
-from pathlib import Path
 
 from splatpainter.io import files
 from splatpainter.server.commands.context import naming_errors
@@ -18,12 +21,15 @@ from splatpainter.server.protocol import PictureEvent, ToastEvent
 from splatpainter.server.storage import StoredBlob
 from splatpainter.server.studio import Studio
 from splatpainter.sources.picture_reader import read_picture
+from splatpainter.sources.saved_pictures import SavedPictures
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".psd", ".psb", ".ora", ".kra")
-QUIET_MS = 300
-"""Without a change, after which a file counts as saved."""
+LOOK_SECONDS = 0.2
+"""Between two looks at the folder, ..."""
+REST_PER_LOOK = 9.0
+"""... and at least that many times as long as a look takes: a large folder far away must not keep the studio busy."""
 RETRY_SECONDS = 5.0
-"""Seconds after the watch itself failed (the folder is gone, too many watches), until it is tried again."""
+"""Seconds after the watch itself failed (the folder is gone, it has too many pictures), until it is tried again."""
 
 
 async def watch(hub: Hub, retry_seconds: float = RETRY_SECONDS) -> None:
@@ -31,22 +37,24 @@ async def watch(hub: Hub, retry_seconds: float = RETRY_SECONDS) -> None:
     studio = hub.studio
     if studio.folder is None:
         return
-    from watchfiles import Change, awatch
-
-    last_warning = ""
+    saved, last_warning = None, ""
     while True:
+        began = time.monotonic()
         try:
-            async for changes in awatch(studio.folder.root, recursive=False, step=QUIET_MS, debounce=10 * QUIET_MS):
-                names = sorted({Path(path).name for change, path in changes if change != Change.deleted})
-                for name in names:
-                    await offer(hub, name)
+            if saved is None:
+                saved = await asyncio.to_thread(SavedPictures, studio.folder.root)
+            for path in await asyncio.to_thread(saved.take):
+                await offer(hub, path.name)
         except Exception as error:
             log.warning("the watched folder: %s", error)
             text = f"The folder {studio.folder.root.name} cannot be watched."
             if text != last_warning:
                 hub.publish(ToastEvent(level="warning", message=text, hint="Drop pictures into the page instead."))
             last_warning = text
-        await asyncio.sleep(retry_seconds)
+            await asyncio.sleep(retry_seconds)
+        else:
+            last_warning = ""
+            await asyncio.sleep(max(LOOK_SECONDS, REST_PER_LOOK * (time.monotonic() - began)))
 
 
 async def offer(hub: Hub, name: str, read: Callable[[Studio, str], StoredBlob | None] | None = None) -> None:

@@ -21,6 +21,14 @@ from typing import Any
 from urllib.parse import quote
 
 from splatpainter.io import files
+from splatpainter.session.disk_probe import (
+    LOCAL_DISK,
+    LOCK_ERRORS,
+    NO_LOCKS,
+    locks_refused,
+    speaks_of_locks,
+    speaks_of_maps,
+)
 
 APPLICATION_ID = 0x53504C50
 """ASCII "SPLP"."""
@@ -90,8 +98,12 @@ OPS_PER_BYTE = 16
 """... and how many more for each byte of the file. The smallest rows take 10 bytes, and some 20 instructions each."""
 BYTES_PER_VALUE = 1
 """A value takes at least that much in a file; beside texts and blobs, which take their length."""
-UNWRITABLE = ("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_READONLY", "SQLITE_CANTOPEN", "SQLITE_PERM", "SQLITE_AUTH")
-"""Names of errors (their beginnings) that speak of the disk, not of the content."""
+UNWRITABLE = ("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_READONLY", "SQLITE_CANTOPEN", "SQLITE_AUTH", *LOCK_ERRORS)
+"""Names of errors (their beginnings) that speak of the disk, or of who else has the file, not of the content."""
+WAIT_SECONDS = 10.0
+"""How long a statement waits for another connection to let go of the file."""
+UNUSED_LOG = "-wal.unused"
+"""Ending of what a log that does not belong to its file is called from then on."""
 
 
 class ContentError(ValueError):
@@ -146,13 +158,16 @@ def one_line(path: Path) -> Iterator[None]:
         yield
     except (sqlite3.Error, UnicodeDecodeError, OverflowError, RecursionError, ContentError) as error:
         message = files.printable(" ".join(str(error).split()), 300)  # SQLite quotes damaged bytes
+        if speaks_of_locks(error) and locks_refused(path.parent):
+            message = f"{NO_LOCKS}; {LOCAL_DISK}"
+            raise UnwritableError(f"{path}: cannot be read or written, and nothing was changed: {message}") from None
         if is_unwritable(error):
             raise UnwritableError(f"{path}: cannot be read or written ({message}); nothing was changed") from None
         raise ValueError(f"{path}: damaged project file ({message})") from None
 
 
 def is_unwritable(error: BaseException) -> bool:
-    """Whether an error speaks of a full disk, missing rights or a folder that allows no files."""
+    """Whether an error speaks of a full disk, missing rights, a lock, or a folder that allows no files."""
     return (getattr(error, "sqlite_errorname", "") or "").startswith(UNWRITABLE)
 
 
@@ -163,20 +178,36 @@ def _uri(path: Path) -> str:
     return ("file://" if name.startswith("/") else "file:///") + quote(name)
 
 
-def connect(uri: str) -> sqlite3.Connection:
+def connect(uri: str, wait_seconds: float = WAIT_SECONDS) -> sqlite3.Connection:
     """A connection in autocommit mode that any thread may use."""
-    return sqlite3.connect(uri, uri=True, timeout=10, isolation_level=None, check_same_thread=False)
+    return sqlite3.connect(uri, uri=True, timeout=wait_seconds, isolation_level=None, check_same_thread=False)
 
 
 def open_writable(path: Path) -> sqlite3.Connection:
-    """The database for writing, in WAL mode; that it can be written has been tried. Raises sqlite3.Error."""
+    """The database for writing, with a log (WAL); where the file system has no maps that processes can share, with a
+    rollback journal, which is as durable. The caller holds the project's lock. Raises sqlite3.Error."""
+    try:
+        return _writable(path, shares_maps=True)
+    except sqlite3.OperationalError as error:
+        if not speaks_of_maps(error):
+            raise
+    files.remove(path.with_name(path.name + "-shm"))  # what was tried
+    return _writable(path, shares_maps=False)
+
+
+def _writable(path: Path, shares_maps: bool) -> sqlite3.Connection:
     connection = connect(f"{_uri(path)}?mode=rw")
     with closed_on_error(connection):
+        if not shares_maps:  # alone, SQLite keeps the index of a log that is there in its own memory
+            connection.execute("PRAGMA locking_mode=EXCLUSIVE").fetchall()
         _distrust(connection)
-        connection.execute("PRAGMA journal_mode=WAL").fetchall()
-        connection.execute("PRAGMA synchronous=FULL")
+        mode = connection.execute(f"PRAGMA journal_mode={'WAL' if shares_maps else 'DELETE'}").fetchall()[0][0]
+        if not shares_maps:
+            connection.execute("PRAGMA locking_mode=NORMAL").fetchall()
+        connection.execute(f"PRAGMA synchronous={'FULL' if mode == 'wal' else 'EXTRA'}")  # EXTRA: the folder too
         connection.execute(f"PRAGMA journal_size_limit={MAX_LOG_BYTES}").fetchall()
         connection.execute("PRAGMA fullfsync=ON")  # macOS: past the disk's own cache; nothing elsewhere
+        connection.execute("SELECT name FROM sqlite_master LIMIT 1").fetchall()  # the log's index is mapped, or refused
         return connection
 
 
@@ -194,25 +225,118 @@ def try_writing(connection: sqlite3.Connection) -> None:
 
 def open_readable(path: Path) -> sqlite3.Connection:
     """The database for reading only; nothing in its folder is made or changed where it was closed properly.
-    Raises sqlite3.Error; ValueError where its log is needed and the folder allows no files."""
-    uri = f"{_uri(path)}?mode=ro"
-    log = path.with_name(path.name + "-wal")
-    connection = connect(uri)
+    Raises sqlite3.Error; ValueError where its log is needed and cannot be read."""
+    uri, why = f"{_uri(path)}?mode=ro", "its folder cannot be written"
+    if has_foreign_log(path):
+        return _readable(f"{uri}&immutable=1")  # which looks at no log
     try:
-        with closed_on_error(connection):
-            _distrust(connection)
-            return connection
+        return _readable(uri, wait_seconds=0)
     except sqlite3.OperationalError as error:
         if not is_unwritable(error):
             raise
-        if log.exists() and log.stat().st_size:
-            raise ValueError(
-                f"{path}: was not closed, and its folder cannot be written; copy it and {log.name} to another folder"
-            ) from None
-    connection = connect(f"{uri}&immutable=1")
+        locked, maps = speaks_of_locks(error), speaks_of_maps(error)
+    if locked:
+        refused = locks_refused(path.parent)
+        try:
+            if not refused:  # somebody is writing at this moment
+                return _readable(uri)
+        except sqlite3.OperationalError as error:
+            if refused is not None or not speaks_of_locks(error):
+                raise
+        why = NO_LOCKS
+        with contextlib.suppress(sqlite3.OperationalError):  # it needs its log
+            return _readable(f"{uri}&nolock=1")
+    elif maps:
+        why = "its file system has no maps that programs can share"
+    pending = [name for name in (f"{path.name}-wal", f"{path.name}-journal") if _size(path.with_name(name))]
+    if pending:
+        raise ValueError(f"{path}: was not closed, and {why}; copy it and {pending[0]} to another folder")
+    return _readable(f"{uri}&immutable=1")
+
+
+def _readable(uri: str, wait_seconds: float = WAIT_SECONDS) -> sqlite3.Connection:
+    connection = connect(uri, wait_seconds)
     with closed_on_error(connection):
         _distrust(connection)
+        connection.execute(f"PRAGMA busy_timeout={WAIT_SECONDS * 1000:.0f}").fetchall()
         return connection
+
+
+def has_log(path: Path) -> bool:
+    """Whether changes may be in a log beside the database."""
+    return _size(path.with_name(path.name + "-wal")) > 0
+
+
+def has_foreign_log(path: Path) -> bool:
+    """Whether the log beside a database is not of this state of it. SQLite would play it all the same, and so lose what
+    is newer; programs that synchronise folders bring such logs from elsewhere. A database says in its head whether
+    there may be changes in a log, from before there is one until it is gone; where it does, what it holds alone must
+    not be later than what it holds with its log, nor of another original, nor sound where that is damaged."""
+    if not has_log(path):
+        return False
+    if files.read_head(path, 20)[18:20] == b"\1\1":  # write and read version: rollback
+        return has_log(path)  # else it was closed between the two looks
+    try:
+        alone = dict(written_last(path))
+    except ValueError:  # half of the log may be in the file already: then it is needed
+        return False
+    try:
+        together = dict(_facts(path, f"{_uri(path)}?mode=ro"))
+        return alone.get("sha256") != together.get("sha256") or _edited(alone) > _edited(together)
+    except UnwritableError:
+        return False
+    except ValueError:
+        return _passes_check(path)
+
+
+def _edited(facts: dict[str, Any]) -> float:
+    """When the latest step was made, seconds since 1970; 0: never. Raises ValueError."""
+    return float(facts.get("edited", 0))
+
+
+def set_log_aside(path: Path) -> str:
+    """Take a log away that does not belong to a database; the name that it has then, "" where there was none. The
+    caller holds the project's lock. Raises ValueError where it cannot be renamed."""
+    if not has_foreign_log(path):
+        return ""
+    name = path.name + UNUSED_LOG
+    try:
+        files.replace(path.with_name(path.name + "-wal"), path.with_name(name))
+        path.with_name(path.name + "-shm").unlink(missing_ok=True)
+    except OSError as error:
+        reason = error.strerror or error
+        raise ValueError(f"{path}: the log beside it is not of this file, and cannot be renamed ({reason})") from None
+    return name
+
+
+def written_last(path: Path) -> list[tuple[Any, ...]]:
+    """What tells one state of a project file from another, as the file alone says it. Raises ValueError."""
+    return _facts(path, f"{_uri(path)}?mode=ro&immutable=1")
+
+
+def _passes_check(path: Path) -> bool:
+    """Whether a database is whole without its log."""
+    try:
+        with one_line(path), contextlib.closing(_readable(f"{_uri(path)}?mode=ro&immutable=1")) as connection:
+            return Database(path, connection).rows("PRAGMA quick_check(1)") == [("ok",)]
+    except ValueError:
+        return False
+
+
+def _facts(path: Path, uri: str) -> list[tuple[Any, ...]]:
+    with one_line(path), contextlib.closing(_readable(uri)) as connection:
+        return Database(path, connection).rows(WRITTEN_LAST, kinds=(str, str))
+
+
+WRITTEN_LAST = "SELECT name, value FROM facts WHERE name IN ('cursor', 'edited', 'sha256') ORDER BY name"
+
+
+def _size(path: Path) -> int:
+    """Bytes of a file, 0 where it is missing."""
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0
 
 
 def _distrust(connection: sqlite3.Connection) -> None:
@@ -250,7 +374,8 @@ def check_head(path: Path) -> int:
         )
     page = number(head[16:18], "big")
     size = number(head[28:32], "big") * (65536 if page == 1 else page)
-    if path.stat().st_size < size and not path.with_name(path.name + "-wal").exists():
+    logs = (path.with_name(path.name + ending) for ending in ("-wal", "-journal"))  # which may have the rest
+    if path.stat().st_size < size and not any(log.exists() for log in logs):
         raise ValueError(f"{path}: damaged project file (cut short: {path.stat().st_size} of {size} bytes)")
     return version
 

@@ -5,7 +5,8 @@ the operating system's own file locks (fcntl, LockFileEx), so a killed process f
 one process exclude each other too, which plain fcntl locks do not. The package filelock (data/shards.py) would do as
 well; a session has SQLite at hand and needs no further package. A lock row with a heartbeat would need clocks, a time
 to wait after a crash, and would trust a stopped process to be dead; locking the project database itself would keep
-readers out as well. On network folders it is as good as the locks of that file system.
+readers out as well. On network folders it is as good as the locks of that file system; where that refuses all locks,
+no project is written (disk_probe.py tells such a refusal from a lock that somebody holds).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from pathlib import Path
 
 from splatpainter.io import files
 from splatpainter.session.database import is_unwritable
+from splatpainter.session.disk_probe import LOCAL_DISK, NO_LOCKS, locks_refused, speaks_of_locks
 
 LOCK_ENDING = "-lock"
 """Ending of the lock's file name, after the project's."""
@@ -30,7 +32,7 @@ class ProjectLock:
     @staticmethod
     def take(project: Path) -> ProjectLock | None:
         """The lock of a project file, or None: somebody holds it. Raises ValueError naming the project where none can
-        be made: its folder allows no new files, or something else has the lock's name."""
+        be made: its folder allows no new files or no locks, or something else has the lock's name."""
         path = project.with_name(project.name + LOCK_ENDING)
         for _ in range(100):
             connection = _locked(path, project)
@@ -39,7 +41,7 @@ class ProjectLock:
             # The file may have been removed by a holder who left between our opening it and our locking it: then what
             # we hold is a file without a name. If the name stands for another file, that can be locked again.
             with contextlib.suppress(ValueError):
-                again = _locked(path, project)
+                again = _locked(path, project, is_tried=True)
                 if again is None:
                     return ProjectLock(connection, path)
                 again.close()
@@ -57,10 +59,12 @@ class ProjectLock:
             files.remove(self._path)
 
 
-def _locked(path: Path, project: Path) -> sqlite3.Connection | None:
-    connection = None
+def _locked(path: Path, project: Path, is_tried: bool = False) -> sqlite3.Connection | None:
+    """None: somebody holds it. is_tried: it is known that files can be locked there."""
+    connection, is_new = None, False
     try:
-        if path.exists() and (not path.is_file() or path.stat().st_size):  # ours are empty; `release` removes them
+        is_new = not path.exists()
+        if not is_new and (not path.is_file() or path.stat().st_size):  # ours are empty; `release` removes them
             raise ValueError(f"{project}: cannot be locked ({path.name} is in the way)")
         connection = sqlite3.connect(path, timeout=0, isolation_level=None, check_same_thread=False)
         connection.execute("PRAGMA journal_mode=OFF")
@@ -71,7 +75,11 @@ def _locked(path: Path, project: Path) -> sqlite3.Connection | None:
     except sqlite3.Error as error:
         if connection is not None:
             connection.close()
-        if getattr(error, "sqlite_errorname", "").startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
-            return None
+        if speaks_of_locks(error):
+            if is_tried or not locks_refused(path.parent):
+                return None
+            if is_new:
+                files.remove(path)
+            raise ValueError(f"{project}: cannot be locked ({NO_LOCKS}); {LOCAL_DISK}") from None
         reason = "its folder allows no new files" if is_unwritable(error) else " ".join(str(error).split())
         raise ValueError(f"{project}: cannot be locked ({reason})") from None

@@ -1,17 +1,20 @@
 """The project file: one SQLite database that every acknowledged change is in. Knows no painter.
 
-WAL with synchronous=FULL while open: a commit is on disk when it returns. On closing the log is folded back into the
-one file. All access goes through one connection and its lock, so several threads may read while one writes.
+WAL with synchronous=FULL while open: a commit is on disk when it returns, and is then folded back into the one file, so
+that a copy of that file is whole. Before each commit the file is looked at: it may have been replaced. All access goes
+through one connection and its lock, so several threads may read while one writes.
 """
 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import sqlite3
 import threading
 import time
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,11 +25,12 @@ from splatpainter.cameras import Camera
 from splatpainter.io import files
 from splatpainter.jsonio import brief
 from splatpainter.session import database
-from splatpainter.session.database import ContentError, Database, closed_on_error, is_unwritable, one_line
+from splatpainter.session.database import SUFFIX, ContentError, Database, closed_on_error, is_unwritable, one_line
 from splatpainter.session.delta import decode
 from splatpainter.session.document import MAX_REASON, MAX_STROKES, Document, Layer, Policy, check_stroke, digest
 from splatpainter.session.layer_state import LayerResult
 from splatpainter.session.lock import ProjectLock
+from splatpainter.session.open_file import OpenFile
 from splatpainter.session.scene_asset import MAIN_ASSET_ID, SceneAsset, parse_assets
 from splatpainter.session.stored_results import loaded_result, store_result
 
@@ -34,6 +38,8 @@ MAX_STEPS = 1000
 """Steps of the history; older ones are dropped."""
 ELSEWHERE = "open elsewhere: this copy is read-only; save_as makes one of your own"
 UNWRITABLE = "cannot be written ({}): it is read-only; save_as makes a copy that can be changed"
+FOLD_WAIT_SECONDS = 0.2
+"""How long a commit waits for readers, before what it wrote stays in the log until the next one."""
 
 
 @dataclass(frozen=True)
@@ -54,11 +60,15 @@ class Bookmark:
 
 
 class Project:
-    """An open project file. `read_only` says why it cannot be written, "" where it can."""
+    """An open project file. `read_only` says why it cannot be written, "" where it can; `note` what was found beside it
+    when it was opened, and where its layers went if it was replaced until it was closed; "": nothing."""
 
-    def __init__(self, bounded: Database, lock: ProjectLock | None, read_only: str) -> None:
-        self.path, self.read_only = bounded.path, read_only
+    def __init__(self, bounded: Database, lock: ProjectLock | None, read_only: str, note: str = "") -> None:
+        self.path, self.read_only, self.note = bounded.path, read_only, note
         self._database, self._db, self._lock = bounded, bounded.connection, lock
+        self._file = None if lock is None else OpenFile(bounded.path)
+        self._has_written = False
+        """Whether something was committed since it was opened."""
         self._mutex = threading.RLock()
         self._bookmarks: list[Bookmark] | None = None
         self._steps: list[Step] | None = None
@@ -84,11 +94,16 @@ class Project:
             connection.execute("INSERT INTO steps (id, label, policies, next_id) VALUES (1, 'open', '[]', 1)")
             connection.execute("COMMIT")
 
-        lock = _lock_target(path, overwrite)
+        lock, is_new = _lock_target(path, overwrite), not path.exists()
         try:
             _create(path, fill)
-            with one_line(path):
-                return Project(_opened(path, readonly=False), lock, "")
+            try:
+                with one_line(path):
+                    return Project(_opened(path, readonly=False), lock, "")._settled()
+            except BaseException:
+                for ending in ("", "-wal", "-shm", "-journal") if is_new else ():
+                    files.remove(path.with_name(path.name + ending))
+                raise
         except BaseException:
             lock.release()
             raise
@@ -98,10 +113,12 @@ class Project:
         """Open a project file. readonly None: only where it is open elsewhere or cannot be written; False: then it is
         an error. Raises ValueError: missing, damaged, no project, newer, of an older version and read-only."""
         version = database.check_head(path)
-        lock, reason = None, "opened for reading only"
+        lock, reason, note = None, "opened for reading only", ""
         if not readonly:
             lock, reason = _lock_or_reason(path)
         try:
+            if lock is not None and (unused := database.set_log_aside(path)):
+                note = f"{path}: a log of another state of this file lay beside it; it is not used, and is now {unused}"
             with one_line(path):
                 bounded = None
                 if lock is not None:
@@ -120,16 +137,20 @@ class Project:
                         older = f"project version {version} must be opened for writing once, to be upgraded"
                         raise ValueError(f"{path}: {older}; {reason}")
                     bounded = _opened(path, readonly=True)
-                return Project(bounded, lock, reason)
+                return Project(bounded, lock, reason, note)._settled()
         except BaseException:
             if lock is not None:
                 lock.release()
             raise
 
-    def close(self) -> None:
-        """Fold the log into the one file. Closing twice does nothing."""
+    def close(self, is_copied: bool = False) -> None:
+        """Fold the log into the one file. Where that was replaced or deleted by another program, what was done in it
+        goes into a file beside it (is_copied: it is in another one already). Closing twice does nothing."""
         with self._mutex:
-            if self._lock is not None:
+            problem = "" if self._file is None or self._lock is None else self._file.is_lost()
+            if problem and self._has_written and not is_copied:
+                self._rescue(problem)
+            if self._lock is not None and not problem:
                 # A reader in the way, or a full disk: all is in the log, for the next opener.
                 with contextlib.suppress(sqlite3.Error):
                     self._database.start()
@@ -138,13 +159,53 @@ class Project:
                     self._db.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
                     self._db.execute("PRAGMA journal_mode=DELETE").fetchall()
             self._db.close()
+            if problem and not database.has_log(self.path):  # SQLite leaves these beside a file that is not its own
+                for ending in ("-wal", "-shm"):
+                    files.remove(self.path.with_name(self.path.name + ending))
             if self._lock is not None:
                 self._lock.release()
                 self._lock = None
 
+    def _rescue(self, problem: str) -> None:
+        """Write what was done in a file that is gone into a new one beside it."""
+        names = (f"{self.path.stem}.rescued{k}{SUFFIX}" for k in itertools.chain([""], range(2, 1000)))
+        target = next((path for path in map(self.path.with_name, names) if not path.exists()), None)
+        with contextlib.suppress(ValueError, OSError):  # its folder went too, or its disk is full
+            if target is not None:
+                self.copy(target)
+                self.note = f"{self.path}: {problem}; what was done in it is in {target.name}"
+                warnings.warn(self.note, stacklevel=4)
+
+    def check_file(self) -> None:
+        """Raises UnwritableError where the file was deleted, moved or replaced since it was opened, or cannot be
+        reached, ValueError where another program wrote into it: nothing that is committed would be found again."""
+        if self._file is not None:
+            with self._mutex:
+                self._file.check()
+
+    def _fold(self) -> None:
+        """Fold the log into the file, where no reader needs it. A full disk: all is in the log."""
+        with contextlib.suppress(sqlite3.Error):
+            self._database.start()
+            self._db.execute(f"PRAGMA busy_timeout={FOLD_WAIT_SECONDS * 1000:.0f}").fetchall()
+            try:
+                self._db.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
+            finally:
+                self._db.execute(f"PRAGMA busy_timeout={database.WAIT_SECONDS * 1000:.0f}").fetchall()
+
+    def _settled(self) -> Project:
+        """This, with what was written folded into the file, which is from now on as it is now."""
+        if self._file is not None:
+            self._fold()
+            self._file.note(self._db)
+        return self
+
     def copy(self, path: Path, overwrite: bool = False) -> None:
         """Copy the project to another file, compact; it appears complete or not at all. Raises ValueError: it exists,
-        is open elsewhere, or cannot be written."""
+        is open elsewhere, or cannot be written; another program wrote into this one."""
+        with self._mutex:  # nobody is between a commit and what is noted of it
+            if self._file is not None and self._file.is_overwritten():
+                self._file.check()
         lock = _lock_target(path, overwrite)
         try:
             _create(path, lambda connection: self._clone(connection))
@@ -376,6 +437,7 @@ class Project:
         with self._mutex, contextlib.suppress(sqlite3.Error):  # a full disk: the room is free within the file
             self._database.start()
             self._db.executescript("PRAGMA incremental_vacuum")  # execute() would free one page
+            self._settled()
         return removed
 
     def _forget_sizes(self, *groups: Iterable[str]) -> None:
@@ -412,6 +474,7 @@ class Project:
         if self.read_only:
             raise ValueError(f"{self.path}: {self.read_only}")
         with self._mutex, one_line(self.path):
+            self.check_file()
             self._database.start()
             self._db.execute("BEGIN IMMEDIATE")
             try:
@@ -421,6 +484,8 @@ class Project:
                 if self._db.in_transaction:
                     self._db.execute("ROLLBACK")
                 raise
+            self._has_written = True
+            self._settled()
 
 
 class Transaction:
@@ -565,7 +630,8 @@ def _lock_or_reason(path: Path) -> tuple[ProjectLock | None, str]:
     try:
         lock = ProjectLock.take(path)
     except ValueError as error:
-        return None, UNWRITABLE.format(str(error).removeprefix(f"{path}: "))
+        reason = str(error).removeprefix(f"{path}: ").partition("; ")[0]
+        return None, UNWRITABLE.format(reason.removeprefix("cannot be locked (").removesuffix(")"))
     return lock, "" if lock else ELSEWHERE
 
 
@@ -603,7 +669,7 @@ def _create(path: Path, fill) -> None:
                 connection.close()
         with open(partial, "rb+") as file:
             os.fsync(file.fileno())
-        for ending in ("-wal", "-shm"):  # of a project that was there and is replaced
+        for ending in ("-wal", "-shm", "-journal"):  # of a project that was there and is replaced
             path.with_name(path.name + ending).unlink(missing_ok=True)
         files.replace(partial, path)
         files.sync_folder(path.parent)
@@ -611,4 +677,4 @@ def _create(path: Path, fill) -> None:
         raise ValueError(f"{path}: cannot be written ({error.strerror or error})") from None
     finally:
         for ending in ("", "-wal", "-shm"):
-            partial.with_name(partial.name + ending).unlink(missing_ok=True)
+            files.remove(partial.with_name(partial.name + ending))

@@ -18,6 +18,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from splatpainter.session.database import SUFFIX
+from splatpainter.session.disk_probe import locks_refused
 from splatpainter.session.lock import LOCK_ENDING, ProjectLock
 
 SCRATCH_FOLDER = re.compile(r"splatpainter-(original|session|studio|blobs|verify)-[a-z0-9_]{8}")
@@ -48,6 +49,8 @@ class ScratchFolder:
                 self._lock = ProjectLock.take(self.path / OWNER)
             except ValueError as error:
                 failure = error
+                if locks_refused(self.path):  # nobody else can lock it either: it is swept once it is old and empty
+                    return
             if self._lock is not None:
                 return
             # Another process took the new folder for a left-over: it holds the lock, or has removed all of it.

@@ -249,6 +249,21 @@ class Session(AssetCommands, ExportCommands, Annotations, GeometryCommands):
         """Index in the history of the step in effect."""
         return self._snapshot.cursor
 
+    @property
+    def note(self) -> str:
+        """What was found beside the project file when it was opened (a log of another state of it); after `close` also
+        where its layers are, if another program had replaced or deleted it. "": nothing."""
+        return self._project.note
+
+    @property
+    def has_its_file(self) -> bool:
+        """Whether the project file is still the one that was opened: not deleted, moved, replaced or overwritten."""
+        try:
+            self._project.check_file()
+        except ValueError:
+            return False
+        return True
+
     def layer(self, layer: str) -> Layer:
         """A layer by its id. Raises ValueError for an unknown one."""
         document = self._snapshot.document
@@ -522,12 +537,13 @@ class Session(AssetCommands, ExportCommands, Annotations, GeometryCommands):
         with self._commands:
             target = _project_path(path)
             if target == self._project.path:
+                self._project.check_file()
                 return  # all of it is there already
             self._project.copy(target, overwrite)
             old, scratch = self._project, self._scratch
             self._project, self._scratch = Project.open(target, readonly=False), None
             self._transaction.project = self._project
-            old.close()
+            old.close(is_copied=True)
             if scratch is not None:
                 scratch.close()
 
@@ -577,6 +593,7 @@ class Session(AssetCommands, ExportCommands, Annotations, GeometryCommands):
         with self._commands:
             if self.read_only:
                 raise ValueError(f"{self._project.path}: {self.read_only}")
+            self._project.check_file()  # before anything is computed for it
             try:
                 yield
             finally:

@@ -27,6 +27,7 @@ from splatpainter.server.protocol import (
 from splatpainter.server.storage import PROJECT, StoredBlob, demo
 from splatpainter.server.studio import Studio
 from splatpainter.session import Session
+from splatpainter.session.disk_probe import locks_refused
 from splatpainter.session.scratch import scratch_folder
 
 MIN_FREE_BYTES = 64 << 20
@@ -189,9 +190,9 @@ def save_as(context: CommandContext, request: ProjectSaveAs) -> Answer:
         raise ValueError("project: the studio was started without a folder; export it as a download instead")
     name = request.file if request.file.lower().endswith(PROJECT) else request.file + PROJECT
     path = studio.folder.file(name, new=True)
-    before = studio.session.path
+    before, is_there = studio.session.path, studio.session.has_its_file
     studio.session.save_as(path, overwrite=request.overwrite)
-    if before is not None and before.parent == studio.projects.root:
+    if before is not None and before.parent == studio.projects.root and is_there:
         files.remove(before)  # it moved
     studio.name = path.stem
     return Answer(python=python_line("session.save_as", name))
@@ -247,10 +248,10 @@ def move_project(context: CommandContext, request: ProjectMove) -> ProjectMoved:
     if request.folder not in roomy:
         raise ValueError("project: that folder has no room for it any more; choose another one")
     name, folder, _ = roomy[request.folder]
-    before = studio.session.path
+    before, is_there = studio.session.path, studio.session.has_its_file
     file = before.name if before is not None else studio.projects.fresh(studio.name).name
     studio.session.save_as(folder / file)
-    if before is not None and before.parent == studio.projects.root:
+    if before is not None and before.parent == studio.projects.root and is_there:
         with contextlib.suppress(OSError):  # the disk that refuses to be written
             files.remove(before)
     return ProjectMoved(folder=name, file=file, python=python_line("session.save_as", file))
@@ -259,7 +260,7 @@ def move_project(context: CommandContext, request: ProjectMove) -> ProjectMoved:
 def _roomy_folders(studio: Studio) -> dict[FolderKey, tuple[str, Path, int]]:
     """Key -> (name for people, folder, free bytes) of where the project would fit, the most durable first."""
     path = studio.session.path
-    size = 0 if path is None else path.stat().st_size
+    size = 0 if path is None or not path.exists() else path.stat().st_size  # another program may have deleted it
     named: dict[FolderKey, tuple[str, Path]] = {
         "projects": ("the studio's own folder", studio.projects.root),
         "home": ("the home folder", Path.home()),
@@ -272,7 +273,8 @@ def _roomy_folders(studio: Studio) -> dict[FolderKey, tuple[str, Path, int]]:
         with contextlib.suppress(OSError):
             free = shutil.disk_usage(folder).free
             is_here = path is not None and folder.resolve() == path.parent.resolve()
-            if not is_here and free > size + MIN_FREE_BYTES and os.access(folder, os.W_OK):
+            roomy = not is_here and free > size + MIN_FREE_BYTES and os.access(folder, os.W_OK)
+            if roomy and not locks_refused(folder):
                 out[key] = (name, folder, free)
     return out
 
