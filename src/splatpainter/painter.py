@@ -20,7 +20,7 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.extras import require
 from splatpainter.nn.precision import Arithmetic, Precision, autocast, resolve, setting
-from splatpainter.receipts import Receipt, scores, untouched_hashes
+from splatpainter.receipts import Receipt, ViewScore, scores, untouched_hashes
 from splatpainter.splats import Splats, changed_rows
 
 if TYPE_CHECKING:
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from splatpainter.models.encode import Encoded
     from splatpainter.models.model import SplatPainterModel
     from splatpainter.models.refine import RefineState
+    from splatpainter.rendering.partial import PartialRender
     from splatpainter.spread.options import SpreadOptions
     from splatpainter.surface.estimate import Surface
     from splatpainter.voxels.grid import VoxelGrid
@@ -321,7 +322,7 @@ class Painter:
         hashes = untouched_hashes(asset.splats, result.splats, touched) if self.proof else ("", "")
         aside = self._aside(asset, result, views) if self.aside and mode != "global" else ()
         notes.append(_seen_aside(aside))
-        judged = scores([(*_before_and_after(asset, result, v, touched), v.edited, v.mask, _scored(v)) for v in views])
+        judged = _judged(asset, result, views, touched)
         return Receipt(
             asset_sha256=asset.splats.sha256 if self.proof else "",
             asset_rows=len(asset.splats),
@@ -602,17 +603,26 @@ def _prepare(asset: Asset, edit: Edit, mode: Mode, partly: bool) -> EditView:
     )
 
 
+def _judged(asset: Asset, result: Asset, views: Sequence[EditView], touched: np.ndarray) -> tuple[ViewScore, ...]:
+    """Each view's score; what the other pictures painted is not outside. touched: [T] Gaussians that changed."""
+    from splatpainter.lift.shared_paint import paint_of_other_views
+
+    pairs = [_before_and_after(asset, result, view, touched) for view in views]
+    shared = paint_of_other_views(views, [before.depths for before, _ in pairs])
+    images = zip(views, pairs, shared, strict=True)
+    return scores([(b.colors, a.colors, v.edited, v.mask | other, _scored(v)) for v, (b, a), other in images])
+
+
 def _before_and_after(
     asset: Asset, result: Asset, view: EditView, touched: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Two [H, W, 3] renders of a view, equal where the edit changed nothing. touched: [T] Gaussians that it changed."""
+) -> tuple[PartialRender, PartialRender]:
+    """Two renders of a view, equal where the edit changed nothing. touched: [T] Gaussians that it changed."""
     from splatpainter.rendering.partial import PartialRender
 
     assert view.alpha is not None and view.depth is not None and view.tiles is not None
     pictures = (view.before, view.alpha, view.depth)
     drawn = PartialRender(asset.splats, view.camera, view.tiles, *pictures, view.projected)
-    before, after = drawn.after(result.splats, touched)
-    return before.colors, after.colors
+    return drawn.after(result.splats, touched)
 
 
 def _changed_together(views: list[EditView], edits: Sequence[Edit]) -> list[EditView]:

@@ -62,7 +62,7 @@ class ViewScore:
     psnr_after: float | None
     """Render after against the edited view, inside the mask."""
     psnr_outside: float | None
-    """Render after against render before, outside the mask."""
+    """Render after against render before, outside of what this picture and the others of the edit paint there."""
 
 
 @dataclass(frozen=True)
@@ -493,7 +493,8 @@ def score(pixels: np.ndarray, other: np.ndarray, mask: np.ndarray) -> float | No
 
 
 def scores(images: Sequence[tuple[np.ndarray, ...]]) -> tuple[ViewScore, ...]:
-    """One ViewScore per (render before, render after, edited picture, mask, scored part of the mask)."""
+    """One ViewScore per (render before, render after, edited picture, what was painted there by it or by another
+    picture of the edit, scored part of its mask)."""
     return tuple(
         ViewScore(score(before, edited, scored), score(after, edited, scored), score(after, before, ~mask))
         for before, after, edited, mask, scored in images

@@ -159,19 +159,20 @@ def test_bad_input_is_one_line() -> None:
     fog = replace(splats, means=rng.uniform(-1, 1, (len(splats), 3)).astype(np.float32))
     fog = replace(fog, opacities=np.full(len(fog), 0.06, np.float32), scales=np.full_like(fog.scales, 0.1))
     middle = within(fog, (0, 0, 0), 0.4)
-    few = ball(50)
     cases = [
         (splats, {"removed": none}, "nothing was removed"),
         (splats, {"around": none}, "nothing is selected"),
         (splats, {"removed": ~none}, "nothing is left there"),
         (splats, {"removed": ~within(splats, (-1, -1, 0), 0.12)}, "nothing is left there"),
-        (fog, {"removed": middle}, "not a surface"),
-        (few, {"removed": within(few, (0, 0, -1), 0.9)}, "fill: "),
+        (fog, {"around": middle}, "fill: "),
     ]
     for asset, where, words in cases:
         with pytest.raises(ValueError, match=words) as error:
             fill_hole(asset, **where)
         assert "\n" not in str(error.value)
+    for asset, gone, words in ((fog, middle, "not a surface"), (splats, within(splats, (-1, -1, 0), 0.02), "")):
+        unfilled = fill_hole(asset, removed=gone)
+        assert words in unfilled.note and len(unfilled.appended) == unfilled.holes == 0
     bad = with_bad_gaussians(splats.take(np.arange(len(splats))))
     filled = fill_hole(bad, removed=within(splats, (0.05, 0.1, 0), 0.3) | ~bad.drawable)
     assert np.isfinite(filled.appended.means).all() and filled.appended.drawable.all()

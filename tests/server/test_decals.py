@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from splatpainter.cameras import look_at
 from splatpainter.rendering import render
 from splatpainter.server.protocol import CameraInfo
 from tests.support import studio_scenes, surface_shapes
@@ -85,3 +87,25 @@ def test_where_there_is_no_surface_it_says_so(live: Live) -> None:
     answer = live.http.post("/api/do/decal.lay", json=fields)
     assert answer.status_code == 400 and "no surface" in answer.json()["error"]["message"]
     assert not live.studio.session.layers
+
+
+def test_what_is_shown_before_is_where_it_is_laid(live: Live) -> None:
+    """The page's preview against the painted result, rendered from the same view: straight on and from the side."""
+    session = live.studio.session
+    fields = {"camera": CAMERA, "x": 56.0, "y": 44.0, "width": 0.7, "angle": 20.0}
+    oblique = look_at((2.2, -0.9, -2.2), (0, 0, 0), (0, -1, 0), width=128, height=96, fov=40)
+    areas = []
+    for camera in (view(), oblique):
+        answer = live.post("decal.show", **fields, columns=24, rows=12, view=CameraInfo.of(camera).model_dump())
+        uv = np.frombuffer(base64.b64decode(answer["data"]), "<f4").reshape(answer["rows"], answer["columns"], 2)
+        assert (answer["block"], uv.shape[:2]) == (1, (camera.height, camera.width))
+        with np.errstate(invalid="ignore"):
+            areas.append((np.abs(uv[..., 0]) < 0.35) & (np.abs(uv[..., 1]) < 0.175))
+    assert not session.layers
+    before = [render(session.splats, camera).colors[0] for camera in (view(), oblique)]
+    live.post("decal.lay", picture=live.send(label((255, 0, 0))), **fields)
+    for area, camera, bare in zip(areas, (view(), oblique), before, strict=True):
+        changed = np.abs(render(session.splats, camera).colors[0] - bare).max(-1) > 0.15
+        assert area.sum() > 100 and (area & changed).sum() > 0.85 * (area | changed).sum()
+    nowhere = live.http.post("/api/do/decal.show", json={**fields, "x": 2, "columns": 4, "rows": 4, "view": CAMERA})
+    assert nowhere.status_code == 400 and "no surface" in nowhere.json()["error"]["message"]

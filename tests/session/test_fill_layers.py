@@ -15,11 +15,30 @@ from splatpainter.rendering import render
 from splatpainter.session import Session
 from splatpainter.session.asset_files import read_layer
 from splatpainter.splats import ATTRIBUTES, Splats
+from tests.holes.test_body import ground, sphere
 from tests.support.cli_scenes import ball, saved
 
 
 def same_bits(a: Splats, b: Splats) -> bool:
     return len(a) == len(b) and all(getattr(a, n).tobytes() == getattr(b, n).tobytes() for n in ATTRIBUTES)
+
+
+def test_the_whole_body_goes_and_a_closed_surface_is_no_refusal(tmp_path: Path) -> None:
+    floor, small = ground((0.5, 0.35, 0.2)), sphere(0.5, (0.9, 0.8, 0.1))
+    is_ball = np.arange(len(floor) + len(small)) >= len(floor)
+    asset = saved(tmp_path / "scene.ply", floor.append(small))
+    with Session(asset, tmp_path / "a.splatproj") as session:
+        before = session.splats
+        front = (is_ball & (before.means[:, 2] > 0)).astype(np.float32)
+        layer = session.fill(front, remove=True, body=True)
+        gone = (before.opacities > 0) & (session.splats.opacities[: len(before)] == 0)
+        np.testing.assert_array_equal(gone, is_ball)
+        note = session.facts(layer.id)["note"]
+        assert f"{len(small):,} Gaussians removed; hidden, nothing filled: the surface is closed" in note
+        assert len(session.splats) == len(before) and session.verify(repaint=True) == []
+        assert session.undo() and same_bits(session.splats, before)
+        session.fill(front, remove=True)  # only what is selected
+        assert (session.splats.opacities[: len(before)] == 0).sum() == front.sum()
 
 
 def cap(splats: Splats) -> np.ndarray:

@@ -12,7 +12,11 @@ import pytest
 from PIL import Image
 
 import splatpainter as sp
+from splatpainter.demo_asset import demo_asset, demo_view
+from splatpainter.lift.masks import dilated
+from splatpainter.painter import Painter
 from splatpainter.sources import decal_views
+from splatpainter.sources.decal_placement import picture_up
 from splatpainter.sources.decals import MAX_ROUGH_PX, Decal, parse_width, rough_length_px, text_picture
 from splatpainter.sources.picture_reader import Picture
 from tests.support import surface_shapes
@@ -263,3 +267,61 @@ def test_command_line_refuses(tmp_path: Path, capfd: Capture) -> None:
     ]:
         assert complaint in run(capfd, *base[:2], *base[2:], *words).error
     assert not (tmp_path / "out.ply").exists()
+
+
+HERO = demo_view(256)
+OBLIQUE = sp.look_at((2.6, 1.3, 1.6), (0, -0.1, 0), width=256, height=256, fov=33)
+
+
+@pytest.mark.parametrize(
+    ("camera", "at", "width"),
+    [(HERO, (130, 120), 0.45), (HERO, (190, 165), 0.22), (HERO, (115, 200), 0.4), (HERO, (128, 219), 0.4)],
+    ids=["pot", "lemon", "board", "rim of the board"],
+)
+def test_it_lies_where_its_preview_shows_it_on_the_demo_asset(camera: sp.Camera, at, width: float) -> None:
+    """And nowhere else: paint over an outline used to land on what stands far behind it."""
+    splats = demo_asset()
+    asset, decal = Painter().encode(splats), striped(at, camera, width)
+    laid = decal.laid(asset)
+    edited = Painter().apply(asset, laid.edits).splats
+    for view in (camera, OBLIQUE):
+        uv = decal.placed(asset).map_on(asset, asset.surface, view)
+        with np.errstate(invalid="ignore"):
+            inside = np.asarray((np.abs(uv) < 0.5 * np.array(laid.size)).all(-1))
+        before, after = (np.clip(sp.render(s, view).colors[0], 0, 1) for s in (splats, edited))
+        changed = np.abs(after - before).max(-1) > 0.12
+        assert not (changed & ~dilated(inside, 3)).any(), "nothing lands elsewhere"
+        if view is camera:
+            assert inside.sum() > 300 and changed[inside & ~dilated(~inside, 1)].mean() > 0.93
+            blue = uv[..., 0] > 0
+            target = np.where(blue[..., None], (0.1, 0.1, 0.7), (0.8, 0.1, 0.1))
+            core = inside & ~dilated(~inside, 2) & (np.abs(uv[..., 0]) > 0.03)
+            assert np.abs(after - target)[core].mean() < 0.06, "as opaque as it is shown"
+
+
+def striped(at: tuple[float, float], camera: sp.Camera, width: float) -> Decal:
+    picture = np.zeros((48, 112, 3), np.float32)
+    picture[:, :56], picture[:, 56:] = (0.8, 0.1, 0.1), (0.1, 0.1, 0.7)
+    return Decal(picture, at, camera, width, level=(0, 1, 0))
+
+
+@pytest.mark.parametrize("at", [(108, 96), (150, 130)])
+def test_it_stands_upright_on_the_object_from_an_oblique_view(at: tuple[float, float]) -> None:
+    asset = Painter().encode(surface_shapes.sphere(1500))
+    camera = sp.look_at((1.5, 2.0, 2.5), (0, 0, 0), width=240, height=240, fov=40)
+    upright = Decal(np.ones((12, 24, 3), np.float32), at, camera, 0.3, level=(0, 1, 0)).placed(asset)
+    leaning = Decal(np.ones((12, 24, 3), np.float32), at, camera, 0.3).placed(asset)
+    sides = [np.cross(one.up, one.normal)[1] for one in (upright, leaning)]
+    assert abs(sides[0]) < 0.03 < 0.045 < abs(sides[1]), "the lower edge is level"
+    flat = picture_up(camera, np.array([0.1, 0.995, 0]), 0.0, np.array([0, 1.0, 0]))
+    np.testing.assert_allclose(flat, picture_up(camera, np.array([0.1, 0.995, 0]), 0.0), atol=1e-9)
+
+
+def test_no_view_of_a_large_sticker_is_taken_for_a_zoom_in() -> None:
+    """An edit of more than two fifths of a picture is: letters of 384 pixels were torn, as it lays no sheet."""
+    asset = Painter().encode(surface_shapes.sphere(1500))
+    camera = looking(np.array([0, 0, -1.0]), np.array([0, 0, -1.0]))
+    laid = Decal(np.ones((300, 384, 3), np.float32), (120, 120), camera, 0.5).laid(asset)
+    assert laid.coverage > 0.99
+    for edit in laid.edits:
+        assert edit.mask is not None and 0.1 < edit.mask.mean() < 0.4

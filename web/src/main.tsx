@@ -12,6 +12,7 @@ import { camera, pendingStrokes, pose, state, status } from "./state/store";
 import { cursorFrame } from "./paint/brush";
 import { meanRadius } from "./paint/dabs";
 import { handles, placement } from "./paint/placement";
+import { followDecal } from "./paint/placement";
 import { followSurface, surfaceOf } from "./paint/view-surface";
 import { go, link, start, viewer } from "./state/studio";
 import { App } from "./ui/app";
@@ -24,6 +25,7 @@ try {
   render(<App canvas={canvas} />, root);
   listen();
   followSurface();
+  followDecal();
   followAside();
   window.addEventListener("beforeunload", (event) => {
     if (pendingStrokes.value > 0 && status.value !== "open") event.preventDefault(); // they would be lost

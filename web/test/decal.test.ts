@@ -4,12 +4,13 @@ import {
   anchorAt,
   anchorPixel,
   angleOf,
+  cardMap,
   decalBounds,
   decalHandles,
-  decalMap,
   drawDecal,
   upAt,
   type Anchor,
+  type DecalMap,
 } from "../src/paint/decal";
 import { SurfaceView } from "../src/paint/surface-blocks";
 import { cross, dot, lookAt, toCamera, unit, type CameraJson, type Vec3 } from "../src/view/camera";
@@ -39,7 +40,7 @@ const side = toCamera(lookAt([2.4, -1.2, -3], [0, 0, 0], [0, -1, 0], 35), 400, 3
 describe("pictures on the surface", () => {
   it("have their middle under the pixel, and their up as the view has it", () => {
     for (const camera of [front, side]) {
-      const anchor = anchorAt(ball(camera), 231, 140, 0, 0.01)!;
+      const anchor = anchorAt(ball(camera), 231, 140, 0, 0.01, null)!;
       expect(Math.hypot(...anchor.point)).toBeCloseTo(1, 2);
       const { x, y } = anchorPixel(camera, anchor);
       expect([x, y]).toEqual([expect.closeTo(231, 3), expect.closeTo(140, 3)]);
@@ -49,50 +50,61 @@ describe("pictures on the surface", () => {
       expect(corners[0][1]).toBeLessThan(corners[3][1]); // the upper corners are above
       expect(corners[0][0]).toBeLessThan(corners[1][0]); // and not mirrored
     }
-    expect(anchorAt(ball(front), 3, 3, 0, 0.01)).toBeNull();
+    expect(anchorAt(ball(front), 3, 3, 0, 0.01, null)).toBeNull();
   });
 
   it("keep their angle, and tell it again on another view", () => {
-    const anchor = anchorAt(ball(front), 200, 160, 0.7, 0.01)!;
-    expect(angleOf(front, anchor)).toBeCloseTo(0.7, 6);
-    const turned: Anchor = { ...anchor, up: upAt(side, anchor.normal, angleOf(side, anchor)) };
+    const anchor = anchorAt(ball(front), 200, 160, 0.7, 0.01, null)!;
+    expect(angleOf(front, anchor, null)).toBeCloseTo(0.7, 6);
+    const turned: Anchor = { ...anchor, up: upAt(side, anchor.normal, angleOf(side, anchor, null), null) };
     turned.up.forEach((v, k) => expect(v).toBeCloseTo(anchor.up[k], 6));
     const { corners } = decalHandles(front, anchor, 30, 10, 30);
     const edge = Math.atan2(corners[1][1] - corners[0][1], corners[1][0] - corners[0][0]);
     expect(edge).toBeCloseTo(0.7, 2); // clockwise on the screen
   });
 
-  it("measure lengths along the surface", () => {
-    const view = ball(front);
-    const anchor = anchorAt(view, 200, 160, 0, 0.01)!;
-    const map = decalMap(view, anchor, 180);
-    let seen = 0;
-    for (let k = 0; k < view.columns * view.rows; k++) {
-      const at = view.blockAt(k);
-      if (!at) continue;
-      const cosine = Math.max(-1, Math.min(1, -at.normal[2])); // the anchor faces the camera
-      expect(Math.hypot(map[2 * k], map[2 * k + 1])).toBeCloseTo(Math.acos(cosine), 1);
-      seen++;
+  it("stand upright on the object, whichever way one looks at it", () => {
+    const [level, above]: [Vec3, CameraJson] = [
+      [0, -1, 0],
+      toCamera(lookAt([2.4, -2.2, -3], [0, 0, 0], [0, -1, 0], 35), 400, 320, [0, 0, 0]),
+    ];
+    for (const [x, y] of [
+      [150, 170],
+      [240, 200],
+    ]) {
+      const anchor = anchorAt(ball(above), x, y, 0, 0.01, level)!;
+      const right = cross(anchor.up, anchor.normal);
+      expect(right[1]).toBeCloseTo(0, 6); // its lower edge is level
+      expect(dot(anchor.up, level)).toBeGreaterThan(0.3);
+      const leaning = anchorAt(ball(above), x, y, 0, 0.01, null)!;
+      expect(Math.abs(cross(leaning.up, leaning.normal)[1])).toBeGreaterThan(0.02); // as the view has it, it would lean
     }
-    expect(seen).toBeGreaterThan(500);
+    const lid: Vec3 = unit([0.1, -1, 0]);
+    expect(upAt(above, lid, 0, level)).toEqual(upAt(above, lid, 0, null)); // flat: as the view has it
   });
 
-  it("end at the wrap limit", () => {
-    const view = ball(front);
-    const anchor = anchorAt(view, 200, 160, 0, 0.01)!;
-    const reach = (limit: number) => {
-      const map = decalMap(view, anchor, limit);
-      return Math.max(...Array.from(map).filter((v) => !Number.isNaN(v)));
-    };
-    expect(reach(30)).toBeLessThan(Math.PI / 6 + 0.02);
-    expect(reach(30)).toBeGreaterThan(Math.PI / 6 - 0.06);
-    expect(reach(180)).toBeGreaterThan(1);
+  it("are a flat card while they move", () => {
+    const anchor = anchorAt(ball(side), 220, 150, 0.3, 0.01, null)!;
+    const map = cardMap(side, anchor, [0.6, 0.4], 2);
+    const right = cross(anchor.up, anchor.normal);
+    let within = 0;
+    for (let k = 0; k < map.columns * map.rows; k++) {
+      const [u, v] = map.places.subarray(2 * k, 2 * k + 2);
+      if (Number.isNaN(u)) continue;
+      const at = anchor.point.map((p, axis) => p + u * right[axis] + v * anchor.up[axis]) as Vec3;
+      const pixel = anchorPixel(side, { ...anchor, point: at });
+      expect(pixel.x).toBeCloseTo(((k % map.columns) + 0.5) * 2, 2);
+      expect(pixel.y).toBeCloseTo((Math.floor(k / map.columns) + 0.5) * 2, 2);
+      within++;
+    }
+    expect(within).toBeGreaterThan(500);
+    const away: Anchor = { ...anchor, normal: anchor.normal.map((v) => -v) as Vec3 };
+    expect(decalBounds(cardMap(side, away, [0.6, 0.4], 2), side, 1, 1)).toBeNull();
   });
 
   it("show the picture the right way round, and nothing beside it", () => {
-    const view = ball(front);
-    const anchor = anchorAt(view, 200, 160, 0, 0.01)!;
-    const map = decalMap(view, anchor, 180);
+    const anchor = anchorAt(ball(front), 200, 160, 0, 0.01, null)!;
+    const map: DecalMap = cardMap(front, anchor, [0.6, 0.4], 2);
     const data = new Uint8ClampedArray(2 * 2 * 4);
     [
       [255, 0, 0],
@@ -100,29 +112,15 @@ describe("pictures on the surface", () => {
       [0, 0, 255],
       [255, 255, 0],
     ].forEach((rgb, k) => data.set([...rgb, 255], k * 4));
-    const part = decalBounds(view, map, 0.3, 0.2)!;
-    const out = drawDecal(view, map, { width: 2, height: 2, data }, [0.6, 0.4], part);
+    const part = decalBounds(map, front, 0.3, 0.2)!;
+    const out = drawDecal(map, { width: 2, height: 2, data }, [0.6, 0.4], part);
     const pixel = (x: number, y: number) => [...out.subarray(((y - part.y) * part.width + x - part.x) * 4).slice(0, 4)];
     expect(pixel(190, 150)).toEqual([255, 0, 0, 255]);
     expect(pixel(210, 150)).toEqual([0, 255, 0, 255]);
     expect(pixel(190, 170)).toEqual([0, 0, 255, 255]);
     expect(pixel(210, 170)).toEqual([255, 255, 0, 255]);
     expect(pixel(part.x, part.y)[3]).toBe(0);
-    expect(decalBounds(view, new Float32Array(map.length).fill(NaN), 1, 1)).toBeNull();
-  });
-
-  it("do not jump to what stands behind", () => {
-    const view = ball(front);
-    const anchor = anchorAt(view, 200, 160, 0, 0.01)!;
-    const behind = new Float32Array(view.columns * view.rows * 4);
-    for (let k = 0; k < view.columns * view.rows; k++) {
-      const at = view.blockAt(k);
-      if (at) behind.set([at.point[2] + (k % view.columns > 60 ? 2 : 0), ...at.normal], 4 * k);
-    }
-    const map = decalMap(new SurfaceView(front, BLOCK, view.columns, view.rows, behind), anchor, 180);
-    const row = Math.floor(160 / BLOCK) * view.columns;
-    expect(map[2 * (row + 55)]).toBeGreaterThan(0);
-    expect(map[2 * (row + 65)]).toBeNaN();
-    expect(dot(cross(anchor.up, anchor.normal), [1, 0, 0])).toBeGreaterThan(0.9);
+    const none = { ...map, places: new Float32Array(map.places.length).fill(NaN) };
+    expect(decalBounds(none, front, 1, 1)).toBeNull();
   });
 });

@@ -6,7 +6,7 @@ import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from tyro.conf import arg
 
@@ -47,6 +47,9 @@ class Config:
     """The file to write; its name says the format."""
     where: Annotated[tuple[str, ...], arg(metavar="WHERE ...", help_behavior_hint="")] = ()
     """Part to remove; what it leaves is filled."""
+    remove: Literal["body", "selection"] = "body"
+    """What goes of WHERE: body: the whole thing that it is of, its back too, without the ground it stands on; where it
+    is a spot on something larger, as selection: it alone."""
     around: Annotated[tuple[str, ...], arg(metavar="WHERE ...", help_behavior_hint="")] = ()
     """Instead: what surrounds an existing hole, such as a mask drawn around it."""
     source: Annotated[str, arg(metavar="NAME", help_behavior_hint="")] = ""
@@ -109,6 +112,7 @@ def run(config: Config) -> Outcome:
                 splats,
                 weights if config.where else None,
                 around=weights if config.around else None,
+                body=config.remove == "body",
                 source=source,
                 prompt=config.prompt,
                 camera=cameras[0].relative_to(splats.offset) if cameras else None,

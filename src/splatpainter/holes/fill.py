@@ -14,7 +14,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.color import sh_from_color
-from splatpainter.holes.border import Border, bordering_gaussians, borders_of
+from splatpainter.holes.border import MIN_BORDER, Border, bordering_gaussians, borders_of
 from splatpainter.holes.chart import CELL_PX, Chart, chart_of
 from splatpainter.holes.smooth_surface import ThinPlate, sphere_heights
 from splatpainter.holes.texture import complete
@@ -61,14 +61,18 @@ class Filled:
     """Sides of them: a hole through a wall has two."""
     coarse: bool
     """Whether a hole was so large that its Gaussians are coarser than their neighbours."""
-    camera: Camera
+    camera: Camera | None = None
     """Camera that faces the largest hole, ..."""
-    size_px: float
+    size_px: float = 0.0
     """... which is so wide in it, pixels."""
+    reason: str = ""
+    """Why nothing was filled."""
 
     @property
     def note(self) -> str:
         """One line for receipts."""
+        if not self.holes:
+            return f"hidden, nothing filled: {self.reason}"
         holes = "1 hole" if self.holes == 1 else f"{self.holes} holes"
         coarse = ", coarser than their neighbours: it is large" if self.coarse else ""
         return f"filled {holes} with {len(self.appended):,} Gaussians{coarse}"
@@ -77,9 +81,10 @@ class Filled:
 def fill_hole(splats: Splats, *, removed: np.ndarray | None = None, around: np.ndarray | None = None) -> Filled:
     """What continues the surroundings where Gaussians are missing. splats: numpy.
 
-    removed: [N] bool, Gaussians that are gone (whatever their opacity is now); or around: [N] bool, Gaussians around a
-    hole, as they are selected by circling it. Raises ValueError in one line: nothing is named, there is no border, no
-    hole in it, or a border that is no surface."""
+    removed: [N] bool, Gaussians that are gone (whatever their opacity is now): where the surface behind is closed, or
+    nothing around can be continued, nothing is appended and `reason` says why. Or around: [N] bool, Gaussians around a
+    hole, as they are selected by circling it. Raises ValueError in one line: nothing is named, nothing
+    is left; or, around, there is no border, no hole in it, or a border that is no surface."""
     visible = splats.drawable & (splats.opacities > 0)
     if removed is not None:
         if not removed.any():
@@ -92,6 +97,8 @@ def fill_hole(splats: Splats, *, removed: np.ndarray | None = None, around: np.n
         if not candidates.any():
             raise ValueError("fill: nothing is selected; circle the hole, with some of the asset around it")
     borders = borders_of(splats, remaining, candidates)
+    if not borders and removed is not None and remaining.sum() >= MIN_BORDER:
+        return _unfilled(splats, "what was removed touched nothing")
     if not borders:
         raise ValueError("fill: expected a border of at least 12 Gaussians around the hole; nothing is left there")
     pieces: list[Splats] = []
@@ -107,11 +114,11 @@ def fill_hole(splats: Splats, *, removed: np.ndarray | None = None, around: np.n
                 cameras.append(chart.camera)
                 coarse |= chart.pixel * CELL_PX > 1.5 * border.cell
     if not pieces:
-        if not seen:
-            raise ValueError(
-                "fill: what surrounds the hole is not a surface that can be continued (fog, or loose Gaussians)"
-            )
-        raise ValueError("fill: there is no hole; the surface is closed behind it")
+        loose = "what surrounds the hole is not a surface that can be continued (fog, or loose Gaussians)"
+        closed = "the surface is closed behind it"
+        if removed is not None:
+            return _unfilled(splats, closed if seen else loose)
+        raise ValueError(f"fill: there is no hole; {closed}" if seen else f"fill: {loose}")
     appended = pieces[0]
     for piece in pieces[1:]:
         appended = appended.append(piece)
@@ -119,6 +126,11 @@ def fill_hole(splats: Splats, *, removed: np.ndarray | None = None, around: np.n
     camera = cameras[largest]
     pixels, _ = camera.project(pieces[largest].means)
     return Filled(appended, len(pieces), coarse, camera, float(np.ptp(pixels, axis=0).max()))
+
+
+def _unfilled(splats: Splats, reason: str) -> Filled:
+    none = replace(splats.take(np.zeros(0, np.int64)), source=None, origin=None)
+    return Filled(none, 0, False, reason=reason)
 
 
 def _charts(splats: Splats, remaining: np.ndarray, removed: np.ndarray | None, border: Border) -> list[Chart]:

@@ -32,11 +32,12 @@ def fill_delta(
         raise ValueError(f"fill: expected {FILL} of {', '.join(get_args(FillWhere))}, got {brief(where)}")
     chosen = weights >= SELECTED
     filled = fill_hole(splats, removed=chosen) if where == "removed" else fill_hole(splats, around=chosen)
-    appended = painted(splats, filled.appended, pictures)
+    appended = painted(splats, filled.appended, pictures) if filled.holes else filled.appended
     bare = replace(splats, source=None, origin=None)
     # Of no family: an eraser or a split of what is near is none of theirs.
     delta = between(bare, bare.append(appended))
-    return delta, {"note": filled.note}
+    removed = f"{int(chosen.sum()):,} Gaussians removed; " if where == "removed" else ""
+    return delta, {"note": removed + filled.note}
 
 
 def fading(delta: Delta, opacity: float, mask: np.ndarray | None) -> Delta:

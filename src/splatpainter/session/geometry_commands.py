@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from splatpainter.holes.body import body_of
 from splatpainter.io import files
 from splatpainter.painter import Edit
 from splatpainter.session.commands import Commands
 from splatpainter.session.document import SELECTION, SOURCE, Layer, View, add_layer, change_layer
-from splatpainter.session.fill_layers import FILL, FillWhere
+from splatpainter.session.fill_layers import FILL, SELECTED, FillWhere
 from splatpainter.session.layer_factory import encode_mask, encode_picture, thumbnail
 from splatpainter.session.layer_mask import LayerMask, MaskPart
 from splatpainter.session.relief import Relief
@@ -80,17 +81,21 @@ class GeometryCommands(Commands):
             self._commit(f"add {layer.name}", document, strict=layer.id)
             return layer
 
-    def fill(self, weights: np.ndarray, *, remove: bool = False, name: str = "Fill") -> Layer:
+    def fill(self, weights: np.ndarray, *, remove: bool = False, body: bool = False, name: str = "Fill") -> Layer:
         """A layer of new Gaussians that continue the surface over a hole, in colours of what surrounds it
         (holes/fill.py); nothing else changes. weights: [N] 0..1 of `splats`: Gaussians around the hole, as circling it
         selects them; or (remove) those that go first, by a layer below that hides them. Both layers are one step of
-        the history. Of several assets a hole is in that which most of the weights are of; what is removed goes from
-        all, and every one is filled. Raises ValueError where nothing is selected, and where there is no hole that can
-        be filled."""
+        the history; where the surface behind is closed the upper one is empty, and its note says so. body: what goes
+        is the whole connected body that they are of, as far as there is one (holes/body.py). Of several assets a hole
+        is in that which most of the weights are of; what is removed goes from all, and every one is filled. Raises
+        ValueError where nothing is selected, and where there is no hole that can be filled."""
         weights = self._weights(weights)
         if not weights.any():
             raise ValueError("fill: nothing is selected; select what is to be removed, or circle a hole")
         where: FillWhere = "removed" if remove else "around"
+        if remove and body:
+            chosen = body_of(self.snapshot.splats.numpy(), weights >= SELECTED)
+            weights = weights if chosen is None else chosen.astype(np.float32)
         with self._command():
             document, added = self._document, []
             for hiding in self._hiding(weights, f"{name}: removed")[: None if remove else 1]:

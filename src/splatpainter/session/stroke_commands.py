@@ -27,6 +27,7 @@ from splatpainter.splats import Splats
 if TYPE_CHECKING:
     from splatpainter.lift.side_views import SideViewScore
     from splatpainter.sources.decals import Decal, LaidDecal
+    from splatpainter.surface.estimate import Surface
 
 
 class StrokeCommands(Commands):
@@ -182,12 +183,22 @@ class StrokeCommands(Commands):
     def laid(self, decal: Decal, *, replaces: str | None = None) -> LaidDecal:
         """A decal on the asset as it is now, or on what is below a layer: its edits, for `add("paint", laid.edits)` or
         `replace_views(replaces, laid.edits)`. Raises ValueError as Decal.laid does."""
+        asset, surface = self._decal_ground(replaces)
+        return decal.laid(asset, surface)
+
+    def decal_map(self, decal: Decal, camera: Camera, *, replaces: str | None = None) -> np.ndarray:
+        """[H, W, 2] where `laid` would put it, as a view shows it: places of the decal, world units right and up of its
+        middle, NaN beside it. Nothing changes. Raises ValueError as Decal.laid does."""
+        asset, surface = self._decal_ground(replaces)
+        return decal.placed(asset, surface).map_on(asset, surface, camera.within(asset.splats.offset))
+
+    def _decal_ground(self, replaces: str | None) -> tuple[Asset, Surface]:
         splats = self.splats if replaces is None else self.below(replaces)
         surfaces = self._replay.surfaces(self._document)
         asset = Asset(
             replace(without_source(splats), origin=np.arange(len(splats))), original=without_source(surfaces.original)
         )
-        return decal.laid(asset, surfaces.surface)
+        return asset, surfaces.surface
 
     def replace_views(
         self,

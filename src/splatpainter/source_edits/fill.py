@@ -16,6 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from splatpainter.cameras import Camera, look_at
+from splatpainter.holes.body import body_or_selection
 from splatpainter.holes.fill import Filled, fill_hole, painted
 from splatpainter.lift.masks import dilated
 from splatpainter.painter import Asset
@@ -46,6 +47,7 @@ def fill(
     removed: np.ndarray | None = None,
     *,
     around: np.ndarray | None = None,
+    body: bool = False,
     source: PictureSource | None = None,
     prompt: str = "",
     camera: Camera | None = None,
@@ -57,7 +59,9 @@ def fill(
 ) -> Asset:
     """The asset with a hole filled by new Gaussians, appended at the end, on a surface that continues the border.
 
-    removed: [N] bool or 0..1 weights: Gaussians that go first; they stay as rows of opacity 0. around: instead, those
+    removed: [N] bool or 0..1 weights: Gaussians that go first; they stay as rows of opacity 0; where the surface behind
+    them is closed that is all, and the receipt's note says so. body: what goes is the whole connected body that they
+    are of (holes/body.py), or they alone where they are a spot on something larger. around: instead, those
     that lie around a hole that is there, as one selects them by circling it. The new Gaussians take the colours and the
     texture of what surrounds them; or, with a source, those of its picture of the filled view, in which the fill is the
     mask. camera: that view; by default one that faces the hole. prompt, references, seed, strictness: as in
@@ -70,13 +74,17 @@ def fill(
     if (removed is None) == (around is None):
         raise ValueError("fill: expected Gaussians to remove, or those around a hole")
     chosen = _chosen(removed if removed is not None else around, len(splats))
-    emptied = splats
+    emptied, words = splats, ""
+    if removed is not None and body:
+        chosen, words = body_or_selection(splats, chosen)
     if removed is not None:
         emptied = replace(splats, opacities=np.where(chosen, np.float32(0), splats.opacities))
     filled = fill_hole(emptied, removed=chosen) if removed is not None else fill_hole(emptied, around=chosen)
     edits: tuple[SourcedEdit, ...] = ()
     appended = filled.appended
     brief = SourceBrief(prompt, tuple(references), seed, 1, strictness)
+    if source is not None and not filled.holes:
+        raise ValueError(f"fill: there is nothing for {source.name} to paint: {filled.reason}; fill without a source")
     if source is not None:
         with_fill = replace(emptied, source=None, origin=None).append(appended)
         flag, report = cancel or threading.Event(), progress or (lambda share, words: None)
@@ -102,7 +110,7 @@ def fill(
         untouched_sha256_before=hashes[0],
         untouched_sha256_after=hashes[1],
         seconds={"fill": time.perf_counter() - start},
-        note=filled.note,
+        note="; ".join(filter(None, (words, filled.note))),
         source=None if source is None else source_record(source, brief, edits),
     )
     return Asset(after, receipt, original=splats)
@@ -113,6 +121,7 @@ def facing(filled: Filled, splats: Splats, new: np.ndarray, size: int = VIEW_PX)
     the two sides of the surface that which shows more of them."""
     center = splats.means[new].astype(np.float64).mean(0)
     towards = filled.camera
+    assert towards is not None
     width = filled.size_px * float(towards.to_camera(center)[2]) / towards.fx
     distance = VIEW_SIDES * width / (2 * math.tan(math.radians(VIEW_FOV / 2)))
     cameras = []

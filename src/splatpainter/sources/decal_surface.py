@@ -22,6 +22,10 @@ MAX_FIT_PX = 3
 """Reach of planes fitted to rendered depth where the surface is not trusted, ..."""
 MAX_FIT_RESIDUAL = 1.0
 """... and the rms distance of the depths from such a plane, in pixels, up to which it is used."""
+MEAN_PX = 48
+"""Side of the picture in which the mean normal around a point is measured, at most."""
+SAME_SIDE = 0.3
+"""Cosine between a normal and that of the point from which it is one of the same side."""
 SIZES_AWAY = 2.5
 """Distance of a camera from a patch, in the patch's diameters: nearly parallel rays."""
 MAX_APPROACHES, APPROACH = 4, 0.6
@@ -122,6 +126,26 @@ def surface_under(
     near = away < away.min() + 2
     normal = visible_part.normals[near & (visible_part.normals @ visible_part.normals[first] > 0.5)].mean(0)
     return visible_part.points[first], normal / np.linalg.norm(normal)
+
+
+def mean_normal(
+    asset: Asset, surface: Surface, camera: Camera, start: tuple[np.ndarray, np.ndarray], radius: float
+) -> np.ndarray:
+    """[3] unit: where the surface faces around a start (point, normal), as a view sees it, the nearer the more: over a
+    radius (world units) a picture does not follow every fold."""
+    point, normal = start
+    (pixel,), (z,) = camera.project(point[None])
+    reach = radius * camera.fx / max(float(z), 1e-9)
+    window = camera.cropped(int(pixel[0] - reach), int(pixel[1] - reach), int(2 * reach) + 1, int(2 * reach) + 1)
+    side = min(window.width, MEAN_PX)
+    window = window.resized(side, side)
+    view = project(asset.splats, window)
+    _, alpha, depth = view.rasterize()
+    seen = surface_pixels(asset, surface, view, alpha > MIN_ALPHA, depth)
+    weights = np.maximum(1 - np.linalg.norm(seen.points - point, axis=1) / radius, 0)
+    weights *= seen.normals @ normal > SAME_SIDE
+    mean = (weights[:, None] * seen.normals).sum(0) + 1e-3 * normal
+    return mean / np.linalg.norm(mean)
 
 
 def facing_camera(

@@ -60,7 +60,9 @@ STRIP_MARGIN = 0.35
 MIN_RIM_ALPHA = 0.15
 """Alpha of a pixel from which a decal is continued over an outline, so that the Gaussians there are painted."""
 FILL_PX = 3
-"""How far."""
+"""How far, ..."""
+RIM_SLOPE = 4.0
+"""... and how steeply the surface may fall away there: depth over width."""
 MAX_SURVEYS = 10
 """Cameras that look for the surface under a decal."""
 PIXELS_PER_SPACING = 1.4
@@ -94,6 +96,9 @@ OVERLAP_PX = 3
 """Pixels by which the parts of neighbouring views overlap."""
 MARGIN_PX = 24
 """Pixels around the part that a view paints."""
+MAX_PART_SHARE = 0.35
+"""Largest share of its picture that a view paints: an edit of 0.4 of a picture is taken for a zoom-in (lift/edits.py),
+which has no sheets."""
 MIN_SHARE = 0.01
 """Least share of a patch: what a view must show best, to be one of those that paint it."""
 
@@ -319,7 +324,7 @@ def faced_parts(
     """Parts of a patch, each in the view that sees it most frontally, of at most `limit` views. painted: [S] bool
     samples that something is painted on; up: [3] of the pictures; pixel: world units."""
     samples = patch.samples
-    views: list[_PatchView] = []
+    views: list[PatchView] = []
     groups = _directions(samples.points[painted], samples.normals[painted], limit)
     creases = [] if patch.smoothing else _creases(samples, painted, groups, max(CREASE_PX * pixel, samples.spacing))
     faces = len(groups)
@@ -362,7 +367,7 @@ def faced_parts(
 
 
 @dataclass(frozen=True)
-class _PatchView:
+class PatchView:
     """A patch as a view shows it, Q pixels."""
 
     camera: Camera
@@ -395,11 +400,19 @@ class _PatchView:
         height, width = picture.shape
         if not len(ys):
             return FacedPart(self.camera, self.before, self.alpha, ys, xs, self.uv[chosen])
-        top, left = max(int(ys.min()) - MARGIN_PX, 0), max(int(xs.min()) - MARGIN_PX, 0)
-        bottom, right = min(int(ys.max()) + MARGIN_PX + 1, height), min(int(xs.max()) + MARGIN_PX + 1, width)
+        margin = MARGIN_PX
+        extent = np.array([np.ptp(ys) + 1, np.ptp(xs) + 1])
+        while len(ys) > MAX_PART_SHARE * np.prod(extent + 2 * margin):
+            margin += MARGIN_PX // 2
+        top, left = int(ys.min()) - margin, int(xs.min()) - margin
+        bottom, right = top + int(extent[0]) + 2 * margin, left + int(extent[1]) + 2 * margin
         camera = self.camera.cropped(left, top, right - left, bottom - top)
-        window = (slice(top, bottom), slice(left, right))
-        return FacedPart(camera, self.before[window], self.alpha[window], ys - top, xs - left, self.uv[chosen])
+        room = [(max(-top, 0), max(bottom - height, 0)), (max(-left, 0), max(right - width, 0))]
+        # Nothing is painted beyond the picture, so that it may show nothing there.
+        top_edge, left_edge = top + room[0][0], left + room[1][0]
+        window = slice(top_edge, top_edge + bottom - top), slice(left_edge, left_edge + right - left)
+        before, alpha = np.pad(self.before, [*room, (0, 0)])[window], np.pad(self.alpha, room)[window]
+        return FacedPart(camera, before, alpha, ys - top, xs - left, self.uv[chosen])
 
 
 def _view(
@@ -411,18 +424,33 @@ def _view(
     members: np.ndarray,
     up: np.ndarray,
     pixel: float,
-) -> _PatchView:
+) -> PatchView:
     """The patch from a direction, in a picture with room for some of its points ([M, 3])."""
-    samples = patch.samples
     middle = (np.quantile(members, 0.02, 0) + np.quantile(members, 0.98, 0)) / 2
     target = members[np.linalg.norm(members - middle, axis=1).argmin()]
     radius = float(np.quantile(np.linalg.norm(members - target, axis=1), 0.995)) + MARGIN_PX * pixel
     camera = facing_camera(asset, target, direction, up, radius, pixel)
+    return mapped_view(asset, surface, patch, painted, camera, pixel)
+
+
+def mapped_view(
+    asset: Asset,
+    surface: Surface,
+    patch: UnwrappedPatch,
+    painted: np.ndarray,
+    camera: Camera,
+    pixel: float | None = None,
+) -> PatchView:
+    """The patch as a camera shows it, around some samples (painted: [S] bool). pixel: world units of one, there; None:
+    as the camera shows the samples, which need not face it."""
+    samples = patch.samples
     uv, z = camera.project(samples.points[painted])
     region = np.zeros((camera.height, camera.width), bool)
     inside_picture = (z > 0) & (uv >= 0).all(1) & (uv[:, 0] < camera.width) & (uv[:, 1] < camera.height)
     x, y = uv[inside_picture].astype(int).T
     region[y, x] = True
+    if pixel is None:
+        pixel = float(np.median(z[z > 0])) / camera.fx if (z > 0).any() else 1.0
     reach = int(np.ceil(2.5 * samples.spacing / pixel * SIZES_AWAY / (SIZES_AWAY - 0.5)))
     tiles = tiles_of_mask(dilated(region, reach + MARGIN_PX))
     region = dilated(region, reach)
@@ -449,12 +477,17 @@ def _view(
     uv[seen.ys, seen.xs], index[seen.ys, seen.xs] = coordinates, nearest
     visible = np.zeros(len(samples.points), bool)
     visible[nearest[nearest >= 0]] = True
+    mapped = uv[..., 0].copy()
     uv, index = _filled(uv, index, region & (alpha > MIN_RIM_ALPHA), 4 * pixel)
+    # Over an outline it goes on only where nothing else stands behind: there the paint would land.
     ys, xs = np.nonzero(index >= 0)
+    behind = np.abs(camera.project(samples.points[index[ys, xs]])[1] - depth[ys, xs])
+    beyond = np.isnan(mapped[ys, xs]) & (behind > 3 * samples.spacing + RIM_SLOPE * FILL_PX * pixel)
+    ys, xs = ys[~beyond], xs[~beyond]
     line = camera.position - samples.points
     cosine = (line * samples.normals).sum(1) / np.linalg.norm(line, axis=1)
     cosine = np.where(visible, np.maximum(cosine, 1e-3), 0)
-    return _PatchView(camera, before, alpha, ys, xs, uv[ys, xs], index[ys, xs], cosine, clear)
+    return PatchView(camera, before, alpha, ys, xs, uv[ys, xs], index[ys, xs], cosine, clear)
 
 
 def _on_rays(

@@ -18,27 +18,17 @@ import numpy as np
 from splatpainter.cameras import Camera, bounding_sphere
 from splatpainter.color import from_display
 from splatpainter.painter import Asset, Edit
-from splatpainter.sources.decal_surface import surface_under
-from splatpainter.sources.decal_views import FacedPart, faced_parts, survey
+from splatpainter.sources.decal_placement import MAX_DECAL_PX, MIN_DECAL_PX, DecalPlacement, decal_placement
+from splatpainter.sources.decal_views import FacedPart, faced_parts
 from splatpainter.sources.picture_reader import MAX_PICTURE_PIXELS, SIZE_LIMIT, Picture, read_picture
 from splatpainter.surface.estimate import Surface
 
 MAX_DECAL_VIEWS = 6
 """Edited views of one decal."""
-MAX_DECAL_PX = 384
-"""Pixels of a decal's longer side in the views that paint it; larger pictures are averaged down to it."""
-MIN_DECAL_PX = 96
-"""... and at least."""
 MAX_ROUGH_PX = 50_000
 """Opaque pixels of a decal on rough surface, where nearly every one of them needs a Gaussian: words have fewer, large
 stickers are averaged down. A sticker of 60 % of a capture's diameter: 94,000 Gaussians and 12 CPU s instead of 176,000
 and 22; with half as many its outline crumbles."""
-SAMPLES = 12_000
-"""Samples of the surface, under a decal."""
-BALL_SAMPLES = 20_000
-"""... and of a disk around it."""
-SPACING_WIDTHS = 0.6
-"""Least distance between samples, in widths of the Gaussians."""
 MIN_PAINT_ALPHA = 0.02
 """Alpha below which a pixel of a decal paints nothing."""
 LITTLE_COVERAGE = 0.5
@@ -64,11 +54,14 @@ class Decal:
     width: float | str
     """Along the surface: world units, or "12%" of the diameter of the asset's bounding sphere."""
     angle: float = 0.0
-    """Degrees, counter-clockwise as seen from outside; at 0 the picture's up is the camera's, laid on the surface."""
+    """Degrees, counter-clockwise as seen from outside; at 0 the picture's up is `level`, laid on the surface."""
     wrap: float = 180.0
     """Degrees by which the surface may turn away from where it faces under the pixel, 0 to 180; 180: no limit."""
     name: str = "decal"
     """What errors call it."""
+    level: tuple[float, float, float] | None = None
+    """World direction that is up of the object, on which pictures stand upright; None, and on what lies flat: the
+    camera's."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "picture", _picture(self.picture))
@@ -79,6 +72,8 @@ class Decal:
             raise ValueError(f"decal: expected an angle in degrees, got {self.angle}")
         if not 0 < self.wrap <= 180:
             raise ValueError(f"decal: expected a wrap limit above 0 and up to 180 degrees, got {self.wrap:g}")
+        if self.level is not None and not (np.isfinite(self.level).all() and np.any(self.level)):
+            raise ValueError(f"decal: expected a direction that is up, got {self.level}")
 
     def size(self, asset: Asset) -> tuple[float, float]:
         """(width, height) on this asset, world units. Raises ValueError where it is far larger than the asset."""
@@ -105,20 +100,14 @@ class Decal:
         """`views`, with what there is to say about them."""
         assert isinstance(self.picture, Picture)
         surface = surface or Surface.of(asset.splats)
-        width, height = self.size(asset)
-        columns, rows = self.picture.size
-        longer = int(np.clip(max(columns, rows), MIN_DECAL_PX, MAX_DECAL_PX))
+        placement = self.placed(asset, surface)
+        patch, up, (width, height) = placement.patch, placement.up, placement.size
+        longer = int(np.clip(max(self.picture.size), MIN_DECAL_PX, MAX_DECAL_PX))
         pixel = max(width, height) / longer
-        spacing = max(math.sqrt(width * height / SAMPLES), 1.5 * pixel, SPACING_WIDTHS * surface.typical_width)
-        spacing = max(spacing, math.sqrt(math.pi * (width**2 + height**2) / 4 / BALL_SAMPLES))
-        camera = self.camera.within(asset.splats.offset)
-        start = surface_under(asset, surface, camera, self.at)
-        up = _up(camera, start[1], self.angle)
-        patch = survey(asset, surface, start, up, (width, height), spacing, math.radians(self.wrap))
         if patch.smoothing:
             pixel = max(width, height) / rough_length_px(self.picture, longer)
         texture = _texture(self.picture, max(round(width / pixel), 1), max(round(height / pixel), 1))
-        alpha = _sampled(texture, patch.samples.uv, (width, height), soft=2 * spacing)[:, 3]
+        alpha = _sampled(texture, patch.samples.uv, (width, height), soft=2 * placement.spacing)[:, 3]
         painted = patch.under & (alpha > MIN_PAINT_ALPHA)
         painted[0] |= not painted.any()
         parts = faced_parts(asset, surface, patch, painted, up, pixel, MAX_DECAL_VIEWS)
@@ -131,7 +120,16 @@ class Decal:
             for k, edit in enumerate(edits)
         ]
         cover = _coverage(parts, texture, (width, height))
-        return LaidDecal(tuple(edits), (width, height), start[0], start[1], cover)
+        return LaidDecal(tuple(edits), (width, height), placement.point, placement.normal, cover)
+
+    def placed(self, asset: Asset, surface: Surface | None = None) -> DecalPlacement:
+        """Where it lies, before anything is painted; raises ValueError as `views`."""
+        assert isinstance(self.picture, Picture)
+        surface = surface or Surface.of(asset.splats)
+        level = None if self.level is None else np.array(self.level, np.float64)
+        camera, longer = self.camera.within(asset.splats.offset), max(self.picture.size)
+        size, turns = self.size(asset), {"angle": self.angle, "wrap": self.wrap}
+        return decal_placement(asset, surface, camera, self.at, size, longer, level=level, **turns)
 
     def _edit(self, asset: Asset, part: FacedPart, texture: np.ndarray, size: tuple[float, float]) -> Edit | None:
         layer = _sampled(texture, part.uv, size)
@@ -231,18 +229,6 @@ def _picture(source: np.ndarray | Picture | str | Path) -> Picture:
     if picture.alpha is not None and picture.alpha.max() <= MIN_PAINT_ALPHA:
         raise ValueError("decal: the picture is transparent everywhere")
     return picture
-
-
-def _up(camera: Camera, normal: np.ndarray, angle: float) -> np.ndarray:
-    """[3] unit tangent: the picture's up. angle: degrees, counter-clockwise from outside."""
-    rotation = camera.world_to_camera[:3, :3]
-    up = -rotation[1] - (-rotation[1] @ normal) * normal
-    if np.linalg.norm(up) < 0.05:  # the surface is seen from its edge: forwards is up
-        up = rotation[2] - (rotation[2] @ normal) * normal
-    up /= np.linalg.norm(up)
-    right = np.cross(up, normal)
-    turn = math.radians(angle)
-    return math.cos(turn) * up - math.sin(turn) * right
 
 
 def _texture(picture: Picture, columns: int, rows: int) -> np.ndarray:

@@ -14,10 +14,23 @@ export interface Anchor {
   up: Vec3;
   /** World units per pixel of the picture. */
   unit: number;
+  /** Where it was put: the server looks for the surface under this pixel of this view, whichever one is seen now. */
+  camera: CameraJson;
+  x: number;
+  y: number;
 }
 
-/** How far a surface may leave the one that curves on from the anchor, as a share of the distance. */
-const SAME_SURFACE = 0.35;
+/** Which place of a picture the middle of each block of a view shows. */
+export interface DecalMap {
+  block: number;
+  columns: number;
+  rows: number;
+  /** [rows, columns, 2] world units right and up of the picture's middle; NaN where it shows none. */
+  places: Float32Array;
+}
+
+/** Sine of the angle between a surface and the object's up from which pictures stand upright on it: the server's rule. */
+const MIN_LEVEL_SINE = 0.26;
 
 const rotated = (camera: CameraJson, v: Vec3): Vec3 =>
   [0, 1, 2].map((k) => dot(camera.world_to_camera[k].slice(0, 3) as Vec3, v)) as Vec3;
@@ -35,24 +48,26 @@ const pixelOf = ({ fx, fy, cx, cy }: CameraJson, [x, y, z]: Vec3): [number, numb
   cy + (fy * y) / z,
 ];
 
-/** The view's up, laid on a surface: the same rule as that of the server's decals. normal: unit, world. */
-function levelUp(camera: CameraJson, normal: Vec3): Vec3 {
+/** The object's up (level), or on what lies flat the view's, laid on a surface: the rule of the server's decals. */
+function levelUp(camera: CameraJson, normal: Vec3, level: Vec3 | null): Vec3 {
   const row = (k: number): Vec3 => camera.world_to_camera[k].slice(0, 3) as Vec3;
   const flat = (v: Vec3): Vec3 => sub(v, scale(normal, dot(v, normal)));
+  const upright = level && flat(unit(level));
+  if (upright && Math.hypot(...upright) >= MIN_LEVEL_SINE) return unit(upright);
   const up = flat(scale(row(1), -1));
   return unit(Math.hypot(...up) < 0.05 ? flat(row(2)) : up);
 }
 
-/** Up of a picture that is turned by `angle` (radians, clockwise as seen from outside) against the view's up. */
-export function upAt(camera: CameraJson, normal: Vec3, angle: number): Vec3 {
-  const up = levelUp(camera, normal);
+/** Up of a picture that is turned by `angle` (radians, clockwise as seen from outside) against what is level. */
+export function upAt(camera: CameraJson, normal: Vec3, angle: number, level: Vec3 | null): Vec3 {
+  const up = levelUp(camera, normal, level);
   return add(scale(up, Math.cos(angle)), scale(cross(up, normal), Math.sin(angle)));
 }
 
 /** The angle of `upAt` that gives an anchor's up on a view. */
-export function angleOf(camera: CameraJson, { normal, up }: Anchor): number {
-  const level = levelUp(camera, normal);
-  return Math.atan2(dot(up, cross(level, normal)), dot(up, level));
+export function angleOf(camera: CameraJson, { normal, up }: Anchor, level: Vec3 | null): number {
+  const upright = levelUp(camera, normal, level);
+  return Math.atan2(dot(up, cross(upright, normal)), dot(up, upright));
 }
 
 /**
@@ -65,6 +80,7 @@ export function anchorAt(
   y: number,
   angle: number,
   size: number,
+  level: Vec3 | null,
   around = 0,
 ): Anchor | null {
   const at = view.at(x, y);
@@ -82,7 +98,8 @@ export function anchorAt(
     }
   const translation = camera.world_to_camera.slice(0, 3).map((row) => row[3]) as Vec3;
   const normal = unit(toWorld(camera, mean));
-  return { point: toWorld(camera, sub(at.point, translation)), normal, up: upAt(camera, normal, angle), unit: size };
+  const point = toWorld(camera, sub(at.point, translation));
+  return { point, normal, up: upAt(camera, normal, angle, level), unit: size, camera, x, y };
 }
 
 /** Pixel of the anchor on a view; depth <= 0: behind it. */
@@ -114,53 +131,46 @@ export function decalHandles(
   };
 }
 
-/**
- * [rows, columns, 2] of a view's blocks: where on the picture they lie, world units right and up of its middle; NaN where
- * it does not reach. The surface is taken to go on from the anchor as evenly as it turns: lengths along it are those of
- * an arc over the chord. limit: degrees by which it may turn away.
- */
-export function decalMap(view: SurfaceView, anchor: Anchor, limit: number): Float32Array {
-  const { camera, columns, rows, block } = view;
-  const out = new Float32Array(columns * rows * 2).fill(NaN);
-  const middle = toView(camera, anchor.point);
-  const [normal, up] = [rotated(camera, anchor.normal), rotated(camera, anchor.up)];
-  const right = cross(up, normal);
-  const least = Math.cos((Math.min(limit, 179.9) * Math.PI) / 180);
-  for (let k = 0; k < columns * rows; k++) {
-    const there = view.blockAt(k);
-    if (!there) continue;
-    const cosine = dot(there.normal, normal);
-    if (cosine < least) continue;
-    const away = sub(there.point, middle);
-    const distance = Math.hypot(...away);
-    const half = Math.acos(Math.max(-1, Math.min(1, cosine))) / 2;
-    const rise = dot(away, normal);
-    // on an even arc the chord dips by the sine of half the turn, to the one side or the other
-    const dip = Math.abs(Math.abs(rise) - distance * Math.sin(half));
-    if (dip > SAME_SURFACE * distance + (block * middle[2]) / camera.fx) continue;
-    const flat = sub(away, scale(normal, rise));
-    const length = Math.hypot(...flat);
-    const arc = half > 1e-4 ? (distance * half) / Math.sin(half) : distance;
-    const stretch = length > 1e-12 ? arc / length : 1;
-    out[2 * k] = dot(flat, right) * stretch;
-    out[2 * k + 1] = dot(flat, up) * stretch;
+/** The picture as a flat card on the tangent plane: how it is shown while it moves. width, height: world units. */
+export function cardMap(
+  camera: CameraJson,
+  { point, normal, up }: Anchor,
+  [width, height]: [number, number],
+  block: number,
+): DecalMap {
+  const [columns, rows] = [Math.ceil(camera.width / block), Math.ceil(camera.height / block)];
+  const places = new Float32Array(columns * rows * 2).fill(NaN);
+  const middle = toView(camera, point);
+  const [out, above] = [rotated(camera, normal), rotated(camera, up)];
+  const right = cross(above, out);
+  const height0 = dot(middle, out);
+  for (let k = 0; k < columns * rows && height0 < 0; k++) {
+    const [x, y] = [((k % columns) + 0.5) * block, (Math.floor(k / columns) + 0.5) * block];
+    const ray: Vec3 = [(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1];
+    const depth = height0 / dot(ray, out);
+    if (!(depth > 0)) continue;
+    const away = sub(scale(ray, depth), middle);
+    const [u, v] = [dot(away, right), dot(away, above)];
+    if (Math.abs(u) > 0.6 * width || Math.abs(v) > 0.6 * height) continue;
+    places.set([u, v], 2 * k);
   }
-  return out;
+  return { block, columns, rows, places };
 }
 
 /** Part of the view that may show the picture. */
-export function decalBounds(view: SurfaceView, map: Float32Array, halfWidth: number, halfHeight: number): Rect | null {
+export function decalBounds(map: DecalMap, camera: CameraJson, halfWidth: number, halfHeight: number): Rect | null {
+  const { block, columns, rows, places } = map;
   let [left, top, right, bottom] = [Infinity, Infinity, -1, -1];
-  for (let k = 0; k < view.columns * view.rows; k++) {
-    if (!(Math.abs(map[2 * k]) <= halfWidth && Math.abs(map[2 * k + 1]) <= halfHeight)) continue;
-    const [i, j] = [k % view.columns, Math.floor(k / view.columns)];
+  for (let k = 0; k < columns * rows; k++) {
+    if (!(Math.abs(places[2 * k]) <= halfWidth && Math.abs(places[2 * k + 1]) <= halfHeight)) continue;
+    const [i, j] = [k % columns, Math.floor(k / columns)];
     [left, right] = [Math.min(left, i), Math.max(right, i)];
     [top, bottom] = [Math.min(top, j), Math.max(bottom, j)];
   }
   if (right < 0) return null;
-  const [x, y] = [Math.max(0, (left - 1) * view.block), Math.max(0, (top - 1) * view.block)];
-  const width = Math.min(view.camera.width, (right + 2) * view.block) - x;
-  return { x, y, width, height: Math.min(view.camera.height, (bottom + 2) * view.block) - y };
+  const [x, y] = [Math.max(0, (left - 1) * block), Math.max(0, (top - 1) * block)];
+  const width = Math.min(camera.width, (right + 2) * block) - x;
+  return { x, y, width, height: Math.min(camera.height, (bottom + 2) * block) - y };
 }
 
 /**
@@ -168,14 +178,13 @@ export function decalBounds(view: SurfaceView, map: Float32Array, halfWidth: num
  * units.
  */
 export function drawDecal(
-  view: SurfaceView,
-  map: Float32Array,
+  map: DecalMap,
   picture: Pixels,
   [width, height]: [number, number],
   part: Rect,
 ): Uint8ClampedArray<ArrayBuffer> {
   const out = new Uint8ClampedArray(part.width * part.height * 4);
-  const { block, columns, rows } = view;
+  const { block, columns, rows, places } = map;
   for (let y = 0; y < part.height; y++) {
     const v = (part.y + y + 0.5) / block - 0.5;
     const iv = Math.floor(v);
@@ -187,11 +196,11 @@ export function drawDecal(
         const [i, j] = [iu + (corner & 1), iv + (corner >> 1)];
         if (i < 0 || j < 0 || i >= columns || j >= rows) continue;
         const at = 2 * (j * columns + i);
-        if (!(map[at] === map[at])) continue; // NaN
+        if (!(places[at] === places[at])) continue; // NaN
         const weight = (1 - Math.abs(u - i)) * (1 - Math.abs(v - j));
         total += weight;
-        across += weight * map[at];
-        above += weight * map[at + 1];
+        across += weight * places[at];
+        above += weight * places[at + 1];
       }
       if (total < 0.25) continue;
       const px = Math.floor((across / total / width + 0.5) * picture.width);

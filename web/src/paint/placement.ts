@@ -17,23 +17,23 @@ import {
   toast,
   tool,
 } from "../state/store";
-import { go, report, run } from "../state/studio";
+import { go, link, report, run } from "../state/studio";
 import { fromCamera, rewindowed, type CameraJson, type Vec3 } from "../view/camera";
 import {
   anchorAt,
   anchorPixel,
   angleOf,
+  cardMap,
   decalBounds,
   decalHandles,
-  decalMap,
   drawDecal,
   upAt,
   type Anchor,
+  type DecalMap,
 } from "./decal";
 import { viewScale } from "./brush-settings";
 import { limitsToSend } from "./limits";
 import { beginStroke, endStroke } from "./stroke-queue";
-import type { SurfaceView } from "./surface-blocks";
 import { surfaceOf, viewSurface, wrapping, surfaceArrived } from "./view-surface";
 import { blend, type Rgb } from "./colors";
 import type { Pen, ToolHandler } from "./tool";
@@ -105,7 +105,15 @@ export function drawPlacement(
   context.restore();
 }
 
-let map: { view: SurfaceView; anchor: Anchor; limit: number; map: Float32Array } | null = null;
+/** Blocks of the card that is shown while it moves, pixels. */
+const CARD_BLOCK = 4;
+/** How long it rests before the server is asked where it lies. */
+const REST_MS = 150;
+/** Up of the object, on which pictures stand. */
+const level = (): Vec3 | null => (state.value?.asset.up as Vec3 | undefined) ?? null;
+/** Where the server would lay it, on the view and with the settings of `key`. */
+const shown = signal<{ key: string; map: DecalMap } | null>(null);
+let card: { key: string; map: DecalMap } | null = null;
 let drawn: { image: Placement["image"]; width: number; pixels: ImageData } | null = null;
 
 /** The image's pixels at about the size at which they are shown. */
@@ -122,30 +130,72 @@ function imagePixels(image: Placement["image"], width: number): ImageData {
   return drawn.pixels;
 }
 
-/** As it will look on the surface: the server lays it more exactly. Nothing until the surface of this view is there. */
+/** What decides where it lies and how a view shows that; null: it is not on the surface. */
+function decalRequest({ image, anchor }: Placement) {
+  const now = camera.value;
+  if (!anchor || !now) return null;
+  const { x, y, unit, camera: seen } = anchor;
+  const angle = (-angleOf(seen, anchor, level()) * 180) / Math.PI;
+  const replaces = editedLayer.value?.layer;
+  const size = { width: unit * image.width, columns: image.width, rows: image.height };
+  const place = { camera: seen, x, y, angle, wrap: wrapping.value.limit, ...size };
+  return { ...place, view: now, ...(replaces ? { replaces } : {}) };
+}
+
+/** Ask the server for the map of what is shown, once it rests: one question at a time, and the newest one next. */
+export function followDecal(): void {
+  let timer: ReturnType<typeof setTimeout>;
+  let asking = false;
+  const ask = async (): Promise<void> => {
+    const p = placement.peek();
+    const request = p && !laying.peek() ? decalRequest(p) : null;
+    const key = JSON.stringify(request);
+    if (!request || asking || shown.peek()?.key === key) return;
+    asking = true;
+    try {
+      const { block, columns, rows, data } = await link.do("decal.show", request);
+      const bytes = Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0));
+      shown.value = { key, map: { block, columns, rows, places: new Float32Array(bytes.buffer) } };
+    } catch {
+      return; // it stays a card; why it cannot lie there is said when it is laid
+    } finally {
+      asking = false;
+    }
+    await ask();
+  };
+  effect(() => {
+    const p = placement.value;
+    const request = p && !laying.value ? decalRequest(p) : null;
+    clearTimeout(timer);
+    if (request) timer = setTimeout(() => void ask(), REST_MS);
+  });
+}
+
+/** As the server would lay it; while that is not known, as a flat card on its tangent plane. */
 function drawOnSurface(
   context: CanvasRenderingContext2D | OffscreenCanvasRenderingContext2D,
   p: Placement,
   anchor: Anchor,
 ): void {
-  const view = surfaceOf(camera.value);
-  if (!view) return;
-  const { limit } = wrapping.value;
-  if (map?.view !== view || map.anchor !== anchor || map.limit !== limit)
-    map = { view, anchor, limit, map: decalMap(view, anchor, limit) };
+  const now = camera.value!;
   const size: [number, number] = [p.image.width * anchor.unit, p.image.height * anchor.unit];
-  const part = decalBounds(view, map.map, 0.6 * size[0], 0.6 * size[1]);
+  const key = JSON.stringify(decalRequest(p));
+  let exact = shown.value;
+  if (exact?.key !== key) {
+    if (card?.key !== key) card = { key, map: cardMap(now, anchor, size, CARD_BLOCK) };
+    exact = card;
+  }
+  const part = decalBounds(exact.map, now, 0.6 * size[0], 0.6 * size[1]);
   if (!part) return;
-  const widthPx = (size[0] * view.camera.fx) / Math.max(anchorPixel(view.camera, anchor).depth, 1e-9);
-  const pixels = drawDecal(view, map.map, imagePixels(p.image, widthPx), size, part);
+  const widthPx = (size[0] * now.fx) / Math.max(anchorPixel(now, anchor).depth, 1e-9);
+  const pixels = drawDecal(exact.map, imagePixels(p.image, widthPx), size, part);
   const canvas = new OffscreenCanvas(part.width, part.height);
   canvas.getContext("2d")!.putImageData(new ImageData(pixels, part.width, part.height), 0, 0);
   context.drawImage(canvas, part.x, part.y);
 }
 
-/** x, y, scale and angle of what lies on the surface, on the present view. */
-function fromAnchor(p: Placement, anchor: Anchor): Placement {
-  const now = camera.value!;
+/** x, y, scale and angle of what lies on the surface, on the present view or another. */
+function fromAnchor(p: Placement, anchor: Anchor, now: CameraJson = camera.value!): Placement {
   const { x, y, depth } = anchorPixel(now, anchor);
   return {
     ...p,
@@ -154,7 +204,7 @@ function fromAnchor(p: Placement, anchor: Anchor): Placement {
     x,
     y,
     scale: (anchor.unit * now.fx) / Math.max(depth, 1e-9),
-    angle: angleOf(now, anchor),
+    angle: angleOf(now, anchor, level()),
   };
 }
 
@@ -167,7 +217,7 @@ function laid(p: Placement): Placement {
   const at = view?.at(p.x, p.y);
   if (!view || !at || p.flat) return p;
   const size = p.unit ?? (p.scale * at.point[2]) / view.camera.fx;
-  const anchor = anchorAt(view, p.x, p.y, p.angle, size, evened(p, size));
+  const anchor = anchorAt(view, p.x, p.y, p.angle, size, level(), evened(p, size));
   return anchor ? { ...p, anchor, unit: size } : p;
 }
 
@@ -256,16 +306,17 @@ function onSurface(part: Grip["part"], from: Placement, anchor: Anchor, first: P
   if (part === "move") {
     const view = surfaceOf(now);
     const [x, y] = [middle.x + pen.x - first.x, middle.y + pen.y - first.y];
-    const moved = view && anchorAt(view, x, y, angleOf(now, anchor), anchor.unit, evened(from, anchor.unit));
+    const moved =
+      view && anchorAt(view, x, y, angleOf(now, anchor, level()), anchor.unit, level(), evened(from, anchor.unit));
     return moved ? fromAnchor(from, moved) : placement.value!;
   }
   const reach = (at: Pen) => Math.hypot(at.x - middle.x, at.y - middle.y) || 1;
   if (part === "scale")
     return fromAnchor(from, { ...anchor, unit: anchor.unit * Math.max(0.02, reach(pen) / reach(first)) });
   const turned = (at: Pen) => Math.atan2(at.y - middle.y, at.x - middle.x);
-  let angle = angleOf(now, anchor) + turned(pen) - turned(first);
+  let angle = angleOf(now, anchor, level()) + turned(pen) - turned(first);
   if (pen.shift) angle = Math.round(angle / STEP) * STEP;
-  return fromAnchor(from, { ...anchor, up: upAt(now, anchor.normal, angle) });
+  return fromAnchor(from, { ...anchor, up: upAt(now, anchor.normal, angle, level()) });
 }
 
 /** Take it away; a layer that was being changed is as it was. */
@@ -387,7 +438,7 @@ effect(() => {
 /** What is kept of it with its layer. */
 async function placedInfo(p: Placement): Promise<Placed> {
   const { x, y, scale, angle } = p;
-  const surface = { unit: p.anchor?.unit ?? null, wrap: wrapping.value.limit, view: p.anchor ? camera.value! : null };
+  const surface = { unit: p.anchor?.unit ?? null, wrap: wrapping.value.limit, view: p.anchor?.camera ?? null };
   const common = { x, y, scale, angle, opacity: brush.value.opacity, mode: paintMode.value, ...surface };
   const written = { ...text.value, color: color.value, image: null };
   if (p.kind === "text") return { kind: "text", ...common, ...written };
@@ -399,7 +450,7 @@ async function placedInfo(p: Placement): Promise<Placed> {
 
 /** Have it laid on the surface; it is shown as it was placed until that is done. */
 async function lay(p: Placement, anchor: Anchor, placed: Placed, name: string): Promise<void> {
-  const now = camera.value!;
+  const { x, y, camera: seen } = anchor; // where it was put, which the present view may not show
   const edited = editedLayer.value;
   laying.value = true;
   try {
@@ -408,16 +459,15 @@ async function lay(p: Placement, anchor: Anchor, placed: Placed, name: string): 
     context.globalAlpha = brush.value.opacity;
     context.drawImage(p.image, 0, 0);
     const picture = await sendBlob(await canvas.convertToBlob({ type: "image/png" }), `${p.kind}.png`);
-    const { x, y } = anchorPixel(now, anchor);
     const answer = await run(
       "decal.lay",
       {
-        camera: now,
+        camera: seen,
         x,
         y,
         picture,
         width: anchor.unit * p.image.width,
-        angle: (-angleOf(now, anchor) * 180) / Math.PI,
+        angle: (-angleOf(seen, anchor, level()) * 180) / Math.PI,
         wrap: wrapping.value.limit,
         placed,
         ...(edited ? { replaces: edited.layer, gesture: edited.gesture } : {}),
@@ -449,7 +499,7 @@ export async function commitPlacement(): Promise<void> {
   }
   const current = placement.value;
   if (!current) return;
-  const p = current.anchor ? fromAnchor(current, current.anchor) : current; // the view may have turned since
+  const p = current.anchor ? fromAnchor(current, current.anchor, current.anchor.camera) : current;
   const edited = editedLayer.value;
   const placed = await placedInfo(p).catch((error) => void report(error));
   if (!placed) return;

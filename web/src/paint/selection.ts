@@ -8,7 +8,7 @@ import { computed, effect, signal } from "@preact/signals";
 
 import type { SelectChange } from "../messages";
 import { blobUrl, pixelsOf, sendBlob } from "../net/blobs";
-import { camera, readOnly, selectedLayer, state } from "../state/store";
+import { camera, readOnly, selectedLayer, state, toast } from "../state/store";
 import { link, report, run } from "../state/studio";
 import { sameView, type CameraJson, type Vec3 } from "../view/camera";
 import { maskPng } from "./picture";
@@ -24,6 +24,9 @@ export const selectedCount = computed(() => state.value?.selection.gaussians ?? 
 export const tinted = signal(true);
 /** A box along the world's axes that is being set; null: none. */
 export const cropBox = signal<{ low: Vec3; high: Vec3 } | null>(null);
+
+/** Whether *Remove and fill* takes the whole thing that is selected, or only what is. */
+export const removesBody = signal(true);
 
 const REST_MS = 120;
 /** What was sent and has no answer yet: strokes wait for it. */
@@ -71,11 +74,14 @@ export async function hideSelected(rest: boolean, name: string): Promise<void> {
   if (answer) selectedLayer.value = answer.layer.id;
 }
 
-/** Fill a hole that is circled, or what is left where the selected Gaussians are hidden. */
+/** Fill a hole that is circled, or what is left where the body of what is selected, or just that, is hidden. */
 export async function fillSelected(remove: boolean): Promise<void> {
   if (readOnly.value || selectedCount.value === 0) return;
-  const answer = await sent(() => run("fill.selection", { remove }, remove ? "Removing and filling" : "Filling"));
-  if (answer) selectedLayer.value = answer.layer.id;
+  const fields = { remove, body: removesBody.value };
+  const answer = await sent(() => run("fill.selection", fields, remove ? "Removing and filling" : "Filling"));
+  if (!answer) return;
+  selectedLayer.value = answer.layer.id;
+  if (answer.note) toast("info", answer.note);
 }
 
 /** Run what changes the selection, one after the other. */

@@ -10,6 +10,7 @@ import {
   deselect,
   fillSelected,
   hideSelected,
+  removesBody,
   selectedCount,
   selection,
   sent,
@@ -18,7 +19,7 @@ import {
 import { camera, readOnly, selecting, state } from "../state/store";
 import { report, run, viewer } from "../state/studio";
 import type { Vec3 } from "../view/camera";
-import { Button, Choice, Percent, Slider } from "./parts";
+import { Button, Check, Choice, Percent, Slider } from "./parts";
 
 const ATTRIBUTES: readonly (readonly [SelectByAttribute["attribute"], string])[] = [
   ["size", "Size (rank)"],
@@ -81,7 +82,7 @@ export function SelectionPanel() {
       </p>
       <p class="row">
         <Button
-          label="Hide the selection, and continue the surface behind it with new Gaussians"
+          label="Hide what is selected, and continue the surface behind it with new Gaussians"
           command="select.fill"
           text="Remove and fill"
           disabled={off}
@@ -100,6 +101,11 @@ export function SelectionPanel() {
           onClick={() => void healFromAround().catch(report)}
         />
       </p>
+      <Check
+        label="Remove the whole thing, not only what is selected"
+        value={removesBody.value}
+        onChange={(whole) => (removesBody.value = whole)}
+      />
       <details open>
         <summary>Edge</summary>
         <Slider

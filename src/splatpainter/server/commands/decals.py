@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 from typing import Any
 
+import numpy as np
 from pydantic import Field
 
 from splatpainter.painter import Method
@@ -16,8 +18,9 @@ from splatpainter.server.commands.context import (
     python_line,
 )
 from splatpainter.server.commands.painting import within_selection
-from splatpainter.server.describe import layer_info
+from splatpainter.server.describe import layer_info, up_axis
 from splatpainter.server.protocol import (
+    Answer,
     Blob,
     CameraInfo,
     Command,
@@ -28,6 +31,7 @@ from splatpainter.server.protocol import (
     Unit,
 )
 from splatpainter.session.document import PLACED
+from splatpainter.sources.decal_placement import MAX_DECAL_PX, blocks_of
 from splatpainter.sources.decals import LITTLE_COVERAGE, Decal
 from splatpainter.sources.picture_reader import read_picture
 
@@ -56,7 +60,8 @@ class DecalLay(Command):
     width: float = Field(gt=0)
     """World units along the surface."""
     angle: float = 0.0
-    """Degrees, counter-clockwise as seen from outside; at 0 its up is the view's."""
+    """Degrees, counter-clockwise as seen from outside; at 0 it stands upright on the object, and as the view does on
+    what lies flat."""
     wrap: float = Field(default=180.0, gt=0, le=180)
     """Degrees by which the surface may turn away from where it faces under the pixel; 180: no limit."""
     placed: Placed | None = None
@@ -77,7 +82,8 @@ def lay_decal(context: CommandContext, request: DecalLay) -> DecalLaid:
     with naming_errors(blob.path, blob.name or "picture"):
         picture = read_picture(blob.path)
     at, camera = (request.x, request.y), request.camera.to_camera()
-    decal = Decal(picture, at, camera, request.width, request.angle, request.wrap, request.name)
+    level = up_axis(session)
+    decal = Decal(picture, at, camera, request.width, request.angle, request.wrap, request.name, level)
     attached: list[bytes] = []
     parameters: dict[str, Any] = request.limits.parameters()
     if request.placed is not None:
@@ -98,7 +104,7 @@ def lay_decal(context: CommandContext, request: DecalLay) -> DecalLaid:
             layer = session.add("paint", edits, **options, method=request.method, attached=attached)
     context.clear_preview = True
     decal_line = python_line(
-        "sp.Decal", RawExpr("picture"), at, RawExpr("camera"), request.width, request.angle, request.wrap
+        "sp.Decal", RawExpr("picture"), at, RawExpr("camera"), request.width, request.angle, request.wrap, level=level
     )
     line = python_line("session.add", "paint", RawExpr(f"session.laid({decal_line}).edits"), name=request.name)
     return DecalLaid(
@@ -108,3 +114,49 @@ def lay_decal(context: CommandContext, request: DecalLay) -> DecalLaid:
         views=len(edits),
         note=laid.note if laid.coverage < LITTLE_COVERAGE else "",
     )
+
+
+class DecalMap(Answer):
+    block: int
+    """Pixels of the view along a side of the blocks."""
+    columns: int
+    rows: int
+    data: str
+    """Base64 of [rows, columns, 2] float32, little-endian: which place of the picture the middle of each block shows,
+    world units right and up of the picture's; NaN: none."""
+
+
+class DecalShow(Command):
+    """Where decal.lay would lay a picture, as a view shows it. Nothing changes."""
+
+    NAME = "decal.show"
+    ANSWER = DecalMap
+    camera: CameraInfo
+    x: float
+    y: float
+    width: float = Field(gt=0)
+    angle: float = 0.0
+    wrap: float = Field(default=180.0, gt=0, le=180)
+    """These as of decal.lay."""
+    columns: int = Field(ge=1, le=65536)
+    """Size of the picture, pixels."""
+    rows: int = Field(ge=1, le=65536)
+    view: CameraInfo
+    """On which it is shown."""
+    replaces: str | None = None
+
+
+@command(DecalShow, background=True)
+def show_decal(context: CommandContext, request: DecalShow) -> DecalMap:
+    session = context.studio.session
+    # Only the picture's shape, and its size as far as that is used, say where it lies.
+    factor = min(1.0, MAX_DECAL_PX / max(request.columns, request.rows))
+    shape = tuple(max(round(side * factor), 1) for side in (request.rows, request.columns))
+    camera, level = request.camera.to_camera(), up_axis(session)
+    at, width = (request.x, request.y), request.width
+    decal = Decal(np.ones((*shape, 3), np.float32), at, camera, width, request.angle, request.wrap, level=level)
+    view, block = blocks_of(request.view.to_camera())
+    table = session.decal_map(decal, view, replaces=request.replaces)
+    rows, columns = table.shape[:2]
+    data = base64.b64encode(table.astype("<f4").tobytes()).decode()
+    return DecalMap(block=block, columns=columns, rows=rows, data=data)

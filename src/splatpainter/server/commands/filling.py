@@ -6,6 +6,7 @@ from pydantic import Field
 
 from splatpainter.server.commands.context import CommandContext, RawExpr, command, layer_made, progress, python_line
 from splatpainter.server.commands.source_edit import TicketFlag, within_limits
+from splatpainter.server.describe import layer_info
 from splatpainter.server.protocol import CameraInfo, Command, LayerMade, Name
 from splatpainter.server.work_queue import Cancelled
 from splatpainter.source_edits.edit import source_record
@@ -15,27 +16,38 @@ from splatpainter.sources.picture_source import SourceCancelled
 from splatpainter.sources.registry import open_source
 
 
+class FillMade(LayerMade):
+    note: str = ""
+    """What was removed and filled, one line; "" where only a hole was filled."""
+
+
 class FillSelection(Command):
     """New Gaussians that continue the surface, as a layer: over a hole that the selection surrounds, or (remove) over
-    what is left when the selected Gaussians are hidden by another layer below. Nothing is selected afterwards."""
+    what is left when another layer below hides the whole body of what is selected, or (not body) the selected
+    Gaussians alone. Where that leaves no hole the layer is empty, and its note says so. Nothing is selected
+    afterwards."""
 
     NAME = "fill.selection"
-    ANSWER = LayerMade
+    ANSWER = FillMade
     remove: bool = False
+    body: bool = True
     name: Name = "Fill"
 
 
 @command(FillSelection, writes=True)
-def fill_selection(context: CommandContext, request: FillSelection) -> LayerMade:
+def fill_selection(context: CommandContext, request: FillSelection) -> FillMade:
     current, session = context.studio.selection, context.studio.session
     weights = current.weights()
     if weights is None:
         raise ValueError("selection: nothing is selected; select something first")
     with progress(context, request.name):
-        layer = session.fill(weights, remove=request.remove, name=request.name)
+        layer = session.fill(weights, remove=request.remove, body=request.body, name=request.name)
     current.choose(None)
     remove = True if request.remove else None
-    return layer_made(context, layer.id, python_line("session.fill", RawExpr("weights"), remove=remove))
+    body = True if request.remove and request.body else None
+    line = python_line("session.fill", RawExpr("weights"), remove=remove, body=body)
+    info = layer_info(session, layer)
+    return FillMade(layer=info, python=line, note=info.note if request.remove else "")
 
 
 class FillSurroundings(Command):

@@ -1,0 +1,250 @@
+"""The body that a selection is of: the whole thing under a lasso, its back and its hollow inside too, without the
+ground on which it stands. Pure.
+
+    body = body_of(splats, weights > 0.5)  # None: what is selected is a part of something larger
+
+Gaussians are gathered into small pieces of surface of one place, direction and colour. Neighbouring pieces hang
+together the better, the more their colours and normals agree: over a contact ring, where a thing stands on the ground,
+hardly. A random walk over them (Grady, "Random walks for image segmentation", 2006) that may end anywhere, more rarely
+where nothing is selected (SELECTED_SHARE), has from all of one body about the same chance to end at the selection: the
+body is what lies above the level of chances that cuts the fewest links. A strip of ground within a lasso is not of it,
+as it hangs together with all the ground around.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from splatpainter.color import base_color, oklab, to_display
+from splatpainter.holes.border import cell_of
+from splatpainter.kernels import portable
+from splatpainter.splats import Splats
+from splatpainter.transforms import quat_to_matrix
+from splatpainter.voxels.neighbours import joined_labels
+
+PIECE_CELLS = 1.5
+"""Edge of the cubes in which Gaussians are gathered, in distances between neighbours, ..."""
+MAX_PIECES, COARSER = 60_000, 1.5
+"""... and the factor by which it grows while there are more pieces than this."""
+REACH_RADII = 3.0
+"""Radius around what is selected within which a body lies, in radii of what is selected."""
+FAR = 0.9
+"""Share of it beyond which all is ground."""
+RADIUS_QUANTILE = 0.98
+"""Of the distances of what is selected from its middle: strays beside."""
+END_CHANCE = 3e-3
+"""How strongly a selected piece is of the body, where an edge between equal neighbours is 1."""
+SELECTED_SHARE = 0.2
+"""How strongly one that is not selected is of the ground, over that."""
+COLOR_DISTANCE = 0.04
+"""Distance in OKLab over which neighbours come apart."""
+SQUARED_SINE = 0.05
+"""Squared sine of the angle between normals over which they do."""
+LEAST_LINK = 1e-5
+"""Of neighbours, whatever they look like."""
+COLOR_STEPS = 3
+"""Parts of each channel's range; pieces have Gaussians of one."""
+MAX_STEPS, MAX_RESIDUAL_SHARE = 400, 1e-5
+"""Steps of conjugate gradients, and the share of the first residual at which they end."""
+LEVELS, LEVEL_SHARES = 60, (0.4, 0.8)
+"""Chances that are tried as the least of a body, and between which shares of the largest one they lie: ..."""
+TOP_QUANTILE = 0.9
+"""... this quantile of those of what is selected. Specks of a colour of their own have larger ones."""
+MAX_CRUMB_SHARE = 0.05
+"""Gaussians, over those of the body, up to which a part of it by itself is none, and a part of what is left is body."""
+MIN_SELECTED_SHARE = 0.12
+"""Share of its Gaussians by which a body is selected, at least: a spot on a pot is not the pot."""
+MAX_CUT = 0.02
+"""Links between a body and what is left over those within it, up to which it is one (a lemon on a board: 0.003); above,
+the cut runs through a surface (a spot on the board: 0.09)."""
+MAX_EVENNESS = 0.7
+"""Mean agreement of the normals along the cut, up to which it is one (a lemon: 0.38); above, it is a painted figure (of
+the pot: 0.97)."""
+
+
+def body_of(splats: Splats, selected: np.ndarray) -> np.ndarray | None:
+    """[N] bool: the Gaussians of the connected body under a selection ([N] bool), less what of it is ground; None where
+    what is selected is a part of something larger (a spot on a wall). splats: numpy."""
+    visible = splats.drawable & (splats.opacities > 0)
+    seeds = np.flatnonzero(selected & visible)
+    if not len(seeds):
+        return None
+    means = splats.means.astype(np.float64)
+    middle = np.median(means[seeds], axis=0)
+    reach = REACH_RADII * float(np.quantile(np.linalg.norm(means[seeds] - middle, axis=1), RADIUS_QUANTILE))
+    away = np.linalg.norm(means - middle, axis=1)
+    ids = np.flatnonzero(visible & ((away < reach) | selected))
+    edge = PIECE_CELLS * cell_of(splats, seeds)
+    pieces = _Pieces.of(splats, ids, edge)
+    while len(pieces.counts) > MAX_PIECES:
+        edge *= COARSER
+        pieces = _Pieces.of(splats, ids, edge)
+    one, two, links, evenness = pieces.links()
+    chosen = pieces.mean(selected[ids].astype(np.float64))
+    beyond = pieces.mean((away[ids] > FAR * reach).astype(np.float64)) > 0.5
+    ends = END_CHANCE * (chosen + SELECTED_SHARE * (1 - chosen)) + beyond
+    chances = _walked(one, two, links, END_CHANCE * chosen, ends)
+    most = float(np.quantile(chances[pieces.piece][selected[ids]], TOP_QUANTILE))
+    is_body = _swept(one, two, links, np.where(beyond, 0, chances), most)
+    is_body = _without_crumbs(one, two, is_body, pieces.counts)
+    crossing = is_body[one] != is_body[two]
+    inner = is_body[one] & is_body[two]
+    if not is_body.any() or float(links[crossing].sum()) > MAX_CUT * float(links[inner].sum()):
+        return None
+    if crossing.any() and float(evenness[crossing].mean()) > MAX_EVENNESS:
+        return None
+    within = is_body[pieces.piece]
+    if selected[ids][within].mean() < MIN_SELECTED_SHARE:
+        return None
+    body = np.zeros(len(splats), bool)
+    body[ids] = within | _enclosed(means[ids], pieces, (one, two), is_body, beyond)
+    return body
+
+
+def body_or_selection(splats: Splats, selected: np.ndarray) -> tuple[np.ndarray, str]:
+    """([N] bool the body that a selection ([N] bool) is of, or the selection itself where there is none; one line that
+    says which)."""
+    body = body_of(splats, selected)
+    if body is None:
+        return selected, "only what was selected was removed: it is a part of something larger"
+    return body, f"removed the whole body of what was selected: {int(body.sum()):,} Gaussians"
+
+
+@dataclass(frozen=True)
+class _Pieces:
+    """P pieces of surface of G Gaussians."""
+
+    piece: np.ndarray
+    """[G] int64."""
+    counts: np.ndarray
+    """[P]."""
+    cells: np.ndarray
+    """[P, 3] int64 cube of each."""
+    normals: np.ndarray
+    """[P, 6] mean of n n^T: xx yy zz, and the others times the root of 2, so that products are squared cosines."""
+    colors: np.ndarray
+    """[P, 3] OKLab."""
+
+    @staticmethod
+    def of(splats: Splats, ids: np.ndarray, edge: float) -> _Pieces:
+        """edge: of the cubes, world units."""
+        means, scales = splats.means[ids].astype(np.float64), splats.scales[ids]
+        axes = quat_to_matrix(splats.quats[ids].astype(np.float64))
+        x, y, z = axes[np.arange(len(ids)), :, scales.argmin(1)].T
+        root = np.sqrt(2)
+        outer = np.stack([x * x, y * y, z * z, root * x * y, root * x * z, root * y * z], 1)
+        colors = to_display(np.clip(base_color(splats.sh[ids]), 0, 1), splats.color_space)
+        step = np.minimum((colors * COLOR_STEPS).astype(np.int64), COLOR_STEPS - 1)
+        cells = np.floor((means - means.min(0)) / edge).astype(np.int64)
+        facing = np.abs(np.stack([x, y, z], 1)).argmax(1)
+        keys = np.concatenate([cells, facing[:, None], step], 1)
+        _, first, piece, counts = np.unique(keys, axis=0, return_index=True, return_inverse=True, return_counts=True)
+        piece = piece.ravel()
+        empty = _Pieces(piece, counts, cells[first], np.zeros(0), np.zeros(0))
+        return _Pieces(piece, counts, cells[first], empty.mean(outer), oklab(empty.mean(colors).astype(np.float32)))
+
+    def mean(self, values: np.ndarray) -> np.ndarray:
+        """[P] or [P, C] of [G] or [G, C]."""
+        columns = values.reshape(len(values), -1).T
+        sums = [np.bincount(self.piece, column, len(self.counts)) for column in columns]
+        return (np.stack(sums, 1) / self.counts[:, None]).reshape(len(self.counts), *values.shape[1:])
+
+    def links(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """(one, two: [E] int64 pieces of one cube or of two that touch; [E] how well they hang together, 0..1; [E] how
+        well their normals agree, 0..1)."""
+        spans = self.cells.max(0) + 3
+        keys = ((self.cells[:, 0] + 1) * spans[1] + self.cells[:, 1] + 1) * spans[2] + self.cells[:, 2] + 1
+        order = np.argsort(keys, kind="stable")
+        ordered = keys[order]
+        ones, twos = [], []
+        for x in (0, 1):
+            for y in (-1, 0, 1) if x else (0, 1):
+                for z in (-1, 0, 1) if x or y else (0, 1):
+                    there = keys + (x * spans[1] + y) * spans[2] + z
+                    start = np.searchsorted(ordered, there, "left")
+                    count = np.searchsorted(ordered, there, "right") - start
+                    one = np.repeat(np.arange(len(keys)), count)
+                    turn = np.arange(len(one)) - np.repeat(np.cumsum(count) - count, count)
+                    two = order[np.repeat(start, count) + turn]
+                    different = one < two if not (x or y or z) else slice(None)
+                    ones.append(one[different])
+                    twos.append(two[different])
+        one, two = np.concatenate(ones), np.concatenate(twos)
+        away = ((self.colors[one] - self.colors[two]) ** 2).sum(1) / COLOR_DISTANCE**2
+        cosine = (self.normals[one] * self.normals[two]).sum(1)  # squared; less where normals scatter
+        even = np.sqrt((self.normals[one] ** 2).sum(1) * (self.normals[two] ** 2).sum(1))
+        evenness = portable.exp(-np.clip(even - cosine, 0, 1) / SQUARED_SINE)
+        return one, two, np.maximum(portable.exp(-away) * evenness, LEAST_LINK), evenness
+
+
+def _walked(one: np.ndarray, two: np.ndarray, links: np.ndarray, source: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """[P] chance that a walk from each piece ends at what is selected: (L + diag(ends)) p = source, L the Laplacian of
+    the links. By conjugate gradients."""
+    count = len(ends)
+    diagonal = ends + np.bincount(one, links, count) + np.bincount(two, links, count)
+
+    def product(p: np.ndarray) -> np.ndarray:
+        return diagonal * p - np.bincount(one, links * p[two], count) - np.bincount(two, links * p[one], count)
+
+    p = np.zeros(count)
+    residual = source.copy()
+    direction = residual / diagonal
+    energy = float((residual * direction).sum())
+    start = energy
+    for _ in range(MAX_STEPS):
+        if energy <= MAX_RESIDUAL_SHARE**2 * start or energy == 0:
+            break
+        image = product(direction)
+        length = energy / float((direction * image).sum())
+        p += length * direction
+        residual -= length * image
+        scaled = residual / diagonal
+        before, energy = energy, float((residual * scaled).sum())
+        direction = scaled + energy / before * direction
+    return p
+
+
+def _swept(one: np.ndarray, two: np.ndarray, links: np.ndarray, chances: np.ndarray, most: float) -> np.ndarray:
+    """[P] bool: pieces with the largest chances, as many as give the least cut for what is within (as Andersen, Chung,
+    Lang, "Local graph partitioning using PageRank vectors", 2006)."""
+    levels = np.linspace(*LEVEL_SHARES, LEVELS) * most
+    low, high = (np.searchsorted(levels, f(chances[one], chances[two]), "left") for f in (np.minimum, np.maximum))
+    # A piece is within at levels below its chance: an edge is cut at those between its ends.
+    begins, ends = (np.bincount(of, links, LEVELS + 1)[:LEVELS] for of in (low, high))
+    cut = np.cumsum(begins - ends)
+    within = 2 * links.sum() - np.cumsum(begins + ends)
+    return chances > levels[int((cut / np.maximum(within, 1e-30)).argmin())]
+
+
+def _without_crumbs(one: np.ndarray, two: np.ndarray, is_body: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """[P] bool: a body without small parts that lie apart, and with the small parts that only it touches. counts: [P]
+    Gaussians of each piece."""
+    for side in (True, False):
+        same = (is_body[one] == side) & (is_body[two] == side)
+        labels = joined_labels(len(counts), one[same], two[same])
+        sizes = np.bincount(labels, counts, len(counts))
+        limit = MAX_CRUMB_SHARE * (sizes[labels[is_body]].max(initial=0) if side else counts[is_body].sum())
+        touching = np.zeros(len(counts), bool)
+        crossing = is_body[one] != is_body[two]
+        touching[labels[one[crossing]]], touching[labels[two[crossing]]] = True, True
+        crumbs = (is_body == side) & (sizes[labels] < limit) & (touching[labels] | side)
+        is_body = is_body ^ crumbs
+    return is_body
+
+
+def _enclosed(
+    means: np.ndarray, pieces: _Pieces, edges: tuple[np.ndarray, np.ndarray], is_body: np.ndarray, beyond: np.ndarray
+) -> np.ndarray:
+    """[G] bool: what hangs together with nothing else, within the body's box: the inner side of a hollow one."""
+    labels = joined_labels(len(pieces.counts), *edges)
+    elsewhere = np.zeros(len(labels), bool)
+    elsewhere[labels[is_body | beyond]] = True
+    loose = ~elsewhere[labels][pieces.piece]
+    within_body = is_body[pieces.piece]
+    low, high = means[within_body].min(0), means[within_body].max(0)
+    outside = ((means < low) | (means > high)).any(1)
+    sticks_out = np.zeros(len(labels), bool)
+    sticks_out[labels[pieces.piece[outside]]] = True
+    return loose & ~sticks_out[labels[pieces.piece]]

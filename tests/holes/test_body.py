@@ -1,0 +1,101 @@
+"""The body that a selection is of: what of a scene made of known parts belongs to it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from splatpainter.demo_asset import demo_asset, demo_view
+from splatpainter.holes.body import body_of, body_or_selection
+from splatpainter.session.selection import in_mask
+from splatpainter.splats import SH_C0, Splats
+
+SPACING = 0.05
+
+
+def flat(points: np.ndarray, normals: np.ndarray, color: tuple[float, float, float]) -> Splats:
+    """Flat Gaussians on points with normals ([N, 3] each), quaternions that turn z to the normal."""
+    w = 1 + normals[:, 2]
+    quats = np.stack([w, -normals[:, 1], normals[:, 0], 0 * w], 1)
+    quats[w < 1e-6] = (0, 1, 0, 0)
+    count = len(points)
+    sh = np.tile((np.array(color) - 0.5) / SH_C0, (count, 1))[:, None]
+    scales = np.tile([0.6 * SPACING, 0.6 * SPACING, 0.003], (count, 1))
+    turns = quats / np.linalg.norm(quats, axis=1, keepdims=True)
+    means, turns, scales, sh = (np.ascontiguousarray(a, np.float32) for a in (points, turns, scales, sh))
+    return Splats(means, turns, scales, np.full(count, 0.97, np.float32), sh)
+
+
+def ground(color: tuple[float, float, float]) -> Splats:
+    x, z = (axis.ravel() for axis in np.meshgrid(*2 * [np.arange(-2, 2, SPACING)]))
+    return flat(np.stack([x, 0 * x, z], 1), np.tile([0.0, 1, 0], (len(x), 1)), color)
+
+
+def sphere(radius: float, color: tuple[float, float, float]) -> Splats:
+    """Standing on y = 0, evenly covered (Fibonacci)."""
+    count = int(4 * np.pi * radius**2 / SPACING**2)
+    k = np.arange(count) + 0.5
+    y, turn = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
+    normals = np.stack([np.sqrt(1 - y * y) * np.cos(turn), y, np.sqrt(1 - y * y) * np.sin(turn)], 1)
+    return flat(radius * normals + (0, radius, 0), normals, color)
+
+
+def seen_from_front(splats: Splats, room: float) -> np.ndarray:
+    """What a lasso around the sphere selects of what a camera far along +z, a little above, sees."""
+    x, y, z = splats.means.T
+    front = (z > 0.05) | (y < 1e-6) & (z > -0.2)
+    return front & (np.abs(x) < 0.5 + room) & (y < 1.1) & ((y > 1e-6) | (z > 0.3) & (z < 0.4 + 2 * room))
+
+
+@pytest.mark.parametrize("color", [(0.9, 0.8, 0.1), (0.5, 0.35, 0.2)], ids=["yellow", "brown as the ground"])
+@pytest.mark.parametrize("room", [0.0, 0.15])
+def test_a_ball_goes_whole_and_the_ground_stays(color: tuple[float, float, float], room: float) -> None:
+    floor, ball = ground((0.5, 0.35, 0.2)), sphere(0.5, color)
+    splats = floor.append(ball)
+    is_ball = np.arange(len(splats)) >= len(floor)
+    selected = seen_from_front(splats, room)
+    assert 0.3 < selected[is_ball].mean() < 0.6 and (selected & ~is_ball).any()
+    body = body_of(splats, selected)
+    assert body is not None
+    underside = np.hypot(*splats.means[:, ::2].T) < 0.28
+    assert body[is_ball & (splats.means[:, 1] > 0.1)].all() and body[is_ball].mean() > (0.99 if color[0] > 0.6 else 0.9)
+    assert not body[~is_ball & ~underside].any() and (body & ~is_ball).sum() < 0.02 * is_ball.sum()
+    again = body_of(splats, selected)
+    assert again is not None and np.array_equal(body, again)
+
+
+def test_a_hollow_ball_goes_with_its_inner_side() -> None:
+    floor, outer, inner = ground((0.3, 0.5, 0.3)), sphere(0.5, (0.8, 0.2, 0.2)), sphere(0.22, (0.8, 0.8, 0.8))
+    inner = Splats(
+        inner.means + np.array([0, 0.28, 0], np.float32), inner.quats, inner.scales, inner.opacities, inner.sh
+    )
+    splats = floor.append(outer).append(inner)
+    body = body_of(splats, seen_from_front(splats, 0.0) & (np.arange(len(splats)) < len(floor) + len(outer)))
+    assert body is not None and body[len(floor) + len(outer) :].all()
+
+
+def test_a_spot_and_a_painted_figure_are_no_bodies() -> None:
+    floor = ground((0.5, 0.35, 0.2))
+    x, _, z = floor.means.T
+    disc = np.hypot(x, z) < 0.4
+    assert body_of(floor, disc) is None
+    sh = floor.sh.copy()
+    sh[disc] = 1.0
+    painted = Splats(floor.means, floor.quats, floor.scales, floor.opacities, sh)
+    chosen, words = body_or_selection(painted, np.hypot(x, z) < 0.45)
+    assert np.array_equal(chosen, np.hypot(x, z) < 0.45) and "only what was selected" in words
+    assert body_of(floor, np.zeros(len(floor), bool)) is None
+
+
+def test_the_lemon_of_the_demo_asset_goes_and_its_board_stays() -> None:
+    """Rows 55,718 to 59,505 are the lemon's: one connected run within its box (examples/still_life)."""
+    splats, camera = demo_asset(), demo_view(256)
+    y, x = np.mgrid[:256, :256] + 0.5
+    mask = (((x - 189) / 35) ** 2 + ((y - 168) / 27) ** 2 < 1).astype(np.float32)
+    lemon = np.zeros(len(splats), bool)
+    lemon[55718:59506] = True
+    selected = in_mask(splats, camera, mask) > 0.5
+    assert selected[lemon].mean() < 0.6, "the view shows its front"
+    body = body_of(splats, selected)
+    assert body is not None and body[lemon].all()
+    assert (body & ~lemon).sum() < 0.06 * lemon.sum(), "a few of the board's in the contact shadow"
