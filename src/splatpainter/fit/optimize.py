@@ -150,7 +150,7 @@ class _Run:
         named = {"scaled": scaled, "original": Schedule()}
         self.schedule = options.schedule if isinstance(options.schedule, Schedule) else named[options.schedule]
         self.pulls = Pulls(len(start))
-        self.rng = np.random.default_rng(options.seed)
+        self.rng = np.random.default_rng([options.seed, 1])
         self.passes = CpuPasses("sh" in options.attributes) if device == "cpu" else torch_pass
         self.was_reset = False
 
