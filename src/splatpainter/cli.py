@@ -11,7 +11,6 @@ import atexit
 import contextlib
 import gc
 import importlib
-import importlib.metadata
 import io
 import os
 import signal
@@ -99,11 +98,17 @@ def _module(name: str) -> Any:
         return importlib.import_module("splatpainter.commands." + name)
     if not _is_installed(name):
         raise ValueError(f"{PROGRAM} {name}: not installed; it comes with {DISTRIBUTIONS[name]}")
-    return next(iter(importlib.metadata.entry_points(group=ENTRY_POINTS, name=name))).load()
+    return _entry_points(name)[0].load()
 
 
 def _is_installed(name: str) -> bool:
-    return name not in DISTRIBUTIONS or bool(importlib.metadata.entry_points(group=ENTRY_POINTS, name=name))
+    return name not in DISTRIBUTIONS or bool(_entry_points(name))
+
+
+def _entry_points(name: str) -> list[Any]:
+    from importlib.metadata import entry_points  # a twentieth of a second, which few commands need
+
+    return list(entry_points(group=ENTRY_POINTS, name=name))
 
 
 def _help() -> str:

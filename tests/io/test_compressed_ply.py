@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 import splatpainter as sp
 from splatpainter import io
-from splatpainter.io import packing
+from splatpainter.io import compressed_ply, packing
 from splatpainter.io.packing import morton_order
 from tests.support.io_assets import SH_C0, random_splats
 
@@ -343,3 +343,18 @@ def test_ranges_that_no_value_can_lie_in_are_quantised_without_a_warning(ends: t
     low, high = (np.full((2, 3), end) for end in ends)
     levels = np.array([2047, 1023, 2047])
     assert (packing.quantise(np.array([[0.0, 1.0, -1.0], [1e30, -1e30, 0.5]]), low, high, levels) == 0).all()
+
+
+@pytest.mark.parametrize("threads", ["1", "3"])
+def test_chunks_are_packed_alike_alone_and_together(
+    threads: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SPLATPAINTER_THREADS", threads)
+    splats, written = random_splats(1000, 2), []
+    splats.means[300] = np.nan  # is packed as the mean of all others
+    for rows in (256, 1024):
+        monkeypatch.setattr(compressed_ply, "PACKED_ROWS", rows)
+        path = tmp_path / f"{rows}.compressed.ply"
+        io.write(path, splats)
+        written.append(path.read_bytes())
+    assert written[0] == written[1]

@@ -69,6 +69,31 @@ def test_by_hand() -> None:
     assert losses.line.startswith("positions move by up to 10 sizes of a Gaussian (1 % of them by more than one)")
 
 
+def test_by_any_number_of_threads_and_without_rows_that_cannot_be_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = same_sized(300, degree=2)
+    rng = np.random.default_rng(6)
+    after = replace(
+        before,
+        means=before.means + rng.normal(0, 0.01, before.means.shape).astype(np.float32),
+        scales=before.scales * rng.uniform(0.9, 1.1, before.scales.shape).astype(np.float32),
+        sh=before.sh[:, :4] * np.float32(0.5),
+    )
+    after.means[::7] = np.nan
+    drawn = np.flatnonzero(np.arange(300) % 7)
+    results = []
+    for threads in ("1", "3"):
+        monkeypatch.setenv("SPLATPAINTER_THREADS", threads)
+        results.append(measure(before, after))
+    assert results[0] == results[1] == measure(before.take(drawn), after.take(drawn))
+    difference = (after.means[drawn].astype(np.float64) - before.means[drawn]) / np.float64(before.scales[0, 0])
+    ratios = np.abs(np.log(after.scales[drawn].astype(np.float64) / before.scales[drawn]))
+    assert results[0].compared == len(drawn)
+    assert results[0].move_largest == pytest.approx(np.linalg.norm(difference, axis=1).max())
+    assert results[0].scale_rms == pytest.approx(np.sqrt((ratios.max(1) ** 2).mean()))
+    assert results[0].sh_range == (before.sh[drawn, 1:].min(), before.sh[drawn, 1:].max())
+    assert results[0].color_range_after[1] == pytest.approx(0.5 + SH_C0 * after.sh[drawn, 0].max())
+
+
 def test_the_error_by_sh_is_the_mean_over_directions() -> None:
     """Against a sum over many directions with the basis functions themselves."""
     from splatpainter.transforms import fibonacci_sphere, sh_basis

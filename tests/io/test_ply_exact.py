@@ -17,6 +17,8 @@ from hypothesis import strategies as st
 
 import splatpainter as sp
 from splatpainter import io
+from splatpainter.io import ply as ply_files
+from tests.support.io_assets import random_splats
 
 CODES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4"}
 CODES["double"] = "f8"
@@ -232,3 +234,20 @@ def test_another_sh_degree(made: Made, degree: int) -> None:
         for name, kind in remaining:
             old, new = before[made.properties.index((name, kind))], after[properties.index((name, kind))]
             assert (old.strip() == new.strip()) if made.order == "=" else (old == new)
+
+
+@pytest.mark.parametrize("rows", [list(range(30)), list(range(10, 40)), [5, 4, *range(20, 35)], list(range(40))])
+def test_rows_of_many_blocks(rows: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is written block by block is what the bytes of each row say."""
+    monkeypatch.setattr(ply_files, "BLOCK_ROWS", 7)
+    path, out = tmp_path / "a.ply", tmp_path / "b.ply"
+    io.write(path, random_splats(40, 1))
+    splats = io.read(path).take(np.array(rows))
+    sh, opacities = splats.sh.copy(), splats.opacities.copy()
+    sh[3, 0, 1], opacities[9] = 0.25, 0.5
+    io.write(out, replace(splats, sh=sh, opacities=opacities))
+    body, names = path.read_bytes().split(b"end_header\n", 1)[1], [*"xyz", "nx", "ny", "nz"]
+    table = np.frombuffer(body, "<f4").reshape(40, -1)[rows].copy()
+    names += [f"f_dc_{k}" for k in range(3)] + [f"f_rest_{k}" for k in range(9)] + ["opacity"]
+    table[3, names.index("f_dc_1")], table[9, names.index("opacity")] = 0.25, 0.0
+    assert out.read_bytes().split(b"end_header\n", 1)[1] == table.tobytes()

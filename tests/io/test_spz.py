@@ -15,6 +15,7 @@ import pytest
 import zstandard
 
 from splatpainter import io
+from splatpainter.io import spz
 from splatpainter.io.spz import SpzFile, read_spz, write_spz
 from splatpainter.splats import Frame, Splats
 from splatpainter.transforms import sh_basis
@@ -372,3 +373,16 @@ def test_bombs(tmp_path: Path) -> None:
     table = b"".join(struct.pack("<QQ", len(frame), size) for size in sizes)
     lie = b"NGSP" + struct.pack("<IIBBBBI", 4, rows, 0, 12, 0, 5, 32) + bytes(12) + table + 5 * frame
     assert survives(read_spz, tmp_path / "a.spz", iter([bomb, lie]), peak=4 << 20) == (0, 2)
+
+
+@pytest.mark.parametrize("size", [0, 1, 999, 1000, 1001, 150_000])
+def test_pieces_are_one_gzip_member_for_any_number_of_threads(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(spz, "GZIP_PIECE_BYTES", 1000)
+    body, packed = np.random.default_rng(0).integers(0, 9, size, np.uint8).tobytes(), set()
+    for threads in ("1", "3"):
+        monkeypatch.setenv("SPLATPAINTER_THREADS", threads)
+        packed.add(spz._gzip_member(body))
+    (member,) = packed
+    reader = zlib.decompressobj(wbits=31)
+    assert reader.decompress(member) + reader.flush() == body == gzip.decompress(member)
+    assert reader.eof and not reader.unused_data, "one member"

@@ -53,3 +53,27 @@ def test_rows_differ_where_any_bit_does():
     np.testing.assert_array_equal(rows.differing(before, after, ids), expected)
     np.testing.assert_array_equal(rows.differing(before, np.concatenate([after, after]), ids), expected)
     assert not rows.differing(before, before, ids).any()
+
+
+@pytest.mark.parametrize("threads", ["1", "3"])
+def test_columns_are_picked_and_put_bit_for_bit(threads: str, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("SPLATPAINTER_THREADS", threads)
+    rng = np.random.default_rng(2)
+    words = rng.integers(0, 1 << 32, (COUNT, 7), np.uint32)  # NaN with payloads among them
+    records, columns = words.view(np.float32), np.array([5, 0, 3])
+    values = np.empty((COUNT, 3), np.float32)
+    rows.pick(records, columns, values)
+    np.testing.assert_array_equal(values.view(np.uint32), words[:, columns])
+
+    before, origin = values, rng.integers(-1, COUNT, 90)
+    after = before[origin].copy()
+    after[origin < 0] = 4.0
+    after[7, 2] = 1.5
+    target = np.full((90, 7), 2.0, np.float32)
+    expected = target.copy()
+    new = (after.view(np.uint32) != before[origin].view(np.uint32)) | (origin < 0)[:, None]
+    for k, column in enumerate(columns):
+        expected[new[:, k], column] = after[new[:, k], k]
+    rows.put(target, columns, after, before, origin)
+    np.testing.assert_array_equal(target, expected)
+    assert (target != 2.0).sum() == 3 * np.count_nonzero(origin < 0) + (origin[7] >= 0)

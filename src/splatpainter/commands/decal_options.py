@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from splatpainter.color import from_hex
 from splatpainter.painter import Asset, Method, Painter
-from splatpainter.sources.decals import Decal, parse_width, text_picture
 from splatpainter.sources.edit_files import camera_from
 from splatpainter.splats import Splats
+
+if TYPE_CHECKING:
+    from splatpainter.sources.decals import Decal
 
 COMMAND = "splatpainter edit"
 
@@ -50,6 +53,8 @@ def decal_from_options(
         )
     if not width:
         raise ValueError(f"{COMMAND}: a decal needs --width, in world units or like 12% of the asset's diameter")
+    from splatpainter.sources.decals import Decal, parse_width, text_picture  # which load what only decals need
+
     parse_width(width)
     source = text_picture(text, _color(color), font) if picture is None else picture
     name = str(picture) if picture is not None else f"decal '{text[:40]}'"

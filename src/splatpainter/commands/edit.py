@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
@@ -34,11 +34,13 @@ from splatpainter.nn.precision import Precision
 from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
 from splatpainter.receipts import Receipt, Verification, receipt_of
 from splatpainter.sources import FileEdit
-from splatpainter.sources.decals import Decal
 from splatpainter.sources.gatekeeper import Strictness
 from splatpainter.sources.photographs import laid_over, picture_edit
 from splatpainter.sources.picture_gate import checked_picture
 from splatpainter.splats import Splats
+
+if TYPE_CHECKING:
+    from splatpainter.sources.decals import Decal
 
 
 @dataclass(frozen=True)

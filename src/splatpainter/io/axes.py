@@ -55,6 +55,8 @@ def _signed(offset: tuple[float, float, float], signs: tuple[int, int, int]) -> 
 
 def _with_signs(values: np.ndarray, signs: np.ndarray) -> np.ndarray:
     # The sign bit itself: multiplying would make a signalling NaN a quiet one.
+    if (signs > 0).all():
+        return np.ascontiguousarray(values, np.float32)
     bits = np.ascontiguousarray(values, np.float32).view(np.uint32)
     return (bits ^ np.where(signs < 0, np.uint32(1 << 31), np.uint32(0))).view(np.float32)
 

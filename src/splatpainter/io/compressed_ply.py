@@ -24,9 +24,14 @@ from splatpainter.io import activations, files, packing
 from splatpainter.io.ply import DEGREES, comment_settings, settled_comments
 from splatpainter.io.ply_container import Element, Header, element_size, make_header, read_header
 from splatpainter.io.reuse import differs, drawable_rows, row_problems, unchanged
-from splatpainter.splats import Source, Splats
+from splatpainter.kernels.parallel import each
+from splatpainter.splats import ATTRIBUTES, Source, Splats
 
 GAUSSIANS_PER_CHUNK = 256
+PACKED_ROWS = 64 * GAUSSIANS_PER_CHUNK
+"""Rows that one thread packs at a time."""
+SH_BLOCK_ROWS = 1 << 12
+"""Rows whose SH is packed or unpacked at a time, so that it stays in the cache."""
 AXES = ("x", "y", "z"), ("scale_x", "scale_y", "scale_z"), ("r", "g", "b")
 WORDS = ("packed_position", "packed_scale", "packed_color")
 BITS = (11, 10, 11), (11, 10, 11), (8, 8, 8, 8)
@@ -182,15 +187,44 @@ def _decode(header: Header, tables: Mapping[str, np.ndarray]) -> Splats:
         values[0], values[255] = 0, 1
         decoded = ((values - 0.5) * 8).astype(np.float32)
         third = len(names) // 3
-        for k, name in enumerate(names):
-            out.sh[:, 1 + k % third, k // third] = decoded[tables["sh"][name]]
+        for start in range(0, count, SH_BLOCK_ROWS):
+            rows = slice(start, start + SH_BLOCK_ROWS)
+            codes = _bytes_of(tables["sh"][rows], names).reshape(-1, 3, third)
+            out.sh[rows, 1:] = decoded[codes.transpose(0, 2, 1)]
     return out
+
+
+def _bytes_of(table: np.ndarray, names: list[str]) -> np.ndarray:
+    """[N, number of names] of a table of bytes, side by side."""
+    if list(table.dtype.names or ()) == names and table.dtype.itemsize == len(names):
+        return table.view(np.uint8).reshape(len(table), len(names))
+    return np.stack([table[name] for name in names], 1)
 
 
 def _pack(
     splats: Splats, old: Splats | None, origin: np.ndarray, record: CompressedPlyFile
 ) -> tuple[np.ndarray, np.ndarray]:
     """The chunk and vertex tables of `splats`."""
+    drawable = drawable_rows(splats) if len(splats) else splats
+
+    def packed(start: int) -> tuple[np.ndarray, np.ndarray]:
+        rows = slice(start, start + PACKED_ROWS)
+        with np.errstate(all="ignore"):  # which threads do not inherit
+            return _pack_rows(_part(splats, rows), _part(drawable, rows), old, origin[rows], record)
+
+    chunks, vertex = zip(*each(packed, range(0, max(len(splats), 1), PACKED_ROWS)), strict=True)
+    return np.concatenate(chunks), np.concatenate(vertex)
+
+
+def _part(splats: Splats, rows: slice) -> Splats:
+    """Rows without their file."""
+    return replace(splats, **{name: getattr(splats, name)[rows] for name in ATTRIBUTES}, source=None, origin=None)
+
+
+def _pack_rows(
+    splats: Splats, drawable: Splats, old: Splats | None, origin: np.ndarray, record: CompressedPlyFile
+) -> tuple[np.ndarray, np.ndarray]:
+    """The tables of rows that begin at a chunk. drawable: the same without values that cannot be packed."""
     count = len(splats)
     starts = np.arange(0, count, GAUSSIANS_PER_CHUNK)
     chunk = np.arange(count) // GAUSSIANS_PER_CHUNK
@@ -199,7 +233,6 @@ def _pack(
     chunks = _copies(record.tables["chunk"], source_chunks)
     vertex = _copies(record.tables["vertex"], origin)
     same_chunk = (origin >= 0) & (np.where(origin >= 0, origin // GAUSSIANS_PER_CHUNK, -1) == source_chunks[chunk])
-    drawable = drawable_rows(splats) if count else splats
     values = (
         drawable.means.astype(np.float64),
         np.clip(activations.log(drawable.scales), *LOG_SCALES).astype(np.float64),
@@ -235,24 +268,33 @@ def _pack(
 def _pack_sh(
     splats: Splats, old: Splats | None, origin: np.ndarray, record: CompressedPlyFile, dtype: np.dtype
 ) -> np.ndarray:
-    table = np.zeros(len(splats), dtype)
     bands = splats.sh.shape[1] - 1
     old_bands = len(_rest_names(record.tables)) // 3
-    has_source = origin >= 0
-    for k in range(3 * bands):
-        band, channel = 1 + k % bands, k // bands
+    names = [f"f_rest_{k}" for k in range(3 * bands)]
+    # [N, 3 (K - 1)], channel by channel.
+    codes = np.empty((len(splats), len(names)), np.uint8)
+    for start in range(0, len(splats), SH_BLOCK_ROWS):
+        rows = slice(start, start + SH_BLOCK_ROWS)
+        values = splats.sh[rows, 1:].transpose(0, 2, 1).reshape(-1, len(names)).astype(np.float64)
         with np.errstate(invalid="ignore"):
             # NaN counts as 0: such rows are not drawn, and 8 bits cannot say NaN.
-            fractions = np.trunc((np.nan_to_num(splats.sh[:, band, channel].astype(np.float64)) / 8 + 0.5) * 256)
-        column = np.clip(fractions, 0, 255).astype(np.uint8)
-        if old is not None and band <= old_bands:
-            before = record.tables["sh"][f"f_rest_{channel * old_bands + band - 1}"]
-            keep_mask = has_source.copy()
-            keep_mask[has_source] = ~differs(
-                splats.sh[has_source, band, channel], old.sh[origin[has_source], band, channel]
-            )
-            column[keep_mask] = before[origin[keep_mask]]
-        table[f"f_rest_{k}"] = column
+            fractions = np.trunc((np.nan_to_num(values, copy=False) / 8 + 0.5) * 256)
+        codes[rows] = np.clip(fractions, 0, 255, out=fractions)
+    if old is not None:
+        has_source = origin >= 0
+        for k, band, channel in ((k, 1 + k % bands, k // bands) for k in range(len(names))):
+            if band <= old_bands:
+                before = record.tables["sh"][f"f_rest_{channel * old_bands + band - 1}"]
+                keep_mask = has_source.copy()
+                keep_mask[has_source] = ~differs(
+                    splats.sh[has_source, band, channel], old.sh[origin[has_source], band, channel]
+                )
+                codes[keep_mask, k] = before[origin[keep_mask]]
+    if list(dtype.names or ()) == names and dtype.itemsize == len(names):
+        return codes.view(dtype).reshape(len(splats))
+    table = np.zeros(len(splats), dtype)
+    for k, name in enumerate(names):
+        table[name] = codes[:, k]
     return table
 
 

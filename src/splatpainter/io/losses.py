@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 
 from splatpainter.io import FORMATS, read, write
-from splatpainter.io.glb import with_bands
 from splatpainter.io.size_estimate import sample
-from splatpainter.splats import SH_C0, Splats, changed_rows
-from splatpainter.transforms import row_max
+from splatpainter.kernels.arrays import readonly
+from splatpainter.kernels.library import kernels
+from splatpainter.kernels.parallel import run, threads
+from splatpainter.splats import ATTRIBUTES, SH_C0, Splats
 
 MIN_DRAWN_OPACITY = 1 / 255
 """Opacity of Gaussians that are drawn; what fainter ones lose cannot be seen."""
@@ -153,23 +154,13 @@ def measure(before: Splats, after: Splats) -> Losses:
     count = min(len(old), len(new))
     counted = (old.drawable[:count] & new.drawable[:count]) & (old.opacities[:count] >= MIN_DRAWN_OPACITY)
     total = int(counted.sum())
-    if old.offset == new.offset and old.sh.shape[1] == new.sh.shape[1]:  # else none may be as it was
-        counted &= np.bincount(changed_rows(old, new), minlength=count)[:count] > 0
-    rows = np.flatnonzero(counted)
+    if not total:
+        return Losses()
+    rows, joined, base, rest = _row_errors(old, new, counted)
     if not len(rows):
         return Losses(compared=total)
-    errors: dict[str, list[np.ndarray]] = {}
     with np.errstate(all="ignore"):
-        base, rest = _Range(), _Range()
-        for start in range(0, len(rows), BLOCK_ROWS):
-            block = rows[start : start + BLOCK_ROWS]
-            one, two = old.take(block), new.take(block)
-            for name, values in _row_errors(one, two).items():
-                errors.setdefault(name, []).append(values.astype(np.float32))
-            base.add(one.sh[:, :1], two.sh[:, :1])
-            rest.add(one.sh[:, 1:], two.sh[:, 1:])
         base_cut, rest_cut = (_cut_rows(old, rows, part, span) for part, span in ((0, base), (1, rest)))
-    joined = {name: np.concatenate(parts).astype(np.float64) for name, parts in errors.items()}
     largest = {name: float(values.max()) for name, values in joined.items()}
     rms = {name: math.sqrt(float((values * values).sum()) / total) for name, values in joined.items()}
     moves = np.concatenate([joined["move"], np.zeros(total - len(rows))])
@@ -197,33 +188,43 @@ def measure(before: Splats, after: Splats) -> Losses:
     )
 
 
-def _row_errors(old: Splats, new: Splats) -> dict[str, np.ndarray]:
-    """[n] errors of rows that can be drawn, by what is off."""
-    size = row_max(old.scales).astype(np.float64)
-    change = np.linalg.norm(new.world_means - old.world_means, axis=1)
-    bands = max(old.sh.shape[1], new.sh.shape[1])
-    sh = with_bands(new.sh, bands) - with_bands(old.sh, bands)
-    # The mean over the sphere of a squared basis function is 1 / (4 pi), of a product of two of them 0.
-    by_view = np.sqrt((sh[:, 1:] ** 2).sum(1) / (4 * np.pi)).max(1, initial=0.0)
-    thick = old.scales >= THIN * size[:, None]
-    ratio = np.where(thick, np.abs(np.log(new.scales.astype(np.float64) / old.scales)), 0)
-    one, two = (quats / np.linalg.norm(quats, axis=1, keepdims=True) for quats in _doubles(old.quats, new.quats))
-    # Of the chord, as the arc cosine of a number near 1 has no digits left.
-    chord = np.minimum(np.linalg.norm(one - two, axis=1), np.linalg.norm(one + two, axis=1))
-    angle = np.degrees(4 * np.arcsin(np.minimum(chord / 2, 1)))
-    turned = size > MIN_ANISOTROPY * old.scales.min(1)
-    return {
-        "move": change / size,
-        "color": SH_C0 * row_max(np.abs(sh[:, 0])),
-        "sh": by_view,
-        "opacity": np.abs(new.opacities.astype(np.float64) - old.opacities),
-        "scale": row_max(ratio),
-        "rotation": np.where(turned, angle, 0),
-    }
-
-
-def _doubles(*arrays: np.ndarray) -> list[np.ndarray]:
-    return [array.astype(np.float64) for array in arrays]
+def _row_errors(
+    old: Splats, new: Splats, counted: np.ndarray
+) -> tuple[np.ndarray, dict[str, np.ndarray], _Range, _Range]:
+    """([n] of the `counted` rows those that are not as they were, what is off -> [n] errors, ranges of base colours and
+    of the coefficients beyond them)."""
+    count, spans = len(counted), np.full((threads(), 8), np.inf, np.float32)
+    spans[:, 1::2] = -np.inf
+    errors, differs = np.empty((count, 6)), np.empty(count, bool)
+    # Rows relative to other offsets, or of another SH degree, cannot be as they were.
+    comparable = old.offset == new.offset and old.sh.shape[1] == new.sh.shape[1]
+    pairs: list[np.ndarray] = []
+    for name in ATTRIBUTES:
+        for splats in (old, new):
+            values = getattr(splats, name)[:count]
+            pairs.append(readonly(values.reshape(count, -1) if name == "sh" else values, np.float32))
+    shift = readonly(np.array([*old.offset, *new.offset], np.float64), np.float64)
+    run(
+        kernels.row_losses, readonly(counted, bool), comparable, shift, THIN, MIN_ANISOTROPY, *pairs,
+        errors, differs, spans,
+    )  # fmt: skip
+    rows = np.flatnonzero(differs)
+    move, color, energy, opacity, ratio, chord = (errors[rows] if len(rows) < count else errors).T
+    return (
+        rows,
+        {
+            "move": move,
+            "color": SH_C0 * color,
+            # The mean over the sphere of a squared basis function is 1 / (4 pi), of a product of two of them 0.
+            "sh": np.sqrt(energy / (4 * np.pi)),
+            "opacity": opacity,
+            "scale": np.log(ratio),
+            # Of the chord, as the arc cosine of a number near 1 has no digits left.
+            "rotation": np.degrees(4 * np.arcsin(np.minimum(np.sqrt(chord) / 2, 1))),
+        },
+        _Range.of(spans[:, [0, 1, 4, 5]]),
+        _Range.of(spans[:, [2, 3, 6, 7]]),
+    )
 
 
 @dataclass
@@ -234,13 +235,13 @@ class _Range:
     after: tuple[float, float] = (0.0, 0.0)
     started: bool = False
 
-    def add(self, before: np.ndarray, after: np.ndarray) -> None:
-        if before.size and after.size:
-            spans = [(float(values.min()), float(values.max())) for values in (before, after)]
-            if self.started:
-                old = (self.before, self.after)
-                spans = [(min(a[0], b[0]), max(a[1], b[1])) for a, b in zip(old, spans, strict=True)]
-            (self.before, self.after), self.started = spans, True
+    @staticmethod
+    def of(spans: np.ndarray) -> _Range:
+        """Of [threads, 4] least and largest before, least and largest after."""
+        low0, high0, low1, high1 = spans[:, 0].min(), spans[:, 1].max(), spans[:, 2].min(), spans[:, 3].max()
+        if not (low0 <= high0 and low1 <= high1):  # no coefficients
+            return _Range()
+        return _Range((float(low0), float(high0)), (float(low1), float(high1)), True)
 
 
 def _cut_rows(old: Splats, rows: np.ndarray, part: int, span: _Range) -> int:

@@ -49,6 +49,8 @@ MAX_NUMBER_CHARACTERS = 512
 _IS_BLANK = np.isin(np.arange(256), np.frombuffer(b" \t\n\r\v\f", np.uint8))
 BLOCK_ROWS = 4096
 """Rows handled at a time: a block of wide rows (248 bytes at SH degree 3) stays in the cache while it is split."""
+PICKED_ROWS = 1 << 12
+"""Rows that a thread splits into columns at a time: 1 MB at SH degree 3."""
 
 
 @dataclass(frozen=True)
@@ -375,7 +377,12 @@ class Block(Protocol):
         """Set property `name` of `rows` (bool mask) to `values` (floats, one for each row that is set)."""
         ...
 
-    def tobytes(self) -> bytes: ...
+    def put_floats(self, names: Sequence[str], values: np.ndarray, before: np.ndarray, rows: np.ndarray) -> bool:
+        """Set properties to values ([M, K] float32) where they differ in any bit from the rows ([M], -1: none) of
+        `before` ([N, K] float32). False, and nothing is done, where not all properties of a row are float32."""
+        ...
+
+    def stored(self) -> memoryview: ...
 
 
 class Rows(Protocol):
@@ -417,21 +424,25 @@ class BinaryRows:
         return len(self.records)
 
     def columns(self, plan: Mapping[str, Sequence[str]]) -> dict[str, np.ndarray]:
-        return {key: self._columns(names) for key, names in plan.items()}
+        matrix = _as_floats(self.records)
+        if matrix is None:
+            return {key: self._columns(names) for key, names in plan.items()}
+        from splatpainter.kernels.parallel import each
+        from splatpainter.kernels.rows import pick
+
+        picks = {key: _column_numbers(self.records, names) for key, names in plan.items()}
+        out = {key: np.empty((len(self), len(names)), np.float32) for key, names in plan.items()}
+
+        def split(start: int) -> None:  # so that every record is fetched once for all columns
+            part = slice(start, start + PICKED_ROWS)
+            for key, columns in picks.items():
+                pick(matrix[part], columns, out[key][part])
+
+        each(split, range(0, len(self), PICKED_ROWS))
+        return out
 
     def _columns(self, names: Sequence[str]) -> np.ndarray:
         out = np.empty((len(self), len(names)), np.float32)
-        fields = self.records.dtype.names or ()
-        if all(self.records.dtype[name] == np.float32 for name in fields):
-            # The usual file: a matrix of floats, gathered row by row, three times faster than column by column.
-            matrix, picks = (
-                self.records.view(np.float32).reshape(-1, len(fields)),
-                [fields.index(name) for name in names],
-            )
-            for start in range(0, len(self), BLOCK_ROWS):
-                part = slice(start, start + BLOCK_ROWS)
-                np.take(matrix[part], picks, axis=1, out=out[part], mode="clip")
-            return out
         with np.errstate(over="ignore", invalid="ignore"):  # doubles beyond float32 become inf, as they should
             for start in range(0, len(self), BLOCK_ROWS):
                 part = self.records[start : start + BLOCK_ROWS]
@@ -449,9 +460,18 @@ class BinaryRows:
         return self.records.view(np.uint8).data
 
     def block(self, rows: np.ndarray) -> BinaryBlock:
+        first = int(rows[0]) if len(rows) else 0
+        if first >= 0 and np.array_equal(rows, np.arange(first, first + len(rows))):
+            return BinaryBlock(self.records[first : first + len(rows)], is_copy=False)
         copies = np.zeros(len(rows), self.records.dtype)
-        copied = rows >= 0
-        copies[copied] = self.records[rows[copied]]
+        copied, width = rows >= 0, self.records.dtype.itemsize
+        if width and copied.any():
+            # As bytes: thirty times faster than records of many fields.
+            stored, taken = (values.view(np.uint8).reshape(-1, width) for values in (self.records, copies))
+            if copied.all():
+                np.take(stored, rows, axis=0, out=taken, mode="clip")
+            else:
+                taken[copied] = np.take(stored, rows[copied], axis=0)
         return BinaryBlock(copies)
 
     def relayout(self, layout: Sequence[tuple[str, str, str | None]]) -> BinaryRows:
@@ -463,16 +483,48 @@ class BinaryRows:
         return BinaryRows(records, self.order)
 
 
-@dataclass(frozen=True)
+@dataclass
 class BinaryBlock:
     records: np.ndarray
+    is_copy: bool = True
+    """False: these are the records of the file itself, which are copied before anything is put into them."""
 
     def put(self, name: str, rows: np.ndarray, values: np.ndarray) -> None:
-        column = self.records[name]
+        column = self._writable()[name]
         column[rows] = as_type(values, column.dtype)
 
-    def tobytes(self) -> bytes:
-        return self.records.tobytes()
+    def put_floats(self, names: Sequence[str], values: np.ndarray, before: np.ndarray, rows: np.ndarray) -> bool:
+        if _as_floats(self.records) is None:
+            return False
+        from splatpainter.kernels.rows import put
+
+        matrix = _as_floats(self._writable())
+        assert matrix is not None
+        put(matrix, _column_numbers(self.records, names), values, before, rows)
+        return True
+
+    def stored(self) -> memoryview:
+        return self.records.view(np.uint8).data
+
+    def _writable(self) -> np.ndarray:
+        if not self.is_copy:
+            # As bytes, too: numpy copies records field by field.
+            self.records, self.is_copy = self.records.view(np.uint8).copy().view(self.records.dtype), True
+        return self.records
+
+
+def _column_numbers(records: np.ndarray, names: Sequence[str]) -> np.ndarray:
+    """[K] int64 columns of properties, counted from 0."""
+    fields = {name: k for k, name in enumerate(records.dtype.names or ())}
+    return np.array([fields[name] for name in names], np.int64)
+
+
+def _as_floats(records: np.ndarray) -> np.ndarray | None:
+    """[N, P] float32 view of records that hold nothing else in this machine's byte order; None for others."""
+    fields = records.dtype.names or ()
+    if not fields or any(records.dtype[name] != np.float32 for name in fields):
+        return None
+    return records.view(np.float32).reshape(len(records), len(fields))
 
 
 @dataclass(frozen=True)
@@ -573,8 +625,11 @@ class TextBlock:
             words[2 * column + (2 if words[0] == b"" else 0)] = str(value).encode()
             self.lines[row] = b"".join(words)
 
-    def tobytes(self) -> bytes:
-        return b"".join(self.lines)
+    def put_floats(self, names: Sequence[str], values: np.ndarray, before: np.ndarray, rows: np.ndarray) -> bool:
+        return False
+
+    def stored(self) -> memoryview:
+        return memoryview(b"".join(self.lines))
 
 
 def text_rows(

@@ -39,6 +39,24 @@ def differing(before: np.ndarray, after: np.ndarray, ids: np.ndarray) -> np.ndar
     return out
 
 
+def pick(records: np.ndarray, columns: np.ndarray, out: np.ndarray) -> None:
+    """Columns ([C] int64) of [N, P] float32 into [N, C] float32, every bit of them."""
+    run(kernels.pick_columns, _rows(records), readonly(columns, np.int64), out.view(np.uint32))
+
+
+def put(records: np.ndarray, columns: np.ndarray, values: np.ndarray, before: np.ndarray, rows: np.ndarray) -> None:
+    """Put values ([M, C] float32) into columns ([C] int64) of records ([M, P] float32), but for those with the bits
+    of `before` ([N, C]) in rows ([M] int64; -1: none)."""
+    run(
+        kernels.put_columns,
+        _rows(values),
+        _rows(before),
+        readonly(rows, np.int64),
+        readonly(columns, np.int64),
+        records.view(np.uint32),
+    )
+
+
 def _rows(values: np.ndarray) -> np.ndarray:
     """[N, C] uint32, the bits of [N, ...] float32."""
     return readonly(values, np.float32).reshape(len(values), math.prod(values.shape[1:])).view(np.uint32)
