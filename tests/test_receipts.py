@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 import tempfile
@@ -472,3 +473,18 @@ def test_a_capture_keeps_every_byte_that_was_not_painted(shared, tmp_path, name)
         one, two = (data[b + row * stride : b + (row + 1) * stride] for data, b in zip((old, new), begins, strict=True))
         assert (one != two) == (row in touched)
     assert sp.verify(original, edited, proof).ok
+
+
+def test_hashes_of_what_was_left_alone_differ_where_it_was_not() -> None:
+    """A row that changed without being named makes the two hashes different; named, they are one."""
+    from splatpainter.demo_asset import demo_asset
+    from splatpainter.receipts import untouched_hashes
+
+    before = demo_asset().take(np.arange(50))
+    opacities = before.opacities.copy()
+    opacities[7] = 0.123
+    after = dataclasses.replace(before, opacities=opacities)
+    first, second = untouched_hashes(before, after, np.array([3]))
+    assert first != second
+    first, second = untouched_hashes(before, after, np.array([3, 7]))
+    assert first == second

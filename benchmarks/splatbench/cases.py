@@ -54,6 +54,9 @@ class Setup:
     """How many objects."""
     held_out: bool = True
     """Only objects that training never sees (data.object_sources.split with its defaults); False: any."""
+    names: Path | None = None
+    """Text file of the objects to measure, one name a line, which training held out by the same list; None: those of
+    the split."""
     size: int = 256
     """Pixels of every picture's edge; the paper: 512."""
     detail: int = 4
@@ -411,7 +414,7 @@ class CaseStore:
             with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
                 values = json.loads(file.read_bytes())
                 noted = dict(values["setup"] if inside else values)
-        compared = [name for name in new if name in noted and name not in ("objects", *DATA_FOLDERS)]
+        compared = [name for name in new if name in noted and name not in ("objects", "names", *DATA_FOLDERS)]
         changes = [f"{name} {noted[name]}, not {new[name]}" for name in compared if noted[name] != new[name]]
         if changes and redo != "all":
             raise ValueError(
@@ -427,7 +430,8 @@ class CaseStore:
         data in different places; of the objects only the case's files count, so that a grown folder, or asking for
         more objects, makes no case anew."""
         values: dict[str, Any] = asdict(setup)
-        values.pop("objects")
+        for which in ("objects", "names"):
+            values.pop(which)
         for folder in DATA_FOLDERS[1:]:
             values[folder] = _digest(_listing(values[folder]))
         listing = _listing(values["data"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib import import_module
 from pathlib import Path
@@ -115,6 +115,8 @@ class TableOptions(Setup):
     """How many objects to measure."""
     held_out: bool = True
     """Only objects that training never sees (their names decide); --no-held-out: any object."""
+    names: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """Text file: the objects to measure, one name a line, which training held out by the same list."""
     truth: Literal["traced", "surfels"] = "traced"
     """traced: by Mitsuba; surfels: of dense Gaussians, in seconds instead of minutes, with approximate light."""
     base_views: int = Setup.base_views
@@ -246,6 +248,7 @@ def bench(name: str, words: Sequence[str]) -> Outcome:
     from splatbench.runner import run
 
     weights = named_folders(options.weights, program)
+    refuse_seen_objects(options, weights, program)
     config = RunConfig(
         protocol=name,
         setup=Setup(**{field.name: getattr(options, field.name) for field in dataclasses.fields(Setup)}),
@@ -271,6 +274,26 @@ def bench(name: str, words: Sequence[str]) -> Outcome:
         "notes": result.notes,
     }
     return _outcome(record, lines, 0 if result.complete else 1, options.json)
+
+
+def refuse_seen_objects(setup: Setup, weights: Mapping[str, str], program: str) -> None:
+    """Raises ValueError where given weights were trained on objects that the setup takes for held out, as far as their
+    notes tell; and for --names without what they are names of."""
+    from splatpainter.data.held_out import HeldOut
+    from splatpainter.models import checkpoint
+
+    if setup.names is not None and (setup.data is None or not setup.held_out):
+        raise ValueError(f"{program}: --names needs --data, and no --no-held-out")
+    rule = HeldOut() if setup.names is None else HeldOut.of_file(setup.names)
+    if setup.data is None or not setup.held_out:
+        return
+    for name, folder in weights.items():
+        try:
+            problem = rule.leak(checkpoint.notes(folder))
+        except ValueError:
+            continue  # the method that needs them says what is wrong
+        if problem:
+            raise ValueError(f"{program}: --weights {name}={folder}: {problem}; --no-held-out measures any object")
 
 
 def report(words: Sequence[str]) -> Outcome:

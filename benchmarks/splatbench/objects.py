@@ -106,12 +106,14 @@ def is_splat_folder(folder: Path | None) -> bool:
 
 
 def _of_folder(setup: Setup, folder: Path) -> Objects:
-    from splatpainter.data.object_sources import MeshFolder, split
+    from splatpainter.data.held_out import HeldOut
+    from splatpainter.data.object_sources import MeshFolder
 
     meshes = MeshFolder(folder)
     files = {meshes.name(i): meshes.files[i] for i in range(len(meshes))}
     # Stages and judges of training split these names alike, with these defaults.
-    available = split(list(files))[1] if setup.held_out else list(files)
+    rule = HeldOut() if setup.names is None else HeldOut.of_file(setup.names)
+    available = rule.split(list(files), str(folder))[1] if setup.held_out else list(files)
     what = "held-out meshes" if setup.held_out else "meshes"
     if not available:
         raise ValueError(

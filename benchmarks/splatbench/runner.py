@@ -122,6 +122,10 @@ def write_table(
         expected = fingerprint(digests[record.label], versions[record.method], config.budget, perceptual)
         return record.fingerprint != expected
 
+    labels = {
+        name: method.label_of(config.protocol, config.budget) if method.label_of else method.label
+        for name, method in methods.items()
+    }
     state = RunState(
         config=config,
         objects=tuple(dict.fromkeys(key.name for key in keys)),
@@ -130,10 +134,10 @@ def write_table(
         records=tuple(current),
         outdated=tuple(r for r in current if r.has_figures and is_outdated(r)),
         table=table,
-        labels={name: method.label for name, method in methods.items()},
+        labels=labels,
     )
     rows = summarize(current, table.split_by, tuple(methods))
-    names = MethodNames.of(methods, (r.method for r in current), config.protocol)
+    names = MethodNames.of(methods, (r.method for r in current), labels)
     layout = report_tables.grid(config.protocol, table.columns, rows, names, table.split_by)
     lines = notes(state)
     store.folder.mkdir(parents=True, exist_ok=True)
@@ -148,6 +152,7 @@ def write_table(
         "labels": [key.label for key in keys],
         "machine": machine,
         "notes": lines,
+        "methods": {name: labels[name] for name in names.order if name in labels},
     }
     with files.writing(store.folder / RUN_FILE) as file:
         file.write(json.dumps(about, indent=1).encode())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import subprocess
 import sys
@@ -105,3 +106,27 @@ def test_help_is_light() -> None:
     assert (done.returncode, done.stderr) == (0, "[]\n")
     assert "--perceptual-weights DIR" in done.stdout
     assert all(f"  {name:<8} {line}" in done.stdout for name, line in command.TABLES.items())
+
+
+def test_weights_that_saw_the_held_out_objects_are_refused(tmp_path: Path) -> None:
+    from splatbench.command import bench
+
+    from splatpainter.models.config import COMPACT
+    from splatpainter.models.model import SplatPainterModel
+
+    data, weights = tmp_path / "meshes", tmp_path / "weights"
+    data.mkdir()
+    (data / "a.obj").write_text("v 0 0 0\n")
+    names = tmp_path / "names.txt"
+    names.write_text("a\n")
+    small = dataclasses.replace(COMPACT.lrm, dim=16, heads=2, layers=1, hidden=16)
+    config = dataclasses.replace(COMPACT, lrm=small)
+    SplatPainterModel(config).save(weights, notes={"stage": "refine", "held_out": {"share": 0.02}})
+    words = ["--data", str(data), "--out", str(tmp_path / "out"), "--weights", f"compact={weights}"]
+    with pytest.raises(ValueError, match="held out a share of 0.02, here 0.1 is held out; --no-held-out measures"):
+        bench("refine", words)
+    with pytest.raises(ValueError, match="1 of the 1 names were trained on"):
+        bench("refine", [*words, "--names", str(names)])
+    with pytest.raises(ValueError, match="--names needs --data"):
+        bench("refine", ["--names", str(names)])
+    assert not (tmp_path / "out").exists()

@@ -299,3 +299,17 @@ def test_groupings_are_told_apart(tmp_path: Path) -> None:
 def test_results_are_plain_splats() -> None:
     done = row_of("lift").edit(work(dab(thing(), RED)), Budget())
     assert isinstance(done, EditResult) and isinstance(done.splats.means, np.ndarray)
+
+
+def test_a_row_is_named_by_the_weights_that_make_it() -> None:
+    """In the table of relighting, `compact` makes all edits by its predictor, `rows` by test-time training."""
+    from splatbench.cases import Budget
+    from splatbench.methods import all_methods
+
+    from splatpainter.models import weights
+
+    ttt, folder = all_methods()["ttt"], weights.find("rows")
+    assert ttt.label_of is not None and folder is not None
+    rows = Budget(weights={"compact": str(folder)})
+    assert ttt.label_of("relight", Budget()) == "Ours (predictor)"
+    assert ttt.label_of("relight", rows) == ttt.label_of("refine", rows) == ttt.label == "Ours (TTT)"

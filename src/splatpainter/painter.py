@@ -42,6 +42,8 @@ Method = Literal["auto", "ttt", "lift", "fit"]
 MAX_VIEWS = 16
 LOW_ASIDE_DB = 20.0
 """Paint that scores less from the side is said to; sound paint on 24 held-out meshes has 29 on average."""
+PREDICTOR = "predictor"
+"""What receipts call global edits that networks make without test-time training."""
 NOT_LOCAL = "Stage II of these weights is for global edits only: the analytic lift"
 """Why a local edit is the lift's, whatever was asked for (ModelConfig.edits_locally)."""
 MIN_ASIDE_COVERED = 0.25
@@ -316,6 +318,7 @@ class Painter:
             if self.model.config.representation == "copy":
                 notes.append(f"the asset is a copy of {len(asset.splats)} Gaussians that the model made")
         # Those that a lift may have changed it names; a proof does not believe it.
+        ran = self._ran(chosen, mode)
         by_lift = not self.proof and chosen == "lift" and mode == "local"
         among = lifted.ids[: np.searchsorted(lifted.ids, len(asset.splats))] if by_lift else None
         touched = changed_rows(asset.splats, result.splats, among)
@@ -329,8 +332,8 @@ class Painter:
             output_sha256="",
             output_rows=len(result.splats),
             mode=mode,
-            method=chosen,
-            preset=self.preset if chosen == "ttt" else "lift",
+            method=ran,
+            preset="lift" if ran in ("lift", "fit") else self.preset,
             touched=touched,
             replaced=lifted.replaced[np.isin(lifted.replaced, touched, assume_unique=True)],
             removed=lifted.removed,
@@ -344,6 +347,14 @@ class Painter:
             note="; ".join(filter(None, notes)),
             precision=self._arithmetic(chosen, mode),
         )
+
+    def _ran(self, chosen: Method, mode: Mode) -> str:
+        """What receipts say made the edit: a method, or of networks that need no test-time training "predictor", or
+        "lift" while that is untrained."""
+        if chosen != "ttt" or self.encodes(chosen, mode) or self.model is None:
+            return chosen
+        predictor = self.model.stored_predictor
+        return "lift" if predictor is None or predictor.is_untrained else PREDICTOR
 
     def _aside(self, asset: Asset, result: Asset, views: Sequence[EditView]) -> list[SideViewScore]:
         """Each view's edit from the side; of several the later ones change what the earlier ones show."""
@@ -381,11 +392,12 @@ class Painter:
         if method == "auto":
             if self.model is not None and not self.why:
                 gain = self.model.notes.get("gain", {}).get(mode)
+                networks = "test-time training" if self.encodes("ttt", mode) else "the predictor"
                 if gain is None:
-                    return "ttt", f"weights of preset '{self.preset}': test-time training"
+                    return "ttt", f"weights of preset '{self.preset}': {networks}"
                 measured = f"{gain:+.2f} dB over the lift in {mode} edits of objects kept out of training"
                 why = f"weights of preset '{self.preset}' ({measured})"
-                return ("ttt", f"{why}: test-time training") if gain > 0 else ("lift", f"{why}: the analytic lift")
+                return ("ttt", f"{why}: {networks}") if gain > 0 else ("lift", f"{why}: the analytic lift")
             return "lift", self.why or "no trained weights: the analytic lift"
         if method not in ("ttt", "lift", "fit"):
             raise ValueError(f"method: expected auto, ttt, lift or fit, got {method!r}")

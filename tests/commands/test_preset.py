@@ -95,6 +95,19 @@ def test_a_folder_of_weights_paints_and_the_file_proves_it(
     assert run(capfd, "verify", here / "ball.ply", here / "out.ply").code == 0
 
 
+@pytest.mark.parametrize("preset", ["auto", "compact", "folder"])
+def test_networks_that_make_no_local_edits_are_refused_before_they_are_read(
+    view: Path, tmp_path: Path, capfd: Capture, preset: str
+) -> None:
+    settings = {"answers": "teachers", "picture_tokens": False, "row_tokens": 64, "detail": False}
+    config = replace(LIFT, preset="compact", refine=replace(LIFT.refine, **settings))  # type: ignore[arg-type]
+    folder = save(tmp_path / "weights" / "compact", config)
+    for shard in folder.glob("weights-*"):
+        shard.unlink()
+    words = ["--preset", folder if preset == "folder" else preset, "--method", "ttt"]
+    assert "make global edits alone, so that the lift would make this one" in refused(capfd, view.parent, view, *words)
+
+
 def test_weights_that_cannot_be_used_are_refused(view: Path, tmp_path: Path, capfd: Capture) -> None:
     here = view.parent
     newer = save(tmp_path / "newer", ASSET_BASE)

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from splatpainter.lift.colors import refine_colors_global, refine_colors_local
+from splatpainter.lift.colors import lift_colors, refine_colors_global, refine_colors_local
 from splatpainter.models.gaussian_groups import drift_features
+from splatpainter.rendering import render
+from splatpainter.rendering.cpu.projected_view import project
 from tests.support.lift_scenes import back, base_colors, dense_weights, differing, disk, front, sheet
 
 CAMERAS = [front(40), back(40)]
@@ -72,3 +74,38 @@ def test_drift_is_zero_for_the_same_rows_and_bounded_for_any() -> None:
     )
     expected = torch.tensor([0.5, 0, -4, *[np.log(0.5) / 4] * 3, -0.2]).float()
     torch.testing.assert_close(drift_features(other, rows, 0.2), expected.expand(len(rows), 7))
+
+
+@pytest.mark.parametrize("rounds", [2, 5])
+def test_a_hold_pulls_back_to_the_old_colour(rounds: int) -> None:
+    """Damped least squares, written out; and where it ends, far from both the old colour and the picture."""
+    view, camera = project(SHEET, CAMERAS[0]), CAMERAS[0]
+    target, ids = pictures()[0], view.gaussian_ids
+    weights, left = dense_weights(SHEET, camera)
+    hold = np.random.default_rng(0).uniform(0.5, 6, len(SHEET))
+    everywhere = np.ones(target.shape[:2], np.float32)
+    old = base_colors(SHEET).astype(np.float64)
+    colors = old.copy()
+    for _ in range(rounds):
+        error = target.reshape(-1, 3) - (weights.T @ colors + left[:, None] * 0.5)
+        gain = weights @ error - hold[:, None] * (colors - old)
+        colors = np.clip(colors + gain / (weights.sum(1) + hold)[:, None], 0, 1.3)
+    editable = np.ones(len(ids), bool)
+    result = lift_colors(view, target, everywhere, editable, rounds, hold[ids].astype(np.float32))
+    np.testing.assert_allclose(result, colors[ids], atol=2e-3)
+    free = lift_colors(view, target, everywhere, editable, rounds)
+    before = view.colors
+    assert np.abs(result - before).mean() < 0.8 * np.abs(free - before).mean()
+
+
+@pytest.mark.parametrize(("steps", "moves"), [(0.5, False), (3.0, True)])
+def test_colours_that_hardly_move_keep_their_bits(steps: float, moves: bool) -> None:
+    """Steps of an 8-bit picture's quarter, 1 / 1024: half of one is no edit, three are."""
+    rows = np.ones(len(SHEET), bool)
+    target = render(replace(SHEET, sh=SHEET.sh + steps / 1024 / 0.28209479), [CAMERAS[0]]).colors[0]
+    result = refine_colors_local(SHEET, [(CAMERAS[0], np.asarray(target, np.float32))], rows, 8)
+    assert (result is not SHEET) == moves
+    if moves:
+        assert differing(SHEET, result).mean() > 0.9
+    everywhere = np.ones(target.shape[:2], bool)
+    assert (refine_colors_global(SHEET, [(CAMERAS[0], target, everywhere)]) is not SHEET) == moves

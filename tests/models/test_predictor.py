@@ -234,7 +234,7 @@ def test_alone_it_needs_no_encoding(monkeypatch: pytest.MonkeyPatch) -> None:
     made = painter.apply(asset, [change], mode="global", method="ttt")
     # Stage II is untrained, so it adds nothing.
     np.testing.assert_array_equal(made.splats.sh, expected.splats.sh)
-    assert asset.encoding is None and made.receipt is not None and made.receipt.method == "ttt"
+    assert asset.encoding is None and made.receipt is not None and made.receipt.method == "predictor"
     assert "encode" not in made.receipt.seconds
     # While it is untrained, the lift's regression stands in.
     assert alone.predictor is not None
@@ -306,7 +306,7 @@ def test_weights_are_read_when_they_are_needed(tmp_path, monkeypatch: pytest.Mon
     painter.apply(painter.encode(splats), [change])
     assert not read, "local edits are the lift's"
     made = painter.apply(painter.encode(splats), [change], mode="global")
-    assert made.receipt is not None and made.receipt.method == "ttt"
+    assert made.receipt is not None and made.receipt.method == "predictor"
     painter.apply(made, [change], mode="global")
     assert not read, "global ones are the stored predictor's"
     expected = Painter(model=model).apply(Painter(model=model).encode(splats), [change], mode="global", method="ttt")

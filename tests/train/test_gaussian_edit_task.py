@@ -146,7 +146,11 @@ def test_the_ridge_is_the_lifts() -> None:
     made = task()
     assert fixed_ridge(sample).shape == (len(judged(sample)), 3)
     score = made.judge(sample)
-    assert score.kind == f"relight {sample.views} coarse" and set(score.numbers) > {"nothing", "lift", "strength 0"}
+    assert score.kind == f"relight {sample.views} coarse" and set(score.numbers) > {
+        *("nothing", "lift", "strength 0", "adapts", "another edit", "between Gaussians")
+    }
+    assert score.numbers["adapts"] == score.numbers["ours"] - score.numbers["strength 0"]
+    assert 0 < score.numbers["between Gaussians"] <= 1
 
 
 def test_the_stage_is_a_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -58,6 +58,17 @@ def test_untrained_refinement_is_the_lift(kind: str, precision: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["stroke", "regrade"])
+def test_validation_says_what_adaptation_is_worth(kind: str) -> None:
+    task = task_of(RECIPE)
+    fixed = task.eval().judge(samples_of(kind)[0]).numbers
+    assert fixed["adapts"] == 0 and fixed["strength 0"] == fixed["another edit"] == fixed["ours"]
+    torch.nn.init.normal_(task.model.head.linear.weight, std=0.1)
+    awake = task.judge(samples_of(kind)[0]).numbers
+    assert awake["adapts"] == awake["ours"] - awake["strength 0"] != 0
+    assert awake["another edit"] not in (awake["ours"], awake["strength 0"])
+
+
+@pytest.mark.parametrize("kind", ["stroke", "regrade"])
 def test_untrained_refinement_on_own_gaussians_is_nothing(kind: str) -> None:
     score = task_of(RECIPE, SMALL).eval().judge(samples_of(kind)[0])
     assert score.numbers["ours"] == score.numbers["nothing"] != score.numbers["lift"]
@@ -236,3 +247,19 @@ def test_refinement_of_the_papers_copy_leaves_the_decoder_alone(kind: str, preci
     assert np.isfinite(task.eval().judge(sample).numbers["ours"])
     with pytest.raises(ValueError, match="train_encoder nothing"):
         task_of(replace(RECIPE, train_encoder="compress"), COPY)
+
+
+@pytest.mark.parametrize("steps", [3, 10**6])
+def test_a_run_that_used_no_sample_fails_and_saves_nothing(
+    tmp_path: Path, steps: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Broken:
+        def __getitem__(self, i: int) -> Sample:
+            raise ValueError(f"mesh{i}.glb: no faces")
+
+    monkeypatch.setattr("splatpainter.train.loop.MAX_USELESS_STEPS", 5)
+    recipe = replace(RECIPE, steps=steps, save_minutes=1e-9)
+    last = 2 * min(steps, 5) - 1
+    with pytest.raises(ValueError, match=f"none of the {last + 1} samples .* nothing was trained .* no faces"):
+        loop(recipe, tmp_path, samples=Broken())()
+    assert not (tmp_path / "model").exists() and not (tmp_path / "state").exists()

@@ -7,7 +7,7 @@ and gives back the edited asset. Files list theirs in METHODS; `all_methods` rea
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any
@@ -83,8 +83,8 @@ class Method:
     """Tables that it has a row in by default."""
     is_upper_bound: bool = False
     """It sees true edited views."""
-    labels: Mapping[str, str] = field(default_factory=dict)
-    """Name of a table -> what it is called there, where that is another label."""
+    label_of: Callable[[str, Budget], str] | None = None
+    """(name of a table, budget) -> what it is called there, with the weights that it is given; None: its label."""
     missing: Callable[[Budget], str] = lambda _: ""
     """Why it cannot run here ("not installed: ...", "needs a CUDA GPU", "no weights: ..."), or "". Cheap."""
     version: Callable[[Budget], str] = lambda _: "1"

@@ -32,9 +32,15 @@ def refined(weights: Weights, *, polish: bool = False) -> Callable[[EditTask, Bu
 
 
 def _method(name: str, label: str, weights: Weights, relit: str = "", **options: bool) -> Method:
-    """relit: its label where all edits are global and the weights' predictor makes those, without Stage II."""
-    edit, labels = refined(weights, **options), {"relight": relit} if relit else {}
-    return Method(name, label, edit, TABLES, labels=labels, missing=weights.missing, version=weights.version)
+    """relit: its label where all edits are global and these weights have their predictor make those, without Stage
+    II."""
+
+    def label_of(table: str, budget: Budget) -> str:
+        alone = relit and table == "relight" and not weights.missing(budget) and weights.config(budget).predictor_only
+        return relit if alone else label
+
+    edit = refined(weights, **options)
+    return Method(name, label, edit, TABLES, label_of=label_of, missing=weights.missing, version=weights.version)
 
 
 METHODS = (

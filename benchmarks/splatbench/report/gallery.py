@@ -130,8 +130,9 @@ def write_contact_sheet(
     tables, methods: by name; None: those of this package. Raises ValueError for records that cannot be read, or for a
     folder that is no table's.
     """
-    table, records = table_layout(folder, tables), read_run(folder).records
-    rows = picture_rows(folder, records, method_names(records, methods, folder.name), table)
+    table, run = table_layout(folder, tables), read_run(folder)
+    records = run.records
+    rows = picture_rows(folder, records, method_names(records, methods, run.labels), table)
     if not rows:
         return None
     title = f"{table.title}. Errors: largest channel, white at {WHITE_ERROR:g} and more."

@@ -130,7 +130,7 @@ def write_markdown(
     beside.mkdir(parents=True, exist_ok=True)
     parts = [about.strip(), "Measured on:", "\n".join(f"- {machine}" for machine in machines(sections))]
     for section in sections:
-        names = method_names(section.run.records, methods, section.name)
+        names = method_names(section.run.records, methods, section.run.labels)
         parts += [f"## {section.table.title}", f"`splatpainter bench {section.name}`: {section.count}."]
         parts.append(markdown(section.grid()))
         stale = set(beside.glob(f"{section.name}-*.svg"))
@@ -189,7 +189,7 @@ def _sections(
         listed = ", ".join(map(str, folders)) or "no folder"
         raise ValueError(f"report: expected records of `splatpainter bench` in {listed}, found none")
     records = [r for _, _, run in runs for r in run.records]
-    names = [method_names(records, methods, folder.name) for folder, _, _ in runs]
+    names = [method_names(records, methods, run.labels) for _, _, run in runs]
     return [ReportSection(f.name, f, table, run, part) for (f, table, run), part in zip(runs, names, strict=True)]
 
 

@@ -57,34 +57,35 @@ class MethodNames:
     """Upper bounds, and the row in which nothing is done: never marked as a table's best."""
 
     @staticmethod
-    def of(methods: Mapping[str, MethodLabel], names: Iterable[str], table: str = "") -> MethodNames:
+    def of(
+        methods: Mapping[str, MethodLabel], names: Iterable[str], labels: Mapping[str, str] | None = None
+    ) -> MethodNames:
         """methods: all that are installed, in order. names: those that occur; names that are not among `methods` come
-        last, sorted, and are their own labels. table: whose labels these are, where a method's is another there."""
+        last, sorted, and are their own labels. labels: what a run called them, with the weights that it had."""
         names = set(names)
         order = (*(name for name in methods if name in names), *sorted(names - set(methods)))
-        labels = {name: _label(methods[name], table) if name in methods else name for name in order}
+        called = {name: methods[name].label if name in methods else name for name in order}
+        called |= {name: label for name, label in (labels or {}).items() if name in called}
         bounds = {name for name in order if name in methods and methods[name].is_upper_bound}
-        return MethodNames(order, labels, frozenset(bounds | {"nothing"}))
+        return MethodNames(order, called, frozenset(bounds | {"nothing"}))
 
     def style(self, name: str) -> int:
         """Number of the method's colour and shape (plots.MARKS)."""
         return self.order.index(name)
 
 
-def _label(method: MethodLabel, table: str) -> str:
-    return getattr(method, "labels", {}).get(table, method.label)
-
-
 def method_names(
-    records: Iterable[Record], methods: Mapping[str, MethodLabel] | None = None, table: str = ""
+    records: Iterable[Record],
+    methods: Mapping[str, MethodLabel] | None = None,
+    labels: Mapping[str, str] | None = None,
 ) -> MethodNames:
-    """The methods of these records. methods: by name, in order; None: those of this package; table: as of
+    """The methods of these records. methods: by name, in order; None: those of this package; labels: as of
     MethodNames."""
     if methods is None:
         from splatbench.methods import all_methods
 
         methods = all_methods()
-    return MethodNames.of(methods, (r.method for r in records), table)
+    return MethodNames.of(methods, (r.method for r in records), labels)
 
 
 def table_layout(folder: Path, tables: Mapping[str, TableLayout] | None = None) -> TableLayout:
@@ -108,6 +109,8 @@ class StoredRun:
     records: tuple[Record, ...]
     notes: tuple[str, ...] | None
     """Notes of the runner; None: no run has finished there yet."""
+    labels: Mapping[str, str] = field(default_factory=dict)
+    """Method -> what the run called it: rows are named by the weights that made them."""
 
 
 def read_run(folder: Path) -> StoredRun:
@@ -119,11 +122,12 @@ def read_run(folder: Path) -> StoredRun:
     try:
         values = json.loads((folder / RUN_FILE).read_bytes())
         labels, notes = set(values["labels"]), tuple(str(note) for note in values["notes"])
+        called = {str(name): str(label) for name, label in dict(values.get("methods", {})).items()}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ValueError(f"{folder / RUN_FILE}: expected what `splatpainter bench` writes ({error!r})") from None
     digests = {label: _case_digest(folder / "cases" / label) for label in {r.label for r in stored} & labels}
     current = (r for r in stored if r.label in labels and r.fingerprint.startswith(digests[r.label]))
-    return StoredRun(tuple(current), notes)
+    return StoredRun(tuple(current), notes, called)
 
 
 def _case_digest(case: Path) -> str:

@@ -18,6 +18,8 @@ import numpy as np
 from splatbench.cases import Case, CaseKey, EditStep, PosedImages, Setup
 from splatbench.scoring import rendered
 from splatbench.tables import measures
+from splatpainter.data.held_out import HeldOut
+from splatpainter.data.object_sources import HELD_OUT_SHARE
 from splatpainter.data.sample_recipes import SampleRecipe
 
 if TYPE_CHECKING:
@@ -48,8 +50,6 @@ PROCEDURAL = "procedural:64"
 SURFELS_PER_GAUSSIAN = 8
 """Surfels per Gaussian of the truth and of the asset (the training samples have 7.5)."""
 MIN_SURFELS = 60_000
-HELD_OUT_SHARE = 0.1
-"""Share of the objects that training holds out (data.object_sources.split's own)."""
 MIN_ASSET_ALPHA = 0.5
 """Least alpha of a pixel of the asset."""
 UNEDITED_WEIGHT = 0.25
@@ -131,7 +131,8 @@ def _data_settings(setup: Setup, resources: ResourceFolders) -> DataSettings:
         novel_views=setup.novel_views,
         steps_per_object=1,
     )
-    return DataSettings(data, recipe, setup.seed, HELD_OUT_SHARE, resources, memory=256 << 20)
+    names = () if setup.names is None else HeldOut.of_file(setup.names).names
+    return DataSettings(data, recipe, setup.seed, HELD_OUT_SHARE, resources, memory=256 << 20, names=names)
 
 
 @lru_cache(maxsize=2)

@@ -16,9 +16,11 @@ from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import parse
 from splatpainter.commands.output_paths import check_folder
 from splatpainter.commands.terminal import count, progress, size, warn
+from splatpainter.data.object_sources import HELD_OUT_SHARE
 
 if TYPE_CHECKING:
     from splatpainter.data.jobs import RenderJob
+    from splatpainter.data.sample_recipes import SampleRecipe
 
 SUMMARIES = {
     "render": "render samples of every object into WebDataset shards; resumes where it stopped",
@@ -29,6 +31,7 @@ MAX_LINES = 12
 """Lines of skipped objects and of problems that people see; --json has all."""
 SourceArgument = Annotated[Positional[str], arg(metavar="SOURCE")]
 Folder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
+OfRecipe = Annotated[int | None, arg(metavar="INT", help_behavior_hint="")]
 
 
 def dispatch(words: Sequence[str]) -> Outcome:
@@ -53,6 +56,7 @@ class RenderConfig:
       splatpainter data render meshes/ --out shards --environments hdris/ --workers 4
       splatpainter data render procedural:200 --out shards --kinds stroke text relight --size 128
       splatpainter data render meshes/ --out truth --truth path --split validation --linear
+      splatpainter data render objaverse/ --out shards --recipe paper --workers 16
     """
 
     source: SourceArgument
@@ -61,16 +65,23 @@ class RenderConfig:
     """Folder for the shards and their index.json; made if missing, continued if it holds shards of the same options."""
     truth: Literal["surfels", "path"] = "surfels"
     """surfels: milliseconds a view, every kind of edit; path: Mitsuba, seconds a view, relight, zoom and plain."""
-    recipe: Literal["unified", "local", "global", "lrm"] = "unified"
-    """Recipe to start from: kinds of edits and their weights, numbers of views."""
+    recipe: str = "unified"
+    """Recipe to start from: unified, local, global, lrm, paper, or a JSON file of `train` (its samples)."""
     kinds: tuple[str, ...] = ()
     """Only these kinds of edits, in equal parts; default: the recipe's (path traced: relight and zoom)."""
-    size: int = 128
-    """Pixels of every picture's edge."""
-    rows: int = 8000
-    """Gaussians of each asset."""
-    surfels: int = 60_000
-    """Surfels (dense Gaussians) of each ground truth."""
+    size: OfRecipe = None
+    """Pixels of every picture's edge; default: the recipe's (128; paper: 512)."""
+    rows: OfRecipe = None
+    """Gaussians of each asset; default: the recipe's (8,000; paper: 60,000)."""
+    surfels: OfRecipe = None
+    """Surfels (dense Gaussians) of each ground truth; default: the recipe's (60,000; paper: 400,000)."""
+    base_views: OfRecipe = None
+    """Views of the unedited object, which `train lrm` of models without geometry reads (preset paper: 9); default: the
+    recipe's (6; lrm: 8; paper: 16)."""
+    novel_views: OfRecipe = None
+    """Views for the loss; default: the recipe's (4)."""
+    sh_degree: OfRecipe = None
+    """Spherical harmonics of asset and truth, 0 to 2; default: the recipe's (1; paper: 2)."""
     samples: int = 8
     """Samples per scene; they share the object, its light and the asset."""
     scenes: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
@@ -79,7 +90,7 @@ class RenderConfig:
     """Equal seeds and options give equal samples."""
     split: Literal["all", "train", "validation"] = "all"
     """Which objects: all, or one side of the split (see data list)."""
-    share: float = 0.1
+    share: float = HELD_OUT_SHARE
     """Share of the objects that is for validation."""
     environments: Folder = None
     """Folder of .hdr and .exr light; without it, procedural skies."""
@@ -129,7 +140,7 @@ class ListConfig:
 
     source: SourceArgument
     """A folder of meshes, a folder of splat assets, or procedural:COUNT."""
-    share: float = 0.1
+    share: float = HELD_OUT_SHARE
     """Share of the objects that is for validation."""
     seed: int = 0
     """Seed of procedural objects."""
@@ -184,7 +195,6 @@ def job_of(config: RenderConfig) -> tuple[RenderJob, dict[str, str]]:
     """(the job that the options ask for, environments that cannot be used: name -> why). Raises ValueError."""
     from splatpainter.data.jobs import RenderJob, open_source
     from splatpainter.data.pathtrace import PathOptions
-    from splatpainter.data.sample_recipes import RECIPES
 
     for name, value, low in (
         ("--scenes", 1 if config.scenes is None else config.scenes, 1),
@@ -199,14 +209,10 @@ def job_of(config: RenderConfig) -> tuple[RenderJob, dict[str, str]]:
         raise ValueError(f"splatpainter data render: expected one address behind --ray, got {len(config.ray)}")
     traced = config.truth == "path"
     chosen = config.kinds or (("relight", "zoom") if traced and config.recipe != "lrm" else ())
-    recipe = replace(
-        RECIPES[config.recipe],
-        **({"kinds": dict.fromkeys(chosen, 1.0)} if chosen else {}),
-        size=config.size,
-        rows=config.rows,
-        surfels=config.surfels,
-        steps_per_object=config.samples,
-    )
+    named = ("size", "rows", "surfels", "base_views", "novel_views", "sh_degree")
+    given = {name: value for name in named if (value := getattr(config, name)) is not None}
+    kinds = {"kinds": dict.fromkeys(chosen, 1.0)} if chosen else {}
+    recipe = replace(_sample_recipe(config.recipe), **kinds, **given, steps_per_object=config.samples)
     lights, dark = _environments(config.environments)
     job = RenderJob(
         config.source if config.source.startswith("procedural:") else str(Path(config.source).resolve()),
@@ -233,6 +239,23 @@ def job_of(config: RenderConfig) -> tuple[RenderJob, dict[str, str]]:
         if not hasattr(open_source(job), "mesh"):
             raise ValueError(f"{config.source}: holds splat assets; path tracing needs meshes, use --truth surfels")
     return job, dark
+
+
+def _sample_recipe(name: str) -> SampleRecipe:
+    """The samples of a name, or of a recipe of training. Raises ValueError for neither, and for what is wrong in it."""
+    from splatpainter.data.sample_recipes import RECIPES
+
+    if name in RECIPES:
+        return RECIPES[name]
+    if not Path(name).is_file():
+        raise ValueError(
+            f"splatpainter data render: --recipe {name}: expected one of {', '.join(RECIPES)}, or a JSON file of train"
+        )
+    from splatpainter.jsonio import load_object
+    from splatpainter.train import recipes
+
+    text = Path(name).read_text(encoding="utf-8", errors="replace")
+    return recipes.parse(text, load_object(text, name, "recipe").get("stage", "refine"), name).samples
 
 
 def check(config: CheckConfig) -> Outcome:

@@ -249,6 +249,7 @@ def _of_size(sources: list[FileEdit], mode: Mode, method: Method, painter: Paint
 
 def _painter(config: Config) -> Painter:
     """Before anything is read that takes time: weights that are missing or wrong are the likeliest complaint."""
+    _refuse_idle_networks(config)
     painter = Painter.load(config.preset, modes=[config.mode], polish=config.polish, precision=config.precision)
     limits = {"angle_limit": config.angle_limit, "depth_edge_limit": config.depth_edge_limit}
     painter = replace(painter, aside=True, local_options=replace(LOCAL_DEFAULTS, **limits))
@@ -266,6 +267,21 @@ def _painter(config: Config) -> Painter:
         remark = f" ({reason})" if config.method == "ttt" else ""
         raise ValueError(f"splatpainter edit: --polish is for method ttt alone: it adds rounds of the lift{remark}")
     return painter
+
+
+def _refuse_idle_networks(config: Config) -> None:
+    """Raises ValueError where networks are asked for that would leave the edit to the lift; their weights are not
+    read for that."""
+    from splatpainter.models import checkpoint, weights
+
+    if config.method != "ttt" or config.mode != "local":
+        return
+    folder = weights.find("compact" if config.preset == "auto" else config.preset) or Path(config.preset)
+    if (folder / checkpoint.INDEX).is_file() and not checkpoint.config(folder).edits_locally:
+        raise ValueError(
+            f"splatpainter edit: --method ttt: the networks of preset '{config.preset}' make global edits alone, so "
+            "that the lift would make this one; use --method lift, or weights of train refine"
+        )
 
 
 def _check(config: Config, receipt_path: Path) -> None:
@@ -373,7 +389,7 @@ def _lines(
     lines = [f"{config.asset} -> {config.out}"]
     lines += [f"{source.path}: {note}" for source in sources for note in source.notes]
     lines += [f"frame: {verification.frame}"] if verification.frame_is_news else []
-    weights = f" with preset {receipt.preset}" if receipt.method == "ttt" else ""
+    weights = f" with preset {receipt.preset}" if receipt.preset != "lift" else ""
     rounding = f", in {receipt.precision}" if receipt.precision else ""
     lines.append(f"method {receipt.method}{weights}, mode {receipt.mode}{rounding}")
     lines += [f"note: {note}" for note in receipt.note.split("; ") if note]

@@ -18,6 +18,7 @@ from splatpainter.train import recipes
 from splatpainter.train.recipes import Recipe, Stage
 
 if TYPE_CHECKING:
+    from splatpainter.data.held_out import HeldOut
     from splatpainter.models.model import SplatPainterModel
     from splatpainter.train.distributed import Group
     from splatpainter.train.stages.task import Task
@@ -58,6 +59,8 @@ class Config(Recipe):
     """Checkpoint to start from (also written --from): the stage before, or this one."""
     from_stage: Stage | None = None
     """Take of --from only what was trained up to this stage, e.g. compress for another Stage II on the same Stage I."""
+    names: Path | None = None
+    """Text file: objects that are held out of training, one name a line (`data list`), in place of a share."""
     minutes: float = 0.0
     """Stop after this many minutes, and save; 0: no limit."""
     session_steps: int = 0
@@ -112,12 +115,14 @@ def dispatch(words: Sequence[str]) -> Outcome:
 
 def run(config: Config) -> Outcome:
     """Train. Raises ValueError before anything is written where data, weights or the folder do not fit."""
+    from splatpainter.data.held_out import NOTE, HeldOut
     from splatpainter.train.distributed import join
     from splatpainter.train.loop import Limits, Loop
     from splatpainter.train.state import exists
     from splatpainter.train.training_data import (
         DataSettings,
         ResourceFolders,
+        check_pictures,
         open_gaussian_edits,
         open_global_edits,
         open_training_data,
@@ -133,6 +138,12 @@ def run(config: Config) -> Outcome:
         raise ValueError(f"{config.out}: holds a run already; go on with --resume, or choose another --out")
     if config.stage == "refine" and config.model.representation == "copy" and not (started or config.weights):
         raise ValueError("splatpainter train refine: 'copy' models start from their Stage I; give --from CHECKPOINT")
+    lrm = config.model.lrm
+    copies = config.stage == "compress" and config.model.representation == "copy"
+    if not lrm.geometry and (config.stage == "lrm" or copies):
+        check_pictures(config.data, recipe.samples, lrm.views, lrm.image_size)
+    held_out = HeldOut(recipe.validation_share) if config.names is None else HeldOut.of_file(config.names)
+    _refuse_leak(config, held_out, started)
     check_folder(config.out)
     make_folder(config.out)
     group = join(config.device)
@@ -140,7 +151,7 @@ def run(config: Config) -> Outcome:
         report = _say if group.first else lambda line: None
         resources = ResourceFolders(config.environments, config.decals, config.fonts, config.textures)
         settings = DataSettings(
-            config.data, recipe.samples, recipe.seed, recipe.validation_share, resources, str(group.device)
+            config.data, recipe.samples, recipe.seed, held_out.share, resources, str(group.device), names=held_out.names
         )
         count = recipe.validation_samples if recipe.validate_every else 0
         if recipe.stage == "predict":
@@ -153,7 +164,13 @@ def run(config: Config) -> Outcome:
             data = open_training_data(settings, batch=recipe.batch, count=count, workers=recipe.workers)
         task = _task(config, recipe, group, report)
         report(_first_line(recipe, task, data, group))
+        if recipe.warmup >= recipe.steps:
+            report(
+                f"the warm-up of {recipe.warmup} steps is no shorter than the run of {recipe.steps}: the learning rate "
+                f"never reaches {recipe.learning_rate:g}; give --warmup"
+            )
         kind: Any = {"resume": started, "compact": config.compact_state, "report": report}
+        kind["notes"] = {NOTE: held_out.note()}
         loop = Loop(task, recipe, data.training, data.validation, config.out, group, **kind)
         if group.first:
             (config.out / "recipe.json").write_text(recipe.to_json() + "\n", encoding="utf-8", newline="\n")
@@ -169,6 +186,19 @@ def run(config: Config) -> Outcome:
         f"-> {config.out / 'model'}" + ("" if result.step >= recipe.steps else "   (go on with --resume)"),
     ]
     return Outcome({**dataclasses.asdict(result), "out": config.out}, lines)
+
+
+def _refuse_leak(config: Config, held_out: HeldOut, started: bool) -> None:
+    """Raises ValueError where the weights that training starts from, or goes on with, have learnt from objects that
+    this run holds out."""
+    from splatpainter.models import checkpoint
+
+    for folder in ([config.out / "model"] if started else []) + ([config.weights] if config.weights else []):
+        if not (folder / checkpoint.INDEX).is_file():
+            continue  # said where it is read
+        notes = checkpoint.notes(folder)
+        if problem := held_out.leak(notes):
+            raise ValueError(f"{folder}: {problem}, so validation would be of objects that it learnt from")
 
 
 def _task(config: Config, recipe: Recipe, group: Group, report: Any) -> Task:

@@ -55,6 +55,8 @@ class JudgeConfig:
     """Seed of the samples and of the confidence intervals."""
     recipe: Path | None = None
     """JSON file with the recipe whose samples are used; default: the one in the checkpoint."""
+    names: Path | None = None
+    """Text file of the objects that were held out of training, for weights that were trained with one."""
     write_notes: bool = False
     """Put the gain and the table into the checkpoint's notes: method auto and scripts/model_card.py read them there."""
     device: str = "auto"
@@ -112,6 +114,8 @@ def judge(config: JudgeConfig) -> Outcome:
     device = join(config.device).device
     model.to(device)
     source_settings = _data_settings(config, recipe, str(device))
+    if problem := source_settings.held_out.leak(model.notes):
+        raise ValueError(f"{config.checkpoint}: {problem}")
     kinds = _kinds(config, recipe)
     samples = progress(
         judged_samples(source_settings, kinds, config.samples, max(config.views)), config.samples, "judge"
@@ -180,11 +184,13 @@ def _recipe(config: JudgeConfig, model: SplatPainterModel) -> Recipe:
 
 
 def _data_settings(config: JudgeConfig, recipe: Recipe, device: str) -> DataSettings:
+    from splatpainter.data.held_out import HeldOut
     from splatpainter.train.training_data import DataSettings, ResourceFolders
 
     resources = ResourceFolders(config.environments, config.decals, config.fonts, config.textures)
     share, memory = recipe.validation_share, 64 << 20
-    return DataSettings(config.data, recipe.samples, config.seed, share, resources, device, memory)
+    names = () if config.names is None else HeldOut.of_file(config.names).names
+    return DataSettings(config.data, recipe.samples, config.seed, share, resources, device, memory, names)
 
 
 def _kinds(config: JudgeConfig, recipe: Recipe) -> dict[str, float]:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Literal, cast
 
 from splatpainter.data.object_sources import (
+    HELD_OUT_SHARE,
     SPLAT_SUFFIXES,
     MeshFolder,
     MeshSource,
@@ -45,7 +46,7 @@ class RenderJob:
     seed: int = 0
     part: Part = "all"
     """Which objects: see scenes.split."""
-    share: float = 0.1
+    share: float = HELD_OUT_SHARE
     """Share of the objects that is for validation."""
     split_seed: int = 0
     environments: tuple[str, ...] = ()

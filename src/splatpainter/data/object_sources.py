@@ -107,10 +107,12 @@ class SplatFolder:
             raise
 
 
+HELD_OUT_SHARE = 0.1
+"""Share of the objects that no training sees unless it is told otherwise, and that benches measure."""
 SPLAT_SUFFIXES = (".ply", ".splat", ".spz", ".sog", ".ksplat", ".glb")
 
 
-def split(names: Sequence[str], seed: int = 0, share: float = 0.1) -> tuple[list[str], list[str]]:
+def split(names: Sequence[str], seed: int = 0, share: float = HELD_OUT_SHARE) -> tuple[list[str], list[str]]:
     """(train, validation) names, each in the given order. A name's side depends on the name and the seed alone, so that
     adding objects moves none; `share` of many names lands in validation."""
     if not 0 <= share < 1:

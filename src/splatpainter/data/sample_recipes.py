@@ -92,6 +92,16 @@ RECIPES: dict[str, SampleRecipe] = {
     "global": SampleRecipe(_normalized(_GLOBAL), views=(0.3, 0.3, 0.2, 0.2)),
     "unified": SampleRecipe(_normalized(_LOCAL, _GLOBAL)),
     "lrm": SampleRecipe({"plain": 1.0}, base_views=8, steps_per_object=2),
+    "paper": SampleRecipe(
+        _normalized(_LOCAL, {"plain": 1}),
+        size=512,
+        rows=60_000,
+        surfels=400_000,
+        sh_degree=2,
+        views=(0.25, 0.25, 0.25, 0.25),
+        base_views=16,
+    ),
 }
 """Starting points; change sizes with dataclasses.replace. "local" and "global": one model each, as in the paper;
-"unified": both in equal parts; "lrm": views and novel views without edits, and objects that change quickly."""
+"unified": both in equal parts; "lrm": views and novel views without edits, and objects that change quickly; "paper":
+what all stages of the recipes `paper` read, in one folder of shards."""

@@ -32,14 +32,16 @@ def refine_edit(
     lifted: LiftedEdit,
     views: Sequence[EditView],
     facts: np.ndarray | None = None,
+    strength: float | None = None,
 ) -> tuple[RefineState, Splats, Splats | None]:
     """Stage II and the decoder: (next state, J torch Gaussians in place of lifted.splats[lifted.ids], J children to
     append, each of the Gaussian at its index, or None).
 
     state: model.initial_state() for the first edit; lifted.parents count Gaussians of encoded.gaussians; facts: [J, 21]
-    of `gaussian_facts` of these parents, for a model that reads them. Differentiable
-    in the model's parameters and in the latents; without gradients in chunks. Raises ValueError for views of several
-    sizes or without depth and alpha where the model needs them, and for Gaussians that were not encoded."""
+    of `gaussian_facts` of these parents, for a model that reads them; strength: overrides config.refine.edit_strength.
+    Differentiable in the model's parameters and in the latents; without gradients in chunks. Raises ValueError for
+    views of several sizes or without depth and alpha where the model needs them, and for Gaussians that were not
+    encoded."""
     import torch
 
     from splatpainter.models.gaussian_groups import drift_features
@@ -66,6 +68,7 @@ def refine_edit(
         facts=None if facts is None else described_facts(torch.from_numpy(facts).to(device)),
         base=base,
         detail=lifted.detail and config.detail,
+        strength=strength,
     )
     children = decoded.children
     return state, decoded.splats, children if children is not None and len(children) else None

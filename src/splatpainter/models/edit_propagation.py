@@ -102,12 +102,16 @@ def carry(
     state = refiner.adapt(model.initial_state(), None, teacher_tokens=(tokens, shares), strength=strength)
     parts = []
     for part in readers.split(max(len(readers), 1) if torch.is_grad_enabled() else GAUSSIANS_PER_CHUNK):
-        reader_inputs = _inputs(gaussians, part, change.new_zeros(len(part), 3), weight.new_zeros(len(part)))
-        values = refiner.read(
-            state, model.prepared(gaussians.latents, gaussians.latent_ids[part.cpu().numpy()], reader_inputs)
-        )
+        values = refiner.read(state, reader_tokens(model, gaussians, part))
         parts.append(color_change(model.head(values), model.config.decoder))
     return torch.cat(parts)
+
+
+def reader_tokens(model: SplatPainterModel, gaussians: EncodedGaussians, readers: Tensor) -> Tensor:
+    """[R, D] tokens of the Gaussians `readers` [R] int64, which know nothing of an edit."""
+    nothing = gaussians.colors.new_zeros(len(readers), 3)
+    inputs = _inputs(gaussians, readers, nothing, nothing[:, 0])
+    return model.prepared(gaussians.latents, gaussians.latent_ids[readers.cpu().numpy()], inputs)
 
 
 def carrying(

@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from splatpainter.train.recipes import Recipe
 
 SHEET_ROWS = 8
+MAX_USELESS_STEPS = 100
+"""Steps from the first of a run without one sample that could be used, after which it gives up."""
 
 
 class Samples(Protocol):
@@ -93,16 +95,18 @@ class Loop:
         resume: bool = False,
         compact: bool = False,
         report: Callable[[str], None] = lambda line: None,
+        notes: Mapping[str, Any] | None = None,
     ) -> None:
         """task: on its device; samples: of training objects; held: fixed validation samples; out: folder of the run;
-        resume: go on from there; compact: write compact states. Raises ValueError as state.load, and for a batch that
+        resume: go on from there; compact: write compact states; notes: more of
+        them for the checkpoint. Raises ValueError as state.load, and for a batch that
         the processes cannot share evenly."""
         if recipe.batch % group.world:
             raise ValueError(
                 f"train: expected a batch that {group.world} processes can share evenly, got {recipe.batch}"
             )
         self.recipe, self.samples, self.held_out, self.out, self.group = recipe, samples, held_out, out, group
-        self.compact, self.report = compact, report
+        self.compact, self.report, self.notes = compact, report, dict(notes or {})
         self.shared = spread(task, recipe.parallel, group)
         optimizer = adamw(task.named_parameters(), recipe.learning_rate, recipe.weight_decay)
         average = Average.of(task.named_parameters(), recipe.average)
@@ -118,9 +122,11 @@ class Loop:
         self.board = Board(out / "tensorboard", step) if group.first else None
         self.validation: dict[str, dict[str, float]] = {}
         self._stop, self._recent = "", list[float]()
+        self._problem = "a sample of another process"
 
     def __call__(self, limits: Limits = Limits()) -> Result:
-        """Train until the recipe's steps, a limit or SIGINT / SIGTERM; save; say how it ended."""
+        """Train until the recipe's steps, a limit or SIGINT / SIGTERM; save; say how it ended. Raises ValueError, and
+        saves nothing, where none of the samples could be used."""
         recipe, progress, begun = self.recipe, self.progress, time.monotonic()
         first, saved, ended = progress.step, time.monotonic(), "done"
         if isinstance(self.samples, PrefetchedSamples):
@@ -144,13 +150,16 @@ class Loop:
                 row["seconds"] = time.monotonic() - start
                 progress.seconds += row["seconds"]
                 self._log(row)
+                if progress.step >= MAX_USELESS_STEPS:
+                    self._refuse_untrained()
                 bar.update(1)
                 bar.set_postfix_str(f"loss {row['loss']:.4g}", refresh=False)
                 if recipe.validate_every and progress.step % recipe.validate_every == 0:
                     self.validate()
-                if self.group.any(time.monotonic() - saved > 60 * recipe.save_minutes):
+                if self.group.any(self._used > 0 and time.monotonic() - saved > 60 * recipe.save_minutes):
                     self.save()
                     saved = time.monotonic()
+            self._refuse_untrained()
             stale = not self._stop and recipe.validate_every and progress.step % recipe.validate_every
             if stale and ended == "done":
                 self.validate()
@@ -178,6 +187,7 @@ class Loop:
                 parts = self.shared(sample, _seed(recipe.seed, number))
                 (parts["loss"] / len(numbers)).backward()
             failed += bool(task.problem)
+            self._problem = task.problem or self._problem
             if task.problem and self.progress.failed + failed <= 20:
                 self.report(f"step {step}: sample {number} skipped: {task.problem}")
             kinds.append(getattr(sample, "kind", "none"))
@@ -222,9 +232,24 @@ class Loop:
             "validation": self.validation,
             "recipe": self.record,
             "history": self.progress.history,
+            **self.notes,
         }
         state.save_model(self.out, self.run, self.config, self.group, notes)
         self.group.wait()
+
+    @property
+    def _used(self) -> int:
+        """Samples that trained, of all sessions and processes."""
+        return self.progress.step * self.recipe.batch - self.progress.failed
+
+    def _refuse_untrained(self) -> None:
+        """Raises ValueError where there were steps, and none used a sample: its weights are those it began with."""
+        step, recipe = self.progress.step, self.recipe
+        if step and not self._used:
+            raise ValueError(
+                f"splatpainter train {recipe.stage}: none of the {step * recipe.batch} samples of {step} steps could "
+                f"be used, so nothing was trained or saved; the last: {self._problem}"
+            )
 
     def _numbers(self) -> Iterator[int]:
         """Numbers of all samples to come."""

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal, get_args
 
 from splatpainter import jsonio
+from splatpainter.data.object_sources import HELD_OUT_SHARE
 from splatpainter.data.samples import KINDS, SampleRecipe
 from splatpainter.io.files import read_all
 from splatpainter.models.config import COMPACT, PRESETS, ModelConfig
@@ -95,8 +96,8 @@ class Recipe:
     """LRM without known geometry only: first steps that pull points into place."""
     seed: int = 0
     """Seed of weights, data order and random choices."""
-    validation_share: float = 0.1
-    """Share of the objects that are never trained on."""
+    validation_share: float = HELD_OUT_SHARE
+    """Share of the objects that are never trained on; benches measure those of the default."""
     validation_samples: int = 24
     """Fixed samples of these objects."""
     validate_every: int = 500

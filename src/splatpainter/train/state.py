@@ -25,6 +25,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from splatpainter.data.held_out import NOTE
 from splatpainter.models import checkpoint
 from splatpainter.train.distributed import Group, gathered, give
 from splatpainter.train.optim import Average, Guard
@@ -235,7 +236,7 @@ def record(folder: Path, notes: Mapping[str, Any]) -> dict[str, Any]:
     recipe_part = {key: recipe[key] for key in RECORDED if key in recipe}
     samples = recipe.get("samples", {})
     recipe_part["samples"] = {key: samples[key] for key in RECORDED_SAMPLES if key in samples}
-    facts = {key: notes[key] for key in ("stage", "step", "seconds", "judged") if key in notes}
+    facts = {key: notes[key] for key in ("stage", "step", "seconds", "judged", NOTE) if key in notes}
     losses = _losses(folder.parent / LOG)
     return facts | {"recipe": recipe_part} | ({"loss": losses} if losses else {})
 

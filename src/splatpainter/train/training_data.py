@@ -10,7 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from splatpainter.data.object_sources import SPLAT_SUFFIXES, MeshFolder, ProceduralSource, SplatFolder, split
+from splatpainter.data.held_out import HeldOut
+from splatpainter.data.object_sources import SPLAT_SUFFIXES, MeshFolder, ProceduralSource, SplatFolder
 from splatpainter.data.samples import SampleRecipe, SampleStream
 from splatpainter.data.shards import INDEX, ShardStream, read_index
 from splatpainter.train.prefetch import PrefetchedSamples
@@ -63,6 +64,13 @@ class DataSettings:
     device: str = "cpu"
     memory: int = 1 << 30
     """Bytes of objects that a stream keeps."""
+    names: tuple[str, ...] = ()
+    """Objects that are for validation, by name, in place of a share; of folders and shards only."""
+
+    @property
+    def held_out(self) -> HeldOut:
+        """Which objects are for validation."""
+        return HeldOut(self.share, self.names)
 
     def stream(self, *, validation: bool = False) -> Any:
         """The samples of the training objects, or of those held back: another seed, an object of its own each. None
@@ -71,10 +79,10 @@ class DataSettings:
         if validation:
             recipe, seed = dataclasses.replace(recipe, steps_per_object=1), seed + VALIDATION_SEED
         if is_shards(self.data):
-            names = _shard_names(self.data, self.share)[validation]
+            names = _shard_names(self.data, self.held_out)[validation]
             kinds = [kind for kind, weight in recipe.kinds.items() if weight > 0]
             return ShardStream(self.data, seed, names=names, kinds=kinds) if names else None
-        source = _sources(self.data, self.seed, self.share, self.resources)[validation]
+        source = _sources(self.data, self.seed, self.held_out, self.resources)[validation]
         if source is None:
             return None
         return SampleStream(source, recipe, seed, **_files(self.resources), device=self.device, cache_bytes=self.memory)
@@ -82,9 +90,9 @@ class DataSettings:
     def counts(self) -> tuple[int, int]:
         """Objects of training and of validation."""
         if is_shards(self.data):
-            train, validation = _shard_names(self.data, self.share)
+            train, validation = _shard_names(self.data, self.held_out)
             return len(train), len(validation)
-        train, validation = _sources(self.data, self.seed, self.share, self.resources)
+        train, validation = _sources(self.data, self.seed, self.held_out, self.resources)
         return len(train), len(validation) if validation is not None else 0
 
 
@@ -133,7 +141,7 @@ def gaussian_edit_streams(
 
     if is_shards(settings.data):
         raise ValueError(f"--data {settings.data}: expected meshes or procedural:N for stage rows, got shards")
-    sources = _sources(settings.data, settings.seed, settings.share, settings.resources)
+    sources = _sources(settings.data, settings.seed, settings.held_out, settings.resources)
     lights = tuple(load_environment(f) for f in _listed(settings.resources.environments, (".hdr", ".exr")))
     kinds = {kind: settings.recipe.kinds.get(kind, 0.0) for kind in EDIT_KINDS}
     streams = []
@@ -154,6 +162,8 @@ def open_training_data(settings: DataSettings, *, batch: int, count: int, worker
     """Training samples for batches of this size, and `count` validation samples (0: none are made). workers: processes
     that make samples ahead. Raises ValueError as DataSettings.stream."""
     objects = settings.counts()
+    if is_shards(settings.data):
+        settings.stream()  # whether they hold samples of these kinds is told before the first step
     settings = dataclasses.replace(settings, memory=settings.memory // max(batch, 1))
     stream = settings.stream(validation=True) if count else None
     samples = [] if stream is None else list(_first(stream, count))
@@ -169,10 +179,26 @@ def is_shards(data: str) -> bool:
     return (Path(data) / INDEX).is_file()
 
 
-def _shard_names(data: str, share: float) -> tuple[list[str], list[str]]:
+def _shard_names(data: str, held_out: HeldOut) -> tuple[list[str], list[str]]:
     """(training, validation) objects of a folder of shards."""
     scenes = [scene for shard in read_index(Path(data))["shards"] for scene in shard["scenes"]]
-    return split(list(dict.fromkeys(scene["object"] for scene in scenes)), share=share)
+    return held_out.split(list(dict.fromkeys(scene["object"] for scene in scenes)), f"--data {data}")
+
+
+def check_pictures(data: str, recipe: SampleRecipe, views: int, size: int) -> None:
+    """Raises ValueError where the samples have fewer pictures of the unedited object than the model reads, or smaller
+    or larger ones. views: of the model, size: pixels of their edges. Of shards their index tells, of objects the
+    recipe."""
+    count, pixels, give = recipe.base_views, recipe.size, "give --samples.base-views {} --samples.size {}"
+    if is_shards(data):
+        spec = read_index(Path(data)).get("spec", {}).get("recipe", {})
+        count, pixels = int(spec.get("base_views", views)), int(spec.get("size", size))
+        give = "render shards with data render --base-views {} --size {}"
+    if count < views or pixels != size:
+        raise ValueError(
+            f"--data {data}: expected samples of {views} base views or more of {size} px, which the model reads, got "
+            f"{count} of {pixels} px; {give.format(max(count, views), size)}"
+        )
 
 
 def _first(stream: Any, count: int) -> Iterator[Sample]:
@@ -191,13 +217,15 @@ def _first(stream: Any, count: int) -> Iterator[Sample]:
         raise ValueError(f"validation: no sample could be made; the last problem: {last}")
 
 
-def _sources(data: str, seed: int, share: float, resources: ResourceFolders) -> tuple[Any, Any]:
+def _sources(data: str, seed: int, held_out: HeldOut, resources: ResourceFolders) -> tuple[Any, Any]:
     """(training, validation) objects; validation None where there are too few to spare any."""
     if data.startswith("procedural:"):
         number = data.removeprefix("procedural:")
         if not number.isdigit() or int(number) < 1:
             raise ValueError(f"--data {data}: expected procedural:N with a number of objects, such as procedural:500")
-        count = int(number)
+        if held_out.names:
+            raise ValueError(f"--data {data}: procedural objects have no list of names; leave --names out")
+        count, share = int(number), held_out.share
         other = ProceduralSource(min(count, 64), seed + VALIDATION_SEED, resources.textures) if share > 0 else None
         return ProceduralSource(count, seed, resources.textures), other
     folder = Path(data)
@@ -212,7 +240,7 @@ def _sources(data: str, seed: int, share: float, resources: ResourceFolders) -> 
         kind = SplatFolder
         every = SplatFolder(folder)
     # The split never depends on the run's seed: stages trained one after the other share their validation objects.
-    names, validation = split([every.name(i) for i in range(len(every))], share=share)
+    names, validation = held_out.split([every.name(i) for i in range(len(every))], f"--data {data}")
     if not names:
         raise ValueError(f"--data {data}: expected at least one object to train on, got {len(every)} in all")
     return kind(folder, names), kind(folder, validation) if validation else None

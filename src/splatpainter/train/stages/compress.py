@@ -22,7 +22,7 @@ from splatpainter.models.model import SplatPainterModel
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.train.loss import PictureLoss
 from splatpainter.train.stages.lrm import asset_tokens, input_views, judged, truth
-from splatpainter.train.stages.task import Task, ValidationScore, draw, freeze
+from splatpainter.train.stages.task import Task, ValidationScore, between_share, draw, freeze
 from splatpainter.voxels.grid import voxelize
 
 if TYPE_CHECKING:
@@ -85,6 +85,7 @@ class HiddenColors(Task[SplatPainterModel]):
         numbers = {
             "mean": _decibels((visible[:, :3].mean(0) - target[:, :3]) * SH_C0),
             "ours": _decibels((guessed[:, :3] - target[:, :3]) * SH_C0),
+            "between Gaussians": between_share(guessed),
         }
         return ValidationScore("hidden colours", numbers, ())
 

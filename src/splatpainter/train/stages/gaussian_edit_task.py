@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -22,12 +22,12 @@ from splatpainter.data.recent import Recent
 from splatpainter.lift.colors import MAX_COLOR
 from splatpainter.lift.global_edit import regressed
 from splatpainter.models.cache import encode_cached
-from splatpainter.models.edit_propagation import EncodedGaussians, carry
+from splatpainter.models.edit_propagation import EncodedGaussians, carry, reader_tokens
 from splatpainter.models.encode import encode_asset
 from splatpainter.models.gaussian_facts import gaussian_facts
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.train.recipes import Carrier
-from splatpainter.train.stages.task import Task, ValidationScore, freeze
+from splatpainter.train.stages.task import Task, ValidationScore, between_share, freeze
 
 MIN_SQUARED_ERROR = 1e-5
 """Added to the squared error: 50 dB are enough."""
@@ -100,6 +100,10 @@ class GaussianEditTask(Task[SplatPainterModel]):
         numbers["ours"] = self.decibels(sample, self.answer(sample))
         if self.options.carrier == "stage2":
             numbers["strength 0"] = self.decibels(sample, self.answer(sample, strength=0.0))
+            numbers["adapts"] = numbers["ours"] - numbers["strength 0"]
+            other = replace(sample, change=-sample.change[:, ::-1])
+            numbers["another edit"] = self.decibels(sample, self.answer(sample, evidence=other))
+            numbers["between Gaussians"] = between_share(self._read_inputs(sample))
         numbers["gain"] = numbers["ours"] - numbers["lift"]
         return ValidationScore(f"{sample.kind} {sample.views} {sample.item.kind}", numbers, ())
 
@@ -148,6 +152,11 @@ class GaussianEditTask(Task[SplatPainterModel]):
     def decibels(self, sample: GaussianEdit, answer: Tensor | None) -> float:
         """PSNR over Gaussians that no picture shows (`judged`). answer: [U, 3] of these; None: no change."""
         return -10 * math.log10(max(float(self.squared(sample, answer, judged(sample))), 1e-12))
+
+    def _read_inputs(self, sample: GaussianEdit) -> Tensor:
+        """[U, D] what Stage II reads of the Gaussians `judged`, before any block."""
+        with self.arithmetic():
+            return reader_tokens(self.model, self.rows(sample.item), torch.from_numpy(judged(sample)).to(self.device))
 
     def rows(self, item: LitAsset) -> EncodedGaussians:
         """What Stage II knows of an asset, encoded on first use."""

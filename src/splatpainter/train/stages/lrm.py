@@ -89,7 +89,8 @@ def input_views(model: SplatPainterModel, sample: Sample, device: torch.device) 
     cameras = list(sample.base.cameras)[: config.views]
     if len(cameras) < config.views:
         raise ValueError(
-            f"train: expected {config.views} base views per sample, got {len(cameras)}; raise data.base_views"
+            f"expected {config.views} base views per sample, got {len(cameras)}; give --samples.base-views "
+            f"{config.views}, or render the shards with data render --base-views {config.views}"
         )
     colors = tensor(sample.base.colors, device)[: config.views]
     return AssetViews(cameras, colors, center=grid.min_corner + grid.extent / 2, half_extent=grid.extent / 2)

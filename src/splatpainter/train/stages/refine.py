@@ -153,19 +153,44 @@ class RefineTask(Task[SplatPainterModel]):
         cameras = [sample.novel_after.cameras[i] for i in near]
         aim = PictureTarget(*(getattr(target, name)[pick] for name in ("colors", "weights", "focus")))
         drawn = {"nothing": prepared.splats, "lift": lifted.splats, "ours": edited}
+        if not self._predicted(sample) and self.model.config.refine.mixer == "ttt":
+            drawn |= self._not_adapted(prepared, start, views)
         pictures = {name: draw(splats, cameras, self.device)[0] for name, splats in drawn.items()}
         numbers: dict[str, float] = {}
         for name, picture in pictures.items():
-            numbers |= figures(name, picture, aim, self.alex)
+            measured = figures(name, picture, aim, self.alex)
+            numbers |= (
+                measured if name in ("nothing", "lift", "ours") else {k: measured[k] for k in measured if k == name}
+            )
         if "lift" in numbers:
             numbers["gain"] = numbers["ours"] - numbers["lift"]
+        if "strength 0" in numbers:
+            numbers["adapts"] = numbers["ours"] - numbers["strength 0"]
         best = int(aim.focus.flatten(1).sum(1).argmax())  # the view that shows most of the edit
         strip = [("edited view", tensor(sample.edited.colors, torch.device("cpu"))[0].numpy())]
         strip += [
-            (f"{name} {numbers.get(name, float('nan')):.2f} dB", p[best].cpu().numpy()) for name, p in pictures.items()
+            (f"{name} {numbers.get(name, float('nan')):.2f} dB", pictures[name][best].cpu().numpy())
+            for name in ("nothing", "lift", "ours")
         ]
         strip.append((f"truth ({sample.kind})", aim.colors[best].cpu().numpy()))
         return ValidationScore(sample.kind, numbers, tuple(strip))
+
+    def _not_adapted(self, prepared: PreparedAsset, start: LiftedEdit, views: Sequence[EditView]) -> dict[str, Splats]:
+        """What comes of the edit where the memory has learnt nothing, and where it has learnt other pictures (these,
+        complementary): as good as ours, and the network does not adapt."""
+        encoded, facts = self._encoded(prepared, start.parents), None
+        if prepared.facts is not None:
+            facts = prepared.facts[start.parents]
+        complements = [replace(view, edited=(1 - view.edited).astype(np.float32)) for view in views]
+        initial = self.model.initial_state()
+        edits = {}
+        with self.arithmetic():
+            one = None if facts is None else facts[:1]
+            learnt, _, _ = refine_edit(self.model, initial, encoded, part_of(start, np.arange(1)), complements, one)
+            for name, state in (("strength 0", initial), ("another edit", learnt)):
+                _, edited, further = refine_edit(self.model, state, encoded, start, views, facts, strength=0.0)
+                edits[name] = assemble(start, edited, further)
+        return edits
 
     def _remembered(self, sample: Sample) -> PreparedAsset:
         return self._prepared.get(sample.asset.sha256, lambda: self._prepare(sample.asset.numpy()))

@@ -100,6 +100,13 @@ def draw(splats: Splats, cameras: Sequence[Camera], device: torch.device) -> tup
     return drawn.colors, drawn.alphas[..., 0]
 
 
+def between_share(values: Tensor) -> float:
+    """Of the power of tokens or latents [K, D], the share that differs between lines, 0..1: near 0, a network is told
+    of all Gaussians the same, and answers the same for all."""
+    wide = values.float()
+    return float((wide - wide.mean(0)).square().sum() / wide.square().sum().clamp_min(1e-12))
+
+
 def tensor(values: Any, device: torch.device) -> Tensor:
     """Numbers from data (numpy or torch) as float32 on the device."""
     return torch.as_tensor(values).to(device, torch.float32)

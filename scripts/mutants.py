@@ -1,0 +1,281 @@
+"""Which mistakes in core modules no test sees: each mutation is made in a copy of the package, and the tests that
+should know better are run on it. Prints survivors; exit code 1 where there are any.
+
+Run: python scripts/mutants.py [WORD ...] [--list]
+
+WORD: only mutations whose file or name holds it. Takes some seconds each. Not part of `make test`; a change of a core
+formula comes with its line here.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "src" / "splatpainter"
+TIMEOUT_SECONDS = 600.0
+"""Of the tests of a mutation; those that hang have noticed it."""
+
+
+@dataclass(frozen=True)
+class Mutation:
+    """One mistake."""
+
+    name: str
+    """What is wrong, in words."""
+    file: str
+    """Below src/splatpainter."""
+    old: str
+    """Text that stands there once."""
+    new: str
+    tests: tuple[str, ...] = field(repr=False)
+    """Files of tests that must see it."""
+
+
+GAIN = "tests/models/test_gain_of_networks.py"
+CARRY = "tests/models/test_edit_propagation.py"
+COLORS = "tests/lift/test_color_refine.py"
+SHEETS = "tests/lift/test_resurface.py"
+GLOBAL = "tests/lift/test_global.py"
+MODEL = ("tests/models/test_model.py", GAIN)
+HELD_OUT = "tests/data/test_held_out.py"
+MUTATIONS = (
+    Mutation(
+        "the sign of Stage II's answer",
+        "models/edit_propagation.py",
+        "parts.append(color_change(",
+        "parts.append(-color_change(",
+        (GAIN,),
+    ),
+    Mutation(
+        "Stage II answers with its first state",
+        "models/edit_propagation.py",
+        "refiner.read(state, reader_tokens(",
+        "refiner.read(model.initial_state(), reader_tokens(",
+        (CARRY,),
+    ),
+    Mutation(
+        "every teacher counts fully",
+        "models/edit_propagation.py",
+        "TEACHER_WEIGHT_SUM / shares.sum().clamp_min(1e-6)",
+        "1.0",
+        (CARRY,),
+    ),
+    Mutation(
+        "queries and keys are drawn apart",
+        "nn/ttt.py",
+        "start_alike(self.queries",
+        "bool(self.queries",
+        (GAIN,),
+    ),
+    Mutation(
+        "attention's queries and keys are drawn apart",
+        "models/refine.py",
+        "start_alike(self.rows.q",
+        "id(self.rows.q",
+        (GAIN,),
+    ),
+    Mutation(
+        "readers are told the lift's answer",
+        "models/refine.py",
+        'config.answers == "teachers" and not teaching',
+        'config.answers == "teachers" and False',
+        (GAIN,),
+    ),
+    Mutation(
+        "teachers are not told the answer",
+        "models/refine.py",
+        'config.answers == "teachers" and not teaching',
+        'config.answers == "teachers"',
+        (GAIN,),
+    ),
+    Mutation(
+        "the extra layer learns from original tokens",
+        "models/model.py",
+        "state = self.refiner.learn_detail(state, values, strength=strength)\n            detail_latents",
+        "state = self.refiner.learn_detail(state, original, strength=strength)\n            detail_latents",
+        (GAIN,),
+    ),
+    Mutation(
+        "the extra layer is asked with refined tokens",
+        "models/model.py",
+        "detail_latents = self.refiner.read_detail(state, original)",
+        "detail_latents = self.refiner.read_detail(state, values)",
+        (GAIN,),
+    ),
+    Mutation(
+        "an edit does not keep its state",
+        "models/refine.py",
+        "return replace(state, blocks=tuple(memories))",
+        "return state",
+        ("tests/models/test_refine.py",),
+    ),
+    Mutation(
+        "fast weights go the other way",
+        "nn/fast_weights.py",
+        "w = w + edit_strength * towards",
+        "w = w - edit_strength * towards",
+        ("tests/nn", GAIN),
+    ),
+    Mutation(
+        "columns of fast weights grow",
+        "nn/fast_weights.py",
+        "moved.append(w * (norm / w.norm(dim=-2, keepdim=True).clamp_min(1e-5)))",
+        "moved.append(w)",
+        ("tests/nn",),
+    ),
+    Mutation(
+        "the sign of the hold of colours",
+        "lift/colors.py",
+        "gain - pull[:, None] * (colors - first)",
+        "gain + pull[:, None] * (colors - first)",
+        (COLORS,),
+    ),
+    Mutation("the hold is left out of the divisor", "lift/colors.py", "total + pull, 1e-6", "total, 1e-6", (COLORS,)),
+    Mutation("any move is a change", "lift/colors.py", "MIN_CHANGE = 1 / 1024", "MIN_CHANGE = 0.0", (COLORS,)),
+    Mutation("small moves are lost", "lift/colors.py", "MIN_CHANGE = 1 / 1024", "MIN_CHANGE = 4 / 1024", (COLORS,)),
+    Mutation("colours may be too bright", "lift/colors.py", "MAX_COLOR = 1.3", "MAX_COLOR = 2.6", (COLORS, GLOBAL)),
+    Mutation(
+        "the sign of a global round",
+        "lift/colors.py",
+        "change += (gain - hold * change)",
+        "change -= (gain - hold * change)",
+        (COLORS,),
+    ),
+    Mutation(
+        "highlights shine through paint",
+        "lift/colors.py",
+        "out = sh * keep[..., None]",
+        "out = sh * 1",
+        (COLORS, "tests/lift/test_local.py"),
+    ),
+    Mutation("edges as wide as the rest", "lift/sheet.py", "EDGE_WIDTH = 0.6", "EDGE_WIDTH = 1.0", (SHEETS,)),
+    Mutation("edges too narrow", "lift/sheet.py", "EDGE_WIDTH = 0.6", "EDGE_WIDTH = 0.4", (SHEETS,)),
+    Mutation("sheets too faint", "lift/sheet.py", "SHEET_OPACITY = 0.97", "SHEET_OPACITY = 0.5", (SHEETS,)),
+    Mutation(
+        "what was seen is not trusted",
+        "lift/global_edit.py",
+        "share = (weight / (weight + options.half_seen))[:, None]",
+        "share = (0 * weight)[:, None]",
+        (GLOBAL,),
+    ),
+    Mutation(
+        "Gaussians far from the picture are not regressed",
+        "models/stored_predictor.py",
+        "EVIDENCE_GAIN = 4.0",
+        "EVIDENCE_GAIN = 0.0",
+        (GAIN, "tests/models/test_predictor.py"),
+    ),
+    Mutation(
+        "the split moves with the number of objects",
+        "data/object_sources.py",
+        'f"{seed}:{name}".encode()',
+        'f"{seed}:{name}:{len(names)}".encode()',
+        ("tests/data/test_object_sources.py", HELD_OUT),
+    ),
+    Mutation(
+        "objects held out are trained on",
+        "data/held_out.py",
+        'return "" if self.share <= share else',
+        'return "" if True else',
+        (HELD_OUT,),
+    ),
+    Mutation(
+        "only the last stage is asked what it held out",
+        "data/held_out.py",
+        '(*notes.get("history", []), notes)',
+        "(notes,)",
+        (HELD_OUT,),
+    ),
+    Mutation(
+        "a stage that trained nothing saves",
+        "train/loop.py",
+        "if step and not self._used:",
+        "if step and False:",
+        ("tests/train/test_stages.py",),
+    ),
+    Mutation(
+        "a changed row is not seen",
+        "splats.py",
+        "if old is new or n == 0:",
+        'if old is new or n == 0 or name == "means":',
+        ("tests/test_splats.py", "tests/test_receipts.py"),
+    ),
+    Mutation(
+        "untouched rows are hashed once",
+        "receipts.py",
+        "return digest, rows_sha256(after, rows)",
+        "return digest, digest",
+        ("tests/test_receipts.py", "tests/test_verify_tampering.py"),
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Options:
+    """Mutations of core modules, and which of them no test sees."""
+
+    words: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
+    """Only mutations whose name or file holds one of these words."""
+    list: bool = False
+    """List the mutations and run nothing."""
+
+
+def survives(mutation: Mutation, copy: Path) -> bool:
+    """Whether the tests pass with this mistake in `copy`, a folder that holds a copy of the package. Raises ValueError
+    where the text to be changed does not stand there exactly once."""
+    path = copy / "splatpainter" / mutation.file
+    text = path.read_text(encoding="utf-8")
+    if text.count(mutation.old) != 1:
+        raise ValueError(f"{mutation.file}: {mutation.old!r} stands there {text.count(mutation.old)} times, not once")
+    path.write_text(text.replace(mutation.old, mutation.new), encoding="utf-8", newline="\n")
+    try:
+        return passes(mutation.tests, copy)
+    finally:
+        path.write_text(text, encoding="utf-8", newline="\n")
+
+
+def passes(tests: Sequence[str], copy: Path) -> bool:
+    """Whether these tests pass with the package in `copy`."""
+    environment = os.environ | {"PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
+    words = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider", *tests]
+    try:
+        done = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True, timeout=TIMEOUT_SECONDS)
+        return done.returncode == 0
+    except subprocess.TimeoutExpired:
+        return False
+
+
+def main(options: Options) -> int:
+    """Run; the exit code."""
+    chosen = [m for m in MUTATIONS if not options.words or any(w in f"{m.file} {m.name}" for w in options.words)]
+    if options.list or not chosen:
+        print("\n".join(f"{m.file}: {m.name}" for m in chosen) or "no such mutation")
+        return 0 if chosen else 2
+    survivors = []
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder)
+        shutil.copytree(PACKAGE, copy / "splatpainter", ignore=shutil.ignore_patterns("__pycache__", "static"))
+        if not passes(sorted({test for mutation in chosen for test in mutation.tests}), copy):
+            print("the tests fail without any mutation: make them pass first")
+            return 2
+        for mutation in chosen:
+            alive = survives(mutation, copy)
+            survivors += [mutation] if alive else []
+            print(f"{'SURVIVES' if alive else 'killed':<9} {mutation.file}: {mutation.name}", flush=True)
+    print(f"{len(survivors)} of {len(chosen)} survive")
+    return 1 if survivors else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(tyro.cli(Options, description=Options.__doc__)))
