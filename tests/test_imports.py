@@ -39,6 +39,7 @@ ORDER = (
     ("models",),
     ("painter", "editing", "comparison", "receipts"),
     ("sources",),
+    ("lights",),
     ("scene",),
     ("view_files",),
     ("video",),

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "src" / "splatpainter"
-FOLDERS = ("lift", "spread", "surface", "voxels", "rendering/cpu", "kernels")
+FOLDERS = ("lift", "lights", "spread", "surface", "voxels", "rendering/cpu", "kernels")
 FILES = (
     *("splats.py", "cameras.py", "transforms.py", "color.py", "lighting.py", "painter.py"),
     *("models/apply_edit.py", "models/stored_predictor.py", "models/gaussian_facts.py"),

@@ -21,6 +21,13 @@ if TYPE_CHECKING:
     from splatpainter.io import read as read
     from splatpainter.io import write as write
     from splatpainter.io.write_options import WriteOptions as WriteOptions
+    from splatpainter.lights.lamps import Lamp as Lamp
+    from splatpainter.lights.lamps import Sun as Sun
+    from splatpainter.lights.relight import Lights as Lights
+    from splatpainter.lights.relight import delight as delight
+    from splatpainter.lights.relight import light as light
+    from splatpainter.lights.skies import sky as sky
+    from splatpainter.lights.sky_maps import read_sky as read_sky
     from splatpainter.painter import Asset as Asset
     from splatpainter.painter import Edit as Edit
     from splatpainter.painter import Painter as Painter
@@ -68,6 +75,13 @@ _HOME = {
     "ColorMatch": "sources.color_match",
     "Recolor": "sources.color_match",
     "read_cube": "sources.cube_lut",
+    "light": "lights.relight",
+    "delight": "lights.relight",
+    "Lights": "lights.relight",
+    "Sun": "lights.lamps",
+    "Lamp": "lights.lamps",
+    "sky": "lights.skies",
+    "read_sky": "lights.sky_maps",
     "Session": "session",
     "Receipt": "receipts",
     "merge": "scene.merge",
@@ -83,6 +97,8 @@ __all__ = [
     "Decal",
     "Edit",
     "GradeSettings",
+    "Lamp",
+    "Lights",
     "Painter",
     "Placement",
     "Receipt",
@@ -91,19 +107,24 @@ __all__ = [
     "Render",
     "Session",
     "Splats",
+    "Sun",
     "WriteOptions",
     "adjust",
+    "delight",
     "edit",
     "edit_with_source",
     "fill",
     "grade",
+    "light",
     "look_at",
     "merge",
     "orbit",
     "read",
     "read_cube",
+    "read_sky",
     "refine",
     "render",
+    "sky",
     "studio",
     "verify",
     "verify_merge",

@@ -55,13 +55,13 @@ def prt_transfer(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
         return out
     points = np.ascontiguousarray(points[has_normal], np.float32)
     normals = np.ascontiguousarray(normals[has_normal], np.float32)
-    visible = visibility(points, normals, _spacing(points))
+    visible = visibility(points, normals, point_spacing(points))
     out[has_normal, :9] = (unoccluded_transfer(normals) - visible.blocked_front) / np.pi
     out[has_normal, 9] = visible.front
     return out
 
 
-def _spacing(points: np.ndarray) -> float:
+def point_spacing(points: np.ndarray) -> float:
     """A little less than the distance of a point to its SPACING_NEIGHBOR-th neighbour: closed for the shadow maps."""
     picks = np.linspace(0, len(points) - 1, min(SPACING_SAMPLES, len(points))).astype(np.int64)
     squares = np.empty(len(picks))
@@ -71,33 +71,60 @@ def _spacing(points: np.ndarray) -> float:
     return max(0.8 * float(np.sqrt(np.median(squares))), 1e-6 * span, 1e-12)
 
 
-def visibility(points: np.ndarray, normals: np.ndarray, spacing: float, directions: int = 48) -> Visibility:
+def visibility(
+    points: np.ndarray,
+    normals: np.ndarray,
+    spacing: float,
+    directions: int = 48,
+    blockers: np.ndarray | None = None,
+) -> Visibility:
     """What each point [N, 3] of a surface sees past all the others, which stand for the surface: typical distance
-    `spacing`. normals [N, 3]: geometric, unit. One shadow map per direction; detail below 3 * spacing is not seen."""
-    towards = fibonacci_sphere(directions).astype(np.float32)
+    `spacing`. normals [N, 3]: geometric, unit. blockers: [M, 3] points that stand for it instead. One shadow map per
+    direction; detail below 3 * spacing is not seen."""
+    towards = fibonacci_sphere(directions)
+    weights = np.full(directions, 4 * np.pi / directions)
+    blockers = points if blockers is None else blockers
+    lost_front, lost_back, shade = blocked_light(blockers, points, normals, towards, weights, spacing)
+    open_share = np.clip(1 - shade / np.pi, 0, 1)
+    return Visibility(open_share[:, 0], open_share[:, 1], lost_front, lost_back)
+
+
+def blocked_light(
+    blockers: np.ndarray,
+    points: np.ndarray,
+    normals: np.ndarray,
+    towards: np.ndarray,
+    weights: np.ndarray,
+    spacing: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What points [N, 3] lose of distant light to blockers [M, 3], which stand for a surface of typical distance
+    `spacing`: (lost_front, lost_back [N, 9] float32 SH transfer around their normals [N, 3] and the opposites, shade
+    [N, 2] the same as sums of weight times cosine). towards: [K, 3] float64 unit directions to the light; weights: [K]
+    float64 their solid angles, or their irradiances. One shadow map per direction."""
+    count = len(towards)
+    towards = towards.astype(np.float32)
+    folded = (sh_basis(towards.astype(np.float64), 2) * weights[:, None]).astype(np.float32)
     helper = np.where(np.abs(towards[:, 1:2]) < 0.9, [[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]])
     side = np.cross(helper, towards)
     side = (side / np.linalg.norm(side, axis=1, keepdims=True)).astype(np.float32)
     other = np.cross(towards, side).astype(np.float32)
-    span = portable.length(np.ptp(points, axis=0))
+    span = portable.length(np.ptp(blockers, axis=0))
     if not np.isfinite(span):
         raise ValueError("visibility: expected finite points whose squares are finite in float32, got others")
     pixel = np.float32(max(1.25 * spacing, span / 900))  # a map of at most 900 pixels a side
-    center = ((points.min(0) + points.max(0)) / 2).astype(np.float32)
+    center = ((blockers.min(0) + blockers.max(0)) / 2).astype(np.float32)
     size = int(np.ceil(span / pixel)) + 8
-    folded = (sh_basis(towards.astype(np.float64), 2) * (4 * np.pi / directions)).astype(np.float32)
     lost_front = np.zeros((len(points), 9), np.float32)
     lost_back = np.zeros((len(points), 9), np.float32)
     shade = np.zeros((len(points), 2), np.float32)
-    weights = np.full(directions, 4 * np.pi / directions, np.float32)
-    moved = np.ascontiguousarray(points - center, np.float32)
+    standing = np.ascontiguousarray(blockers - center, np.float32)
+    moved = standing if points is blockers else np.ascontiguousarray(points - center, np.float32)
     normals = np.ascontiguousarray(normals, np.float32)
+    sums = (folded, np.ascontiguousarray(weights, np.float32), lost_front, lost_back, shade)
     frames = (*(np.ascontiguousarray(axis, np.float32) for axis in (towards, side, other)), float(pixel))
     # A map for each thread, 3 MB at most: more would fall out of the CPU's caches before they are looked into.
-    depth = np.empty((min(threads(), directions), size, size), np.float32)
-    for first in range(0, directions, len(depth)):
-        run(kernels.draw_shadow_maps, moved, *frames, first, depth)
-        sums = (folded, weights, lost_front, lost_back, shade)
+    depth = np.empty((min(threads(), count), size, size), np.float32)
+    for first in range(0, count, len(depth)):
+        run(kernels.draw_shadow_maps, standing, *frames, first, depth)
         run(kernels.fold_shadows, moved, normals, *frames, first, depth, *sums)
-    open_share = np.clip(1 - shade / np.pi, 0, 1)
-    return Visibility(open_share[:, 0], open_share[:, 1], lost_front, lost_back)
+    return lost_front, lost_back, shade

@@ -8,7 +8,6 @@ edited.splats, edited.receipt
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -274,7 +273,7 @@ class Painter:
         chosen, note = self.choose(method, mode)
         if mode == "global" and chosen == "fit":
             raise ValueError("edit: method 'fit' is for local edits; use 'lift' with mode 'global'")
-        clock, encodes = _Clock(), self.encodes(chosen, mode)
+        clock, encodes = StageClock(), self.encodes(chosen, mode)
         if encodes:
             _one_size(edits)
             asset = self._encoded(asset)
@@ -688,16 +687,3 @@ def _beyond_limits(views: Sequence[EditView], limited: Sequence[float]) -> str:
         f"{left_out:.0f} edited pixels' worth of paint lies beyond the angle or depth-edge limit of its view and was "
         "left out: paint it from the front"
     )
-
-
-class _Clock:
-    """Seconds per stage."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-        self._last = time.perf_counter()
-
-    def record_time(self, name: str) -> None:
-        now = time.perf_counter()
-        self.seconds[name] = now - self._last
-        self._last = now

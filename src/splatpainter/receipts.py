@@ -11,6 +11,7 @@ import contextlib
 import json
 import math
 import os
+import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -499,3 +500,16 @@ def scores(images: Sequence[tuple[np.ndarray, ...]]) -> tuple[ViewScore, ...]:
         ViewScore(score(before, edited, scored), score(after, edited, scored), score(after, before, ~mask))
         for before, after, edited, mask, scored in images
     )
+
+
+class StageClock:
+    """Seconds per stage."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def record_time(self, name: str) -> None:
+        now = time.perf_counter()
+        self.seconds[name] = now - self._last
+        self._last = now

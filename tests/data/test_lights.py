@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from splatpainter.data import environments
-from splatpainter.data.environments import load_environment
+from splatpainter.data.environments import encode_exr, load_environment
 from splatpainter.data.lights import (
     auto_exposure,
     equirectangular,
@@ -25,6 +24,7 @@ from splatpainter.data.lights import (
 )
 from splatpainter.data.surfels import Surfels
 from splatpainter.lighting import unoccluded_transfer
+from splatpainter.lights import sky_maps
 from splatpainter.splats import SH_C0
 from splatpainter.transforms import sh_basis
 
@@ -219,11 +219,11 @@ def test_runs_are_decoded_by_the_formula_and_cut_files_refused(tmp_path: Path) -
 
 def test_exr_environments_keep_their_light(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     picture = np.random.default_rng(0).uniform(0, 50, (4, 8, 3)).astype(np.float16).astype(np.float32)
-    (tmp_path / "sky.exr").write_bytes(environments.encode_exr(picture))
+    (tmp_path / "sky.exr").write_bytes(encode_exr(picture))
     np.testing.assert_array_equal(load_environment(tmp_path / "sky.exr"), picture)
-    (tmp_path / "grey.exr").write_bytes(environments.encode_exr(picture[..., :1]))
+    (tmp_path / "grey.exr").write_bytes(encode_exr(picture[..., :1]))
     np.testing.assert_array_equal(load_environment(tmp_path / "grey.exr"), picture[..., :1].repeat(3, 2))
-    monkeypatch.setattr(environments, "MAX_PIXELS", 31)
+    monkeypatch.setattr(sky_maps, "MAX_PIXELS", 31)
     with pytest.raises(ValueError, match=r"grey.exr: expected 1 to 31 pixels, the header says 8 x 4"):
         load_environment(tmp_path / "grey.exr")
 
@@ -263,7 +263,7 @@ def test_bad_environments_give_one_line(tmp_path: Path, name: str, data: bytes |
 def test_a_few_bad_pixels_become_black_and_many_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     picture = np.ones((20, 40, 3), np.float32)
     picture[0, 0], picture[1, 1] = np.nan, np.inf
-    monkeypatch.setattr(environments, "_read", lambda path, where: picture)
+    monkeypatch.setattr(sky_maps, "read_samples", lambda path, where: picture)
     assert torch.isfinite(load_environment(tmp_path / "x.hdr")).all()
     picture[:5] = -1
     with pytest.raises(ValueError, match="200 of 800 pixels are NaN"):

@@ -22,6 +22,8 @@ SUMMARIES = {
     "refine": "make an asset sharper in close-ups: views enlarged by a model, lifted together",
     "fill": "remove a part and fill the gap, or fill a hole: surface, tone and texture continue",
     "grade": "new colours for an asset or a region of it: sliders, LUTs, a picture's colours",
+    "light": "new light on an asset: environments, suns, lamps, baked into its colours",
+    "delight": "the light that is baked into an asset taken out, nearly",
     "batch": "the edits of a JOBS.yaml on many assets, in variants: resumable, with a page of all results",
     "watch": "lift every edited picture that is saved into a folder onto an asset",
     "source": "where edited pictures come from: programs, image services, local models",

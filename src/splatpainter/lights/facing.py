@@ -1,0 +1,143 @@
+"""Which way Gaussians face, for light: their shortest axes on the side from which views all around see them, and what
+share of that side each shows where both are seen (leaves, thin walls)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from splatpainter.cameras import bounding_sphere, spherical_cameras
+from splatpainter.kernels import portable
+from splatpainter.lift.depth_normals import scattered
+from splatpainter.rendering.cpu.projected_view import project
+from splatpainter.splats import Splats
+from splatpainter.transforms import fibonacci_sphere, quat_to_matrix
+
+VIEW_COUNT = 14
+VIEW_PX = 160
+"""Pixels of their edges."""
+VIEW_DISTANCE = 2.8
+"""Of the cameras from the middle, in radii of the asset."""
+SEEN_PX = 0.05
+"""Pixels' worth of a Gaussian, over all views, from which its side is a matter of observation."""
+ONE_SIDED = 0.35
+"""Mean cosine between the normal and the lines of sight from which only the one side counts."""
+ORIENTED_SHARE = 0.97
+"""Of what is seen from one side, by pixels, that must show the positive end of its shortest axis: then the asset was
+made of oriented patches (from a mesh), and those that are hidden are believed too. Of fitted assets half does."""
+MOSTLY_ORIENTED_SHARE = 0.75
+"""... from which they decide at least for those that are not seen from one side."""
+NEIGHBOURHOOD = 0.15
+"""Edge of the cells in which Gaussians of a sheet seen from both sides agree, in radii of the asset."""
+AXIS_BINS = 12
+"""Directions of axes by which they are told apart in a cell."""
+MAX_SHEET_GAP = 0.35
+"""Between the heights of what is seen from above and from below, in widths of Gaussians: more are two layers."""
+MIN_SIDE_SHARE = 0.03
+"""Of a sheet's pixels that show either side, at least, for it to be seen from both."""
+MIN_FLAT_SHARE = 0.25
+"""Of the drawable Gaussians that must be flat, for the asset to have a surface that light can be moved on."""
+MAX_FLATNESS = 0.7
+"""Shortest axis over the middle one, up to which a Gaussian counts as flat."""
+
+
+@dataclass(frozen=True)
+class Facing:
+    """Of N Gaussians."""
+
+    normals: np.ndarray = field(repr=False)
+    """[N, 3] float32 unit, towards the side that is seen more; zeros where it cannot be drawn."""
+    front: np.ndarray = field(repr=False)
+    """[N] float32 0.5..1: share of that side in what is seen of it."""
+    seen: np.ndarray = field(repr=False)
+    """[N] float32 pixels' worth of it, over all views."""
+    flat_share: float
+    """0..1 of the drawable Gaussians that are flat."""
+
+    @property
+    def trusted(self) -> np.ndarray:
+        """[N] bool: seen, and facing one way."""
+        return (self.seen > SEEN_PX) & (self.front > 0.99)
+
+
+def facing(splats: Splats) -> Facing:
+    """Raises ValueError: nothing can be drawn."""
+    drawable = splats.drawable
+    if not drawable.any():
+        raise ValueError("light: expected Gaussians that can be drawn, got none")
+    if not drawable.all():
+        part = facing(splats.take(drawable))
+        arrays = (scattered(values, drawable) for values in (part.normals, part.front, part.seen))
+        return Facing(*arrays, flat_share=part.flat_share)
+    count = len(splats)
+    shortest = splats.scales.argmin(1)
+    axes = quat_to_matrix(splats.quats)[np.arange(count), :, shortest].astype(np.float32)
+    center, radius = bounding_sphere(splats)
+    outwards = splats.means - center.astype(np.float32)
+    towards, seen = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
+    shape = (VIEW_PX, VIEW_PX)
+    for camera in spherical_cameras(center, VIEW_DISTANCE * max(radius, 1e-9), VIEW_COUNT, size=VIEW_PX):
+        projected = project(splats, camera.local)
+        sums = projected.backproject(np.zeros((*shape, 3), np.float32), np.ones(shape, np.float32))
+        away = camera.position.astype(np.float32) - splats.means[projected.gaussian_ids]
+        weight = np.where(sums.weight > 0.1 * sums.alpha, sums.weight, 0)  # what shimmers through a wall is no witness
+        towards[projected.gaussian_ids] += weight[:, None] * away / np.linalg.norm(away, axis=1, keepdims=True)
+        seen[projected.gaussian_ids] += weight
+    cosines = (axes * towards).sum(1) / np.maximum(seen, 1e-9)
+    one_sided = (seen > SEEN_PX) & (np.abs(cosines) > ONE_SIDED)
+    weight = seen[one_sided].astype(np.float64)
+    agreeing = float(weight[cosines[one_sided] > 0].sum() / max(weight.sum(), 1e-9))
+    if agreeing >= ORIENTED_SHARE:
+        normals, front = axes, np.ones(count, np.float32)
+    else:
+        cosines, sheet = _with_neighbours(splats, axes, towards, seen, cosines, radius)
+        observed = (seen > SEEN_PX) | sheet
+        side = np.where(observed, cosines, (axes * outwards).sum(1))
+        front = np.where(observed, 0.5 + 0.5 * np.minimum(np.abs(cosines) / ONE_SIDED, 1), 1).astype(np.float32)
+        if agreeing >= MOSTLY_ORIENTED_SHARE:  # ... or where observation does not decide
+            side, front = np.where(one_sided, side, 1), np.ones(count, np.float32)
+        normals = np.where(side[:, None] < 0, -axes, axes)
+    ordered = np.sort(splats.scales, 1)
+    flat_share = float((ordered[:, 0] <= MAX_FLATNESS * ordered[:, 1]).mean())
+    return Facing(normals, front, seen, flat_share)
+
+
+def _with_neighbours(
+    splats: Splats,
+    axes: np.ndarray,
+    towards: np.ndarray,
+    seen: np.ndarray,
+    cosines: np.ndarray,
+    radius: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """([N] mean cosines between axes and lines of sight, [N] bool Gaussians of sheets).
+
+    Of a sheet that is seen from both sides they are those of the sheet around, which all Gaussians of it share: each
+    for itself would be speckled by chance. A wall of two layers is no such sheet: what is seen from one side of it lies
+    apart from what is seen from the other."""
+    positions = splats.means.astype(np.float64)
+    weight = np.maximum(seen.astype(np.float64), 1e-9)
+    fan = fibonacci_sphere(2 * AXIS_BINS)[:AXIS_BINS]  # half of the sphere: axes have no sign
+    along = portable.matmul(axes.astype(np.float64), fan.T)
+    bins = np.abs(along).argmax(1)
+    aligned = np.where(along[np.arange(len(axes)), bins] < 0, -1.0, 1.0)[:, None] * axes
+    edge = max(NEIGHBOURHOOD * radius, 1e-12)
+    cells = np.floor(positions / edge + 0.37).astype(np.int64)  # planes through the origin are common
+    groups = np.unique(np.concatenate([cells, bins[:, None]], 1), axis=0, return_inverse=True)[1].reshape(-1)
+
+    def mean(values: np.ndarray, by: np.ndarray) -> np.ndarray:
+        total = np.maximum(np.bincount(groups, by), 1e-12)
+        return np.stack([np.bincount(groups, by * column) / total for column in values.T], 1)[groups]
+
+    axis = mean(aligned, weight)
+    height = ((positions - mean(positions, weight)) * axis).sum(1)[:, None]
+    sight = (aligned * towards).sum(1) / weight
+    above, below = weight * (sight > 0), weight * (sight < 0)
+    gap = np.abs(mean(height, above) - mean(height, below))[:, 0]
+    width = mean(np.sort(splats.scales, 1)[:, 1:2].astype(np.float64), weight)[:, 0]
+    share = mean((sight > 0)[:, None].astype(np.float64), weight)[:, 0]
+    sheet = (gap < MAX_SHEET_GAP * width) & (np.minimum(share, 1 - share) > MIN_SIDE_SHARE)
+    common = (aligned * mean(towards / weight[:, None], weight)).sum(1)
+    sign = (aligned * axes).sum(1)
+    return np.where(sheet, sign * common, cosines), sheet

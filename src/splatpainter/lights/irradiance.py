@@ -1,0 +1,154 @@
+"""Light that reaches each Gaussian: from environments by SH transfer, from suns and lamps by shadow maps of the asset.
+
+All irradiance is over pi: an open white surface under white light of radiance 1 has 1. What is in the way is not black:
+it shows a neighbour in the mean light.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from splatpainter.kernels import portable
+from splatpainter.lighting import blocked_light, point_spacing, unoccluded_transfer, visibility
+from splatpainter.lights.facing import Facing, facing
+from splatpainter.lights.lamps import Lamp, Sun
+from splatpainter.splats import SH_C0, Splats
+
+BLOCKER_RADIANCE = 0.3
+"""Radiance of what blocks a direction over the mean radiance around: its albedo (a half) times its share of light."""
+MIN_BLOCKER_ALPHA = 0.25
+"""Fainter Gaussians cast no shadow."""
+NORMAL_LIFT = 2.2 * 1.25
+"""Spacings by which points are lifted off their surface, as in native/lighting.h: 2.2 pixels of 1.25 spacings."""
+NEAR_SHARE = 0.05
+"""Of the blockers that may stand closer to a lamp than the distance for which its shadow map is fine enough."""
+MAX_MAP_PX = 900
+"""Of a lamp's shadow map, per side."""
+
+
+@dataclass(frozen=True)
+class LitSurface:
+    """What light needs to know of an asset; once per asset."""
+
+    points: np.ndarray = field(repr=False)
+    """[N, 3] float32 centres, relative to the offset; the origin for those that cannot be drawn."""
+    facing: Facing
+    blockers: np.ndarray = field(repr=False)
+    """[M, 3] float32 centres of those that cast shadows."""
+    spacing: float
+    """Typical distance of neighbours among them, world units."""
+    transfer: np.ndarray = field(repr=False)
+    """[N, 9] float64 SH transfer over pi of both sides by their shares, with what is in the way."""
+    closed: np.ndarray = field(repr=False)
+    """[N] float64 0..1 share of the cosine-weighted hemisphere that is blocked."""
+    shadows: bool
+
+    @staticmethod
+    def of(splats: Splats, shadows: bool = True) -> LitSurface:
+        """Raises ValueError: nothing can be drawn, or light finds no surface (`Facing.flat_share`)."""
+        sides = facing(splats)
+        drawable = splats.drawable
+        points = np.where(drawable[:, None], splats.means, 0).astype(np.float32)
+        solid = drawable & (splats.opacities >= MIN_BLOCKER_ALPHA)
+        blockers = np.ascontiguousarray(points[solid if solid.any() else drawable])
+        spacing = point_spacing(blockers)
+        normals = sides.normals.astype(np.float64)
+        front = sides.front.astype(np.float64)[:, None]
+        above, below = unoccluded_transfer(normals) / np.pi, unoccluded_transfer(-normals) / np.pi
+        closed = np.zeros(len(points))
+        if shadows and len(blockers) > 1:
+            visible = visibility(points, sides.normals, spacing, blockers=blockers)
+            above = above - visible.blocked_front / np.pi
+            below = below - visible.blocked_back / np.pi
+            closed = 1 - (front[:, 0] * visible.front + (1 - front[:, 0]) * visible.back)
+        transfer = front * above + (1 - front) * below
+        return LitSurface(points, sides, blockers, spacing, transfer.astype(np.float64), closed, shadows)
+
+    def from_sky(self, coefficients: np.ndarray) -> np.ndarray:
+        """[N, 3] float64 >= 0 under an environment with SH coefficients [9, 3], in the asset's axes."""
+        mean = np.maximum(coefficients[0] * SH_C0, 0)
+        received = portable.matmul(self.transfer, coefficients)
+        return np.maximum(received + (BLOCKER_RADIANCE * self.closed)[:, None] * mean, 0)
+
+    def from_directions(self, towards: np.ndarray) -> np.ndarray:
+        """[N] float64 0..1 irradiance of distant lights of weight 1 / K in K unit directions [K, 3] to them."""
+        normals, share = self.facing.normals.astype(np.float64), self.facing.front.astype(np.float64)
+        cosines = portable.matmul(normals, towards.T) / len(towards)
+        front, back = np.maximum(cosines, 0).sum(1), np.maximum(-cosines, 0).sum(1)
+        if self.shadows and len(self.blockers) > 1:
+            weights = np.full(len(towards), 1 / len(towards))
+            shade = blocked_light(self.blockers, self.points, self.facing.normals, towards, weights, self.spacing)[
+                2
+            ].astype(np.float64)
+            front, back = front - shade[:, 0], back - shade[:, 1]
+        return np.maximum(share * front + (1 - share) * back, 0)
+
+    def from_lamp(self, lamp: Lamp, offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> np.ndarray:
+        """[N] float64 irradiance of a lamp of intensity 1. offset: of the asset."""
+        total = np.zeros(len(self.points))
+        positions = lamp.points() - np.array(offset)
+        normals, share = self.facing.normals.astype(np.float64), self.facing.front.astype(np.float64)
+        for position in positions:
+            line = position - self.points.astype(np.float64)
+            distance = np.maximum(np.linalg.norm(line, axis=1), 1e-12)
+            towards = line / distance[:, None]
+            cosine = (towards * normals).sum(1)
+            received = share * np.maximum(cosine, 0) + (1 - share) * np.maximum(-cosine, 0)
+            near = max(lamp.radius, self.spacing)  # nearer than this it is no point any more
+            received = received * lamp.emission(-towards) / np.maximum(distance, near) ** 2
+            if self.shadows:
+                received = received * (1 - self._hidden_from(position, cosine))
+            total += received / len(positions)
+        return total
+
+    def _hidden_from(self, position: np.ndarray, cosines: np.ndarray) -> np.ndarray:
+        """[N] float64 0..1: how far each point is hidden from a place. One perspective shadow map, or six where the
+        place lies in the asset's midst."""
+        blockers = self.blockers.astype(np.float64) - position
+        points = self.points.astype(np.float64) - position
+        lift = np.where(cosines < 0, -1.0, 1.0)[:, None] * self.facing.normals.astype(np.float64)
+        middle = (self.blockers.min(0) + self.blockers.max(0)).astype(np.float64) / 2 - position
+        radius = portable.length(np.ptp(self.blockers, axis=0).astype(np.float64)) / 2
+        hidden = np.zeros(len(points))
+        if portable.length(middle) > 1.2 * radius:
+            axes = [middle / portable.length(middle)]
+        else:
+            axes = [sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)]
+        for axis in axes:
+            side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+            side = side / portable.length(side)
+            frame = np.stack([side, np.cross(axis, side), axis], 1)
+            seen, standing = portable.matmul(points, frame), portable.matmul(blockers, frame)
+            # Six faces meet at 45 degrees; blockers a little beyond belong to both.
+            limit = 1.0 if len(axes) > 1 else 4.0
+            ahead = (standing[:, 2] > 1e-9) & (np.abs(standing[:, :2]).max(1) <= 1.1 * limit * standing[:, 2])
+            inside = (seen[:, 2] > 1e-9) & (np.abs(seen[:, :2]).max(1) <= limit * seen[:, 2])
+            if not ahead.any() or not inside.any():
+                continue
+            standing, near = standing[ahead], float(np.quantile(standing[ahead, 2], NEAR_SHARE))
+            width = float(np.ptp(standing[:, :2] / standing[:, 2:], axis=0).max())
+            spacing = max(self.spacing / near, width / MAX_MAP_PX)
+            lifted = NORMAL_LIFT * spacing * seen[inside, 2:]
+            raised = seen[inside] + lifted * portable.matmul(lift[inside], frame)
+            raised[:, 2] = np.maximum(raised[:, 2], 1e-9)
+            towards = np.array([[0.0, 0.0, 1.0]])
+            facing_place = np.broadcast_to(np.array([0, 0, 1], np.float32), (len(raised), 3))
+            receivers = _warped(raised, near)
+            receivers[:, 2] -= np.float32(NORMAL_LIFT * spacing)  # which the map adds, along the line of sight
+            shade = blocked_light(_warped(standing, near), receivers, facing_place, towards, np.ones(1), spacing)[2]
+            hidden[inside] = np.maximum(hidden[inside], np.clip(shade[:, 0], 0, 1))
+        return hidden
+
+
+def _warped(seen: np.ndarray, near: float) -> np.ndarray:
+    """Camera coordinates [M, 3] with lines from the eye made parallel: slopes, and the logarithm of depth, towards the
+    eye, so that a pixel is as deep as it is wide everywhere."""
+    depth = portable.log(seen[:, 2:] / near)
+    return np.concatenate([seen[:, :2] / seen[:, 2:], -depth], 1).astype(np.float32)
+
+
+def sun_light(surface: LitSurface, sun: Sun, axes: np.ndarray) -> np.ndarray:
+    """[N] float64 irradiance of a sun of intensity 1. axes: [3, 3] from the asset's axes to the lights' (y up)."""
+    return surface.from_directions(portable.matmul(sun.directions(), axes))

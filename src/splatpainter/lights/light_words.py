@@ -1,0 +1,93 @@
+"""Lights in words of a command line: `120,35,#ffe0b0,2.0`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from splatpainter.color import from_hex, srgb_to_linear
+from splatpainter.lights.lamps import Lamp, LampKind, Rgb, Sun, kelvin_color
+from splatpainter.lights.skies import SKIES, sky
+from splatpainter.lights.sky_maps import SkyMap, read_sky
+
+FORMS: dict[LampKind, tuple[str, int, int]] = {
+    "point": ("X,Y,Z", 0, 0),
+    "spot": ("X,Y,Z,TX,TY,TZ,ANGLE", 3, 1),
+    "rect": ("X,Y,Z,TX,TY,TZ,WIDTH,HEIGHT", 3, 2),
+    "disk": ("X,Y,Z,TX,TY,TZ,RADIUS", 3, 1),
+    "sphere": ("X,Y,Z,RADIUS", 0, 1),
+}
+"""Kind -> its numbers, how many of them are where it looks to, and how many are sizes."""
+SUN_FORM = "AZIMUTH,ELEVATION"
+WHITE: Rgb = (1.0, 1.0, 1.0)
+
+
+def parse_sky(text: str, full_range: bool = False) -> SkyMap:
+    """A name of SKIES, or a file (`read_sky`). Raises ValueError."""
+    if text in SKIES:
+        return sky(text)
+    if not Path(text).suffix and not Path(text).exists():
+        raise ValueError(f"--hdri: expected {', '.join(SKIES)} or a file (.hdr, .exr, .png), got {ascii(text[:60])}")
+    return read_sky(text, full_range)
+
+
+def parse_sun(text: str, size: float, white: Rgb = WHITE) -> Sun:
+    """white: linear colour where the words have none. Raises ValueError."""
+    numbers, color, intensity = _split("sun", SUN_FORM, text, white)
+    return Sun(numbers[0], numbers[1], size, color, intensity)
+
+
+def parse_lamp(kind: LampKind, text: str, white: Rgb = WHITE) -> Lamp:
+    """Raises ValueError."""
+    form, targets, sizes = FORMS[kind]
+    numbers, color, intensity = _split(kind, form, text, white)
+    x, y, z, *rest = numbers
+    target = (rest[0], rest[1], rest[2]) if targets else None
+    return Lamp(kind, (x, y, z), color, intensity, target, tuple(rest[len(rest) - sizes :] if sizes else ()))
+
+
+def white_of(kelvin: float | None) -> Rgb:
+    """Linear colour of lights that say none. Raises ValueError."""
+    try:
+        return WHITE if kelvin is None else kelvin_color(kelvin)
+    except ValueError as error:
+        raise ValueError(f"--kelvin: {error}") from None
+
+
+def _split(option: str, form: str, text: str, white: Rgb) -> tuple[list[float], Rgb, float]:
+    """(numbers as `form` names them, linear colour, intensity)."""
+    parts = text.split(",")
+    count = len(form.split(","))
+    head, tail = parts[:count], parts[count:]
+    color, intensity = white, 1.0
+    if tail and tail[0].startswith("#"):
+        display = from_hex(tail.pop(0))
+        if display is None:
+            raise _wrong(option, form, text)
+        color = _linear(display)
+    numbers = _numbers([*head, *tail])
+    if numbers is None or len(head) < count or len(tail) > 1:
+        raise _wrong(option, form, text)
+    if tail:
+        intensity = numbers.pop()
+    return numbers, color, intensity
+
+
+def _numbers(words: Sequence[str]) -> list[float] | None:
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        return None
+    return values if all(map(math.isfinite, values)) else None
+
+
+def _linear(display: Rgb) -> Rgb:
+    red, green, blue = (float(value) for value in srgb_to_linear(np.array(display)))
+    return red, green, blue
+
+
+def _wrong(option: str, form: str, text: str) -> ValueError:
+    return ValueError(f"--{option}: expected {form}[,#RRGGBB[,INTENSITY]], got {ascii(text[:80])}")
