@@ -19,7 +19,7 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.extras import require
 from splatpainter.nn.precision import Arithmetic, Precision, autocast, resolve, setting
-from splatpainter.receipts import Receipt, ViewScore, scores, untouched_hashes
+from splatpainter.receipts import Receipt, StageClock, ViewScore, scores, untouched_hashes
 from splatpainter.splats import Splats, changed_rows
 
 if TYPE_CHECKING:
