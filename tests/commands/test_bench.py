@@ -6,14 +6,13 @@ import importlib.metadata
 
 import pytest
 
-from splatpainter import cli
 from splatpainter.commands import DISTRIBUTIONS, ENTRY_POINTS, SUMMARIES
 from tests.support.cli_scenes import run
 
 
 @pytest.fixture()
 def without_benches(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cli.importlib.metadata, "entry_points", lambda **_: importlib.metadata.EntryPoints())
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda **_: importlib.metadata.EntryPoints())
 
 
 @pytest.mark.parametrize("words", [["bench"], ["bench", "refine", "--quick"], ["help", "bench"]])

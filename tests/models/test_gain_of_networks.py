@@ -98,13 +98,13 @@ def test_gaussians_ask_at_first_in_the_words_in_which_they_teach() -> None:
     torch.manual_seed(0)
     refiner = Refiner(CARRYING.refine, 24)
     for block in refiner._blocks():
-        layer = block.mixer.ttt  # type: ignore[union-attr]
+        layer: Any = block.mixer.ttt  # type: ignore[union-attr]
         keys = layer.kv_rows.weight[:24]
         assert torch.equal(layer.queries["voxel"].weight, keys) and float(keys.detach().abs().max()) > 0
         assert not torch.equal(layer.queries["voxel"].weight, layer.kv_rows.weight[24:])
     attending = Refiner(with_refine(CARRYING, mixer="cross_attention").refine, 24)
     for block in attending._blocks():
-        rows = block.mixer.rows  # type: ignore[union-attr]
+        rows: Any = block.mixer.rows  # type: ignore[union-attr]
         assert torch.equal(next(rows.q.parameters()), rows.kv.weight[:24])
 
 
