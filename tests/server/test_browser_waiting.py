@@ -156,14 +156,14 @@ def test_what_waits_can_be_given_up_and_taken_back(killed: tuple[Server, Page]) 
 def test_a_server_that_says_nothing_for_long_is_noticed(killed: tuple[Server, Page]) -> None:
     server, page = killed
     page.ask("window.studio.limits.silentMs = 400")
-    server.send(signal.SIGSTOP)
+    server.send(signal.Signals["SIGSTOP"])
     try:
         page.drag((0.42, 0.55), (0.5, 0.55))
         note = page.tab.get_by_text("No answer for 20 seconds")
         note.wait_for()
         assert page.ask(OVERLAY) > 0
     finally:
-        server.send(signal.SIGCONT)
+        server.send(signal.Signals["SIGCONT"])
     page.wait("its stroke", lambda: strokes(page) == [2])
     page.settled()
     assert note.count() == 0 and np.isfinite(page.pixels()).all()
