@@ -1,4 +1,4 @@
-import { beforeEach, describe, expect, it, vi } from "vitest";
+import { afterAll, beforeEach, describe, expect, it, vi } from "vitest";
 
 import { FRAME_PREVIEW, FRAME_SNAPSHOT, SCHEMA_HASH } from "../src/messages";
 import { Link, type Handlers } from "../src/net/connection";
@@ -47,6 +47,10 @@ let statuses: string[];
 let handlers: Handlers;
 const last = () => FakeSocket.all.at(-1)!;
 const asked = () => last().sent.map((message) => message.do);
+
+afterAll(() => {
+  vi.useRealTimers();
+});
 
 beforeEach(() => {
   vi.useFakeTimers();

@@ -1,4 +1,4 @@
-import { beforeEach, describe, expect, it, vi } from "vitest";
+import { afterAll, beforeEach, describe, expect, it, vi } from "vitest";
 
 import { AGAIN_MS, RELOAD_MS, watchGraphics } from "../src/state/graphics";
 import { graphicsLost } from "../src/state/store";
@@ -18,6 +18,10 @@ function lost(): { reloads: number; prevented: boolean } {
   seen.prevented = event.defaultPrevented;
   return seen;
 }
+
+afterAll(() => {
+  vi.useRealTimers();
+});
 
 beforeEach(() => {
   vi.useFakeTimers();
