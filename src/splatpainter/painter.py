@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 
 Mode = Literal["local", "global", "spread"]
 Method = Literal["auto", "ttt", "lift", "fit"]
+LayerMethod = Literal["auto", "ttt", "lift", "fit", "predictor"]
+"""What is asked of a layer, or, once it was made, what made it, as receipts have it."""
 MAX_VIEWS = 16
 LOW_ASIDE_DB = 20.0
 """Paint that scores less from the side is said to; sound paint on 24 held-out meshes has 29 on average."""

@@ -308,5 +308,5 @@ def test_recipes_name_the_kinds_that_there_are() -> None:
     assert tuple(content.LAYER_MAKERS) == sample_recipes.PAINTED
     for name, recipe in RECIPES.items():
         local_share, global_share = (sum(recipe.kinds.get(kind, 0) for kind in group) for group in (LOCAL, GLOBAL))
-        expected = {"local": (1, 0), "global": (0, 1), "unified": (1, 1), "lrm": (0, 0)}[name]
+        expected = {"local": (1, 0), "global": (0, 1), "unified": (1, 1), "lrm": (0, 0), "paper": (1, 0)}[name]
         assert np.allclose((local_share, global_share), expected)

@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from splatpainter.cameras import Camera
 from splatpainter.io.files import printable
-from splatpainter.painter import Method, Mode
+from splatpainter.painter import LayerMethod, Method, Mode
 from splatpainter.session.document import Blend, Kind, Policy
 
 MAX_VIEW_PIXELS = 4_000_000
@@ -212,7 +212,8 @@ class LayerInfo(Message):
     opacity: Unit
     blend: Blend
     mode: Mode
-    method: Method
+    method: LayerMethod
+    """What was asked for, or, once it was made, what made it."""
     views: list[LayerViewInfo]
     """Views; of a layer of strokes: that of its latest stroke."""
     strokes: int | None = None
