@@ -1,4 +1,4 @@
-"""Fit src/splatpainter/lift/split_table.json: the peaks of the five Gaussians that stand in for one that is halved.
+"""Fit lift/local/split_table.json: the peaks of the five Gaussians that stand in for one that is halved.
 
 For a unit Gaussian of peak alpha o, children half as wide along x, as wide across, on sites CHILD_SPACING / 2 apart,
 get symmetric peaks p_j such that 1 - prod_j(1 - a_j) equals the parent's alpha in the plane (least squares). Alpha
@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
-CHILD_SPACING, CHILD_REACH_SITES, CHILD_WIDTH = 1.75, 2, 0.5  # as in splatpainter.lift.split
+CHILD_SPACING, CHILD_REACH_SITES, CHILD_WIDTH = 1.75, 2, 0.5  # as in splatpainter.lift.local.split
 OPACITIES = [0.01, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.87, 0.93, 0.97, 0.99, 0.999]
 X = np.linspace(-5, 5, 201)[:, None]
 Y = np.linspace(0, 3.5, 29)[None]
@@ -36,7 +36,7 @@ def main() -> None:
         peaks.append([round(float(v), 5) for v in 1 / (1 + np.exp(-fit.x))])
         error = np.sqrt((fit.fun**2).sum() / ((opacity * np.exp(-(X**2 + Y**2) / 2)) ** 2).sum())
         print(f"opacity {opacity}: peaks {peaks[-1]}, relative rms error of alpha {error:.3f}")
-    target = Path(__file__).parents[1] / "src/splatpainter/lift/split_table.json"
+    target = Path(__file__).parents[1] / "src/splatpainter/lift/local/split_table.json"
     target.write_bytes(json.dumps({"opacities": OPACITIES, "peaks": peaks}).encode() + b"\n")
 
 

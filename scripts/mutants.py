@@ -159,9 +159,9 @@ MUTATIONS = (
         "out = sh * 1",
         (COLORS, "tests/lift/test_local.py"),
     ),
-    Mutation("edges as wide as the rest", "lift/sheet.py", "EDGE_WIDTH = 0.6", "EDGE_WIDTH = 1.0", (SHEETS,)),
-    Mutation("edges too narrow", "lift/sheet.py", "EDGE_WIDTH = 0.6", "EDGE_WIDTH = 0.4", (SHEETS,)),
-    Mutation("sheets too faint", "lift/sheet.py", "SHEET_OPACITY = 0.97", "SHEET_OPACITY = 0.5", (SHEETS,)),
+    Mutation("edges as wide as the rest", "lift/sheets/sheet.py", "EDGE_WIDTH = 0.6", "EDGE_WIDTH = 1.0", (SHEETS,)),
+    Mutation("edges too narrow", "lift/sheets/sheet.py", "EDGE_WIDTH = 0.6", "EDGE_WIDTH = 0.4", (SHEETS,)),
+    Mutation("sheets too faint", "lift/sheets/sheet.py", "SHEET_OPACITY = 0.97", "SHEET_OPACITY = 0.5", (SHEETS,)),
     Mutation(
         "what was seen is not trusted",
         "lift/global_edit.py",

@@ -54,7 +54,7 @@ def global_edit(splats: Splats) -> list[np.ndarray]:
 
 
 def decal(splats: Splats) -> list[np.ndarray]:
-    from splatpainter.sources.decals import Decal
+    from splatpainter.decals.decals import Decal
 
     picture = np.zeros((16, 16, 3), np.uint8)
     picture[:, ::4] = (220, 40, 40)
@@ -113,7 +113,7 @@ def turned(splats: Splats) -> list[np.ndarray]:
 
 
 def weights(splats: Splats) -> list[np.ndarray]:
-    from splatpainter.sources.color_match import seen_weights
+    from splatpainter.grading.color_match import seen_weights
 
     out = seen_weights(splats)
     assert (out > 0).mean() > 0.9

@@ -15,7 +15,7 @@ from splatpainter import image_files
 from splatpainter.cameras import look_at
 from splatpainter.color import to_display, to_light
 from splatpainter.image_files import encode_exr, encode_png, exr_text, find_alpha, find_camera, quantized, read_deep
-from splatpainter.sources.picture_reader import read_mask, read_picture
+from splatpainter.pictures.picture_reader import read_mask, read_picture
 
 RNG = np.random.default_rng(5)
 deep = pytest.mark.skipif(not image_files.can_do_deep(), reason="OpenImageIO is not installed (extra pictures)")
@@ -141,7 +141,7 @@ def test_sixteen_bit_png_is_read_with_sixteen_bits(channels: int, tmp_path: Path
 def test_without_the_library_eight_bits_are_read_and_a_note_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from splatpainter.sources import picture_reader
+    from splatpainter.pictures import picture_reader
 
     monkeypatch.setattr(picture_reader, "can_do_deep", lambda: False)
     levels = RNG.integers(0, 65536, (6, 5, 3)).astype(np.uint16)

@@ -13,7 +13,7 @@ import pytest
 import splatpainter as sp
 from splatpainter.cameras import Camera, look_at
 from splatpainter.fit.edited import EditFitOptions, fit_edited
-from splatpainter.lift.local_edit import gaussians_in_mask
+from splatpainter.lift.local.local_edit import gaussians_in_mask
 from splatpainter.painter import Asset, Edit, Painter
 from splatpainter.receipts import Receipt
 from splatpainter.splats import Splats

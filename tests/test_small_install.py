@@ -78,7 +78,7 @@ def test_a_job_needs_nothing_of_the_extras(words: str, folder: Path) -> None:
 
 
 def test_a_wide_edit_moves_gaussians_without_torch(tmp_path: Path) -> None:
-    """Steps of 3DGS included (lift/wide_edit.py), on few Gaussians."""
+    """Steps of 3DGS included (lift/local/wide_edit.py), on few Gaussians."""
     saved(tmp_path / "ball.ply", ball(300))
     done("render ball.ply --views 1 --size 64 --out views", tmp_path)
     picture = "views/view_000.png"

@@ -13,10 +13,10 @@ from PIL import Image
 from splatpainter.cameras import Camera, look_at
 from splatpainter.color import from_display, to_display
 from splatpainter.image_files import write_png
+from splatpainter.pictures import edit_from_files
+from splatpainter.pictures.edit_files import camera_from
+from splatpainter.pictures.picture_reader import read_mask, read_picture, resample
 from splatpainter.rendering import render
-from splatpainter.sources import edit_from_files
-from splatpainter.sources.edit_files import camera_from
-from splatpainter.sources.picture_reader import read_mask, read_picture, resample
 from tests.support.cli_scenes import ball, paint, without_camera
 
 RNG = np.random.default_rng(7)

@@ -18,7 +18,7 @@ import pytest
 import splatpainter as sp
 from splatpainter import receipts
 from splatpainter.commands import verify as verify_command
-from splatpainter.io.spz import write_spz
+from splatpainter.io.formats.spz import write_spz
 from tests.io.test_ksplat import make as make_ksplat
 from tests.support.glb_files import attributes_of, build
 from tests.support.io_assets import random_splats

@@ -16,11 +16,11 @@ import splatpainter as sp
 from splatpainter import image_files
 from splatpainter.cameras import Camera, look_at, orbit_cameras
 from splatpainter.image_files import encode_png, find_camera, quantized, read_deep
+from splatpainter.pictures import edit_from_files
+from splatpainter.pictures.edit_files import over_render
+from splatpainter.pictures.picture_reader import read_picture
 from splatpainter.rendering import reference
 from splatpainter.rendering.cpu.projected_view import project
-from splatpainter.sources import edit_from_files
-from splatpainter.sources.edit_files import over_render
-from splatpainter.sources.picture_reader import read_picture
 from splatpainter.splats import Splats
 from splatpainter.view_files import PictureOptions, draw_passes, normals_of, view_files
 from tests.support.cli_scenes import BOX, Capture, ball, run, saved

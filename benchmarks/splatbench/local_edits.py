@@ -29,8 +29,8 @@ from splatpainter.image_files import to_uint8
 from splatpainter.io import detect, format_of_name, read, write
 from splatpainter.lift.masks import change_mask
 from splatpainter.painter import Asset, Edit, Method, Painter
+from splatpainter.pictures.drawing import over, solid_layer
 from splatpainter.receipts import score, verify
-from splatpainter.sources.drawing import over, solid_layer
 from splatpainter.splats import Splats
 
 BACKGROUND = (0.33, 0.35, 0.37)

@@ -28,7 +28,7 @@ from splatpainter.cameras import bounding_sphere
 from splatpainter.contact_sheet import Strip, sheet, write_sheet
 from splatpainter.image_files import to_uint8
 from splatpainter.painter import Edit, Painter
-from splatpainter.sources.drawing import gaussian_blur
+from splatpainter.pictures.drawing import gaussian_blur
 
 if TYPE_CHECKING:
     from splatpainter.cameras import Camera

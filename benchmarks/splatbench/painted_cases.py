@@ -35,7 +35,7 @@ from splatpainter.cameras import Camera
 from splatpainter.data.edits import EditDesign, layer_on_object
 from splatpainter.data.edits.content import Canvas, EditResources
 from splatpainter.data.edits.surface_points import SurfacePoint
-from splatpainter.sources.drawing import stack_layers
+from splatpainter.pictures.drawing import stack_layers
 
 VERSION = 2
 """Version of how cases are made: those of another one are made anew."""

@@ -1,7 +1,7 @@
 """What the benches edit: the demo asset with any number of Gaussians, and the paint that is put over its pictures.
 
 The paint (bold text, soft strokes, discs) stays as it is, so that figures of the lift compare over time;
-sources/drawing.py has richer brushes. A layer is [H, W, 4] float32: display colour 0..1 and coverage 0..1, the colour
+pictures/drawing.py has richer brushes. A layer is [H, W, 4] float32: display colour 0..1 and coverage 0..1, the colour
 not multiplied by it.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.image_files import to_uint8
 from splatpainter.io import write
-from splatpainter.sources.drawing import centered_text, load_font, over, solid_layer
+from splatpainter.pictures.drawing import centered_text, load_font, over, solid_layer
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.transforms import quat_to_matrix
 

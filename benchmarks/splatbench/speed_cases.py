@@ -19,7 +19,7 @@ from splatbench.scenes import SavedScene
 from splatbench.timing import measure
 from splatpainter.io import read, write
 from splatpainter.painter import Edit, Painter
-from splatpainter.sources import edit_from_files
+from splatpainter.pictures import edit_from_files
 from splatpainter.splats import ATTRIBUTES, Splats
 
 DISC_RADIUS = 0.131
@@ -146,7 +146,7 @@ def _networks() -> Any:
 
 def lift_dab(scene: SavedScene) -> Work:
     """The lift alone, mask and allowed Gaussians given."""
-    from splatpainter.lift.local_edit import lift_local
+    from splatpainter.lift.local.local_edit import lift_local
 
     picture, mask = scene.edited("dab")
     splats, camera, target = scene.splats, scene.camera, picture.astype(np.float32) / 255

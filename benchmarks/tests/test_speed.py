@@ -24,7 +24,7 @@ from splatpainter import demo_asset
 from splatpainter import text_tables as tables
 from splatpainter.cameras import Camera, look_at
 from splatpainter.contact_sheet import Strip, error_map, sheet
-from splatpainter.sources.drawing import over
+from splatpainter.pictures.drawing import over
 from splatpainter.splats import SH_C0, Splats
 
 

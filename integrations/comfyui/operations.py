@@ -18,10 +18,10 @@ from splatpainter.color import from_display
 from splatpainter.commands.terminal import stages
 from splatpainter.commands.verified_write import write_proved
 from splatpainter.commands.verify import receipt_of
+from splatpainter.gatekeeper.gatekeeper import admit
 from splatpainter.io import read, write
 from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.painter import Asset, Edit, Mode, Painter
-from splatpainter.sources.gatekeeper import admit
 from splatpainter.sources.picture_source import PictureRequest
 from splatpainter.splats import Splats
 
@@ -225,7 +225,7 @@ def _painted(painter: Painter, splat: Any, edits: list[Edit], mode: Mode) -> tup
 
 
 def _of_size(image: torch.Tensor, like: np.ndarray, what: str) -> np.ndarray:
-    from splatpainter.sources.picture_reader import resample
+    from splatpainter.pictures.picture_reader import resample
 
     picture = picture_of(image, what)
     return picture if picture.shape == like.shape else resample(picture, like.shape[1], like.shape[0])

@@ -1,4 +1,4 @@
-// How far a picture has one colour, and which pixels get a detail Gaussian; as splatpainter/lift/detail.py says.
+// How far a picture has one colour, and which pixels get a detail Gaussian; as splatpainter/lift/local/detail.py says.
 #pragma once
 #include "../maths.h"
 

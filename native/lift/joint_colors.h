@@ -1,5 +1,5 @@
-// Between the SH bands of all Gaussians and the colours of those that one picture shows (ids [C]); as
-// splatpainter/lift/joint_colors.py says. A view shows each Gaussian once, so threads never write to the same one.
+// Between the SH bands of all Gaussians and the colours of those that one picture shows (ids [C]), as module
+// splatpainter/lift/local/joint_colors.py says. A view shows each Gaussian once: threads never write to the same.
 #pragma once
 #include "../lanes.h"
 

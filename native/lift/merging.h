@@ -1,4 +1,4 @@
-// With which Gaussian each of a mixture is joined at the least cost; splatpainter/lift/gaussian_merging.py explains it.
+// With which Gaussian each of a mixture is joined at the least cost; lift/local/gaussian_merging.py explains it.
 #pragma once
 #include "../maths.h"
 

@@ -1,4 +1,4 @@
-// On which side of a sheet's surface Gaussians lie; constants and meaning as in splatpainter/lift/near_surface.py.
+// On which side of a sheet's surface Gaussians lie; constants as in splatpainter/lift/sheets/near_surface.py.
 #pragma once
 #include "../maths.h"
 

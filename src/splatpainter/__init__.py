@@ -14,10 +14,12 @@ if TYPE_CHECKING:
     from splatpainter.cameras import Camera as Camera
     from splatpainter.cameras import look_at as look_at
     from splatpainter.cameras import orbit as orbit
+    from splatpainter.decals.decals import Decal as Decal
     from splatpainter.editing import edit as edit
-    from splatpainter.grading.grade import adjust as adjust
-    from splatpainter.grading.grade import grade as grade
-    from splatpainter.grading.region import Region as Region
+    from splatpainter.grading.color_grading import GradeSettings as GradeSettings
+    from splatpainter.grading.color_match import ColorMatch as ColorMatch
+    from splatpainter.grading.color_match import Recolor as Recolor
+    from splatpainter.grading.cube_lut import read_cube as read_cube
     from splatpainter.io import read as read
     from splatpainter.io import write as write
     from splatpainter.io.write_options import WriteOptions as WriteOptions
@@ -28,6 +30,9 @@ if TYPE_CHECKING:
     from splatpainter.lights.relight import light as light
     from splatpainter.lights.skies import sky as sky
     from splatpainter.lights.sky_maps import read_sky as read_sky
+    from splatpainter.operations.grade import adjust as adjust
+    from splatpainter.operations.grade import grade as grade
+    from splatpainter.operations.region import Region as Region
     from splatpainter.painter import Asset as Asset
     from splatpainter.painter import Edit as Edit
     from splatpainter.painter import Painter as Painter
@@ -43,11 +48,6 @@ if TYPE_CHECKING:
     from splatpainter.source_edits.edit import edit_with_source as edit_with_source
     from splatpainter.source_edits.edit import refine as refine
     from splatpainter.source_edits.fill import fill as fill
-    from splatpainter.sources.color_grading import GradeSettings as GradeSettings
-    from splatpainter.sources.color_match import ColorMatch as ColorMatch
-    from splatpainter.sources.color_match import Recolor as Recolor
-    from splatpainter.sources.cube_lut import read_cube as read_cube
-    from splatpainter.sources.decals import Decal as Decal
     from splatpainter.splats import Splats as Splats
 
 _HOME = {
@@ -64,17 +64,17 @@ _HOME = {
     "Painter": "painter",
     "Asset": "painter",
     "Edit": "painter",
-    "Decal": "sources.decals",
+    "Decal": "decals.decals",
     "edit_with_source": "source_edits.edit",
     "refine": "source_edits.edit",
     "fill": "source_edits.fill",
-    "adjust": "grading.grade",
-    "grade": "grading.grade",
-    "GradeSettings": "sources.color_grading",
-    "Region": "grading.region",
-    "ColorMatch": "sources.color_match",
-    "Recolor": "sources.color_match",
-    "read_cube": "sources.cube_lut",
+    "adjust": "operations.grade",
+    "grade": "operations.grade",
+    "GradeSettings": "grading.color_grading",
+    "Region": "operations.region",
+    "ColorMatch": "grading.color_match",
+    "Recolor": "grading.color_match",
+    "read_cube": "grading.cube_lut",
     "light": "lights.relight",
     "delight": "lights.relight",
     "Lights": "lights.relight",

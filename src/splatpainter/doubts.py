@@ -13,9 +13,10 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.color import base_color
-from splatpainter.io import packing, positions
-from splatpainter.io.ply import PlyFile
-from splatpainter.io.sog import SogFile
+from splatpainter.io import positions
+from splatpainter.io.formats import packing
+from splatpainter.io.formats.ply import PlyFile
+from splatpainter.io.formats.sog import SogFile
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.transforms import row_max
 

@@ -588,7 +588,7 @@ def _prepare(asset: Asset, edit: Edit, mode: Mode, partly: bool) -> EditView:
     ValueError, naming the edit, where there is nothing to do."""
     from splatpainter.lift.edit_views import EditView, errors_name
     from splatpainter.lift.masks import dilated, edited_mask
-    from splatpainter.lift.resurface import RING_PX
+    from splatpainter.lift.sheets.resurface import RING_PX
     from splatpainter.rendering.cpu.projected_view import tiles_of_mask
     from splatpainter.rendering.cpu.recent_views import recent_view
     from splatpainter.rendering.partial import PartialRender

@@ -30,8 +30,8 @@ from splatpainter.io import (
     option,
     read,
 )
+from splatpainter.io.formats.sog_container import META
 from splatpainter.io.losses import loss_line, measure
-from splatpainter.io.sog_container import META
 from splatpainter.io.write_options import AS_IT_IS, WriteOptions
 from splatpainter.kernels import library
 from splatpainter.splats import ATTRIBUTES, Frame, Splats, row_blocks, rows_sha256

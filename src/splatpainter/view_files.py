@@ -28,10 +28,10 @@ from splatpainter.image_files import (
     require_deep,
 )
 from splatpainter.lift.depth_normals import outward_normals
+from splatpainter.pictures.picture_reader import unpremultiplied
 from splatpainter.rendering import render
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.rendering.profiles import Profile
-from splatpainter.sources.picture_reader import unpremultiplied
 from splatpainter.splats import ColorSpace, Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import visible_surface

@@ -10,9 +10,9 @@ import pytest
 from PIL import Image
 
 import splatpainter as sp
+from splatpainter.grading.color_grading import GradeSettings, grade_sh
 from splatpainter.io import read
 from splatpainter.painter import Painter
-from splatpainter.sources.color_grading import GradeSettings, grade_sh
 from tests.support.cli_scenes import Capture, ball, listing, rows_of, run, saved
 
 

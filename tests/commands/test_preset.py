@@ -13,7 +13,7 @@ from splatpainter.lift.options import LocalOptions
 from splatpainter.models import checkpoint
 from splatpainter.models.config import ModelConfig
 from splatpainter.painter import Painter
-from splatpainter.sources import edit_from_files
+from splatpainter.pictures import edit_from_files
 from tests.support.cli_scenes import Capture, ball_and_painted_view, listing, paint, refused, rows_of, run
 from tests.support.painter_scenes import ASSET_BASE, COPY, LIFT, built
 

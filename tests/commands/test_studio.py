@@ -19,7 +19,7 @@ from splatpainter.cli import main
 from splatpainter.io import write
 from splatpainter.server.launch import address, listen
 from splatpainter.server.security import Access
-from splatpainter.server.storage import demo
+from splatpainter.server.uploads.storage import demo
 from tests.support.studio_scenes import Browser, ball, view
 from tests.support.systems import posix_only
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from splatpainter.commands import watch
+from splatpainter.pictures.saved_pictures import SavedPictures
 from splatpainter.receipts import Receipt
-from splatpainter.sources.saved_pictures import SavedPictures
 from tests.support.cli_scenes import Capture, ball_and_painted_view, run
 from tests.support.fake_services import animated, inks
 

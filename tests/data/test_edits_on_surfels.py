@@ -13,8 +13,8 @@ from splatpainter.cameras import Camera, look_at
 from splatpainter.color import linear_to_srgb, srgb_to_linear
 from splatpainter.data.edits import change_masks, on_surfels
 from splatpainter.data.edits.content import PaintCoverage
+from splatpainter.grading import color_grading
 from splatpainter.rendering import render
-from splatpainter.sources import color_grading
 from splatpainter.splats import SH_C0, Splats
 
 

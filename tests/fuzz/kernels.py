@@ -190,7 +190,7 @@ def fitting(rng: np.random.Generator, dtype: type) -> None:
 
 def lifting(rng: np.random.Generator, dtype: type) -> None:
     """A local lift: untouched rows stay, whatever they hold."""
-    from splatpainter.lift.local_edit import lift_local
+    from splatpainter.lift.local.local_edit import lift_local
     from splatpainter.rendering.cpu.projected_view import project
 
     splats, camera = rows(rng, np.float32, rng.choice([0, 0.01, 0.05])), view(rng)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import zstandard
 
-from splatpainter.io.spz import write_spz
+from splatpainter.io.formats.spz import write_spz
 from tests.support.io_assets import random_splats, written
 
 from .mutations import INTEGERS, bend_bytes, bend_fields, bend_floats, bend_integer, bend_json, few, json_bytes, maybe

@@ -14,7 +14,7 @@ import pytest
 
 from splatpainter import io
 from splatpainter.io.axes import AXES, flip
-from splatpainter.io.spz import write_spz
+from splatpainter.io.formats.spz import write_spz
 from splatpainter.io.write_options import WriteOptions
 from splatpainter.receipts import verify
 from splatpainter.session import Session

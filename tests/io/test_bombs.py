@@ -17,8 +17,8 @@ import pytest
 from splatpainter import io, jsonio
 from splatpainter.io import bounded
 from splatpainter.io.bounded import Gunzip, inflate, unzstd
-from splatpainter.io.ply_container import element_size, read_header
-from splatpainter.server.upload_sniffing import sniff
+from splatpainter.io.formats.ply_container import element_size, read_header
+from splatpainter.server.uploads.upload_sniffing import sniff
 from tests.io.test_ksplat import make
 from tests.io.test_ply import BASE, ROW, ply, save, text
 from tests.io.test_sog import bundle, by_hand, huge_webp
@@ -252,7 +252,7 @@ def test_many_lists_are_read_in_few_pieces() -> None:
 
 
 def test_uneven_lists_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("splatpainter.io.ply_container.MAX_UNEVEN_LISTS", 1000)
+    monkeypatch.setattr("splatpainter.io.formats.ply_container.MAX_UNEVEN_LISTS", 1000)
     uneven = b"".join(bytes([k % 3]) + bytes(k % 3) for k in range(3000))
     with pytest.raises(ValueError, match="more than 1000 lists of uneven length"):
         element(3000, "property list uchar uchar q\n", uneven)

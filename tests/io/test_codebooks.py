@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.cluster.vq import kmeans2
 
-from splatpainter.io import codebooks
+from splatpainter.io.formats import codebooks
 
 
 def error(values: np.ndarray, book: np.ndarray) -> float:

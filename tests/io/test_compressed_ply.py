@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 import splatpainter as sp
 from splatpainter import io
-from splatpainter.io import compressed_ply, packing
-from splatpainter.io.packing import morton_order
+from splatpainter.io.formats import compressed_ply, packing
+from splatpainter.io.formats.packing import morton_order
 from tests.support.io_assets import SH_C0, random_splats
 
 FLOATS = ["min_x", "min_y", "min_z", "max_x", "max_y", "max_z"]

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from splatpainter import io
-from splatpainter.io.glb import read_glb, write_glb
+from splatpainter.io.formats.glb import read_glb, write_glb
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.transforms import sh_basis
 from tests.support.glb_files import CODES, KHR, QUARTER, attributes_of, build, columns, pack, parts

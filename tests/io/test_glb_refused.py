@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from splatpainter import io
-from splatpainter.io.glb import read_glb, write_glb
+from splatpainter.io.formats.glb import read_glb, write_glb
 from splatpainter.splats import Splats
 from tests.support.glb_files import KHR, QUARTER, attributes_of, build, pack, parts
 from tests.support.io_assets import random_splats

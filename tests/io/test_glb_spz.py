@@ -11,8 +11,8 @@ import pytest
 
 from splatpainter import io
 from splatpainter.io.axes import flip
-from splatpainter.io.glb import read_glb
-from splatpainter.io.spz import write_spz
+from splatpainter.io.formats.glb import read_glb
+from splatpainter.io.formats.spz import write_spz
 from splatpainter.receipts import verify
 from splatpainter.splats import Splats
 from tests.support.glb_files import KHR, QUARTER, pack, parts

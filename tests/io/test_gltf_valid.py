@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from splatpainter import io
-from splatpainter.io.glb import write_glb
+from splatpainter.io.formats.glb import write_glb
 from tests.support.glb_files import KHR, attributes_of, build, pack, parts
 from tests.support.io_assets import random_splats
 

@@ -1,4 +1,4 @@
-"""The promise of io/ply.py, over random files and random edits: whatever was not edited is the same bytes.
+"""The promise of io/formats/ply.py, over random files and random edits: whatever was not edited is the same bytes.
 
 The files are made, and their values found again, by plain string and struct work that shares nothing with the package.
 """
@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 import splatpainter as sp
 from splatpainter import io
-from splatpainter.io import ply as ply_files
+from splatpainter.io.formats import ply as ply_files
 from tests.support.io_assets import random_splats
 
 CODES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4"}

@@ -12,8 +12,8 @@ import pytest
 
 import splatpainter as sp
 from splatpainter import io
-from splatpainter.grading.region import Region
 from splatpainter.io import positions
+from splatpainter.operations.region import Region
 from splatpainter.painter import Edit, Painter
 from splatpainter.receipts import prove, verify
 from splatpainter.session import Session

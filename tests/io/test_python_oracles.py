@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from splatpainter import io
-from splatpainter.io.spz import write_spz
+from splatpainter.io.formats.spz import write_spz
 from splatpainter.splats import Splats
 from tests.support.io_assets import random_splats
 from tests.support.io_packed import quats_apart

@@ -16,8 +16,8 @@ import pytest
 from PIL import Image
 
 from splatpainter import io
-from splatpainter.io import sog_container
-from splatpainter.io.sog import SogFile, read_sog, write_sog
+from splatpainter.io.formats import sog_container
+from splatpainter.io.formats.sog import SogFile, read_sog, write_sog
 from splatpainter.receipts import verify
 from splatpainter.splats import SH_C0, Splats
 from tests.support.io_assets import disagreement, float_columns, random_splats

@@ -15,8 +15,8 @@ import pytest
 import zstandard
 
 from splatpainter import io
-from splatpainter.io import spz
-from splatpainter.io.spz import SpzFile, read_spz, write_spz
+from splatpainter.io.formats import spz
+from splatpainter.io.formats.spz import SpzFile, read_spz, write_spz
 from splatpainter.splats import Frame, Splats
 from splatpainter.transforms import sh_basis
 from tests.support.io_assets import disagreement, float_columns, random_splats

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from splatpainter.io import FORMATS, read, write
+from splatpainter.io.formats.sog import SogFile
+from splatpainter.io.formats.spz import SpzFile
 from splatpainter.io.size_estimate import estimated_bytes
-from splatpainter.io.sog import SogFile
-from splatpainter.io.spz import SpzFile
 from splatpainter.io.write_options import WriteOptions
 from splatpainter.splats import ATTRIBUTES
 from tests.support.io_assets import random_splats

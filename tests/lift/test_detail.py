@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splatpainter.lift.detail import DETAIL_WIDTH, REACHES_PX, SMALLEST_PX, detail_layer
-from splatpainter.lift.local_edit import lift_local
+from splatpainter.lift.local.detail import DETAIL_WIDTH, REACHES_PX, SMALLEST_PX, detail_layer
+from splatpainter.lift.local.local_edit import lift_local
 from splatpainter.rendering import render
 from splatpainter.rendering.cpu.projected_view import project
 from tests.support.lift_scenes import base_colors, db, disk, front, sheet

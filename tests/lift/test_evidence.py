@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from splatpainter.cameras import look_at
-from splatpainter.lift.evidence import Evidence, footprints
+from splatpainter.lift.local.evidence import Evidence, footprints
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.splats import Splats
 

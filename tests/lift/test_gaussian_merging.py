@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from splatpainter.lift.gaussian_merging import MAX_COST, Merged, merge
-from splatpainter.lift.split import Lattice, projected_sizes
+from splatpainter.lift.local.gaussian_merging import MAX_COST, Merged, merge
+from splatpainter.lift.local.split import Lattice, projected_sizes
 from splatpainter.rendering import render
 from splatpainter.splats import Splats
 from splatpainter.transforms import quat_to_matrix

@@ -11,7 +11,7 @@ from scipy.ndimage import binary_dilation
 import splatpainter as sp
 from splatpainter.cameras import Camera, look_at
 from splatpainter.lift.colors import MAX_COLOR, lift_colors, recolor
-from splatpainter.lift.local_edit import LocalLift, gaussians_in_mask, lift_local
+from splatpainter.lift.local.local_edit import LocalLift, gaussians_in_mask, lift_local
 from splatpainter.lift.options import LocalOptions
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import Splats

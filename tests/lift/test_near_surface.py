@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from splatpainter.cameras import look_at
-from splatpainter.lift.near_surface import (
+from splatpainter.lift.nearest import nearest_pixels
+from splatpainter.lift.sheets.near_surface import (
     BESIDE,
     FAR_BEHIND,
     FAR_WINDOWS,
@@ -17,7 +18,6 @@ from splatpainter.lift.near_surface import (
     TOUCHES,
     NearSurface,
 )
-from splatpainter.lift.nearest import nearest_pixels
 from splatpainter.splats import Splats
 from splatpainter.surface.visible import PixelSurface
 from splatpainter.transforms import quat_to_matrix

@@ -9,12 +9,12 @@ import pytest
 
 import splatpainter as sp
 from splatpainter.cameras import look_at
-from splatpainter.lift.fringe import FringedSurface, fringe_paint
 from splatpainter.lift.nearest import nearest_pixels
 from splatpainter.lift.options import LOCAL_DEFAULTS, LocalOptions
-from splatpainter.lift.paint import PaintedView, paint_view
-from splatpainter.lift.sheet import MAX_CELL_PX, flat_cells
-from splatpainter.lift.view_limits import paintable
+from splatpainter.lift.sheets.fringe import FringedSurface, fringe_paint
+from splatpainter.lift.sheets.paint import PaintedView, paint_view
+from splatpainter.lift.sheets.sheet import MAX_CELL_PX, flat_cells
+from splatpainter.lift.sheets.view_limits import paintable
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface

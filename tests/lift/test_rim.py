@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from splatpainter.cameras import Camera
-from splatpainter.lift import patch
 from splatpainter.lift.edit_views import edit_views
 from splatpainter.lift.edits import _shown_again, lift_local_views
-from splatpainter.lift.local_edit import LocalLift, lift_local
+from splatpainter.lift.local import patch
+from splatpainter.lift.local.local_edit import LocalLift, lift_local
+from splatpainter.lift.local.patch import SILHOUETTE_MARGIN_PX
 from splatpainter.lift.masks import dilated
 from splatpainter.lift.options import LocalOptions
-from splatpainter.lift.patch import SILHOUETTE_MARGIN_PX
 from splatpainter.rendering import render
 from splatpainter.splats import Splats
 from splatpainter.voxels.grid import voxelize

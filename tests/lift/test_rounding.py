@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import zstandard
 
-from splatpainter.lift.rounding import MEAN_STEPS, SH_STEP, SIGNIFICANT_BITS, rounded
+from splatpainter.lift.sheets.rounding import MEAN_STEPS, SH_STEP, SIGNIFICANT_BITS, rounded
 from splatpainter.splats import ATTRIBUTES
 from tests.support.io_assets import random_splats
 from tests.support.lift_scenes import same_bits

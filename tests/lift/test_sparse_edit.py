@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splatpainter.lift.pieces import Pieces, joined_view
-from splatpainter.lift.sparse_edit import SparseEdit
-from splatpainter.lift.split import Lattice
+from splatpainter.lift.local.split import Lattice
+from splatpainter.lift.sheets.pieces import Pieces, joined_view
+from splatpainter.lift.sheets.sparse_edit import SparseEdit
 from splatpainter.rendering.cpu.projected_view import project, tile_shape
 from splatpainter.splats import ATTRIBUTES, Splats
 from tests.support.lift_scenes import bits, differing, front, same_bits

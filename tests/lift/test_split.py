@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import splatpainter as sp
 from splatpainter.cameras import Camera
-from splatpainter.lift.split import Lattice, child_peaks, merged_peak, projected_sizes
+from splatpainter.lift.local.split import Lattice, child_peaks, merged_peak, projected_sizes
 from splatpainter.splats import ATTRIBUTES, Splats
 from tests.support.lift_scenes import bits, db, front, row, same_bits, sheet
 

@@ -14,8 +14,8 @@ from splatpainter.cameras import Camera, look_at
 from splatpainter.lift import edits
 from splatpainter.lift.edit_views import EditView, edit_views
 from splatpainter.lift.edits import lift_local_views
-from splatpainter.lift.local_edit import NothingPaintableError
-from splatpainter.lift.paint import PaintedView
+from splatpainter.lift.local.local_edit import NothingPaintableError
+from splatpainter.lift.sheets.paint import PaintedView
 from splatpainter.lift.view_selection import view_shares, with_joint_colors
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface

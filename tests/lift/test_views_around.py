@@ -9,9 +9,9 @@ import pytest
 
 import splatpainter as sp
 from splatpainter.cameras import Camera, look_at
-from splatpainter.lift import views_around as module
 from splatpainter.lift.edit_views import EditView, edit_views
-from splatpainter.lift.views_around import views_around
+from splatpainter.lift.local import views_around as module
+from splatpainter.lift.local.views_around import views_around
 from splatpainter.splats import Splats
 from tests.support.lift_scenes import sheet
 

@@ -13,11 +13,11 @@ import splatpainter as sp
 from splatpainter.cameras import Camera, look_at
 from splatpainter.fit import edited as fit_module
 from splatpainter.lift import edits as edits_module
-from splatpainter.lift import wide_edit
 from splatpainter.lift.edit_views import EditView, edit_views
+from splatpainter.lift.local import wide_edit
+from splatpainter.lift.local.wide_edit import WideLift, lift_wide
 from splatpainter.lift.masks import changed_throughout, median_change
 from splatpainter.lift.options import LOCAL_DEFAULTS
-from splatpainter.lift.wide_edit import WideLift, lift_wide
 from splatpainter.metrics import psnr
 from splatpainter.painter import Asset, Edit, Painter
 from splatpainter.rendering.cpu.projected_view import tiles_of_mask

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from splatpainter.color import base_color, linear_to_srgb, sh_from_color, srgb_to_linear
-from splatpainter.grading.region import Region
 from splatpainter.lights.facing import facing
 from splatpainter.lights.irradiance import LitSurface, sun_light
 from splatpainter.lights.lamps import Lamp, Sun, kelvin_color
@@ -17,6 +16,7 @@ from splatpainter.lights.relight import Lights, axes_of, delight, mirrored_light
 from splatpainter.lights.skies import SKIES, direction, sky
 from splatpainter.lights.sky_maps import SkyMap, lat_long
 from splatpainter.lights.source_light import estimate_source
+from splatpainter.operations.region import Region
 from splatpainter.splats import Splats
 from splatpainter.transforms import fibonacci_sphere, sh_basis
 from tests.support.cli_scenes import ball, with_bad_gaussians

@@ -13,7 +13,7 @@ from splatpainter.io import read, write
 from splatpainter.lift.edit_views import EditView, edit_views
 from splatpainter.lift.edits import LiftedEdit, lift_global_views, lift_local_views
 from splatpainter.lift.global_edit import lift_global
-from splatpainter.lift.local_edit import lift_local
+from splatpainter.lift.local.local_edit import lift_local
 from splatpainter.models.apply_edit import assemble, refine_edit
 from splatpainter.models.encode import Encoded, encode_asset
 from splatpainter.painter import Edit

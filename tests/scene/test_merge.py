@@ -11,7 +11,7 @@ import pytest
 
 import splatpainter as sp
 from splatpainter.io import read, write
-from splatpainter.io.ply import read_ply
+from splatpainter.io.formats.ply import read_ply
 from splatpainter.receipts import Receipt, verify
 from splatpainter.scene.merge import carried, merge, verify_merge
 from splatpainter.scene.placement import Placement

@@ -18,7 +18,7 @@ from splatpainter.receipts import Receipt, verify
 from splatpainter.rendering import render
 from splatpainter.server import describe, frames
 from splatpainter.server.commands import COMMANDS
-from splatpainter.server.image_registration import png_bytes
+from splatpainter.server.uploads.image_registration import png_bytes
 from splatpainter.session import Session
 from splatpainter.splats import changed_rows, rows_sha256
 from splatpainter.video.mp4 import avif_samples
@@ -337,7 +337,7 @@ def test_what_was_painted_before_is_offered_again(studio: Live, tmp_path: Path) 
 
 
 def test_the_time_of_the_last_edit_is_not_that_of_opening(tmp_path: Path) -> None:
-    from splatpainter.server.storage import Projects
+    from splatpainter.server.uploads.storage import Projects
 
     projects = Projects(tmp_path)
     for name in ("one", "two"):

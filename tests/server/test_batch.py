@@ -24,10 +24,10 @@ from splatpainter.commands.batch import run as run_batch
 from splatpainter.io import read, write
 from splatpainter.rendering import render
 from splatpainter.scene.placement import Placement
-from splatpainter.server import batches
-from splatpainter.server.batch_folder import BatchFolder
-from splatpainter.server.batches import Batches
-from splatpainter.server.image_registration import png_bytes
+from splatpainter.server.batches.batch_folder import BatchFolder
+from splatpainter.server.batches.batch_runs import Batches
+from splatpainter.server.batches.batch_runs import batch_runs as batches
+from splatpainter.server.uploads.image_registration import png_bytes
 from splatpainter.session import Session
 from splatpainter.yamlio import read as read_yaml
 from tests.support import fake_batch
@@ -283,7 +283,7 @@ def test_a_full_disk_and_too_many_results_are_one_line(
         patch.setattr(shutil, "copyfile", full)
         line = refusal(studio, "batch.plan", assets=[{"blob": blob, "name": "a.ply"}])
         assert line == "a.ply: cannot be kept (No space left on device)"
-    monkeypatch.setattr("splatpainter.server.batch_folder.MAX_JOBS", 1)
+    monkeypatch.setattr("splatpainter.server.batches.batch_folder.MAX_JOBS", 1)
     assert "expected at most 1 results, got 2" in refusal(studio, "batch.plan", assets=[{"blob": blob}] * 2)
 
 

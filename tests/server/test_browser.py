@@ -92,7 +92,7 @@ def drawn(splats: Splats, camera: dict[str, Any]) -> np.ndarray:
 def test_the_browser_draws_what_the_renderer_draws(gpu_browser: Any, tmp_path: Path) -> None:
     """The demo asset, SH degree 3, from two sides, off-centre: 45 dB at least; its 8 bits allow 59. The driver has
     nothing to complain of, such as a picture that is read back for no reason."""
-    from splatpainter.server.storage import demo
+    from splatpainter.server.uploads.storage import demo
 
     asset = demo()
     with studio_scenes.live(studio_scenes.make_studio(tmp_path, asset)) as live:

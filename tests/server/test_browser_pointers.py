@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from splatpainter.server.image_registration import png_bytes
+from splatpainter.server.uploads.image_registration import png_bytes
 from tests.support import studio_scenes
 from tests.support.studio_pages import Page, opened_page
 

@@ -11,14 +11,14 @@ import pytest
 
 from splatpainter.color import base_color
 from splatpainter.commands.grade import read_look
-from splatpainter.grading.grade import grade
-from splatpainter.server.image_registration import png_bytes
+from splatpainter.grading import color_match
+from splatpainter.grading.color_match import ColorMatch, Recolor
+from splatpainter.grading.color_transfer import transfer_sh
+from splatpainter.grading.cube_lut import CubeLut, parse_cube
+from splatpainter.operations.grade import grade
+from splatpainter.pictures.picture_reader import Picture
+from splatpainter.server.uploads.image_registration import png_bytes
 from splatpainter.session import Session
-from splatpainter.sources import color_match
-from splatpainter.sources.color_match import ColorMatch, Recolor
-from splatpainter.sources.color_transfer import transfer_sh
-from splatpainter.sources.cube_lut import CubeLut, parse_cube
-from splatpainter.sources.picture_reader import Picture
 from tests.support.studio_scenes import Live, live, make_studio
 
 INVERTED = "LUT_3D_SIZE 2\n" + "\n".join(f"{1 - r} {1 - g} {1 - b}" for b in (0, 1) for g in (0, 1) for r in (0, 1))

@@ -17,8 +17,8 @@ from splatpainter.image_files import find_alpha, find_camera, read_deep
 from splatpainter.painter import Edit
 from splatpainter.rendering import render
 from splatpainter.server.commands import picture_check, viewing
-from splatpainter.server.image_registration import png_bytes
-from splatpainter.server.watched_folder import saved_picture
+from splatpainter.server.uploads.image_registration import png_bytes
+from splatpainter.server.uploads.watched_folder import saved_picture
 from splatpainter.session import Session
 from tests.support.studio_scenes import Live, ball, live_with_folder, view, wire
 

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from splatpainter import io as splat_io
-from splatpainter.server.image_registration import png_bytes
+from splatpainter.server.uploads.image_registration import png_bytes
 from splatpainter.splats import Splats
 from tests.support.far_assets import UTM, doubles_of, far_ply, moved_camera
 from tests.support.studio_scenes import Live, ball, live, make_studio, view, wire

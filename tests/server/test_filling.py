@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from splatpainter.server.image_registration import png_bytes
+from splatpainter.server.uploads.image_registration import png_bytes
 from tests.support import studio_scenes
 from tests.support.studio_pages import opened_page
 from tests.support.studio_scenes import Live, view, wire

@@ -14,15 +14,15 @@ from pathlib import Path
 import pytest
 
 from splatpainter.io import write
-from splatpainter.server import storage, watched_folder
+from splatpainter.pictures import saved_pictures
 from splatpainter.server.hub import Hub, problem_of
 from splatpainter.server.launch import open_session
 from splatpainter.server.protocol import PictureEvent, ToastEvent
-from splatpainter.server.storage import usable_projects
 from splatpainter.server.studio import Studio, StudioOptions
+from splatpainter.server.uploads import storage, watched_folder
+from splatpainter.server.uploads.storage import usable_projects
 from splatpainter.session import Session
 from splatpainter.session.database import UnwritableError
-from splatpainter.sources import saved_pictures
 from splatpainter.user_folders import PROJECTS_VARIABLE
 from tests.support.fake_services import png
 from tests.support.studio_scenes import Browser, ball, live, make_studio

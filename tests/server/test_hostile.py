@@ -23,14 +23,14 @@ from pydantic import ValidationError
 from websockets.exceptions import ConnectionClosed
 
 from splatpainter.io import write
-from splatpainter.server import watched_folder
 from splatpainter.server.client import MAX_UNSENT_MESSAGES, Client
 from splatpainter.server.hub import Hub
 from splatpainter.server.launch import listen, make_server
 from splatpainter.server.limits import MAX_COMMAND_BYTES, MAX_JSON_SEPARATORS, ConnectionLimits
 from splatpainter.server.protocol import Answer, Hello, first_fault
 from splatpainter.server.security import Access
-from splatpainter.server.storage import Blobs, Folder, UploadLimits
+from splatpainter.server.uploads import watched_folder
+from splatpainter.server.uploads.storage import Blobs, Folder, UploadLimits
 from splatpainter.session import Session
 from tests.support.studio_scenes import Live, ball, make_studio, view, wire
 
@@ -165,7 +165,7 @@ def test_a_full_disk_is_said_of_the_upload(studio: Live, monkeypatch: pytest.Mon
         def write(self, data) -> int:
             raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("splatpainter.server.storage.open", lambda *_: Full(), raising=False)
+    monkeypatch.setattr("splatpainter.server.uploads.storage.open", lambda *_: Full(), raising=False)
     answer = studio.http.post("/api/blobs?name=a.splat", content=b"\1" * 320)
     assert answer.json()["error"]["message"] == "a.splat: cannot be kept (No space left on device)"
 

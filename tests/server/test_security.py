@@ -22,7 +22,7 @@ from websockets.typing import Origin
 
 from splatpainter.server.limits import BodyLimit
 from splatpainter.server.security import COOKIE, CSP, Access, AccessGuard, is_loopback
-from splatpainter.server.storage import Blobs, Folder, UploadLimits
+from splatpainter.server.uploads.storage import Blobs, Folder, UploadLimits
 from tests.support.studio_scenes import Live, live, make_studio, view
 
 TOKEN = "a-secret-of-this-test"

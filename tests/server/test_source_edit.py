@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from splatpainter.server.commands import source_edit
-from splatpainter.server.image_registration import png_bytes
+from splatpainter.server.uploads.image_registration import png_bytes
 from splatpainter.source_edits import coverage
 from tests.support.studio_scenes import Live, live_with_folder, view, wire
 

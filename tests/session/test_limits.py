@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import splatpainter as sp
-from splatpainter.lift import view_limits
 from splatpainter.lift.options import LocalOptions
+from splatpainter.lift.sheets import view_limits
 from splatpainter.painter import Edit, Painter
 from splatpainter.session import Session, compose
 from splatpainter.splats import Splats

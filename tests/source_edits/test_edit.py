@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from splatpainter.cameras import orbit_cameras
+from splatpainter.gatekeeper.gatekeeper import RefusedPicture
 from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.painter import Edit, Painter
 from splatpainter.receipts import Receipt
@@ -17,7 +18,6 @@ from splatpainter.source_edits.coverage import SurfaceView, plan_views, unreache
 from splatpainter.source_edits.edit import cover, edit_with_source, refine, usual_scale
 from splatpainter.source_edits.view_edit import SourceBrief, SourcedEdit, ask_for_edit, displayed, picture_sha256
 from splatpainter.source_edits.view_sequence import edit_views_in_order
-from splatpainter.sources.gatekeeper import RefusedPicture
 from splatpainter.sources.picture_source import Capabilities, PictureAnswer, SourceCancelled, SourceError
 from splatpainter.splats import SH_C0, Splats, changed_rows
 from splatpainter.view_files import normals_of

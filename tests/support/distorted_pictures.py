@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 from PIL import Image
 
-from splatpainter.sources.registration import warped
+from splatpainter.gatekeeper.registration import warped
 
 
 @cache

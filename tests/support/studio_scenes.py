@@ -18,8 +18,8 @@ from websockets.sync.client import connect
 from splatpainter.cameras import Camera, look_at
 from splatpainter.server.launch import listen, make_server
 from splatpainter.server.security import Access
-from splatpainter.server.storage import UploadLimits
 from splatpainter.server.studio import Studio, StudioOptions
+from splatpainter.server.uploads.storage import UploadLimits
 from splatpainter.session import Session
 from splatpainter.splats import Splats
 

@@ -9,8 +9,8 @@ import numpy as np
 from splatpainter.cameras import look_at
 from splatpainter.image_files import find_camera
 from splatpainter.io import read, write
+from splatpainter.pictures.picture_reader import read_picture
 from splatpainter.rendering.cpu.projected_view import project
-from splatpainter.sources.picture_reader import read_picture
 from splatpainter.surface.estimate import Surface, SurfacePoints
 from splatpainter.surface.visible import visible_surface
 from splatpainter.view_files import draw_passes, normals_of

@@ -23,7 +23,7 @@ import numpy as np
 from splatbench.cases import Budget, EditStep, PosedImages
 from splatbench.methods import Curve, EditResult, EditTask, Method
 from splatpainter.cameras import Camera, spherical_cameras
-from splatpainter.lift.local_edit import gaussians_in_mask
+from splatpainter.lift.local.local_edit import gaussians_in_mask
 from splatpainter.rendering import render
 from splatpainter.rendering.pixel_shares import share_of
 from splatpainter.splats import ATTRIBUTES, Splats

@@ -118,7 +118,7 @@ def program(adapters: Path | None, factor: int, folder: Path) -> Prior:
     def enlarged(picture: np.ndarray) -> np.ndarray:
         from PIL import Image
 
-        from splatpainter.sources.picture_reader import read_picture
+        from splatpainter.pictures.picture_reader import read_picture
 
         pixels = to_uint8(picture)
         name = hashlib.sha256(pixels.tobytes()).hexdigest()[:16]

@@ -16,7 +16,7 @@ import numpy as np
 from splatbench.cases import Budget
 from splatbench.methods import Curve, EditResult, EditTask, Method
 from splatbench.methods.gs3d import APPEARANCE, fit_views
-from splatpainter.lift.local_edit import gaussians_in_mask
+from splatpainter.lift.local.local_edit import gaussians_in_mask
 from splatpainter.splats import ATTRIBUTES
 from splatpainter.voxels.grid import voxelize
 from splatpainter.voxels.raycast import editable_gaussians

@@ -15,7 +15,7 @@ from splatpainter.atomic import check_name
 from splatpainter.batch.schema import Batch, JobEdit, file_paths, with_values
 from splatpainter.io import FORMATS, format_of_name
 from splatpainter.io.files import file_sha256
-from splatpainter.io.sog_container import META
+from splatpainter.io.formats.sog_container import META
 from splatpainter.splats import Frame
 from splatpainter.yamlio import Lines, read
 

@@ -9,11 +9,11 @@ import re
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
-from splatpainter.grading.grade import hex_color, one_look
-from splatpainter.grading.region import check_terms
+from splatpainter.gatekeeper.gatekeeper import Strictness
 from splatpainter.lift.options import LOCAL_DEFAULTS
+from splatpainter.operations.grade import hex_color, one_look
+from splatpainter.operations.region import check_terms
 from splatpainter.painter import Method, Mode
-from splatpainter.sources.gatekeeper import Strictness
 from splatpainter.splats import Frame
 
 FILE = {"file": True}

@@ -16,8 +16,8 @@ from splatpainter.commands.option_parsing import AssetFile, AxesOption, FrameOpt
 from splatpainter.commands.output_paths import check_target, placed, splat_format
 from splatpainter.commands.terminal import count, size, stages
 from splatpainter.io import files, frame_is_news, frame_line, frame_of_target, read, write
+from splatpainter.io.formats.packing import morton_order
 from splatpainter.io.losses import MIN_DRAWN_OPACITY, Losses, loss_line, measure, measured_as
-from splatpainter.io.packing import morton_order
 from splatpainter.io.write_options import WriteOptions
 from splatpainter.splats import Splats
 

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 from splatpainter.color import from_hex
 from splatpainter.painter import Asset, Method, Painter
-from splatpainter.sources.edit_files import camera_from
+from splatpainter.pictures.edit_files import camera_from
 from splatpainter.splats import Splats
 
 if TYPE_CHECKING:
-    from splatpainter.sources.decals import Decal
+    from splatpainter.decals.decals import Decal
 
 COMMAND = "splatpainter edit"
 
@@ -53,7 +53,7 @@ def decal_from_options(
         )
     if not width:
         raise ValueError(f"{COMMAND}: a decal needs --width, in world units or like 12% of the asset's diameter")
-    from splatpainter.sources.decals import Decal, parse_width, text_picture  # which load what only decals need
+    from splatpainter.decals.decals import Decal, parse_width, text_picture  # which load what only decals need
 
     parse_width(width)
     source = text_picture(text, _color(color), font) if picture is None else picture

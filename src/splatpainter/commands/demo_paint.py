@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.sources.drawing import centered_text
+from splatpainter.pictures.drawing import centered_text
 
 if TYPE_CHECKING:
     from PIL.Image import Image

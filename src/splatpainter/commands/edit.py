@@ -27,20 +27,20 @@ from splatpainter.commands.terminal import count, decibels, seconds, stages, war
 from splatpainter.commands.verified_write import check_outputs, proved_record, write_proved
 from splatpainter.commands.verify import same_words
 from splatpainter.doubts import doubts_of_view
+from splatpainter.gatekeeper.gatekeeper import Strictness
+from splatpainter.gatekeeper.photographs import laid_over, picture_edit
+from splatpainter.gatekeeper.picture_gate import checked_picture
 from splatpainter.image_files import write_png
 from splatpainter.io import read
 from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.nn.precision import Precision
 from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
+from splatpainter.pictures import FileEdit
 from splatpainter.receipts import Receipt, Verification, receipt_of
-from splatpainter.sources import FileEdit
-from splatpainter.sources.gatekeeper import Strictness
-from splatpainter.sources.photographs import laid_over, picture_edit
-from splatpainter.sources.picture_gate import checked_picture
 from splatpainter.splats import Splats
 
 if TYPE_CHECKING:
-    from splatpainter.sources.decals import Decal
+    from splatpainter.decals.decals import Decal
 
 
 @dataclass(frozen=True)

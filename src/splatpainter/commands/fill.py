@@ -18,10 +18,10 @@ from splatpainter.commands.terminal import count, seconds, stages
 from splatpainter.commands.verified_write import check_outputs, proved_record, write_proved
 from splatpainter.commands.verify import same_words
 from splatpainter.commands.view_options import given_camera
-from splatpainter.grading.region import Region
+from splatpainter.gatekeeper.gatekeeper import Strictness
 from splatpainter.io import read
+from splatpainter.operations.region import Region
 from splatpainter.receipts import receipt_of
-from splatpainter.sources.gatekeeper import Strictness
 
 COMMAND = "splatpainter fill"
 

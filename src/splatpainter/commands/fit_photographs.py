@@ -12,10 +12,10 @@ from splatpainter.cameras import Camera
 from splatpainter.captures import CapturedView, captured_views, is_capture
 from splatpainter.captures.colmap import model_folder, read_points
 from splatpainter.captures.nerfstudio import TABLES
+from splatpainter.gatekeeper.photographs import read_photograph, straight_picture
 from splatpainter.image_files import find_camera, picture_header
-from splatpainter.sources.edit_files import has_aspect
-from splatpainter.sources.photographs import read_photograph, straight_picture
-from splatpainter.sources.picture_reader import Picture, read_picture
+from splatpainter.pictures.edit_files import has_aspect
+from splatpainter.pictures.picture_reader import Picture, read_picture
 from splatpainter.splats import Splats
 
 BACKGROUNDS = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))

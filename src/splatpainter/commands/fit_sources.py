@@ -15,7 +15,7 @@ from splatpainter.cameras import AUTO_UP, FRAME_MARGIN, UPS, Camera, bounding_sp
 from splatpainter.commands.fit_photographs import BACKGROUNDS, first_gaussians, posed_pictures
 from splatpainter.io import files, read
 from splatpainter.io.folders import iterations
-from splatpainter.io.sog_container import META
+from splatpainter.io.formats.sog_container import META
 from splatpainter.splats import Splats
 
 if TYPE_CHECKING:

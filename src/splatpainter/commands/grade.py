@@ -16,18 +16,18 @@ from splatpainter.commands.option_parsing import AssetFile, AxesOption, FrameOpt
 from splatpainter.commands.terminal import count, seconds, stages
 from splatpainter.commands.verified_write import check_outputs, proved_record, write_proved
 from splatpainter.commands.verify import same_words
-from splatpainter.grading.grade import LOOKS, SLIDERS, Look, grade, hex_color, one_look
-from splatpainter.grading.region import Region
+from splatpainter.grading.color_grading import GRADE, GradeSettings
+from splatpainter.grading.color_match import ColorMap, ColorMatch, Recolor
+from splatpainter.grading.color_transfer import TRANSFERS, transfer_function, with_table
+from splatpainter.grading.cube_lut import read_cube
 from splatpainter.io import files, read
 from splatpainter.jsonio import load_object
+from splatpainter.operations.grade import LOOKS, SLIDERS, Look, grade, hex_color, one_look
+from splatpainter.operations.region import Region
+from splatpainter.pictures.picture_reader import read_picture
 from splatpainter.receipts import receipt_of
 from splatpainter.session.asset_files import LAYER_SUFFIX, read_layer
 from splatpainter.session.document import SELECTION, Layer
-from splatpainter.sources.color_grading import GRADE, GradeSettings
-from splatpainter.sources.color_match import ColorMap, ColorMatch, Recolor
-from splatpainter.sources.color_transfer import TRANSFERS, transfer_function, with_table
-from splatpainter.sources.cube_lut import read_cube
-from splatpainter.sources.picture_reader import read_picture
 
 COMMAND = "splatpainter grade"
 MAX_LOOK_BYTES = 1 << 20

@@ -16,9 +16,9 @@ from splatpainter.commands.terminal import count, size, stages
 from splatpainter.doubts import doubts
 from splatpainter.io import FORMATS, asset_file, frame_line, read
 from splatpainter.io.folders import iterations
+from splatpainter.io.formats.sog_container import META
 from splatpainter.io.losses import Losses, loss_of_edits, measured_as
 from splatpainter.io.positions import MAX_STEP, coarseness
-from splatpainter.io.sog_container import META
 from splatpainter.splats import Splats
 
 

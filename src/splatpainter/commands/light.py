@@ -16,12 +16,12 @@ from splatpainter.commands.option_parsing import AssetFile, AxesOption, FrameOpt
 from splatpainter.commands.terminal import count, seconds, stages
 from splatpainter.commands.verified_write import check_outputs, proved_record, write_proved
 from splatpainter.commands.verify import same_words
-from splatpainter.grading.region import Region
 from splatpainter.io import read
 from splatpainter.lights.lamps import SUN_DEGREES
 from splatpainter.lights.light_words import FORMS, parse_lamp, parse_sky, parse_sun, white_of
 from splatpainter.lights.relight import Lights, delight, relight
 from splatpainter.lights.sky_maps import SkyMap, read_sky
+from splatpainter.operations.region import Region
 from splatpainter.receipts import receipt_of
 
 Words = Annotated[tuple[str, ...], arg(metavar="LIGHT ...", help_behavior_hint="")]

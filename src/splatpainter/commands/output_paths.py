@@ -15,7 +15,7 @@ from splatpainter.cameras import Camera
 from splatpainter.commands.terminal import reason
 from splatpainter.image_files import write_png
 from splatpainter.io import FORMATS, Format, asset_file, files, format_of_name
-from splatpainter.io.sog_container import META
+from splatpainter.io.formats.sog_container import META
 
 
 def splat_format(path: Path) -> Format:

@@ -19,7 +19,7 @@ from splatpainter.commands.option_parsing import parse
 from splatpainter.commands.output_paths import check_target
 from splatpainter.commands.terminal import BAR_DELAY_SECONDS, watched
 from splatpainter.image_files import encode_png, find_camera, quantized
-from splatpainter.sources.picture_reader import read_mask, read_picture, resample
+from splatpainter.pictures.picture_reader import read_mask, read_picture, resample
 from splatpainter.sources.picture_source import PictureRequest, Progress
 from splatpainter.sources.registry import SourceStatus, describe_sources, open_source
 from splatpainter.sources.source_options import option_words, options_help

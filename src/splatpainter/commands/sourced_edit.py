@@ -18,13 +18,13 @@ from splatpainter.commands.decal_options import DecalView
 from splatpainter.commands.output_paths import check_target
 from splatpainter.commands.terminal import complain, count, warn, watched
 from splatpainter.commands.view_options import BACKGROUND, color, given_camera
+from splatpainter.gatekeeper.gatekeeper import RefusedPicture, Strictness
 from splatpainter.image_files import CAMERA_KEYWORD, encode_png, quantized
 from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
 from splatpainter.rendering import MAX_SIDE_PX
 from splatpainter.source_edits.coverage import ViewPlan, plan_views
 from splatpainter.source_edits.edit import cover, edit_view
 from splatpainter.source_edits.view_edit import SourceBrief, SourcedEdit
-from splatpainter.sources.gatekeeper import RefusedPicture, Strictness
 from splatpainter.sources.picture_source import (
     CancelFlag,
     PictureAnswer,
@@ -138,7 +138,7 @@ def source_from_options(config: SourceConfig) -> SourceJob | None:
     option: a source that is not there, files that cannot be read."""
     if not config.source:
         return None
-    from splatpainter.sources.picture_reader import read_picture
+    from splatpainter.pictures.picture_reader import read_picture
     from splatpainter.sources.registry import open_source
     from splatpainter.sources.source_options import option_words
 
@@ -365,7 +365,7 @@ def check_source_options(config: SourceConfig) -> None:
 
 def _mask(path: Path) -> np.ndarray:
     """[h, w] 0..1: white, or (of a picture with transparency) what is not transparent."""
-    from splatpainter.sources.picture_reader import read_picture
+    from splatpainter.pictures.picture_reader import read_picture
 
     picture = read_picture(path)
     mask = picture.colors.mean(-1) if picture.alpha is None else picture.alpha
@@ -378,8 +378,8 @@ def _fitted(mask: np.ndarray | None, camera: Camera) -> np.ndarray | None:
     """The mask at the view's size. Raises ValueError for another shape."""
     if mask is None or mask.shape == (camera.height, camera.width):
         return mask
-    from splatpainter.sources.edit_files import MAX_ASPECT_ERROR
-    from splatpainter.sources.picture_reader import resample
+    from splatpainter.pictures.edit_files import MAX_ASPECT_ERROR
+    from splatpainter.pictures.picture_reader import resample
 
     height, width = mask.shape
     if abs(width * camera.height / (height * camera.width) - 1) > MAX_ASPECT_ERROR:
@@ -392,7 +392,7 @@ def _fitted(mask: np.ndarray | None, camera: Camera) -> np.ndarray | None:
 def _write_report(request: SourceJob, edits: Sequence[SourcedEdit]) -> None:
     """The page of all that came back, where one is wanted."""
     from splatpainter.contact_sheet import write_sheet
-    from splatpainter.sources.gate_report import report_page
+    from splatpainter.gatekeeper.gate_report import report_page
 
     path, source = request.config.source_report, request.source
     views = []

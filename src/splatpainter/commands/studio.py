@@ -49,8 +49,8 @@ def run(config: Config) -> Outcome:
     except ImportError as error:
         raise ValueError(f"splatpainter studio: needs {error.name}; pip install 'splatpainter[studio]'") from None
     from splatpainter.server.security import Access
-    from splatpainter.server.storage import usable_projects
     from splatpainter.server.studio import Studio, StudioOptions
+    from splatpainter.server.uploads.storage import usable_projects
 
     if config.port is not None and not 0 <= config.port <= 65535:
         raise ValueError(f"splatpainter studio: expected --port from 0 to 65535, got {config.port}")

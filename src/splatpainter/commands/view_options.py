@@ -81,7 +81,7 @@ def given_cameras(paths: Sequence[Path], size: int | None, asset: Path | None = 
     """The cameras in these files, of captures all that a path names; size: pixels of the longer side, None: as they
     say; asset: what they are for (captures.captured_views). Raises ValueError."""
     from splatpainter.captures import is_capture, named_views, split_selector
-    from splatpainter.sources.edit_files import camera_from
+    from splatpainter.pictures.edit_files import camera_from
 
     cameras: list[Camera] = []
     for path in paths:
@@ -96,7 +96,7 @@ def given_cameras(paths: Sequence[Path], size: int | None, asset: Path | None = 
 
 def given_camera(path: Path, size: int | None, asset: Path | None = None) -> Camera:
     """The one camera in a file, else as `given_cameras`."""
-    from splatpainter.sources.edit_files import camera_from
+    from splatpainter.pictures.edit_files import camera_from
 
     camera = camera_from(path, asset)
     return camera if size is None else camera.with_longest_side(size)

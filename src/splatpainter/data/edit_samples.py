@@ -27,7 +27,7 @@ from splatpainter.data.edits.on_surfels import apply_paint, grade_sh, paint_cove
 from splatpainter.data.lights import Light, shade
 from splatpainter.data.lit_scenes import LitScene, PosedViews, Renders, recolored, render_views
 from splatpainter.data.sample_recipes import SampleRecipe
-from splatpainter.sources.color_grading import random_grade
+from splatpainter.grading.color_grading import random_grade
 from splatpainter.splats import Splats
 
 MIN_FILLED = 0.18

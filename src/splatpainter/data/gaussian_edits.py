@@ -22,7 +22,7 @@ from torch import Tensor
 from splatpainter.color import linear_to_srgb, srgb_to_linear
 from splatpainter.data.lights import random_light
 from splatpainter.data.lit_assets import RING_COUNT, RING_VIEWS, AssetKind, LitAsset, LitAssets
-from splatpainter.sources.color_grading import apply_grade, random_grade
+from splatpainter.grading.color_grading import apply_grade, random_grade
 
 EditKind = Literal["relight", "recolor", "regrade"]
 EDIT_KINDS: tuple[EditKind, ...] = get_args(EditKind)

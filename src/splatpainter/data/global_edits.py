@@ -28,11 +28,11 @@ from splatpainter.data.recent import Recent
 from splatpainter.data.samples import SampleStream
 from splatpainter.data.surfels import Surfels, to_splats
 from splatpainter.data.viewpoints import UP_AXIS_ROTATIONS, Optics, ring
+from splatpainter.grading.color_grading import random_grade
 from splatpainter.lift.colors import MIN_SEEN_PX
 from splatpainter.lift.depth_normals import outward_normals
 from splatpainter.lift.global_edit import seen_change
 from splatpainter.lighting import prt_transfer
-from splatpainter.sources.color_grading import random_grade
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.transforms import sh_rotations
 

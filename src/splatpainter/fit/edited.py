@@ -1,8 +1,8 @@
 """Edits by optimisation: steps of 3DGS on the Gaussians that an edit reaches, held by views of the asset from around.
 
 Method "fit" makes them after the lift: seconds to tens of them instead of one, and nearer to the pictures. Zoom-ins are
-made so before the lift (lift/wide_edit.py). The less the views from around weigh, the more the rest of the object pays
-for it; without the lift before it, so does paint (docs/LOG.md).
+made so before the lift (lift/local/wide_edit.py). The less the views from around weigh, the more the rest of the
+object pays for it; without the lift before it, so does paint (docs/LOG.md).
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Looks on an asset or on a region of it: sliders, LUTs, the colours of a reference picture, one new colour."""
+"""Colour grading: sliders, tables, the colours of another picture."""

@@ -20,7 +20,7 @@ from splatpainter.holes.smooth_surface import ThinPlate, sphere_heights
 from splatpainter.holes.texture import complete
 from splatpainter.lift.colors import lift_colors, recolor
 from splatpainter.lift.masks import dilated
-from splatpainter.lift.sheet import CELL_WIDTH, SHEET_OPACITY, pixel_gaussians
+from splatpainter.lift.sheets.sheet import CELL_WIDTH, SHEET_OPACITY, pixel_gaussians
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import Splats
 

@@ -15,8 +15,9 @@ from typing import Any, get_args
 
 import numpy as np
 
-from splatpainter.io import axes, files, folders, sog_container
+from splatpainter.io import axes, files, folders
 from splatpainter.io.foreign_files import check_not_foreign
+from splatpainter.io.formats import sog_container
 from splatpainter.io.write_options import AS_IT_IS, WriteOptions
 from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Frame, Source, Splats
 
@@ -60,7 +61,7 @@ def _lazy(module: str, name: str) -> Callable[..., Any]:
     def call(*arguments: Any, **options: Any) -> Any:
         # Files hold floats of any bits: what overflows or is NaN is reported as a problem of rows, not as a warning.
         with np.errstate(all="ignore"):
-            return getattr(importlib.import_module(f"splatpainter.io.{module}"), name)(*arguments, **options)
+            return getattr(importlib.import_module(f"splatpainter.io.formats.{module}"), name)(*arguments, **options)
 
     return call
 

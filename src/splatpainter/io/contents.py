@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.io import gltf, gltf_spz, spz
-from splatpainter.io.glb import attribute_columns, attribute_name
-from splatpainter.io.ply_container import Element, Header, TextRows, element_size
+from splatpainter.io.formats import gltf, gltf_spz, spz
+from splatpainter.io.formats.glb import attribute_columns, attribute_name
+from splatpainter.io.formats.ply_container import Element, Header, TextRows, element_size
 from splatpainter.splats import Source
 
 BLOCK_ROWS = 1 << 14

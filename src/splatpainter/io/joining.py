@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from splatpainter.io import files, format_of_name, read, write
-from splatpainter.io.glb import with_bands
-from splatpainter.io.ply import PlyFile, settled_comments
-from splatpainter.io.ply_container import TYPES, BinaryRows, Element, make_header
-from splatpainter.io.splat import SplatFile
+from splatpainter.io.formats.glb import with_bands
+from splatpainter.io.formats.ply import PlyFile, settled_comments
+from splatpainter.io.formats.ply_container import TYPES, BinaryRows, Element, make_header
+from splatpainter.io.formats.splat import SplatFile
 from splatpainter.splats import ATTRIBUTES, Splats
 
 ROWS_STAND_ALONE = ("ply", "splat")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.lift.local_edit import NothingPaintableError, gaussians_in_mask
+from splatpainter.lift.local.local_edit import NothingPaintableError, gaussians_in_mask
 from splatpainter.rendering import render
 from splatpainter.splats import Splats
 from splatpainter.voxels.grid import VoxelGrid

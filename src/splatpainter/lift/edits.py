@@ -18,17 +18,17 @@ import numpy as np
 
 from splatpainter.lift.colors import refine_colors_local
 from splatpainter.lift.edit_views import EditView, errors_name, gaussians_in_views
-from splatpainter.lift.evidence import Evidence
 from splatpainter.lift.features import global_features, local_features, no_features
 from splatpainter.lift.global_edit import Predict, lift_global
-from splatpainter.lift.local_edit import NothingPaintableError, gaussians_in_mask, is_wide
+from splatpainter.lift.local.evidence import Evidence
+from splatpainter.lift.local.local_edit import NothingPaintableError, gaussians_in_mask, is_wide
+from splatpainter.lift.local.wide_edit import lift_wide
 from splatpainter.lift.masks import median_change
 from splatpainter.lift.options import GLOBAL_DEFAULTS, LOCAL_DEFAULTS, GlobalOptions, LocalOptions, ResidualBase
-from splatpainter.lift.paint import PaintedView, is_fine, paint_view
-from splatpainter.lift.resurface import MIN_COVER
-from splatpainter.lift.rounding import rounded
+from splatpainter.lift.sheets.paint import PaintedView, is_fine, paint_view
+from splatpainter.lift.sheets.resurface import MIN_COVER
+from splatpainter.lift.sheets.rounding import rounded
 from splatpainter.lift.view_selection import ViewShare, view_shares, with_joint_colors
-from splatpainter.lift.wide_edit import lift_wide
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface

@@ -83,7 +83,7 @@ def read_sky(path: str | Path, full_range: bool = False) -> SkyMap:
         if limit > 0 and not full_range:
             picture = np.minimum(picture, np.float32(limit))
     else:
-        from splatpainter.sources.picture_reader import read_picture
+        from splatpainter.pictures.picture_reader import read_picture
 
         picture = srgb_to_linear(read_picture(path).colors.clip(0, 1)).astype(np.float32)
         note = f"{path.name} is a display picture: what was brighter than white is missing from its light"

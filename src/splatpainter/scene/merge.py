@@ -23,9 +23,9 @@ from splatpainter.atomic import brief_name
 from splatpainter.comparison import compare, listed
 from splatpainter.io import files, format_of_name, read
 from splatpainter.io.contents import StoredTable, contents
-from splatpainter.io.glb import with_bands
+from splatpainter.io.formats.glb import with_bands
+from splatpainter.io.formats.ply_container import TextRows
 from splatpainter.io.joining import ROWS_STAND_ALONE, write_joined
-from splatpainter.io.ply_container import TextRows
 from splatpainter.receipts import MAX_CARRIED, Receipt, receipt_of, untouched_hashes
 from splatpainter.scene.placement import Placement
 from splatpainter.scene.seam import SeamMatch, match_seam

@@ -25,7 +25,7 @@ from typing import Any, cast
 import numpy as np
 
 from splatpainter.color import base_color, linear_to_srgb, srgb_to_linear, to_light
-from splatpainter.sources.color_grading import apply_to_sh
+from splatpainter.grading.color_grading import apply_to_sh
 from splatpainter.splats import ColorSpace, Splats
 from splatpainter.voxels.neighbours import nearest_within
 

@@ -23,8 +23,8 @@ from starlette.routing import BaseRoute
 from starlette.staticfiles import StaticFiles
 
 from splatpainter._version import __version__
-from splatpainter.server import frames, watched_folder
-from splatpainter.server.batch_routes import add_batch_routes, publish_batches
+from splatpainter.server import frames
+from splatpainter.server.batches.batch_routes import add_batch_routes, publish_batches
 from splatpainter.server.client import serve
 from splatpainter.server.commands import COMMANDS
 from splatpainter.server.commands.context import CommandContext
@@ -35,8 +35,9 @@ from splatpainter.server.page_state import PageState
 from splatpainter.server.protocol import Cancel, Command, Failure, Hello, Problem, State, Sync, first_fault
 from splatpainter.server.schema import schema_hash
 from splatpainter.server.security import Access, AccessGuard
-from splatpainter.server.storage import TooLarge
 from splatpainter.server.studio import Studio
+from splatpainter.server.uploads import watched_folder
+from splatpainter.server.uploads.storage import TooLarge
 from splatpainter.server.work_queue import Ticket
 
 STATIC = Path(__file__).with_name("static")

@@ -15,8 +15,8 @@ from splatpainter.io import read
 from splatpainter.server.app import create_app
 from splatpainter.server.limits import MAX_DAB_BYTES, ConnectionLimits, bounded
 from splatpainter.server.security import Access
-from splatpainter.server.storage import PROJECT, Projects, demo, usable_projects
 from splatpainter.server.studio import Studio, StudioOptions
+from splatpainter.server.uploads.storage import PROJECT, Projects, demo, usable_projects
 from splatpainter.session import Session
 from splatpainter.splats import Frame, Splats
 from splatpainter.user_folders import projects_folder

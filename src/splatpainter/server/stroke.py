@@ -16,8 +16,8 @@ from splatpainter.cameras import Camera
 from splatpainter.color import from_display, to_display
 from splatpainter.jsonio import brief
 from splatpainter.lift.colors import MAX_COLOR, recolor
-from splatpainter.lift.local_edit import MIN_VISIBLE_SHARE
-from splatpainter.lift.patch import MIN_INSIDE_SMALL, MIN_PIXEL_SHARE
+from splatpainter.lift.local.local_edit import MIN_VISIBLE_SHARE
+from splatpainter.lift.local.patch import MIN_INSIDE_SMALL, MIN_PIXEL_SHARE
 from splatpainter.rendering.cpu.geometry import TILE
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.rendering.cpu.recent_views import note_view

@@ -19,8 +19,9 @@ from pydantic import ValidationError
 
 from splatpainter.cameras import Camera
 from splatpainter.io import files
+from splatpainter.pictures.view_search import NamedView
 from splatpainter.server import describe
-from splatpainter.server.batches import Batches
+from splatpainter.server.batches.batch_runs import Batches
 from splatpainter.server.current_selection import CurrentSelection
 from splatpainter.server.protocol import (
     AssetInfo,
@@ -33,11 +34,10 @@ from splatpainter.server.protocol import (
     first_fault,
 )
 from splatpainter.server.public_text import public_text
-from splatpainter.server.storage import Blobs, Downloads, Folder, Projects, RecentProject, UploadLimits
+from splatpainter.server.uploads.storage import Blobs, Downloads, Folder, Projects, RecentProject, UploadLimits
 from splatpainter.session import Session
 from splatpainter.session.layer_factory import thumbnail
 from splatpainter.session.scratch import ScratchFolder, sweep_folder, sweep_scratch
-from splatpainter.sources.view_search import NamedView
 from splatpainter.splats import Splats
 from splatpainter.user_folders import projects_folder
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.io import files, read
-from splatpainter.io.sog_container import META
+from splatpainter.io.formats.sog_container import META
 from splatpainter.painter import Edit, Method
 from splatpainter.scene.placement import Placement, shift_to_the_right
 from splatpainter.scene.seam import match_seam, seam_weights

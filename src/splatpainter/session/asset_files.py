@@ -39,8 +39,8 @@ from splatpainter.io import (
     read,
     write,
 )
+from splatpainter.io.formats.sog_container import META
 from splatpainter.io.positions import NO_OFFSET, Offset
-from splatpainter.io.sog_container import META
 from splatpainter.io.write_options import AS_IT_IS, WriteOptions
 from splatpainter.receipts import Receipt, Verification, prove, receipt_of, untouched_hashes
 from splatpainter.rendering.profiles import Profile

@@ -24,8 +24,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.grading.color_transfer import with_table
 from splatpainter.lift.options import LOCAL_DEFAULTS
-from splatpainter.lift.view_limits import coarse_surface, left_out
+from splatpainter.lift.sheets.view_limits import coarse_surface, left_out
 from splatpainter.painter import Edit, Painter
 from splatpainter.session.appearance import base_of_parents, picture_of, with_base
 from splatpainter.session.conflicts import EditedIds, policy_strength
@@ -75,7 +76,6 @@ from splatpainter.session.strokes import (
     strokes_to_fold,
 )
 from splatpainter.source_edits import view_sequence
-from splatpainter.sources.color_transfer import with_table
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.voxels.raycast import is_inside
 

@@ -14,13 +14,13 @@ from functools import cached_property
 from typing import Any, Literal, get_args
 
 from splatpainter.cameras import Camera
+from splatpainter.grading.color_transfer import TABLE
 from splatpainter.image_files import MAX_PICTURE_PIXELS
 from splatpainter.io.files import printable
 from splatpainter.jsonio import brief
 from splatpainter.painter import MAX_VIEWS, Method, Mode
 from splatpainter.session.layer_mask import LayerMask
 from splatpainter.session.scene_asset import MAIN_ASSET_ID, SceneAsset
-from splatpainter.sources.color_transfer import TABLE
 
 Kind = Literal["paint", "picture", "look", "clone", "erase", "hide", "fill", "merged"]
 Blend = Literal["normal", "color", "luminosity", "darken", "lighten"]

@@ -41,12 +41,12 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.color import base_color, sh_from_color
+from splatpainter.grading.color_grading import GRADE, grade_sh
+from splatpainter.grading.color_transfer import TRANSFERS, transfer_sh
 from splatpainter.jsonio import brief
 from splatpainter.scene.seam import LIGHT, light_sh
 from splatpainter.session.delta import Delta, no_delta
 from splatpainter.session.document import Blend
-from splatpainter.sources.color_grading import GRADE, grade_sh
-from splatpainter.sources.color_transfer import TRANSFERS, transfer_sh
 from splatpainter.splats import ATTRIBUTES, MAX_MAGNITUDE, SH_C0, Splats
 
 AdjustmentFunction = Callable[[np.ndarray, Mapping[str, Any]], np.ndarray]
@@ -225,7 +225,7 @@ def reached_gaussians(splats: Splats, views: Sequence[tuple[Camera, np.ndarray]]
     """[N] bool: Gaussians that some masked view ((camera, [H, W] bool)) shows, mostly inside its mask; with one also
     those of its family that lie hidden under the mask, or paint would stay behind. Raises ValueError where a mask is
     empty or reaches no Gaussian."""
-    from splatpainter.lift.local_edit import gaussians_in_mask
+    from splatpainter.lift.local.local_edit import gaussians_in_mask
     from splatpainter.rendering.cpu.projected_view import project
     from splatpainter.voxels.grid import voxelize
     from splatpainter.voxels.raycast import editable_gaussians

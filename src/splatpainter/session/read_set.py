@@ -1,14 +1,14 @@
 """What a local lift reads of the Gaussians below it, so that a layer need not be painted again where nothing changed
 there.
 
-A local lift of one view (lift/paint.py) looks at the Gaussians of the tiles under its mask and RING_PX around it, and
-works on all Gaussians of the tiles that those touch which make these pixels: first for a sheet, then for what is left
-without one, by splitting (`lift.paint.read_by_edit`). `read_set_of` takes that set. Two arrangements of layers that
-give it the same Gaussians, in the same order, give the lift's arithmetic the same numbers, so its result is the same
-bit for bit; only their ids in the asset may differ, and `renumber` changes those. The surface is the original's, which
-is the same in all arrangements; how many of the set are the original's counts, because only the others' indices are
-free for any sheet Gaussian. Gaussians behind the surface count:
-splitting may let them through. Knows no layers and no cache.
+A local lift of one view (lift/sheets/paint.py) looks at the Gaussians of the tiles under its mask and RING_PX around
+it, and works on all Gaussians of the tiles that those touch which make these pixels: first for a sheet, then for what
+is left without one, by splitting (`lift.sheets.paint.read_by_edit`). `read_set_of` takes that set. Two arrangements of
+layers that give it the same Gaussians, in the same order, give the lift's arithmetic the same numbers, so its result
+is the same bit for bit; only their ids in the asset may differ, and `renumber` changes those. The surface is the
+original's, which is the same in all arrangements; how many of the set are the original's counts, because only the
+others' indices are free for any sheet Gaussian. Gaussians behind the surface count: splitting may let them through. Knows no
+layers and no cache.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ def read_set_of(
     """What a local lift of the masked pixels ([H, W] bool) reads of `splats`, whose voxels `grid` makes or has; None
     where it could not be applied. originals: how many of the first are the original's, on whose surface sheets are
     laid; None: the edit knows no surface, and splits only Gaussians that the voxels let it."""
-    from splatpainter.lift.local_edit import is_wide
-    from splatpainter.lift.paint import read_by_edit
+    from splatpainter.lift.local.local_edit import is_wide
+    from splatpainter.lift.sheets.paint import read_by_edit
     from splatpainter.rendering.cpu.projected_view import project
     from splatpainter.voxels.raycast import editable_gaussians, is_inside
 
@@ -57,7 +57,7 @@ def read_set_of(
         if not may_split.any():
             return None
     gaussian_ids = np.sort(project(splats, camera, tiles=tiles).gaussian_ids)
-    if originals is not None and is_wide(mask):  # views from all around count (lift/wide_edit.py)
+    if originals is not None and is_wide(mask):  # views from all around count (lift/local/wide_edit.py)
         gaussian_ids = np.arange(len(splats))
     first = len(splats) if originals is None else originals
     digest = hashlib.sha256(np.packbits(may_split[gaussian_ids]).tobytes())

@@ -344,7 +344,7 @@ class Session(AssetCommands, ExportCommands, Annotations, GeometryCommands):
         """([rows, columns, 4] float32 z-depth and unit normal towards the camera (camera space) of the surface in the
         middle of each block of a view, depth 0 where it is not trusted or there is none; pixels along a block). Of the
         original, less what is hidden: paint lies on that surface, whatever it is made of."""
-        from splatpainter.lift.view_limits import blocks_px
+        from splatpainter.lift.sheets.view_limits import blocks_px
 
         camera = camera.relative_to(self.original.offset)
         document, state = self._snapshot.document, self._replay.base_state

@@ -25,8 +25,8 @@ from splatpainter.session.scene_replay import SceneReplay
 from splatpainter.splats import Splats
 
 if TYPE_CHECKING:
+    from splatpainter.decals.decals import Decal, LaidDecal
     from splatpainter.lift.side_views import SideViewScore
-    from splatpainter.sources.decals import Decal, LaidDecal
     from splatpainter.surface.estimate import Surface
 
 

@@ -16,12 +16,12 @@ from typing import Literal
 import numpy as np
 
 from splatpainter.cameras import Camera, orbit_cameras
+from splatpainter.gatekeeper.gatekeeper import Strictness
 from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
 from splatpainter.receipts import Receipt, untouched_hashes
 from splatpainter.source_edits.coverage import ViewPlan, plan_views
 from splatpainter.source_edits.view_edit import MAX_PROMPT_CHARACTERS, SourceBrief, SourcedEdit, ask_for_edit
 from splatpainter.source_edits.view_sequence import WITHOUT_SHEETS, edit_views_in_order, part_of
-from splatpainter.sources.gatekeeper import Strictness
 from splatpainter.sources.picture_source import CancelFlag, PictureSource, Progress, SourceCancelled
 from splatpainter.splats import Splats, changed_rows
 
@@ -182,8 +182,8 @@ def refine_views(
     progress: Progress,
     cancel: CancelFlag,
 ) -> SourcedAsset:
-    """Views that a source enlarges or restores, each as the asset is, lifted together (lift/wide_edit.py): what is
-    sharper in them is sharper on the asset. Errors as of `edit_with_source`."""
+    """Views that a source enlarges or restores, each as the asset is, lifted together (lift/local/wide_edit.py): what
+    is sharper in them is sharper on the asset. Errors as of `edit_with_source`."""
     edits: list[SourcedEdit] = []
     for k, camera in enumerate(cameras):
         if cancel.is_set():

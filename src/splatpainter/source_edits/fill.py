@@ -16,6 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from splatpainter.cameras import Camera, look_at
+from splatpainter.gatekeeper.gatekeeper import Strictness
 from splatpainter.holes.body import body_or_selection
 from splatpainter.holes.fill import Filled, fill_hole, painted
 from splatpainter.lift.masks import dilated
@@ -24,7 +25,6 @@ from splatpainter.receipts import Receipt, untouched_hashes
 from splatpainter.rendering.pixel_shares import share_of
 from splatpainter.source_edits.edit import BACKGROUND, source_record
 from splatpainter.source_edits.view_edit import SourceBrief, SourcedEdit, ask_for_edit
-from splatpainter.sources.gatekeeper import Strictness
 from splatpainter.sources.picture_source import CancelFlag, PictureSource, Progress, SourceError
 from splatpainter.splats import Splats, changed_rows
 

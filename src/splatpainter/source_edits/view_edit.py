@@ -15,9 +15,9 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.color import from_display, to_display
+from splatpainter.gatekeeper.gatekeeper import AdmittedPicture, RefusedPicture, Strictness, admit
 from splatpainter.image_files import to_uint8
 from splatpainter.painter import Edit, Mode
-from splatpainter.sources.gatekeeper import AdmittedPicture, RefusedPicture, Strictness, admit
 from splatpainter.sources.picture_source import (
     CancelFlag,
     PictureAnswer,

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from splatpainter.gatekeeper.gatekeeper import RefusedPicture
 from splatpainter.source_edits.coverage import SurfaceView, ViewPlan, ViewShare, unreached, worth_asking
 from splatpainter.source_edits.view_edit import SourceBrief, SourcedEdit, ask_for_edit
-from splatpainter.sources.gatekeeper import RefusedPicture
 from splatpainter.sources.picture_source import CancelFlag, PictureSource, Progress, SourceCancelled, SourceError
 from splatpainter.splats import Splats
 

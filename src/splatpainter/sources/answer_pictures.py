@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from splatpainter.image_files import CAMERA_KEYWORD, encode_png, quantized
-from splatpainter.sources.picture_reader import Picture, read_picture
+from splatpainter.pictures.picture_reader import Picture, read_picture
 from splatpainter.sources.picture_source import PictureRequest, SourceError
 
 MAX_ANSWER_BYTES = 256 << 20

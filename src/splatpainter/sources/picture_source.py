@@ -1,7 +1,7 @@
 """What every origin of edited pictures is asked and what it answers: a program, an image service, a local model.
 
 A source gets one rendered view and gives one picture back, as it came. It knows nothing of Gaussians, and it does not
-judge its answer: `sources/gatekeeper.py` registers the picture, corrects its colours and cuts it to the mask.
+judge its answer: `gatekeeper/gatekeeper.py` registers the picture, corrects its colours and cuts it to the mask.
 
     source = open_source("command", {"run": "upscale {image} {out}"})
     answer = source.edit(PictureRequest(image, alpha, prompt="rust"), progress, cancel)

@@ -15,9 +15,9 @@ import numpy as np
 from splatpainter.cameras import Camera, orbit
 from splatpainter.color import to_display
 from splatpainter.image_files import quantized
+from splatpainter.pictures.picture_reader import unpremultiplied
 from splatpainter.rendering import render
 from splatpainter.rendering.profiles import Profile
-from splatpainter.sources.picture_reader import unpremultiplied
 from splatpainter.splats import Splats
 from splatpainter.video.mp4 import CodedFrames, avif_samples, mp4
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from splatpainter.image_files import find_camera
+from splatpainter.pictures.saved_pictures import SavedPictures
 from splatpainter.sources.backends import watch
 from splatpainter.sources.picture_source import PictureAnswer, PictureRequest, SourceCancelled, SourceError
 from splatpainter.sources.registry import open_source
-from splatpainter.sources.saved_pictures import SavedPictures
 from tests.support.fake_services import pixels, png
 from tests.support.picture_requests import HEIGHT, WIDTH, HastyClock, Progressed, request
 

@@ -30,13 +30,13 @@ from splatpainter.commands import edit, grade, refine
 from splatpainter.commands.verify import read_receipt
 from splatpainter.image_files import to_uint8
 from splatpainter.io import FORMATS, files, format_of_name, frame_of, read
-from splatpainter.io.sog_container import META
+from splatpainter.io.formats.sog_container import META
+from splatpainter.pictures.edit_files import camera_from
 from splatpainter.receipts import Receipt, prove, receipt_of
 from splatpainter.rendering import render
 from splatpainter.session import Session
 from splatpainter.session.asset_files import receipt_between
 from splatpainter.session.lock import ProjectLock
-from splatpainter.sources.edit_files import camera_from
 from splatpainter.sources.registry import open_source
 from splatpainter.sources.source_options import option_words
 from splatpainter.splats import Frame, Splats

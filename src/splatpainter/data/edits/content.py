@@ -1,6 +1,6 @@
 """What is painted: a random stroke, word, sticker, photo patch, image noise or recolouring around a pixel of a view.
 
-Each function designs one edit from a generator and returns a layer over the view (sources/drawing.py); a recolouring
+Each function designs one edit from a generator and returns a layer over the view (pictures/drawing.py); a recolouring
 follows the object's colours and is one of points. Sizes are chosen so that an edit covers about the intended area.
 """
 
@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from splatpainter.color import luminance
-from splatpainter.sources import drawing
+from splatpainter.pictures import drawing
 
 Color = tuple[float, float, float]
 WORDS = tuple(

@@ -16,7 +16,7 @@ from splatpainter.color import base_color, linear_to_srgb, luminance, sh_from_co
 from splatpainter.data.edits import EditDesign
 from splatpainter.data.edits.content import PaintCoverage
 from splatpainter.data.surfels import Surfels
-from splatpainter.sources.color_grading import ColorGrade, apply_grade
+from splatpainter.grading.color_grading import ColorGrade, apply_grade
 
 DEPTH_TOLERANCE = 0.01
 """A surfel is the first that a view meets if it lies at most this part of its depth behind the rendered depth."""

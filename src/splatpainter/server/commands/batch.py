@@ -14,14 +14,14 @@ from pydantic import Field
 
 from splatpainter.batch.plan import JobList
 from splatpainter.io import format_of_name
-from splatpainter.server.batch_folder import LOOKS, BatchFolder
-from splatpainter.server.batches import StudioBatch
+from splatpainter.server.batches.batch_folder import LOOKS, BatchFolder
+from splatpainter.server.batches.batch_runs import StudioBatch
+from splatpainter.server.batches.batch_runs.describe_batch import batch_info
 from splatpainter.server.commands.color_grading import ColorTransfer, GradeSliders, settings_of
 from splatpainter.server.commands.context import CommandContext, command, naming_errors
-from splatpainter.server.describe_batch import batch_info
 from splatpainter.server.protocol import Answer, BatchInfo, Blob, CameraInfo, Command, FileName, Message
-from splatpainter.server.storage import PROJECT
 from splatpainter.server.studio import Studio
+from splatpainter.server.uploads.storage import PROJECT
 from splatpainter.session import Session
 from splatpainter.session.annotations import keep_selection
 from splatpainter.session.asset_files import write_original

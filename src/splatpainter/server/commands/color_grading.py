@@ -14,9 +14,14 @@ from pydantic import Field
 
 from splatpainter.cameras import Camera
 from splatpainter.color import from_hex
-from splatpainter.grading.grade import fitted
+from splatpainter.grading.color_grading import GradeSettings
+from splatpainter.grading.color_match import AffineMap, ColorMap, ColorMatch, NewColor, Recolor
+from splatpainter.grading.color_transfer import LUT, RECOLOR, transfer_parameters, with_table
+from splatpainter.grading.cube_lut import CubeLut, read_cube
 from splatpainter.io import files
+from splatpainter.operations.grade import fitted
 from splatpainter.painter import Edit
+from splatpainter.pictures.picture_reader import read_picture
 from splatpainter.server import frames
 from splatpainter.server.commands.context import (
     CommandContext,
@@ -34,11 +39,6 @@ from splatpainter.server.studio import Studio
 from splatpainter.session import Session
 from splatpainter.session.document import SELECTION
 from splatpainter.session.layer_blending import ADJUSTMENTS, adjust_sh, reached_gaussians
-from splatpainter.sources.color_grading import GradeSettings
-from splatpainter.sources.color_match import AffineMap, ColorMap, ColorMatch, NewColor, Recolor
-from splatpainter.sources.color_transfer import LUT, RECOLOR, transfer_parameters, with_table
-from splatpainter.sources.cube_lut import CubeLut, read_cube
-from splatpainter.sources.picture_reader import read_picture
 from splatpainter.splats import Splats, changed_rows
 
 

@@ -17,6 +17,8 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.color import to_display
+from splatpainter.pictures.picture_reader import read_mask, resample
+from splatpainter.pictures.view_search import same_shape
 from splatpainter.rendering import render
 from splatpainter.rendering.profiles import Profile
 from splatpainter.server.describe import layer_info
@@ -24,8 +26,6 @@ from splatpainter.server.page_state import PageState
 from splatpainter.server.protocol import Answer, Command, LayerMade
 from splatpainter.server.studio import Studio
 from splatpainter.server.work_queue import Lane, Ticket
-from splatpainter.sources.picture_reader import read_mask, resample
-from splatpainter.sources.view_search import same_shape
 from splatpainter.splats import Splats
 
 Run = Callable[["CommandContext", Any], Answer]

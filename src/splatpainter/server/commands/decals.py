@@ -8,7 +8,10 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from splatpainter.decals.decal_placement import MAX_DECAL_PX, blocks_of
+from splatpainter.decals.decals import LITTLE_COVERAGE, Decal
 from splatpainter.painter import Method
+from splatpainter.pictures.picture_reader import read_picture
 from splatpainter.server.commands.context import (
     CommandContext,
     RawExpr,
@@ -31,9 +34,6 @@ from splatpainter.server.protocol import (
     Unit,
 )
 from splatpainter.session.document import PLACED
-from splatpainter.sources.decal_placement import MAX_DECAL_PX, blocks_of
-from splatpainter.sources.decals import LITTLE_COVERAGE, Decal
-from splatpainter.sources.picture_reader import read_picture
 
 
 class DecalLaid(LayerMade):

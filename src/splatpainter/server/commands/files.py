@@ -24,8 +24,8 @@ from splatpainter.server.protocol import (
     Name,
     RecentInfo,
 )
-from splatpainter.server.storage import PROJECT, StoredBlob, demo
 from splatpainter.server.studio import Studio
+from splatpainter.server.uploads.storage import PROJECT, StoredBlob, demo
 from splatpainter.session import Session
 from splatpainter.session.disk_probe import locks_refused
 from splatpainter.session.scratch import scratch_folder

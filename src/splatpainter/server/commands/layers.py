@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
+from splatpainter.grading.color_grading import GRADE, GradeSettings
 from splatpainter.server import frames
 from splatpainter.server.commands.context import (
     CommandContext,
@@ -34,7 +35,6 @@ from splatpainter.server.protocol import (
 from splatpainter.session.delta import GEOMETRY
 from splatpainter.session.document import SELECTION, Blend
 from splatpainter.session.layer_mask import LayerMask, by_rule
-from splatpainter.sources.color_grading import GRADE, GradeSettings
 
 
 class LayerNew(Command):

@@ -17,6 +17,8 @@ from splatpainter.color import from_display
 from splatpainter.image_files import find_alpha
 from splatpainter.lift.masks import change_mask
 from splatpainter.painter import Edit, Method, Mode
+from splatpainter.pictures.edit_files import FileEdit, unmultiplied
+from splatpainter.pictures.picture_reader import read_picture
 from splatpainter.rendering import render
 from splatpainter.server import frames
 from splatpainter.server.commands.context import (
@@ -54,8 +56,6 @@ from splatpainter.session import Session
 from splatpainter.session.compose import WITHIN
 from splatpainter.session.document import PLACED, SELECTION, SOURCE, SPREAD_THRESHOLD, Blend, Kind
 from splatpainter.session.mirror_plane import mirrored_camera, parsed_plane
-from splatpainter.sources.edit_files import FileEdit, unmultiplied
-from splatpainter.sources.picture_reader import read_picture
 
 MIN_MIRRORED_ALPHA = 0.5
 """The asset's, somewhere under the mirrored half of a stroke; else there is nothing to paint on."""

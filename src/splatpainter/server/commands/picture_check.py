@@ -12,8 +12,15 @@ from pydantic import Field
 from splatpainter.cameras import Camera
 from splatpainter.captures import capture_of, named_views
 from splatpainter.color import to_display
+from splatpainter.gatekeeper.crop_search import Crop, error_at, find_crop, find_shift, undo_shift
+from splatpainter.gatekeeper.mistaken_pictures import explain
+from splatpainter.gatekeeper.photographs import carries_camera, laid_over, photograph_edit
 from splatpainter.image_files import Alpha, find_alpha, find_camera
-from splatpainter.server import image_registration as registration
+from splatpainter.pictures.edit_files import over_render, unmultiplied
+from splatpainter.pictures.encodings import edited_in_encoded
+from splatpainter.pictures.larger_views import edited_in_larger, larger_view
+from splatpainter.pictures.picture_reader import Picture, read_picture
+from splatpainter.pictures.view_search import most_alike, same_shape, views_in
 from splatpainter.server.commands.context import (
     CommandContext,
     command,
@@ -22,15 +29,8 @@ from splatpainter.server.commands.context import (
     render_display,
 )
 from splatpainter.server.protocol import MAX_VIEW_PIXELS, Answer, Blob, CameraInfo, Command, Message, Unit
-from splatpainter.server.storage import StoredBlob
-from splatpainter.sources.crop_search import Crop, error_at, find_crop, find_shift, undo_shift
-from splatpainter.sources.edit_files import over_render, unmultiplied
-from splatpainter.sources.encodings import edited_in_encoded
-from splatpainter.sources.larger_views import edited_in_larger, larger_view
-from splatpainter.sources.mistaken_pictures import explain
-from splatpainter.sources.photographs import carries_camera, laid_over, photograph_edit
-from splatpainter.sources.picture_reader import Picture, read_picture
-from splatpainter.sources.view_search import most_alike, same_shape, views_in
+from splatpainter.server.uploads import image_registration as registration
+from splatpainter.server.uploads.storage import StoredBlob
 
 MAX_CROP_CANDIDATES = 8
 """Latest exported views that a picture without a camera may be a part of."""

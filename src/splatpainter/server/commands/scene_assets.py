@@ -19,7 +19,7 @@ from splatpainter.server.commands.context import (
 )
 from splatpainter.server.commands.files import folder_file
 from splatpainter.server.protocol import Answer, Blob, Command, FileName, LayerMade, Name, Point
-from splatpainter.server.storage import demo
+from splatpainter.server.uploads.storage import demo
 from splatpainter.session.asset_files import write_original
 from splatpainter.session.scratch import scratch_folder
 

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from splatpainter.cameras import UPS, Camera
 from splatpainter.color import to_display
+from splatpainter.pictures.picture_reader import read_picture, resample
 from splatpainter.server import picking
 from splatpainter.server.commands.context import (
     CommandContext,
@@ -20,12 +21,11 @@ from splatpainter.server.commands.context import (
     progress,
     python_line,
 )
-from splatpainter.server.image_registration import png_bytes
 from splatpainter.server.protocol import Answer, Blob, CameraInfo, Command, LayerMade, Name, Point, Unit
+from splatpainter.server.uploads.image_registration import png_bytes
 from splatpainter.session import selection as tools
 from splatpainter.session import selection_space as space
 from splatpainter.session.selection import Attribute, Combine
-from splatpainter.sources.picture_reader import read_picture, resample
 
 MAX_RADIUS_SHARE = 1.0
 """Largest share of the asset's radius by which a selection may grow, shrink or be feathered at a time."""

@@ -16,8 +16,9 @@ from pydantic import Field
 
 from splatpainter.cameras import Camera
 from splatpainter.color import to_display
+from splatpainter.gatekeeper.gatekeeper import RefusedPicture
 from splatpainter.painter import MAX_VIEWS
-from splatpainter.server import image_registration as registration
+from splatpainter.pictures.picture_reader import resample
 from splatpainter.server.commands.context import CommandContext, command, mask_from_upload
 from splatpainter.server.commands.picture_check import PictureChecked, PictureWarning
 from splatpainter.server.describe import layer_info
@@ -32,14 +33,13 @@ from splatpainter.server.protocol import (
     Method,
     Unit,
 )
+from splatpainter.server.uploads import image_registration as registration
 from splatpainter.server.work_queue import Cancelled
 from splatpainter.session.document import Layer
 from splatpainter.session.source_layers import add_source_views
 from splatpainter.source_edits.coverage import ViewPlan, plan_views
 from splatpainter.source_edits.edit import BACKGROUND, source_record
 from splatpainter.source_edits.view_edit import MAX_PROMPT_CHARACTERS, SourceBrief, ask_for_edit
-from splatpainter.sources.gatekeeper import RefusedPicture
-from splatpainter.sources.picture_reader import resample
 from splatpainter.sources.picture_source import Capabilities, PictureSource, SourceCancelled, SourceError, describe
 from splatpainter.sources.registry import SourceStatus, describe_sources, open_source
 

@@ -12,11 +12,11 @@ from pydantic import Field
 from splatpainter.cameras import Camera
 from splatpainter.color import to_display
 from splatpainter.io.files import sha256, writing
+from splatpainter.pictures.view_search import NamedView, thumbnail
 from splatpainter.rendering.profiles import Profile
 from splatpainter.server import picking
 from splatpainter.server.commands.context import CommandContext, RawExpr, command, python_line, render_display
 from splatpainter.server.describe import up_axis
-from splatpainter.server.image_registration import png_bytes
 from splatpainter.server.protocol import (
     MAX_VIEW_PIXELS,
     Answer,
@@ -28,11 +28,11 @@ from splatpainter.server.protocol import (
     Point,
     Rgb,
 )
+from splatpainter.server.uploads.image_registration import png_bytes
 from splatpainter.session.asset_files import view_files_of
 from splatpainter.session.conflicts import PREDICTED, SEEN
 from splatpainter.session.conflicts import coverage as covered
 from splatpainter.session.layer_factory import spread_options_of
-from splatpainter.sources.view_search import NamedView, thumbnail
 from splatpainter.view_files import Aov, PictureOptions
 
 MAX_EXPORT_PIXELS = 1 << 24

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from splatpainter.image_files import quantized
+from splatpainter.pictures.picture_reader import Picture
 from splatpainter.sources.answer_pictures import with_alpha
-from splatpainter.sources.picture_reader import Picture
 from splatpainter.sources.picture_source import (
     CancelFlag,
     Capabilities,

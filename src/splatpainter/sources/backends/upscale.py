@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from splatpainter.image_files import MAX_PICTURE_PIXELS
-from splatpainter.sources.picture_reader import resample
+from splatpainter.pictures.picture_reader import resample
 from splatpainter.sources.picture_source import (
     CancelFlag,
     Capabilities,

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from splatpainter.atomic import writing
+from splatpainter.pictures.saved_pictures import LOOK_SECONDS, SavedPictures
 from splatpainter.sources.answer_pictures import image_png, mask_png, read_answer_file, reference_png
 from splatpainter.sources.picture_source import (
     CancelFlag,
@@ -25,7 +26,6 @@ from splatpainter.sources.picture_source import (
     SourceCancelled,
     SourceError,
 )
-from splatpainter.sources.saved_pictures import LOOK_SECONDS, SavedPictures
 from splatpainter.sources.source_options import SourceDescription, option
 
 MAX_VIEWS = 100_000

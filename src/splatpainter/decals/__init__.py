@@ -1,0 +1,1 @@
+"""Pictures laid on the surface: where, how they bend, what each view shows of them."""

@@ -1,0 +1,339 @@
+"""Pictures that differ from their view nearly everywhere: which mistake made them so, found by trying mistakes out.
+
+What another program, another encoding or a mirror would have made of the render is made of a small copy of it and
+compared with a small copy of the picture. A mistake explains a picture where most of what it would have changed is as
+it would be, and nearly nothing there is still as it was rendered: paint leaves the rest of a picture alone, a mistake
+leaves nothing. Pure. H, W: pixels of the view; colours are display sRGB 0..1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from splatpainter.color import LUMA, linear_to_srgb, srgb_to_linear
+from splatpainter.gatekeeper.color_drift import estimate_drift, tone_change
+from splatpainter.gatekeeper.registration import register
+from splatpainter.lift.masks import box_mean, dilated, largest_channel
+from splatpainter.pictures.picture_reader import resample
+
+Cause = Literal["turned", "colors", "tone", "look", "moved", "axes", "other"]
+"""turned: mirrored or turned round; colors: other colours than sRGB; tone: graded as a whole; look: the asset graded or
+painted over as a whole, its background not, which may well be meant; moved: shifted or scaled; axes: the asset's axes
+are read another way; other: another asset, view or camera."""
+Change: TypeAlias = Callable[[np.ndarray], np.ndarray]
+"""[H, W, 3] -> [H, W, 3] (turns may exchange H and W), colours 0..1."""
+Size: TypeAlias = tuple[int, int]
+"""(width, height)."""
+SMALL_PX = 160
+"""Pixels of the longer side of the small copies: noise of compression averages out."""
+MAX_DIFFERENCE = 4.5 / 255
+"""Mean difference over 3 x 3 pixels of small copies up to which they agree."""
+MIN_PREDICTED = 7 / 255
+"""Difference to the render from which a mistake says that a pixel changed."""
+MAX_UNCHANGED = 2.5 / 255
+"""Difference up to which a pixel is as it was rendered, and no mistake changed it."""
+MIN_PREDICTED_SHARE = 0.08
+"""Share of what the picture and the view show that a mistake must change to be told at all."""
+MIN_EXPLAINED = 0.5
+"""Share of what a mistake changes that must be as it makes it: the rest may be painted over. On eighteen views of six
+captures: mistakes 0.77 to 1.00, recoloured by hand over 70 % 0.52 to 0.93; those have more than MAX_CONTRADICTING."""
+MAX_CONTRADICTING = 0.015
+"""... and that may be as it was rendered. Mistakes have none of it; colours changed by hand over 85 % 0.03 and more."""
+MIN_ALIKE = 0.95
+"""Share of what the picture and the view show that agrees from which nothing is looked for."""
+MAX_AGREEING = 0.15
+"""Share of what the picture and the view show from which a picture that nothing explains is taken for a painted one.
+Other views and assets have up to 0.08, a decal over 90 % 0.06 to 0.08."""
+MAX_STRAY = 0.02
+"""Share of the bare background that differs up to which all paint lies on the asset: it may be all painted over."""
+MIN_BARE_SHARE = 0.03
+"""Share of a picture that must be bare background to say that."""
+MAX_AGREEING_FULL = 0.03
+"""MAX_AGREEING where no background is bare."""
+MAX_AGREEING_MOVED = 0.4
+"""MAX_AGREEING of pictures of another outline, which are looked at whether they were moved."""
+MAX_ERASED = 0.05
+"""Share of the asset where a picture may show nothing but the background."""
+MIN_SURE = 0.95
+"""Share that agrees after a mistake from which no other is looked for."""
+GRADED_WORDS = (
+    "graded as a whole, but for its background: its other sides stay as they are; --mode global carries the look all "
+    "around"
+)
+PAINTED_OVER_WORDS = "painted over everywhere; if it is not, it is of another view or asset"
+MIN_COVER, MAX_BARE = 0.5, 0.02
+"""Alpha from which a pixel of a small copy shows the asset, and up to which it shows none of it."""
+RIM_PX = 2
+"""Pixels of a small copy beside the asset that are not bare background."""
+MIN_TONE_CONTRAST = 0.35
+"""Standard deviation of a graded picture in parts of the render's: one flat colour is paint."""
+MIN_REGISTERED_PX = 16
+"""Pixels of the shorter side of a small copy from which it is looked where it lies."""
+MIN_MOVED_SCORE, MIN_MOVED_PX = 0.6, 0.8
+"""Score of a registration, and pixels of a small copy, from which a picture was moved."""
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """Something that changes all of a picture."""
+
+    cause: Cause
+    words: str
+    """What it says of the picture: "the picture is ..."."""
+    made: Change
+    """What it makes of a render."""
+    undone: Change | None = None
+    """What takes it back in a picture; None: it cannot be."""
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Why a picture differs from its view nearly everywhere."""
+
+    cause: Cause
+    words: str
+    agreeing: float
+    """Share of what the picture and the view show that agrees as it is, 0..1."""
+    agreeing_after: float
+    """... that agrees with what the mistake makes of the view; 0 where none explains the picture."""
+    mistake: Mistake | None = None
+
+
+SRGB_TO_P3 = np.array([[0.8224621, 0.1775380, 0], [0.0331941, 0.9668058, 0], [0.0170827, 0.0723974, 0.9105199]])
+"""Linear sRGB to linear Display P3 (both D65)."""
+SRGB_TO_ADOBE = np.array([[0.7151256, 0.2848744, 0], [0, 1, 0], [0, 0.0411619, 0.9588381]])
+"""Linear sRGB to linear Adobe RGB (1998) (both D65)."""
+LUMA_601 = (0.299, 0.587, 0.114)
+"""Weights of Rec. 601, by which many programs make grey."""
+ADOBE_GAMMA = 563 / 256
+VIDEO_BLACK, VIDEO_RANGE = 16 / 255, 219 / 255
+"""Limited range of video: levels 16 to 235."""
+
+
+def _primaries(matrix: np.ndarray, encode: Change, decode: Change) -> Change:
+    return lambda colors: encode(np.clip(decode(colors) @ matrix.T, 0, 1))
+
+
+def _linear(colors: np.ndarray) -> np.ndarray:
+    return srgb_to_linear(np.clip(colors, 0, 1))
+
+
+def _encoded(light: np.ndarray) -> np.ndarray:
+    return linear_to_srgb(np.clip(light, 0, 1))
+
+
+def _power(exponent: float) -> Change:
+    return lambda colors: np.clip(colors, 0, 1) ** exponent
+
+
+def _grey(weights: tuple[float, float, float], linear: bool = False) -> Change:
+    def made(colors: np.ndarray) -> np.ndarray:
+        values = (_linear(colors) if linear else colors) @ np.asarray(weights, colors.dtype)
+        return np.repeat((_encoded(values) if linear else values)[..., None], 3, -1)
+
+    return made
+
+
+def _darker(levels: np.ndarray) -> np.ndarray:
+    return np.clip((levels - VIDEO_BLACK) / VIDEO_RANGE, 0, 1)
+
+
+def _video(levels: np.ndarray) -> np.ndarray:
+    return VIDEO_BLACK + VIDEO_RANGE * levels
+
+
+_to_p3 = _primaries(SRGB_TO_P3, _encoded, _linear)
+_from_p3 = _primaries(np.linalg.inv(SRGB_TO_P3), _encoded, _linear)
+_to_adobe = _primaries(SRGB_TO_ADOBE, _power(1 / ADOBE_GAMMA), _linear)
+_from_adobe = _primaries(np.linalg.inv(SRGB_TO_ADOBE), _encoded, _power(ADOBE_GAMMA))
+TURNS = (
+    Mistake("turned", "mirrored from left to right", lambda p: p[:, ::-1], lambda p: p[:, ::-1]),
+    Mistake("turned", "mirrored from top to bottom", lambda p: p[::-1], lambda p: p[::-1]),
+    Mistake("turned", "turned upside down", lambda p: p[::-1, ::-1], lambda p: p[::-1, ::-1]),
+    Mistake("turned", "turned by 90 degrees clockwise", lambda p: np.rot90(p, -1), lambda p: np.rot90(p, 1)),
+    Mistake("turned", "turned by 90 degrees counter-clockwise", lambda p: np.rot90(p, 1), lambda p: np.rot90(p, -1)),
+)
+COLORS = (
+    Mistake("colors", "linear light without a profile that says so", _linear, _encoded),
+    Mistake("colors", "sRGB numbers in a file of linear light", _encoded, _linear),
+    Mistake("colors", "of another gamma, 1.8 for 2.2", _power(1.8 / 2.2), _power(2.2 / 1.8)),
+    Mistake("colors", "of another gamma, 2.2 for 1.8", _power(2.2 / 1.8), _power(1.8 / 2.2)),
+    Mistake("colors", "in limited video levels (16 to 235)", _video, _darker),
+    Mistake("colors", "stretched as if it were video levels (16 to 235)", _darker, _video),
+    Mistake("colors", "Display P3 numbers without their profile", _to_p3, _from_p3),
+    Mistake("colors", "converted from Display P3 although it was sRGB", _from_p3, _to_p3),
+    Mistake("colors", "Adobe RGB numbers without their profile", _to_adobe, _from_adobe),
+    Mistake("colors", "converted from Adobe RGB although it was sRGB", _from_adobe, _to_adobe),
+    Mistake("colors", "with red and blue exchanged", lambda p: p[..., ::-1], lambda p: p[..., ::-1]),
+    Mistake("colors", "inverted (a negative)", lambda p: 1 - p, lambda p: 1 - p),
+    Mistake("colors", "grey", _grey(LUMA)),
+    Mistake("colors", "grey", _grey(LUMA_601)),
+    Mistake("colors", "grey", _grey(LUMA, linear=True)),
+    Mistake("colors", "grey", _grey((1 / 3, 1 / 3, 1 / 3))),
+    Mistake("colors", "grey", lambda p: np.repeat((p.max(-1) + p.min(-1))[..., None] / 2, 3, -1)),
+)
+
+
+def explain(
+    picture: np.ndarray,
+    render: np.ndarray,
+    alpha: np.ndarray,
+    with_other_axes: Callable[[Size], Iterable[tuple[str, np.ndarray]]] | None = None,
+) -> Explanation | None:
+    """Why a picture [H, W, 3] differs from its view nearly everywhere; None where it does not, or where what differs
+    may well be paint. render: [H, W, 3]; alpha: [H, W] of it; with_other_axes: gives views of that size of the asset
+    read with other axes, and what to do about each; asked only where nothing else explains the picture."""
+    view = _Small.of(picture, render, alpha)
+    if not view.compared.any() or view.agreeing > MIN_ALIKE:
+        return None
+    judged = (_judged(mistake, view) for mistake in (*TURNS, *COLORS))
+    best = max(filter(None, judged), key=lambda one: one.agreeing_after, default=None)
+    if best is not None and (best.cause == "turned" or best.agreeing_after > MIN_SURE):
+        return best
+    graded = _graded(view) if view.agreeing <= MAX_AGREEING else None
+    likeliest = max(filter(None, (graded, best)), key=lambda one: one.agreeing_after, default=None)
+    if likeliest is not None:
+        return likeliest
+    if view.agreeing > MAX_AGREEING and not (view.agreeing < MAX_AGREEING_MOVED and view.has_other_outline):
+        return None
+    moved = _moved(view)
+    if moved is not None or view.agreeing > MAX_AGREEING:
+        return moved
+    return _of_other_axes(view, with_other_axes) or _something_else(view)
+
+
+@dataclass(frozen=True)
+class _Small:
+    """Small copies [h, w] of a picture and its view."""
+
+    picture: np.ndarray
+    render: np.ndarray
+    alpha: np.ndarray
+    compared: np.ndarray
+    """[h, w] bool: where the view shows the asset, or the picture something else than the view's background."""
+    agreeing: float
+    """Share of `compared` that agrees."""
+
+    @staticmethod
+    def of(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray) -> _Small:
+        seen, before, cover = (_small(values) for values in (picture, render, alpha))
+        agrees = _difference(seen, before) <= MAX_DIFFERENCE
+        compared = (cover > MIN_COVER) | ~agrees
+        return _Small(seen, before, cover, compared, float(agrees[compared].mean()) if compared.any() else 1.0)
+
+    @property
+    def bare(self) -> np.ndarray:
+        """[h, w] bool: background, not beside the asset."""
+        return ~dilated(self.alpha > MAX_BARE, RIM_PX)
+
+    @property
+    def paint_is_on_asset(self) -> bool:
+        """Whether the background is as it was rendered, where there is enough of it to say."""
+        bare = self.bare
+        differs = _difference(self.picture, self.render) > MAX_DIFFERENCE
+        return bool(bare.mean() >= MIN_BARE_SHARE and differs[bare].mean() <= MAX_STRAY)
+
+    @property
+    def has_other_outline(self) -> bool:
+        """Whether the picture shows its background where the asset is, or something else beside it: paint does
+        neither."""
+        bare = self.bare
+        if bare.mean() < MIN_BARE_SHARE:
+            return False
+        background = np.median(self.render[bare], axis=0)
+        solid = self.alpha > MIN_COVER
+        empty, before = (
+            largest_channel(np.abs(image - background)) <= MAX_UNCHANGED for image in (self.picture, self.render)
+        )
+        erased = (empty & ~before & solid).sum() > MAX_ERASED * max(int(solid.sum()), 1)
+        return bool(erased or not self.paint_is_on_asset)
+
+
+def _small(values: np.ndarray) -> np.ndarray:
+    height, width = values.shape[:2]
+    shrink = max(max(height, width) / SMALL_PX, 1.0)
+    size = max(round(width / shrink), 1), max(round(height / shrink), 1)
+    clipped = np.clip(np.nan_to_num(values), 0, 1).astype(np.float32)
+    return clipped if size == (width, height) else resample(clipped, *size)
+
+
+def _difference(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    return largest_channel(np.abs(box_mean(one - other, 1)))
+
+
+def _judged(mistake: Mistake, view: _Small) -> Explanation | None:
+    """The mistake as an explanation; None where it is none."""
+    made = np.ascontiguousarray(mistake.made(view.render), np.float32)
+    return None if made.shape != view.picture.shape else _compared(mistake, made, view)
+
+
+def _compared(mistake: Mistake, made: np.ndarray, view: _Small) -> Explanation | None:
+    predicted = view.compared & (_difference(made, view.render) > MIN_PREDICTED)
+    if predicted.sum() < MIN_PREDICTED_SHARE * view.compared.sum():
+        return None
+    agrees = _difference(view.picture, made) <= MAX_DIFFERENCE
+    explained = float(agrees[predicted].mean())
+    unchanged = float((_difference(view.picture, view.render) <= MAX_UNCHANGED)[predicted].mean())
+    if explained < MIN_EXPLAINED or unchanged > MAX_CONTRADICTING:
+        return None
+    return Explanation(mistake.cause, mistake.words, view.agreeing, float(agrees[view.compared].mean()), mistake)
+
+
+def _graded(view: _Small) -> Explanation | None:
+    """One smooth function of colour changed all of the asset; of the picture, where its background changed, too."""
+    solid = view.alpha > MIN_COVER
+    if not solid.any():
+        return None
+    contrast = view.picture[solid].std(0).mean() / max(float(view.render[solid].std(0).mean()), 1e-6)
+    if contrast < MIN_TONE_CONTRAST or tone_change(view.picture, view.render, solid) is None:
+        return None
+    if view.paint_is_on_asset:
+        return Explanation("look", GRADED_WORDS, view.agreeing, 1.0)
+    drift = estimate_drift(view.picture, view.render, solid, certain=True)
+    words, undone, after = "graded as a whole", None, MIN_EXPLAINED
+    if drift.kind in ("gain", "gain and offset"):
+        words = f"graded as a whole (exposure or white balance by {drift.strength:.1f} stops)"
+    if drift.kind != "none":
+        undone = drift.corrected
+        after = float((_difference(undone(view.picture), view.render) <= MAX_DIFFERENCE)[view.compared].mean())
+    return Explanation("tone", words, view.agreeing, after, Mistake("tone", words, lambda colors: colors, undone))
+
+
+def _moved(view: _Small) -> Explanation | None:
+    if min(view.alpha.shape) < MIN_REGISTERED_PX:
+        return None
+    laid = register(view.picture, view.render)
+    reach = max(view.alpha.shape) / 2
+    moved = max(abs(laid.right), abs(laid.down), reach * abs(laid.scale - 1))
+    if laid.score < MIN_MOVED_SCORE or (laid.framing == "full" and moved < MIN_MOVED_PX):
+        return None
+    words = "moved, scaled or turned by a little" if laid.framing == "full" else f"{laid.framing} within its frame"
+    return Explanation("moved", words, view.agreeing, laid.score)
+
+
+def _of_other_axes(
+    view: _Small, with_other_axes: Callable[[Size], Iterable[tuple[str, np.ndarray]]] | None
+) -> Explanation | None:
+    if with_other_axes is None:
+        return None
+    height, width = view.alpha.shape
+    for words, other in with_other_axes((width, height)):
+        explanation = _compared(Mistake("axes", words, lambda colors: colors), other.astype(np.float32), view)
+        if explanation is not None:
+            return explanation
+    return None
+
+
+def _something_else(view: _Small) -> Explanation | None:
+    if view.bare.mean() >= MIN_BARE_SHARE and not view.has_other_outline:
+        return (
+            Explanation("look", PAINTED_OVER_WORDS, view.agreeing, 0.0) if view.agreeing < MAX_AGREEING_FULL else None
+        )
+    if view.bare.mean() < MIN_BARE_SHARE and view.agreeing > MAX_AGREEING_FULL:
+        return None
+    words = "of another asset, another view or another camera"
+    return Explanation("other", words, view.agreeing, 0.0)

@@ -1,0 +1,380 @@
+"""Photographs of a capture as pictures: turned as their cameras saw them, straightened to a pinhole's; and painted ones
+as edits, of which the paint alone changes the asset.
+
+    painted = photograph_edit(Path("DSC07956.jpg"), view)      # read and straightened
+    edit = laid_over(painted, splats, "local").edit(splats)    # cut to the paint, in the asset's own exposure
+
+A photograph is not the asset's render: its exposure differs, it is sharper, the asset has holes. Where the capture
+still has the photograph as it was taken, the paint is what differs from that; else what differs from the render by more
+than a photograph does. Exposure and place are taken back by the gatekeeper.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from splatpainter.cameras import Camera
+from splatpainter.captures import CapturedView, capture_of, choose_one, is_capture, named_views, split_selector
+from splatpainter.captures.lenses import straightened
+from splatpainter.color import to_display
+from splatpainter.gatekeeper.color_drift import estimate_drift
+from splatpainter.gatekeeper.gatekeeper import (
+    MAX_LOSSLESS,
+    SPECK_PX,
+    SPECK_SHARE,
+    AdmittedPicture,
+    RefusedPicture,
+    Strictness,
+    admit,
+)
+from splatpainter.image_files import find_camera, is_exr, picture_header, to_uint8
+from splatpainter.lift.masks import box_mean, change_mask, changed_throughout, dilated, largest_channel
+from splatpainter.painter import Mode
+from splatpainter.pictures.edit_files import MIN_MASK, FileEdit, Photograph, edit_from_files, has_aspect
+from splatpainter.pictures.picture_reader import EXIF_STEPS, Picture, read_mask, read_picture
+from splatpainter.rendering import render as render_views
+from splatpainter.sources.picture_source import PictureRequest
+from splatpainter.splats import Splats
+
+MAX_PHOTOGRAPH_PX = 1600
+"""Longer side, straightened, at which a painted photograph is used; INRIA's trainer and nerfstudio scale larger ones
+down to that."""
+COMPARED_PX = 256
+"""Longer side of pictures whose turns are told apart."""
+MIN_SOLID = 0.5
+"""Alpha from which a pixel of a straightened photograph is one."""
+BLUR_PX = 3
+"""Reach of the means by which a photograph is compared with a render: detail that the asset lacks averages out."""
+MAX_RESIDUAL = 60 / 255
+"""No photograph differs from its render by more without paint, ..."""
+RESIDUALS = 6.0
+"""... and none by so many times what it differs by where there is as much detail."""
+MIN_RESIDUAL = 10 / 255
+"""Smaller differences of a photograph to its render are never paint."""
+DETAIL_LEVELS = 8
+SEED_RESIDUALS, MIN_SEED_RESIDUAL, MAX_SEED_RESIDUAL = 4.0, 24 / 255, 100 / 255
+"""Paint has a place where it differs by more than so many times what four fifths of the pixels differ by, within these
+bounds: of 6 photographs of an asset of 24 to 25 dB none does without paint."""
+SPREAD_PX = 16
+"""Pixels by which paint reaches from there to what differs less, step by step."""
+
+
+@dataclass(frozen=True)
+class StraightPicture:
+    """A photograph as a pinhole camera had taken it."""
+
+    camera: Camera
+    colors: np.ndarray = field(repr=False)
+    """[H, W, 3] display sRGB."""
+    alpha: np.ndarray | None = field(repr=False)
+    """[H, W] 0..1, of the picture's transparency and of what the photograph does not show; None: all of it is there."""
+
+
+def read_photograph(path: Path, size: tuple[int, int]) -> Picture:
+    """A photograph whose camera has `size` (width, height), turned as its camera counts pixels: as the file stores
+    them, for COLMAP, nerfstudio and INRIA's trainer look at no EXIF orientation; as EXIF turns them where only that
+    has the camera's shape. Raises ValueError as `read_picture`."""
+    picture = read_picture(path)
+    orientation = _orientation(path)
+    stored = unturned(picture, orientation)
+    return picture if not has_aspect(stored.size, size) and has_aspect(picture.size, size) else stored
+
+
+def turned(picture: Picture, orientation: int) -> Picture:
+    """A picture as an EXIF orientation (1 to 8) says that it is to be seen."""
+    across, down = EXIF_STEPS.get(orientation, (1, 1))
+
+    def turn(values: np.ndarray) -> np.ndarray:
+        return (values.swapaxes(0, 1) if orientation >= 5 else values)[::down, ::across]
+
+    return picture if orientation == 1 else _rearranged(picture, turn)
+
+
+def unturned(picture: Picture, orientation: int) -> Picture:
+    """The inverse."""
+    across, down = EXIF_STEPS.get(orientation, (1, 1))
+
+    def back(values: np.ndarray) -> np.ndarray:
+        values = values[::down, ::across]
+        return values.swapaxes(0, 1) if orientation >= 5 else values
+
+    return picture if orientation == 1 else _rearranged(picture, back)
+
+
+def _rearranged(picture: Picture, move: Callable[[np.ndarray], np.ndarray]) -> Picture:
+    alpha = None if picture.alpha is None else np.ascontiguousarray(move(picture.alpha))
+    return replace(picture, colors=np.ascontiguousarray(move(picture.colors)), alpha=alpha)
+
+
+def straight_picture(picture: Picture, view: CapturedView, *, all_of_it: bool) -> StraightPicture:
+    """A photograph of its view's shape, through a pinhole of its place, at the view's size."""
+    camera = view.camera
+    picture = picture.resized(camera.width, camera.height)
+    if view.lens is None:
+        return StraightPicture(camera, picture.colors, picture.alpha)
+    window = view.pinhole(all_of_it=all_of_it)
+    if picture.alpha is None:
+        colors, inside = straightened(picture.colors, camera, view.lens, window)
+        return StraightPicture(window, np.clip(colors, 0, 1), None if inside.all() else inside.astype(np.float32))
+    alpha = picture.alpha[..., None]
+    straight, inside = straightened(np.concatenate([picture.colors * alpha, alpha], 2), camera, view.lens, window)
+    colors = np.clip(straight[..., :3] / np.maximum(straight[..., 3:], 1e-3), 0, 1)
+    return StraightPicture(window, colors, np.clip(straight[..., 3], 0, 1) * inside)
+
+
+def picture_edit(
+    picture: Path,
+    camera: Path | None = None,
+    mask: Path | None = None,
+    asset: Path | None = None,
+    folders: Sequence[Path] = (),
+) -> FileEdit:
+    """As `edit_from_files`; where `camera` is FILE[:N] of a capture, or the asset lies in a folder with one and the
+    picture has no camera but the name of a photograph of it: that photograph, painted on.
+
+    Raises ValueError, one line naming the file: as `edit_from_files`, and for a capture in which nothing says which
+    view it is."""
+    if camera is not None and split_selector(camera)[0] == camera and not is_capture(camera):
+        return edit_from_files(picture, camera, mask, folders)
+    if carries_camera(picture):  # a render's, painted on: no photograph
+        return edit_from_files(picture, None, mask)
+    if camera is not None:
+        return photograph_edit(picture, choose_one(named_views(camera, asset, picture), camera), mask)
+    beside = None if asset is None else capture_of(asset)
+    views = [] if beside is None else named_views(beside, asset, picture)
+    if len(views) == 1 and views[0].is_called(picture.name):
+        return photograph_edit(picture, views[0], mask)
+    return edit_from_files(picture, None, mask, folders)
+
+
+def carries_camera(picture: Path) -> bool:
+    """Whether a picture has a camera of splatpainter's, in it or beside it."""
+    try:
+        find_camera(picture)
+    except ValueError:
+        return False
+    return True
+
+
+def photograph_edit(path: Path, view: CapturedView, mask: Path | None = None) -> FileEdit:
+    """A painted photograph, straightened, at most of MAX_PHOTOGRAPH_PX. mask: a picture of the photograph's pixels.
+
+    Raises ValueError, one line naming the file: unreadable, of another shape than its camera, an empty mask."""
+    size = view.camera.width, view.camera.height
+    original = view.picture()
+    if original is not None and original.resolve() == path.resolve():  # painted in its place
+        original = None
+    taken = None if original is None else read_photograph(original, size)
+    if taken is not None and not has_aspect(taken.size, size):
+        taken = None
+    picture, turn = _as_taken(path, size, taken, 1 if original is None else _orientation(original))
+    window = view.resized(*picture.size).pinhole(all_of_it=True)
+    scale = min(1.0, MAX_PHOTOGRAPH_PX / max(window.width, window.height))
+    used = view.resized(*(max(1, round(side * scale)) for side in picture.size))
+    straight = straight_picture(picture, used, all_of_it=True)
+    notes = list(picture.notes)
+    if view.lens is not None:
+        notes.append("its lens's distortion was taken out")
+    camera = straight.camera
+    if picture.size != (used.camera.width, used.camera.height):
+        size_used = f"{used.camera.width}x{used.camera.height}"
+        notes.append(f"used at {size_used} of its {picture.size[0]}x{picture.size[1]} pixels")
+    marked = None if mask is None else _mask(mask, turn, used)
+    if taken is not None:
+        taken = _saved_again(taken, picture, path, turn)
+    before = None if taken is None else straight_picture(taken, used, all_of_it=True).colors
+    photograph = Photograph(before, None if before is None else original)
+    fitted = Picture(straight.colors, straight.alpha)
+    return FileEdit(path, fitted, picture.size, camera, marked, tuple(notes), photograph=photograph)
+
+
+def _orientation(path: Path) -> int:
+    """1 to 8; 1 of files whose header Pillow cannot read, which have none."""
+    try:
+        return 1 if is_exr(path) else picture_header(path)[1]
+    except ValueError:
+        return 1
+
+
+def _as_taken(path: Path, size: tuple[int, int], taken: Picture | None, orientation: int) -> tuple[Picture, int]:
+    """(a painted photograph as its camera counts pixels, the EXIF orientation that was taken back for it). Programs
+    keep the orientation of the photograph, or turn its pixels and drop it: of the ways that fit, the one nearest to the
+    photograph as it was taken. orientation: of that."""
+    picture = read_picture(path, inks=False)
+    turns = dict.fromkeys((_orientation(path), 1, orientation))
+    ways = [(unturned(picture, turn), turn) for turn in turns]
+    ways = [way for way in ways if has_aspect(way[0].size, size)]
+    if not ways:
+        width, height = picture.size
+        raise ValueError(
+            f"{path}: expected the aspect ratio of its camera ({size[0]}x{size[1]}), got {width}x{height}; "
+            "resize without cropping"
+        )
+    if taken is None or len(ways) == 1:
+        return ways[0]
+    small = [max(1, round(side * COMPARED_PX / max(size))) for side in size]
+    like = taken.resized(*small).colors
+    return min(ways, key=lambda way: float(np.abs(way[0].resized(*small).colors - like).mean()))
+
+
+def _saved_again(taken: Picture, picture: Picture, path: Path, turn: int) -> Picture:
+    """A photograph as it was taken, with the loss that the JPEG at `path`, which it was painted in, has all over: what
+    is left of a difference is paint. Itself where that is nearer, or the file is of another kind or size. picture: what
+    the file holds, which was turned back by the EXIF orientation `turn` for it."""
+    from PIL import Image, JpegImagePlugin
+
+    file_turn = _orientation(path)
+    stored = unturned(turned(taken, turn), file_turn)
+    try:
+        with Image.open(path, formats=("JPEG",)) as image:
+            tables, sampling = getattr(image, "quantization", None), JpegImagePlugin.get_sampling(image)
+            if image.mode != "RGB" or image.size != stored.size or not tables or sampling < 0:
+                return taken
+        buffer = io.BytesIO()
+        Image.fromarray(to_uint8(stored.colors)).save(buffer, "JPEG", qtables=tables, subsampling=sampling)
+        with Image.open(buffer) as again:
+            lossy = replace(stored, colors=np.asarray(again, np.float32) / 255)
+    except Exception:  # another kind of file, or tables that Pillow does not write
+        return taken
+    lossy = unturned(turned(lossy, file_turn), turn)
+    before, after = (float(np.abs(picture.colors - other.colors).mean()) for other in (taken, lossy))
+    return lossy if after < before else taken
+
+
+def _mask(path: Path, turn: int, view: CapturedView) -> np.ndarray:
+    """[H, W] bool of a mask that was painted on the photograph."""
+    marked = read_mask(path).astype(np.float32)
+    size = view.camera.width, view.camera.height
+    as_stored = unturned(Picture(np.repeat(marked[..., None], 3, 2), None), turn)
+    if not has_aspect(as_stored.size, size):
+        as_stored = Picture(np.repeat(marked[..., None], 3, 2), None)
+    if not has_aspect(as_stored.size, size):
+        raise ValueError(f"{path}: expected the mask to have the shape of its photograph, {size[0]}x{size[1]}")
+    straight = straight_picture(as_stored, view, all_of_it=True)
+    out = straight.colors[..., 0] > MIN_MASK
+    if straight.alpha is not None:
+        out &= straight.alpha > MIN_SOLID
+    if not out.any():
+        raise ValueError(f"{path}: empty mask; expected some pixels that are not black (or not transparent)")
+    return out
+
+
+# ---- over the asset
+
+
+def laid_over(edit: FileEdit, splats: Splats, mode: Mode = "local", strictness: Strictness = "normal") -> FileEdit:
+    """A painted photograph over the asset's render: the render's pixels, and the paint in the render's exposure; a file
+    of another kind as it is. In mode "global" all of the picture, by as much as it was changed.
+
+    Raises ValueError: nothing was painted, or everything; RefusedPicture: it shows something else."""
+    photograph = edit.photograph
+    if photograph is None:
+        return edit
+    edit = edit.relative_to(splats.offset)
+    drawn = render_views(splats, edit.camera)
+    space = splats.color_space
+    render, cover = np.clip(to_display(drawn.colors[0], space), 0, 1).astype(np.float32), drawn.alphas[0, ..., 0]
+    colors, taken = edit.picture.colors, photograph.taken
+    solid = np.ones(cover.shape, bool) if edit.picture.alpha is None else edit.picture.alpha > MIN_SOLID
+    if taken is not None and _nearer(colors, render, taken, solid & (cover > MIN_SOLID)):
+        taken = None  # not the photograph was painted on, but a render that lost its camera
+    if mode == "global" and edit.mask is None:
+        return _regraded(edit, render, taken, solid)
+    request = PictureRequest(render, cover, None if edit.mask is None else edit.mask.astype(np.float32))
+    if taken is not None and edit.mask is None:
+        request = replace(request, mask=_painted(edit, taken, solid).astype(np.float32))
+    admitted = _admitted(edit, request, strictness)
+    notes = edit.notes
+    if request.mask is None:
+        paint = _beyond_a_photograph(admitted, render, solid & (cover > MIN_SOLID))
+        if not paint.any():
+            raise ValueError(f"{edit.path}: no paint: it differs from the asset's render by what photographs do")
+        request = replace(request, mask=paint.astype(np.float32))
+        admitted = _admitted(edit, request, strictness)
+        notes += (
+            "what is paint was told from the render, as the photograph is not there; --mask M.png says it better",
+        )
+    notes += tuple(note for note in admitted.notes if "outside the mask" not in note)
+    picture = Picture(admitted.image, None)
+    return replace(edit, picture=picture, mask=admitted.changed, notes=notes, photograph=None)
+
+
+def _admitted(edit: FileEdit, request: PictureRequest, strictness: Strictness) -> AdmittedPicture:
+    colors, alpha = edit.picture.colors, edit.picture.alpha
+    painted = colors if alpha is None else np.dstack([colors, alpha])
+    try:
+        return admit(painted, request, strictness=strictness, tones=False, name=str(edit.path))
+    except RefusedPicture as error:
+        hint = "it was laid over the asset seen from its camera: is it of that view, and the asset of that capture?"
+        raise RefusedPicture(f"{error}; {hint}") from None
+
+
+def _nearer(colors: np.ndarray, render: np.ndarray, taken: np.ndarray, where: np.ndarray) -> bool:
+    """Whether a picture is a painted render, and no painted photograph."""
+    if not where.any():
+        return False
+    to_render, to_taken = (float(np.median(np.abs(colors - other).mean(-1)[where])) for other in (render, taken))
+    return to_render < 0.5 * to_taken
+
+
+def _painted(edit: FileEdit, taken: np.ndarray, solid: np.ndarray) -> np.ndarray:
+    """[H, W] bool: where a photograph differs from itself as it was taken."""
+    assert edit.photograph is not None
+    colors, name = edit.picture.colors, edit.photograph.path
+    if changed_throughout(colors, taken, solid.astype(np.float32)):
+        raise ValueError(
+            f"{edit.path}: differs from {name} nearly everywhere (regraded, sharpened, another photograph); give "
+            "--mode global for a look, or --mask M.png for what was painted"
+        )
+    paint, difference = change_mask(colors, taken) & solid, largest_channel(np.abs(colors - taken))
+    if paint.any() and not paint.all() and np.quantile(difference[~paint], 0.9) > MAX_LOSSLESS:
+        paint &= box_mean(paint, SPECK_PX) > SPECK_SHARE  # saved again with another loss
+    if not paint.any():
+        raise ValueError(f"{edit.path}: is {name} as it was taken; nothing is painted on it")
+    return paint
+
+
+def _beyond_a_photograph(admitted: AdmittedPicture, render: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """[H, W] bool: where a photograph, its exposure corrected, differs from the render by more than photographs do
+    where there is as much detail."""
+    shift = largest_channel(np.abs(box_mean(admitted.aligned - render, BLUR_PX)))
+    grey = render.mean(-1)
+    detail = box_mean(np.abs(np.gradient(grey, axis=0)) + np.abs(np.gradient(grey, axis=1)), 2 * BLUR_PX)
+    if not where.any():
+        return where
+    edges = np.quantile(detail[where], np.linspace(0, 1, DETAIL_LEVELS + 1)[1:-1])
+    level = np.searchsorted(edges, detail)
+    limits = np.zeros(DETAIL_LEVELS)
+    for k in range(DETAIL_LEVELS):
+        values = shift[where & (level == k)]
+        limits[k] = RESIDUALS * float(np.quantile(values, 0.35)) if len(values) else 0.0
+    different = (shift > np.clip(limits, MIN_RESIDUAL, MAX_RESIDUAL)[level]) & where
+    different &= box_mean(different, BLUR_PX) > 0.4  # areas, no lines along edges
+    largest = SEED_RESIDUALS * float(np.quantile(shift[where], 0.8))
+    paint = different & (shift > np.clip(largest, MIN_SEED_RESIDUAL, MAX_SEED_RESIDUAL))
+    for _ in range(max(shift.shape) // SPREAD_PX + 1):
+        more = dilated(paint, SPREAD_PX) & different
+        if more.sum() == paint.sum():
+            break
+        paint = more
+    painted = largest_channel(np.abs(admitted.aligned - render)) > MIN_RESIDUAL / 2
+    return (box_mean(paint, BLUR_PX) > 0) & where & painted
+
+
+def _regraded(edit: FileEdit, render: np.ndarray, taken: np.ndarray | None, solid: np.ndarray) -> FileEdit:
+    """The render, changed by as much as the photograph was; without the photograph as it was taken, the picture."""
+    if taken is None:
+        note = "the photograph before it is not there: its exposure counts as part of the look"
+        return replace(edit, notes=(*edit.notes, note), photograph=None)
+    drift = estimate_drift(taken, render, solid, True)
+    change = drift.corrected(edit.picture.colors) - drift.corrected(taken)
+    colors = np.clip(render + change, 0, 1).astype(np.float32)
+    notes = edit.notes
+    if drift.kind != "none":
+        notes += (f"colours corrected by {drift.strength:.2f} stops ({drift.kind})",)
+    return replace(edit, picture=replace(edit.picture, colors=colors), notes=notes, photograph=None)

@@ -1,0 +1,194 @@
+"""Pictures given by hand, before anything is painted with them: one that differs from its view nearly everywhere is
+refused with the likeliest reason, put right as a source's picture is, or taken as it is.
+
+A mask says what was painted, and mode global takes a picture as a look of all: these are not refused, only warned of
+what cannot be meant (a mirrored picture, another asset).
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from splatpainter.cameras import Camera
+from splatpainter.color import to_display
+from splatpainter.gatekeeper.gatekeeper import Strictness, admit
+from splatpainter.gatekeeper.mistaken_pictures import Explanation, Size, explain
+from splatpainter.image_files import find_camera
+from splatpainter.painter import Mode
+from splatpainter.pictures.edit_files import FileEdit, draw, over_render
+from splatpainter.pictures.encodings import guessed_encoding
+from splatpainter.pictures.picture_reader import Picture
+from splatpainter.pictures.view_search import most_alike, same_view, views_in
+from splatpainter.sources.picture_source import PictureRequest
+from splatpainter.splats import Splats
+
+MismatchPolicy = Literal["refuse", "correct", "force"]
+"""What becomes of a picture that differs from its view everywhere."""
+USUAL_REASONS = "recompressed, another gamma or profile, mirrored, another asset, other axes or another camera"
+NEVER_MEANT = ("turned", "axes", "other")
+"""Causes that are no look of an asset, and no paint under a mask."""
+LOOKS = ("colors", "tone")
+"""Causes that may be a look of the asset."""
+OTHER_AXES = (
+    ("of the asset with its axes read another way (try --frame rub or --frame rdf)", np.diag([1.0, -1.0, -1.0])),
+    ("of the asset turned by a quarter (z up in place of y)", np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])),
+    ("of the asset turned by a quarter (y up in place of z)", np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])),
+)
+"""What it says of a picture, and how the world is turned in it."""
+
+
+@dataclass(frozen=True)
+class CheckedPicture:
+    """A picture that may be painted with."""
+
+    source: FileEdit
+    warning: str = ""
+    """One line, if not empty: it is painted with all the same."""
+
+
+@dataclass(frozen=True)
+class _ComparedView:
+    """A picture beside what the asset shows from its camera, display colours 0..1."""
+
+    camera: Camera
+    colors: np.ndarray
+    """[H, W, 3]; transparent parts show the asset."""
+    render: np.ndarray
+    """[H, W, 3]."""
+    cover: np.ndarray
+    """[H, W] alpha."""
+
+
+def checked_picture(
+    source: FileEdit,
+    splats: Splats,
+    mode: Mode = "local",
+    policy: MismatchPolicy = "refuse",
+    strictness: Strictness = "normal",
+) -> CheckedPicture:
+    """The picture as it is to be painted with. policy "correct": put right by what explains it, and by the gatekeeper
+    (gatekeeper/gatekeeper.py) to that strictness; "force": nothing is put right, and nothing is taken for compression.
+    Renders the view. Raises ValueError, one line: a picture that differs everywhere (policy "refuse", no mask, not mode
+    global), and what the gatekeeper refuses."""
+    source = source.relative_to(splats.offset)
+    view = _compared(source.at_view(), splats)
+    if not (view.cover > 0).any():  # nothing in view, which the painter says
+        return CheckedPicture(source)
+    explanation = explain(
+        view.colors, view.render, view.cover, lambda size: _with_other_axes(splats, view.camera, size)
+    )
+    if policy == "correct":
+        return CheckedPicture(_corrected(source, view, splats, mode, strictness, explanation))
+    free = source.mask is None and mode != "global"
+    warning = ""
+    if explanation is not None and explanation.cause == "look":
+        warning = f"{source.path}: it looks {explanation.words}" if free and policy == "refuse" else ""
+    elif explanation is not None and free and policy == "refuse":
+        raise ValueError(f"{_complaint(source, explanation)}; {_advice(explanation)}")
+    elif explanation is not None and mode == "global" and explanation.cause == "other" and not _other_view(source):
+        pass  # a new light changes everything, too, and nothing explains it
+    elif explanation is not None and (free or explanation.cause in NEVER_MEANT):
+        warning = f"{_complaint(source, explanation)}; painted with as it is"
+    if policy == "force":
+        source = replace(source, picture=replace(source.picture, encoding=None))
+    elif free and not source.is_lossy and source.original_size == (view.camera.width, view.camera.height):
+        encoding = guessed_encoding(view.colors, view.render, view.cover)
+        source = replace(source, picture=replace(source.picture, encoding=encoding))
+    return CheckedPicture(source, warning)
+
+
+def _complaint(source: FileEdit, explanation: Explanation) -> str:
+    differs = f"differs from its view on {100 * (1 - explanation.agreeing):.0f} % of what they show"
+    words = explanation.words
+    if explanation.cause == "other" and (hint := _other_view(source)):
+        words = f"of another view: {hint}"
+    return f"{source.path}: {differs}; most likely it is {words} (usual reasons: {USUAL_REASONS})"
+
+
+def _advice(explanation: Explanation) -> str:
+    ways = ["--mask M.png says what was painted"]
+    if explanation.cause in LOOKS:
+        ways.insert(0, "--mode global takes it as a look of the whole asset")
+    if explanation.cause not in ("axes", "other"):
+        ways.append("--correct puts it right and paints what is left")
+    return f"nothing was painted: {', '.join(ways)}, --force paints with it as it is"
+
+
+def _other_view(source: FileEdit) -> str:
+    """What says that a picture is of another view than it is compared with: its own camera, or the view beside it that
+    it is like; "" if nothing does."""
+    camera = source.view or source.camera
+    with contextlib.suppress(ValueError):
+        if not same_view(find_camera(source.path), camera):
+            return "it has a camera of its own (leave --camera out)"
+    views = views_in([source.path.parent], source.original_size, besides=source.path)
+    best = most_alike(source.picture.colors, views)
+    if best is None or same_view(best.camera, camera):
+        return ""
+    return f"it is like {best.name} (--camera {source.path.parent / best.name})"
+
+
+def _compared(source: FileEdit, splats: Splats) -> _ComparedView:
+    drawn, cover = draw(splats, source.camera)
+    render = np.clip(to_display(drawn, splats.color_space), 0, 1).astype(np.float32)
+    colors, alpha = source.picture.colors, source.picture.alpha
+    if alpha is not None:
+        background = to_display(np.asarray(source.camera.background, np.float32), splats.color_space)
+        red, green, blue = background.tolist()
+        colors = over_render(colors, alpha, render, cover, (red, green, blue) if source.cut_out else None)
+    return _ComparedView(source.camera, np.ascontiguousarray(colors, np.float32), render, cover)
+
+
+def _with_other_axes(splats: Splats, camera: Camera, size: Size) -> Iterator[tuple[str, np.ndarray]]:
+    small = camera.resized(*size)
+    for words, turn in OTHER_AXES:
+        world = np.eye(4)
+        world[:3, :3] = turn
+        drawn, _ = draw(splats, replace(small, world_to_camera=camera.world_to_camera @ world))
+        yield words, np.clip(to_display(drawn, splats.color_space), 0, 1)
+
+
+def _corrected(
+    source: FileEdit,
+    view: _ComparedView,
+    splats: Splats,
+    mode: Mode,
+    strictness: Strictness,
+    explanation: Explanation | None,
+) -> FileEdit:
+    """The picture after what explains it was undone, and through the gatekeeper: cut to what was painted."""
+    colors, notes = view.colors if source.picture.alpha is not None else source.picture.colors, list(source.notes)
+    mistake = None if explanation is None else explanation.mistake
+    if mistake is not None and mistake.undone is not None:
+        colors = np.ascontiguousarray(mistake.undone(colors), np.float32)
+        notes.append(f"put right: it was {mistake.words}")
+    mask = source.at_view().mask
+
+    def enlarged(factor: int) -> np.ndarray:
+        larger = view.camera.resized(view.camera.width * factor, view.camera.height * factor)
+        return np.clip(to_display(draw(splats, larger)[0], splats.color_space), 0, 1).astype(np.float32)
+
+    admitted = admit(
+        colors,
+        PictureRequest(view.render, view.cover, None if mask is None else mask.astype(np.float32)),
+        strictness=strictness,
+        regraded=mode == "global",
+        mask_sent=False,
+        enlarged=None if source.view is None else enlarged,
+        name=str(source.path),
+    )
+    height, width = admitted.changed.shape
+    camera = view.camera if admitted.factor == 1 else view.camera.resized(width, height)
+    return FileEdit(
+        source.path,
+        Picture(admitted.image, None),
+        (width, height),
+        camera,
+        admitted.changed,
+        (*notes, *admitted.notes),
+    )

@@ -1,0 +1,153 @@
+"""Looks that are fitted to what they are applied to: the colours of a reference picture, and one new colour.
+
+`ColorMatch` carries over mean and covariance by the linear Monge-Kantorovitch map (Pitie and Kokaram, "The Linear
+Monge-Kantorovitch Linear Colour Mapping for Example-Based Colour Transfer", CVMP 2007): of all linear maps between two
+Gaussian distributions the one that moves colours least,
+
+    t(u) = T (u - m_u) + m_v,   T = A^(-1/2) (A^(1/2) B A^(1/2))^(1/2) A^(-1/2)
+
+with A the covariance of the asset's colours and B that of the picture's, in display sRGB. The asset's are the base
+colours of its Gaussians, each weighted by what views from all around show of it, so that what lies inside does not
+count. `Recolor` gives everything one colour and keeps its light and shade.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from splatpainter.cameras import bounding_sphere, spherical_cameras
+from splatpainter.color import base_color, linear_to_srgb, luminance, srgb_to_linear, to_display
+from splatpainter.pictures.picture_reader import Picture
+from splatpainter.splats import Splats
+
+ColorMap = Callable[[np.ndarray], np.ndarray]
+"""[..., 3] display colours 0..1 -> the like."""
+NOISE = 4 / 255
+"""Standard deviation that is added to both distributions: a flat one has no spread that could be stretched."""
+MIN_ALPHA = 0.5
+"""Pixels of a reference picture with less alpha do not count."""
+MAX_PIXELS = 1 << 20
+"""Most pixels of a reference picture that are looked at; of larger ones every n-th row and column."""
+VIEW_COUNT, VIEW_PX = 24, 192
+"""Views around an asset that say what is seen of it, and the pixels of their sides."""
+MIN_LUMINANCE = 1e-3
+"""Least luminance of what is given a new colour, in linear light: black has no light and shade that could be kept."""
+
+
+@dataclass(frozen=True)
+class AffineMap:
+    """Display colours, moved by a matrix from one mean to another."""
+
+    matrix: np.ndarray
+    """[3, 3] from the right."""
+    start: np.ndarray
+    """[3] mean of the colours before ..."""
+    end: np.ndarray
+    """... and after."""
+
+    def __call__(self, colors: np.ndarray) -> np.ndarray:
+        matrix, start, end = (values.astype(np.float32) for values in (self.matrix, self.start, self.end))
+        return ((colors - start) @ matrix + end).clip(0, 1)
+
+
+@dataclass(frozen=True)
+class NewColor:
+    """One display colour under the light and shade of what is there."""
+
+    target: tuple[float, float, float]
+    mean: float
+    """Linear luminance of what is there, which becomes that of the target."""
+
+    def __call__(self, colors: np.ndarray) -> np.ndarray:
+        paint = srgb_to_linear(np.asarray(self.target, np.float32))
+        shade = luminance(srgb_to_linear(colors.clip(0, 1)))[..., None] / np.float32(self.mean)
+        return linear_to_srgb((shade * paint).clip(0, 1)).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class ColorMatch:
+    """The colour statistics of a reference picture."""
+
+    picture: Picture = field(repr=False)
+    name: str = "picture"
+
+    def fit(self, colors: np.ndarray, weights: np.ndarray) -> AffineMap:
+        """colors: [N, 3] display colours of what is to change, weights: [N] how much each of them counts.
+        Raises ValueError: nothing of the picture is opaque."""
+        step = max(1, int(np.ceil((self.picture.colors.shape[0] * self.picture.colors.shape[1] / MAX_PIXELS) ** 0.5)))
+        pixels = self.picture.colors[::step, ::step].reshape(-1, 3)
+        alpha = self.picture.alpha
+        share = np.ones(len(pixels)) if alpha is None else alpha[::step, ::step].reshape(-1).astype(np.float64)
+        share[share < MIN_ALPHA] = 0
+        if not share.sum() > 0:
+            raise ValueError(f"{self.name}: expected a reference picture of which something is opaque")
+        mean, covariance = statistics(colors, weights)
+        target_mean, target_covariance = statistics(pixels, share)
+        return AffineMap(monge_kantorovitch(covariance, target_covariance), mean, target_mean)
+
+    def describe(self) -> str:
+        return f"colours of {self.name}"
+
+
+@dataclass(frozen=True)
+class Recolor:
+    """One new colour: the hue and saturation of `target`, and of what is there its luminance, relative to the mean."""
+
+    target: tuple[float, float, float]
+    """Display colour 0..1."""
+
+    def fit(self, colors: np.ndarray, weights: np.ndarray) -> NewColor:
+        """As ColorMatch.fit. Raises ValueError: what is to change is black."""
+        light = luminance(srgb_to_linear(colors.clip(0, 1).astype(np.float64)))
+        mean = float((light * weights).sum() / max(weights.sum(), 1e-12))
+        if mean < MIN_LUMINANCE:
+            raise ValueError("recolor: expected something brighter than black; raise its exposure first")
+        return NewColor(self.target, mean)
+
+    def describe(self) -> str:
+        return "colour #" + "".join(f"{round(255 * value):02x}" for value in self.target)
+
+
+def statistics(colors: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """([3] mean, [3, 3] covariance) float64 of colours [N, 3] with weights [N] >= 0, not all 0."""
+    share = weights.astype(np.float64) / weights.sum(dtype=np.float64)
+    mean = share @ colors.astype(np.float64)
+    centred = colors - mean
+    return mean, (centred * share[:, None]).T @ centred
+
+
+def monge_kantorovitch(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """[3, 3] symmetric: the linear map from a covariance to another, each with NOISE added."""
+    noise = NOISE**2 * np.eye(3)
+    root = _power(source + noise, 0.5)
+    inverse = _power(source + noise, -0.5)
+    return inverse @ _power(root @ (target + noise) @ root, 0.5) @ inverse
+
+
+def _power(matrix: np.ndarray, exponent: float) -> np.ndarray:
+    """Power of a symmetric positive matrix."""
+    values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
+    return (vectors * np.maximum(values, 1e-12) ** exponent) @ vectors.T
+
+
+def display_colors(splats: Splats) -> np.ndarray:
+    """[N, 3] float32 base colours 0..1 as a picture shows them; of Gaussians that cannot be drawn too."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        base = np.clip(np.nan_to_num(base_color(splats.sh)), 0, 1).astype(np.float32)
+    return to_display(base, splats.color_space)
+
+
+def seen_weights(splats: Splats) -> np.ndarray:
+    """[N] float64 pixels that show each Gaussian in VIEW_COUNT views from all around."""
+    from splatpainter.rendering.cpu.projected_view import project
+
+    center, radius = bounding_sphere(splats)
+    weights = np.zeros(len(splats))
+    black, everywhere = np.zeros((VIEW_PX, VIEW_PX, 3), np.float32), np.ones((VIEW_PX, VIEW_PX), np.float32)
+    for camera in spherical_cameras(center, 3.2 * radius, VIEW_COUNT, size=VIEW_PX):
+        view = project(splats, camera.local)
+        weights[view.gaussian_ids] += view.backproject(black, everywhere).weight
+    return weights

@@ -1,0 +1,1 @@
+"""One file per asset format, and the parts that formats share."""

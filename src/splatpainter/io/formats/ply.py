@@ -1,0 +1,390 @@
+"""INRIA PLY, the format that 3D Gaussian training writes: read in every variant met in the wild, written back exactly.
+
+Vertex properties, in any order and of any scalar type: x y z, f_dc_0..2, f_rest_0..3(K-1)-1 (channel-major: all red,
+then green, then blue; none for degree 0), opacity (logit), scale_0..2 (natural log), rot_0..3 (w x y z). Without
+f_dc_*, red green blue (0..255 as uchar, or in any other type that holds such numbers, else 0..1) are the base colour.
+Everything else in the file is kept as it is.
+
+Positions that float32 cannot hold (Splats.offset) are read and written as doubles; a new file of such has double x y z.
+
+Writing over a PLY source: output row i begins as the bytes of source row origin[i] (zeros for -1), and a property is
+encoded anew where, and only where, its value in `Splats` differs in any bit from what the source decoded to.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from splatpainter.io import files, positions
+from splatpainter.io.formats import activations
+from splatpainter.io.formats.ply_container import (
+    BinaryRows,
+    Element,
+    Header,
+    Rows,
+    element_size,
+    make_header,
+    read_header,
+    text_rows,
+)
+from splatpainter.io.formats.reuse import differs, row_problems
+from splatpainter.splats import SH_COUNTS, ColorSpace, Source, Splats
+
+DEGREES = {3 * (count - 1): degree for count, degree in SH_COUNTS.items()}
+"""Number of f_rest_* properties -> SH degree."""
+MIP_COMMENT = "SplatRenderMode: mip"
+PLAIN_COMMENT = "SplatRenderMode: default"
+SPACE_COMMENT = "SplatColorSpace: "
+"""Ours: PLY itself cannot say that colours are linear."""
+MIN_BYTE_COLOR = 16.0
+"""Largest colour of float properties from which they are taken as 0..255: light of a display is 1, of HDR a few."""
+BLOCK_ROWS = 1 << 13
+"""Rows encoded at a time when writing: 2 MB at SH degree 3, which stay in the cache."""
+
+
+@dataclass(frozen=True)
+class PlyFile:
+    """Source.detail of a PLY file."""
+
+    header: Header
+    before: bytes
+    """Elements ahead of the vertices."""
+    rows: Rows
+    after: bytes
+    """Elements behind the vertices, and whatever follows them."""
+    unended: bool = False
+    """A text file whose last line has no line ending (`rows` have one)."""
+    color_span: float | None = None
+    """What full red is in the file, where colours stand in for f_dc_*; None where they do not."""
+
+
+def read_ply(path: Path, lenient: bool = False, offset: positions.Offset | None = None) -> Splats:
+    """Read an INRIA PLY file (not a compressed one, see compressed_ply.py). lenient: also one whose elements behind the
+    vertices are cut short; what is left of them is kept. offset: of the means; None: the one that they need.
+
+    Raises ValueError with one line: broken header, truncated data, a mesh or point cloud, a wrong number of f_rest_*.
+    """
+    with files.reading(path) as file:
+        header = read_header(file, path)
+        vertex = header.element("vertex")
+        if vertex is None:
+            raise ValueError(f"{path}: a PLY file without element 'vertex'; expected Gaussian splats")
+        plan = columns_of(vertex.names, path, header)
+        if vertex.has_lists:
+            raise ValueError(f"{path}: element 'vertex' has a list property; expected single values only")
+        record, problems = _read_body(file, header, vertex, path, lenient)
+        record = replace(record, color_span=_color_span(record.rows, plan["sh"], vertex))
+    with ThreadPoolExecutor(1) as pool:
+        # Hashing lets go of the GIL, so it runs beside the decoding.
+        digest = pool.submit(_sha256, record)
+        splats = _decode(record, plan, offset)
+        gaussian_names = {name for names in plan.values() for name in names} | {"nx", "ny", "nz"}
+        extra = [name for name in vertex.names if name not in gaussian_names]
+        if extra:
+            listed = _named(extra) + (", ..." if len(extra) > 8 else "")
+            problems.append(f"extra vertex properties (kept as they are): {listed}")
+        other_elements = [e.name for e in header.elements if e.name != "vertex"]
+        if other_elements:
+            problems.append(f"extra elements (kept as they are): {_named(other_elements)}")
+        problems += row_problems(splats)
+        source = Source(str(path), "ply", splats, digest.result(), record, tuple(problems))
+    return replace(splats, source=source, origin=np.arange(len(splats), dtype=np.int64))
+
+
+def write_ply(path: Path, splats: Splats) -> None:
+    """Write a PLY file: over a PLY source exactly (see above), otherwise in INRIA's property order, little endian.
+
+    Splats of another SH degree than their source's: the f_rest_* lines of its header are replaced (float, in the old
+    ones' place), every other property keeps its bytes. `antialiased` and `color_space` are said in a comment where the
+    source says otherwise. Raises ValueError when the file cannot be written.
+    """
+    source = splats.source
+    if source is not None and source.format == "ply" and splats.origin is not None:
+        record, old, origin = source.detail, source.splats, splats.origin
+    else:
+        doubles = splats.offset != positions.NO_OFFSET
+        record, old, origin = _standard(splats.sh_degree, doubles), None, np.full(len(splats), -1, np.int64)
+    if old is not None and old.sh_degree != splats.sh_degree:
+        record = _with_degree(record, splats.sh_degree)
+        coefficients = np.zeros((len(old), splats.sh.shape[1], 3), np.float32)
+        shared = min(old.sh.shape[1], splats.sh.shape[1])
+        coefficients[:, :shared] = old.sh[:, :shared]
+        old = replace(old, sh=coefficients)
+    header = record.header.with_counts({"vertex": len(splats)})
+    header = settled_comments(header, splats, old)
+    with files.writing(path) as file:
+        file.write(header.raw)
+        file.write(record.before)
+        for last, block in _encode(splats, record, old, np.asarray(origin, np.int64)):
+            file.write(block[: -len(header.newline)] if last and record.unended else block)
+        file.write(record.after)
+
+
+def columns_of(names: Sequence[str], path: Path, header: Header | None = None) -> dict[str, tuple[str, ...]]:
+    """Attribute of `Splats` -> the vertex properties that hold its values, in the attribute's own (C) order.
+
+    Raises ValueError when the properties are not those of Gaussian splats or the f_rest_* do not fit an SH degree.
+    """
+    present = set(names)
+    base = ("f_dc_0", "f_dc_1", "f_dc_2")
+    if not present.intersection(base) and present.issuperset(("red", "green", "blue")):
+        base = ("red", "green", "blue")
+    plan = {
+        "means": ("x", "y", "z"),
+        "quats": ("rot_0", "rot_1", "rot_2", "rot_3"),
+        "scales": ("scale_0", "scale_1", "scale_2"),
+        "opacities": ("opacity",),
+        "sh": base,
+    }
+    missing = [name for required in plan.values() for name in required if name not in present]
+    if missing == ["scale_2"]:
+        raise ValueError(f"{path}: no scale_2: a file of 2D Gaussians (surfels); expected 3D Gaussians")
+    if missing:
+        what = "a mesh" if header is not None and header.element("face") else "not a Gaussian splat file"
+        listed = ", ".join(missing[:6]) + (", ..." if len(missing) > 6 else "")
+        raise ValueError(f"{path}: a PLY file, but {what}: its vertices lack {listed}")
+    rest = _rest_count(present, path)
+    if rest:
+        plan["sh"] += tuple(f"f_rest_{c * (rest // 3) + k}" for k in range(rest // 3) for c in range(3))
+    return plan
+
+
+def comment_settings(comments: Sequence[str]) -> tuple[bool, ColorSpace]:
+    """(antialiased, color_space) that header comments ask for: Brush's `SplatRenderMode: mip | default`, Postshot's
+    `antialiased [0 | 1]`, our `SplatColorSpace: linear`. The last one of a kind wins, as in Brush."""
+    antialiased, space = False, "srgb"
+    for comment in comments:
+        words = comment.lower().replace(":", " ").replace("=", " ").split()
+        if len(words) == 2 and words[0] == "splatrendermode":
+            antialiased = words[1] == "mip"
+        elif words and words[0] == "antialiased" and len(words) <= 2:
+            antialiased = words[1:] in ([], ["1"], ["true"])
+        elif words == ["splatcolorspace", "linear"] or words == ["splatcolorspace", "srgb"]:
+            space = words[1]
+    return antialiased, "linear" if space == "linear" else "srgb"
+
+
+def settled_comments(header: Header, splats: Splats, old: Splats | None) -> Header:
+    """The header with comments for what `splats` says otherwise than the file does (`old`: as decoded, None if new)."""
+    if splats.antialiased != (old is not None and old.antialiased):
+        header = header.with_comment(MIP_COMMENT if splats.antialiased else PLAIN_COMMENT)
+    if splats.color_space != (old.color_space if old is not None else "srgb"):
+        header = header.with_comment(SPACE_COMMENT + splats.color_space)
+    return header
+
+
+def _rest_count(names: set[str], path: Path) -> int:
+    rest = {name for name in names if re.fullmatch(r"f_rest_[0-9]{1,4}", name)}
+    if len(rest) not in DEGREES:
+        expected, degree = next(((n, d) for n, d in DEGREES.items() if n >= len(rest)), max(DEGREES.items()))
+        raise ValueError(f"{path}: expected {expected} f_rest_* properties for SH degree {degree}, found {len(rest)}")
+    gap = next((k for k in range(len(rest)) if f"f_rest_{k}" not in rest), None)
+    if gap is not None:
+        raise ValueError(f"{path}: expected f_rest_0 to f_rest_{len(rest) - 1}, but f_rest_{gap} is missing")
+    return len(rest)
+
+
+def _read_body(file: BinaryIO, header: Header, vertex: Element, path: Path, lenient: bool) -> tuple[PlyFile, list[str]]:
+    ahead = header.elements[: header.elements.index(vertex)]
+    behind = header.elements[len(ahead) + 1 :]
+    start = file.tell()
+    available = os.fstat(file.fileno()).st_size - start
+    problems: list[str] = []
+    if header.format == "ascii":
+        body = file.read()
+        complete = body if not body or body.endswith(b"\n") else body + header.newline
+        pairs = [(p.name, p.type) for p in vertex.properties]
+        rows = text_rows(complete, sum(e.count for e in ahead), vertex.count, pairs, header.newline, path)
+        after = body[rows.starts[-1] :]
+        lines = after.count(b"\n") + (after != b"" and not after.endswith(b"\n"))
+        extra_lines = lines - sum(e.count for e in behind)
+        if lines < sum(e.count for e in behind if e.properties):
+            _cut_short("what follows element 'vertex' is", lenient, path, problems)
+        elif extra_lines > 0 and after.strip():
+            problems.append(f"{extra_lines} lines behind the last element (kept as they are)")
+        return PlyFile(header, body[: rows.starts[0]], rows, after, len(complete) > len(body) and not after), problems
+    skipped = 0
+    for element in ahead:
+        file.seek(start + skipped)
+        skipped += element_size(file, header, element, available - skipped, path)
+    size = element_size(file, header, vertex, available - skipped, path)
+    file.seek(start)
+    before = file.read(skipped)
+    # fromfile gives memory of its own: aligned, and safe when this very file is later replaced by a save.
+    records = np.fromfile(file, vertex.dtype(header.order), vertex.count)
+    rest = available - skipped - size
+    for element in behind:
+        try:
+            file.seek(start + available - rest)
+            rest -= element_size(file, header, element, rest, path)
+        except ValueError:
+            _cut_short(f"element '{files.printable(element.name)}' is", lenient, path, problems)
+            rest = 0
+            break
+    if rest:
+        problems.append(f"{rest} trailing bytes (kept as they are)")
+    file.seek(start + skipped + size)
+    return PlyFile(header, before, BinaryRows(records, header.order), file.read()), problems
+
+
+def _cut_short(what: str, lenient: bool, path: Path, problems: list[str]) -> None:
+    if not lenient:
+        raise ValueError(
+            f"{path}: truncated: {what} cut short; all rows are there (--lenient, or lenient=True, opens it anyway)"
+        )
+    problems.append(f"{what} cut short (kept as it is)")
+
+
+def _named(names: Sequence[str]) -> str:
+    return ", ".join(files.printable(name, 40) for name in names[:8])
+
+
+def _sha256(record: PlyFile) -> str:
+    digest = hashlib.sha256(record.header.raw)
+    digest.update(record.before)
+    stored = record.rows.stored()
+    digest.update(stored[: -len(record.header.newline)] if record.unended else stored)
+    digest.update(record.after)
+    return digest.hexdigest()
+
+
+def _decode(record: PlyFile, plan: Mapping[str, tuple[str, ...]], offset: positions.Offset | None) -> Splats:
+    rows, span = record.rows, record.color_span
+    values = rows.columns(plan)
+    scales = activations.exp(values["scales"])
+    if offset is None:
+        coarse = positions.is_coarse(values["means"], scales)
+        offset = positions.offset_of(rows.doubles(plan["means"]), scales) if coarse else positions.NO_OFFSET
+    if offset != positions.NO_OFFSET:
+        values["means"] = positions.relative(rows.doubles(plan["means"]), offset)
+    sh = values["sh"]
+    if span is not None:
+        sh[:, :3] = activations.color_to_dc(sh[:, :3] / np.float32(span))
+    antialiased, space = comment_settings(record.header.comments)
+    return Splats(
+        means=values["means"],
+        quats=values["quats"],
+        scales=scales,
+        opacities=activations.sigmoid(values["opacities"][:, 0]),
+        sh=sh.reshape(len(rows), len(plan["sh"]) // 3, 3),
+        antialiased=antialiased,
+        color_space=space,
+        offset=offset,
+    )
+
+
+def _encode(
+    splats: Splats, record: PlyFile, old: Splats | None, origin: np.ndarray
+) -> Iterator[tuple[bool, memoryview]]:
+    """(is it the last block, bytes) for BLOCK_ROWS rows at a time."""
+    vertex = record.header.element("vertex")
+    assert vertex is not None
+    plan = columns_of(vertex.names, Path("source"))
+    span = record.color_span
+    for start in range(0, len(splats), BLOCK_ROWS):
+        rows = origin[start : start + BLOCK_ROWS]
+        block = record.rows.block(rows)
+        has_source = rows >= 0
+        in_place = np.array_equal(rows, np.arange(start, start + len(rows)))
+        for attribute, names in plan.items():
+            if in_place and old is not None and getattr(old, attribute) is getattr(splats, attribute):
+                continue
+            new = getattr(splats, attribute)[start : start + BLOCK_ROWS].reshape(-1, len(names))
+            before = new[:0] if old is None else getattr(old, attribute).reshape(-1, len(names))
+            if _is_stored_as_it_is(attribute, splats, span) and block.put_floats(names, new, before, rows):
+                continue
+            changed = np.ones(new.shape, bool)
+            if old is not None and in_place:
+                changed = differs(new, before[start : start + len(rows)])
+            elif old is not None:
+                changed[has_source] = differs(new[has_source], before[rows[has_source]])
+            for k in np.flatnonzero(changed.any(0)):
+                where = changed[:, k]
+                values = _to_file(attribute, new[where, k], span if k < 3 else None)
+                if attribute == "means" and splats.offset[k]:
+                    values = values.astype(np.float64) + splats.offset[k]
+                block.put(names[k], where, values)
+        yield start + BLOCK_ROWS >= len(splats), block.stored()
+
+
+def _is_stored_as_it_is(attribute: str, splats: Splats, span: float | None) -> bool:
+    """Whether a file of floats holds the very bits of an attribute."""
+    if attribute == "means":
+        return not any(splats.offset)
+    return attribute == "quats" or (attribute == "sh" and span is None)
+
+
+def _to_file(attribute: str, values: np.ndarray, span: float | None) -> np.ndarray:
+    if attribute == "scales":
+        return activations.log(values)
+    if attribute == "opacities":
+        return activations.logit(values)
+    if attribute == "sh" and span is not None:
+        return activations.dc_to_color(values) * np.float32(span)
+    return values
+
+
+def _color_span(rows: Rows, names: Sequence[str], vertex: Element) -> float | None:
+    """What full red is in the file, where colours stand in for f_dc_*; None where they do not.
+
+    By the type of the property: 1 of floats, the largest number of integers. But writers store bytes in wider types:
+    where the largest colour says so, it is 255."""
+    if names[0] != "red":
+        return None
+    code = next(p.type for p in vertex.properties if p.name == "red")
+    if code == "u1":
+        return 255.0
+    with np.errstate(invalid="ignore"):
+        colors = rows.columns({"sh": names[:3]})["sh"]
+        most = float(np.nanmax(colors, initial=0.0)) if len(colors) else 0.0
+    if code[0] == "f":
+        return 255.0 if MIN_BYTE_COLOR < most <= 255 else 1.0
+    span = float(np.iinfo(code).max)
+    return 255.0 if span > 255 and 1 < most <= 255 else span
+
+
+def _standard(degree: int, doubles: bool = False) -> PlyFile:
+    """INRIA's own layout, without rows. doubles: of positions, which float32 cannot hold."""
+    rest = 3 * (degree + 1) ** 2 - 3
+    names = [*"xyz", "nx", "ny", "nz", *(f"f_dc_{k}" for k in range(3)), *(f"f_rest_{k}" for k in range(rest))]
+    names += ["opacity", *(f"scale_{k}" for k in range(3)), *(f"rot_{k}" for k in range(4))]
+    kinds = [("double" if doubles and name in ("x", "y", "z") else "float", name) for name in names]
+    header = make_header("binary_little_endian", (), [("vertex", 0, kinds)])
+    return PlyFile(header, b"", BinaryRows(np.zeros(0, header.elements[0].dtype("<")), "<"), b"")
+
+
+def _with_degree(record: PlyFile, degree: int) -> PlyFile:
+    """The same file with f_rest_* for another SH degree: shared coefficients keep their bits, new ones are zero."""
+    vertex = record.header.element("vertex")
+    assert vertex is not None
+    old = sorted((n for n in vertex.names if re.fullmatch(r"f_rest_[0-9]{1,4}", n)), key=lambda n: int(n[7:]))
+    old_bands, new_bands = len(old) // 3, (degree + 1) ** 2 - 1
+    remaining = [n for n in vertex.names if n not in old]
+    first = vertex.names.index(old[0]) if old else None
+    # Behind f_dc_2 where there were none; all together where the first one stood.
+    position = len([n for n in vertex.names[:first] if n not in old]) if old else _after_base(remaining)
+    names: list[tuple[str, str, str | None]] = [
+        (p.name, p.type, p.name) for p in vertex.properties if p.name in remaining
+    ]
+    rest: list[tuple[str, str, str | None]] = [
+        (f"f_rest_{c * new_bands + k}", "f4", f"f_rest_{c * old_bands + k}" if k < old_bands else None)
+        for c in range(3)
+        for k in range(new_bands)
+    ]
+    header = record.header.with_properties(
+        "vertex", old, [("float", name) for name, _, _ in rest], remaining[position - 1] if position else None
+    )
+    return replace(record, header=header, rows=record.rows.relayout(names[:position] + rest + names[position:]))
+
+
+def _after_base(names: Sequence[str]) -> int:
+    return names.index("f_dc_2") + 1 if "f_dc_2" in names else len(names)

@@ -1,0 +1,183 @@
+"""Local lift: an edited region of one view is written onto the Gaussians that make it; those too coarse are split.
+
+Works on the tiles and Gaussians that the edit reaches, so a brush dab costs milliseconds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from splatpainter.cameras import Camera
+from splatpainter.lift.local.patch import LARGE_WIDTH_GOALS, MIN_INSIDE_LARGE, MIN_PIXEL_SHARE, Patch
+from splatpainter.lift.local.split import Lattice, projected_sizes
+from splatpainter.lift.options import LOCAL_DEFAULTS, LocalOptions
+from splatpainter.rendering.cpu.projected_view import Backprojection, ProjectedView, project, tiles_of_mask
+from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.transforms import row_max
+
+MIN_VISIBLE_SHARE = 0.05
+"""Mean share of a Gaussian that must reach the camera inside the mask (weight / alpha), or it is behind the surface."""
+NOTHING_THERE = "edit: no Gaussian contributes to the masked pixels; paint on the asset, or check the camera"
+WIDE_EDIT_FRACTION = 0.4
+"""An edit of a larger share of the picture's pixels than this is one of what it shows as a whole."""
+MAX_DOUBT_WIDE = 0.8
+"""Above this doubt (Evidence.doubt) about a wide edit, split or not, Gaussians are neither split nor given a detail
+layer: detail that is everywhere finer than the asset, as in close-ups, would be right in this view alone. What is
+painted on a part is wanted as it is, however fine."""
+
+
+class NothingPaintableError(ValueError):
+    """No Gaussian makes the edited pixels, or all of these lie beyond the limits of their view."""
+
+
+def is_wide(mask: np.ndarray) -> bool:
+    """Whether an edit of these pixels ([H, W] bool) is one of the whole picture."""
+    return bool(mask.mean() > WIDE_EDIT_FRACTION)
+
+
+@dataclass(frozen=True)
+class LocalLift:
+    """Result of a local lift."""
+
+    splats: Splats
+    """N Gaussians with the old ones at their old indices, then the appended ones."""
+    touched: np.ndarray = field(repr=False)
+    """[T] int64 ascending: old Gaussians of which any attribute changed."""
+    parents: np.ndarray = field(repr=False)
+    """[A] int64: the old Gaussian that each appended one was split from, or lies on."""
+
+
+def lift_local(
+    splats: Splats,
+    camera: Camera,
+    target: np.ndarray,
+    mask: np.ndarray,
+    options: LocalOptions = LOCAL_DEFAULTS,
+    allowed: np.ndarray | None = None,
+    within: np.ndarray | None = None,
+) -> LocalLift:
+    """Write the masked pixels of `target` onto the splats.
+
+    target: [H, W, 3] float32 0..1; mask: [H, W] bool; allowed: [N] bool Gaussians that may change (default: all);
+    within: [TH, TW] bool tiles of which nothing beyond is looked at.
+    Raises NothingPaintableError when no Gaussian contributes to the masked pixels."""
+    ids, before, patch = _split_patch(splats, camera, target, mask, options, allowed, within)
+    wide = is_wide(mask)
+    if wide and patch.evidence.doubt > MAX_DOUBT_WIDE:
+        patch = before
+    detailed = options.rounds > 0 and options.max_error < 1 and not (wide and patch.evidence.doubt > MAX_DOUBT_WIDE)
+    patch = patch.merged() if detailed else patch
+    painted = patch.painted(options)
+    detail = patch.detail(painted, options) if detailed else None
+    return _assemble(splats, ids, painted, patch.lattice, detail)
+
+
+def split_local(
+    splats: Splats, camera: Camera, target: np.ndarray, mask: np.ndarray, options: LocalOptions = LOCAL_DEFAULTS
+) -> LocalLift:
+    """The Gaussians over which the masked change varies, split for it; the picture hardly changes. Arguments and errors
+    as of `lift_local`."""
+    ids, _, patch = _split_patch(splats, camera, target, mask, options)
+    return _assemble(splats, ids, patch.splats, patch.lattice, None)
+
+
+def _split_patch(
+    splats: Splats,
+    camera: Camera,
+    target: np.ndarray,
+    mask: np.ndarray,
+    options: LocalOptions,
+    allowed: np.ndarray | None = None,
+    within: np.ndarray | None = None,
+) -> tuple[np.ndarray, Patch, Patch]:
+    """([S] int64 the Gaussians in work, them as they are, them split)."""
+    view = project(splats, camera, tiles=tiles_of_mask(mask))
+    reached = gaussians_in_mask(splats, camera, mask, allowed, view)
+    editable = reached & ~_hopeless(splats, view, mask, reached, options)
+    tiles = view.touched_tiles(editable[view.gaussian_ids])  # all of them make masked pixels
+    tiles = tiles if within is None else tiles & within
+    ids = np.sort(project(splats, camera, tiles=tiles).gaussian_ids)
+    patch = before = Patch.of(splats.take(ids), camera, tiles, target, mask, editable[ids])
+    for _ in range(options.max_halvings):
+        coarse = patch.too_coarse(options)
+        if not coarse.any():
+            break
+        patch = patch.split(coarse, options)
+    return ids, before, patch
+
+
+def gaussians_in_mask(
+    splats: Splats,
+    camera: Camera,
+    mask: np.ndarray,
+    allowed: np.ndarray | None = None,
+    view: ProjectedView | None = None,
+) -> np.ndarray:
+    """[N] bool Gaussians that visibly contribute to the masked pixels ([H, W] bool). allowed: [N] bool, the only ones
+    that count; view: the splats projected onto the mask's tiles, if at hand. Raises
+    NothingPaintableError where there is none."""
+    view = view or project(splats, camera, tiles=tiles_of_mask(mask))
+    sums = _sums(view, mask)
+    reached = np.zeros(view.num_gaussians, bool)
+    reached[view.gaussian_ids[(sums.peak > MIN_PIXEL_SHARE) & (sums.weight > MIN_VISIBLE_SHARE * sums.alpha)]] = True
+    if allowed is not None:
+        reached &= allowed
+    if not reached.any():
+        raise NothingPaintableError(NOTHING_THERE)
+    return reached
+
+
+def _sums(view: ProjectedView, mask: np.ndarray) -> Backprojection:
+    """How much of each Gaussian the masked pixels show."""
+    return view.backproject(np.zeros((*mask.shape, 3), np.float32), mask.astype(np.float32))
+
+
+def _hopeless(
+    splats: Splats, view: ProjectedView, mask: np.ndarray, reached: np.ndarray, options: LocalOptions
+) -> np.ndarray:
+    """[N] bool: reached Gaussians that would be held back in the end (large, too faint to split, mostly outside the
+    mask), as far as the mask's tiles can say. Without them less of the picture is in work."""
+    ids, inside = view.gaussian_ids, _sums(view, mask)
+    everywhere = _sums(view, np.ones(mask.shape, bool)).weight
+    faint = (
+        reached[view.gaussian_ids]
+        & (inside.peak <= options.min_share)
+        & (inside.weight < MIN_INSIDE_LARGE * everywhere)
+    )
+    sizes = projected_sizes(splats.geometry(ids[faint]), view.camera)
+    faint[faint] = row_max(sizes) > LARGE_WIDTH_GOALS * options.goal_px
+    out = np.zeros(len(splats), bool)
+    out[ids[faint]] = True
+    return out if (reached & ~out).any() else np.zeros(len(splats), bool)
+
+
+def _assemble(
+    splats: Splats, ids: np.ndarray, new: Splats, lattice: Lattice, detail: tuple[Splats, np.ndarray] | None
+) -> LocalLift:
+    """Put a patch of the Gaussians `ids` back: `new`, as the lattice has it, slots at the indices of their parents, the
+    others appended, then the detail layer."""
+    targets = ids[lattice.parent[lattice.slot]]  # [B] what the slots replace
+    slots = new.take(np.flatnonzero(lattice.slot))
+    changed = np.zeros(len(targets), bool)
+    for name in ATTRIBUTES:
+        differs = getattr(slots, name) != getattr(splats, name)[targets]
+        changed |= differs.reshape(len(targets), -1).any(1)
+    written = {}
+    for name in ATTRIBUTES:
+        values = getattr(slots, name)[changed]
+        if np.array_equal(values, getattr(splats, name)[targets[changed]]):
+            continue
+        full = getattr(splats, name).copy()
+        full[targets[changed]] = values
+        written[name] = full
+    result = replace(splats, **written)
+    appended = np.flatnonzero(~lattice.slot)
+    parents = ids[lattice.parent[appended]]
+    if len(appended):
+        result = result.append(new.take(appended))
+    if detail is not None:
+        result = result.append(detail[0])
+        parents = np.concatenate([parents, ids[lattice.parent[detail[1]]]])
+    return LocalLift(result, np.sort(targets[changed]), parents)

@@ -1,0 +1,64 @@
+"""Which Gaussians lie on the surface under a sheet: each against that at the covered pixel nearest to its centre.
+
+There may be hundreds of thousands, most of them behind the surface, out of sight: one kernel looks at each of them, and
+asks for its rotation only where its longest axis leaves a doubt.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from splatpainter.cameras import Camera
+from splatpainter.kernels.library import kernels
+from splatpainter.kernels.parallel import run
+from splatpainter.lift.nearest import nearest_pixels
+from splatpainter.lift.sheets.fringe import FringedSurface
+from splatpainter.splats import Splats
+from splatpainter.surface.visible import PixelSurface, VisibleSurface
+
+NORMAL_SIGMAS = 2.0
+"""Standard deviations along the surface's normal within which a Gaussian touches the surface, ..."""
+SURFACE_WINDOWS = 0.35
+"""... beside this share of the window in which the surface was estimated."""
+FAR_WINDOWS = 3.0
+"""Windows behind the surface from which a Gaussian is no part of a thick or foggy one."""
+BESIDE, TOUCHES, FAR_BEHIND = 0, 1, 2
+"""What `NearSurface.sides` says of a Gaussian."""
+
+
+@dataclass(frozen=True)
+class NearSurface:
+    """The sheet's surface at each covered pixel, and for those beside at the nearest one."""
+
+    nearest: np.ndarray = field(repr=False)
+    """[H, W] int32 flat index of the nearest covered pixel."""
+    entry: np.ndarray = field(repr=False)
+    """[H, W] int64 entry of `surface` of each covered pixel, -1: not covered."""
+    surface: PixelSurface
+    camera: Camera
+
+    @staticmethod
+    def of(visible: VisibleSurface | FringedSurface, covered: np.ndarray) -> NearSurface:
+        """covered: [H, W] bool, some."""
+        ys, xs = np.nonzero(covered)
+        entry = np.full(covered.shape, -1, np.int64)
+        entry[ys, xs] = np.arange(len(ys))
+        return NearSurface(nearest_pixels(covered), entry, visible.at(np.stack([xs, ys], 1) + 0.5), visible.camera)
+
+    def sides(self, splats: Splats, ids: np.ndarray) -> np.ndarray:
+        """[Q] uint8, of each of some Gaussians ([Q] int64): TOUCHES where it lies on the surface at the covered pixel
+        nearest to its centre, FAR_BEHIND where it lies so far behind that it is no part of a thick or foggy one."""
+        camera, out = self.camera, np.empty(len(ids), np.uint8)
+        lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+        surface = (self.surface.depth, self.surface.normals, self.surface.windows, self.surface.residuals)
+        tables = (self.nearest, self.entry, *(np.ascontiguousarray(values) for values in surface))
+        arrays = (np.ascontiguousarray(values) for values in (splats.means, splats.quats, splats.scales))
+        world_to_camera = np.ascontiguousarray(camera.world_to_camera, np.float64)
+        run(kernels.classify_sides, *arrays, np.ascontiguousarray(ids, np.int64), world_to_camera, lens, *tables, out)
+        return out
+
+    def touches(self, splats: Splats, ids: np.ndarray) -> np.ndarray:
+        """[Q] bool, which of some Gaussians ([Q] int64) lie on the surface."""
+        return self.sides(splats, ids) == TOUCHES

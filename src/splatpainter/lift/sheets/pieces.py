@@ -1,0 +1,52 @@
+"""What remains of some Gaussians beside a sheet, and the view of both: cut out of the view that there is, not projected
+anew."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from splatpainter.lift.local.split import Lattice
+from splatpainter.rendering.cpu.projected_view import ProjectedView, project
+from splatpainter.splats import Splats
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """What remains beside a sheet of the N Gaussians: P pieces of those that were cut, and the others as they were."""
+
+    left: np.ndarray = field(repr=False)
+    """[N] bool: those that are as they were."""
+    parent_ids: np.ndarray = field(repr=False)
+    """[P] int64 ascending: the Gaussian that each piece is of."""
+    slot: np.ndarray = field(repr=False)
+    """[P] bool: pieces that stay at their parent's index."""
+    splats: Splats
+    """P Gaussians."""
+
+    @staticmethod
+    def of(lattice: Lattice, gone: np.ndarray) -> Pieces:
+        """lattice: of some of the Gaussians that are its base; gone: [S] bool, which the sheet replaces."""
+        halved = (lattice.level[:, 0] | lattice.level[:, 1]) > 0
+        left = np.ones(len(lattice.base), bool)
+        left[lattice.parent[halved | gone]] = False
+        pieces = lattice.take(np.flatnonzero(halved & ~gone))
+        return Pieces(left, pieces.parent, pieces.slot, pieces.splats())
+
+    def remaining_gaussians(self, base: Splats) -> tuple[Splats, np.ndarray]:
+        """(all that remain, in the order of these, [R] int64 the Gaussian of the base that each is or is of)."""
+        ids = np.flatnonzero(self.left)
+        parent_ids = np.concatenate([ids, self.parent_ids])
+        order = np.argsort(parent_ids, kind="stable")
+        return base.take(ids).append(self.splats).take(order), parent_ids[order]
+
+
+def joined_view(pieces: Pieces, sheet: Splats, around: ProjectedView, tiles: np.ndarray) -> ProjectedView:
+    """Some tiles of a view of N Gaussians with what remains of these, pieces in the place of those that were cut, and
+    with the sheet behind them all; numbered: those of the N as they were, pieces from N on, then the sheet."""
+    count, fresh = len(pieces.left), project(pieces.splats.append(sheet), around.camera, tiles=tiles)
+    order = np.concatenate([pieces.parent_ids, count + np.arange(len(sheet))])  # of Gaussians at equal depths
+    ties = order[fresh.gaussian_ids]
+    fresh = replace(fresh, gaussian_ids=count + fresh.gaussian_ids, num_gaussians=count + len(order))
+    return around.merged(fresh, tiles=tiles, gaussian_mask=pieces.left, ties=ties)

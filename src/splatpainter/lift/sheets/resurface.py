@@ -1,0 +1,419 @@
+"""Resurfacing: where the surface under an edit is trusted, a sheet of thin Gaussians takes the place of the old ones.
+
+The sheet lies on the surface of the original, as finely as the picture needs, under the edited pixels and a narrow ring
+of unedited ones, so that the paint's edge lies within it. Old Gaussians that lie on the surface under the sheet go;
+those that only reach under it are halved until each half is clearly under it or beside it. What lies in front of the
+surface at a distance, behind it, or beside it stays.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from splatpainter.cameras import Camera
+from splatpainter.kernels import portable
+from splatpainter.lift.colors import MIN_CHANGE, lift_colors, recolor
+from splatpainter.lift.local.split import Lattice, projected_sizes
+from splatpainter.lift.masks import box_mean, dilated
+from splatpainter.lift.nearest import nearest_pixels
+from splatpainter.lift.options import LocalOptions
+from splatpainter.lift.sheets.fringe import FringedSurface, fringe_of, fringe_paint
+from splatpainter.lift.sheets.near_surface import FAR_BEHIND, TOUCHES, NearSurface
+from splatpainter.lift.sheets.pieces import Pieces, joined_view
+from splatpainter.lift.sheets.sheet import SHEET_OPACITY, Cells, SheetGeometry, flat_cells, sheet_geometry
+from splatpainter.lift.sheets.sparse_edit import SparseEdit
+from splatpainter.rendering.cpu.geometry import TILE
+from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
+from splatpainter.splats import ATTRIBUTES, Splats, float_bits
+from splatpainter.surface.visible import VisibleSurface, depths_along
+from splatpainter.transforms import quat_to_matrix, row_max
+
+MIN_COVER = 0.6
+"""Alpha of a pixel below which no sheet lies there."""
+RING_PX = 2
+"""Unedited pixels around the edited ones that the sheet covers too."""
+MIN_REPLACED_SHARE = 0.85
+"""Share of a Gaussian's footprint under the sheet from which all of it goes, ..."""
+MAX_UNTOUCHED_SHARE = 0.08
+"""... and up to which all of it stays."""
+RIM_GOAL_PX = 2.2
+"""Gaussians across the sheet's edge are halved until they are no wider than this (standard deviation)."""
+MAX_RIM_HALVINGS = 8
+MAX_CUT_PX = 8.0
+"""Gaussians longer than this (standard deviation) are not cut at the sheet's edge, ..."""
+MIN_HANDLED = 0.85
+"""... and where less than this share of the light comes from those that a sheet replaces there is none, ..."""
+MIN_TOUCHING = 0.5
+"""... (what lies far behind the surface, seen through cracks, does not count as long as this share of the light comes
+from the surface), ..."""
+CLEAR_RADIUS_PX = 2
+"""... by the majority of the pixels around; ..."""
+MIN_CLEAR = 0.5
+"""... if that leaves less than this share of the pixels, the edit gets no sheet at all."""
+UNEDITED_WEIGHT = 0.35
+"""Weight of an unedited pixel in colour rounds, beside an edited one."""
+COLOR_STEP_FRACTION = 0.75
+"""Share of a colour round's step that sheets take."""
+MIN_PEAK = 0.02
+"""Old Gaussians that remain before the sheet, and give some pixel of it more than this share, ..."""
+MIN_SHEET_SHARE = 0.6
+"""... with this share of their weight before it, ..."""
+MIN_VISIBLE = 0.5
+"""... and this share of their alpha visible (behind the sheet they are not), take part in the colour rounds."""
+
+
+MAX_HOST_SIGMAS = 2.5
+"""A sheet Gaussian farther than this from the Gaussian whose pixel it takes, in standard deviations of that, lies past
+the horizon of a round surface, on a plane that touches it before: it would hang beside the object from other sides."""
+MIN_HOST_FLATNESS = 0.3
+"""Thickness of a Gaussian over its length, at least, in that distance."""
+HOST_REACH_PX = 2
+"""Pixels around whose Gaussians count as well."""
+HORIZON_DEGREES = 65.0
+"""Degrees between line of sight and normal, from which a surface is near its horizon."""
+
+
+@dataclass(frozen=True)
+class Resurfaced:
+    """Result of `resurface`: the edit's trusted part, done."""
+
+    edit: SparseEdit
+    replaced: np.ndarray = field(repr=False)
+    """[R] int64 ascending: indices that a sheet Gaussian took."""
+    covered: np.ndarray = field(repr=False)
+    """[H, W] bool pixels that the sheet covers, ring included."""
+
+
+def resurface(
+    splats: Splats,
+    view: ProjectedView,
+    around: ProjectedView,
+    visible: VisibleSurface,
+    before: np.ndarray,
+    alpha: np.ndarray,
+    target: np.ndarray,
+    pixels: np.ndarray,
+    options: LocalOptions,
+    first_appended: int,
+) -> Resurfaced | None:
+    """Lay a sheet under some pixels as far as the surface is trusted; None where it is nowhere.
+
+    view: of `splats`, at least the tiles of `pixels`; around: those of all Gaussians that make these pixels;
+    visible: the surface at these; before: [H, W, 3] its picture; target: [H, W, 3] float32 the picture to reach
+    (equal to `before` in the ring); pixels: [H, W] bool; first_appended: Gaussians from this index on are no part of
+    the original, and their indices may take any sheet Gaussian."""
+    camera = view.camera
+    ys, xs = np.nonzero(pixels)
+    depth = np.zeros(pixels.shape)
+    depth[ys, xs] = visible.at(np.stack([xs, ys], 1) + 0.5).depth
+    covered = without_islands(depth > 0)
+    if not covered.any():
+        return None
+    near = NearSurface.of(visible, covered)
+    clear, footprints = clear_pixels(splats, view, near, covered)
+    clear &= covered
+    if clear.sum() < MIN_CLEAR * covered.sum():
+        return None
+    remaining = without_islands(clear)
+    if not remaining.any():
+        return None
+    covered, near = remaining, near if np.array_equal(remaining, covered) else None
+    differs = target != before
+    painted = differs[..., 0] | differs[..., 1] | differs[..., 2]
+    fringe, surface = fringe_of(painted, covered, depth > 0, alpha), visible
+    colors, cover = target, np.ones(alpha.shape, np.float32)
+    if fringe.any():
+        surface = FringedSurface.of(visible, covered, fringe, None if near is None else near.nearest)
+        colors, cover = fringe_paint(target, surface, np.asarray(camera.background, np.float32))
+        covered, near = covered | fringe, None
+        ys, xs = np.nonzero(fringe)
+        depth[ys, xs] = surface.at(np.stack([xs, ys], 1) + 0.5).depth
+    near = near or NearSurface.of(surface, covered)
+    sums = view.backproject(np.zeros_like(before), covered.astype(np.float32))
+    (inside, total), (candidates, seen) = np.zeros((2, len(splats)), sums.alpha.dtype), np.zeros((2, len(splats)), bool)
+    inside[view.gaussian_ids], total[view.gaussian_ids] = sums.alpha, footprints
+    candidates[view.gaussian_ids[sums.alpha > 0]] = True
+    seen[view.gaussian_ids[sums.peak > options.min_share]] = True
+    tiles = view.touched_tiles(sums.alpha > 0) | tiles_of_mask(pixels)
+    if (tiles & ~view.tiles).any():
+        total = _footprints(around, tiles)
+    ids = np.flatnonzero(candidates)
+    share = (inside[ids] / np.maximum(total[ids], 1e-9)).astype(np.float64)
+    lattice, gone = _cut(splats, ids, share, camera, tiles, seen, near, covered, options)
+    pieces = Pieces.of(lattice, gone)
+    cells = flat_cells(target, covered, depth, camera.fx)
+    geometry, index = sheet_geometry(surface, cells, target)
+    cells = Cells(cells.centers[index], cells.sizes[index])
+    replaced = np.flatnonzero(gone)
+    if len(replaced):
+        hidden, parent_ids = lattice.take(replaced).splats(), lattice.parent[replaced]
+    else:
+        hidden, parent_ids = pieces.remaining_gaussians(splats)
+    sheet, hidden_ids = _sheet(hidden, geometry, cells, colors, cover, tiles, camera)
+    goal = np.where(covered[..., None], target, _picture(view, around, before, tiles))
+    weights = np.where(painted, covered, UNEDITED_WEIGHT).astype(np.float32)
+    result = _recolored(splats, pieces, sheet, around, tiles, goal, covered, weights, options)
+    emptied = lattice.parent[gone & lattice.slot]
+    return _assemble(splats, pieces, result, emptied, parent_ids[hidden_ids], covered, first_appended)
+
+
+def without_islands(mask: np.ndarray) -> np.ndarray:
+    """[H, W] bool without parts that nowhere hold a 3 x 3 block (those parts' surroundings within 3 pixels stay)."""
+    core = ~dilated(~mask, 1)
+    return mask & dilated(core, 3)
+
+
+def clear_pixels(
+    splats: Splats, view: ProjectedView, near: NearSurface, covered: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """([H, W] bool pixels most of whose light comes from Gaussians that a sheet can take the place of: they lie on the
+    surface, and under the sheet, or are small enough to be cut at its edge; elsewhere, in the fog of captures, a veil
+    would stay before the sheet; [M] the alpha of each of the view's Gaussians summed over the drawn tiles)."""
+    ids = view.gaussian_ids
+    sums, everywhere = view.mask_sums(covered, np.ones(covered.shape, bool))
+    share = sums.alpha / np.maximum(everywhere.alpha, 1e-9)
+    handled = sums.weight > 0
+    unsure = np.flatnonzero(handled & (share <= MIN_REPLACED_SHARE))
+    reached = np.flatnonzero(handled)
+    handled[unsure] = row_max(projected_sizes(splats.geometry(ids[unsure]), view.camera)) < MAX_CUT_PX
+    sides = near.sides(splats, ids[reached])
+    # One channel for their light, one for that of what the sheet will hide, one for what nothing stops.
+    red = view.camera.background[0]
+    view = replace(view, camera=replace(view.camera, background=(red, red, red)))
+    colors = np.zeros((len(ids), 3), np.float32)
+    colors[reached, 0], colors[reached, 1] = handled[reached] & (sides == TOUCHES), sides == FAR_BEHIND
+    image, alpha, _ = view.rasterize(colors)
+    weight, hidden = image[..., 0] - image[..., 2], image[..., 1] - image[..., 2]  # over black
+    clear = (weight > MIN_HANDLED * (alpha - hidden)) & (weight > MIN_TOUCHING * alpha)
+    return box_mean(clear.astype(np.float32), CLEAR_RADIUS_PX) > 0.5, everywhere.alpha
+
+
+def _footprints(around: ProjectedView, tiles: np.ndarray) -> np.ndarray:
+    """[N] the alpha of each Gaussian summed over some drawn tiles ([TH, TW] bool)."""
+    pixels, out = _pixels_of(tiles, around.camera), np.zeros(around.num_gaussians, around.projected.dtype)
+    zeros = np.zeros((*pixels.shape, 3), np.float32)
+    out[around.gaussian_ids] = around.backproject(zeros, pixels.astype(np.float32)).alpha
+    return out
+
+
+def _picture(view: ProjectedView, around: ProjectedView, before: np.ndarray, tiles: np.ndarray) -> np.ndarray:
+    """[H, W, 3] what some tiles show. view: has the picture `before`; around: drawn in the others of these tiles."""
+    missing = tiles & ~view.tiles
+    if not missing.any():
+        return before
+    return np.where(_pixels_of(missing, view.camera)[..., None], around.rasterize(tiles=missing)[0], before)
+
+
+def _pixels_of(tiles: np.ndarray, camera: Camera) -> np.ndarray:
+    """[H, W] bool pixels of some tiles ([TH, TW] bool)."""
+    return tiles.repeat(TILE, 0).repeat(TILE, 1)[: camera.height, : camera.width]
+
+
+def _cut(
+    splats: Splats,
+    ids: np.ndarray,
+    share: np.ndarray,
+    camera: Camera,
+    tiles: np.ndarray,
+    seen: np.ndarray,
+    near: NearSurface,
+    covered: np.ndarray,
+    options: LocalOptions,
+) -> tuple[Lattice, np.ndarray]:
+    """Halve Gaussians that lie across the sheet's edge: (the lattice, [S] bool those that go). ids: [C] int64 ascending
+    those of `splats` that make covered pixels; share: [C] of each one's footprint under the sheet; tiles: [TH, TW] bool
+    all that they touch; seen: [N] bool, those that make the picture: what is hidden behind them goes or stays as
+    one."""
+    chosen = np.flatnonzero(share > MAX_UNTOUCHED_SHARE)
+    touching = np.zeros(len(ids), bool)
+    touching[chosen] = near.touches(splats, ids[chosen])
+    across = touching & (share < MIN_REPLACED_SHARE)
+    wide = across & seen[ids]
+    lattice = Lattice.of(splats, camera, ids, ids[wide])
+    for turn in range(MAX_RIM_HALVINGS + 1):
+        wide[wide] = row_max(lattice.take(np.flatnonzero(wide)).widths) > RIM_GOAL_PX
+        if turn == MAX_RIM_HALVINGS or not wide.any() or (~lattice.slot).sum() > options.max_pieces:
+            break
+        lattice, source = lattice.halved(wide, RIM_GOAL_PX)
+        ids = np.flatnonzero(touching[source])
+        pieces = lattice.take(ids).splats()
+        view = project(pieces, camera, tiles=tiles)
+        under, everywhere = view.mask_sums(covered, np.ones(covered.shape, bool))
+        share, touching = np.zeros(len(lattice)), np.zeros(len(lattice), bool)
+        share[ids[view.gaussian_ids]] = under.alpha / np.maximum(everywhere.alpha, 1e-9)
+        chosen = np.flatnonzero(share[ids] > MAX_UNTOUCHED_SHARE)
+        touching[ids[chosen]] = near.touches(pieces, chosen)
+        across = touching & (share < MIN_REPLACED_SHARE)
+        wide = across & seen[lattice.parent]
+    return lattice, touching & (share > np.where(across, 0.5, MIN_REPLACED_SHARE))
+
+
+def _sheet(
+    hidden: Splats,
+    geometry: SheetGeometry,
+    cells: Cells,
+    colors: np.ndarray,
+    cover: np.ndarray,
+    tiles: np.ndarray,
+    camera: Camera,
+) -> tuple[Splats, np.ndarray]:
+    """(C Gaussians in the picture's colours, [C] their hosts: those of the `hidden` ones, in place of which the sheet
+    lies, that weigh most in their pixels)."""
+    xs, ys = cells.centers.astype(np.int64).T
+    view = project(hidden, camera, tiles=tiles)
+    heaviest = view.heaviest_gaussians()
+    hidden_ids = heaviest[ys, xs]
+    if (hidden_ids < 0).any():
+        nearest = nearest_pixels(heaviest >= 0)
+        hidden_ids = heaviest.ravel()[nearest[ys, xs]]
+    toward = np.zeros((len(hidden), 3), np.float32)
+    toward[view.gaussian_ids] = view.unclamped_colors
+    parents, dtype = hidden.take(hidden_ids), hidden.means.dtype
+    sheet = Splats(
+        _within_horizon(hidden, hidden_ids, heaviest, geometry, cells.centers, camera).astype(dtype),
+        geometry.quats.astype(dtype),
+        geometry.scales.astype(dtype),
+        (SHEET_OPACITY * cover[ys, xs]).astype(dtype),
+        recolor(parents.sh, toward[hidden_ids], colors[ys, xs]),
+        hidden.antialiased,
+        hidden.color_space,
+        parents.source,
+        parents.origin,
+        parents.offset,
+    )
+    return sheet, hidden_ids
+
+
+def _within_horizon(
+    hidden: Splats,
+    hidden_ids: np.ndarray,
+    heaviest: np.ndarray,
+    geometry: SheetGeometry,
+    pixels: np.ndarray,
+    camera: Camera,
+) -> np.ndarray:
+    """[C, 3] float64 the means of sheet Gaussians. Those near the horizon and beyond MAX_HOST_SIGMAS of all Gaussians
+    that make the pixels around are moved along the lines of sight of their pixels ([C, 2]) to where their host ([C],
+    ids of `hidden`) is densest: the edited view stays as it is. heaviest: [H, W] ids of `hidden`, -1: none."""
+    means = geometry.means
+    normals = quat_to_matrix(geometry.quats)[:, :, 2]
+    sight = means - camera.position
+    facing = np.abs((normals * sight).sum(1)) / np.maximum(np.linalg.norm(sight, axis=1), 1e-30)
+    far = np.flatnonzero(facing < portable.cos(math.radians(HORIZON_DEGREES)))
+    far = far[_sigmas(hidden, hidden_ids[far], means[far]) > MAX_HOST_SIGMAS]
+    height, width = heaviest.shape
+    xs, ys = pixels[far].astype(np.int64).T
+    for dy in range(-HOST_REACH_PX, HOST_REACH_PX + 1):
+        for dx in range(-HOST_REACH_PX, HOST_REACH_PX + 1):
+            beside = heaviest[np.clip(ys + dy, 0, height - 1), np.clip(xs + dx, 0, width - 1)]
+            outside = (beside < 0) | (_sigmas(hidden, np.maximum(beside, 0), means[far]) > MAX_HOST_SIGMAS)
+            far, xs, ys = far[outside], xs[outside], ys[outside]
+    depth, _ = depths_along(hidden.geometry(hidden_ids[far]), camera, camera.sight_lines(pixels[far]))
+    ahead = depth > 0
+    out = means.copy()
+    out[far[ahead]] = camera.unproject(depth[ahead], pixels[far[ahead]])
+    return out
+
+
+def _sigmas(splats: Splats, ids: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """[Q] distance of points [Q, 3] from Gaussians ids [Q], in standard deviations of these."""
+    turn = quat_to_matrix(splats.quats[ids].astype(np.float64))
+    scales = splats.scales[ids].astype(np.float64)
+    scales = np.maximum(scales, MIN_HOST_FLATNESS * scales.max(1, keepdims=True))
+    apart = (points - splats.means[ids])[:, None]
+    offset = portable.matmul(apart, turn)[:, 0] / scales
+    return np.sqrt((offset**2).sum(1))
+
+
+@dataclass(frozen=True)
+class _Recolored:
+    """The Gaussians after colour rounds."""
+
+    fresh: Splats
+    """P + C Gaussians: the pieces, then the sheet."""
+    ids: np.ndarray = field(repr=False)
+    """[Q] int64: those that are as they were but for their colour, ..."""
+    sh: np.ndarray = field(repr=False)
+    """[Q, K, 3] ... and their SH."""
+
+
+def _recolored(
+    splats: Splats,
+    pieces: Pieces,
+    sheet: Splats,
+    around: ProjectedView,
+    tiles: np.ndarray,
+    goal: np.ndarray,
+    covered: np.ndarray,
+    weights: np.ndarray,
+    options: LocalOptions,
+) -> _Recolored:
+    """Colour rounds of the sheet, of the pieces around it and of what hangs before it. around: of the N `splats`, with
+    these tiles."""
+    view, count, first = joined_view(pieces, sheet, around, tiles), len(splats), len(splats) + len(pieces.parent_ids)
+    ids = view.gaussian_ids
+    added, piece = ids >= first, (ids >= count) & (ids < first)
+    inside, everywhere = view.mask_sums(covered, np.ones(covered.shape, bool))
+    hanging = (inside.peak > MIN_PEAK) & (inside.weight > MIN_SHEET_SHARE * everywhere.weight)
+    hanging &= inside.weight > MIN_VISIBLE * inside.alpha
+    editable = np.flatnonzero(added | piece | hanging)
+    lifted = lift_colors(
+        view, goal, weights, added | piece | hanging, options.sheet_rounds, relaxation=COLOR_STEP_FRACTION
+    )
+    before, lifted, ids = view.unclamped_colors[editable], lifted[editable], ids[editable]
+    moved = row_max(np.abs(lifted - np.maximum(before, 0))) > MIN_CHANGE
+    fresh = pieces.splats.append(sheet)
+    sh = fresh.sh.copy()
+    for chosen, damping in ((ids >= first, 1.0), ((ids >= count) & (ids < first), options.damping)):
+        chosen &= moved
+        rows = ids[chosen] - count
+        sh[rows] = recolor(sh[rows], before[chosen], lifted[chosen], damping)
+    hanging = moved & (ids < count)
+    recolored = recolor(splats.sh[ids[hanging]], before[hanging], lifted[hanging], options.damping)
+    return _Recolored(replace(fresh, sh=sh), ids[hanging], recolored)
+
+
+def _assemble(
+    splats: Splats,
+    pieces: Pieces,
+    painted: _Recolored,
+    emptied_ids: np.ndarray,
+    parent_ids: np.ndarray,
+    covered: np.ndarray,
+    first_appended: int,
+) -> Resurfaced:
+    """Everything at its index: pieces of a Gaussian at that of their parent, one sheet Gaussian at that of its host,
+    further ones at emptied indices that are no part of the original; the rest is appended. emptied_ids: indices that
+    nothing of the rest has; parent_ids: [C] of the sheet's Gaussians."""
+    fresh, first = painted.fresh, len(pieces.parent_ids)
+    emptied = np.zeros(len(splats), bool)
+    emptied[emptied_ids] = True
+    index = np.full(len(parent_ids), -1, np.int64)
+    fitting = np.flatnonzero(emptied[parent_ids])
+    _, chosen = np.unique(parent_ids[fitting], return_index=True)
+    index[fitting[chosen]] = parent_ids[fitting[chosen]]
+    emptied[parent_ids[fitting[chosen]]] = False
+    free = np.flatnonzero(emptied[first_appended:]) + first_appended
+    unplaced = np.flatnonzero(index < 0)[: len(free)]
+    index[unplaced] = free[: len(unplaced)]
+    emptied[index[unplaced]] = False
+    placed = np.flatnonzero(index >= 0)
+    removed = np.flatnonzero(emptied)
+
+    slots = np.flatnonzero(pieces.slot)
+    written_gaussians = fresh.take(np.concatenate([slots, first + placed]))
+    recolored = replace(splats.take(painted.ids), sh=painted.sh)
+    written = np.concatenate([painted.ids, pieces.parent_ids[slots], index[placed]])
+    order = np.argsort(written, kind="stable")
+    written, values = written[order], recolored.append(written_gaussians).take(order)
+    differs = np.zeros(len(written), bool)
+    for name in ATTRIBUTES:
+        bits, old = float_bits(getattr(values, name)), float_bits(getattr(splats, name)[written])
+        differs |= (bits != old).reshape(len(written), -1).any(1)
+    tail = np.concatenate([np.flatnonzero(~pieces.slot), first + np.flatnonzero(index < 0)])
+    parents = np.concatenate([pieces.parent_ids[~pieces.slot], parent_ids[index < 0]])
+    edit = SparseEdit(written[differs], values.take(differs), removed, fresh.take(tail), parents)
+    return Resurfaced(edit, np.sort(index[placed]), covered)

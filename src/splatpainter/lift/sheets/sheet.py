@@ -1,0 +1,247 @@
+"""Sheets: thin Gaussians on the surface under edited pixels, as many as the picture's own detail needs."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from splatpainter.cameras import Camera
+from splatpainter.kernels import portable
+from splatpainter.lift.sheets.fringe import FringedSurface
+from splatpainter.surface.visible import PixelSurface, VisibleSurface
+from splatpainter.transforms import matrix_to_quat, turned
+
+MAX_CELL_PX = 8
+"""Edge of the largest cell of flat paint, pixels."""
+FLAT_RANGE = 0.03
+"""Colours within and around a cell that differ by less than this, 0..1, are one colour."""
+FLAT_DEPTH_CELLS = 0.08
+"""The surface may leave a cell's plane by this share of the cell's edge."""
+PIXEL_WIDTH, CELL_WIDTH = 0.55, 0.65
+"""Standard deviation of a sheet Gaussian, in edges of its cell, of one pixel (which the renderer widens by half a
+pixel) and of larger ones: four of the latter stop 95 % of the light at the corner between them."""
+EDGE_CONTRAST = 0.15
+"""Range of the colours around a pixel from which it lies on an edge of the picture, ..."""
+EDGE_WIDTH = 0.6
+"""... where its Gaussian is narrower by this factor."""
+SHEET_THICKNESS_RATIO = 0.1
+"""Thickness of a sheet Gaussian over its width."""
+SHEET_OPACITY = 0.97
+MAX_STRETCH = 2.0
+"""A sheet Gaussian is stretched along a slanted surface at most this much; where the surface is steeper ..."""
+MAX_GAUSSIANS_PER_CELL = 4
+"""... up to so many of them share the cell, one behind the other."""
+MAX_LENGTH_APART = 1.2
+"""Length of the surface under a cell over its distance to that under the next one along the slant, at most."""
+MAX_OPEN_STRETCH = 2.0
+"""Stretch beside a place without a surface, at most."""
+
+
+@dataclass(frozen=True)
+class Cells:
+    """C square cells of a picture."""
+
+    centers: np.ndarray = field(repr=False)
+    """[C, 2] float64 x, y in pixels."""
+    sizes: np.ndarray = field(repr=False)
+    """[C] float64 edges, pixels."""
+
+
+@dataclass(frozen=True)
+class SheetGeometry:
+    """C Gaussians on a surface, without colours."""
+
+    means: np.ndarray = field(repr=False)
+    """[C, 3] float64 world units."""
+    quats: np.ndarray = field(repr=False)
+    """[C, 4] float64."""
+    scales: np.ndarray = field(repr=False)
+    """[C, 3] float64 world units."""
+
+
+def flat_cells(target: np.ndarray, covered: np.ndarray, depth: np.ndarray, fx: float) -> Cells:
+    """Pixels of `covered` ([H, W] bool) in cells of 1, 2, 4 ... MAX_CELL_PX pixels: large ones where the picture
+    (target [H, W, 3]) has one colour in them and around them and the inverse of the depth ([H, W], > 0 where covered)
+    is linear, as it is on a plane."""
+    rows, columns = np.flatnonzero(covered.any(1)), np.flatnonzero(covered.any(0))
+    top, x_first = (int(lines[0]) // MAX_CELL_PX * MAX_CELL_PX for lines in (rows, columns))
+    window = (slice(top, int(rows[-1]) + 1), slice(x_first, int(columns[-1]) + 1))
+    cells = _cells_of_window(target[window], covered[window], depth[window], fx)
+    return Cells(cells.centers + (x_first, top), cells.sizes)
+
+
+def _cells_of_window(target: np.ndarray, covered: np.ndarray, depth: np.ndarray, fx: float) -> Cells:
+    height, width = covered.shape
+    pad = [(0, -height % MAX_CELL_PX), (0, -width % MAX_CELL_PX)]
+    left = np.pad(covered, pad)
+    colors = np.pad(target, [*pad, (0, 0)], mode="edge").astype(np.float32)
+    inverse = np.pad(np.where(covered, 1 / np.where(covered, depth, 1), 0), pad)
+    solid = left.copy()
+    centers, sizes = [], []
+    size = MAX_CELL_PX
+    ranges = {1: (colors, colors)}
+    for half in (1 << k for k in range(1, MAX_CELL_PX.bit_length() - 1)):
+        low, high = ranges[half // 2]
+        ranges[half] = _halved(low, np.minimum), _halved(high, np.maximum)
+    while size > 1:
+        half = size // 2
+        low, high = ranges[half]
+        difference = _around(high, np.maximum) - _around(low, np.minimum)
+        span = np.maximum(np.maximum(difference[..., 0], difference[..., 1]), difference[..., 2])
+        full = _around(_block(solid, half, np.all)[..., None], np.minimum)[..., 0]
+        unused = _block(left, size, np.all)
+        flat = unused & full & (span < FLAT_RANGE) & _is_plane(inverse, size, fx)
+        ys, xs = np.nonzero(flat)
+        centers.append(np.stack([xs * size + half, ys * size + half], 1).astype(np.float64))
+        sizes.append(np.full(len(ys), float(size)))
+        left &= ~np.kron(flat, np.ones((size, size), bool))
+        size = half
+    ys, xs = np.nonzero(left)
+    centers.append(np.stack([xs, ys], 1) + 0.5)
+    sizes.append(np.ones(len(ys)))
+    return Cells(np.concatenate(centers), np.concatenate(sizes))
+
+
+def _halved(values: np.ndarray, combine) -> np.ndarray:
+    """[2H, 2W, C] reduced over blocks of 2 x 2."""
+    rows = combine(values[::2], values[1::2])
+    return combine(rows[:, ::2], rows[:, 1::2])
+
+
+def _block(values: np.ndarray, size: int, function) -> np.ndarray:
+    """[H, W, ...] reduced over blocks of size x size."""
+    height, width = values.shape[:2]
+    return function(values.reshape(height // size, size, width // size, size, *values.shape[2:]), axis=(1, 3))
+
+
+def _around(values: np.ndarray, combine) -> np.ndarray:
+    """From half-size blocks [2H, 2W, C]: each block of the full size with one block around it, [H, W, C]."""
+    padded = np.pad(values, [(2, 2), (2, 2), (0, 0)], mode="edge")
+    height, width = values.shape[0] // 2, values.shape[1] // 2
+    out = padded[: 2 * height : 2]
+    for dy in range(1, 6):
+        out = combine(out, padded[dy : dy + 2 * height : 2])
+    columns = out
+    out = columns[:, : 2 * width : 2]
+    for dx in range(1, 6):
+        out = combine(out, columns[:, dx : dx + 2 * width : 2])
+    return out
+
+
+def _is_plane(inverse: np.ndarray, size: int, fx: float) -> np.ndarray:
+    """[H / size, W / size] bool: 1 / depth over a cell differs from a plane by little (in cells, at its depth)."""
+    height, width = inverse.shape
+    blocks = inverse.reshape(height // size, size, width // size, size)
+    corners = [blocks[:, a, :, b] for a in (0, -1) for b in (0, -1)]
+    middle = blocks[:, size // 2 - 1 : size // 2 + 1, :, size // 2 - 1 : size // 2 + 1].mean((1, 3))
+    bend = np.abs(np.stack(corners).mean(0) - middle) + np.abs(corners[0] + corners[3] - corners[1] - corners[2]) / 2
+    # 1 / z bends by b where z bends by b z^2; a cell is size z / fx wide.
+    return bend < FLAT_DEPTH_CELLS * size / fx * np.maximum(middle, 1e-30)
+
+
+def sheet_geometry(
+    surface: VisibleSurface | FringedSurface, cells: Cells, target: np.ndarray
+) -> tuple[SheetGeometry, np.ndarray]:
+    """(G Gaussians on the surface under C cells, [G] int64 the cell of each; cells without a surface have none).
+    target: [H, W, 3]; Gaussians of single pixels are narrower where it has edges."""
+    at = surface.at(cells.centers)
+    xs, ys = cells.centers.astype(np.int64).T
+    single = cells.sizes == 1
+    sharp = single & (_contrast(target, ys, xs) > EDGE_CONTRAST)
+    width = cells.sizes * np.where(single, PIXEL_WIDTH, CELL_WIDTH) * np.where(sharp, EDGE_WIDTH, 1)
+    chosen = np.flatnonzero(at.depth > 0)
+    stretch = _stretch(surface, cells, at, chosen)
+    count = np.clip(np.ceil(stretch / MAX_STRETCH), 1, MAX_GAUSSIANS_PER_CELL).astype(np.int64)
+    source = np.repeat(np.arange(len(chosen)), count)
+    step = np.arange(len(source)) - np.repeat(np.cumsum(count) - count, count)
+    shift = (step + 0.5) / count[source] - 0.5
+    index = chosen[source]
+    geometry = pixel_gaussians(
+        surface.camera,
+        cells.centers[index],
+        at.depth[index],
+        at.normals[index],
+        width[index],
+        cells.sizes[index],
+        np.minimum(stretch, MAX_STRETCH * count)[source],
+        count[source],
+        shift,
+    )
+    return geometry, index
+
+
+def _stretch(
+    surface: VisibleSurface | FringedSurface, cells: Cells, at: PixelSurface, chosen: np.ndarray
+) -> np.ndarray:
+    """[G] >= 1 how much longer than its projection the surface is under each chosen cell, along its slant: by its
+    normal, but no farther than its neighbours on both sides along the slant are apart, as a round surface turns away
+    from its tangent plane; next to where there is no surface, hardly."""
+    camera, centers, sizes = surface.camera, cells.centers[chosen], cells.sizes[chosen]
+    points = camera.to_camera(camera.unproject(at.depth[chosen], centers))
+    facing = -(points * at.normals[chosen]).sum(1) / np.maximum(np.linalg.norm(points, axis=1), 1e-30)
+    length = 1 / np.maximum(facing, 1e-3)
+    across = at.normals[chosen, :2]
+    way = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12) * sizes[:, None]
+    unit = sizes * at.depth[chosen] / camera.fx
+    limits = []
+    for sign in (-1, 1):
+        pixels = centers + sign * way
+        beside = surface.at(pixels)
+        apart = np.linalg.norm(camera.to_camera(camera.unproject(beside.depth, pixels)) - points, axis=1)
+        limits.append(np.where(beside.depth > 0, MAX_LENGTH_APART * apart / unit, MAX_OPEN_STRETCH))
+    return np.clip(np.minimum(length, np.minimum(*limits)), 1, None)
+
+
+def _contrast(target: np.ndarray, ys: np.ndarray, xs: np.ndarray) -> np.ndarray:
+    """[C] range of the colours over the 3 x 3 pixels around each of some pixels, largest channel."""
+    if not len(ys):
+        return np.zeros(0, target.dtype)
+    height, width = target.shape[:2]
+    top, left = max(int(ys.min()) - 1, 0), max(int(xs.min()) - 1, 0)
+    window = target[top : min(int(ys.max()) + 2, height), left : min(int(xs.max()) + 2, width)]
+    padded = np.pad(window, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    low, high = padded, padded
+    for axis in (0, 1):  # the range over a square is that over columns of the ranges over rows
+        parts = [[slice(None)] * axis + [slice(k, -2 + k or None)] for k in range(3)]
+        low = functools.reduce(np.minimum, [low[tuple(part)] for part in parts])
+        high = functools.reduce(np.maximum, [high[tuple(part)] for part in parts])
+    span = (high - low)[ys - top, xs - left]
+    return np.maximum(np.maximum(span[:, 0], span[:, 1]), span[:, 2])
+
+
+def pixel_gaussians(
+    camera: Camera,
+    pixels: np.ndarray,
+    depth: np.ndarray,
+    normals: np.ndarray,
+    width_px: np.ndarray,
+    cell_px: np.ndarray,
+    stretch: np.ndarray,
+    count: np.ndarray,
+    shift: np.ndarray,
+) -> SheetGeometry:
+    """Flat Gaussians in the planes with `normals` ([G, 3] camera space) whose projections are about round, `width_px`
+    ([G], standard deviation) wide and `stretch` [G] times as long on the surface, or shorter where `count` [G] of them
+    share a cell of edge `cell_px` [G], each moved by `shift` [G] (-0.5..0.5) of the cell along the slant. pixels:
+    [G, 2]; depth: [G] z."""
+    rays = camera.sight_lines(pixels)
+    lengths = np.linalg.norm(rays, axis=1)
+    view = rays / lengths[:, None]
+    # The axis that the slant shortens lies along the normal's part across the line of sight; the other across both.
+    slant = normals - (normals * view).sum(1, keepdims=True) * view
+    size = np.linalg.norm(slant, axis=1, keepdims=True)
+    fallback = np.cross(view, np.where(np.abs(view[:, :1]) < 0.9, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
+    across = np.where(size > 1e-6, np.cross(normals, slant / np.maximum(size, 1e-12)), np.cross(normals, fallback))
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
+    along = np.cross(normals, across)
+    rotation = turned(camera.world_to_camera[:3, :3].T, np.stack([across, along, normals], 2))
+    flip = (np.cross(across, along) * normals).sum(1) < 0
+    rotation[flip, :, 0] *= -1
+    width = width_px * depth / camera.fx
+    scales = np.stack([width, width * stretch / count, width * SHEET_THICKNESS_RATIO], 1)
+    world_along = portable.matmul(along, camera.world_to_camera[:3, :3])
+    means = camera.unproject(depth, pixels)
+    means += (shift * cell_px * depth / camera.fx * stretch)[:, None] * world_along
+    return SheetGeometry(means, matrix_to_quat(rotation), scales)

@@ -1,0 +1,316 @@
+"""Which Gaussians a look changes, said in words: `--where hue=340..20 y=..0.5 or sphere=0,0,0,1`.
+
+Terms that stand beside each other all have to hold, `or` between them begins another group, and `not:` before a term
+turns it round. Ranges A..B have an end or both; numbers are world units as `splatpainter info` prints them.
+
+    hue=A..B           of the base colour, degrees: 0 red, 120 green, 240 blue; 340..20 goes through 0; greys have none
+    saturation=A..B    0 grey .. 1; of HSV
+    lightness=A..B     0..1, luma
+    color=#RRGGBB~D    colours within D (default 0.1) of this one in OKLab
+    x=A..B y= z=       centres
+    box=X,Y,Z,X,Y,Z    centres between two corners
+    sphere=X,Y,Z,R     centres within R of a point
+    opacity=A..B       peak alpha
+    size=A..B          standard deviation along the longest axis
+    mask=M.png@CAM.json  those that show mostly inside a mask drawn on a view, as a selection in the studio; without
+                       @CAM.json the picture carries its camera
+    selection=NAME@P.splatproj  what the studio keeps under that name in a project of the same asset
+    layer=NAME@P.splatproj  what a visible layer of such a project paints
+
+Terms of colour fade out beyond their ends (FADE), so that shades do not tear; the others are sharp.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from splatpainter.color import from_hex, luminance, oklab
+from splatpainter.grading.color_match import display_colors
+from splatpainter.image_files import find_camera
+from splatpainter.pictures.edit_files import camera_from
+from splatpainter.pictures.picture_reader import read_mask, resample
+from splatpainter.splats import Splats
+
+MAX_TERMS = 64
+TERM_BREAK = re.compile(r"\s+(?=or\s|(?:not:)?\w+=)|(?<=\bor)\s+")
+"""What stands between the terms of one text; names of selections may hold blanks."""
+SAME_ASSET_SHARE = 0.1
+"""Share of an asset's extent by which the median Gaussian may lie elsewhere than in the original of a project."""
+FADE = {"hue": 15.0, "saturation": 0.05, "lightness": 0.05}
+"""How far each fades beyond the ends of a range, in its unit."""
+DEFAULT_DISTANCE = 0.1
+"""Distance in OKLab; black and white are 1 apart."""
+COLOR_FADE = 0.5
+"""Share of a colour's distance over which it fades, beyond it."""
+MIN_CHROMA = 0.05
+"""Display units between the largest and the smallest channel: what has less is nearly grey, and has a hue by chance."""
+OF_FILES = ("mask", "selection", "layer")
+"""Terms that name files."""
+Weigh = Callable[[Splats], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Region:
+    """Some Gaussians, by what they are: an `or` of groups of terms that all have to hold."""
+
+    text: str
+    """The words that it was read from."""
+    groups: tuple[tuple[Weigh, ...], ...] = field(repr=False, default=())
+
+    @staticmethod
+    def parse(words: Sequence[str]) -> Region:
+        """Raises ValueError naming the term: unknown, numbers that are none, a mask that cannot be read."""
+        terms = _terms(words)
+        if not terms or len(terms) > MAX_TERMS:
+            raise ValueError(f"--where: expected 1 to {MAX_TERMS} terms, got {len(terms)}")
+        groups: list[list[Weigh]] = [[]]
+        for term in terms:
+            if term == "or":
+                groups.append([])
+            else:
+                groups[-1].append(_term(term))
+        if not all(groups):
+            raise ValueError("--where: expected a term on both sides of or")
+        return Region(" ".join(terms), tuple(map(tuple, groups)))
+
+    def weights(self, splats: Splats) -> np.ndarray:
+        """[N] float32 0..1: how much of each Gaussian belongs to the region; 0 for what cannot be drawn. Raises
+        ValueError: it reaches none."""
+        out = np.zeros(len(splats), np.float32)
+        for group in self.groups:
+            out = np.maximum(out, np.minimum.reduce([term(splats) for term in group]))
+        out[~splats.drawable] = 0
+        if not out.any():
+            raise ValueError(f"--where {self.text}: reaches none of {len(splats)} Gaussians; widen it")
+        return out
+
+
+def check_terms(words: Sequence[str]) -> None:
+    """Raises ValueError as `Region.parse`, where that needs no file; terms that hold {asset} or {variant} pass."""
+    for term in _terms(words):
+        if term != "or" and "{" not in term:
+            name, value, _ = _split(term)
+            if name not in OF_FILES:
+                _TERMS[name](name, value)
+
+
+def _terms(words: Sequence[str]) -> list[str]:
+    return [term for word in words for term in TERM_BREAK.split(word.strip())] if len(words) == 1 else list(words)
+
+
+def _split(text: str) -> tuple[str, str, bool]:
+    """(name, value, whether it is turned round)."""
+    inverted = text.startswith("not:")
+    name, equals, value = text.removeprefix("not:").partition("=")
+    if name not in _TERMS or not equals or not value:
+        raise ValueError(f"--where: expected NAME=VALUE with one of {', '.join(_TERMS)}, got {ascii(text[:60])}")
+    return name, value, inverted
+
+
+def _term(text: str) -> Weigh:
+    name, value, inverted = _split(text)
+    weigh = _TERMS[name](name, value)
+    return (lambda splats: 1 - weigh(splats)) if inverted else weigh
+
+
+def _range(name: str, text: str) -> tuple[float, float]:
+    low, dots, high = text.partition("..")
+    if not dots or not (low or high):
+        raise _wrong(name, "A..B, ..B or A..", text)
+    start = _number(name, low) if low else -math.inf
+    end = _number(name, high) if high else math.inf
+    if start > end and name != "hue":
+        raise _wrong(name, "a range from its lower to its higher end", text)
+    return start, end
+
+
+def _number(name: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise _wrong(name, "a number", text)
+    return value
+
+
+def _vector(name: str, text: str, count: int) -> np.ndarray:
+    parts = text.split(",")
+    if len(parts) != count:
+        raise _wrong(name, f"{count} numbers with commas between", text)
+    return np.array([_number(name, part) for part in parts])
+
+
+def _wrong(name: str, expected: str, text: str) -> ValueError:
+    return ValueError(f"--where {name}: expected {expected}, got {ascii(text[:60])}")
+
+
+def _faded(beyond: np.ndarray, fade: float) -> np.ndarray:
+    """1 where a value lies inside its range (beyond <= 0), 0 from `fade` beyond it on, a raised cosine between."""
+    return (0.5 + 0.5 * np.cos(np.pi * np.clip(beyond / fade, 0, 1))).astype(np.float32)
+
+
+def _hue(name: str, text: str) -> Weigh:
+    start, end = _range(name, text)
+    if math.isinf(start) or math.isinf(end):
+        raise _wrong(name, "A..B, two angles", text)
+    width = (end - start) % 360 if end - start < 360 else 360.0
+    middle = start + width / 2
+
+    def weigh(splats: Splats) -> np.ndarray:
+        colors = display_colors(splats)
+        high, low = colors.max(1), colors.min(1)
+        chroma = high - low
+        distance = np.abs((hues(colors) - middle + 180) % 360 - 180)
+        return _faded(distance - width / 2, FADE[name]) * np.minimum(chroma / np.float32(MIN_CHROMA), 1)
+
+    return weigh
+
+
+def hues(colors: np.ndarray) -> np.ndarray:
+    """[N] degrees 0..360 of display colours [N, 3] as the hexagon of HSV has them; 0 of greys."""
+    red, green, blue = colors.T.astype(np.float64)
+    high, low = colors.max(1), colors.min(1)
+    chroma = np.where(high > low, high - low, 1)
+    sextant = np.select(
+        [high == red, high == green],
+        [(green - blue) / chroma % 6, (blue - red) / chroma + 2],
+        (red - green) / chroma + 4,
+    )
+    return 60 * sextant
+
+
+def _color_range(name: str, text: str) -> Weigh:
+    low, high = _range(name, text)
+
+    def weigh(splats: Splats) -> np.ndarray:
+        colors = display_colors(splats)
+        if name == "lightness":
+            value = luminance(colors)
+        else:
+            value = 1 - colors.min(1) / np.maximum(colors.max(1), 1e-6)
+        return _faded(np.maximum(low - value, value - high), FADE[name])
+
+    return weigh
+
+
+def _color(name: str, text: str) -> Weigh:
+    code, tilde, distance_text = text.partition("~")
+    color = from_hex(code)
+    if color is None:
+        raise _wrong(name, "#RRGGBB or #RRGGBB~DISTANCE", text)
+    limit = _number(name, distance_text) if tilde else DEFAULT_DISTANCE
+    if limit <= 0:
+        raise _wrong(name, "a distance above 0", text)
+    target = oklab(np.array([color]))
+
+    def weigh(splats: Splats) -> np.ndarray:
+        distance = np.linalg.norm(oklab(display_colors(splats)) - target, axis=1)
+        return _faded(distance - limit, COLOR_FADE * limit)
+
+    return weigh
+
+
+def _attribute(name: str, text: str) -> Weigh:
+    low, high = _range(name, text)
+
+    def weigh(splats: Splats) -> np.ndarray:
+        if name == "opacity":
+            value = splats.opacities
+        else:
+            value = splats.scales.max(1) if name == "size" else splats.world_means[:, "xyz".index(name)]
+        return ((value >= low) & (value <= high)).astype(np.float32)
+
+    return weigh
+
+
+def _box(name: str, text: str) -> Weigh:
+    corners = _vector(name, text, 6).reshape(2, 3)
+    low, high = corners.min(0), corners.max(0)
+    return lambda splats: ((splats.world_means >= low) & (splats.world_means <= high)).all(1).astype(np.float32)
+
+
+def _sphere(name: str, text: str) -> Weigh:
+    *center, radius = _vector(name, text, 4)
+    if radius <= 0:
+        raise _wrong(name, "a radius above 0", text)
+    return lambda splats: (((splats.world_means - np.array(center)) ** 2).sum(1) <= radius**2).astype(np.float32)
+
+
+def _mask(name: str, text: str) -> Weigh:
+    picture, at, camera_name = text.rpartition("@")
+    if not at:
+        picture, camera_name = text, ""
+    camera = camera_from(Path(camera_name)) if camera_name else find_camera(Path(picture))
+    mask = read_mask(Path(picture))
+    if abs(mask.shape[1] * camera.height - mask.shape[0] * camera.width) > max(mask.shape):
+        size = f"{mask.shape[1]}x{mask.shape[0]}"
+        raise ValueError(
+            f"{picture}: expected a mask of its camera's shape ({camera.width}x{camera.height}), got {size}"
+        )
+    if mask.shape != (camera.height, camera.width):
+        mask = resample(mask.astype(np.float32), camera.width, camera.height) > 0.5
+
+    def weigh(splats: Splats) -> np.ndarray:
+        from splatpainter.session.layer_blending import reached_gaussians
+
+        return reached_gaussians(splats, [(camera.relative_to(splats.offset), mask)]).astype(np.float32)
+
+    return weigh
+
+
+def _of_project(name: str, text: str) -> Weigh:
+    """A selection that a project keeps, or what one of its layers paints, on an asset made from its original."""
+    from splatpainter.session import Session
+    from splatpainter.session.selection import Selection
+
+    title, at, project = text.rpartition("@")
+    if not at or not title:
+        raise _wrong(name, "NAME@PROJECT.splatproj", text)
+    with Session.load(project, readonly=True) as session:
+        try:
+            weights = session.selection(title) if name == "selection" else session.painted(title)
+        except ValueError as error:
+            raise ValueError(f"{project}: {error}") from None
+        parts = session.selected_parts(weights)
+
+    def weigh(splats: Splats) -> np.ndarray:
+        for part in parts:
+            if _is_made_from(splats, part.original):
+                return Selection.of(part.weights, part.splats, part.original).on(splats, part.original)
+        raise ValueError(f"--where {name}={ascii(title)}: expected the asset of {project}, or one made from it")
+
+    return weigh
+
+
+def _is_made_from(splats: Splats, original: Splats) -> bool:
+    """Whether an asset may be one that was made from the original: as many Gaussians or more, where they were."""
+    if len(splats) < len(original):
+        return False
+    extent = float(np.ptp(original.means[original.drawable], axis=0).max())
+    far = np.linalg.norm(splats.means[: len(original)] - original.means, axis=1)
+    return bool(np.median(far) <= SAME_ASSET_SHARE * extent)
+
+
+_TERMS: dict[str, Callable[[str, str], Weigh]] = {
+    "hue": _hue,
+    "saturation": _color_range,
+    "lightness": _color_range,
+    "color": _color,
+    "x": _attribute,
+    "y": _attribute,
+    "z": _attribute,
+    "box": _box,
+    "sphere": _sphere,
+    "opacity": _attribute,
+    "size": _attribute,
+    "mask": _mask,
+    "selection": _of_project,
+    "layer": _of_project,
+}

@@ -1,0 +1,288 @@
+"""The flattened picture in files of layers: PSD and PSB (Adobe's published file format), OpenRaster and Krita.
+
+A PSD ends with a composite of all layers, channel after channel, raw or packed by PackBits; OpenRaster and Krita files
+are zips with a mergedimage.png. Bounded: sizes are judged by the header, and no row unpacks to more than its pixels.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from splatpainter.image_files import MAX_PICTURE_PIXELS
+from splatpainter.io.bounded import zip_directory
+from splatpainter.pictures.color_profiles import PNG_MAGIC
+
+PSD_MAGIC, ZIP_MAGIC = b"8BPS", b"PK\x03\x04"
+MERGED = "mergedimage.png"
+"""Name of the flattened picture in OpenRaster and Krita files."""
+MAX_MERGED_BYTES = 512 << 20
+"""Most bytes of it."""
+FOREIGN = {
+    b"gimp xcf": "a file of GIMP's layers (XCF)",
+    b"GIF8": "a GIF",
+    b"BM": "a BMP",
+    b"\x00\x00\x01\x00": "an icon",
+    b"\xff\x0a": "a JPEG XL picture",
+    b"\x00\x00\x00\x0cJXL ": "a JPEG XL picture",
+    b"%PDF": "a PDF",
+    b"CSFCHUNK": "a Clip Studio file",
+    b"PDN3": "a Paint.NET file",
+}
+"""First bytes of files that picture programs save and nobody reads here."""
+BRANDS = {b"heic": "a HEIC picture", b"heix": "a HEIC picture", b"mif1": "a HEIC picture", b"avif": "an AVIF picture"}
+RGB_MODE, GREY_MODE = 3, 1
+MODES = {0: "a bitmap", 2: "indexed colours", 4: "CMYK", 7: "multichannel", 8: "duotone", 9: "Lab"}
+PROFILE_RESOURCE, VERSION_RESOURCE = 1039, 1057
+MAX_RESOURCES = 4096
+MAX_PROFILE_BYTES = 16 << 20
+
+
+def foreign_kind(path: Path) -> str | None:
+    """What a file is that is exported as PNG before it is used: "a GIF"; None of others."""
+    head = first_bytes(path, 32)
+    if head[4:8] == b"ftyp":
+        return BRANDS.get(head[8:12])
+    return next((words for magic, words in FOREIGN.items() if head.startswith(magic)), None)
+
+
+def is_psd(path: Path) -> bool:
+    return first_bytes(path, 4) == PSD_MAGIC
+
+
+def is_zip(path: Path) -> bool:
+    return first_bytes(path, 4) == ZIP_MAGIC
+
+
+def first_bytes(path: Path, count: int) -> bytes:
+    """As many as there are; none of what cannot be read, or is no regular file."""
+    try:
+        if not path.is_file():
+            return b""
+        with open(path, "rb") as file:
+            return file.read(count)
+    except OSError:
+        return b""
+
+
+@dataclass(frozen=True)
+class Composite:
+    """The flattened picture of a PSD."""
+
+    colors: np.ndarray
+    """[H, W, 3] float32 0..1, as stored."""
+    alpha: np.ndarray | None
+    """[H, W] float32 0..1."""
+    profile: bytes | None
+    """ICC profile."""
+
+
+@dataclass(frozen=True)
+class _PsdHeader:
+    large: bool
+    """Whether it is a PSB: lengths of 8 bytes."""
+    channels: int
+    height: int
+    width: int
+    bits: int
+    mode: int
+
+
+def psd_size(path: Path) -> tuple[int, int]:
+    """(width, height). Raises ValueError as `read_psd`."""
+    with open(path, "rb") as file:
+        header = _psd_header(file, path)
+    return header.width, header.height
+
+
+def read_psd(path: Path) -> Composite:
+    """The composite of a PSD or PSB. Raises ValueError naming the file: damaged, too many pixels, other than 8 or 16
+    bits of RGB or grey, saved without its composite."""
+    size = os.path.getsize(path)
+    with open(path, "rb") as file:
+        header = _psd_header(file, path)
+        _skipped(file, 4, size, path)
+        profile, has_composite = _resources(file, size, path)
+        if not has_composite:
+            raise ValueError(
+                f"{path}: a PSD that was saved without its flattened picture; save it with maximum compatibility, or "
+                "export it as PNG"
+            )
+        transparent = _first_alpha_is_transparency(file, header, size, path)
+        planes = _planes(file, header, size, path)
+    colors = np.stack(planes[:3], -1) if header.mode == RGB_MODE else np.repeat(planes[0][..., None], 3, -1)
+    values = colors.astype(np.float32) / (255 if header.bits == 8 else 65535)
+    count = 3 if header.mode == RGB_MODE else 1
+    if not transparent or len(planes) <= count:
+        return Composite(values, None, profile)
+    alpha = planes[count].astype(np.float32) / (255 if header.bits == 8 else 65535)
+    if alpha.min() == 1:
+        return Composite(values, None, profile)
+    # Flattened on white, as the format wants: taken out again where anything shows.
+    share = np.maximum(alpha, 1e-6)[..., None]
+    straight = np.where(alpha[..., None] > 0, (values - (1 - share)) / share, 0)
+    return Composite(np.clip(straight, 0, 1).astype(np.float32), alpha, profile)
+
+
+def _psd_header(file: BinaryIO, path: Path) -> _PsdHeader:
+    head = file.read(26)
+    if len(head) < 26 or head[:4] != PSD_MAGIC:
+        raise ValueError(f"{path}: damaged PSD (its header is cut off)")
+    version, channels, height, width, bits, mode = struct.unpack(">H6xHIIHH", head[4:])
+    if version not in (1, 2):
+        raise ValueError(f"{path}: expected a PSD of version 1 or 2, got {version}")
+    if not 0 < width * height <= MAX_PICTURE_PIXELS:
+        raise ValueError(
+            f"{path}: expected at most {MAX_PICTURE_PIXELS // 10**6} megapixels, got {width}x{height}; scale it down"
+        )
+    if mode not in (RGB_MODE, GREY_MODE):
+        raise ValueError(f"{path}: expected RGB colours, got {MODES.get(mode, f'mode {mode}')}; save it as RGB")
+    if bits not in (8, 16):
+        raise ValueError(f"{path}: expected a PSD of 8 or 16 bits, got {bits}; export it as PNG or OpenEXR")
+    if not (3 if mode == RGB_MODE else 1) <= channels <= 56:
+        raise ValueError(f"{path}: damaged PSD ({channels} channels)")
+    return _PsdHeader(version == 2, channels, height, width, bits, mode)
+
+
+def _skipped(file: BinaryIO, length_bytes: int, size: int, path: Path) -> tuple[int, int]:
+    """(start, end) of a section; the file stands at its end."""
+    stored = file.read(length_bytes)
+    start = file.tell()
+    end = start + int.from_bytes(stored, "big")
+    if len(stored) < length_bytes or end > size:
+        raise ValueError(f"{path}: damaged PSD (a section lies beyond its end)")
+    file.seek(end)
+    return start, end
+
+
+def _resources(file: BinaryIO, size: int, path: Path) -> tuple[bytes | None, bool]:
+    """(the ICC profile, whether the composite is one); the file stands behind the resources."""
+    start, end = _skipped(file, 4, size, path)
+    profile, has_composite = None, True
+    at = start
+    for _ in range(MAX_RESOURCES):
+        file.seek(at)
+        head = file.read(7)
+        if at + 12 > end or len(head) < 7:
+            break
+        id, name_bytes = int.from_bytes(head[4:6], "big"), head[6]
+        file.seek(at + 6 + name_bytes + 1 + (name_bytes + 1) % 2)
+        length = int.from_bytes(file.read(4), "big")
+        body = file.tell()
+        if head[:4] not in (b"8BIM", b"MeSa", b"AgHg", b"PHUT", b"DCSR") or body + length > end:
+            break
+        if id == PROFILE_RESOURCE and length <= MAX_PROFILE_BYTES:
+            profile = file.read(length)
+        elif id == VERSION_RESOURCE and length >= 5:
+            has_composite = file.read(5)[4] != 0
+        at = body + length + length % 2
+    file.seek(end)
+    return profile, has_composite
+
+
+def _first_alpha_is_transparency(file: BinaryIO, header: _PsdHeader, size: int, path: Path) -> bool:
+    """Whether the channel behind the colours is the composite's transparency, not a saved selection: the number of
+    layers is below 0 then. Without layers nobody says: programs that write four channels alone mean it so."""
+    length_bytes = 8 if header.large else 4
+    start, end = _skipped(file, length_bytes, size, path)
+    transparent = True
+    if end - start >= length_bytes + 2:
+        file.seek(start + length_bytes)
+        transparent = int.from_bytes(file.read(2), "big", signed=True) < 0
+    file.seek(end)
+    return transparent
+
+
+def _planes(file: BinaryIO, header: _PsdHeader, size: int, path: Path) -> list[np.ndarray]:
+    """At most four [H, W] channels as stored."""
+    kind = int.from_bytes(file.read(2), "big")
+    channel_count = min(header.channels, 4 if header.mode == RGB_MODE else 2)
+    row_bytes = header.width * header.bits // 8
+    rest = size - file.tell()
+    dtype = np.dtype(np.uint8 if header.bits == 8 else ">u2")
+    if kind == 0:
+        needed = channel_count * header.height * row_bytes
+        if rest < needed:
+            raise ValueError(f"{path}: damaged PSD (its flattened picture has {rest} bytes of {needed})")
+        data = np.frombuffer(file.read(needed), dtype)
+        return list(data.reshape(channel_count, header.height, header.width))
+    if kind != 1:
+        raise ValueError(f"{path}: a PSD whose flattened picture is packed by ZIP, which is not read; export it as PNG")
+    count_bytes = 4 if header.large else 2
+    table = file.read(header.channels * header.height * count_bytes)
+    if len(table) < header.channels * header.height * count_bytes:
+        raise ValueError(f"{path}: damaged PSD (its table of rows is cut off)")
+    lengths = np.frombuffer(table, f">u{count_bytes}").astype(np.int64)[: channel_count * header.height]
+    if int(lengths.sum()) > size - file.tell():
+        raise ValueError(f"{path}: damaged PSD (its flattened picture is cut off)")
+    if int(lengths.sum()) * 128 < channel_count * header.height * row_bytes:  # PackBits makes 128 bytes of 2
+        raise ValueError(f"{path}: damaged PSD (its rows are too short for {header.width} pixels)")
+    out = np.zeros((channel_count * header.height, row_bytes), np.uint8)
+    for row, length in zip(out, lengths.tolist(), strict=True):
+        _unpack(file.read(length), row, path)
+    return [plane.reshape(header.height, -1).view(dtype) for plane in np.split(out, channel_count)]
+
+
+def _unpack(packed: bytes, row: np.ndarray, path: Path) -> None:
+    """PackBits (TIFF 6.0, section 9) of one row into [B] uint8. Raises ValueError: more or less than the row."""
+    at, filled, end, size = 0, 0, len(packed), len(row)
+    while at < end and filled < size:
+        code = packed[at]
+        at += 1
+        if code < 128:
+            piece = packed[at : at + code + 1]
+            if filled + len(piece) > size or len(piece) <= code:
+                break
+            row[filled : filled + len(piece)] = np.frombuffer(piece, np.uint8)
+            at += code + 1
+            filled += code + 1
+        elif code > 128:
+            if at >= end or filled + 257 - code > size:
+                break
+            row[filled : filled + 257 - code] = packed[at]
+            at += 1
+            filled += 257 - code
+    if filled != size:
+        raise ValueError(f"{path}: damaged PSD (a row of {size} bytes unpacks to another number)")
+
+
+def holds_merged(path: Path) -> bool:
+    """Whether a file is a zip with a flattened picture in it."""
+    if not is_zip(path):
+        return False
+    try:
+        with open(path, "rb") as file:
+            return any(entry.filename == MERGED for entry in zip_directory(file, path))
+    except ValueError:
+        return False
+
+
+def merged_png(path: Path) -> bytes:
+    """The flattened picture of an OpenRaster or Krita file. Raises ValueError: none in it, damaged, too large."""
+    import zipfile
+    import zlib
+
+    with open(path, "rb") as file:
+        entries = [entry for entry in zip_directory(file, path) if entry.filename == MERGED]
+        if not entries:
+            raise ValueError(
+                f"{path}: expected a picture, or an OpenRaster or Krita file with {MERGED} in it; export it as PNG"
+            )
+        if entries[0].file_size > MAX_MERGED_BYTES:
+            raise ValueError(f"{path}: {MERGED} in it claims more than {MAX_MERGED_BYTES >> 20} MiB; export it as PNG")
+        try:
+            with zipfile.ZipFile(file) as archive, archive.open(entries[0]) as member:
+                data = member.read(MAX_MERGED_BYTES + 1)
+        except (zipfile.BadZipFile, zlib.error, OSError, RuntimeError, EOFError, ValueError) as error:
+            reason = " ".join(str(error).split())[:80]
+            raise ValueError(f"{path}: damaged: {MERGED} in it cannot be read ({reason})") from None
+    if not data.startswith(PNG_MAGIC):  # a zip in a zip might hold itself
+        raise ValueError(f"{path}: expected a PNG as {MERGED} in it, got another kind of file")
+    if len(data) > MAX_MERGED_BYTES:
+        raise ValueError(f"{path}: {MERGED} in it is larger than {MAX_MERGED_BYTES >> 20} MiB; export it as PNG")
+    return data

@@ -1,0 +1,86 @@
+"""Pictures that somebody saves into a folder, found by looking every moment: nothing is installed for it, and network
+folders, which send no events, work as well."""
+
+from __future__ import annotations
+
+import stat
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeAlias
+
+from splatpainter.pictures.picture_reader import PICTURE_SUFFIXES
+
+QUIET_SECONDS = 0.3
+"""Without a change, after which a file counts as saved."""
+LOOK_SECONDS = 0.1
+"""Seconds between looks at a folder."""
+MAX_FILES = 10_000
+"""Most files of a folder that is watched."""
+Signature: TypeAlias = tuple[int, int, int]
+"""(nanoseconds of its last change, bytes, inode) of a file."""
+
+
+class SavedPictures:
+    """What was saved in a folder since this was made, or since `seen`."""
+
+    def __init__(
+        self,
+        folder: Path,
+        quiet_seconds: float = QUIET_SECONDS,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Raises ValueError: no folder, or one that cannot be read."""
+        self.folder = folder
+        self._quiet_seconds, self._clock = quiet_seconds, clock
+        self._seen = self._signatures()
+        self._changing: dict[str, tuple[Signature, float]] = {}
+
+    def seen(self, path: Path) -> None:
+        """What that file holds now was not saved by somebody else."""
+        if (signature := _signature(path)) is not None:
+            self._seen[path.name] = signature
+
+    def take(self) -> list[Path]:
+        """Files that were saved and are quiet since, in order of their change; each once per save. Raises ValueError as
+        `__init__`."""
+        now, saved = self._clock(), []
+        current = self._signatures()
+        for name in [name for name in self._changing if name not in current]:
+            del self._changing[name]
+        for name, signature in current.items():
+            if self._seen.get(name) == signature:
+                self._changing.pop(name, None)
+                continue
+            before, since = self._changing.get(name, (None, now))
+            if before != signature:
+                self._changing[name] = (signature, now)
+            elif now - since >= self._quiet_seconds:
+                self._seen[name] = signature
+                del self._changing[name]
+                saved.append((signature, self.folder / name))
+        self._seen = {name: signature for name, signature in self._seen.items() if name in current}
+        return [path for _, path in sorted(saved)]
+
+    def _signatures(self) -> dict[str, Signature]:
+        signatures: dict[str, Signature] = {}
+        try:
+            for path in self.folder.iterdir():
+                if path.name.startswith(".") or path.suffix.lower() not in PICTURE_SUFFIXES:
+                    continue
+                if (signature := _signature(path)) is not None:
+                    signatures[path.name] = signature
+                if len(signatures) > MAX_FILES:
+                    raise ValueError(f"{self.folder}: expected at most {MAX_FILES:,} pictures in a folder to watch")
+        except OSError as error:
+            raise ValueError(f"{self.folder}: cannot be watched ({error.strerror or error})") from None
+        return signatures
+
+
+def _signature(path: Path) -> Signature | None:
+    """None for what is gone or no regular file."""
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return (status.st_mtime_ns, status.st_size, status.st_ino) if stat.S_ISREG(status.st_mode) else None

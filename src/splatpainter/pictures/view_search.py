@@ -1,0 +1,173 @@
+"""Which view a picture shows that lost its camera: "save as" under a new name is the normal case, and GIMP, darktable,
+ffmpeg and every file that is no PNG drop what was inside.
+
+Views are looked for among pictures that carry a camera, or have it beside them, in folders: thumbnails of what the view
+looked like are compared with the picture's. Pictures are display sRGB 0..1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from splatpainter.cameras import Camera
+from splatpainter.image_files import CAMERA_KEYWORD, exr_text, find_camera, is_exr
+from splatpainter.pictures.picture_reader import MAX_PICTURE_PIXELS, Picture, declared_size, read_picture, resample
+
+MAX_ASPECT_ERROR = 0.01
+"""A picture's aspect ratio may differ from its camera's by this part (one pixel of rounding, and some)."""
+THUMBNAIL_PX = 48
+"""Pixels of the thumbnails that pictures are recognised by."""
+MAX_THUMBNAIL_DIFFERENCE = 0.04
+"""Mean difference of the half of the thumbnails that agrees best, up to which one was made from the other."""
+MIN_RIVAL_RATIO, MIN_RIVAL_MARGIN = 1.5, 0.004
+"""A view is the one only where every other is worse by this factor and this mean difference."""
+MIN_CONTENT = 3 / 255
+"""Difference to the background from which a pixel of a thumbnail shows something."""
+VIEW_ENDINGS = (".png", ".exr", ".webp", ".tif", ".tiff", ".jpg", ".jpeg")
+MAX_FILES, MAX_VIEWS = 2000, 128
+"""Files of a folder whose names are looked at, and views of it that are compared, the latest first."""
+MAX_DECODED_PIXELS = 1 << 24
+"""Larger pictures are no candidates: decoding them all takes too long."""
+
+
+@dataclass(frozen=True)
+class NamedView:
+    """A view that was given out to be edited elsewhere."""
+
+    name: str
+    camera: Camera
+    thumbnail: np.ndarray = field(repr=False)
+    """[S, S, 3] float32 what it looked like."""
+
+
+def same_shape(size: tuple[int, int], target: tuple[int, int]) -> bool:
+    """Whether a picture of `size` (width, height) is one of `target`, resized."""
+    return abs((size[0] / size[1]) / (target[0] / target[1]) - 1) <= MAX_ASPECT_ERROR or (
+        abs(size[0] - size[1] * target[0] / target[1]) <= 1
+    )
+
+
+def thumbnail(image: np.ndarray) -> np.ndarray:
+    """[THUMBNAIL_PX, THUMBNAIL_PX, 3] a picture shrunk, to be recognised by."""
+    return resample(np.clip(image, 0, 1), THUMBNAIL_PX, THUMBNAIL_PX)
+
+
+def most_alike(picture: np.ndarray, views: Sequence[NamedView], stem: str = "") -> NamedView | None:
+    """The view that a picture [h, w, 3] was made from, None where none is like it, or several are. stem: of the
+    picture's name: of several that are like it the one whose name it begins with is meant.
+
+    Only what one of the two shows besides their background counts, and of that the half of the pixels that agrees best:
+    the other half may have been painted over."""
+    pixels = thumbnail(picture)
+    scores = [_unlikeness(pixels, view.thumbnail) for view in views]
+    order = sorted(range(len(views)), key=lambda k: scores[k])
+    if not order or scores[order[0]] > MAX_THUMBNAIL_DIFFERENCE:
+        return None
+    best = views[order[0]]
+    limit = max(MIN_RIVAL_RATIO * scores[order[0]], scores[order[0]] + MIN_RIVAL_MARGIN)
+    rivals = [views[k] for k in order if scores[k] < limit and not same_view(views[k].camera, best.camera)]
+    if not rivals:
+        return best
+    by_name = [view for view in (best, *rivals) if _is_named_after(stem, Path(view.name).stem)]
+    return by_name[0] if len(by_name) == 1 else None
+
+
+def _unlikeness(picture: np.ndarray, other: np.ndarray) -> float:
+    border = np.concatenate([other[0], other[-1], other[:, 0], other[:, -1]])
+    background = np.median(border, 0)
+    shows = np.maximum(np.abs(picture - background).max(-1), np.abs(other - background).max(-1)) > MIN_CONTENT
+    difference = np.abs(picture - other).mean(-1)
+    values = np.sort(difference[shows] if shows.any() else difference, axis=None)
+    return float(values[: len(values) // 2 + 1].mean())
+
+
+def same_view(one: Camera, other: Camera) -> bool:
+    """Of any size."""
+    shape = one.fx * other.width / (other.fx * one.width)
+    return bool(np.allclose(one.world_to_camera, other.world_to_camera, atol=1e-6) and abs(shape - 1) < 1e-3)
+
+
+def _is_named_after(stem: str, view: str) -> bool:
+    """ "view_000 final" is named after view_000, "view_0001" is not."""
+    return bool(view) and stem.startswith(view) and not stem[len(view) : len(view) + 1].isalnum()
+
+
+def views_in(folders: Iterable[Path], size: tuple[int, int], besides: Path | None = None) -> list[NamedView]:
+    """Views of the shape of a picture of `size` that lie in folders as pictures with a camera in them or beside them.
+    Folders and files that cannot be read are passed over. besides: a file that is none of them."""
+    out: list[NamedView] = []
+    for folder in dict.fromkeys(Path(folder) for folder in folders):
+        for path in _pictures(folder):
+            if len(out) >= MAX_VIEWS:
+                return out
+            if besides is not None and path.name == besides.name and path.parent == besides.parent:
+                continue
+            if (view := _view_of(path, size)) is not None:
+                out.append(view)
+    return out
+
+
+def _pictures(folder: Path) -> list[Path]:
+    """The latest first."""
+    dated = []
+    try:
+        for count, path in enumerate(folder.iterdir()):
+            if count >= MAX_FILES:
+                break
+            if path.suffix.lower() in VIEW_ENDINGS and not path.name.startswith(".") and path.is_file():
+                dated.append((-path.stat().st_mtime_ns, path.name, path))
+    except OSError:
+        return []
+    return [path for _, _, path in sorted(dated)]
+
+
+def _view_of(path: Path, size: tuple[int, int]) -> NamedView | None:
+    try:
+        if not (path.with_suffix(".json").is_file() or _says_camera(path)):
+            return None
+        camera = find_camera(path)
+        declared = declared_size(path) or (camera.width, camera.height)
+        if not same_shape(size, (camera.width, camera.height)) or declared[0] * declared[1] > MAX_DECODED_PIXELS:
+            return None
+        picture = read_picture(path)
+    except ValueError:
+        return None
+    return NamedView(path.name, camera, thumbnail(_flat(picture, camera)))
+
+
+def _says_camera(path: Path) -> bool:
+    """Whether a file names the keyword near its beginning, before it is opened as a picture."""
+    if is_exr(path):
+        return exr_text(path, CAMERA_KEYWORD, MAX_PICTURE_PIXELS) is not None
+    try:
+        with open(path, "rb") as file:
+            return CAMERA_KEYWORD.encode() in file.read(1 << 16)
+    except OSError:
+        return False
+
+
+def _flat(picture: Picture, camera: Camera) -> np.ndarray:
+    """[H, W, 3] over the view's background, where it was rendered without one."""
+    if picture.alpha is None:
+        return picture.colors
+    return picture.colors * picture.alpha[..., None] + (1 - picture.alpha[..., None]) * np.asarray(camera.background)
+
+
+def lost_camera(path: Path, picture: Picture, folders: Iterable[Path]) -> tuple[Camera, str]:
+    """(the camera of a picture that carries none, the name of the view that it was made from), looked for in folders.
+    Raises ValueError: the picture matches no view there, or several."""
+    views = views_in(folders, picture.size, besides=path)
+    background = views[0].camera if views else None
+    colors = picture.colors if background is None else _flat(picture, background)
+    best = most_alike(colors, views, path.stem)
+    if best is None:
+        actual = f"none of {len(views)} views beside it is like it, or several are" if views else "no view beside it"
+        raise ValueError(
+            f"{path}: no camera in it, in {path.with_suffix('.json').name}, or given with --camera, and {actual}; give "
+            "--camera CAM.json, the view that it was painted on, or the folder of the views"
+        )
+    return best.camera, best.name

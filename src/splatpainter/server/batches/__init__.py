@@ -1,0 +1,1 @@
+"""Batches that the page starts and watches."""

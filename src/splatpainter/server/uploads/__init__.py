@@ -1,0 +1,1 @@
+"""Files that come to the studio: uploaded, or saved in the folder that it watches."""

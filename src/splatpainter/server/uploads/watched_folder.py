@@ -1,0 +1,107 @@
+"""The watched folder: a picture that is saved there is offered to every client as an edit.
+
+The folder is looked at every moment, as `splatpainter watch` does it: network folders, and those that a virtual machine
+shares, send no events.
+
+What is wrong with one file is sent to the clients, and the watch goes on.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import stat
+import time
+from collections.abc import Callable
+
+from splatpainter.io import files
+from splatpainter.pictures.picture_reader import read_picture
+from splatpainter.pictures.saved_pictures import SavedPictures
+from splatpainter.server.commands.context import naming_errors
+from splatpainter.server.hub import Hub, log, problem_of
+from splatpainter.server.protocol import PictureEvent, ToastEvent
+from splatpainter.server.studio import Studio
+from splatpainter.server.uploads.storage import StoredBlob
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".psd", ".psb", ".ora", ".kra")
+LOOK_SECONDS = 0.2
+"""Between two looks at the folder, ..."""
+REST_PER_LOOK = 9.0
+"""... and at least that many times as long as a look takes: a large folder far away must not keep the studio busy."""
+RETRY_SECONDS = 5.0
+"""Seconds after the watch itself failed (the folder is gone, it has too many pictures), until it is tried again."""
+
+
+async def watch(hub: Hub, retry_seconds: float = RETRY_SECONDS) -> None:
+    """Until cancelled; at once where the studio has no folder."""
+    studio = hub.studio
+    if studio.folder is None:
+        return
+    saved, last_warning = None, ""
+    while True:
+        began = time.monotonic()
+        try:
+            if saved is None:
+                saved = await asyncio.to_thread(SavedPictures, studio.folder.root)
+            for path in await asyncio.to_thread(saved.take):
+                await offer(hub, path.name)
+        except Exception as error:
+            log.warning("the watched folder: %s", error)
+            text = f"The folder {studio.folder.root.name} cannot be watched."
+            if text != last_warning:
+                hub.publish(ToastEvent(level="warning", message=text, hint="Drop pictures into the page instead."))
+            last_warning = text
+            await asyncio.sleep(retry_seconds)
+        else:
+            last_warning = ""
+            await asyncio.sleep(max(LOOK_SECONDS, REST_PER_LOOK * (time.monotonic() - began)))
+
+
+async def offer(hub: Hub, name: str, read: Callable[[Studio, str], StoredBlob | None] | None = None) -> None:
+    """Offer the file of that name to every client, or say what is wrong with it. Raises nothing. read: default
+    saved_picture."""
+    title = name.encode("utf-8", "replace").decode()  # names need not be text
+    try:
+        blob = await asyncio.to_thread(read or saved_picture, hub.studio, name)
+        if blob is not None:
+            hub.publish(PictureEvent(picture=blob.sha256, name=title[:200]))
+    except FileNotFoundError:
+        pass  # it was there for a moment only
+    except Exception as error:
+        folder = hub.studio.folder
+        if folder is None or not os.path.lexists(folder.root / name):
+            return
+        problem = hub.studio.public_problem(problem_of(error))
+        text = problem.message.removeprefix(f"{title}: ")
+        hub.publish(ToastEvent(level="warning", message=f"{title[:200]}: {text}"[:400], hint=problem.hint))
+
+
+def saved_picture(studio: Studio, name: str) -> StoredBlob | None:
+    """The picture in the folder, None where the file is no picture by its name, or is what the studio wrote there or
+    offered before. Raises FileNotFoundError where it is gone; ValueError: no regular file, too large, no whole
+    picture."""
+    if studio.folder is None or name.startswith(".") or not name.lower().endswith(SUFFIXES):
+        return None
+    try:
+        status = (studio.folder.root / name).stat()
+    except FileNotFoundError:
+        raise
+    except OSError as error:
+        raise ValueError(f"cannot be read ({error.strerror or error})") from None
+    if not stat.S_ISREG(status.st_mode):
+        raise ValueError("expected a picture, got a folder, a pipe or a device")
+    path = studio.folder.file(name)
+    limit = studio.options.limits.picture
+    if status.st_size > limit:
+        raise ValueError(f"expected at most {limit >> 20} MiB")
+    data = files.read_all(path)
+    sha256 = files.sha256(data)
+    if studio.written.get(name) == sha256:
+        return None
+    blob = studio.blobs.put(data, name)
+    if blob.info.kind != "picture":
+        raise ValueError("expected a picture")
+    with naming_errors(blob.path, name):
+        read_picture(blob.path, inks=False)  # half a file has a whole header
+    studio.written[name] = sha256
+    return blob

@@ -1,0 +1,327 @@
+"""Decals: where their features lie on shapes whose exponential map is exact, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import splatpainter as sp
+from splatpainter.decals import decal_views
+from splatpainter.decals.decal_placement import picture_up
+from splatpainter.decals.decals import MAX_ROUGH_PX, Decal, parse_width, rough_length_px, text_picture
+from splatpainter.demo_asset import demo_asset, demo_view
+from splatpainter.lift.masks import dilated
+from splatpainter.painter import Painter
+from splatpainter.pictures.picture_reader import Picture
+from tests.support import surface_shapes
+from tests.support.cli_scenes import Capture, run, saved
+
+UP = (0.0, 1.0, 0.0)
+RED = (0.9, 0.05, 0.05)
+
+
+def looking(point: np.ndarray, normal: np.ndarray, *, distance: float = 3.0, size: int = 240) -> sp.Camera:
+    return sp.look_at(point + distance * normal, point, UP, width=size, height=size, fov=30)
+
+
+FRONT = looking(np.zeros(3), np.array([0, 0, 1.0]), distance=4.0)
+MIDDLE = (120.0, 120.0)
+
+
+def dots(centers: np.ndarray, pixels: int = 240) -> np.ndarray:
+    """[pixels, pixels, 4] red dots on nothing. centers: [K, 2] in -0.5 .. 0.5, right and up."""
+    y, x = np.mgrid[:pixels, :pixels] + 0.5
+    picture = np.zeros((pixels, pixels, 4), np.float32)
+    picture[..., :3] = RED
+    for u, v in centers:
+        away = np.hypot(x - (0.5 + u) * pixels, y - (0.5 - v) * pixels)
+        picture[..., 3] = np.maximum(picture[..., 3], np.clip(0.035 * pixels - away + 0.5, 0, 1))
+    return picture
+
+
+def on_box(uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    u = uv[0]
+    side = 0.0 if abs(u) <= 0.5 else float(np.sign(u))
+    point = np.array([np.clip(u, -0.5, 0.5), uv[1], 0.5 - max(abs(u) - 0.5, 0)])
+    return point, np.array([side, 0, float(side == 0)])
+
+
+def on_cylinder(uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    normal = np.array([np.sin(uv[0] / 0.6), 0, np.cos(uv[0] / 0.6)])
+    return 0.6 * normal + np.array([0, uv[1], 0]), normal
+
+
+def on_sphere(uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    away = float(np.linalg.norm(uv))
+    normal = np.array([*(np.sin(away) / max(away, 1e-12) * uv), np.cos(away)])
+    return normal, normal
+
+
+SHAPES: list[tuple[str, Callable, float, Callable]] = [
+    ("box", lambda: surface_shapes.box(6_000), 1.6, on_box),
+    ("cylinder", lambda: surface_shapes.cylinder(3_000), 1.6, on_cylinder),
+    ("sphere", lambda: surface_shapes.sphere(3_000), 1.6, on_sphere),
+]
+
+
+def turned(uv: np.ndarray, angle: float) -> np.ndarray:
+    c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+    return uv @ np.array([[c, s], [-s, c]])
+
+
+@pytest.mark.parametrize(("angle", "across"), [(0.0, True), (30.0, False)])
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: shape[0])
+def test_features_lie_where_the_exact_map_puts_them(shape, angle: float, across: bool) -> None:
+    """Each dot is found in a picture from straight above where it must be; off by less than 2 % of the width."""
+    _, make, width, exact = shape
+    splats = make()
+    values = np.array([-0.42, -0.2, 0, 0.2, 0.42])
+    centers = np.array([[u, v] for u in (values if across else values / 2) for v in (-0.22, 0, 0.22)])
+    painter = sp.Painter()
+    asset = painter.encode(splats)
+    laid = Decal(dots(centers, 120), MIDDLE, FRONT, width, angle).laid(asset)
+    edited = painter.apply(asset, laid.edits)
+    errors = []
+    for uv in turned(centers, angle) * width:
+        point, normal = exact(uv)
+        camera = looking(point, normal)
+        reach = int(0.065 * width * camera.fx / 3)
+        window_camera = replace(camera, width=2 * reach, height=2 * reach, cx=float(reach), cy=float(reach))
+        before, after = (np.clip(sp.render(s, window_camera).colors[0], 0, 1) for s in (splats, edited.splats))
+        window = np.maximum((before - after)[..., 1:].mean(-1) - 0.08, 0)  # grey to red
+        assert window.max() > 0.2, f"nothing painted at {uv}"
+        y, x = np.mgrid[-reach:reach, -reach:reach] + 0.5
+        away = np.array([(window * x).sum(), (window * y).sum()]) / window.sum()
+        errors.append(np.linalg.norm(away) * 3 / camera.fx / width)
+    assert laid.coverage > 0.95
+    assert max(errors) < 0.02, np.round(errors, 4)
+
+
+def test_what_the_decal_does_not_reach_keeps_its_bits() -> None:
+    splats = surface_shapes.box(4_000)
+    painter = sp.Painter()
+    asset = painter.encode(splats)
+    edited = painter.apply(asset, Decal(dots(np.zeros((1, 2))), MIDDLE, FRONT, 0.5).views(asset))
+    behind = splats.means[:, 2] < 0.2
+    assert np.array_equal(edited.splats.sh[: len(splats)][behind], splats.sh[behind])
+    assert edited.receipt is not None
+    assert edited.receipt.untouched_sha256_before == edited.receipt.untouched_sha256_after
+
+
+def test_wrap_limit_keeps_to_one_face() -> None:
+    asset = sp.Painter().encode(surface_shapes.box(4_000))
+    full = np.full((60, 120, 3), 0.2, np.float32)
+    limited = Decal(full, MIDDLE, FRONT, 1.6, wrap=30.0).laid(asset)
+    free = Decal(full, MIDDLE, FRONT, 1.6).laid(asset)
+    assert len(limited.edits) < len(free.edits)
+    assert limited.coverage < 0.75 < 0.95 < free.coverage
+
+
+def test_the_note_says_when_less_than_half_lies_on_the_surface() -> None:
+    asset = sp.Painter().encode(surface_shapes.box(4_000))
+    full = np.full((60, 120, 3), 0.2, np.float32)
+    limited = Decal(full, MIDDLE, FRONT, 2.6, wrap=30.0).laid(asset)
+    assert limited.coverage < 0.5
+    assert "less than half" in limited.note
+    assert "less than half" not in Decal(full, MIDDLE, FRONT, 0.5).laid(asset).note
+
+
+def test_word_around_a_corner_of_rough_surface() -> None:
+    """Gaussians that scatter about the faces by half a width, as those of captures do."""
+    asset = sp.Painter().encode(surface_shapes.box(3_000, noise=0.5))
+    full = np.full((60, 240, 3), 0.2, np.float32)
+    laid = Decal(full, MIDDLE, FRONT, 1.4).laid(asset)
+    assert laid.coverage > 0.85
+
+
+@pytest.mark.parametrize(
+    ("count", "word", "width"), [(10_000, "STONE", 1.6), (10_000, "PEDESTAL", 1.4), (20_000, "STONE", 1.2)]
+)
+def test_a_word_across_three_faces_is_whole(count: int, word: str, width: float) -> None:
+    """Also where so little of it lies on the sides that few samples ask for a camera there."""
+    asset = sp.Painter().encode(surface_shapes.box(count))
+    laid = Decal(text_picture(word, RED), MIDDLE, FRONT, width).laid(asset)
+    assert laid.coverage > 0.97
+    assert "the other" not in laid.note
+
+
+def test_a_letter_on_an_edge_keeps_its_shape() -> None:
+    """Views that face one of both faces would see the other along itself, and colour it by a line of pixels."""
+    painter = sp.Painter()
+    asset = painter.encode(surface_shapes.box(6_000))
+    edits = Decal(text_picture("PEDESTAL", RED), MIDDLE, FRONT, 2.2).views(asset)
+    seen = sp.render(painter.apply(asset, edits).splats, looking(np.array([-0.4, 0, 0.5]), np.array([0, 0, 1.0])))
+    colors = seen.colors[0]
+    bluish = (colors[..., 2] > colors[..., 0] + 0.15).sum()
+    assert bluish < 5  # 150 of views from the fronts alone
+    assert (colors[..., 0] > colors[..., 2] + 0.4).sum() > 1000
+
+
+def test_fog_is_painted_from_the_sides_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where most of what a view shows is not on the surface, as if it were so on this box."""
+    asset = sp.Painter().encode(surface_shapes.box(4_000))
+    decal = Decal(dots(np.zeros((1, 2))), MIDDLE, FRONT, 0.5)
+    (front,) = decal.views(asset)
+    monkeypatch.setattr(decal_views, "MIN_CLEAR", 1.01)
+    *sides, last = decal.views(asset)
+    assert np.array_equal(np.asarray(last.image), np.asarray(front.image))
+    angles = [np.degrees(np.arccos(side.camera.forward @ front.camera.forward)) for side in sides]
+    np.testing.assert_allclose(angles, 38, atol=3)
+
+
+def test_large_stickers_on_rough_surface_are_averaged_down_words_are_not() -> None:
+    full = np.full((384, 384, 4), 1.0, np.float32)
+    sides = [rough_length_px(Picture(full[..., :3], alpha), 384) for alpha in (None, full[..., 3])]
+    assert sides[0] == sides[1]
+    assert 0.95 * MAX_ROUGH_PX < sides[0] ** 2 <= MAX_ROUGH_PX
+    assert rough_length_px(text_picture("PEDESTAL", RED), 384) == 384
+    assert rough_length_px(text_picture("PEDESTAL", RED), 200) == 200
+
+
+def test_letters() -> None:
+    picture = text_picture("Hi", (0.1, 0.2, 0.3))
+    assert picture.alpha is not None
+    assert picture.alpha.max() > 0.99
+    assert picture.size[0] < 2 * picture.size[1]
+    with pytest.raises(ValueError, match="1 to 200 characters"):
+        text_picture("  ", RED)
+
+
+def test_widths() -> None:
+    assert parse_width("12%") == (12, True)
+    assert parse_width(0.5) == (0.5, False)
+    for wrong in ("", "0", "-1", "nan", "wide", "inf%"):
+        with pytest.raises(ValueError, match="width above 0"):
+            parse_width(wrong)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"picture": np.zeros((0, 4, 3), np.float32)}, "no pixels"),
+        ({"picture": np.zeros((4, 4), np.float32)}, "shape"),
+        ({"picture": np.zeros((4, 4, 4), np.uint8)}, "transparent everywhere"),
+        ({"picture": np.zeros((2, 200, 3), np.uint8)}, "40 to 1"),
+        ({"picture": np.full((4, 4, 3), np.nan)}, "floats in 0..1"),
+        ({"wrap": 0.0}, "wrap limit"),
+        ({"wrap": 181.0}, "wrap limit"),
+        ({"angle": float("nan")}, "angle"),
+        ({"width": -1.0}, "width above 0"),
+        ({"width": 1e6}, "too large"),
+        ({"at": (2.0, 2.0)}, "no surface under pixel 2,2"),
+        ({"at": (999.0, 2.0)}, "expected a pixel of the camera's 240x240"),
+    ],
+)
+def test_bad_input(change: dict, words: str) -> None:
+    asset = sp.Painter().encode(surface_shapes.box(4_000))
+    settings = {"picture": dots(np.zeros((1, 2))), "at": MIDDLE, "camera": FRONT, "width": 0.5, **change}
+    with pytest.raises(ValueError, match=words):
+        Decal(**settings).views(asset)
+
+
+def files(folder: Path) -> tuple[Path, Path, Path]:
+    asset = saved(folder / "box.ply", surface_shapes.box(4_000))
+    camera, picture = folder / "camera.json", folder / "dot.png"
+    camera.write_text(FRONT.to_json(), encoding="utf-8")
+    Image.fromarray((255 * dots(np.zeros((1, 2)), 64)).astype(np.uint8), "RGBA").save(picture)
+    return asset, camera, picture
+
+
+def test_command_line(tmp_path: Path, capfd: Capture) -> None:
+    asset, camera, picture = files(tmp_path)
+    out = tmp_path / "out.ply"
+    where = ("--at", "120,120", "--camera", camera, "--width", "30%")
+    done = run(capfd, "edit", asset, "--decal", picture, *where, "--out", out, "--json")
+    assert done.code == 0, done.err
+    assert done.json["verified"]
+    assert "of it on the surface" in done.json["receipt"]["note"]
+    assert len(done.json["receipt"]["views"]) == 1
+    receipt = json.loads(Path(f"{out}.receipt.json").read_text(encoding="utf-8"))
+    assert receipt["note"] == done.json["receipt"]["note"]
+    word = tmp_path / "word.ply"
+    done = run(capfd, "edit", asset, "--decal-text", "AB", *where, "--out", word)
+    assert done.code == 0, done.err
+    assert "decal 'AB'" in done.out
+
+
+def test_command_line_refuses(tmp_path: Path, capfd: Capture) -> None:
+    asset, camera, picture = files(tmp_path)
+    base = ("edit", asset, "--out", tmp_path / "out.ply")
+    where = ("--at", "120,120", "--camera", camera)
+    for words, complaint in [
+        (("--decal", picture, "--at", "1,1", "--width", "1"), "one --camera"),
+        (("--decal", picture, *where), "needs --width"),
+        (("--decal", picture, *where, "--width", "0"), "width above 0"),
+        (("--decal", picture, "--at", "here", "--camera", camera, "--width", "1"), "--at X,Y"),
+        (("--decal", picture, "--decal-text", "A", *where, "--width", "1"), "got both"),
+        (("--decal", picture, *where, "--width", "1", "--mode", "global"), "mode local"),
+        (("--decal", picture, "--at", "1,1", "--camera", camera, "--width", "1"), "no surface under pixel"),
+        (("--decal", tmp_path / "none.png", *where, "--width", "1"), "none.png"),
+        (("--at", "1,1", picture), "--at is for decals"),
+    ]:
+        assert complaint in run(capfd, *base[:2], *base[2:], *words).error
+    assert not (tmp_path / "out.ply").exists()
+
+
+HERO = demo_view(256)
+OBLIQUE = sp.look_at((2.6, 1.3, 1.6), (0, -0.1, 0), width=256, height=256, fov=33)
+
+
+@pytest.mark.parametrize(
+    ("camera", "at", "width"),
+    [(HERO, (130, 120), 0.45), (HERO, (190, 165), 0.22), (HERO, (115, 200), 0.4), (HERO, (128, 219), 0.4)],
+    ids=["pot", "lemon", "board", "rim of the board"],
+)
+def test_it_lies_where_its_preview_shows_it_on_the_demo_asset(camera: sp.Camera, at, width: float) -> None:
+    """And nowhere else: paint over an outline used to land on what stands far behind it."""
+    splats = demo_asset()
+    asset, decal = Painter().encode(splats), striped(at, camera, width)
+    laid = decal.laid(asset)
+    edited = Painter().apply(asset, laid.edits).splats
+    for view in (camera, OBLIQUE):
+        uv = decal.placed(asset).map_on(asset, asset.surface, view)
+        with np.errstate(invalid="ignore"):
+            inside = np.asarray((np.abs(uv) < 0.5 * np.array(laid.size)).all(-1))
+        before, after = (np.clip(sp.render(s, view).colors[0], 0, 1) for s in (splats, edited))
+        changed = np.abs(after - before).max(-1) > 0.12
+        assert not (changed & ~dilated(inside, 3)).any(), "nothing lands elsewhere"
+        if view is camera:
+            assert inside.sum() > 300 and changed[inside & ~dilated(~inside, 1)].mean() > 0.93
+            blue = uv[..., 0] > 0
+            target = np.where(blue[..., None], (0.1, 0.1, 0.7), (0.8, 0.1, 0.1))
+            core = inside & ~dilated(~inside, 2) & (np.abs(uv[..., 0]) > 0.03)
+            assert np.abs(after - target)[core].mean() < 0.06, "as opaque as it is shown"
+
+
+def striped(at: tuple[float, float], camera: sp.Camera, width: float) -> Decal:
+    picture = np.zeros((48, 112, 3), np.float32)
+    picture[:, :56], picture[:, 56:] = (0.8, 0.1, 0.1), (0.1, 0.1, 0.7)
+    return Decal(picture, at, camera, width, level=(0, 1, 0))
+
+
+@pytest.mark.parametrize("at", [(108, 96), (150, 130)])
+def test_it_stands_upright_on_the_object_from_an_oblique_view(at: tuple[float, float]) -> None:
+    asset = Painter().encode(surface_shapes.sphere(1500))
+    camera = sp.look_at((1.5, 2.0, 2.5), (0, 0, 0), width=240, height=240, fov=40)
+    upright = Decal(np.ones((12, 24, 3), np.float32), at, camera, 0.3, level=(0, 1, 0)).placed(asset)
+    leaning = Decal(np.ones((12, 24, 3), np.float32), at, camera, 0.3).placed(asset)
+    sides = [np.cross(one.up, one.normal)[1] for one in (upright, leaning)]
+    assert abs(sides[0]) < 0.03 < 0.045 < abs(sides[1]), "the lower edge is level"
+    flat = picture_up(camera, np.array([0.1, 0.995, 0]), 0.0, np.array([0, 1.0, 0]))
+    np.testing.assert_allclose(flat, picture_up(camera, np.array([0.1, 0.995, 0]), 0.0), atol=1e-9)
+
+
+def test_no_view_of_a_large_sticker_is_taken_for_a_zoom_in() -> None:
+    """An edit of more than two fifths of a picture is: letters of 384 pixels were torn, as it lays no sheet."""
+    asset = Painter().encode(surface_shapes.sphere(1500))
+    camera = looking(np.array([0, 0, -1.0]), np.array([0, 0, -1.0]))
+    laid = Decal(np.ones((300, 384, 3), np.float32), (120, 120), camera, 0.5).laid(asset)
+    assert laid.coverage > 0.99
+    for edit in laid.edits:
+        assert edit.mask is not None and 0.1 < edit.mask.mean() < 0.4

@@ -1,0 +1,168 @@
+"""Mistakes that change all of a picture are named; paint, however much, is none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from PIL import Image, ImageFilter
+
+from splatpainter.gatekeeper.mistaken_pictures import explain
+from tests.support.distorted_pictures import drawn_scene, jpeg, moved
+
+VIEW, ALPHA = drawn_scene(240)
+OTHER_VIEW = drawn_scene(240, seed=5)[0]
+RNG = np.random.default_rng(3)
+
+
+def decoded(colors: np.ndarray) -> np.ndarray:
+    """IEC 61966-2-1, written out."""
+    return np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)
+
+
+def encoded(light: np.ndarray) -> np.ndarray:
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-9) ** (1 / 2.4) - 0.055)
+
+
+def eight_bits(colors: np.ndarray) -> np.ndarray:
+    return (np.round(np.clip(colors, 0, 1) * 255) / 255).astype(np.float32)
+
+
+def grey_by_pillow(colors: np.ndarray) -> np.ndarray:
+    picture = Image.fromarray((colors * 255).round().astype(np.uint8)).convert("L").convert("RGB")
+    return np.asarray(picture, np.float32) / 255
+
+
+MISTAKES: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
+    "mirrored": ("mirrored from left to right", lambda p: p[:, ::-1]),
+    "flipped": ("mirrored from top to bottom", lambda p: p[::-1]),
+    "upside down": ("turned upside down", lambda p: p[::-1, ::-1]),
+    "on its side": ("turned by 90 degrees clockwise", lambda p: np.rot90(p, -1)),
+    "linear": ("linear light without a profile", decoded),
+    "encoded twice": ("sRGB numbers in a file of linear light", encoded),
+    "gamma 1.8": ("another gamma, 1.8 for 2.2", lambda p: p ** (1.8 / 2.2)),
+    "gamma 2.2": ("another gamma, 2.2 for 1.8", lambda p: p ** (2.2 / 1.8)),
+    "video": ("in limited video levels", lambda p: (16 + 219 * p) / 255),
+    "stretched": ("stretched as if it were video levels", lambda p: (255 * p - 16) / 219),
+    "blue and red": ("red and blue exchanged", lambda p: p[..., ::-1]),
+    "negative": ("inverted", lambda p: 1 - p),
+    "grey": ("grey", grey_by_pillow),
+    "brighter": ("graded as a whole (exposure", lambda p: encoded(1.3 * decoded(p))),
+    "darker": ("graded as a whole (exposure", lambda p: encoded(0.7 * decoded(p))),
+    "warmer": ("graded as a whole (exposure", lambda p: encoded(decoded(p) * np.array([1.25, 1, 0.7]))),
+    "moved": ("moved, scaled or turned", lambda p: moved(p, right=15, down=-9)[0]),
+    "shrunk": ("moved, scaled or turned", lambda p: moved(p, scale=0.85)[0]),
+    "another": ("of another asset, another view", lambda p: OTHER_VIEW),
+    "mirrored JPEG": ("mirrored from left to right", lambda p: jpeg(np.ascontiguousarray(p[:, ::-1]), 50)),
+    "linear JPEG": ("linear light without a profile", lambda p: jpeg(decoded(p).astype(np.float32), 80)),
+}
+
+
+@pytest.mark.parametrize(("words", "made"), MISTAKES.values(), ids=MISTAKES)
+def test_a_mistake_is_named(words: str, made: Callable[[np.ndarray], np.ndarray]) -> None:
+    explanation = explain(eight_bits(made(VIEW)), VIEW, ALPHA)
+    assert explanation is not None and words in explanation.words, explanation
+    assert explanation.agreeing < 0.5
+
+
+@pytest.mark.parametrize("name", ["mirrored", "linear", "encoded twice", "blue and red", "brighter", "video"])
+def test_what_can_be_undone_comes_back(name: str) -> None:
+    picture = eight_bits(MISTAKES[name][1](VIEW))
+    explanation = explain(picture, VIEW, ALPHA)
+    assert explanation is not None and explanation.mistake is not None and explanation.mistake.undone is not None
+    assert np.abs(explanation.mistake.undone(picture) - VIEW).max() < 0.05
+
+
+def test_a_mistake_is_named_under_paint() -> None:
+    picture = VIEW[:, ::-1].copy()
+    picture[60:150, 60:150] = (0.9, 0.2, 0.1)
+    explanation = explain(picture, VIEW, ALPHA)
+    assert explanation is not None and "left to right" in explanation.words
+
+
+def top(share: float) -> np.ndarray:
+    """[H, W, 1] the upper part of the asset, so much of it."""
+    order = np.flatnonzero(ALPHA.ravel() > 0.5)
+    mask = np.zeros(ALPHA.size, np.float32)
+    mask[order[: round(share * len(order))]] = 1
+    return mask.reshape(*ALPHA.shape, 1)
+
+
+def confetti() -> np.ndarray:
+    tiles = RNG.uniform(size=(20, 20, 3)).astype(np.float32)
+    return tiles.repeat(12, 0).repeat(12, 1)
+
+
+def blurred(colors: np.ndarray) -> np.ndarray:
+    picture = Image.fromarray((colors * 255).round().astype(np.uint8)).filter(ImageFilter.GaussianBlur(3))
+    return np.asarray(picture, np.float32) / 255
+
+
+PAINT: dict[str, Callable[[], np.ndarray]] = {
+    "nothing": lambda: VIEW,
+    "a dab": lambda: over(np.hypot(*np.mgrid[-120:120, -120:120])[..., None] < 12, (0.9, 0.1, 0.1)),
+    "an airbrush": lambda: over(
+        np.exp(-(np.hypot(*np.mgrid[-120:120, -120:120])[..., None] ** 2) / 2000), (0.1, 0.3, 0.9), 0.3
+    ),
+    "a big brush": lambda: over(top(0.6), (0.2, 0.5, 0.3)),
+    "a brush over nearly all": lambda: over(top(0.9), (0.2, 0.5, 0.3)),
+    "all one colour": lambda: over(top(1.0), (0.2, 0.5, 0.3)),
+    "a decal over 60 %": lambda: VIEW + top(0.6) * (confetti() - VIEW),
+    "a decal over 90 %": lambda: VIEW + top(0.9) * (confetti() - VIEW),
+    "a pattern multiplied on all": lambda: VIEW * (1 - top(1.0) * 0.6 * (1 - confetti())),
+    "dodged half": lambda: VIEW * (1 + 0.3 * top(0.5)),
+    "burnt half": lambda: VIEW * (1 - 0.3 * top(0.5)),
+    "recoloured 70 %": lambda: VIEW + top(0.7) * (VIEW[..., ::-1] - VIEW),
+    "recoloured 85 %": lambda: VIEW + top(0.85) * (VIEW[..., ::-1] - VIEW),
+    "a curve on 75 %": lambda: VIEW + top(0.75) * (decoded(VIEW) - VIEW),
+    "inverted 60 %": lambda: VIEW + top(0.6) * (1 - 2 * VIEW),
+    "cloned": lambda: np.where(top(0.4) > 0, np.roll(VIEW, 30, 1), VIEW),
+    "blurred half": lambda: np.where(top(0.5) > 0, blurred(VIEW), VIEW),
+    "a gradient on half": lambda: VIEW + top(0.5) * 0.4 * (np.linspace(0, 1, 240)[:, None] - VIEW),
+    "a big brush, JPEG": lambda: jpeg(over(top(0.6), (0.2, 0.5, 0.3)), 70),
+    "a dab, poor JPEG": lambda: jpeg(
+        over(np.hypot(*np.mgrid[-120:120, -120:120])[..., None] < 20, (0.9, 0.1, 0.1)), 40
+    ),
+    "nothing, poor JPEG": lambda: jpeg(VIEW, 40),
+}
+
+
+def over(mask: np.ndarray, color: tuple[float, float, float], opacity: float = 1.0) -> np.ndarray:
+    return VIEW + opacity * mask * (np.array(color) - VIEW)
+
+
+@pytest.mark.parametrize("made", PAINT.values(), ids=PAINT)
+def test_paint_is_no_mistake(made: Callable[[], np.ndarray]) -> None:
+    explanation = explain(eight_bits(made()), VIEW, ALPHA)
+    assert explanation is None or ("painted over everywhere" in explanation.words and explanation.cause == "look")
+    assert (explanation is None) == (made not in (PAINT["all one colour"], PAINT["a pattern multiplied on all"]))
+
+
+def test_a_look_of_the_asset_alone_may_be_meant() -> None:
+    warmer = np.where(ALPHA[..., None] > 0, VIEW * np.array([1.15, 1, 0.75]), VIEW)
+    explanation = explain(eight_bits(warmer), VIEW, ALPHA)
+    assert explanation is not None and explanation.cause == "look"
+
+
+def test_other_axes_are_asked_for_last() -> None:
+    sizes: list[tuple[int, int]] = []
+
+    def other(size: tuple[int, int]) -> list[tuple[str, np.ndarray]]:
+        sizes.append(size)
+        small = Image.fromarray((OTHER_VIEW * 255).round().astype(np.uint8)).resize(size, Image.Resampling.LANCZOS)
+        return [("of the asset with other axes", np.asarray(small, np.float32) / 255)]
+
+    explanation = explain(OTHER_VIEW, VIEW, ALPHA, other)
+    assert explanation is not None and explanation.cause == "axes" and sizes == [(160, 160)]
+    sizes.clear()
+    assert explain(VIEW[:, ::-1], VIEW, ALPHA, other) is not None and not sizes
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 40), (3, 5), (8, 8), (600, 2), (33, 47)])
+def test_pictures_of_a_few_pixels_are_judged(size: tuple[int, int]) -> None:
+    picture, view = RNG.uniform(size=(2, *size, 3)).astype(np.float32)
+    for alpha in (np.zeros(size, np.float32), np.ones(size, np.float32)):
+        for one in (picture, view, np.zeros_like(view)):
+            explain(one, view, alpha)
+    assert explain(view, view, np.ones(size, np.float32)) is None

@@ -1,0 +1,92 @@
+"""Damage that decoders only meet when a part of a picture is used: one line that names the file, no warning."""
+
+from __future__ import annotations
+
+import logging
+import struct
+import zlib
+from pathlib import Path
+
+import pytest
+
+from splatpainter.cameras import Camera, look_at
+from splatpainter.image_files import find_camera
+from splatpainter.pictures import picture_reader
+from splatpainter.pictures.edit_files import edit_from_files
+from splatpainter.pictures.picture_reader import read_picture
+
+
+def png(header: bytes, *parts: tuple[bytes, bytes]) -> bytes:
+    """A PNG file of the given chunks around one line of pixel data."""
+    out = b"\x89PNG\r\n\x1a\n"
+    for kind, body in ((b"IHDR", header), *parts, (b"IEND", b"")):
+        out += struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+    return out
+
+
+GREY = struct.pack(">IIBBBBB", 2, 1, 8, 0, 0, 0, 0)
+PIXELS = (b"IDAT", zlib.compress(b"\0\x80\x80"))
+DAMAGED = {
+    "EXIF that is none": png(GREY, (b"eXIf", b"splatpainter"), PIXELS),
+    "EXIF cut short": png(GREY, (b"eXIf", b"MM\0*\0\0\0\x08\0\x09\x01\x12"), PIXELS),
+}
+
+
+@pytest.mark.parametrize("data", DAMAGED.values(), ids=DAMAGED)
+def test_a_picture_is_read_or_refused_in_one_line(tmp_path: Path, data: bytes) -> None:
+    path = tmp_path / "a.png"
+    path.write_bytes(data)
+    try:
+        assert read_picture(path).size == (2, 1)
+    except ValueError as error:
+        assert type(error) is ValueError and str(error).startswith(str(path)) and str(error).isprintable()
+
+
+def test_a_tiff_whose_tags_lie_outside_of_it_has_no_camera_and_warns_of_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "a.tif"
+    tags = [(256, 4, 1, 2), (257, 4, 1000, 9999), (258, 3, 1, 8), (259, 3, 1, 1), (262, 3, 1, 1), (273, 4, 1, 8)]
+    body = b"".join(struct.pack("<HHII", *tag) for tag in tags)
+    path.write_bytes(b"II*\0" + struct.pack("<IH", 8, len(tags)) + body + bytes(8))
+    with pytest.raises(ValueError) as caught:
+        find_camera(path)
+    assert type(caught.value) is ValueError and str(path) in str(caught.value)
+
+
+def test_a_tiff_of_too_many_samples_is_one_line_and_nothing_on_stderr(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "a.tif"
+    tags = [
+        (256, 4, 1, 2),
+        (257, 4, 1, 2),
+        (258, 3, 1, 8),
+        (259, 3, 1, 1),
+        (262, 3, 1, 2),
+        (273, 4, 1, 8),
+        (277, 3, 1, 262),
+    ]
+    body = b"".join(struct.pack("<HHII", *tag) for tag in tags)
+    path.write_bytes(b"II*\0" + struct.pack("<IH", 8, len(tags)) + body + bytes(8))
+    monkeypatch.setattr(logging.getLogger("PIL"), "propagate", False)  # pytest listens, a user's process does not
+    with pytest.raises(ValueError, match="expected a PNG, JPEG, WebP or TIFF|cannot be read"):
+        read_picture(path)
+    assert capfd.readouterr().err == ""
+
+
+def test_a_camera_of_an_endless_version_is_refused_in_a_short_line() -> None:
+    with pytest.raises(ValueError, match="expected camera version 1") as caught:
+        Camera.from_json('{"version": [' + ", ".join(["7"] * 5000) + "]}", "a.json")
+    assert len(str(caught.value)) < 200
+
+
+def test_a_kilobyte_that_claims_megapixels_of_another_shape_is_not_decoded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """24 x 2,000,000 pixels for a camera of 24 x 16: decoding took 1.9 GB before the refusal."""
+    camera = look_at((0, 0, 3), (0, 0, 0), (0, 1, 0), width=24, height=16).to_json().encode()
+    header = struct.pack(">IIBBBBB", 24, 2_000_000, 8, 2, 0, 0, 0)
+    path = tmp_path / "a.png"
+    path.write_bytes(png(header, (b"tEXt", b"splatpainter\0" + camera), PIXELS))
+    monkeypatch.setattr(picture_reader, "_srgb", lambda *_: pytest.fail("it was decoded"))
+    with pytest.raises(ValueError, match="aspect ratio of its camera .24x16., got 24x2000000"):
+        edit_from_files(path)
