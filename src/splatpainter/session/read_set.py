@@ -7,8 +7,8 @@ is left without one, by splitting (`lift.sheets.paint.read_by_edit`). `read_set_
 layers that give it the same Gaussians, in the same order, give the lift's arithmetic the same numbers, so its result
 is the same bit for bit; only their ids in the asset may differ, and `renumber` changes those. The surface is the
 original's, which is the same in all arrangements; how many of the set are the original's counts, because only the
-others' indices are free for any sheet Gaussian. Gaussians behind the surface count: splitting may let them through. Knows no
-layers and no cache.
+others' indices are free for any sheet Gaussian. Gaussians behind the surface count: splitting may let them through.
+Knows no layers and no cache.
 """
 
 from __future__ import annotations
