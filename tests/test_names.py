@@ -56,14 +56,15 @@ ROW_EXCEPTIONS = {
 SHARED = {"Config"}
 """Classes of one name by design: each command's options."""
 NAMESAKES = {
+    FOLDERS[0] / "operations",
     FOLDERS[0] / "commands",
     FOLDERS[0] / "server" / "commands",
     FOLDERS[0] / "train" / "stages",
     FOLDERS[1],
     FOLDERS[1] / "methods",
 }
-"""Folders whose modules may have the name of what they run: a command, a page's commands, a stage of training, a
-benchmark, a row of its tables."""
+"""Folders whose modules may have the name of what they run: an operation, a command, a page's commands, a stage of
+training, a benchmark, a row of its tables."""
 SHARED_MODULES = {"__init__", "warm", "options", "page", "schema", "fill"}
 """Modules of one name by design: a folder's face, the kernels that it has compiled, the settings of its room, one HTML
 page, the one definition of a format; source_edits/fill.py colours what holes/fill.py fills."""

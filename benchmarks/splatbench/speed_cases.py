@@ -29,7 +29,7 @@ Work = Callable[[], Any]
 
 
 @dataclass(frozen=True)
-class Operation:
+class TimedOperation:
     """One line of the table."""
 
     prepare: Callable[[SavedScene], Work]
@@ -190,24 +190,24 @@ def save_file(scene: SavedScene) -> Work:
 LOCAL: dict[str, Any] = {"min_px": 512, "throughput": False}
 NETWORKS: dict[str, Any] = {"min_gaussians": 100_000, "large": False}
 """On fewer Gaussians, what an edit costs whatever its size hides the rest."""
-OPERATIONS: dict[str, Operation] = {
-    "render": Operation(render_forward),
-    "render and gradients": Operation(render_backward),
-    "rays to voxels": Operation(rays, throughput=False),
-    "voxels": Operation(voxels, views=False),
-    "local edit, dab": Operation(partial(edit_lift, kind="dab", mode="local"), **LOCAL),
-    "local edit, text and stroke": Operation(partial(edit_lift, kind="text", mode="local"), large=False, **LOCAL),
-    "lift alone, dab": Operation(lift_dab, large=False, **LOCAL),
-    "preview round, dab": Operation(partial(preview_round, projected=True), **LOCAL),
-    "preview round and projection": Operation(partial(preview_round, projected=False), **LOCAL),
-    "global edit, one view": Operation(partial(edit_lift, kind="grade", mode="global"), min_px=512),
-    "encode, compact": Operation(encode, views=False, **NETWORKS),
-    "local edit ttt, compact": Operation(
+OPERATIONS: dict[str, TimedOperation] = {
+    "render": TimedOperation(render_forward),
+    "render and gradients": TimedOperation(render_backward),
+    "rays to voxels": TimedOperation(rays, throughput=False),
+    "voxels": TimedOperation(voxels, views=False),
+    "local edit, dab": TimedOperation(partial(edit_lift, kind="dab", mode="local"), **LOCAL),
+    "local edit, text and stroke": TimedOperation(partial(edit_lift, kind="text", mode="local"), large=False, **LOCAL),
+    "lift alone, dab": TimedOperation(lift_dab, large=False, **LOCAL),
+    "preview round, dab": TimedOperation(partial(preview_round, projected=True), **LOCAL),
+    "preview round and projection": TimedOperation(partial(preview_round, projected=False), **LOCAL),
+    "global edit, one view": TimedOperation(partial(edit_lift, kind="grade", mode="global"), min_px=512),
+    "encode, compact": TimedOperation(encode, views=False, **NETWORKS),
+    "local edit ttt, compact": TimedOperation(
         partial(edit_networks, mode="local"), max_px=256, throughput=False, **NETWORKS
     ),
-    "global edit ttt, compact": Operation(partial(edit_networks, mode="global"), max_px=256, **NETWORKS),
-    "open PLY": Operation(open_file, views=False),
-    "save PLY": Operation(save_file, views=False),
+    "global edit ttt, compact": TimedOperation(partial(edit_networks, mode="global"), max_px=256, **NETWORKS),
+    "open PLY": TimedOperation(open_file, views=False),
+    "save PLY": TimedOperation(save_file, views=False),
 }
 
 

@@ -71,7 +71,7 @@ _HOME = {
     "adjust": "operations.grade",
     "grade": "operations.grade",
     "GradeSettings": "grading.color_grading",
-    "Region": "operations.region",
+    "Region": "session.operation_files",
     "ColorMatch": "grading.color_match",
     "Recolor": "grading.color_match",
     "read_cube": "grading.cube_lut",

@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 
 from splatpainter.color import base_color
-from splatpainter.commands.grade import read_look
 from splatpainter.grading import color_match
 from splatpainter.grading.color_match import ColorMatch, Recolor
 from splatpainter.grading.color_transfer import transfer_sh
 from splatpainter.grading.cube_lut import CubeLut, parse_cube
-from splatpainter.operations.grade import grade
+from splatpainter.operations.grade import grade, read_look
 from splatpainter.pictures.picture_reader import Picture
 from splatpainter.server.uploads.image_registration import png_bytes
 from splatpainter.session import Session

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 from tyro.conf import arg
 
 from splatpainter.commands import Outcome
@@ -16,39 +15,13 @@ from splatpainter.commands.option_parsing import AssetFile, AxesOption, FrameOpt
 from splatpainter.commands.terminal import count, seconds, stages
 from splatpainter.commands.verified_write import check_outputs, proved_record, write_proved
 from splatpainter.commands.verify import same_words
-from splatpainter.grading.color_grading import GRADE, GradeSettings
-from splatpainter.grading.color_match import ColorMap, ColorMatch, Recolor
-from splatpainter.grading.color_transfer import TRANSFERS, transfer_function, with_table
-from splatpainter.grading.cube_lut import read_cube
-from splatpainter.io import files, read
-from splatpainter.jsonio import load_object
-from splatpainter.operations.grade import LOOKS, SLIDERS, Look, grade, hex_color, one_look
+from splatpainter.io import read
+from splatpainter.operations.grade import LOOKS, SLIDERS, Grade, Look, grade
+from splatpainter.operations.operation import Wording
 from splatpainter.operations.region import Region
-from splatpainter.pictures.picture_reader import read_picture
 from splatpainter.receipts import receipt_of
-from splatpainter.session.asset_files import LAYER_SUFFIX, read_layer
-from splatpainter.session.document import SELECTION, Layer
 
 COMMAND = "splatpainter grade"
-MAX_LOOK_BYTES = 1 << 20
-"""Most bytes of a LOOK.json."""
-ALL_HUES = 1e6
-"""Degrees to either side: a band of hues that fades out nowhere."""
-
-
-@dataclass(frozen=True)
-class LayerLook:
-    """The look of a layer at its strength."""
-
-    function: ColorMap
-    strength: float
-    name: str
-
-    def __call__(self, colors: np.ndarray) -> np.ndarray:
-        return colors + np.float32(self.strength) * (self.function(colors) - colors)
-
-    def describe(self) -> str:
-        return f"layer {self.name}, strength {self.strength:g}"
 
 
 @dataclass(frozen=True)
@@ -141,54 +114,7 @@ def run(config: Config) -> Outcome:
 
 def look_of(config: Config) -> Look:
     """The one look that is asked for. Raises ValueError: none, several, or one that cannot be read."""
-    values = one_look({name: getattr(config, name) for name in (*SLIDERS, *LOOKS)}, f"{COMMAND}: ", "--")
-    turn = values.pop("hue", 0.0)
-    if config.look is not None:
-        return read_look(config.look)
-    if config.lut is not None:
-        return read_cube(config.lut)
-    if config.match is not None:
-        return ColorMatch(read_picture(config.match), config.match.name)
-    if config.recolor:
-        return Recolor(hex_color(config.recolor, f"{COMMAND}: ", "--"))
-    bands = [{"hue": 0.0, "width": ALL_HUES, "shift": turn}] if turn else []
-    return GradeSettings.from_dict({**values, "hues": bands})
-
-
-def read_look(path: Path) -> Look:
-    """Settings of an adjustment layer: a JSON file, or a layer of the studio. Raises ValueError naming it."""
-    if path.suffix.lower() == LAYER_SUFFIX:
-        return _look_of_layer(path)
-    data = load_object(files.read_head(path, MAX_LOOK_BYTES + 1), path, "a look", MAX_LOOK_BYTES)
-    try:
-        return GradeSettings.from_dict(data)
-    except ValueError as error:
-        raise ValueError(f"{path}: {str(error).removeprefix('look: ')}") from None
-
-
-def _look_of_layer(path: Path) -> Look:
-    layer, blobs = read_layer(path)
-    look = layer.parameters.get("look")
-    if layer.kind != "look" or look not in (GRADE, *TRANSFERS):
-        raise ValueError(
-            f"{path}: expected an adjustment layer with sliders or other colours, got a layer of kind {layer.kind}"
-        )
-    if layer.views or SELECTION in layer.parameters:
-        raise ValueError(f"{path}: is limited to a selection, which grade takes as --where mask=M.png@CAM.json instead")
-    if layer.blend != "normal":
-        raise ValueError(f"{path}: expected a layer of blend normal, got {layer.blend}")
-    if look in TRANSFERS:
-        return _transfer_of_layer(path, layer, blobs)
-    sliders = GradeSettings.from_dict(layer.parameters)
-    return replace(sliders, strength=sliders.strength * layer.opacity)
-
-
-def _transfer_of_layer(path: Path, layer: Layer, blobs: dict[str, bytes]) -> Look:
-    """A layer's LUT, colours of a picture or new colour, as they were fitted when it was made."""
-    parameters = with_table(layer.parameters, lambda name: blobs.get(name, b""))
-    try:
-        function = transfer_function(parameters)
-        strength = float(parameters.get("strength", 1.0)) * layer.opacity
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{path}: {str(error).removeprefix('look: ')}") from None
-    return LayerLook(function, strength, ascii(layer.name))
+    names = (*SLIDERS, *LOOKS)
+    options = Grade(**{name: getattr(config, name) for name in names})
+    options.check(Wording(f"{COMMAND}: ", "--"))
+    return options.colors()

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import splatpainter.session  # noqa: F401 - whose files regions and looks may name
 from splatpainter.atomic import clash
 from splatpainter.commands.output_paths import check_target, placed, splat_format
 from splatpainter.commands.terminal import Stages

@@ -1,1 +1,2 @@
-"""What can be done to an asset, each as one value."""
+"""What can be done to an asset, each as one value that command line, batch, layers, nodes and Python share. Begin with
+operation.py."""

@@ -1,4 +1,4 @@
-"""An asset under a look: only colours change, only of the Gaussians of a region, with a receipt. Pure.
+"""An asset under a look: only colours change, only of the Gaussians of a region, with a receipt.
 
     edited = adjust(splats, GradeSettings(exposure=0.5, temperature=0.3))
     edited = adjust(splats, read_cube(Path("film.cube")), Region.parse(["hue=340..20"]), strength=0.7)
@@ -11,16 +11,23 @@ the look and the region leave alone keeps every one.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
 from splatpainter.color import from_hex
 from splatpainter.grading.color_grading import GradeSettings, apply_to_sh
-from splatpainter.grading.color_match import ColorMap, display_colors, seen_weights
-from splatpainter.operations.region import Region
+from splatpainter.grading.color_match import ColorMap, ColorMatch, Recolor, display_colors, seen_weights
+from splatpainter.grading.cube_lut import read_cube
+from splatpainter.io import files
+from splatpainter.jsonio import load_object
+from splatpainter.operations.operation import AS_PYTHON, Operation, ReadyOperation, Report, Tools, Wording, parameter
+from splatpainter.operations.region import Region, check_terms
+from splatpainter.operations.session_files import session_files
 from splatpainter.painter import Asset
+from splatpainter.pictures.picture_reader import read_picture
 from splatpainter.receipts import Receipt, untouched_hashes
 from splatpainter.splats import Splats, changed_rows
 
@@ -30,6 +37,12 @@ LOOKS = ("look", "lut", "match", "recolor")
 """What stands in place of sliders: a look of the studio, a LUT, a picture's colours, one new colour."""
 MAX_NOTE = 2000
 """Characters of what a receipt says of a look and its region."""
+MAX_LOOK_BYTES = 1 << 20
+"""Most bytes of a LOOK.json."""
+ALL_HUES_DEGREES = 1e6
+"""To either side: a band of hues that fades out nowhere."""
+LAYER_SUFFIX = ".splatlayer"
+"""Of an adjustment layer of the studio as a file."""
 
 
 @runtime_checkable
@@ -50,6 +63,85 @@ class FixedLook(Protocol):
 
 
 Look: TypeAlias = GradeSettings | FixedLook | FittedLook
+
+
+@dataclass(frozen=True)
+class Grade(Operation):
+    """Grade the colours of an asset, or of a region of it: by sliders, a look of the studio, a LUT, the colours of a
+    picture, or one new colour. Nothing but colours changes."""
+
+    kind: ClassVar[str] = "grade"
+
+    exposure: float = 0.0
+    """Exposure in stops, of linear light."""
+    temperature: float = 0.0
+    """-1 cold .. 1 warm."""
+    tint: float = 0.0
+    """-1 green .. 1 magenta."""
+    contrast: float = 0.0
+    """-1 .. 1: slope 2^c in the mid-tones."""
+    saturation: float = 0.0
+    """-1 grey .. 1 twice as colourful."""
+    hue: float = 0.0
+    """Degrees by which all hues turn, about the grey axis; 120: red to green."""
+    look: Path | None = parameter(None, metavar="LOOK.json", file=True)
+    """Instead of sliders: an adjustment layer, as the studio exports it (.splatlayer), or its settings as JSON: the
+    sliders, curve, hues, strength."""
+    lut: Path | None = parameter(None, metavar="FILE.cube", file=True)
+    """... or a table of display colours, 1D or 3D, as grading programs write it."""
+    match: Path | None = parameter(None, metavar="PICTURE", file=True)
+    """... or the mean and spread of the colours of this picture (linear Monge-Kantorovitch map)."""
+    recolor: str = parameter("", metavar="#RRGGBB")
+    """... or one new colour; light and shade stay as they are."""
+    strength: float = 1.0
+    """Strength of the change, 0 .. 1."""
+    where: tuple[str, ...] = parameter((), metavar="WHERE ...")
+    """Region that changes; default: everything."""
+
+    def check(self, wording: Wording = AS_PYTHON) -> None:
+        one_look(vars(self), wording.where, wording.dashes)
+        if self.recolor:
+            hex_color(self.recolor, wording.where, wording.dashes)
+        if not 0 < self.strength <= 1:
+            raise ValueError(f"grade: expected a strength above 0, up to 1, got {self.strength:g}")
+        if self.where:
+            check_terms(self.where)
+
+    def ready(self, tools: Tools) -> ReadyOperation:
+        look = self.colors()
+        region = Region.parse(self.where) if self.where else None
+
+        def graded(asset: Asset, report: Report) -> Asset:
+            edited = adjust(asset.splats, look, region, strength=self.strength)
+            return replace(edited, original=asset.original or asset.splats)
+
+        return graded
+
+    def colors(self) -> Look:
+        """The look that is asked for; its file is read. Raises ValueError: one that cannot be read."""
+        values = one_look(vars(self))
+        turn = values.pop("hue", 0.0)
+        if self.look is not None:
+            return read_look(self.look)
+        if self.lut is not None:
+            return read_cube(self.lut)
+        if self.match is not None:
+            return ColorMatch(read_picture(self.match), self.match.name)
+        if self.recolor:
+            return Recolor(hex_color(self.recolor))
+        bands = [{"hue": 0.0, "width": ALL_HUES_DEGREES, "shift": turn}] if turn else []
+        return GradeSettings.from_dict({**values, "hues": bands})
+
+
+def read_look(path: Path) -> Look:
+    """Settings of an adjustment layer: a JSON file, or a layer of the studio. Raises ValueError naming it."""
+    if path.suffix.lower() == LAYER_SUFFIX:
+        return session_files(str(path)).look(path)
+    data = load_object(files.read_head(path, MAX_LOOK_BYTES + 1), path, "a look", MAX_LOOK_BYTES)
+    try:
+        return GradeSettings.from_dict(data)
+    except ValueError as error:
+        raise ValueError(f"{path}: {str(error).removeprefix('look: ')}") from None
 
 
 def one_look(given: Mapping[str, Any], where: str = "", mark: str = "") -> dict[str, float]:

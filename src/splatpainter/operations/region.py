@@ -33,6 +33,7 @@ import numpy as np
 from splatpainter.color import from_hex, luminance, oklab
 from splatpainter.grading.color_match import display_colors
 from splatpainter.image_files import find_camera
+from splatpainter.operations.session_files import Weigh, session_files
 from splatpainter.pictures.edit_files import camera_from
 from splatpainter.pictures.picture_reader import read_mask, resample
 from splatpainter.splats import Splats
@@ -40,8 +41,6 @@ from splatpainter.splats import Splats
 MAX_TERMS = 64
 TERM_BREAK = re.compile(r"\s+(?=or\s|(?:not:)?\w+=)|(?<=\bor)\s+")
 """What stands between the terms of one text; names of selections may hold blanks."""
-SAME_ASSET_SHARE = 0.1
-"""Share of an asset's extent by which the median Gaussian may lie elsewhere than in the original of a project."""
 FADE = {"hue": 15.0, "saturation": 0.05, "lightness": 0.05}
 """How far each fades beyond the ends of a range, in its unit."""
 DEFAULT_DISTANCE = 0.1
@@ -52,7 +51,7 @@ MIN_CHROMA = 0.05
 """Display units between the largest and the smallest channel: what has less is nearly grey, and has a hue by chance."""
 OF_FILES = ("mask", "selection", "layer")
 """Terms that name files."""
-Weigh = Callable[[Splats], np.ndarray]
+TermReader = Callable[[str, str], Weigh]
 
 
 @dataclass(frozen=True)
@@ -122,11 +121,11 @@ def _term(text: str) -> Weigh:
 def _range(name: str, text: str) -> tuple[float, float]:
     low, dots, high = text.partition("..")
     if not dots or not (low or high):
-        raise _wrong(name, "A..B, ..B or A..", text)
+        raise wrong_term(name, "A..B, ..B or A..", text)
     start = _number(name, low) if low else -math.inf
     end = _number(name, high) if high else math.inf
     if start > end and name != "hue":
-        raise _wrong(name, "a range from its lower to its higher end", text)
+        raise wrong_term(name, "a range from its lower to its higher end", text)
     return start, end
 
 
@@ -136,18 +135,19 @@ def _number(name: str, text: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise _wrong(name, "a number", text)
+        raise wrong_term(name, "a number", text)
     return value
 
 
 def _vector(name: str, text: str, count: int) -> np.ndarray:
     parts = text.split(",")
     if len(parts) != count:
-        raise _wrong(name, f"{count} numbers with commas between", text)
+        raise wrong_term(name, f"{count} numbers with commas between", text)
     return np.array([_number(name, part) for part in parts])
 
 
-def _wrong(name: str, expected: str, text: str) -> ValueError:
+def wrong_term(name: str, expected: str, text: str) -> ValueError:
+    """What a term says of a value that it cannot read."""
     return ValueError(f"--where {name}: expected {expected}, got {ascii(text[:60])}")
 
 
@@ -159,7 +159,7 @@ def _faded(beyond: np.ndarray, fade: float) -> np.ndarray:
 def _hue(name: str, text: str) -> Weigh:
     start, end = _range(name, text)
     if math.isinf(start) or math.isinf(end):
-        raise _wrong(name, "A..B, two angles", text)
+        raise wrong_term(name, "A..B, two angles", text)
     width = (end - start) % 360 if end - start < 360 else 360.0
     middle = start + width / 2
 
@@ -204,10 +204,10 @@ def _color(name: str, text: str) -> Weigh:
     code, tilde, distance_text = text.partition("~")
     color = from_hex(code)
     if color is None:
-        raise _wrong(name, "#RRGGBB or #RRGGBB~DISTANCE", text)
+        raise wrong_term(name, "#RRGGBB or #RRGGBB~DISTANCE", text)
     limit = _number(name, distance_text) if tilde else DEFAULT_DISTANCE
     if limit <= 0:
-        raise _wrong(name, "a distance above 0", text)
+        raise wrong_term(name, "a distance above 0", text)
     target = oklab(np.array([color]))
 
     def weigh(splats: Splats) -> np.ndarray:
@@ -239,7 +239,7 @@ def _box(name: str, text: str) -> Weigh:
 def _sphere(name: str, text: str) -> Weigh:
     *center, radius = _vector(name, text, 4)
     if radius <= 0:
-        raise _wrong(name, "a radius above 0", text)
+        raise wrong_term(name, "a radius above 0", text)
     return lambda splats: (((splats.world_means - np.array(center)) ** 2).sum(1) <= radius**2).astype(np.float32)
 
 
@@ -258,7 +258,7 @@ def _mask(name: str, text: str) -> Weigh:
         mask = resample(mask.astype(np.float32), camera.width, camera.height) > 0.5
 
     def weigh(splats: Splats) -> np.ndarray:
-        from splatpainter.session.layer_blending import reached_gaussians
+        from splatpainter.lift.masked_gaussians import reached_gaussians
 
         return reached_gaussians(splats, [(camera.relative_to(splats.offset), mask)]).astype(np.float32)
 
@@ -267,38 +267,10 @@ def _mask(name: str, text: str) -> Weigh:
 
 def _of_project(name: str, text: str) -> Weigh:
     """A selection that a project keeps, or what one of its layers paints, on an asset made from its original."""
-    from splatpainter.session import Session
-    from splatpainter.session.selection import Selection
-
-    title, at, project = text.rpartition("@")
-    if not at or not title:
-        raise _wrong(name, "NAME@PROJECT.splatproj", text)
-    with Session.load(project, readonly=True) as session:
-        try:
-            weights = session.selection(title) if name == "selection" else session.painted(title)
-        except ValueError as error:
-            raise ValueError(f"{project}: {error}") from None
-        parts = session.selected_parts(weights)
-
-    def weigh(splats: Splats) -> np.ndarray:
-        for part in parts:
-            if _is_made_from(splats, part.original):
-                return Selection.of(part.weights, part.splats, part.original).on(splats, part.original)
-        raise ValueError(f"--where {name}={ascii(title)}: expected the asset of {project}, or one made from it")
-
-    return weigh
+    return session_files(f"--where {name}").region(name, text)
 
 
-def _is_made_from(splats: Splats, original: Splats) -> bool:
-    """Whether an asset may be one that was made from the original: as many Gaussians or more, where they were."""
-    if len(splats) < len(original):
-        return False
-    extent = float(np.ptp(original.means[original.drawable], axis=0).max())
-    far = np.linalg.norm(splats.means[: len(original)] - original.means, axis=1)
-    return bool(np.median(far) <= SAME_ASSET_SHARE * extent)
-
-
-_TERMS: dict[str, Callable[[str, str], Weigh]] = {
+_TERMS: dict[str, TermReader] = {
     "hue": _hue,
     "saturation": _color_range,
     "lightness": _color_range,
@@ -314,3 +286,4 @@ _TERMS: dict[str, Callable[[str, str], Weigh]] = {
     "selection": _of_project,
     "layer": _of_project,
 }
+"""Name of a term -> what reads it from (name, value)."""

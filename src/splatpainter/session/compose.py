@@ -25,6 +25,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.grading.color_transfer import with_table
+from splatpainter.lift.masked_gaussians import reached_gaussians
 from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.lift.sheets.view_limits import coarse_surface, left_out
 from splatpainter.painter import Edit, Painter
@@ -41,7 +42,6 @@ from splatpainter.session.layer_blending import (
     adjust_sh,
     blend_delta,
     mixed,
-    reached_gaussians,
     within,
 )
 from splatpainter.session.layer_factory import (

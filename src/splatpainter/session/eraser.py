@@ -3,7 +3,7 @@ way. None is removed. Pure.
 
 A Gaussian of the original and those that were split from it, or lie in place of it (a sheet's, of which it is the
 host), are one family. *Reached* are those of which a masked view shows most inside its mask, those of their families
-that lie hidden there (layer_blending.reached_gaussians), and what lies hidden right behind them.
+that lie hidden there (lift/masked_gaussians.py), and what lies hidden right behind them.
 
 1. An original that only changed its colour and is reached has the original's colours again.
 2. One that lost its place (split, replaced by a sheet's, emptied) *returns*, byte for byte, where some of its family is

@@ -1,4 +1,4 @@
-"""What layers do to Gaussians without a painter: opacity and blend modes, named adjustments, the eraser. Pure.
+"""What layers do to Gaussians without a painter: opacity and blend modes, named adjustments. Pure.
 
 *Opacity and blend* are exactly defined, and exact at both ends. A layer gives new values to some Gaussians (a delta).
 With opacity o = 1 and blend "normal" the delta is taken bit for bit; with o = 0 the layer does not exist. Otherwise,
@@ -33,13 +33,12 @@ parameters say which ({"look": name, ...}). They are cheap, so their results are
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from splatpainter.cameras import Camera
 from splatpainter.color import base_color, sh_from_color
 from splatpainter.grading.color_grading import GRADE, grade_sh
 from splatpainter.grading.color_transfer import TRANSFERS, transfer_sh
@@ -50,9 +49,6 @@ from splatpainter.session.document import Blend
 from splatpainter.splats import ATTRIBUTES, MAX_MAGNITUDE, SH_C0, Splats
 
 AdjustmentFunction = Callable[[np.ndarray, Mapping[str, Any]], np.ndarray]
-MIN_INSIDE_SHARE = 0.5
-"""Share of a Gaussian's weight in the view that an eraser's mask must hold: those that straddle its edge do not bleed
-outwards."""
 
 
 def blend_delta(
@@ -219,32 +215,3 @@ def _three(parameters: Mapping[str, Any], name: str, default: float) -> np.ndarr
     if values.shape != (3,) or not np.isfinite(values).all():
         raise ValueError(f"look: expected three float32 numbers as {name}, got {brief(parameters.get(name))}")
     return values
-
-
-def reached_gaussians(splats: Splats, views: Sequence[tuple[Camera, np.ndarray]]) -> np.ndarray:
-    """[N] bool: Gaussians that some masked view ((camera, [H, W] bool)) shows, mostly inside its mask; with one also
-    those of its family that lie hidden under the mask, or paint would stay behind. Raises ValueError where a mask is
-    empty or reaches no Gaussian."""
-    from splatpainter.lift.local.local_edit import gaussians_in_mask
-    from splatpainter.rendering.cpu.projected_view import project
-    from splatpainter.voxels.grid import voxelize
-    from splatpainter.voxels.raycast import editable_gaussians
-
-    grid = voxelize(splats)
-    out = np.zeros(len(splats), bool)
-    for camera, mask in views:
-        if not mask.any():
-            raise ValueError("edit: nothing to do, the mask is empty")
-        visible = gaussians_in_mask(splats, camera, mask, editable_gaussians(grid, splats, camera, mask))
-        frame = project(splats, camera)
-        black = np.zeros((*mask.shape, 3), np.float32)
-        inside = frame.backproject(black, mask.astype(np.float32))
-        total = frame.backproject(black, np.ones(mask.shape, np.float32))
-        reached = np.zeros(len(splats), bool)
-        reached[frame.gaussian_ids] = visible[frame.gaussian_ids] & (inside.weight >= MIN_INSIDE_SHARE * total.weight)
-        if splats.origin is not None:
-            under = frame.gaussian_ids[(inside.alpha > 0) & (inside.alpha >= MIN_INSIDE_SHARE * total.alpha)]
-            family = splats.origin[under]
-            reached[under] |= np.isin(family, splats.origin[reached]) & (family >= 0)
-        out |= reached
-    return out

@@ -19,6 +19,7 @@ from splatpainter.grading.color_match import AffineMap, ColorMap, ColorMatch, Ne
 from splatpainter.grading.color_transfer import LUT, RECOLOR, transfer_parameters, with_table
 from splatpainter.grading.cube_lut import CubeLut, read_cube
 from splatpainter.io import files
+from splatpainter.lift.masked_gaussians import reached_gaussians
 from splatpainter.operations.grade import fitted
 from splatpainter.painter import Edit
 from splatpainter.pictures.picture_reader import read_picture
@@ -38,7 +39,7 @@ from splatpainter.server.protocol import Blob, CameraInfo, Command, LayerMade, M
 from splatpainter.server.studio import Studio
 from splatpainter.session import Session
 from splatpainter.session.document import SELECTION
-from splatpainter.session.layer_blending import ADJUSTMENTS, adjust_sh, reached_gaussians
+from splatpainter.session.layer_blending import ADJUSTMENTS, adjust_sh
 from splatpainter.splats import Splats, changed_rows
 
 

@@ -1,0 +1,80 @@
+"""A part removed, or a hole, and what takes its place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar, Literal
+
+from splatpainter.gatekeeper.gatekeeper import Strictness
+from splatpainter.operations.operation import AS_PYTHON, ReadyOperation, Report, Tools, Wording, parameter
+from splatpainter.operations.painting_options import PictureSourceOptions
+from splatpainter.operations.region import Region
+from splatpainter.painter import Asset
+
+
+@dataclass(frozen=True)
+class Fill(PictureSourceOptions):
+    """Remove the part that WHERE selects and fill the gap, or fill a hole: surface, tone and texture continue."""
+
+    kind: ClassVar[str] = "fill"
+
+    where: tuple[str, ...] = parameter((), metavar="WHERE ...")
+    """Part to remove; what it leaves is filled."""
+    remove: Literal["body", "selection"] = "body"
+    """What goes of WHERE: body: the whole thing that it is of, its back too, without the ground it stands on; where it
+    is a spot on something larger, as selection: it alone."""
+    around: tuple[str, ...] = parameter((), metavar="WHERE ...")
+    """Instead: what surrounds an existing hole, such as a mask drawn around it."""
+    source: str = parameter("", metavar="NAME")
+    """A picture source (`splatpainter source list`) that is sent a view of the filled hole, which is its mask; default:
+    the texture of what surrounds it."""
+    prompt: str = parameter("", metavar="TEXT")
+    """What the source should paint there."""
+    view: Path | None = parameter(None, metavar="CAM.json", file=True)
+    """Camera of the view that is sent; default: one that faces the hole."""
+    size: int | None = parameter(None, metavar="PX")
+    """Pixels of its longer side; default: what --view says."""
+    strictness: Strictness = parameter("normal", option="source_strictness")
+    """Which pictures are refused, as in `splatpainter edit generate`."""
+    seed: int | None = parameter(None, metavar="N")
+    """Random seed, for sources that take one."""
+
+    def check(self, wording: Wording = AS_PYTHON) -> None:
+        name = wording.option
+        if bool(self.where) == bool(self.around):
+            given = "both" if self.where else "none"
+            line = f"expected {name('where')} (what to remove) or {name('around')} (what surrounds a hole), got {given}"
+            raise wording.error(self.kind, line)
+        self.refuse_options_without_source(wording, ("prompt", "view", "size", "seed", "options"))
+
+    def ready(self, tools: Tools) -> ReadyOperation:
+        from splatpainter.pictures.edit_files import camera_from
+        from splatpainter.source_edits.fill import fill
+
+        region = Region.parse(self.where or self.around)
+        source = self.opened_source(tools) if self.source else None
+        camera = None if self.view is None else camera_from(self.view, tools.asset)
+        if camera is not None and self.size is not None:
+            camera = camera.with_longest_side(self.size)
+
+        def filled(asset: Asset, report: Report) -> Asset:
+            splats = asset.splats
+            weights = region.weights(splats)
+            with tools.progress() as progress:
+                edited = fill(
+                    splats,
+                    weights if self.where else None,
+                    around=weights if self.around else None,
+                    body=self.remove == "body",
+                    source=source,
+                    prompt=self.prompt,
+                    camera=camera.relative_to(splats.offset) if camera is not None else None,
+                    seed=self.seed,
+                    strictness=self.strictness,
+                    progress=progress,
+                    cancel=tools.cancel,
+                )
+            return replace(edited, original=None)  # its new Gaussians are surface, too
+
+        return filled

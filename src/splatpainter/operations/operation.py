@@ -1,0 +1,253 @@
+"""An operation is a value: what becomes of an asset, with all of its options, and nothing else.
+
+    edited = Grade(exposure=0.5).apply(Asset(splats))
+    receipt, verification = apply_to_file(Path("vase.ply"), [Grade(exposure=0.5)], Path("warm.ply"))   # to_file.py
+
+Each kind is one frozen dataclass in a file of this folder: its fields are the options, each declared and explained
+there once. The command line is parsed into it (commands/option_parsing.py), a JOBS.yaml and JSON are built into it
+(`operation_of`), nodes of other programs are made from its fields. An operation knows no session and no command line;
+what it needs of the place where it runs comes as `Tools`, and what it says besides its receipt goes into a `Report`.
+
+To add one: a module here with a dataclass of `Operation`, and its name in KINDS. Other distributions add theirs by
+entry points of the group `splatpainter.operations`: name = module:Class.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import importlib.metadata
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import MISSING, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from splatpainter import jsonio
+from splatpainter.painter import Asset, Painter
+from splatpainter.sources.picture_source import CancelFlag, PictureSource, Progress
+
+if TYPE_CHECKING:
+    from splatpainter.source_edits.view_edit import SourcedEdit
+
+ENTRY_POINTS = "splatpainter.operations"
+"""Group by which other distributions add operations."""
+KINDS = {
+    "paint": "paint:Paint",
+    "decal": "decal:LayDecal",
+    "grade": "grade:Grade",
+    "fill": "fill:Fill",
+    "refine": "refine:Refine",
+    "generate": "generate:Generate",
+    "light": "light:Relight",
+    "delight": "light:Delight",
+}
+"""Kind -> module of this folder and class, imported when it is asked for; in the order in which help lists them."""
+
+
+def parameter(
+    default: Any = MISSING,
+    *,
+    metavar: str = "",
+    option: str = "",
+    positional: bool = False,
+    words: Any = None,
+    file: bool = False,
+    output: bool = False,
+) -> Any:
+    """A field of an operation. metavar: its value in help. option: its name on the command line, where that is another
+    ("camera" of `cameras`). positional: given there without a name. words: its type there, where that is another (str
+    of a pixel "X,Y"); `__post_init__` makes of the words what the field is. file: it names files that are read; output:
+    a file that is written."""
+    metadata = {"metavar": metavar, "option": option, "positional": positional, "words": words}
+    return field(default=default, metadata={**metadata, "file": file, "output": output})
+
+
+@dataclass(frozen=True)
+class Wording:
+    """How errors name an operation and its options: as a command line or as Python has them."""
+
+    where: str = ""
+    """What a line begins with, such as "splatpainter grade: "; "": the kind."""
+    dashes: str = ""
+    renamed: Mapping[str, str] = field(default_factory=dict)
+    """Field -> its name there, where that is another."""
+
+    def option(self, name: str) -> str:
+        """A field's name: "angle_limit", or "--angle-limit"."""
+        spelled = self.renamed.get(name, name)
+        return f"{self.dashes}{spelled.replace('_', '-')}" if self.dashes else spelled
+
+    def error(self, kind: str, line: str) -> ValueError:
+        return ValueError(f"{self.where or kind + ': '}{line}")
+
+
+AS_PYTHON = Wording()
+
+
+@contextmanager
+def _silent() -> Iterator[Progress]:
+    yield lambda share, words: None
+
+
+class _NeverCancelled:
+    def is_set(self) -> bool:
+        return False
+
+
+def _open_source(name: str, options: Mapping[str, str]) -> PictureSource:
+    from splatpainter.sources.registry import open_source
+
+    return open_source(name, options)
+
+
+@dataclass(frozen=True)
+class Tools:
+    """What an operation has of the place where it runs."""
+
+    painter: Painter | None = None
+    """Who paints; None: one is loaded as the operation says."""
+    open_source: Callable[[str, Mapping[str, str]], PictureSource] = _open_source
+    """(name, options) -> a picture source."""
+    progress: Callable[[], AbstractContextManager[Progress]] = _silent
+    """Gives where sources say how far they are, for the time of a `with` block."""
+    cancel: CancelFlag = field(default_factory=_NeverCancelled)
+    aside: bool = False
+    """Score local edits from the side too, for receipts (painter.Painter.aside)."""
+    asset: Path | None = None
+    """The file that the asset comes from, where it is one: cameras and pictures are looked for beside it."""
+    wording: Wording = AS_PYTHON
+
+
+@dataclass(frozen=True)
+class ReportedView:
+    """One view of an operation's receipt, as people know it."""
+
+    name: str
+    """The picture's file, or what else it is called."""
+    notes: tuple[str, ...] = ()
+    against: str = ""
+    """What its score compares with, where that is no picture that was given."""
+
+
+@dataclass
+class Report:
+    """What operations say besides their receipts."""
+
+    warn: Callable[[str], None] = lambda line: None
+    """Takes a line about something that does not stop the operation."""
+    views: list[ReportedView] = field(default_factory=list)
+    """Of the receipt's views, in their order."""
+    painted: list[SourcedEdit] = field(default_factory=list)
+    """Answers of sources that were painted."""
+
+
+ReadyOperation = Callable[[Asset, Report], Asset]
+"""An operation with its files read and its source opened."""
+
+
+@dataclass(frozen=True)
+class Operation:
+    """What every kind has. Subclasses are frozen dataclasses, all of whose fields have defaults."""
+
+    kind: ClassVar[str]
+    """Its name: the word of the command line, the key in a JOBS.yaml."""
+
+    def __post_init__(self) -> None:
+        """Names of files become paths, lists tuples."""
+        for entry in dataclasses.fields(self):
+            value = getattr(self, entry.name)
+            is_file = entry.metadata.get("file") or entry.metadata.get("output")
+            if isinstance(value, list):
+                value = tuple(value)
+            if is_file and isinstance(value, tuple):
+                value = tuple(map(Path, value))
+            elif is_file and isinstance(value, str):
+                value = Path(value) if value else None
+            object.__setattr__(self, entry.name, value)
+
+    def check(self, wording: Wording = AS_PYTHON) -> None:
+        """Raises ValueError, one line, for options that cannot be or do not go together; no file is read."""
+
+    def ready(self, tools: Tools) -> ReadyOperation:
+        """The operation with all that it needs but the asset: files are read, sources opened. Raises ValueError and
+        SourceError, one line naming what cannot be used."""
+        raise NotImplementedError
+
+    def apply(self, asset: Asset, tools: Tools | None = None, report: Report | None = None) -> Asset:
+        """The asset afterwards, with the receipt of this operation; `asset` itself does not change. Raises ValueError:
+        options, files, or an operation that this asset cannot have."""
+        self.check()
+        return self.ready(tools or Tools())(asset, report or Report())
+
+    def files(self) -> tuple[Path, ...]:
+        """The files that it reads."""
+        return tuple(Path(path) for path in self._paths("file"))
+
+    def outputs(self) -> tuple[Path, ...]:
+        """Files that it writes besides the asset."""
+        return tuple(Path(path) for path in self._paths("output"))
+
+    def record(self) -> dict[str, Any]:
+        """JSON object: its kind, and the options that are not at their defaults. `operation_of` is the inverse."""
+        plain = jsonio.plain(self)
+        changed = {name: plain[name] for name in self.changes()}
+        return {"kind": self.kind, **changed}
+
+    def changes(self) -> dict[str, Any]:
+        """The options that are not at their defaults, by name."""
+        fields = {entry.name: entry.default for entry in dataclasses.fields(self)}
+        default = type(self)()  # whose __post_init__ may have made other values of them
+        values = {name: getattr(self, name) for name in fields}
+        return {name: value for name, value in values.items() if value != getattr(default, name)}
+
+    def python(self) -> str:
+        """The expression that makes it, with `import splatpainter as sp` before it."""
+        words = [f"{name}={_literal(value)}" for name, value in self.changes().items()]
+        return f"sp.{type(self).__name__}({', '.join(words)})"
+
+    def _paths(self, role: str) -> Iterator[Any]:
+        for entry in dataclasses.fields(self):
+            value = getattr(self, entry.name)
+            if entry.metadata.get(role) and value:
+                yield from value if isinstance(value, tuple) else (value,)
+
+
+def _literal(value: Any) -> str:
+    """Python's spelling of a field; paths as text, which fields take too."""
+    if isinstance(value, Path):
+        return repr(value.as_posix())
+    if isinstance(value, tuple):
+        inner = ", ".join(_literal(item) for item in value)
+        return f"({inner},)" if len(value) == 1 else f"({inner})"
+    return repr(value)
+
+
+def kinds() -> list[str]:
+    """All kinds: those of this package, then others by their names."""
+    return [*KINDS, *sorted({point.name for point in _entry_points()} - {*KINDS})]
+
+
+def operation_class(kind: str) -> type[Operation]:
+    """The dataclass of a kind. Raises ValueError: there is none of that name."""
+    if kind in KINDS:
+        module, _, name = KINDS[kind].partition(":")
+        return getattr(importlib.import_module(f"splatpainter.operations.{module}"), name)
+    points = [point for point in _entry_points() if point.name == kind]
+    if len(points) != 1:
+        raise ValueError(f"expected an operation of {', '.join(kinds())}, got {ascii(kind[:60])}")
+    return points[0].load()
+
+
+def operation_of(record: Any, where: str) -> Operation:
+    """The operation that `Operation.record` describes. Raises ValueError naming `where` and the key that is wrong."""
+    if not isinstance(record, Mapping) or not isinstance(record.get("kind"), str):
+        raise ValueError(f"{where}: expected an operation with its kind, got {jsonio.brief(record)}")
+    values = {name: value for name, value in record.items() if name != "kind"}
+    operation = jsonio.build(operation_class(record["kind"]), values, where, defaults=True)
+    operation.check(Wording(f"{where}: "))
+    return operation
+
+
+def _entry_points() -> list[importlib.metadata.EntryPoint]:
+    return list(importlib.metadata.entry_points(group=ENTRY_POINTS))

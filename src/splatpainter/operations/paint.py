@@ -1,0 +1,163 @@
+"""Edited pictures put onto an asset."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+from splatpainter.gatekeeper.gatekeeper import Strictness
+from splatpainter.operations.operation import AS_PYTHON, ReadyOperation, Report, ReportedView, Tools, Wording, parameter
+from splatpainter.operations.painting_options import PaintingOptions
+from splatpainter.painter import MAX_VIEWS, Asset, Mode, Painter
+
+if TYPE_CHECKING:
+    from splatpainter.pictures import FileEdit
+    from splatpainter.splats import Splats
+
+
+@dataclass(frozen=True)
+class Paint(PaintingOptions):
+    """Write edited pictures of an asset onto it. Later pictures win where several disagree."""
+
+    kind: ClassVar[str] = "paint"
+
+    pictures: tuple[Path, ...] = parameter((), metavar="VIEW.png ...", positional=True, file=True)
+    """1 to 16 edited pictures of ASSET."""
+    cameras: tuple[Path, ...] = parameter((), metavar="CAM.json[:N] ...", option="camera", file=True)
+    """Cameras of the pictures, in their order, where the pictures lost theirs: CAM.json, the view that was painted on,
+    or a folder of views, of which the one counts that the picture matches. For photographs of a capture: cameras.json,
+    transforms.json or COLMAP's sparse/0, with :N (a number or a name) where the picture has another name than the
+    photograph. Default: what the picture says, or NAME.json beside it, or the capture in ASSET's folder, or the view
+    beside the picture or beside ASSET that it matches."""
+    masks: tuple[Path, ...] = parameter((), metavar="M.png ...", option="mask", file=True)
+    """Masks of the pictures, in their order: what is not black was edited. Default: what differs from the asset."""
+    correct: bool = False
+    """Put pictures right first: what a mistake did to all of one (another gamma, a mirror, a grade) is undone, and it
+    is laid over its view, its colours corrected and cut to what was painted, as a source's picture is
+    (--source-strictness)."""
+    force: bool = False
+    """Paint with a picture as it is, also where it differs from its view everywhere or was compressed hard."""
+    mode: Mode = "local"
+    """local: only what was painted changes. global: a regraded or relit picture changes the whole asset. spread: the
+    painted material changes all around, also where the pictures do not show it."""
+    spread_threshold: float | None = None
+    """Mode spread: confidence (0 to 1) from which a Gaussian counts as the painted material; lower reaches further.
+    Default: 0.5."""
+    spread_confidence: Path | None = parameter(None, metavar="C.png", output=True)
+    """Mode spread: write a picture of this confidence, from the first edited view and from behind (green: sure, yellow:
+    at the threshold, red and blue: not reached). With --dry-run nothing else is written."""
+    strictness: Strictness = parameter("normal", option="source_strictness")
+    """Which pictures of a source, and painted photographs, are refused. strict: edges agree by less than 0.7 of 1,
+    moved by over 1 %, turned by over 0.5 degrees, 0.25 stops off, over 10 % changed outside the mask, or cropped;
+    normal: less than 0.38, over 10 %, 6 degrees, 1.5 stops; loose: less than 0.2, over 30 %, 12 degrees."""
+
+    def check(self, wording: Wording = AS_PYTHON) -> None:
+        name = wording.option
+        if self.mode != "spread" and (self.spread_threshold, self.spread_confidence) != (None, None):
+            threshold, confidence = name("spread_threshold"), name("spread_confidence")
+            raise wording.error(self.kind, f"{threshold} and {confidence} are for {name('mode')} spread")
+        if self.correct and self.force:
+            raise wording.error(self.kind, f"expected one of {name('correct')} and {name('force')}")
+        if not 1 <= len(self.pictures) <= MAX_VIEWS:
+            count = len(self.pictures) or "none"
+            raise wording.error(self.kind, f"expected 1 to {MAX_VIEWS} pictures (VIEW.png) after ASSET, got {count}")
+        for what, given in (("cameras", self.camera_of_each), ("masks", self.masks)):
+            if given and len(given) != len(self.pictures):
+                expected = f"as many {name(what)} files as pictures ({len(self.pictures)})"
+                raise wording.error(self.kind, f"expected {expected}, got {len(given)}")
+
+    @property
+    def camera_of_each(self) -> tuple[Path, ...]:
+        """The cameras; one capture serves for all, each picture finds its view there by its name."""
+        from splatpainter.captures import is_capture
+
+        if len(self.cameras) == 1 and is_capture(self.cameras[0]):
+            return self.cameras * max(len(self.pictures), 1)
+        return self.cameras
+
+    def ready(self, tools: Tools) -> ReadyOperation:
+        pictures = self._read(tools)
+        painter = self.painter(self.mode, tools)
+        if self.spread_threshold is not None:
+            from splatpainter.spread.options import SpreadOptions
+
+            painter = replace(painter, spread_options=SpreadOptions(self.spread_threshold))
+
+        def paint(asset: Asset, report: Report) -> Asset:
+            return self._painted(asset, self._of_size(pictures, painter), painter, report)
+
+        return paint
+
+    def _read(self, tools: Tools) -> list[FileEdit]:
+        from splatpainter.gatekeeper.photographs import picture_edit
+
+        cameras = self.camera_of_each or (None,) * len(self.pictures)
+        masks = self.masks or (None,) * len(self.pictures)
+        beside = () if tools.asset is None else (tools.asset.parent, tools.asset.parent / "views")
+        return [
+            picture_edit(*files, tools.asset, beside)
+            for files in zip(self.pictures, cameras[: len(self.pictures)], masks, strict=True)
+        ]
+
+    def _of_size(self, pictures: list[FileEdit], painter: Painter) -> list[FileEdit]:
+        """The pictures at the size at which they are edited with: networks want one size, and looks need no detail."""
+        if self.mode == "global" or painter.choose(self.method, self.mode)[0] == "ttt":
+            return [picture.at_view() for picture in pictures]
+        return pictures
+
+    def _painted(self, asset: Asset, pictures: list[FileEdit], painter: Painter, report: Report) -> Asset:
+        splats = asset.splats
+        _check_views(pictures, splats)
+        _warn_of_other_assets(pictures, splats, report)
+        pictures = self._checked(pictures, splats, report)
+        asset = painter.encode(splats, self.method, [self.mode]) if asset.receipt is None else asset
+        edits = [picture.edit(splats, self.mode) for picture in self._of_size(pictures, painter)]
+        edited = painter.apply(asset, edits, self.mode, self.method)
+        if self.spread_confidence is not None:
+            self._write_confidence(self.spread_confidence, splats, edited, pictures, painter)
+        report.views += [ReportedView(str(picture.path), picture.notes) for picture in pictures]
+        return edited
+
+    def _checked(self, pictures: list[FileEdit], splats: Splats, report: Report) -> list[FileEdit]:
+        """The pictures as they are painted with. Raises ValueError for one that differs from its view everywhere."""
+        from splatpainter.gatekeeper.photographs import laid_over
+        from splatpainter.gatekeeper.picture_gate import checked_picture
+
+        policy = "correct" if self.correct else "force" if self.force else "refuse"
+        painted = [laid_over(picture, splats, self.mode, self.strictness) for picture in pictures]
+        checked = [checked_picture(picture, splats, self.mode, policy, self.strictness) for picture in painted]
+        for picture in checked:
+            if picture.warning:
+                report.warn(picture.warning)
+        return [picture.source for picture in checked]
+
+    def _write_confidence(
+        self, path: Path, splats: Splats, edited: Asset, pictures: Sequence[FileEdit], painter: Painter
+    ) -> None:
+        from splatpainter.image_files import write_png
+        from splatpainter.spread.options import SPREAD_DEFAULTS
+        from splatpainter.spread.overlay import confidence_picture
+
+        assert edited.confidence is not None
+        arrays, threshold = splats.numpy(), (painter.spread_options or SPREAD_DEFAULTS).threshold
+        confidence = edited.confidence[: len(arrays)]
+        write_png(path, confidence_picture(arrays, confidence, threshold, pictures[0].camera.within(splats.offset)))
+
+
+def _warn_of_other_assets(pictures: Sequence[FileEdit], splats: Splats, report: Report) -> None:
+    for picture in pictures:
+        made_for = picture.camera.asset_sha256
+        if made_for is not None and made_for != splats.sha256:
+            other = f"another asset (sha256 {made_for[:12]}...)"
+            report.warn(f"{picture.path}: was rendered from {other}; differences count as paint")
+
+
+def _check_views(pictures: Sequence[FileEdit], splats: Splats) -> None:
+    """Raises ValueError where a picture's camera sees nothing of the asset: an edit of it would reach nothing."""
+    from splatpainter.doubts import doubts_of_view
+
+    for picture in pictures:
+        for doubt in doubts_of_view(splats, picture.camera, str(picture.path)):
+            raise ValueError(doubt.line)

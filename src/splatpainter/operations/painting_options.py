@@ -1,0 +1,121 @@
+"""Options that several operations share: how pictures are painted, and which picture source is asked. Each is declared
+here once; an operation that means something else by one declares it again, with its own words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from splatpainter.lift.options import LOCAL_DEFAULTS
+from splatpainter.nn.precision import Precision
+from splatpainter.operations.operation import Operation, Tools, Wording, parameter
+from splatpainter.painter import Method, Mode, Painter
+from splatpainter.sources.picture_source import PictureSource
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewLimits(Operation):
+    """What one view may paint."""
+
+    angle_limit: float = LOCAL_DEFAULTS.angle_limit
+    """Degrees between the line of sight and the surface's normal from which paint of a local edit fades; 0: no
+    limit."""
+    depth_edge_limit: float = LOCAL_DEFAULTS.depth_edge_limit
+    """Pixels beside an edge in depth that a local edit leaves out; 0: none."""
+
+    def limited(self, painter: Painter) -> Painter:
+        """The painter with these limits. Raises ValueError: out of range."""
+        limits = {"angle_limit": self.angle_limit, "depth_edge_limit": self.depth_edge_limit}
+        return replace(painter, local_options=replace(painter.local_options or LOCAL_DEFAULTS, **limits))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PaintingOptions(ViewLimits):
+    """How pictures are painted."""
+
+    method: Method = "auto"
+    """Method of the edit: lift (analytic, under a second), fit (the lift, then some seconds of optimisation: nearer to
+    the picture, local edits only), ttt (the networks of PRESET); auto: ttt where trained weights are better, else
+    lift."""
+    preset: str = parameter("auto", metavar="NAME|DIR")
+    """Weights: compact, rows, paper, a folder of weights, or lift (none); auto: compact where its weights are, else
+    lift."""
+    precision: Precision = "auto"
+    """Arithmetic of the networks; auto: what SPLATPAINTER_PRECISION says, else bfloat16 where the machine has it."""
+    polish: bool = False
+    """After the networks, two colour rounds of the lift: nearer to the picture, further from what the networks have
+    learnt."""
+
+    def painter(self, mode: Mode, tools: Tools) -> Painter:
+        """Who paints in a mode. Raises ValueError: weights that are missing or wrong, networks that would leave the
+        edit to the lift."""
+        if tools.painter is not None:
+            return tools.painter
+        self._refuse_idle_networks(mode, tools.wording)
+        painter = Painter.load(self.preset, modes=[mode], polish=self.polish, precision=self.precision)
+        painter = replace(self.limited(painter), aside=tools.aside)
+        method, reason = painter.choose(self.method, mode)
+        if method == "ttt" and painter.model is not None and painter.model.config.representation == "copy":
+            raise ValueError(
+                f"preset '{painter.preset}': paints on a copy of the asset (representation copy), of which no "
+                "Gaussian could be verified; use it from Python, or a preset of representation native"
+            )
+        if self.polish and method != "ttt":
+            remark = f" ({reason})" if self.method == "ttt" else ""
+            polish = tools.wording.option("polish")
+            line = f"{polish} is for method ttt alone: it adds rounds of the lift{remark}"
+            raise tools.wording.error(self.kind, line)
+        return painter
+
+    def _refuse_idle_networks(self, mode: Mode, wording: Wording) -> None:
+        """Raises ValueError where networks are asked for that would leave the edit to the lift; their weights are not
+        read for that."""
+        from splatpainter.models import checkpoint, weights
+
+        if self.method != "ttt" or mode != "local":
+            return
+        folder = weights.find("compact" if self.preset == "auto" else self.preset) or Path(self.preset)
+        if (folder / checkpoint.INDEX).is_file() and not checkpoint.config(folder).edits_locally:
+            method = wording.option("method")
+            line = (
+                f"{method} ttt: the networks of preset '{self.preset}' make global edits alone, so that the lift would "
+                f"make this one; use {method} lift, or weights of train refine"
+            )
+            raise wording.error(self.kind, line)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PictureSourceOptions(Operation):
+    """Which picture source is asked, and for what."""
+
+    source: str = parameter("", metavar="NAME")
+    """Picture source that is asked (`splatpainter source list`)."""
+    options: Any = parameter((), metavar="KEY=VALUE ...", option="source_option", words=tuple[str, ...])
+    """Options of the source; `splatpainter source list` names them. Keys come from the environment alone."""
+    prompt: str = parameter("", metavar="TEXT")
+    """What the source should do to the view."""
+    size: int | None = parameter(None, metavar="PX")
+    """Pixels of the longer side of the views that are sent; default: what the cameras say."""
+
+    def __post_init__(self) -> None:
+        from splatpainter.sources.source_options import option_words
+
+        super().__post_init__()
+        if not isinstance(self.options, Mapping):
+            object.__setattr__(self, "options", option_words(self.options))
+        for key, value in self.options.items():
+            if not isinstance(value, str | int | float):
+                raise ValueError(f"expected text or a number as the option {key!r:.40}")
+
+    def opened_source(self, tools: Tools, **more: str) -> PictureSource:
+        """The source, with its options and these. Raises SourceError: there is none, or it cannot be had so."""
+        return tools.open_source(self.source, {**{key: str(value) for key, value in self.options.items()}, **more})
+
+    def refuse_options_without_source(self, wording: Wording, names: tuple[str, ...]) -> None:
+        """Raises ValueError where one of these fields is set although no source is named."""
+        for name in names:
+            if not self.source and name in self.changes():
+                line = f"{wording.option(name)} is for pictures that a source makes; give {wording.option('source')} "
+                raise wording.error(self.kind, f"{line}NAME too")

@@ -1,0 +1,77 @@
+"""Views enlarged by a model or another source, and their detail put onto the asset."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar, Literal
+
+from splatpainter.operations.operation import AS_PYTHON, ReadyOperation, Report, ReportedView, Tools, Wording, parameter
+from splatpainter.operations.painting_options import PictureSourceOptions
+from splatpainter.painter import MAX_VIEWS, Asset, Painter
+
+
+@dataclass(frozen=True)
+class Refine(PictureSourceOptions):
+    """Make an asset sharper in close-ups: views are enlarged by a super-resolution model, or another picture source,
+    and lifted together."""
+
+    kind: ClassVar[str] = "refine"
+
+    views: tuple[Path, ...] = parameter((), metavar="CAM.json ...", option="view", file=True)
+    """1 to 16 cameras of the views (CAM.json, or pictures that `render` made)."""
+    upscale: Path | None = parameter(None, metavar="MODEL.safetensors", file=True)
+    """Super-resolution model that enlarges the views."""
+    scale: Literal[1, 2, 4] | None = parameter(None, metavar="1|2|4")
+    """Factor by which each view is enlarged; default: 2, or 1 for sources that do not enlarge."""
+    source: str = parameter("upscale", metavar="NAME")
+    """Picture source that enlarges the views (`splatpainter source list`)."""
+    prompt: str = parameter("", metavar="TEXT")
+    """Prompt, for sources that take one."""
+    size: int | None = parameter(None, metavar="PX")
+    """Pixels of the longer side at which views are rendered and sent; default: the cameras'."""
+    method: Literal["lift", "fit"] = "lift"
+    """lift: analytic, seconds; fit: some seconds of optimisation after it, nearer to the pictures."""
+
+    def check(self, wording: Wording = AS_PYTHON) -> None:
+        name = wording.option
+        if not 1 <= len(self.views) <= MAX_VIEWS:
+            given = len(self.views) or "none"
+            line = f"expected 1 to {MAX_VIEWS} cameras ({name('views')} CAM.json ...), got {given}"
+            raise wording.error(self.kind, line)
+        if self.upscale is not None and self.source != "upscale":
+            raise wording.error(self.kind, f"{name('upscale')} is the model of source upscale, not of {self.source}")
+
+    def ready(self, tools: Tools) -> ReadyOperation:
+        from splatpainter.pictures.edit_files import camera_from
+        from splatpainter.source_edits.edit import refine_views, usual_scale
+        from splatpainter.source_edits.view_edit import SourceBrief
+
+        source = self.opened_source(tools, **({} if self.upscale is None else {"model": str(self.upscale)}))
+        cameras = [camera_from(path, tools.asset) for path in self.views]
+        if self.size is not None:
+            cameras = [camera.with_longest_side(self.size) for camera in cameras]
+        painter = tools.painter or replace(Painter.load("lift"), aside=tools.aside)
+
+        def refined(asset: Asset, report: Report) -> Asset:
+            brief = SourceBrief(self.prompt, scale=self.scale or usual_scale(source))
+            asset = painter.encode(asset.splats, self.method, ["local"]) if asset.receipt is None else asset
+            with tools.progress() as progress:
+                result = refine_views(
+                    painter,
+                    asset,
+                    source,
+                    brief,
+                    [camera.relative_to(asset.splats.offset) for camera in cameras],
+                    method=self.method,
+                    progress=progress,
+                    cancel=tools.cancel,
+                )
+            for path, edit in zip(self.views, result.edits, strict=True):
+                size = f"{edit.edit.camera.width} x {edit.edit.camera.height}"
+                against = f"the picture of {edit.answer.model or source.name}, {size}"
+                report.views.append(ReportedView(str(path), edit.notes, against))
+            report.painted += result.edits
+            return result.asset
+
+        return refined

@@ -1,0 +1,102 @@
+"""What operations (operations/) read of sessions' files: regions that a project names, a selection that it keeps or
+what one of its layers paints; and adjustment layers, which `splatpainter grade` takes as looks.
+
+`splatpainter.session` brings them to operations when it is imported.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from splatpainter.grading.color_grading import GRADE, GradeSettings
+from splatpainter.grading.color_match import ColorMap
+from splatpainter.grading.color_transfer import TRANSFERS, transfer_function, with_table
+from splatpainter.operations.grade import Look
+from splatpainter.operations.region import Region as Region
+from splatpainter.operations.region import wrong_term
+from splatpainter.operations.session_files import Weigh
+from splatpainter.session.asset_files import read_layer
+from splatpainter.session.document import SELECTION, Layer
+from splatpainter.splats import Splats
+
+SAME_ASSET_SHARE = 0.1
+"""Share of an asset's extent by which the median Gaussian may lie elsewhere than in the original of a project."""
+
+
+@dataclass(frozen=True)
+class LayerLook:
+    """The look of a layer at its strength."""
+
+    function: ColorMap
+    strength: float
+    name: str
+
+    def __call__(self, colors: np.ndarray) -> np.ndarray:
+        return colors + np.float32(self.strength) * (self.function(colors) - colors)
+
+    def describe(self) -> str:
+        return f"layer {self.name}, strength {self.strength:g}"
+
+
+def look_of_layer(path: Path) -> Look:
+    layer, blobs = read_layer(path)
+    look = layer.parameters.get("look")
+    if layer.kind != "look" or look not in (GRADE, *TRANSFERS):
+        raise ValueError(
+            f"{path}: expected an adjustment layer with sliders or other colours, got a layer of kind {layer.kind}"
+        )
+    if layer.views or SELECTION in layer.parameters:
+        raise ValueError(f"{path}: is limited to a selection, which grade takes as --where mask=M.png@CAM.json instead")
+    if layer.blend != "normal":
+        raise ValueError(f"{path}: expected a layer of blend normal, got {layer.blend}")
+    if look in TRANSFERS:
+        return _transfer_of_layer(path, layer, blobs)
+    sliders = GradeSettings.from_dict(layer.parameters)
+    return replace(sliders, strength=sliders.strength * layer.opacity)
+
+
+def _transfer_of_layer(path: Path, layer: Layer, blobs: dict[str, bytes]) -> Look:
+    """A layer's LUT, colours of a picture or new colour, as they were fitted when it was made."""
+    parameters = with_table(layer.parameters, lambda name: blobs.get(name, b""))
+    try:
+        function = transfer_function(parameters)
+        strength = float(parameters.get("strength", 1.0)) * layer.opacity
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{path}: {str(error).removeprefix('look: ')}") from None
+    return LayerLook(function, strength, ascii(layer.name))
+
+
+def project_term(name: str, text: str) -> Weigh:
+    """A selection that a project keeps, or what one of its layers paints, on an asset made from its original."""
+    from splatpainter.session.selection import Selection
+    from splatpainter.session.session import Session
+
+    title, at, project = text.rpartition("@")
+    if not at or not title:
+        raise wrong_term(name, "NAME@PROJECT.splatproj", text)
+    with Session.load(project, readonly=True) as session:
+        try:
+            weights = session.selection(title) if name == "selection" else session.painted(title)
+        except ValueError as error:
+            raise ValueError(f"{project}: {error}") from None
+        parts = session.selected_parts(weights)
+
+    def weigh(splats: Splats) -> np.ndarray:
+        for part in parts:
+            if _is_made_from(splats, part.original):
+                return Selection.of(part.weights, part.splats, part.original).on(splats, part.original)
+        raise ValueError(f"--where {name}={ascii(title)}: expected the asset of {project}, or one made from it")
+
+    return weigh
+
+
+def _is_made_from(splats: Splats, original: Splats) -> bool:
+    """Whether an asset may be one that was made from the original: as many Gaussians or more, where they were."""
+    if len(splats) < len(original):
+        return False
+    extent = float(np.ptp(original.means[original.drawable], axis=0).max())
+    far = np.linalg.norm(splats.means[: len(original)] - original.means, axis=1)
+    return bool(np.median(far) <= SAME_ASSET_SHARE * extent)
