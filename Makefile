@@ -75,9 +75,9 @@ format: .venv/installed-dev
 	touch $@
 
 # CPU torch first where there is no NVIDIA GPU, so that no CUDA packages are pulled.
-.venv/installed-dev: .venv/installed benchmarks/pyproject.toml networks/pyproject.toml scripts/install-torch
+.venv/installed-dev: .venv/installed benchmarks/pyproject.toml networks/pyproject.toml train/pyproject.toml scripts/install-torch
 	scripts/install-torch $(PY)
-	$(PIP) -e '.[dev]' -e benchmarks -e networks
+	$(PIP) -e '.[dev]' -e train -e benchmarks -e networks
 	$(PIP) --no-deps gsplat  # its plain-torch formulas are an oracle of the tests; its kernels need CUDA
 	$(PIP) --no-deps gsply gaussforge  # readers and writers of SPZ, oracles of the tests
 	touch $@

@@ -141,7 +141,7 @@ def _remember_parsers() -> None:
 def _remember_meshes() -> None:
     """Procedural objects are made once per process: most tests of training and of its data take the same few, and
     their textures are an eighth of such tests' time. Tests of `random_mesh` have imported the function itself."""
-    procedural = sys.modules.get("splatpainter.data.procedural")
+    procedural = sys.modules.get("splattrain.data.procedural")
     if procedural is not None:
         setattr(procedural, "random_mesh", functools.lru_cache(maxsize=32)(procedural.random_mesh))  # noqa: B010
 

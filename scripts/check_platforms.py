@@ -38,7 +38,12 @@ DIFFERS = re.compile(
 def files() -> list[Path]:
     """Those whose types may depend on the system."""
     every = sorted(
-        [*(ROOT / "src").rglob("*.py"), *(ROOT / "benchmarks").rglob("*.py"), *(ROOT / "tests").rglob("*.py")]
+        [
+            *(ROOT / "src").rglob("*.py"),
+            *(ROOT / "train").rglob("*.py"),
+            *(ROOT / "benchmarks").rglob("*.py"),
+            *(ROOT / "tests").rglob("*.py"),
+        ]
     )
     return [path for path in every if DIFFERS.search(path.read_text(encoding="utf-8"))]
 

@@ -15,8 +15,8 @@ import tyro
 
 from splatpainter.models import checkpoint
 from splatpainter.models.config import ModelConfig
-from splatpainter.train import state
-from splatpainter.train.judge import from_json, goals, table, weak_kinds
+from splattrain import state
+from splattrain.judge import from_json, goals, table, weak_kinds
 
 SOURCES = Path(__file__).with_name("model_card_sources.md")
 OBJECTS = "Single objects, mostly furniture, tools, toys, packaging, vehicles. Few plants, creatures, people; no rooms."

@@ -25,12 +25,13 @@ DOCUMENTS = [
         *(ROOT / "docs").rglob("*.md"),
         ROOT / "web" / "README.md",
         *ROOT.glob("benchmarks/*.md"),
+        *ROOT.glob("train/*.md"),
         *ROOT.glob("examples/**/*.md"),
         ROOT / "integrations" / "comfyui" / "README.md",
     ]
     if path.name not in ("LOG.md", "cli.md")  # a log speaks of its day; the reference is made from the help
 ]
-FOLDERS = ("src/", "tests/", "benchmarks/", "scripts/", "examples/", "docs/", "web/")
+FOLDERS = ("src/", "tests/", "benchmarks/", "train/", "scripts/", "examples/", "docs/", "web/")
 MAX_README_LINES = 120
 OTHER_PROGRAMS = {"ADAPTERS.md"}
 """Documents that speak of programs of other systems."""
@@ -39,7 +40,7 @@ OTHER_PROGRAMS = {"ADAPTERS.md"}
 @cache
 def programs() -> tuple[str, ...]:
     """Every Python and TypeScript file of the repository."""
-    folders = ("src", "tests", "benchmarks", "scripts", "native", "examples", "integrations", "web/src")
+    folders = ("src", "tests", "train", "benchmarks", "scripts", "native", "examples", "integrations", "web/src")
     roots = (ROOT / name for name in folders)
     files = [path for root in roots for ending in ("py", "ts", "tsx") for path in root.rglob(f"*.{ending}")]
     return tuple("/" + path.relative_to(ROOT).as_posix() for path in files)
@@ -75,7 +76,7 @@ def test_sources_cite_only_documents_of_the_repository() -> None:
     """Documents that a source speaks of are there, or the program writes them (their name is a string)."""
     sources = {
         path: path.read_text(encoding="utf-8")
-        for folder in ("src", "benchmarks", "tests", "scripts", "web/src")
+        for folder in ("src", "train", "benchmarks", "tests", "scripts", "web/src")
         for path in (ROOT / folder).rglob("*")
         if path.suffix in (".py", ".ts", ".tsx")
     }

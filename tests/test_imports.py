@@ -16,7 +16,13 @@ import pytest
 from tests.support.syntax import nodes, statements
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = {"splatpainter": ROOT / "src" / "splatpainter", "splatbench": ROOT / "benchmarks" / "splatbench"}
+PACKAGES = {
+    "splatpainter": ROOT / "src" / "splatpainter",
+    "splattrain": ROOT / "train" / "splattrain",
+    "splatbench": ROOT / "benchmarks" / "splatbench",
+}
+DISTRIBUTIONS = {"splatpainter": 0, "splattrain": 1, "splatbench": 2}
+"""Of each package how far up it stands: it imports itself and what is below."""
 ORDER = (
     ("_version", "extras", "atomic", "user_folders", "processes", "jsonio", "yamlio"),
     ("splats", "transforms", "color", "kernels"),
@@ -53,16 +59,11 @@ ORDER = (
     ("editing",),
     ("batch",),
     ("server",),
-    ("data",),
-    ("train",),
     ("commands",),
     ("cli", "__main__"),
 )
 """Modules and subpackages of splatpainter, lowest first. Each may import what stands above it here, and itself; those
 on one line may import each other. The package's own __init__ is the public face: it names everybody."""
-LEAVES = {"data", "train"}
-FRONT = {"train", "commands", "cli"}
-"""Those that may import leaves: training stands on the data, and the command line on both."""
 LEVEL = {name: level for level, names in enumerate(ORDER) for name in names}
 MAX_LINES = 700
 """Of a file."""
@@ -150,8 +151,6 @@ def complaint(importer: str, target: str) -> str | None:
         return None
     if target not in LEVEL:
         return f"{importer} imports {target!r} from splatpainter itself: import it from the module that defines it"
-    if target in LEAVES and importer not in FRONT:
-        return f"{importer} imports {target}, a leaf that only the command line may import"
     if LEVEL[target] > LEVEL[importer]:
         return f"{importer} imports {target}, which stands below it"
     return None
@@ -166,16 +165,25 @@ def test_imports_point_up_the_list() -> None:
         assert importer in LEVEL, f"{importer} has no line in ORDER: give it one"
         for target in targets()[name]:
             parts = target.split(".")
-            if parts[0] == "splatbench":
-                wrong.append(f"{name} imports {target}: the package knows no benchmarks")
-            elif parts[0] == "splatpainter":
+            if parts[0] == "splatpainter":
                 wrong.append(complaint(importer, parts[1] if len(parts) > 1 else ""))
     assert not [line for line in wrong if line], sorted({line for line in wrong if line})
 
 
+def test_distributions_import_only_what_they_require() -> None:
+    """The core knows neither training nor benchmarks, training no benchmarks."""
+    wrong = [
+        f"{name} imports {target}"
+        for name in modules()
+        for target in targets()[name]
+        if DISTRIBUTIONS.get(target.split(".")[0], 0) > DISTRIBUTIONS[name.split(".")[0]]
+    ]
+    assert not wrong
+
+
 def test_the_order_refuses_what_the_design_forbids() -> None:
-    refused = [("io", "rendering"), ("voxels", "lift"), ("lift", "painter"), ("data", "train"), ("session", "data")]
-    allowed = [("lift", "voxels"), ("painter", "receipts"), ("io", "io"), ("train", "models"), ("train", "data")]
+    refused = [("io", "rendering"), ("voxels", "lift"), ("lift", "painter"), ("models", "session")]
+    allowed = [("lift", "voxels"), ("painter", "receipts"), ("io", "io"), ("commands", "models")]
     assert all(complaint(*pair) for pair in [*refused, ("lift", ""), ("lift", "Splats")])
     assert not any(complaint(*pair) for pair in allowed)
 
@@ -191,5 +199,6 @@ def test_start_up_loads_nothing_heavy(words: str) -> None:
 
 def test_no_file_is_longer_than_a_reader_can_hold() -> None:
     files = [*modules().values(), *(ROOT / "tests").rglob("*.py"), *(ROOT / "benchmarks" / "tests").rglob("*.py")]
+    files += (ROOT / "train" / "tests").rglob("*.py")
     lengths = {str(path.relative_to(ROOT)): len(path.read_text(encoding="utf-8").splitlines()) for path in files}
     assert {name: length for name, length in lengths.items() if length > MAX_LINES} == {}

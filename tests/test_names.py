@@ -13,8 +13,8 @@ from pathlib import Path
 from tests.support.syntax import identifiers, nodes
 
 ROOT = Path(__file__).resolve().parents[1]
-FOLDERS = (ROOT / "src" / "splatpainter", ROOT / "benchmarks" / "splatbench")
-TESTS = (ROOT / "tests", ROOT / "benchmarks" / "tests")
+FOLDERS = (ROOT / "src" / "splatpainter", ROOT / "benchmarks" / "splatbench", ROOT / "train" / "splattrain")
+TESTS = (ROOT / "tests", ROOT / "benchmarks" / "tests", ROOT / "train" / "tests")
 VAGUE = {
     "told",
     "own",
@@ -59,7 +59,8 @@ NAMESAKES = {
     FOLDERS[0] / "operations",
     FOLDERS[0] / "commands",
     FOLDERS[0] / "server" / "commands",
-    FOLDERS[0] / "train" / "stages",
+    FOLDERS[2] / "commands",
+    FOLDERS[2] / "stages",
     FOLDERS[1],
     FOLDERS[1] / "methods",
 }

@@ -37,8 +37,8 @@ def test_the_main_paths_need_nothing_that_only_posix_has(tmp_path: Path) -> None
 
     script = Path(__file__).parent / "support" / "without_posix.py"
     variables = {**os.environ, "XDG_CACHE_HOME": str(tmp_path / "cache"), "SPLATPAINTER_THREADS": "2"}
-    folders = [str(ROOT / "src"), str(ROOT / "benchmarks"), str(ROOT), os.environ.get("PYTHONPATH", "")]
-    path = os.pathsep.join(filter(None, folders))
+    folders = [str(ROOT / name) for name in ("src", "train", "benchmarks", ".")]
+    path = os.pathsep.join(filter(None, [*folders, os.environ.get("PYTHONPATH", "")]))
     done = subprocess.run(
         [sys.executable, str(script)],
         cwd=tmp_path,

@@ -26,12 +26,12 @@ from splatbench.report.plots import HorizontalLine, Plot, Point, Series, draw
 from splatbench.timing import machine
 from splatpainter import text_tables as tables
 from splatpainter.atomic import write_text
-from splatpainter.data.gaussian_edits import EditKind, GaussianEdit, GaussianEditStream
-from splatpainter.data.lit_assets import ASSET_KINDS, AssetKind
 from splatpainter.metrics.bootstrap import interval
 from splatpainter.models.cache import cache_folder
-from splatpainter.train.recipes import Carrier
-from splatpainter.train.stages.gaussian_edit_task import GaussianEditTask, fixed_ridge, unseen
+from splattrain.data.gaussian_edits import EditKind, GaussianEdit, GaussianEditStream
+from splattrain.data.lit_assets import ASSET_KINDS, AssetKind
+from splattrain.recipes import Carrier
+from splattrain.stages.gaussian_edit_task import GaussianEditTask, fixed_ridge, unseen
 
 VIEW_COUNTS = (1, 2, 4)
 JUDGED = (("relight", 2), ("recolor", 1))
@@ -194,7 +194,7 @@ class HeldEdit:
 def streams(config: AdaptBench) -> tuple[GaussianEditStream, GaussianEditStream]:
     """(edits of training objects, of held-out ones). Raises ValueError for data that is not there, or has no object to
     hold out."""
-    from splatpainter.train.training_data import DataSettings, ResourceFolders, gaussian_edit_streams
+    from splattrain.training_data import DataSettings, ResourceFolders, gaussian_edit_streams
 
     settings = carriers.recipe()
     data = "procedural:200" if config.meshes is None else str(config.meshes)
@@ -326,7 +326,7 @@ def _shipped(carrier: Carrier) -> GaussianEditTask | None:
     """The predictor or Stage II of the package; None where there is none that is asked row by row."""
     from splatpainter.models import weights
     from splatpainter.models.model import SplatPainterModel
-    from splatpainter.train.stages.gaussian_edit_task import GaussianEditOptions
+    from splattrain.stages.gaussian_edit_task import GaussianEditOptions
 
     folder = weights.find("compact")
     model = None if folder is None else SplatPainterModel.load(folder)

@@ -14,13 +14,13 @@ from typing import Any
 
 import torch
 
-from splatpainter.data.gaussian_edits import GaussianEdit, GaussianEditStream
 from splatpainter.models import checkpoint
 from splatpainter.models.config import ModelConfig
 from splatpainter.models.model import SplatPainterModel
-from splatpainter.train.optim import Average, Guard, adamw, rate_at
-from splatpainter.train.recipes import Carrier, Recipe, load
-from splatpainter.train.stages.gaussian_edit_task import GaussianEditOptions, GaussianEditTask
+from splattrain.data.gaussian_edits import GaussianEdit, GaussianEditStream
+from splattrain.optim import Average, Guard, adamw, rate_at
+from splattrain.recipes import Carrier, Recipe, load
+from splattrain.stages.gaussian_edit_task import GaussianEditOptions, GaussianEditTask
 
 SLICE_SECONDS = 5.0
 """CPU seconds that a carrier trains before the next one does."""

@@ -279,8 +279,8 @@ def bench(name: str, words: Sequence[str]) -> Outcome:
 def refuse_seen_objects(setup: Setup, weights: Mapping[str, str], program: str) -> None:
     """Raises ValueError where given weights were trained on objects that the setup takes for held out, as far as their
     notes tell; and for --names without what they are names of."""
-    from splatpainter.data.held_out import HeldOut
     from splatpainter.models import checkpoint
+    from splattrain.data.held_out import HeldOut
 
     if setup.names is not None and (setup.data is None or not setup.held_out):
         raise ValueError(f"{program}: --names needs --data, and no --no-held-out")

@@ -1,6 +1,6 @@
 """Edits as an artist makes them: a point on the surface, a view of it, and a stroke, sticker, word, photo patch or
 recolouring there; and points with texture worth a closer look. What shows too little, or lies beside the object, is
-thrown away and tried again. What is drawn is that of the training data (splatpainter.data.edits). Knows no table.
+thrown away and tried again. What is drawn is that of the training data (splattrain.data.edits). Knows no table.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import numpy as np
 from splatbench.cases import Setup
 from splatbench.ground_truth import GroundTruth, GroundTruthViews, changed
 from splatpainter.cameras import Camera
-from splatpainter.data import viewpoints
-from splatpainter.data.edits import MAX_EDIT_FRACTION, MIN_EDIT_FRACTION, EditDesign, layer_on_object
-from splatpainter.data.edits.content import Canvas, EditResources, Recoloring, list_files
-from splatpainter.data.edits.surface_points import (
+from splattrain.data import viewpoints
+from splattrain.data.edits import MAX_EDIT_FRACTION, MIN_EDIT_FRACTION, EditDesign, layer_on_object
+from splattrain.data.edits.content import Canvas, EditResources, Recoloring, list_files
+from splattrain.data.edits.surface_points import (
     MIN_SOLID_ALPHA,
     MIN_VIEW_COSINE,
     SurfacePoint,

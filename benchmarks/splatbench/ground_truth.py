@@ -22,15 +22,15 @@ import numpy as np
 from splatbench.cases import PosedImages, Setup
 from splatbench.objects import environments, generator, objects
 from splatpainter.cameras import Camera
-from splatpainter.data import viewpoints
-from splatpainter.data.meshes import Mesh
+from splattrain.data import viewpoints
+from splattrain.data.meshes import Mesh
 
 if TYPE_CHECKING:
-    from splatpainter.data.edits import EditDesign
-    from splatpainter.data.lights import Light
-    from splatpainter.data.surfels import Surfels
     from splatpainter.fit.optimize import TrainingView
     from splatpainter.splats import Splats
+    from splattrain.data.edits import EditDesign
+    from splattrain.data.lights import Light
+    from splattrain.data.surfels import Surfels
 
 BACKGROUND = (0.5, 0.5, 0.5)
 """Background of all pictures: a grey that float16 keeps exactly and that hardly any surface has, so that pictures alone
@@ -102,7 +102,7 @@ class GroundTruth:
         used = mesh.vertices[np.unique(mesh.faces)]
         surfels = None
         if setup.truth == "surfels":
-            from splatpainter.data.surfels import sample_surfels
+            from splattrain.data.surfels import sample_surfels
 
             count = int(np.clip(SURFELS_PER_PIXEL * (setup.size * setup.detail) ** 2, MIN_SURFELS, MAX_SURFELS))
             surfels = sample_surfels(mesh, count, setup.seed)
@@ -142,8 +142,8 @@ class GroundTruth:
         Mitsuba."""
         if self.surfels is None:
             return self._traced(cameras, purpose)
-        from splatpainter.data.lit_scenes import render_views
-        from splatpainter.data.surfels import to_splats
+        from splattrain.data.lit_scenes import render_views
+        from splattrain.data.surfels import to_splats
 
         renders = render_views(to_splats(self.surfels, self._sh()), cameras)
         colors, alphas, depths = (x.numpy() for x in (renders.views.colors, renders.alphas, renders.depths))
@@ -152,12 +152,12 @@ class GroundTruth:
     def paint(self, design: EditDesign) -> GroundTruth:
         """The truth with one more edit. Raises ValueError as data.edits.on_mesh.paint_mesh."""
         if self.surfels is None:
-            from splatpainter.data.edits.on_mesh import paint_mesh
+            from splattrain.data.edits.on_mesh import paint_mesh
 
             return replace(self, mesh=paint_mesh(self.mesh, design))
-        from splatpainter.data.edits.on_surfels import apply_paint, paint_coverage
-        from splatpainter.data.lit_scenes import render_views
-        from splatpainter.data.surfels import to_splats
+        from splattrain.data.edits.on_surfels import apply_paint, paint_coverage
+        from splattrain.data.lit_scenes import render_views
+        from splattrain.data.surfels import to_splats
 
         sh = self._sh()
         # What is painted already says nothing about the light that falls on a layer.
@@ -170,7 +170,7 @@ class GroundTruth:
         """The truth for choices: unpainted and of few surfels; itself where it is of surfels."""
         if self.surfels is not None:
             return self
-        from splatpainter.data.surfels import sample_surfels
+        from splattrain.data.surfels import sample_surfels
 
         return replace(self, surfels=sample_surfels(self.mesh, MIN_SURFELS, self.setup.seed))
 
@@ -178,13 +178,13 @@ class GroundTruth:
         return self._unpainted_sh() if self.painted_sh is None else self.painted_sh
 
     def _unpainted_sh(self) -> Any:
-        from splatpainter.data.lights import shade
+        from splattrain.data.lights import shade
 
         assert self.surfels is not None
         return shade(self.surfels, self.light, SURFEL_SH_DEGREE)
 
     def _traced(self, cameras: Sequence[Camera], purpose: str) -> GroundTruthViews:
-        from splatpainter.data.pathtrace import PathOptions, display, path_trace
+        from splattrain.data.pathtrace import PathOptions, display, path_trace
 
         seed = int(generator(self.setup.seed, f"paths {purpose}", self.name).integers(1 << 31))
         environment = self.light.environment.cpu().numpy()
@@ -226,7 +226,7 @@ def changes(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """[V, H, W] bool where pictures [V, H, W, 3] differ (data.edits.change_masks)."""
     import torch
 
-    from splatpainter.data.edits import change_masks
+    from splattrain.data.edits import change_masks
 
     if not len(before):
         return np.zeros(before.shape[:3], bool)
@@ -288,8 +288,8 @@ def _over(base: GroundTruthViews, background: tuple[float, float, float]) -> lis
 
 
 def _coarse(truth: GroundTruth) -> Splats:
-    from splatpainter.data.lights import shade
-    from splatpainter.data.surfels import coarse_asset, sample_surfels, to_splats
+    from splattrain.data.lights import shade
+    from splattrain.data.surfels import coarse_asset, sample_surfels, to_splats
 
     setup, dense = truth.setup, truth.surfels
     if dense is None or len(dense) < setup.rows:

@@ -19,8 +19,8 @@ import numpy as np
 
 if TYPE_CHECKING:
     from splatbench.cases import Setup
-    from splatpainter.data.lights import Light
-    from splatpainter.data.meshes import Mesh
+    from splattrain.data.lights import Light
+    from splattrain.data.meshes import Mesh
 
 PROCEDURAL_SEED = 0xBE7C4
 """Added to the setup's seed for procedural objects and lights, so that they are none of a training run's."""
@@ -54,7 +54,7 @@ def objects(setup: Setup) -> Objects:
     """The setup's objects, fewer where there are fewer (a note says so). Cheap: of files only the first bytes are read.
     Raises ValueError: no such folder, no meshes in it, none that is held out, none that is whole."""
     if setup.data is None:
-        from splatpainter.data.object_sources import ProceduralSource
+        from splattrain.data.object_sources import ProceduralSource
 
         source = ProceduralSource(max(setup.objects, 1), PROCEDURAL_SEED + setup.seed, setup.textures)
         chosen = tuple(source.name(i) for i in range(setup.objects))
@@ -95,8 +95,8 @@ def generator(seed: int, what: str, name: str) -> np.random.Generator:
 def is_splat_folder(folder: Path | None) -> bool:
     """Whether a folder holds more files that can only be splat assets than files that may be meshes (.glb may be
     either)."""
-    from splatpainter.data.meshes import SUFFIXES
-    from splatpainter.data.object_sources import SPLAT_SUFFIXES
+    from splattrain.data.meshes import SUFFIXES
+    from splattrain.data.object_sources import SPLAT_SUFFIXES
 
     if folder is None or not folder.is_dir():
         return False
@@ -106,8 +106,8 @@ def is_splat_folder(folder: Path | None) -> bool:
 
 
 def _of_folder(setup: Setup, folder: Path) -> Objects:
-    from splatpainter.data.held_out import HeldOut
-    from splatpainter.data.object_sources import MeshFolder
+    from splattrain.data.held_out import HeldOut
+    from splattrain.data.object_sources import MeshFolder
 
     meshes = MeshFolder(folder)
     files = {meshes.name(i): meshes.files[i] for i in range(len(meshes))}
@@ -184,7 +184,7 @@ def _broken(file: Path) -> str:
 
 
 def _loaded(name: str, files: dict[str, Path]) -> Mesh:
-    from splatpainter.data.meshes import load_mesh
+    from splattrain.data.meshes import load_mesh
 
     if name not in files:
         raise ValueError(f"{name}: no mesh of this name in the folder")
@@ -192,16 +192,16 @@ def _loaded(name: str, files: dict[str, Path]) -> Mesh:
 
 
 def _procedural(name: str, textures: Path | None) -> Mesh:
-    from splatpainter.data.object_sources import object_seed
-    from splatpainter.data.procedural import random_mesh
+    from splattrain.data.object_sources import object_seed
+    from splattrain.data.procedural import random_mesh
 
     _, seed, number = name.split("-")
     return random_mesh(object_seed(int(seed), int(number)), textures)
 
 
 def _from_file(name: str, by_name: dict[str, Path]) -> Light:
-    from splatpainter.data.environments import load_environment
-    from splatpainter.data.lights import make_light
+    from splattrain.data.environments import load_environment
+    from splattrain.data.lights import make_light
 
     if name not in by_name:
         raise ValueError(f"{name}: no environment of this name in the folder")
@@ -211,7 +211,7 @@ def _from_file(name: str, by_name: dict[str, Path]) -> Light:
 def _sky(name: str) -> Light:
     from dataclasses import replace
 
-    from splatpainter.data.lights import random_light
+    from splattrain.data.lights import random_light
 
     _, seed, number = name.split("-")
     return replace(random_light(np.random.default_rng([int(seed), int(number)])), name=name)

@@ -32,10 +32,10 @@ from splatbench.ground_truth import GroundTruth, GroundTruthViews, build_asset, 
 from splatbench.objects import drawn_lights, environments, generator, objects
 from splatpainter import user_folders
 from splatpainter.cameras import Camera
-from splatpainter.data.edits import EditDesign, layer_on_object
-from splatpainter.data.edits.content import Canvas, EditResources
-from splatpainter.data.edits.surface_points import SurfacePoint
 from splatpainter.pictures.drawing import stack_layers
+from splattrain.data.edits import EditDesign, layer_on_object
+from splattrain.data.edits.content import Canvas, EditResources
+from splattrain.data.edits.surface_points import SurfacePoint
 
 VERSION = 2
 """Version of how cases are made: those of another one are made anew."""

@@ -26,14 +26,14 @@ from splatbench.objects import drawn_lights, environments, generator, objects
 from splatbench.painted_cases import SOURCES, AssetKind
 from splatpainter.cameras import Camera
 from splatpainter.color import linear_to_srgb, luminance, oklab, sh_from_color, srgb_to_linear
-from splatpainter.data import viewpoints
-from splatpainter.data.materials import Material
-from splatpainter.data.meshes import Mesh
 from splatpainter.image_files import to_uint8
 from splatpainter.splats import Splats
+from splattrain.data import viewpoints
+from splattrain.data.materials import Material
+from splattrain.data.meshes import Mesh
 
 if TYPE_CHECKING:
-    from splatpainter.data.surfels import Surfels
+    from splattrain.data.surfels import Surfels
 
 HELD_OUT_SHARE = 0.5
 """Share of the meshes with several materials, by their names: a superset of those that training keeps out. Nothing is
@@ -95,7 +95,7 @@ def chosen_names(setup: Setup) -> tuple[str, ...]:
     materials as many more as make HELD_OUT_SHARE; with held_out False the others."""
     if setup.data is None:
         return objects(setup).names
-    from splatpainter.data.object_sources import MeshFolder, split
+    from splattrain.data.object_sources import MeshFolder, split
 
     folder = MeshFolder(setup.data)
     names = [folder.name(i) for i in range(len(folder))]
@@ -203,14 +203,14 @@ def _case(
 def _mesh(name: str, setup: Setup) -> Mesh:
     if setup.data is None:
         return objects(setup).load(name)
-    from splatpainter.data.object_sources import MeshFolder
+    from splattrain.data.object_sources import MeshFolder
 
     return MeshFolder(setup.data, [name]).mesh(0)
 
 
 def material_labels(mesh: Mesh, surfels: Surfels, setup: Setup) -> np.ndarray:
     """[S] int64 the material of each surfel: of the same points, sampled from a mesh whose base colours are numbers."""
-    from splatpainter.data.surfels import sample_surfels
+    from splattrain.data.surfels import sample_surfels
 
     count = len(mesh.materials)
     coded = tuple(
@@ -288,7 +288,7 @@ def _seen(truth: GroundTruth, camera: Camera) -> np.ndarray:
     """[S] bool surfels that a view shows."""
     import torch
 
-    from splatpainter.data.edits.on_surfels import view_visibility
+    from splattrain.data.edits.on_surfels import view_visibility
 
     assert truth.surfels is not None
     view = truth.render([camera], "design")
@@ -301,8 +301,8 @@ def _indicator(truth: GroundTruth, chosen: np.ndarray, cameras: list[Camera]) ->
     """[V, H, W] bool: pixels that show mostly the chosen surfels ([S] bool)."""
     import torch
 
-    from splatpainter.data.lit_scenes import render_views
-    from splatpainter.data.surfels import to_splats
+    from splattrain.data.lit_scenes import render_views
+    from splattrain.data.surfels import to_splats
 
     assert truth.surfels is not None
     white = torch.from_numpy(np.repeat(chosen[:, None], 3, 1).astype(np.float32))

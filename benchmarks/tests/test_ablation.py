@@ -16,7 +16,6 @@ from splatbench.methods.ablations import AS_TRAINED, Change, altered
 from splatbench.methods.lift import painted
 from splatbench.tables import ablation as ablate
 
-from splatpainter.data.shards import INDEX
 from splatpainter.lift.options import LocalOptions
 from splatpainter.models import weights
 from splatpainter.models.image_tokens import tokenize
@@ -24,8 +23,9 @@ from splatpainter.models.model import SplatPainterModel
 from splatpainter.nn import fast_weights
 from splatpainter.nn.fast_weights import FastWeights
 from splatpainter.painter import Painter
-from splatpainter.train.judge import judged_samples, refine_task
-from splatpainter.train.training_data import DataSettings, ResourceFolders
+from splattrain.data.shards import INDEX
+from splattrain.judge import judged_samples, refine_task
+from splattrain.training_data import DataSettings, ResourceFolders
 from tests.support.model_scenes import grid_of, pictures, shell, with_refine
 from tests.support.painter_scenes import ASSET_BASE, LIFT, built
 from tests.support.train_scenes import LIFT as TRAINED

@@ -13,14 +13,14 @@ import torch
 from splatbench import adapt, adapt_carriers
 from splatbench.adapt import SHIPPED, SHIPPED_STAGE2, AdaptBench, EditScore, means, relative, remarks
 from splatbench.adapt_carriers import MESA, TRAINED, carrier_training
+from tests.train.test_gaussian_edit_task import RECIPE
 
-from splatpainter.data import gaussian_edits, lit_assets
 from splatpainter.models import weights
 from splatpainter.models.config import PredictConfig
 from splatpainter.models.model import SplatPainterModel
-from splatpainter.train.recipes import Recipe
+from splattrain.data import gaussian_edits, lit_assets
+from splattrain.recipes import Recipe
 from tests.models.test_edit_propagation import CARRYING
-from tests.train.test_gaussian_edit_task import RECIPE
 
 TINY_RECIPE: Recipe = replace(RECIPE, model=replace(CARRYING, predict=PredictConfig(features=8, hidden=16)))
 

@@ -17,9 +17,9 @@ from splatbench.scoring import rendered
 from splatbench.tables.creative_editing import TABLE, SplatTruth, changed_gaussians, splat_names
 
 from splatpainter.cameras import orbit
-from splatpainter.data.edits import MAX_EDIT_FRACTION, MIN_EDIT_FRACTION
-from splatpainter.data.edits.surface_points import SurfacePoint
 from splatpainter.splats import Splats
+from splattrain.data.edits import MAX_EDIT_FRACTION, MIN_EDIT_FRACTION
+from splattrain.data.edits.surface_points import SurfacePoint
 from tests.support.cli_scenes import ball
 
 SETUP = Setup(truth="surfels", size=48, objects=2, base_views=3, novel_views=3, rows=600, asset_steps=0, samples=4)

@@ -19,17 +19,17 @@ from torch.nn import functional as F
 
 from splatpainter.cameras import Camera, orbit
 from splatpainter.cli import main
-from splatpainter.data.object_sources import ProceduralSource
-from splatpainter.data.samples import SampleRecipe, SampleStream
 from splatpainter.metrics import psnr, ssim
 from splatpainter.models import checkpoint
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.nn.attention import Groups
 from splatpainter.rendering import render
 from splatpainter.splats import ATTRIBUTES, Splats
-from splatpainter.train import recipes
-from splatpainter.train.distributed import Group
-from splatpainter.train.loop import Loop
+from splattrain import recipes
+from splattrain.data.object_sources import ProceduralSource
+from splattrain.data.samples import SampleRecipe, SampleStream
+from splattrain.distributed import Group
+from splattrain.loop import Loop
 from tests.support.model_scenes import TINY
 from tests.support.train_scenes import RECIPE
 

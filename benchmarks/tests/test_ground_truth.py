@@ -15,8 +15,8 @@ from splatbench.ground_truth import BACKGROUND, GroundTruth, GroundTruthViews, b
 from splatbench.objects import drawn_lights, environments, objects
 
 from splatpainter.cameras import look_at
-from splatpainter.data.lights import WHITE_RADIANCE, make_light, uniform_light
-from splatpainter.data.viewpoints import object_camera
+from splattrain.data.lights import WHITE_RADIANCE, make_light, uniform_light
+from splattrain.data.viewpoints import object_camera
 from tests.support.data_meshes import MATT, quad, sphere, write_box
 
 SMALL = Setup(size=32, detail=2, samples=4, truth="surfels", rows=200, base_views=3)
@@ -34,9 +34,9 @@ def fake_meshes(folder: Path, count: int, start: int = 0) -> Path:
 
 
 def test_held_out_objects_are_those_that_training_holds_out(tmp_path: Path) -> None:
-    from splatpainter.data.samples import SampleRecipe
-    from splatpainter.train.recipes import Recipe
-    from splatpainter.train.training_data import DataSettings, ResourceFolders
+    from splattrain.data.samples import SampleRecipe
+    from splattrain.recipes import Recipe
+    from splattrain.training_data import DataSettings, ResourceFolders
 
     folder = fake_meshes(tmp_path / "meshes", 60)
     chosen = objects(Setup(data=folder, objects=60)).names

@@ -15,7 +15,6 @@ from splatbench.methods.lift import painted
 from splatbench.methods.weights import SHIPPED, Weights
 
 from splatpainter.cameras import Camera, orbit
-from splatpainter.commands import train
 from splatpainter.lift.options import LocalOptions
 from splatpainter.models.lrm import DEPTH_REACH, AssetViews, patchify
 from splatpainter.models.model import SplatPainterModel
@@ -24,6 +23,7 @@ from splatpainter.painter import Edit, Mode, Painter
 from splatpainter.rendering import render
 from splatpainter.splats import ATTRIBUTES, Splats, changed_rows
 from splatpainter.voxels.grid import bounding_cube
+from splattrain.commands import train
 from tests.support.lift_scenes import db
 from tests.support.model_scenes import TINY, with_compress, with_refine
 from tests.support.painter_scenes import BLUE, CAMERA, GREEN, LIFT, REAR, RED, built, dab, grade, thing

@@ -19,10 +19,10 @@ from splatbench.tables import local_refinement as refine
 from splatbench.tables import relighting as relight
 from splatbench.tables import table
 
-from splatpainter.data import viewpoints
-from splatpainter.data.lights import shade
-from splatpainter.data.surfels import to_splats
 from splatpainter.splats import Splats
+from splattrain.data import viewpoints
+from splattrain.data.lights import shade
+from splattrain.data.surfels import to_splats
 
 SETUP = Setup(
     objects=2, size=40, detail=3, truth="surfels", base_views=5, rows=800, asset_steps=12, novel_views=4, lights=2

@@ -1,4 +1,4 @@
-// Which points a camera sees past the triangles of a mesh; as splatpainter/data/mesh_visibility.py says.
+// Which points a camera sees past the triangles of a mesh; as splattrain/data/mesh_visibility.py says.
 #pragma once
 #include "../maths.h"
 

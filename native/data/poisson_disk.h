@@ -1,5 +1,5 @@
 // Poisson-disk selection of points on surfaces and their distances, by a grid of linked lists; as
-// splatpainter/data/poisson_disk.py says.
+// splattrain/data/poisson_disk.py says.
 #pragma once
 #include "../maths.h"
 

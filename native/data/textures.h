@@ -1,4 +1,4 @@
-// Maps of materials looked up at texture coordinates: bilinear, repeating; as splatpainter/data/materials.py says.
+// Maps of materials looked up at texture coordinates: bilinear, repeating; as splattrain/data/materials.py says.
 #pragma once
 #include "../maths.h"
 

@@ -111,9 +111,13 @@ def _entry_points(name: str) -> list[Any]:
     return list(entry_points(group=ENTRY_POINTS, name=name))
 
 
+def _distribution(name: str) -> str:
+    return DISTRIBUTIONS[name].partition(":")[0].rpartition(" ")[2]
+
+
 def _help() -> str:
     rows = [
-        f"  {name:<9} {line}" + ("" if _is_installed(name) else " (separate: see benchmarks/README.md)")
+        f"  {name:<9} {line}" + ("" if _is_installed(name) else f" (separate: {_distribution(name)})")
         for name, line in SUMMARIES.items()
     ]
     return "\n".join(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 
-EXTRAS = {"torch": "networks", "safetensors": "networks", "scipy": "data", "trimesh": "data", "mitsuba": "data"}
+EXTRAS = {"torch": "networks", "safetensors": "networks", "scipy": "train", "trimesh": "train", "mitsuba": "train"}
 """Module -> the extra of this distribution that brings it. Those that one function alone imports are named there."""
 
 

@@ -17,7 +17,7 @@ from splatpainter.nn.precision import VARIABLE, autocast, exact, resolve, settin
 from splatpainter.painter import Painter
 from splatpainter.rendering import render
 from splatpainter.splats import ATTRIBUTES
-from splatpainter.train.build import make_task
+from splattrain.build import make_task
 from tests.support.lift_scenes import same_bits
 from tests.support.model_scenes import TINY, asset_views, cameras, grid_of, links, pictures, shell, with_refine
 from tests.support.painter_scenes import LIFT, RED, built, dab, thing

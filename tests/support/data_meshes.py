@@ -8,9 +8,9 @@ import numpy as np
 import torch
 
 from splatpainter.cameras import orbit
-from splatpainter.data.materials import Material
-from splatpainter.data.meshes import Mesh
-from splatpainter.data.samples import PosedViews, Sample
+from splattrain.data.materials import Material
+from splattrain.data.meshes import Mesh
+from splattrain.data.samples import PosedViews, Sample
 from tests.support.cli_scenes import ball
 
 MATT = Material(base_factor=(1.0, 1.0, 1.0), roughness=1.0)

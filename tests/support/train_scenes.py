@@ -9,14 +9,14 @@ from typing import Any
 
 import torch
 
-from splatpainter.data.object_sources import ProceduralSource
-from splatpainter.data.samples import Sample, SampleRecipe, SampleStream
 from splatpainter.models.config import ModelConfig
 from splatpainter.models.model import SplatPainterModel
-from splatpainter.train.build import make_task
-from splatpainter.train.distributed import Group
-from splatpainter.train.loop import Loop
-from splatpainter.train.recipes import Recipe
+from splattrain.build import make_task
+from splattrain.data.object_sources import ProceduralSource
+from splattrain.data.samples import Sample, SampleRecipe, SampleStream
+from splattrain.distributed import Group
+from splattrain.loop import Loop
+from splattrain.recipes import Recipe
 from tests.support.model_scenes import TINY, with_refine
 
 SMALL = replace(

@@ -74,7 +74,7 @@ def main() -> None:
     from splatbench import timing
 
     from splatpainter.cli import main as command
-    from splatpainter.data.shards import RenderedScene, ShardWriter
+    from splattrain.data.shards import RenderedScene, ShardWriter
     from tests.support.cli_scenes import ball, saved
 
     asset = saved(Path("ball.ply"), ball(400))

@@ -125,8 +125,8 @@ def splats_of_mesh(path: Path, count: int, seed: int = 0) -> Splats:
     what TRELLIS bakes into them is how the object looks."""
     import trimesh
 
-    from splatpainter.data.meshes import load_mesh
-    from splatpainter.data.surfels import sample_surfels
+    from splattrain.data.meshes import load_mesh
+    from splattrain.data.surfels import sample_surfels
 
     mesh = load_mesh(path)  # normalised to its own box; undone below
     low, high = np.asarray(trimesh.load_scene(path, process=False).bounds, np.float64)  # its nodes' transforms applied

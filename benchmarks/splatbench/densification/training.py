@@ -1,5 +1,5 @@
 """`splatpainter train densify`: base views and close-ups in, finer Gaussians out, judged from views that the densifier
-did not see. The command finds this module by its entry point (splatpainter.train.recipes).
+did not see. The command finds this module by its entry point (splattrain.recipes).
 
 The loss is the published one, MSE + 0.5 (1 - MS-SSIM) over whole pictures: of novel views near the close-ups and around
 the object, and of the close-ups themselves. Nothing but the network learns.
@@ -23,13 +23,13 @@ from splatpainter.cameras import Camera
 from splatpainter.fit.image_loss import SSIM_KERNEL, WINDOW
 from splatpainter.metrics.images import C1, C2
 from splatpainter.models import checkpoint
-from splatpainter.train import recipes, state
-from splatpainter.train.loss import global_target, masked_psnr
-from splatpainter.train.report import figures
-from splatpainter.train.stages.task import Task, ValidationScore, draw, tensor
+from splattrain import recipes, state
+from splattrain.loss import global_target, masked_psnr
+from splattrain.report import figures
+from splattrain.stages.task import Task, ValidationScore, draw, tensor
 
 if TYPE_CHECKING:
-    from splatpainter.data.samples import Sample
+    from splattrain.data.samples import Sample
 
 MS_SSIM_WEIGHT = 0.5
 """Weight of 1 - MS-SSIM in the loss."""

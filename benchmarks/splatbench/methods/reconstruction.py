@@ -167,8 +167,8 @@ def training_views(model: SplatPainterModel, task: EditTask, device: torch.devic
     it needs."""
     import torch
 
-    from splatpainter.data.samples import PosedViews, Sample
-    from splatpainter.train.stages.lrm import input_views
+    from splattrain.data.samples import PosedViews, Sample
+    from splattrain.stages.lrm import input_views
 
     base = PosedViews(task.base.cameras, torch.from_numpy(np.ascontiguousarray(task.base.colors, np.float32)))
     none = PosedViews((), base.colors[:0])

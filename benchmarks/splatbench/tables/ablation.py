@@ -18,15 +18,15 @@ import numpy as np
 from splatbench.cases import Case, CaseKey, EditStep, PosedImages, Setup
 from splatbench.scoring import rendered
 from splatbench.tables import measures
-from splatpainter.data.held_out import HeldOut
-from splatpainter.data.object_sources import HELD_OUT_SHARE
-from splatpainter.data.sample_recipes import SampleRecipe
+from splattrain.data.held_out import HeldOut
+from splattrain.data.object_sources import HELD_OUT_SHARE
+from splattrain.data.sample_recipes import SampleRecipe
 
 if TYPE_CHECKING:
     from splatbench.methods import EditResult
-    from splatpainter.data.samples import PosedViews, SampleStream
-    from splatpainter.train.loss import PictureTarget
-    from splatpainter.train.training_data import DataSettings, ResourceFolders
+    from splattrain.data.samples import PosedViews, SampleStream
+    from splattrain.loss import PictureTarget
+    from splattrain.training_data import DataSettings, ResourceFolders
 
 KIND_WEIGHTS = {
     "relight": 3.0,
@@ -65,7 +65,7 @@ class Ablation:
     split_by = "mode"
 
     def keys(self, setup: Setup) -> list[CaseKey]:
-        from splatpainter.train.judge import apportioned
+        from splattrain.judge import apportioned
 
         possible = _stream(setup, files=False).kinds  # of splat assets neither zooms nor relighting
         order = apportioned({kind: KIND_WEIGHTS[kind] for kind in possible}, SAMPLES_PER_OBJECT * setup.objects)
@@ -94,7 +94,7 @@ class Ablation:
     def score(self, case: Case, results: Sequence[EditResult], perceptual: Any | None) -> dict[str, float | None]:
         import torch
 
-        from splatpainter.train.report import figures
+        from splattrain.report import figures
 
         views, target = _target(case)
         renders = torch.from_numpy(rendered(results[-1].splats, [case.after.cameras[k] for k in views]))
@@ -117,7 +117,7 @@ TABLE = Ablation()
 
 def _data_settings(setup: Setup, resources: ResourceFolders) -> DataSettings:
     """The training data's own samples at the setup's sizes. Raises ValueError for a folder of shards."""
-    from splatpainter.train.training_data import DataSettings, is_shards
+    from splattrain.training_data import DataSettings, is_shards
 
     data = PROCEDURAL if setup.data is None else str(setup.data)
     if is_shards(data):
@@ -139,7 +139,7 @@ def _data_settings(setup: Setup, resources: ResourceFolders) -> DataSettings:
 def _stream(setup: Setup, files: bool = True) -> SampleStream:
     """Samples of objects that training never sees, unless the setup takes any. files: with lights, stickers, fonts and
     photos, which take time to read. Raises ValueError where no object is held out."""
-    from splatpainter.train.training_data import ResourceFolders
+    from splattrain.training_data import ResourceFolders
 
     resources = (
         ResourceFolders(setup.environments, setup.decals, setup.fonts, setup.textures) if files else ResourceFolders()
@@ -155,7 +155,7 @@ def _stream(setup: Setup, files: bool = True) -> SampleStream:
 
 def _of_kind(stream: SampleStream, kind: str) -> SampleStream:
     """Samples of one kind, with the numbers, objects and choices of `train.judge.judged_samples`."""
-    from splatpainter.train.judge import MANY_VIEWS
+    from splattrain.judge import MANY_VIEWS
 
     of_kind = copy(stream)
     of_kind.kinds = {kind: 1.0}
@@ -175,7 +175,7 @@ def _target(case: Case) -> tuple[list[int], PictureTarget]:
     import torch
 
     from splatpainter.rendering import render
-    from splatpainter.train.loss import global_target, local_target
+    from splattrain.loss import global_target, local_target
 
     local = case.steps[-1].mode == "local"
     views = np.flatnonzero(case.near) if local and case.near.any() else np.arange(len(case.after))

@@ -33,10 +33,10 @@ from splatbench.objects import drawn_lights, environments, generator, is_splat_f
 from splatbench.scoring import compared, object_masks, rendered, scored
 from splatbench.tables import Column, beside_truth, measures
 from splatpainter.cameras import Camera
-from splatpainter.data import viewpoints
-from splatpainter.data.edits import EditDesign
-from splatpainter.data.edits.surface_points import SurfacePoint
 from splatpainter.splats import Splats, changed_rows
+from splattrain.data import viewpoints
+from splattrain.data.edits import EditDesign
+from splattrain.data.edits.surface_points import SurfacePoint
 
 if TYPE_CHECKING:
     from splatbench.methods import EditResult
@@ -243,7 +243,7 @@ class SplatTruth:
 
 def splat_names(setup: Setup) -> list[str]:
     """The setup's assets, fewer where there are fewer. Raises ValueError as data.object_sources.SplatFolder."""
-    from splatpainter.data.object_sources import SplatFolder
+    from splattrain.data.object_sources import SplatFolder
 
     assert setup.data is not None
     folder = SplatFolder(setup.data)
@@ -253,7 +253,7 @@ def splat_names(setup: Setup) -> list[str]:
 
 def load_splats(name: str, setup: Setup) -> SplatTruth:
     """Raises ValueError for a file that cannot be read, and one of which nothing can be drawn."""
-    from splatpainter.data.object_sources import SplatFolder
+    from splattrain.data.object_sources import SplatFolder
 
     assert setup.data is not None
     splats = SplatFolder(setup.data, [name]).splats(0).numpy()

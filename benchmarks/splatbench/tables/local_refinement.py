@@ -18,7 +18,7 @@ from splatbench.objects import drawn_lights, environments, generator, objects
 from splatbench.scoring import object_masks, rendered, scored
 from splatbench.tables import beside_truth, measures
 from splatpainter.cameras import Camera
-from splatpainter.data import viewpoints
+from splattrain.data import viewpoints
 
 if TYPE_CHECKING:
     from splatbench.methods import EditResult

@@ -18,7 +18,7 @@ from splatbench.ground_truth import BuiltAsset, GroundTruth, GroundTruthViews, b
 from splatbench.objects import drawn_lights, environments, generator, objects
 from splatbench.scoring import object_masks, scored
 from splatbench.tables import beside_truth, measures
-from splatpainter.data import viewpoints
+from splattrain.data import viewpoints
 
 if TYPE_CHECKING:
     from splatbench.methods import EditResult

@@ -29,10 +29,10 @@ from splatbench.objects import drawn_lights, environments, generator, objects
 from splatbench.scoring import compared, object_masks, rendered, scored
 from splatbench.tables import Column, beside_truth
 from splatpainter.cameras import Camera
-from splatpainter.data import viewpoints
-from splatpainter.data.edits import MIN_EDIT_FRACTION, EditDesign
-from splatpainter.data.edits.content import EditResources
-from splatpainter.data.edits.surface_points import SurfacePoint
+from splattrain.data import viewpoints
+from splattrain.data.edits import MIN_EDIT_FRACTION, EditDesign
+from splattrain.data.edits.content import EditResources
+from splattrain.data.edits.surface_points import SurfacePoint
 
 if TYPE_CHECKING:
     from splatbench.methods import EditResult

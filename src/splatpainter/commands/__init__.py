@@ -37,7 +37,11 @@ SUMMARIES = {
 """Command -> one line for `splatpainter --help`, in the order shown."""
 ENTRY_POINTS = "splatpainter.commands"
 """Group of entry points by which other distributions add commands."""
-DISTRIBUTIONS = {"bench": "the distribution splatpainter-bench: pip install ./benchmarks ./networks, in the repository"}
+DISTRIBUTIONS = {
+    "data": "the distribution splatpainter-train: pip install ./train, in the repository",
+    "train": "the distribution splatpainter-train: pip install ./train ./networks, in the repository",
+    "bench": "the distribution splatpainter-bench: pip install ./benchmarks ./train ./networks, in the repository",
+}
 """Commands that are not in this package -> what brings them."""
 
 

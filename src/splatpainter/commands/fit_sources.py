@@ -6,8 +6,9 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -18,14 +19,11 @@ from splatpainter.io.folders import iterations
 from splatpainter.io.formats.sog_container import META
 from splatpainter.splats import Splats
 
-if TYPE_CHECKING:
-    from splatpainter.data.meshes import Mesh
-
 FOV = 40.0
 """Degrees, of rendered views."""
 MESHES = (".glb", ".gltf", ".obj")
-MESH_FRAME = np.diag([1.0, -1.0, -1.0, 1.0])
-"""Meshes have y up, assets in memory y down (cameras.AUTO_UP)."""
+MESH_ENTRY_POINTS = "splatpainter.fit_sources"
+"""Group of the entry point by which the distribution of training makes pictures of meshes: mesh = module:function."""
 
 
 @dataclass(frozen=True)
@@ -84,57 +82,28 @@ def _from_asset(source: Path, settings: FitPictureSettings) -> FitPictures:
         raise ValueError(f"{source}: has positions that float32 cannot hold; move it near 0, then fit to it")
     center, radius = bounding_sphere(splats)
 
-    pictures = _rendered("asset", partial(_drawn, splats), center, radius, np.array(UPS[AUTO_UP]), settings, np.eye(4))
+    pictures = rendered_pictures(
+        "asset", partial(drawn, splats), center, radius, np.array(UPS[AUTO_UP]), settings, np.eye(4)
+    )
     return replace(pictures, start=replace(pictures.start, color_space=splats.color_space))
 
 
 def _from_mesh(source: Path, settings: FitPictureSettings) -> FitPictures:
-    try:
-        from splatpainter.data.environments import load_environment
-        from splatpainter.data.lights import make_light, uniform_light
-        from splatpainter.data.meshes import load_mesh
-
-        mesh = load_mesh(source)
-    except ImportError as error:
-        raise ValueError(f"{source}: meshes need {error.name}; pip install 'splatpainter[data]'") from None
-    light = make_light(load_environment(settings.environment)) if settings.environment is not None else uniform_light()
-    render_views = _traced(mesh, light, settings) if settings.truth == "traced" else _surfels(mesh, light, settings)
-    radius = float(np.linalg.norm(mesh.vertices, axis=1).max())
-    return _rendered("mesh", render_views, np.zeros(3), radius, np.array([0.0, 1.0, 0.0]), settings, MESH_FRAME)
+    points = list(entry_points(group=MESH_ENTRY_POINTS, name="mesh"))
+    if not points:
+        raise ValueError(f"{source}: meshes need splatpainter-train; pip install 'splatpainter[train]'")
+    return points[0].load()(source, settings)
 
 
-def _surfels(
-    mesh: Mesh, light: Any, settings: FitPictureSettings
-) -> Callable[[Sequence[Camera]], tuple[np.ndarray, ...]]:
-    from splatpainter.data.lights import shade
-    from splatpainter.data.surfels import sample_surfels, to_splats
-
-    dense = sample_surfels(mesh, settings.surfels, settings.seed)
-    truth = to_splats(dense, shade(dense, light, min(settings.sh_degree, 2))).numpy()
-    return partial(_drawn, truth)
-
-
-def _drawn(splats: Splats, cameras: Sequence[Camera]) -> tuple[np.ndarray, ...]:
+def drawn(splats: Splats, cameras: Sequence[Camera]) -> tuple[np.ndarray, ...]:
+    """Colours [V, H, W, 3], depths and alphas [V, H, W] of an asset."""
     from splatpainter.rendering import render
 
     views = render(splats, list(cameras))
     return np.clip(views.colors, 0, 1), views.depths[..., 0], views.alphas[..., 0]
 
 
-def _traced(
-    mesh: Mesh, light: Any, settings: FitPictureSettings
-) -> Callable[[Sequence[Camera]], tuple[np.ndarray, ...]]:
-    from splatpainter.data.pathtrace import PathOptions, display, path_trace
-
-    def render_views(cameras: Sequence[Camera]) -> tuple[np.ndarray, ...]:
-
-        traced = path_trace(mesh, light.environment.numpy(), cameras, PathOptions(settings.samples, seed=settings.seed))
-        return display(traced, float(light.exposure), cameras), traced.depths, traced.alphas
-
-    return render_views
-
-
-def _rendered(
+def rendered_pictures(
     kind: Literal["mesh", "asset"],
     render_views: Callable[[Sequence[Camera]], tuple[np.ndarray, ...]],
     center: np.ndarray,
@@ -143,8 +112,8 @@ def _rendered(
     settings: FitPictureSettings,
     frame: np.ndarray,
 ) -> FitPictures:
-    """render_views: cameras -> colours [V, H, W, 3], depths and alphas [V, H, W]. frame: [4, 4] from the asset's world
-    to the rendered one (a half turn is its own inverse)."""
+    """Pictures to fit to and to judge by, and first Gaussians. render_views: cameras -> colours [V, H, W, 3], depths
+    and alphas [V, H, W]. frame: [4, 4] from the asset's world to the rendered one (a half turn is its own inverse)."""
     from splatpainter.fit.start import from_depths
 
     distance = FRAME_MARGIN * radius / math.sin(math.radians(FOV / 2))

@@ -158,7 +158,7 @@ def _read(path: Path, net: Net) -> dict[str, Any]:
         from safetensors.torch import load_file
     except ImportError:
         raise LpipsUnavailable(
-            "LPIPS: reading weights needs the safetensors package (pip install 'splatpainter[train]')"
+            "LPIPS: reading weights needs the safetensors package (pip install 'splatpainter[networks]')"
         ) from None
     try:
         weights = {name: tensor.float() for name, tensor in load_file(path).items()}

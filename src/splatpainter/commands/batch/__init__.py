@@ -19,8 +19,8 @@ from splatpainter.commands import Outcome
 from splatpainter.commands.terminal import count, progress
 
 if TYPE_CHECKING:
+    from splatpainter.batch.cluster import Results
     from splatpainter.batch.plan import Job, JobList
-    from splatpainter.data.cluster import Results
 
 COMMAND = "splatpainter batch"
 SUMMARY, PAGE, LOCK = "summary.json", "index.html", ".batch"
@@ -106,8 +106,8 @@ def run_jobs(work: Callable[[int], dict[str, Any]], jobs: tuple[Job, ...], confi
 def follow_jobs(work: Callable[[int], dict[str, Any]], jobs: tuple[Job, ...], config: Config) -> list[dict[str, Any]]:
     """As `run_jobs`, in processes of their own, with a JSON line on stdout for whatever happens. When stdin ends, jobs
     that are not done are ended; their status is "cancelled"."""
+    from splatpainter.batch import cluster
     from splatpainter.commands.batch.work import facts
-    from splatpainter.data import cluster
 
     stopped = threading.Event()
     threading.Thread(target=_wait_for_end_of_stdin, args=(stopped,), daemon=True).start()
@@ -127,8 +127,8 @@ def follow_jobs(work: Callable[[int], dict[str, Any]], jobs: tuple[Job, ...], co
 
 
 def _record(job: Job, result: Any) -> dict[str, Any]:
+    from splatpainter.batch.cluster import LostTask
     from splatpainter.commands.batch.work import failure
-    from splatpainter.data.cluster import LostTask
 
     if isinstance(result, LostTask):
         return {**failure(job, result.reason), "warnings": [], "seconds": 0.0}
@@ -155,7 +155,7 @@ def _wait_for_end_of_stdin(stopped: threading.Event) -> None:
 
 
 def _results(work: Callable[[int], dict[str, Any]], total: int, config: Config) -> Results[dict[str, Any]]:
-    from splatpainter.data import cluster
+    from splatpainter.batch import cluster
 
     numbers = range(total)
     if config.ray is not None:

@@ -12,7 +12,7 @@ from fastapi import FastAPI
 from fastapi.responses import FileResponse, Response, StreamingResponse
 
 from splatpainter.server.batches.batch_runs import StudioBatch
-from splatpainter.server.batches.batch_runs.describe_batch import (
+from splatpainter.server.batches.describe_batch import (
     PAGE,
     batch_info,
     job_info,

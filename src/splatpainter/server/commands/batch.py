@@ -16,7 +16,7 @@ from splatpainter.batch.plan import JobList
 from splatpainter.io import format_of_name
 from splatpainter.server.batches.batch_folder import LOOKS, BatchFolder
 from splatpainter.server.batches.batch_runs import StudioBatch
-from splatpainter.server.batches.batch_runs.describe_batch import batch_info
+from splatpainter.server.batches.describe_batch import batch_info
 from splatpainter.server.commands.color_grading import ColorTransfer, GradeSliders, settings_of
 from splatpainter.server.commands.context import CommandContext, command, naming_errors
 from splatpainter.server.protocol import Answer, BatchInfo, Blob, CameraInfo, Command, FileName, Message

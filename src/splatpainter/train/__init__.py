@@ -1,1 +1,0 @@
-"""Training: losses, optimiser, the three stages and the loop around them. A leaf: only the commands import it."""

@@ -1,0 +1,1 @@
+"""Training of SplatPainter's networks: ground truth, edit samples, shards, stages. `splatpainter data`, `train`."""
