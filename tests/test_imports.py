@@ -24,13 +24,13 @@ PACKAGES = {
 DISTRIBUTIONS = {"splatpainter": 0, "splattrain": 1, "splatbench": 2}
 """Of each package how far up it stands: it imports itself and what is below."""
 ORDER = (
-    ("_version", "extras", "atomic", "user_folders", "processes", "jsonio", "yamlio"),
+    ("_version", "extras", "atomic", "plain_words", "user_folders", "processes", "jsonio", "yamlio"),
     ("splats", "transforms", "color", "kernels"),
     ("cameras",),
     ("image_files",),
     ("io",),
     ("captures",),
-    ("text_tables", "contact_sheet", "doubts"),
+    ("text_tables", "contact_sheet", "doubts", "output_paths"),
     ("rendering",),
     ("metrics",),
     ("demo_asset",),

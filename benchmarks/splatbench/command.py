@@ -15,9 +15,9 @@ from tyro.conf import Positional, arg
 from splatbench.cases import DATA_FOLDERS, Budget, RunConfig, Setup
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import parse
-from splatpainter.commands.output_paths import check_folder
 from splatpainter.commands.terminal import PROGRAM, complain, watched
 from splatpainter.io.files import read_all
+from splatpainter.output_paths import check_folder
 
 MEASUREMENTS = {
     "speed": "time and peak memory of every stage, on scenes of several sizes",

@@ -15,13 +15,12 @@ import torch
 from splatpainter.atomic import write_text
 from splatpainter.cameras import AUTO_UP, FRAME_MARGIN, UPS, Camera, bounding_sphere, spherical_cameras
 from splatpainter.color import from_display
-from splatpainter.commands.terminal import stages
-from splatpainter.commands.verified_write import write_proved
-from splatpainter.commands.verify import receipt_of
 from splatpainter.gatekeeper.gatekeeper import admit
 from splatpainter.io import read, write
 from splatpainter.lift.options import LOCAL_DEFAULTS
+from splatpainter.operations.to_file import write_proved
 from splatpainter.painter import Asset, Edit, Mode, Painter
+from splatpainter.receipts import receipt_of
 from splatpainter.sources.picture_source import PictureRequest
 from splatpainter.splats import Splats
 
@@ -153,8 +152,7 @@ def save_splat(splat: Any, file: str, receipt: str = "") -> tuple:
     beside = receipt_of(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     if lineage is not None and lineage.receipts:
-        with stages(2) as bar:
-            write_proved(lineage.file, replace(asset, receipt=lineage.receipt), path, beside, "auto", bar, 0.0)
+        write_proved(lineage.file, replace(asset, receipt=lineage.receipt), path, beside)
     else:
         write(path, asset.splats, overwrite=True)
         if receipt.strip():

@@ -23,6 +23,7 @@ from splatpainter.atomic import MAX_NAME_BYTES, brief_name
 from splatpainter.comparison import Comparison, compare, listed
 from splatpainter.io import (
     FORMATS,
+    files,
     format_of_name,
     frame_is_news,
     frame_line,
@@ -37,6 +38,8 @@ from splatpainter.kernels import library
 from splatpainter.splats import ATTRIBUTES, Frame, Splats, row_blocks, rows_sha256
 
 RECEIPT_ENDING = ".receipt.json"
+MAX_RECEIPT_BYTES = 256 << 20
+"""Bytes of a receipt that are read."""
 MAX_RECEIPT_ROWS = 1 << 27
 """Rows of an asset that a receipt may speak of."""
 
@@ -116,6 +119,9 @@ class Receipt:
     """What the file was to hold less or otherwise than the asset; it is compared with the original written so."""
     core: str = ""
     """Version of the native core that computed it (kernels.library.version); "" in older receipts."""
+    operations: tuple[dict[str, Any], ...] = ()
+    """Where several operations were applied one after the other, each: its kind and what its receipt said (mode,
+    method, preset, touched_rows, appended_rows, note, source). None: the receipt is of one."""
 
     @property
     def untouched_rows(self) -> int:
@@ -151,6 +157,8 @@ class Receipt:
             record["dropped"] = self.dropped
         if self.source is not None:
             record["source"] = self.source
+        if self.operations:
+            record["operations"] = list(self.operations)
         if self.options != AS_IT_IS:
             record["options"] = self.options.chosen
         if self.merge is not None:
@@ -204,10 +212,17 @@ class Receipt:
                 _rows(data, "merge_touched"),
                 WriteOptions.from_record(dict(data.get("options", {}))),
                 _text(data.get("core", "")),
+                tuple(dict(_plain(operation)) for operation in data.get("operations", ())),
             )
         except (AttributeError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
             reason = " ".join(repr(error).split())
             raise ValueError(f"{where}: expected a receipt of splatpainter, got {reason[:300]}") from None
+
+
+def read_receipt(path: Path) -> Receipt:
+    """Raises ValueError: missing, unreadable, not a receipt."""
+    data = files.read_head(path, MAX_RECEIPT_BYTES)
+    return Receipt.from_json(data.decode(errors="replace"), str(path))
 
 
 def _rows(data: dict[str, Any], name: str) -> np.ndarray:
@@ -336,6 +351,11 @@ class Verification:
     """Whether people should hear of it (`io.frame_is_news`)."""
     lost: str = ""
     """What the file does not hold of what was written into it (io/losses.py), where that was measured."""
+
+    @property
+    def how_same(self) -> str:
+        """How strongly equal the same rows are."""
+        return "byte-identical" if "byte" in self.exact else "identical in value, bit for bit"
 
 
 def verify(

@@ -16,9 +16,10 @@ import splatpainter as sp
 from splatpainter.batch import schema
 from splatpainter.batch.plan import read_jobs
 from splatpainter.cameras import Camera
-from splatpainter.commands import Outcome, grade
 from splatpainter.commands.batch import Config, run_jobs
 from splatpainter.commands.batch.work import BatchWork
+from splatpainter.operations.grade import Grade
+from splatpainter.operations.operation import ReadyOperation, Tools
 from splatpainter.painter import Painter
 from tests.support.batch_jobs import CAMERA, colored_ball, jobs_file, write_assets
 from tests.support.cli_scenes import Capture, listing, run, saved
@@ -122,16 +123,16 @@ def test_what_is_done_is_not_done_again(folder: Path, capfd: Capture) -> None:
 def test_a_step_that_was_finished_before_a_kill_is_kept(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The second edit of a job dies as if by a kill; then only that one is made."""
     jobs = read_jobs(jobs_file(folder, GRADES)).jobs[:1]
-    real, calls = grade.run, []
+    real, calls = Grade.ready, []
 
-    def killed(config: grade.Config) -> Outcome:
-        calls.append(config.recolor)
-        if config.recolor and len(calls) == 2:
+    def killed(operation: Grade, tools: Tools) -> ReadyOperation:
+        calls.append(operation.recolor)
+        if operation.recolor and len(calls) == 2:
             (jobs[0].folder / ".7.part.result.ply").write_bytes(b"half")
             raise KeyboardInterrupt
-        return real(config)
+        return real(operation, tools)
 
-    monkeypatch.setattr(grade, "run", killed)
+    monkeypatch.setattr(Grade, "ready", killed)
     with pytest.raises(KeyboardInterrupt):
         BatchWork(jobs)(0)
     assert BatchWork(jobs)(0)["status"] == "done" and calls == ["", "#2040a0", "#2040a0"]
@@ -358,8 +359,7 @@ def test_the_example_of_the_guide_is_a_batch(folder: Path) -> None:
         (folder / name).write_bytes(b"")
     jobs = read_jobs(jobs_file(folder, example)).jobs
     assert [job.name for job in jobs[:3]] == ["shoe0-blue", "shoe0-autumn", "shoe0-plain"] and len(jobs) == 6
-    kinds = (schema.Batch, schema.Variant, schema.Preview, schema.JobEdit, schema.PicturesEdit, schema.DecalEdit)
-    for kind in (*kinds, schema.GradeEdit, schema.SourceStep, schema.RefineEdit, schema.LayersEdit):
+    for kind in (schema.Batch, schema.Variant, schema.Preview, schema.JobEdit, *schema.STEPS.values()):
         assert not [field.name for field in fields(kind) if f"`{field.name}`" not in guide], kind
 
 

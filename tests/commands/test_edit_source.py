@@ -16,8 +16,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from splatpainter.commands.sourced_edit import InterruptibleSource, keeping_answers, notes_of_views
+from splatpainter.commands.terminal import complain
 from splatpainter.io import read, write
+from splatpainter.operations.generate import notes_of_views
+from splatpainter.operations.source_answers import InterruptibleSource, keeping_answers
 from splatpainter.source_edits import coverage
 from splatpainter.sources.picture_source import Capabilities, PictureAnswer, SourceCancelled
 from tests.source_edits.test_edit import patterned
@@ -128,14 +130,13 @@ def test_what_came_back_is_kept_where_it_is_refused(capfd: Capture, folder: Path
 
 def test_what_came_back_is_kept_after_an_interrupt(tmp_path: Path, capfd: Capture) -> None:
     source, out = InterruptibleSource(FunctionSource(exchanged)), tmp_path / "out.ply"
-    with pytest.raises(KeyboardInterrupt), keeping_answers(source, out):
+    with pytest.raises(KeyboardInterrupt), keeping_answers([source], out, complain):
         answer = source.edit(request("moss"), lambda *_: None, threading.Event())
         raise KeyboardInterrupt  # while it is painted
     with Image.open(tmp_path / "out.ply.answer_1.png") as picture:
         assert np.abs(np.asarray(picture) / 255 - answer.image).max() < 0.01
     assert f"what came back is kept: {out}.answer_1.png" in capfd.readouterr().err
-    painted: list[Any] = [SimpleNamespace(answer=answer)]
-    assert source.write_answers(out, painted) == []
+    assert source.write_answers(out, [answer]) == []
     out.with_name("folder").touch()
     assert source.write_answers(tmp_path / "folder" / "out.ply") == [], "a full disk hides no error"
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from splatpainter.commands import edit as edit_command
 from splatpainter.io import read, write
 from splatpainter.lift.options import LocalOptions
 from splatpainter.models import checkpoint
 from splatpainter.models.config import ModelConfig
-from splatpainter.painter import Painter
-from splatpainter.pictures import edit_from_files
+from splatpainter.operations.operation import Tools
+from splatpainter.operations.paint import Paint
+from splatpainter.painter import Asset, Painter
 from tests.support.cli_scenes import Capture, ball_and_painted_view, listing, paint, refused, rows_of, run
 from tests.support.painter_scenes import ASSET_BASE, COPY, LIFT, built
 
@@ -47,7 +47,7 @@ def test_auto_takes_compact_once_its_weights_are_there(view: Path, tmp_path: Pat
     painter = Painter(local_options=LocalOptions(resurface=False))
     write(
         here / "split.ply",
-        edit_command.paint(read(here / "ball.ply"), [edit_from_files(view)], "local", "lift", painter).splats,
+        Paint([view], method="lift").apply(Asset(read(here / "ball.ply")), Tools(painter)).splats,
     )
     assert (here / "ttt.ply").read_bytes() == (here / "split.ply").read_bytes()
     assert list((tmp_path / "cache").glob("*.safetensors"))

@@ -9,9 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from splatpainter.commands.verify import read_receipt
 from splatpainter.io import read, write
-from splatpainter.receipts import Receipt, Verification, untouched_hashes, verify
+from splatpainter.receipts import Receipt, Verification, read_receipt, untouched_hashes, verify
 from tests.support.io_assets import random_splats, written
 
 from .mutations import bend_bytes, bend_floats, bend_json, json_bytes, maybe

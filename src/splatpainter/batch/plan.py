@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from splatpainter.atomic import check_name
-from splatpainter.batch.schema import Batch, JobEdit, file_paths, with_values
+from splatpainter.batch.schema import Batch, OperationStep, file_paths, with_values
 from splatpainter.io import FORMATS, format_of_name
 from splatpainter.io.files import file_sha256
 from splatpainter.io.formats.sog_container import META
@@ -20,6 +20,8 @@ from splatpainter.splats import Frame
 from splatpainter.yamlio import Lines, read
 
 MAX_JOBS = 100_000
+REGIONS = ("where", "around")
+"""Options whose terms may name files."""
 MASK, OF_PROJECT = "mask=", ("selection=", "layer=")
 """Terms of `where` that name files: MASK.png@CAMERA.json, and NAME@PROJECT.splatproj."""
 
@@ -187,7 +189,7 @@ def _suffix(asset: Path) -> str:
     return "ply" if key is None or FORMATS[key].write is None else _ending(asset).lstrip(".")
 
 
-def _step(edit: JobEdit, path: str, folder: Path, lines: Lines, asset: str, variant: str) -> JobStep:
+def _step(edit: Any, path: str, folder: Path, lines: Lines, asset: str, variant: str) -> JobStep:
     """A step of the job, with {asset} and {variant} written out. Raises ValueError for a missing file whose name holds
     neither."""
     step, kind = edit.step, edit.kind
@@ -198,22 +200,28 @@ def _step(edit: JobEdit, path: str, folder: Path, lines: Lines, asset: str, vari
     for name, given in file_paths(step).items():
         full = [str(folder / with_values(entry, asset, variant)) for entry in given]
         original = getattr(step, name)
-        values[name] = tuple(full) if isinstance(original, tuple) else (full[0] if full else "")
+        as_given = Path if isinstance(original, Path) or isinstance(step, OperationStep) else str
+        paths = tuple(map(as_given, full))
+        values[name] = paths if isinstance(original, tuple) else (paths[0] if paths else original)
         for k, (entry, target) in enumerate(zip(given, full, strict=True)):
             index = f"[{k}]" if isinstance(original, tuple) else ""
             files.append((target, _checked(entry, target, lines.at(f"{path}.{kind}.{name}{index}"))))
     if "options" in values:
-        for key, value in values["options"].items():
+        given_options = values["options"] = dict(values["options"])
+        for key, value in given_options.items():
             if isinstance(value, str) and value and (folder / value).is_file():
-                values["options"][key] = str(folder / value)
+                given_options[key] = str(folder / value)
                 files.append((str(folder / value), lines.at(f"{path}.{kind}.options.{key}")))
-    if kind == "grade":
+    for name in set(REGIONS) & set(values):
         terms = [
-            _where_term(term, folder, lines.at(f"{path}.grade.where[{k}]"), files)
-            for k, term in enumerate(values["where"])
+            _where_term(term, folder, lines.at(f"{path}.{kind}.{name}[{k}]"), files)
+            for k, term in enumerate(values[name])
         ]
-        values["where"] = tuple(terms)
-    return JobStep(kind, replace(step, **values), tuple(files))
+        values[name] = tuple(terms)
+    try:
+        return JobStep(kind, replace(step, **values), tuple(files))
+    except ValueError as error:
+        raise ValueError(f"{lines.at(f'{path}.{kind}')}: {error}") from None
 
 
 def _checked(name: str, target: str, line: str) -> str:

@@ -1,4 +1,5 @@
-"""What a JOBS.yaml says: one tree of dataclasses, the only definition of the format. Paths are relative to the file.
+"""What a JOBS.yaml says: one tree of dataclasses, the only definition of the format; the keys of edits are the options
+of operations (operations/). Paths are relative to the file.
 
 Texts and file names of edits may hold `{asset}` (the asset's name) and `{variant}`.
 """
@@ -6,135 +7,20 @@ Texts and file names of edits may hold `{asset}` (the asset's name) and `{varian
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field, fields
-from typing import Any, Literal
+from dataclasses import asdict, dataclass, field, fields, make_dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Literal, get_type_hints
 
-from splatpainter.gatekeeper.gatekeeper import Strictness
-from splatpainter.lift.options import LOCAL_DEFAULTS
-from splatpainter.operations.grade import hex_color, one_look
-from splatpainter.operations.region import check_terms
-from splatpainter.painter import Method, Mode
+from splatpainter.operations.operation import Operation, Wording, kinds, operation_class
 from splatpainter.splats import Frame
 
 FILE = {"file": True}
 """Metadata of fields that name files."""
 NAME = re.compile(r"[\w][\w .+-]{0,99}")
 """Names of variants: they become parts of file names."""
+IN_FILES = Wording("")
+"""Errors of options: the line of the file stands before them."""
 MIN_PREVIEW_PX, MAX_PREVIEW_PX = 32, 2048
-
-
-@dataclass(frozen=True)
-class PicturesEdit:
-    """Edited pictures, as `splatpainter edit ASSET VIEW.png ...`."""
-
-    files: tuple[str, ...] = field(metadata=FILE)
-    """1 to 16 pictures."""
-    cameras: tuple[str, ...] = field(default=(), metadata=FILE)
-    """Theirs, where they lost them."""
-    masks: tuple[str, ...] = field(default=(), metadata=FILE)
-    mode: Mode = "local"
-    method: Method = "auto"
-    preset: str = "auto"
-    angle_limit: float = LOCAL_DEFAULTS.angle_limit
-    depth_edge_limit: float = LOCAL_DEFAULTS.depth_edge_limit
-
-
-@dataclass(frozen=True)
-class DecalEdit:
-    """A picture or words laid on the surface, as `splatpainter edit ASSET --decal ...`."""
-
-    camera: str = field(metadata=FILE)
-    at: tuple[float, float]
-    """Pixel of the camera's picture."""
-    width: Any
-    """World units, or like 20%."""
-    picture: str = field(default="", metadata=FILE)
-    text: str = ""
-    font: str = field(default="", metadata=FILE)
-    color: str = "#202020"
-    angle: float = 0.0
-    wrap: float = 180.0
-    method: Method = "auto"
-
-    def __post_init__(self) -> None:
-        if bool(self.picture) == bool(self.text):
-            raise ValueError("expected picture or text")
-        if isinstance(self.width, bool) or not isinstance(self.width, str | int | float):
-            raise ValueError(f"expected width as a number or like 20%, got {self.width!r:.40}")
-
-
-@dataclass(frozen=True)
-class GradeEdit:
-    """New colours, as `splatpainter grade`."""
-
-    exposure: float = 0.0
-    temperature: float = 0.0
-    tint: float = 0.0
-    contrast: float = 0.0
-    saturation: float = 0.0
-    hue: float = 0.0
-    look: str = field(default="", metadata=FILE)
-    lut: str = field(default="", metadata=FILE)
-    match: str = field(default="", metadata=FILE)
-    recolor: str = ""
-    strength: float = 1.0
-    where: tuple[str, ...] = ()
-    """Terms of `--where`; masks and projects by paths relative to the file."""
-
-    def __post_init__(self) -> None:
-        one_look(vars(self))
-        if self.recolor and "{" not in self.recolor:
-            hex_color(self.recolor)
-        if not 0 < self.strength <= 1:
-            raise ValueError(f"expected strength above 0, up to 1, got {self.strength:g}")
-        check_terms(self.where)
-
-
-@dataclass(frozen=True)
-class SourceStep:
-    """Pictures that a source makes, as `splatpainter edit --source`."""
-
-    name: str
-    prompt: str = ""
-    options: dict[str, Any] = field(default_factory=dict)
-    """Options as of `--source-option`. A value that names a file beside the jobs file is that file."""
-    view: str = field(default="", metadata=FILE)
-    """Camera of the view that is sent; without it azimuth and elevation."""
-    azimuth: float | None = None
-    elevation: float | None = None
-    size: int | None = None
-    views: Literal["", "auto"] = ""
-    max_views: int | None = None
-    mask: str = field(default="", metadata=FILE)
-    references: tuple[str, ...] = field(default=(), metadata=FILE)
-    seed: int | None = None
-    enlarge: int = 1
-    strictness: Strictness = "normal"
-    mode: Mode = "local"
-    method: Method = "auto"
-
-    def __post_init__(self) -> None:
-        for key, value in self.options.items():
-            if not isinstance(value, str | int | float):
-                raise ValueError(f"expected text or a number as the option {key!r:.40}")
-
-
-@dataclass(frozen=True)
-class RefineEdit:
-    """Views enlarged and their detail put onto the asset, as `splatpainter refine`."""
-
-    views: tuple[str, ...] = field(metadata=FILE)
-    """1 to 16 cameras."""
-    upscale: str = field(default="", metadata=FILE)
-    """A super-resolution model."""
-    scale: Literal[1, 2, 4] | None = None
-    """None: 2, or 1 of sources that do not enlarge."""
-    name: str = "upscale"
-    """Another source."""
-    options: dict[str, Any] = field(default_factory=dict)
-    prompt: str = ""
-    size: int | None = None
-    method: Literal["lift", "fit"] = "lift"
 
 
 @dataclass(frozen=True)
@@ -149,29 +35,65 @@ class LayersEdit:
 
 
 @dataclass(frozen=True)
-class JobEdit:
-    """One step of a job: exactly one of these."""
+class OperationStep:
+    """An operation as a JOBS.yaml has it: its options by their names, which may hold {asset} and {variant}."""
 
-    pictures: PicturesEdit | None = None
-    decal: DecalEdit | None = None
-    grade: GradeEdit | None = None
-    source: SourceStep | None = None
-    refine: RefineEdit | None = None
-    layers: LayersEdit | None = None
+    kind: ClassVar[type[Operation]]
+    renamed: ClassVar[dict[str, str]]
+    """Option -> what it is called here, where that is not its name."""
 
     def __post_init__(self) -> None:
-        given = [entry.name for entry in fields(self) if getattr(self, entry.name) is not None]
+        if not has_placeholder(asdict(self)):
+            self.operation().check(IN_FILES)
+
+    def operation(self) -> Operation:
+        """The operation. Raises ValueError."""
+        names = {entry.name: self.renamed.get(entry.name, entry.name) for entry in fields(self.kind)}
+        return self.kind(**{name: getattr(self, spelled) for name, spelled in names.items()})
+
+
+def step_class(kind: type[Operation], **renamed: str) -> type[OperationStep]:
+    """The keys of a kind, from its options. renamed: those that are called otherwise."""
+    hints, entries = get_type_hints(kind), []
+    for entry in fields(kind):
+        name = renamed.get(entry.name, entry.name)
+        entries.append((name, hints[entry.name], field(default=entry.default, metadata=entry.metadata)))
+    namespace = {"kind": kind, "renamed": renamed, "__doc__": kind.__doc__}
+    return make_dataclass(f"{kind.__name__}Step", entries, bases=(OperationStep,), namespace=namespace, frozen=True)
+
+
+STEPS: dict[str, type] = {
+    "pictures": step_class(operation_class("paint"), pictures="files"),
+    "decal": step_class(operation_class("decal")),
+    "grade": step_class(operation_class("grade")),
+    "source": step_class(operation_class("generate"), source="name"),
+    "refine": step_class(operation_class("refine"), source="name"),
+    "layers": LayersEdit,
+}
+"""Key of an edit -> its own keys. Operations have the names of their kinds, too."""
+STEPS |= {kind: step_class(operation_class(kind)) for kind in kinds() if kind not in STEPS}
+
+
+class _OneStep:
+    """One step of a job: exactly one of STEPS."""
+
+    def __post_init__(self) -> None:
+        given = [name for name in STEPS if getattr(self, name) is not None]
         if len(given) != 1:
-            names = ", ".join(entry.name for entry in fields(self))
-            raise ValueError(f"expected one of {names}, got {' and '.join(given) or 'none'}")
+            raise ValueError(f"expected one of {', '.join(STEPS)}, got {' and '.join(given) or 'none'}")
 
     @property
     def kind(self) -> str:
-        return next(entry.name for entry in fields(self) if getattr(self, entry.name) is not None)
+        return next(name for name in STEPS if getattr(self, name) is not None)
 
     @property
     def step(self) -> Any:
         return getattr(self, self.kind)
+
+
+JobEdit = make_dataclass(
+    "JobEdit", [(name, kind | None, None) for name, kind in STEPS.items()], bases=(_OneStep,), frozen=True
+)
 
 
 @dataclass(frozen=True)
@@ -237,8 +159,8 @@ def file_paths(step: Any) -> dict[str, tuple[str, ...]]:
     for entry in fields(step):
         if entry.metadata.get("file"):
             value = getattr(step, entry.name)
-            names = (value,) if isinstance(value, str) else value
-            out[entry.name] = tuple(name for name in names if name)
+            names = value if isinstance(value, tuple) else (value,)
+            out[entry.name] = tuple(str(name) for name in names if name)
     return out
 
 
@@ -246,8 +168,19 @@ def with_values(value: Any, asset: str, variant: str) -> Any:
     """A step's texts with `{asset}` and `{variant}` written out."""
     if isinstance(value, str):
         return value.replace("{asset}", asset).replace("{variant}", variant)
+    if isinstance(value, Path):
+        return Path(with_values(str(value), asset, variant))
     if isinstance(value, tuple):
         return tuple(with_values(item, asset, variant) for item in value)
     if isinstance(value, dict):
         return {key: with_values(item, asset, variant) for key, item in value.items()}
     return value
+
+
+def has_placeholder(value: Any) -> bool:
+    """Whether some text of a step's values holds `{`: what it says is known for a job alone."""
+    if isinstance(value, dict):
+        return any(map(has_placeholder, value.values()))
+    if isinstance(value, tuple | list):
+        return any(map(has_placeholder, value))
+    return "{" in str(value) if isinstance(value, str | Path) else False

@@ -16,11 +16,11 @@ from splatpainter.cameras import Camera, UpAxis, orbit_cameras
 from splatpainter.color import from_display, to_display
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import CameraFiles
-from splatpainter.commands.output_paths import check_folder, check_target, make_folder
 from splatpainter.commands.terminal import count, decibels, progress, to_json
 from splatpainter.commands.view_options import BACKGROUND, MAX_VIEWS, check_ranges, color, given_cameras, rgb
 from splatpainter.image_files import to_uint8
 from splatpainter.io import frame_news, read
+from splatpainter.output_paths import check_folder, check_target, make_folder
 from splatpainter.rendering import MAX_SIDE_PX, render
 from splatpainter.rendering.profiles import Profile
 from splatpainter.splats import Splats

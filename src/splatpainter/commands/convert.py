@@ -13,12 +13,12 @@ from splatpainter.commands import Outcome
 from splatpainter.commands.asset_doubts import warn_of_doubts
 from splatpainter.commands.info import file_size
 from splatpainter.commands.option_parsing import AssetFile, AxesOption, FrameOption
-from splatpainter.commands.output_paths import check_target, placed, splat_format
 from splatpainter.commands.terminal import count, size, stages
 from splatpainter.io import files, frame_is_news, frame_line, frame_of_target, read, write
 from splatpainter.io.formats.packing import morton_order
 from splatpainter.io.losses import MIN_DRAWN_OPACITY, Losses, loss_line, measure, measured_as
 from splatpainter.io.write_options import WriteOptions
+from splatpainter.output_paths import check_target, placed, splat_format
 from splatpainter.splats import Splats
 
 HTML = ".html"

@@ -13,8 +13,8 @@ from tyro.conf import Positional, arg
 from splatpainter.commands import Outcome
 from splatpainter.commands.info import file_size
 from splatpainter.commands.option_parsing import OutFile
-from splatpainter.commands.output_paths import check_target, placed, splat_format
 from splatpainter.commands.terminal import BAR_DELAY_SECONDS, count, decibels, seconds, size, warn, watched
+from splatpainter.output_paths import check_target, placed, splat_format
 
 if TYPE_CHECKING:
     from splatpainter.commands.fit_sources import FitPictures

@@ -13,9 +13,9 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
-from splatpainter.commands.output_paths import check_target, placed, splat_format
 from splatpainter.commands.terminal import count, seconds, stages
 from splatpainter.io import files, frame_news, read
+from splatpainter.output_paths import check_target, placed, splat_format
 from splatpainter.receipts import receipt_of
 from splatpainter.scene.merge import MergeVerification, Part, parts_of, write_merged
 from splatpainter.scene.placement import Placement, shift_to_the_right

@@ -37,9 +37,9 @@ def parse(kind: type, program: str, words: Sequence[str]) -> Any:
     Raises ValueError with tyro's complaint in one line; --help prints the help and raises SystemExit(0)."""
     _refuse_repeats_and_typos(kind, program, words)
     marks = (tyro.conf.FlagCreatePairsOff,)
-    _join_lines_of_help(kind)
+    described = _described(kind)
     if "--help" in words or "-h" in words:
-        return tyro.cli(kind, prog=program, args=list(words), config=marks)
+        return tyro.cli(described, prog=program, args=list(words), config=marks)
     box, unicode = io.StringIO(), io.TextIOWrapper(io.BytesIO(), encoding="utf-8")
     try:  # tyro looks at stdout's encoding for how it frames what it writes to stderr
         with (
@@ -47,7 +47,7 @@ def parse(kind: type, program: str, words: Sequence[str]) -> Any:
             contextlib.redirect_stdout(unicode),
             _environment("COLUMNS", UNWRAPPED_COLUMNS),
         ):
-            return tyro.cli(kind, prog=program, args=list(words), config=marks)
+            return tyro.cli(described, prog=program, args=list(words), config=marks)
     except SystemExit as done:
         if done.code in (0, None):
             raise
@@ -55,14 +55,37 @@ def parse(kind: type, program: str, words: Sequence[str]) -> Any:
 
 
 @functools.cache
-def _join_lines_of_help(kind: type) -> None:
-    """tyro keeps the line breaks of the options' docstrings, which are indented, beside its own: they become spaces.
-    Before it sees the class first: it remembers what it saw."""
+def _described(kind: type) -> type:
+    """The class as tyro is to see it: what `operations.operation.parameter` says of a field becomes an annotation, and
+    docstrings of options lose their line breaks, which tyro keeps beside its own."""
     hints = get_type_hints(kind, include_extras=True)
-    for option in docstring_parser.parse_from_object(kind).params:
-        if option.description and "\n" in option.description and option.arg_name in hints:
-            text = " ".join(option.description.split())
-            kind.__annotations__[option.arg_name] = Annotated[hints[option.arg_name], arg(help=text)]
+    texts: dict[str, str] = {}
+    for base in reversed(kind.__mro__[:-1]):
+        if base.__doc__ is not None and dataclasses.is_dataclass(base):
+            options = docstring_parser.parse_from_object(base).params
+            texts |= {option.arg_name: option.description for option in options if option.description}
+    annotations: dict[str, Any] = {}
+    for field in dataclasses.fields(kind):
+        hint, says = field.metadata.get("words") or hints[field.name], field.metadata
+        values: dict[str, Any] = {}
+        if "\n" in texts.get(field.name, "") or (says and field.name in texts):
+            values["help"] = " ".join(texts[field.name].split())
+        if says.get("metavar"):
+            values["metavar"] = says["metavar"]
+            if field.default in (None, "", ()):
+                values["help_behavior_hint"] = ""
+        if says.get("option"):
+            values["name"] = says["option"].replace("_", "-")
+        hint = Positional[hint] if says.get("positional") else hint
+        if values or says.get("positional"):
+            annotations[field.name] = Annotated[hint, arg(**values)]
+    if not annotations:
+        return kind
+    # What classes share (their keyword-only fields) comes after what is peculiar to each.
+    order = {field.name: field for field in sorted(dataclasses.fields(kind), key=lambda field: bool(field.kw_only))}
+    members = {"__annotations__": annotations, "__doc__": kind.__doc__, "__module__": kind.__module__}
+    members["__dataclass_fields__"] = order
+    return type(kind.__name__, (kind,), members)
 
 
 def unboxed(text: str, program: str) -> str:
@@ -79,7 +102,7 @@ def unboxed(text: str, program: str) -> str:
 def _refuse_repeats_and_typos(kind: type, program: str, words: Sequence[str]) -> None:
     """tyro lets the last of two equal options win without a word, and blames positional words for a mistyped option."""
     options = [word.split("=", 1)[0].replace("_", "-") for word in words if word.startswith("--") and len(word) > 2]
-    names = [field.name.replace("_", "-") for field in dataclasses.fields(kind)]
+    names = [option_name(field) for field in dataclasses.fields(kind)]
     valid_options = {f"{dashes}{name}" for name in ["help", *names] for dashes in ("--", "--no-")}
     valid_options |= {OLD_AXES_OPTION} if "axes" in names else set()
     for option in options:
@@ -89,6 +112,11 @@ def _refuse_repeats_and_typos(kind: type, program: str, words: Sequence[str]) ->
             raise ValueError(f"{program}: unknown option {option}{hint}; see {program} --help")
         if options.count(option) > 1:
             raise ValueError(f"{program}: {option} was given twice; give it once, with all its values behind it")
+
+
+def option_name(field: dataclasses.Field) -> str:
+    """The option of a field, without its dashes."""
+    return (field.metadata.get("option") or field.name).replace("_", "-")
 
 
 @contextlib.contextmanager

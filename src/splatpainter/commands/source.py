@@ -16,9 +16,9 @@ from tyro.conf import Positional, arg
 from splatpainter.atomic import writing
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import parse
-from splatpainter.commands.output_paths import check_target
 from splatpainter.commands.terminal import BAR_DELAY_SECONDS, watched
 from splatpainter.image_files import encode_png, find_camera, quantized
+from splatpainter.output_paths import check_target
 from splatpainter.pictures.picture_reader import read_mask, read_picture, resample
 from splatpainter.sources.picture_source import PictureRequest, Progress
 from splatpainter.sources.registry import SourceStatus, describe_sources, open_source

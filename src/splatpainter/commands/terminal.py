@@ -13,6 +13,12 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
+from splatpainter.plain_words import count as count
+from splatpainter.plain_words import decibels as decibels
+from splatpainter.plain_words import reason as reason
+from splatpainter.plain_words import seconds as seconds
+from splatpainter.plain_words import size as size
+
 PROGRAM = "splatpainter"
 BAR_DELAY_SECONDS = 1.0
 """Seconds before a progress bar appears."""
@@ -30,11 +36,6 @@ def complain(text: str) -> None:
 def warn(text: str) -> None:
     """One line on stderr about something that did not stop the command."""
     complain(f"warning: {text}")
-
-
-def reason(error: BaseException) -> str:
-    """What the system said, without errno and file name."""
-    return getattr(error, "strerror", None) or str(error) or type(error).__name__
 
 
 def progress(items: Iterable[_Item], total: int, what: str) -> Iterator[_Item]:
@@ -87,6 +88,30 @@ def stages(total: int) -> Iterator[Stages]:
         bar.close()
 
 
+class SourceBar:
+    """Progress of a source on stderr, where a person is looking."""
+
+    def __init__(self) -> None:
+        self._bar = None
+
+    def __enter__(self) -> SourceBar:
+        if watched():
+            from tqdm import tqdm
+
+            form = "{desc:<40} {bar} [{elapsed}]"
+            self._bar = tqdm(total=1.0, leave=False, file=sys.stderr, bar_format=form)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.close()
+
+    def __call__(self, share: float, words: str) -> None:
+        if self._bar is not None:
+            self._bar.n = min(max(share, 0.0), 1.0)
+            self._bar.set_description_str(words[:40])
+
+
 def watched() -> bool:
     """Whether a person is looking at stderr."""
     return sys.stderr is not None and sys.stderr.isatty()
@@ -109,28 +134,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
-
-
-def count(number: int, singular: str, plural: str = "") -> str:
-    """`1 Gaussian`, `12,345 Gaussians`."""
-    return f"{number:,} {singular if number == 1 else plural or singular + 's'}"
-
-
-def size(number: int) -> str:
-    """Bytes for people: `3.99 MB`."""
-    for unit, power in (("GB", 9), ("MB", 6), ("kB", 3)):
-        if number >= 10**power:
-            return f"{number / 10**power:.2f} {unit}"
-    return f"{number} bytes"
-
-
-def seconds(timings: dict[str, float]) -> str:
-    """`read 0.12 s, lift 0.31 s`."""
-    return ", ".join(f"{name} {value:.2f} s" for name, value in timings.items())
-
-
-def decibels(value: float | None) -> str:
-    """`28.4 dB`; None: there was no such pixel; identical pictures have no number."""
-    if value is None:
-        return "no pixels"
-    return f"{value:.1f} dB" if math.isfinite(value) and value < 999 else "identical"

@@ -11,10 +11,8 @@ from tyro.conf import Positional, arg
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import AxesOption, FrameOption
 from splatpainter.commands.terminal import count, stages
-from splatpainter.io import files
-from splatpainter.receipts import Receipt, Verification, receipt_of, verify
+from splatpainter.receipts import read_receipt, receipt_of, verify
 
-MAX_RECEIPT_BYTES = 256 << 20
 RANGE_WORDS = {"bytes": "byte-identical", "values": "as converted", "transformed": "as transformed"}
 """How a range holds its source (scene/merge.py) -> what its rows are."""
 
@@ -69,7 +67,7 @@ def run(config: Config) -> Outcome:
         verification = verify(config.original, edited, receipt, frame=config.frame, out_frame=config.axes)
     record = {"original": config.original, "edited": edited, "receipt": path, **asdict(verification)}
     lines = [
-        f"{verification.same:,} of {count(verification.rows, 'row')} {same_words(verification)}; "
+        f"{verification.same:,} of {count(verification.rows, 'row')} {verification.how_same}; "
         f"{verification.changed:,} changed, {verification.appended:,} appended",
         f"receipt: {path}" if path is not None else "no receipt: changed rows are counted, not judged",
         *verification.differences,
@@ -111,14 +109,3 @@ def _against(config: Config) -> Outcome:
     ]
     record = {"merged": merged, "against": config.against, "receipt": path, **asdict(verification)}
     return Outcome(record, lines, 0 if verification.ok else 1)
-
-
-def read_receipt(path: Path) -> Receipt:
-    """Raises ValueError: missing, unreadable, not a receipt."""
-    data = files.read_head(path, MAX_RECEIPT_BYTES)
-    return Receipt.from_json(data.decode(errors="replace"), str(path))
-
-
-def same_words(verification: Verification) -> str:
-    """How strongly equal the same rows are."""
-    return "byte-identical" if "byte" in verification.exact else "identical in value, bit for bit"

@@ -14,11 +14,11 @@ from splatpainter.atomic import clash
 from splatpainter.commands import Outcome
 from splatpainter.commands.asset_doubts import warn_of_doubts
 from splatpainter.commands.option_parsing import AxesOption, FrameOption
-from splatpainter.commands.output_paths import check_target, placed, splat_format
 from splatpainter.commands.terminal import complain, count, decibels, warn
 from splatpainter.gatekeeper.photographs import laid_over, picture_edit
 from splatpainter.gatekeeper.picture_gate import checked_picture
 from splatpainter.io import files, frame_news, read, write
+from splatpainter.output_paths import check_target, placed, splat_format
 from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
 from splatpainter.pictures import FileEdit
 from splatpainter.pictures.saved_pictures import LOOK_SECONDS, SavedPictures

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -27,7 +28,7 @@ class LayDecal(ViewLimits):
     """Font of the text, TrueType or OpenType."""
     color: str = parameter("#202020", metavar="#RRGGBB")
     """Colour of the text."""
-    at: Any = parameter(None, metavar="X,Y", words=str)
+    at: tuple[float, float] | None = parameter(None, metavar="X,Y", words=str | None)
     """Pixel of the camera's picture (--camera CAM.json) under which the decal's centre lies on the surface."""
     camera: Path | None = parameter(None, metavar="CAM.json[:N]", file=True)
     """The camera: CAM.json, or a picture that `splatpainter render` made."""
@@ -39,6 +40,11 @@ class LayDecal(ViewLimits):
     """Degrees by which the surface may turn away under the decal; 180: no limit."""
     method: Method = "auto"
     """lift (analytic), or fit (some seconds of optimisation after it); auto: lift."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        with contextlib.suppress(ValueError):  # which `check` raises again
+            object.__setattr__(self, "at", self._pixel())
 
     def check(self, wording: Wording = AS_PYTHON) -> None:
         name = wording.option
@@ -62,6 +68,9 @@ class LayDecal(ViewLimits):
         if self.text and from_hex(self.color) is None:
             raise wording.error(self.kind, f"expected {name('color')} like #20406f, got {self.color!r}")
         self._pixel(wording)
+
+    def viewpoints(self) -> tuple[Path, ...]:
+        return () if self.camera is None else (self.camera,)
 
     def ready(self, tools: Tools) -> ReadyOperation:
         from splatpainter.decals.decals import Decal, text_picture  # which load what only decals need
@@ -89,11 +98,10 @@ class LayDecal(ViewLimits):
 
     def _pixel(self, wording: Wording = AS_PYTHON) -> tuple[float, float]:
         """The pixel (x, y). Raises ValueError."""
-        parts = self.at.split(",") if isinstance(self.at, str) else self.at
+        given: Any = "" if self.at is None else self.at
         try:
-            x, y = (float(part) for part in parts)
+            x, y = (float(part) for part in (given.split(",") if isinstance(given, str) else given))
         except (TypeError, ValueError):
-            given = "" if self.at is None else self.at
             line = f"expected {wording.option('at')} X,Y, a pixel of the camera's picture, got {given!r:.60}"
             raise wording.error(self.kind, line) from None
         return x, y

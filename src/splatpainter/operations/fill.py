@@ -48,6 +48,9 @@ class Fill(PictureSourceOptions):
             raise wording.error(self.kind, line)
         self.refuse_options_without_source(wording, ("prompt", "view", "size", "seed", "options"))
 
+    def viewpoints(self) -> tuple[Path, ...]:
+        return () if self.view is None else (self.view,)
+
     def ready(self, tools: Tools) -> ReadyOperation:
         from splatpainter.pictures.edit_files import camera_from
         from splatpainter.source_edits.fill import fill
@@ -75,6 +78,7 @@ class Fill(PictureSourceOptions):
                     progress=progress,
                     cancel=tools.cancel,
                 )
+            report.answers += [answer for _, answer in getattr(source, "answers", ())]
             return replace(edited, original=None)  # its new Gaussians are surface, too
 
         return filled

@@ -15,6 +15,7 @@ from splatpainter.gatekeeper.gatekeeper import Strictness
 from splatpainter.operations.operation import AS_PYTHON, ReadyOperation, Report, ReportedView, Tools, Wording, parameter
 from splatpainter.operations.painting_options import PaintingOptions, PictureSourceOptions
 from splatpainter.painter import MAX_VIEWS, Asset, Mode, Painter
+from splatpainter.plain_words import count
 from splatpainter.rendering import MAX_SIDE_PX
 from splatpainter.source_edits.coverage import ViewPlan, plan_views
 from splatpainter.source_edits.edit import BACKGROUND, cover, edit_view
@@ -86,6 +87,9 @@ class Generate(PictureSourceOptions, PaintingOptions):
         if self.mode == "spread":
             refuse("a source's picture is painted in mode local or global, not spread")
 
+    def viewpoints(self) -> tuple[Path, ...]:
+        return () if self.view is None else (self.view,)
+
     def ready(self, tools: Tools) -> ReadyOperation:
         task = self.task(tools)
         painter = self.painter(self.mode, tools)
@@ -147,6 +151,25 @@ class SourceTask:
             background=_background(splats),
         )
 
+    def planned(self, splats: Splats) -> tuple[dict[str, Any], list[str]]:
+        """(record, lines): which views would be sent, and how many calls that are; nothing is asked."""
+        plan, auto = self.plan(splats), self.options.views
+        paid = self.source.capabilities.paid
+        calls = count(len(plan.cameras), "paid call" if paid else "call")
+        lines = [f"{self.source.name}: {calls}{'' if paid else ', not paid'}; nothing was sent"]
+        record: dict[str, Any] = {"source": self.source.name, "calls": len(plan.cameras), "paid": paid, "views": []}
+        for number, (camera, gain) in enumerate(zip(plan.cameras, plan.gains, strict=True), 1):
+            eye = [round(float(value), 3) for value in camera.relative_to((0.0, 0.0, 0.0)).position]
+            view = {"width": camera.width, "height": camera.height, "eye": eye, "adds": round(gain, 4)}
+            record["views"].append(view)
+            adds = f", reaches {100 * gain:.1f} % of the surface for the first time" if auto else ""
+            size = f"{camera.width} x {camera.height}"
+            lines.append(f"view {number}: {size} from {eye[0]:g}, {eye[1]:g}, {eye[2]:g}{adds}")
+        if auto:
+            record["covered"] = round(plan.covered, 4)
+            lines.append(f"together {100 * plan.covered:.1f} % of the surface that any direction shows")
+        return record, lines
+
     def painted(self, asset: Asset, painter: Painter, tools: Tools, report: Report) -> Asset:
         """The edited asset. Raises SourceError and what `Painter.apply` raises."""
         options, method = self.options, self.options.method
@@ -166,7 +189,7 @@ class SourceTask:
         self._write_report(sourced.edits)
         notes = notes_of_views(sourced.edits)
         report.views += [ReportedView(edit.edit.name, lines) for edit, lines in zip(sourced.edits, notes, strict=True)]
-        report.painted += sourced.edits
+        report.answers += [edit.answer for edit in sourced.edits]
         return sourced.asset
 
     def _write_report(self, edits: Sequence[SourcedEdit]) -> None:

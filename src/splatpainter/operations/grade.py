@@ -99,9 +99,10 @@ class Grade(Operation):
     """Region that changes; default: everything."""
 
     def check(self, wording: Wording = AS_PYTHON) -> None:
-        one_look(vars(self), wording.where, wording.dashes)
+        where = "grade: " if wording.where is None else wording.where
+        one_look(vars(self), where, wording.dashes)
         if self.recolor:
-            hex_color(self.recolor, wording.where, wording.dashes)
+            hex_color(self.recolor, where, wording.dashes)
         if not 0 < self.strength <= 1:
             raise ValueError(f"grade: expected a strength above 0, up to 1, got {self.strength:g}")
         if self.where:

@@ -41,8 +41,7 @@ class LightBefore(Operation):
 
     def check(self, wording: Wording = AS_PYTHON) -> None:
         if not 0 < self.mix <= 1:
-            where = "splatpainter: " if wording.dashes else wording.where or f"{self.kind}: "
-            raise ValueError(f"{where}expected {wording.option('mix')} above 0, up to 1, got {self.mix:g}")
+            raise wording.error(self.kind, f"expected {wording.option('mix')} above 0, up to 1, got {self.mix:g}")
         if self.where:
             check_terms(self.where)
 

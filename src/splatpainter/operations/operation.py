@@ -21,14 +21,11 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import MISSING, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from splatpainter import jsonio
 from splatpainter.painter import Asset, Painter
-from splatpainter.sources.picture_source import CancelFlag, PictureSource, Progress
-
-if TYPE_CHECKING:
-    from splatpainter.source_edits.view_edit import SourcedEdit
+from splatpainter.sources.picture_source import CancelFlag, PictureAnswer, PictureSource, Progress
 
 ENTRY_POINTS = "splatpainter.operations"
 """Group by which other distributions add operations."""
@@ -67,19 +64,20 @@ def parameter(
 class Wording:
     """How errors name an operation and its options: as a command line or as Python has them."""
 
-    where: str = ""
-    """What a line begins with, such as "splatpainter grade: "; "": the kind."""
+    where: str | None = None
+    """What a line begins with, such as "splatpainter grade: "; None: the kind."""
     dashes: str = ""
-    renamed: Mapping[str, str] = field(default_factory=dict)
-    """Field -> its name there, where that is another."""
+    names: Mapping[str, str] = field(default_factory=dict)
+    """Field -> what it is called there, where that is not its name behind the dashes."""
 
     def option(self, name: str) -> str:
         """A field's name: "angle_limit", or "--angle-limit"."""
-        spelled = self.renamed.get(name, name)
-        return f"{self.dashes}{spelled.replace('_', '-')}" if self.dashes else spelled
+        plain = f"{self.dashes}{name.replace('_', '-')}" if self.dashes else name
+        return self.names.get(name, plain)
 
     def error(self, kind: str, line: str) -> ValueError:
-        return ValueError(f"{self.where or kind + ': '}{line}")
+        where = f"{kind}: " if self.where is None else self.where
+        return ValueError(where + line)
 
 
 AS_PYTHON = Wording()
@@ -138,8 +136,8 @@ class Report:
     """Takes a line about something that does not stop the operation."""
     views: list[ReportedView] = field(default_factory=list)
     """Of the receipt's views, in their order."""
-    painted: list[SourcedEdit] = field(default_factory=list)
-    """Answers of sources that were painted."""
+    answers: list[PictureAnswer] = field(default_factory=list)
+    """Of sources, those that were painted."""
 
 
 ReadyOperation = Callable[[Asset, Report], Asset]
@@ -187,6 +185,10 @@ class Operation:
     def outputs(self) -> tuple[Path, ...]:
         """Files that it writes besides the asset."""
         return tuple(Path(path) for path in self._paths("output"))
+
+    def viewpoints(self) -> tuple[Path, ...]:
+        """Files that say a camera from which it can be seen, the best first."""
+        return ()
 
     def record(self) -> dict[str, Any]:
         """JSON object: its kind, and the options that are not at their defaults. `operation_of` is the inverse."""

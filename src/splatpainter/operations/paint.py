@@ -77,6 +77,9 @@ class Paint(PaintingOptions):
             return self.cameras * max(len(self.pictures), 1)
         return self.cameras
 
+    def viewpoints(self) -> tuple[Path, ...]:
+        return (*self.cameras[:1], *self.pictures[:1])
+
     def ready(self, tools: Tools) -> ReadyOperation:
         pictures = self._read(tools)
         painter = self.painter(self.mode, tools)

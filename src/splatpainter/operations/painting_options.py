@@ -113,6 +113,10 @@ class PictureSourceOptions(Operation):
         """The source, with its options and these. Raises SourceError: there is none, or it cannot be had so."""
         return tools.open_source(self.source, {**{key: str(value) for key, value in self.options.items()}, **more})
 
+    def calls(self) -> int:
+        """How often the source is asked, as far as that is known without the asset."""
+        return 1
+
     def refuse_options_without_source(self, wording: Wording, names: tuple[str, ...]) -> None:
         """Raises ValueError where one of these fields is set although no source is named."""
         for name in names:

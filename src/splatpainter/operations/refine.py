@@ -42,6 +42,12 @@ class Refine(PictureSourceOptions):
         if self.upscale is not None and self.source != "upscale":
             raise wording.error(self.kind, f"{name('upscale')} is the model of source upscale, not of {self.source}")
 
+    def calls(self) -> int:
+        return len(self.views)
+
+    def viewpoints(self) -> tuple[Path, ...]:
+        return self.views[:1]
+
     def ready(self, tools: Tools) -> ReadyOperation:
         from splatpainter.pictures.edit_files import camera_from
         from splatpainter.source_edits.edit import refine_views, usual_scale
@@ -71,7 +77,7 @@ class Refine(PictureSourceOptions):
                 size = f"{edit.edit.camera.width} x {edit.edit.camera.height}"
                 against = f"the picture of {edit.answer.model or source.name}, {size}"
                 report.views.append(ReportedView(str(path), edit.notes, against))
-            report.painted += result.edits
+            report.answers += [edit.answer for edit in result.edits]
             return result.asset
 
         return refined

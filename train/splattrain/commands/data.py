@@ -14,8 +14,8 @@ from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import parse
-from splatpainter.commands.output_paths import check_folder
 from splatpainter.commands.terminal import count, progress, size, warn
+from splatpainter.output_paths import check_folder
 from splattrain.data.object_sources import HELD_OUT_SHARE
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import parse
-from splatpainter.commands.output_paths import check_folder, make_folder
 from splatpainter.jsonio import field_types
+from splatpainter.output_paths import check_folder, make_folder
 from splattrain import recipes
 from splattrain.recipes import Recipe, Stage
 

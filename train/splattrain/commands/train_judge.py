@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
-from splatpainter.commands.output_paths import check_folder
 from splatpainter.commands.terminal import count, progress
+from splatpainter.output_paths import check_folder
 from splattrain import recipes
 from splattrain.recipes import STAGES, Recipe
 

@@ -65,7 +65,7 @@ def run(config: Config) -> Outcome:
     """Plan, lock the folder, work, summarise."""
     from splatpainter.batch.plan import read_jobs
     from splatpainter.commands.batch.work import COMMON, BatchWork
-    from splatpainter.commands.output_paths import check_folder, make_folder
+    from splatpainter.output_paths import check_folder, make_folder
 
     if config.workers < 1:
         raise ValueError(f"{COMMAND}: expected --workers of at least 1, got {config.workers}")

@@ -1,10 +1,10 @@
-"""One job of a batch: its edits by the commands themselves, one after the other, each proved; resumable anywhere.
+"""One job of a batch: its edits by the code of the commands, one after the other, each proved; resumable anywhere.
 
-A step is a run of `splatpainter edit` or `grade` (or a project's layers, exported), from a file to a file in the job's
-folder. A step that is done leaves its hash beside its file, so after a kill only what was in work is done again, and
-what a paid source has answered is not asked for twice. What all variants of an asset begin with is made once for all of
-them: they would pay for a source's picture each, and get different ones. The last file takes its name at the end, with
-the receipt from the asset to it: of one edit that of the command, of several one of the whole way.
+A step is an operation as `splatpainter edit` applies it (or a project's layers, exported), from a file to a file in the
+job's folder. A step that is done leaves its hash beside its file, so after a kill only what was in work is done again,
+and what a paid source has answered is not asked for twice. What all variants of an asset begin with is made once for
+all of them: they would pay for a source's picture each, and get different ones. The last file takes its name at the
+end, with the receipt from the asset to it: of one edit that of the operation, of several one of the whole way.
 """
 
 from __future__ import annotations
@@ -18,27 +18,28 @@ import tempfile
 import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from splatpainter.atomic import replace as replace_file
 from splatpainter.atomic import sync_folder, write_text
 from splatpainter.batch.plan import Job, JobStep
-from splatpainter.batch.schema import DecalEdit, GradeEdit, LayersEdit, PicturesEdit, RefineEdit, SourceStep
+from splatpainter.batch.schema import IN_FILES, LayersEdit, OperationStep
 from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.color import to_display
-from splatpainter.commands import edit, grade, refine
-from splatpainter.commands.verify import read_receipt
+from splatpainter.commands.terminal import complain, warn
 from splatpainter.image_files import to_uint8
 from splatpainter.io import FORMATS, files, format_of_name, frame_of, read
 from splatpainter.io.formats.sog_container import META
+from splatpainter.operations.generate import Generate
+from splatpainter.operations.operation import Report, Tools
+from splatpainter.operations.painting_options import PictureSourceOptions
+from splatpainter.operations.to_file import FileOptions, apply_to_file
 from splatpainter.pictures.edit_files import camera_from
-from splatpainter.receipts import Receipt, prove, receipt_of
+from splatpainter.receipts import Receipt, prove, read_receipt, receipt_of
 from splatpainter.rendering import render
 from splatpainter.session import Session
 from splatpainter.session.asset_files import receipt_between
 from splatpainter.session.lock import ProjectLock
-from splatpainter.sources.registry import open_source
-from splatpainter.sources.source_options import option_words
 from splatpainter.splats import Frame, Splats
 
 if TYPE_CHECKING:
@@ -147,46 +148,12 @@ def run_job(job: Job, run: str) -> dict[str, Any]:
 
 def run_step(step: JobStep, asset: Path, target: Path, frame: Frame) -> None:
     """One edit, from file to file with a receipt beside it."""
-    shared: dict[str, Any] = {"asset": asset, "out": target, "frame": frame, "overwrite": True}
-    values = step.step
-    if isinstance(values, PicturesEdit):
-        paths = {name: tuple(map(Path, getattr(values, name))) for name in ("files", "cameras", "masks")}
-        names = ("mode", "method", "preset", "angle_limit", "depth_edge_limit")
-        settings: dict[str, Any] = {name: getattr(values, name) for name in names}
-        edit.run(
-            edit.Config(**shared, pictures=paths["files"], camera=paths["cameras"], mask=paths["masks"], **settings)
-        )
-    elif isinstance(values, DecalEdit):
-        edit.run(
-            edit.Config(
-                **shared,
-                decal=_path(values.picture),
-                decal_text=values.text,
-                decal_font=_path(values.font),
-                decal_color=values.color,
-                at=",".join(f"{number:.17g}" for number in values.at),
-                camera=(Path(values.camera),),
-                width=str(values.width),
-                angle=values.angle,
-                wrap=values.wrap,
-                method=values.method,
-            )
-        )
-    elif isinstance(values, SourceStep):
-        edit.run(source_config(values, asset, target, frame))
-    elif isinstance(values, RefineEdit):
-        names = ("scale", "prompt", "size", "method")
-        settings = {name: getattr(values, name) for name in names}
-        settings |= {"view": tuple(map(Path, values.views)), "upscale": _path(values.upscale)}
-        settings |= {"source": values.name, "source_option": _option_words(values.options)}
-        refine.run(refine.Config(**shared, **settings))
-    elif isinstance(values, GradeEdit):
-        names = ("exposure", "temperature", "tint", "contrast", "saturation", "hue", "recolor", "strength", "where")
-        settings = {name: getattr(values, name) for name in names}
-        looks: dict[str, Any] = {name: _path(getattr(values, name)) for name in ("look", "lut", "match")}
-        grade.run(grade.Config(**shared, **settings, **looks))
-    else:
-        replay_layers(cast(LayersEdit, values), asset, target, frame)
+    if isinstance(step.step, LayersEdit):
+        replay_layers(step.step, asset, target, frame)
+        return
+    options = FileOptions(frame=frame, overwrite=True)
+    tools, report = Tools(aside=True), Report(warn)
+    apply_to_file(asset, [step.step.operation()], target, options, tools=tools, report=report, complain=complain)
 
 
 def make_common(job: Job, k: int, digest: str, asset: Path, frame: Frame, run: str) -> Path:
@@ -222,45 +189,25 @@ def _copy(source: Path, target: Path) -> None:
     shutil.copyfile(receipt_of(source), receipt_of(target))
 
 
-def source_config(step: SourceStep, asset: Path, target: Path, frame: Frame, dry_run: bool = False) -> edit.Config:
-    """The options of `splatpainter edit` of a step."""
-    names = ("prompt", "azimuth", "elevation", "size", "views", "max_views", "seed", "enlarge", "mode", "method")
-    settings: dict[str, Any] = {name: getattr(step, name) for name in names}
-    return edit.Config(
-        asset,
-        target,
-        source=step.name,
-        source_option=_option_words(step.options),
-        source_strictness=step.strictness,
-        view=_path(step.view),
-        mask=(Path(step.mask),) if step.mask else (),
-        reference=tuple(map(Path, step.references)),
-        frame=frame,
-        overwrite=True,
-        dry_run=dry_run,
-        **settings,
-    )
-
-
 def calls_of(job: Job, counted: set[Path]) -> list[dict[str, Any]]:
     """What the sources of a job would be asked: per step, `source`, `calls` and `paid`; nothing is sent, and nothing
     counted that was asked before a kill. counted: steps that variants have in common and that are counted already;
     this job's are added."""
     out = []
-    with tempfile.TemporaryDirectory() as folder:  # an existing one; nothing is written
-        for k, (step, digest) in enumerate(zip(job.steps, job.hashes(), strict=True)):
-            common = common_file(job, k, digest)
-            if _step_done(job, k, digest) or (k < job.common and (common in counted or is_proved(common))):
-                continue
-            if isinstance(step.step, SourceStep):
-                config = source_config(step.step, job.asset, Path(folder) / "plan.ply", job.frame, dry_run=True)
-                out.append(edit.run(config).record)
-            elif isinstance(step.step, RefineEdit):
-                words = option_words(_option_words(step.step.options))
-                paid = open_source(step.step.name, words).capabilities.paid
-                out.append({"source": step.step.name, "calls": len(step.step.views), "paid": paid})
-            if k < job.common:
-                counted.add(common)
+    for k, (step, digest) in enumerate(zip(job.steps, job.hashes(), strict=True)):
+        common = common_file(job, k, digest)
+        if _step_done(job, k, digest) or (k < job.common and (common in counted or is_proved(common))):
+            continue
+        operation = step.step.operation() if isinstance(step.step, OperationStep) else None
+        if isinstance(operation, Generate):
+            operation.check(IN_FILES)
+            task = operation.task(Tools(asset=job.asset))
+            out.append(task.planned(read(job.asset, frame=job.frame).numpy())[0])
+        elif isinstance(operation, PictureSourceOptions) and operation.source:
+            calls, paid = operation.calls(), operation.opened_source(Tools()).capabilities.paid
+            out.append({"source": operation.source, "calls": calls, "paid": paid})
+        if k < job.common:
+            counted.add(common)
     return out
 
 
@@ -314,10 +261,6 @@ def _is_original(original: Splats, asset: Path, frame: Frame) -> bool:
         return frame_of(original) == frame
     source = read(asset, frame=frame).source  # projects name the axes that an SPZ file leaves open
     return source is not None and source.frame == original.source.frame
-
-
-def _option_words(options: dict[str, Any]) -> tuple[str, ...]:
-    return tuple(f"{key}={value}" for key, value in options.items())
 
 
 def _receipt(job: Job, original: Splats, last: Path) -> Receipt:
@@ -379,10 +322,6 @@ def _clear(job: Job, hashes: list[str]) -> None:
                 files.remove(path)
 
 
-def _path(name: str) -> Path | None:
-    return Path(name) if name else None
-
-
 def _previews(job: Job, before: Splats, after: Splats) -> None:
     from PIL import Image
 
@@ -397,14 +336,7 @@ def _preview_camera(job: Job, splats: Splats) -> Camera:
     """Camera of the small pictures: that of the jobs file, else of the first edit that has one, else from the front."""
     names = [job.preview_camera]
     for step in job.steps:
-        if isinstance(step.step, PicturesEdit):
-            names += [*step.step.cameras[:1], *step.step.files[:1]]
-        elif isinstance(step.step, DecalEdit):
-            names.append(step.step.camera)
-        elif isinstance(step.step, SourceStep):
-            names.append(step.step.view)
-        elif isinstance(step.step, RefineEdit):
-            names += step.step.views[:1]
+        names += step.step.operation().viewpoints() if isinstance(step.step, OperationStep) else ()
     for name in filter(None, names):
         with contextlib.suppress(ValueError):
             return camera_from(Path(name)).with_longest_side(job.preview_px).relative_to(splats.offset)

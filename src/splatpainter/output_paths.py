@@ -1,4 +1,4 @@
-"""Files that a command writes: refused before any work where they cannot be, whole or not at all afterwards."""
+"""Files that are to be written: refused before any work where they cannot be, whole or not at all afterwards."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import numpy as np
 
 from splatpainter.atomic import brief_name, check_name, copy_mode, write_text
 from splatpainter.cameras import Camera
-from splatpainter.commands.terminal import reason
 from splatpainter.image_files import write_png
 from splatpainter.io import FORMATS, Format, asset_file, files, format_of_name
 from splatpainter.io.formats.sog_container import META
+from splatpainter.plain_words import reason
 
 
 def splat_format(path: Path) -> Format:
