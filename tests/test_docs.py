@@ -15,7 +15,7 @@ import splatpainter as sp
 from splatpainter.commands.demo import HALF_TURN
 from splatpainter.demo_asset import demo_asset
 from splatpainter.io.axes import flip
-from splatpainter.receipts import Receipt, ViewScore
+from splatpainter.receipts import Pixelation, Receipt, ViewScore
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = [
@@ -110,9 +110,11 @@ def test_every_key_of_a_receipt_is_documented() -> None:
         merge_touched=rows,
         options=sp.WriteOptions(sh_degree=1),
         core="0123456789ab",
+        pixelation=Pixelation(rows, 1, 1, "cells", 0.1, 0, False),
+        operations=({"kind": "grade"},),
     )
     record = json.loads(everything.to_json())
-    keys = {*record, *record["views"][0], *record["aside"][0]}
+    keys = {*record, *record["views"][0], *record["aside"][0], *record["pixelation"], *record["operations"][0]}
     page = (ROOT / "docs" / "guide" / "receipts.md").read_text(encoding="utf-8")
     assert {key for key in keys if f"`{key}`" not in page} == set()
 

@@ -30,9 +30,20 @@ if TYPE_CHECKING:
     from splatpainter.lights.relight import light as light
     from splatpainter.lights.skies import sky as sky
     from splatpainter.lights.sky_maps import read_sky as read_sky
+    from splatpainter.operations.decal import LayDecal as LayDecal
+    from splatpainter.operations.fill import Fill as Fill
+    from splatpainter.operations.generate import Generate as Generate
+    from splatpainter.operations.grade import Grade as Grade
     from splatpainter.operations.grade import adjust as adjust
     from splatpainter.operations.grade import grade as grade
+    from splatpainter.operations.light import Delight as Delight
+    from splatpainter.operations.light import Relight as Relight
+    from splatpainter.operations.paint import Paint as Paint
+    from splatpainter.operations.pixelate import Pixelate as Pixelate
+    from splatpainter.operations.pixelate import pixelate as pixelate
+    from splatpainter.operations.refine import Refine as Refine
     from splatpainter.operations.region import Region as Region
+    from splatpainter.operations.to_file import apply_to_file as apply_to_file
     from splatpainter.painter import Asset as Asset
     from splatpainter.painter import Edit as Edit
     from splatpainter.painter import Painter as Painter
@@ -61,6 +72,17 @@ _HOME = {
     "render": "rendering",
     "Render": "rendering",
     "edit": "editing",
+    "Paint": "operations.paint",
+    "LayDecal": "operations.decal",
+    "Grade": "operations.grade",
+    "Fill": "operations.fill",
+    "Refine": "operations.refine",
+    "Generate": "operations.generate",
+    "Relight": "operations.light",
+    "Delight": "operations.light",
+    "Pixelate": "operations.pixelate",
+    "pixelate": "operations.pixelate",
+    "apply_to_file": "operations.to_file",
     "Painter": "painter",
     "Asset": "painter",
     "Edit": "painter",
@@ -95,21 +117,31 @@ __all__ = [
     "Camera",
     "ColorMatch",
     "Decal",
+    "Delight",
     "Edit",
+    "Fill",
+    "Generate",
+    "Grade",
     "GradeSettings",
     "Lamp",
+    "LayDecal",
     "Lights",
+    "Paint",
     "Painter",
+    "Pixelate",
     "Placement",
     "Receipt",
     "Recolor",
+    "Refine",
     "Region",
+    "Relight",
     "Render",
     "Session",
     "Splats",
     "Sun",
     "WriteOptions",
     "adjust",
+    "apply_to_file",
     "delight",
     "edit",
     "edit_with_source",
@@ -119,6 +151,7 @@ __all__ = [
     "look_at",
     "merge",
     "orbit",
+    "pixelate",
     "read",
     "read_cube",
     "read_sky",

@@ -1,12 +1,20 @@
-"""An edit in one call: `sp.edit(splats, [(picture, camera)])`; a `Painter` is for many with one set of weights."""
+"""An edit in one call: `sp.edit(splats, [(picture, camera), sp.Grade(exposure=0.3)])`; a `Painter` is for many with one
+set of weights, and `sp.apply_to_file` for files."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+import splatpainter.session  # noqa: F401 - whose files regions and looks may name
 from splatpainter.cameras import Camera
+from splatpainter.decals.decals import Decal
+from splatpainter.operations.decal import LayDecal
+from splatpainter.operations.operation import Operation, Report, Tools
+from splatpainter.operations.paint import Paint
+from splatpainter.operations.to_file import AppliedOperation, receipt_of_all
 from splatpainter.painter import Asset, Edit, Method, Mode, Painter
 from splatpainter.splats import Splats
 
@@ -16,19 +24,49 @@ EditedPicture = Edit | tuple[np.ndarray, Camera]
 
 def edit(
     splats: Splats | Asset,
-    pictures: Sequence[EditedPicture],
+    operations: Sequence[EditedPicture | Decal | Operation],
     *,
     mode: Mode = "local",
     method: Method = "auto",
     preset: str = "auto",
 ) -> Asset:
-    """The asset after 1 to 16 edited pictures of it; its `splats` are the edited Gaussians and its `receipt` proves
-    which stayed as they were. Give an asset that came back to go on from it.
+    """The asset after operations, in their order; its `splats` are the edited Gaussians and its `receipt` proves which
+    stayed as they were. Give an asset that came back to go on from it.
 
-    mode: "local": what was painted changes; "global": one regraded or relit view changes everything; "spread": what was
-    painted and the rest of its material. method, preset: as of Painter. Raises ValueError as Painter.load and
-    Painter.apply."""
-    painter = Painter.load(preset, modes=[mode])
-    edits = [one if isinstance(one, Edit) else Edit(*one, name=f"picture {k}") for k, one in enumerate(pictures, 1)]
-    asset = splats if isinstance(splats, Asset) else painter.encode(splats, method, [mode])
-    return painter.apply(asset, edits, mode, method)
+    operations: edited pictures, 1 to 16 beside one another being one edit; decals; operations by files and options
+    (sp.Paint, sp.Grade, sp.Fill, ...). mode, of pictures: "local": what was painted changes; "global": one regraded or
+    relit view changes everything; "spread": what was painted and the rest of its material. method, preset: as of
+    Painter. Raises ValueError as Painter.load, Painter.apply and the operations."""
+    start = splats if isinstance(splats, Asset) else Asset(splats.numpy())
+    asset, steps = start, list[AppliedOperation]()
+    for step in _together(operations):
+        if isinstance(step, Operation):
+            kind, result = step, step.apply(asset, Tools(), Report())
+        else:
+            how: Mode = "local" if isinstance(step, Decal) else mode
+            painter = Painter.load(preset, modes=[how])
+            asset = painter.encode(asset.splats, method, [how]) if asset is start and start is not splats else asset
+            edits = step.views(asset) if isinstance(step, Decal) else step
+            kind = LayDecal(method=method) if isinstance(step, Decal) else Paint(mode=mode, method=method)
+            result = painter.apply(asset, edits, how, method)
+        assert result.receipt is not None
+        asset = result
+        steps.append(AppliedOperation(kind, result.receipt))
+    if not steps:
+        raise ValueError("edit: expected edited pictures or operations, got none")
+    return replace(asset, receipt=receipt_of_all(start.splats, asset.splats, steps)).with_surface_of(asset)
+
+
+def _together(operations: Sequence[EditedPicture | Decal | Operation]) -> list[list[Edit] | Decal | Operation]:
+    """Pictures that follow one another as one list."""
+    out: list[list[Edit] | Decal | Operation] = []
+    for number, one in enumerate(operations, 1):
+        if isinstance(one, Decal | Operation):
+            out.append(one)
+            continue
+        picture = one if isinstance(one, Edit) else Edit(*one, name=f"picture {number}")
+        if out and isinstance(out[-1], list):
+            out[-1].append(picture)
+        else:
+            out.append([picture])
+    return out

@@ -70,6 +70,45 @@ class ViewScore:
 
 
 @dataclass(frozen=True)
+class Pixelation:
+    """What a receipt claims of rows that were made unreadable (operations/pixelate.py), and `verify` checks in the
+    file: SH above degree 0 is zero, and there are so few colours, or places."""
+
+    rows: np.ndarray = field(repr=False)
+    """[P] int64 ascending."""
+    cells: int
+    colors: int
+    """How many different colours they have."""
+    style: str
+    """cells: no more colours than cells; blur: colours that run between those of cells."""
+    size: float
+    """Edge of a cell, world units."""
+    inner: int
+    """How many of the rows are hidden ones behind the region."""
+    merged: bool
+    """Whether all rows of a cell are at one place, of one size."""
+
+    def record(self) -> dict[str, Any]:
+        """JSON object, without the rows."""
+        names = ("cells", "colors", "style", "size", "inner", "merged")
+        return {**{name: getattr(self, name) for name in names}, "rows": len(self.rows)}
+
+    def problems(self, splats: Splats) -> list[str]:
+        """What of it does not hold of a file, one line each."""
+        lines = []
+        sh = splats.sh[self.rows]
+        if (sh[:, 1:] != 0).any():
+            lines.append(f"SH above degree 0 is not cleared in {int((sh[:, 1:] != 0).any((1, 2)).sum())} rows")
+        colors = len(np.unique(sh[:, 0], axis=0))
+        if colors > self.colors:
+            lines.append(f"{len(self.rows)} pixelated rows have {colors} colours, the receipt says {self.colors}")
+        places = len(np.unique(splats.means[self.rows], axis=0)) if self.merged else 0
+        if places > self.cells:
+            lines.append(f"{len(self.rows)} merged rows are at {places} places, the receipt says {self.cells}")
+        return lines
+
+
+@dataclass(frozen=True)
 class Receipt:
     """What an edit did. `to_json` is the object that is written."""
 
@@ -119,6 +158,8 @@ class Receipt:
     """What the file was to hold less or otherwise than the asset; it is compared with the original written so."""
     core: str = ""
     """Version of the native core that computed it (kernels.library.version); "" in older receipts."""
+    pixelation: Pixelation | None = None
+    """What is claimed of rows that were made unreadable; None: none were, or another operation changed some later."""
     operations: tuple[dict[str, Any], ...] = ()
     """Where several operations were applied one after the other, each: its kind and what its receipt said (mode,
     method, preset, touched_rows, appended_rows, note, source). None: the receipt is of one."""
@@ -157,6 +198,8 @@ class Receipt:
             record["dropped"] = self.dropped
         if self.source is not None:
             record["source"] = self.source
+        if self.pixelation is not None:
+            record["pixelation"] = self.pixelation.record()
         if self.operations:
             record["operations"] = list(self.operations)
         if self.options != AS_IT_IS:
@@ -176,6 +219,9 @@ class Receipt:
             if name == "touched" or len(rows):
                 runs = json.dumps(to_runs(rows).tolist(), separators=(",", ":"))
                 text += f',\n  "{name}_runs": {runs}'
+        if self.pixelation is not None:
+            runs = json.dumps(to_runs(self.pixelation.rows).tolist(), separators=(",", ":"))
+            text += f',\n  "pixelated_runs": {runs}'
         return text + "\n}\n"
 
     @staticmethod
@@ -212,6 +258,7 @@ class Receipt:
                 _rows(data, "merge_touched"),
                 WriteOptions.from_record(dict(data.get("options", {}))),
                 _text(data.get("core", "")),
+                _pixelation(data),
                 tuple(dict(_plain(operation)) for operation in data.get("operations", ())),
             )
         except (AttributeError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
@@ -234,6 +281,18 @@ def _rows(data: dict[str, Any], name: str) -> np.ndarray:
     if len(rows) != count:
         raise ValueError(f"{name}_rows is {count}, its runs hold {len(rows)}")
     return rows
+
+
+def _pixelation(data: dict[str, Any]) -> Pixelation | None:
+    """What a receipt claims of pixelated rows. Raises ValueError."""
+    record = data.get("pixelation")
+    if record is None:
+        return None
+    rows = from_runs(np.array(data.get("pixelated_runs", []), np.int64).reshape(-1, 2), int(data["output"]["rows"]))
+    if len(rows) != int(record["rows"]):
+        raise ValueError(f"pixelation has {record['rows']} rows, its runs hold {len(rows)}")
+    numbers = (int(record["cells"]), int(record["colors"]), _text(record["style"]), float(_number(record["size"])))
+    return Pixelation(rows, *numbers, int(record["inner"]), bool(record["merged"]))
 
 
 def _text(value: Any, max_length: int = 200) -> str:
@@ -420,6 +479,8 @@ def check(comparison: Comparison, receipt: Receipt | None = None) -> Verificatio
         judged = rows if receipt is None else np.intersect1d(rows, receipt.touched)  # the others are told of above
         if len(judged):
             problems.append(f"{name}, which no edit changes, differs in {len(judged)} rows: {listed(judged)}")
+    if receipt is not None and receipt.pixelation is not None and not _is_lossy(after):
+        problems += receipt.pixelation.problems(after)
     problems += comparison.problems
     return Verification(
         not problems,
@@ -435,6 +496,11 @@ def check(comparison: Comparison, receipt: Receipt | None = None) -> Verificatio
         frame,
         after.source is not None and frame_is_news(after.source),
     )
+
+
+def _is_lossy(splats: Splats) -> bool:
+    """Whether it comes from a file of a format that rounds."""
+    return splats.source is not None and FORMATS[splats.source.format].lossy
 
 
 def _wrong_files(receipt: Receipt, original: str, after: Splats) -> list[str]:

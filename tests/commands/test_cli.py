@@ -62,7 +62,7 @@ def test_help_says_what_and_how(name: str, capfd: pytest.CaptureFixture[str]) ->
 def test_texts_of_options_are_broken_at_the_edge_alone(capfd: pytest.CaptureFixture[str]) -> None:
     """And not where their docstrings have line breaks."""
     text = " ".join(run(capfd, "edit", "--help").out.replace("│", " ").split())
-    assert "whose picture is registered, corrected and cut to what changed. --prompt" in text
+    assert "or the view beside the picture or beside ASSET that it matches. --mask" in text
     lines = [line.strip("│ ") for line in run(capfd, "edit", "--help").out.splitlines() if line.startswith("│")]
     assert not {"picture", "at", "further."} & {*lines}, "a line of one word, where the docstring was broken"
 

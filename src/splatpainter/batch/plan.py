@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from splatpainter.atomic import check_name
-from splatpainter.batch.schema import Batch, OperationStep, file_paths, with_values
+from splatpainter.batch.schema import Batch, LayersEdit, OperationStep, file_paths, with_values
 from splatpainter.io import FORMATS, format_of_name
 from splatpainter.io.files import file_sha256
 from splatpainter.io.formats.sog_container import META
+from splatpainter.operations.operation import Operation
 from splatpainter.splats import Frame
 from splatpainter.yamlio import Lines, read
 
@@ -31,8 +32,8 @@ class JobStep:
     """One edit of a job, its paths resolved."""
 
     kind: str
-    step: Any
-    """A dataclass of schema.py."""
+    step: Operation | LayersEdit
+    """What is done."""
     lines: tuple[tuple[str, str], ...]
     """(file, FILE:LINE where the jobs file names it) of what it reads."""
 
@@ -219,7 +220,8 @@ def _step(edit: Any, path: str, folder: Path, lines: Lines, asset: str, variant:
         ]
         values[name] = tuple(terms)
     try:
-        return JobStep(kind, replace(step, **values), tuple(files))
+        step = replace(step, **values)
+        return JobStep(kind, step.operation() if isinstance(step, OperationStep) else step, tuple(files))
     except ValueError as error:
         raise ValueError(f"{lines.at(f'{path}.{kind}')}: {error}") from None
 

@@ -19,7 +19,7 @@ from splatpainter.commands import Outcome
 from splatpainter.commands.edit_shorthand import is_shorthand, parse_shorthand
 from splatpainter.commands.edited_file import (
     AssetArguments,
-    FileArguments,
+    EditArguments,
     operation_from,
     plan_operations,
     run_operations,
@@ -32,15 +32,6 @@ from splatpainter.operations.paint import Paint
 PROGRAM = "splatpainter edit"
 
 
-@dataclass(frozen=True, kw_only=True)
-class EditArguments(FileArguments):
-    """How the files of an edit are read and written."""
-
-    dry_run: bool = False
-    """Print which views would be sent and how many paid calls that makes (with mode spread: how far it reaches); send
-    and write nothing."""
-
-
 @dataclass(frozen=True)
 class Arguments(EditArguments, AssetArguments):
     """The options of `edit` itself, without those of operations."""
@@ -51,8 +42,8 @@ class Config(EditArguments, Paint, AssetArguments):
     """Apply operations to an asset, in order: edited pictures, decals, colours, light. Gaussians that they do not reach
     stay as they are, byte for byte where the format allows it, and one receipt proves it.
 
-    OPERATION is paint, decal, grade, fill, refine, generate, light or delight, each with its options behind it;
-    `splatpainter edit OPERATION --help` shows them. Pictures alone are painted: the options of paint are below.
+    OPERATION is paint, decal, grade, fill, refine, generate, light, delight or pixelate, each with its options behind
+    it; `splatpainter edit OPERATION --help` shows them. Pictures alone are painted: the options of paint are below.
     A picture that is called like an operation is given as ./paint.
 
     Pictures: PNG, JPEG, WebP, TIFF, OpenEXR, PSD, OpenRaster or Krita, painted on what `splatpainter render` made, or

@@ -58,6 +58,15 @@ class FileArguments:
     """Print one JSON object instead of text."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class EditArguments(FileArguments):
+    """How the files of an edit are read and written."""
+
+    dry_run: bool = False
+    """Print which views would be sent and how many paid calls that makes (with mode spread: how far it reaches); send
+    and write nothing."""
+
+
 def operation_from(config: Any, kind: type[_Operation]) -> _Operation:
     """The operation among the options of a command."""
     return kind(**{field.name: getattr(config, field.name) for field in fields(kind)})
@@ -65,7 +74,8 @@ def operation_from(config: Any, kind: type[_Operation]) -> _Operation:
 
 def run_operation(config: Any, kind: type[Operation], command: str) -> Outcome:
     """A command of one operation. command: its name."""
-    return run_operations(config, [operation_from(config, kind)], lambda _: spoken(kind, f"splatpainter {command}: "))
+    act = plan_operations if getattr(config, "dry_run", False) else run_operations
+    return act(config, [operation_from(config, kind)], lambda _: spoken(kind, f"splatpainter {command}: "))
 
 
 def run_operations(config: Any, operations: Sequence[Operation], wording: Worder) -> Outcome:

@@ -38,6 +38,7 @@ KINDS = {
     "generate": "generate:Generate",
     "light": "light:Relight",
     "delight": "light:Delight",
+    "pixelate": "pixelate:Pixelate",
 }
 """Kind -> module of this folder and class, imported when it is asked for; in the order in which help lists them."""
 

@@ -149,12 +149,12 @@ def apply_to_asset(
     edited, steps = Asset(splats), []
     for operation, act in zip(operations, ready, strict=True):
         stage(operation.kind)
-        said = Report(report.warn)
-        edited = act(edited, said)
+        heard = Report(report.warn)
+        edited = act(edited, heard)
         assert edited.receipt is not None
-        steps.append(AppliedOperation(operation, edited.receipt, tuple(said.views)))
-        report.views += said.views
-        report.answers += said.answers
+        steps.append(AppliedOperation(operation, edited.receipt, tuple(heard.views)))
+        report.views += heard.views
+        report.answers += heard.answers
     edited = replace(edited, receipt=receipt_of_all(splats, edited.splats, steps))
     return AppliedFile(splats, edited, tuple(steps), tuple(doubtful), read_seconds)
 
@@ -202,6 +202,7 @@ def receipt_of_all(before: Splats, after: Splats, steps: Sequence[AppliedOperati
         source=sources[0] if len(sources) == 1 else None,
         note="; ".join(notes)[:MAX_NOTE],
         operations=tuple(_entry(step) for step in steps),
+        pixelation=receipts[-1].pixelation,
     )
 
 

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 from splatpainter.atomic import replace as replace_file
 from splatpainter.atomic import sync_folder, write_text
 from splatpainter.batch.plan import Job, JobStep
-from splatpainter.batch.schema import IN_FILES, LayersEdit, OperationStep
+from splatpainter.batch.schema import IN_FILES, LayersEdit
 from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.color import to_display
 from splatpainter.commands.terminal import complain, warn
@@ -31,7 +31,7 @@ from splatpainter.image_files import to_uint8
 from splatpainter.io import FORMATS, files, format_of_name, frame_of, read
 from splatpainter.io.formats.sog_container import META
 from splatpainter.operations.generate import Generate
-from splatpainter.operations.operation import Report, Tools
+from splatpainter.operations.operation import Operation, Report, Tools
 from splatpainter.operations.painting_options import PictureSourceOptions
 from splatpainter.operations.to_file import FileOptions, apply_to_file
 from splatpainter.pictures.edit_files import camera_from
@@ -153,7 +153,7 @@ def run_step(step: JobStep, asset: Path, target: Path, frame: Frame) -> None:
         return
     options = FileOptions(frame=frame, overwrite=True)
     tools, report = Tools(aside=True), Report(warn)
-    apply_to_file(asset, [step.step.operation()], target, options, tools=tools, report=report, complain=complain)
+    apply_to_file(asset, [step.step], target, options, tools=tools, report=report, complain=complain)
 
 
 def make_common(job: Job, k: int, digest: str, asset: Path, frame: Frame, run: str) -> Path:
@@ -198,7 +198,7 @@ def calls_of(job: Job, counted: set[Path]) -> list[dict[str, Any]]:
         common = common_file(job, k, digest)
         if _step_done(job, k, digest) or (k < job.common and (common in counted or is_proved(common))):
             continue
-        operation = step.step.operation() if isinstance(step.step, OperationStep) else None
+        operation = step.step
         if isinstance(operation, Generate):
             operation.check(IN_FILES)
             task = operation.task(Tools(asset=job.asset))
@@ -336,7 +336,7 @@ def _preview_camera(job: Job, splats: Splats) -> Camera:
     """Camera of the small pictures: that of the jobs file, else of the first edit that has one, else from the front."""
     names = [job.preview_camera]
     for step in job.steps:
-        names += step.step.operation().viewpoints() if isinstance(step.step, OperationStep) else ()
+        names += step.step.viewpoints() if isinstance(step.step, Operation) else ()
     for name in filter(None, names):
         with contextlib.suppress(ValueError):
             return camera_from(Path(name)).with_longest_side(job.preview_px).relative_to(splats.offset)
