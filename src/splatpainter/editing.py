@@ -53,7 +53,7 @@ def edit(
         asset = result
         steps.append(AppliedOperation(kind, result.receipt))
     if not steps:
-        raise ValueError("edit: expected edited pictures or operations, got none")
+        raise ValueError("edit: expected 1 to 16 edited views, got 0 (or operations)")
     return replace(asset, receipt=receipt_of_all(start.splats, asset.splats, steps)).with_surface_of(asset)
 
 

@@ -102,9 +102,9 @@ class Pixelation:
         colors = len(np.unique(sh[:, 0], axis=0))
         if colors > self.colors:
             lines.append(f"{len(self.rows)} pixelated rows have {colors} colours, the receipt says {self.colors}")
-        places = len(np.unique(splats.means[self.rows], axis=0)) if self.merged else 0
-        if places > self.cells:
-            lines.append(f"{len(self.rows)} merged rows are at {places} places, the receipt says {self.cells}")
+        positions = len(np.unique(splats.means[self.rows], axis=0)) if self.merged else 0
+        if positions > self.cells:
+            lines.append(f"{len(self.rows)} merged rows are at {positions} places, the receipt says {self.cells}")
         return lines
 
 

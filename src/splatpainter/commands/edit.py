@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from splatpainter.commands import Outcome
-from splatpainter.commands.edit_shorthand import is_shorthand, parse_shorthand
 from splatpainter.commands.edited_file import (
     AssetArguments,
     EditArguments,
@@ -90,6 +89,8 @@ def dispatch(words: Sequence[str]) -> Outcome:
         operations = [operation_from(parse(kind, segment.program, segment.words), kind) for kind, segment in pairs]
         wordings = [spoken(kind, f"{segment.program}: ") for kind, segment in zip(classes, segments, strict=True)]
     elif is_shorthand(words, [option_name(field) for field in dataclasses.fields(Config)]):
+        from splatpainter.commands.edit_shorthand import parse_shorthand  # which loads what sources and decals need
+
         config, operation, wording = parse_shorthand(words, PROGRAM, EditArguments, AssetArguments)
         operations, wordings = [operation], [wording]
     else:
@@ -97,6 +98,13 @@ def dispatch(words: Sequence[str]) -> Outcome:
         operations, wordings = [operation_from(config, Paint)], [spoken(Paint, f"{PROGRAM}: ")]
     outcome = _ran(config, operations, wordings)
     return outcome.as_json() if config.json else outcome
+
+
+def is_shorthand(words: Sequence[str], names: Sequence[str]) -> bool:
+    """Whether a command line has options besides these (without dashes), --help and the old name of --axes."""
+    options = {word.split("=", 1)[0].replace("_", "-") for word in words if word.startswith("--") and len(word) > 2}
+    plain = {f"--{dash}{name}" for name in names for dash in ("", "no-")} | {"--help", OLD_AXES_OPTION}
+    return "--help" not in options and "-h" not in words and not options <= plain
 
 
 def run(config: Config) -> Outcome:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import Any, get_type_hints
 
 from splatpainter.commands.edited_file import spoken
-from splatpainter.commands.option_parsing import OLD_AXES_OPTION, parse
+from splatpainter.commands.option_parsing import parse
 from splatpainter.operations.decal import LayDecal
 from splatpainter.operations.generate import Generate
 from splatpainter.operations.operation import Operation, Wording
@@ -27,13 +27,6 @@ OF_SOURCES = (
 )  # fmt: skip
 """Options that nothing but a source has a use for."""
 OF_DECALS = ("at", "width", "font", "color", "angle", "wrap")
-
-
-def is_shorthand(words: Sequence[str], names: Sequence[str]) -> bool:
-    """Whether a command line has options besides these (without dashes), --help and the old name of --axes."""
-    options = {word.split("=", 1)[0].replace("_", "-") for word in words if word.startswith("--") and len(word) > 2}
-    plain = {f"--{dash}{name}" for name in names for dash in ("", "no-")} | {"--help", OLD_AXES_OPTION}
-    return "--help" not in options and "-h" not in words and not options <= plain
 
 
 def parse_shorthand(words: Sequence[str], program: str, *bases: type) -> tuple[Any, Operation, Wording]:

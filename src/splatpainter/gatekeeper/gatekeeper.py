@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 
@@ -30,12 +29,11 @@ from splatpainter.gatekeeper.color_drift import (
     tone_change,
 )
 from splatpainter.gatekeeper.registration import Registration, edge_strength, register, warped
+from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.lift.masks import MAX_NOISE, MAX_ROUNDING, box_mean, change_mask, dilated, largest_channel
 from splatpainter.pictures.picture_reader import resample
 from splatpainter.sources.picture_source import PictureAnswer, PictureRequest, SourceError
 
-Strictness = Literal["strict", "normal", "loose"]
-"""How much a picture may differ from what was sent; LIMITS has the numbers."""
 MAX_ADMITTED_PX = 4096
 """Longer side of an enlarged picture."""
 MIN_ENLARGEMENT = 1.75

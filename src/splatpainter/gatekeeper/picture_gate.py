@@ -16,8 +16,9 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.color import to_display
-from splatpainter.gatekeeper.gatekeeper import Strictness, admit
+from splatpainter.gatekeeper.gatekeeper import admit
 from splatpainter.gatekeeper.mistaken_pictures import Explanation, Size, explain
+from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.image_files import find_camera
 from splatpainter.painter import Mode
 from splatpainter.pictures.edit_files import FileEdit, draw, over_render

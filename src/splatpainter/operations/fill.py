@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Literal
 
-from splatpainter.gatekeeper.gatekeeper import Strictness
+from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.operations.operation import AS_PYTHON, ReadyOperation, Report, Tools, Wording, parameter
 from splatpainter.operations.painting_options import PictureSourceOptions
 from splatpainter.operations.region import Region
@@ -26,14 +26,14 @@ class Fill(PictureSourceOptions):
     is a spot on something larger, as selection: it alone."""
     around: tuple[str, ...] = parameter((), metavar="WHERE ...")
     """Instead: what surrounds an existing hole, such as a mask drawn around it."""
-    source: str = parameter("", metavar="NAME")
+    source: str = parameter("", metavar="NAME", shared=True)
     """A picture source (`splatpainter source list`) that is sent a view of the filled hole, which is its mask; default:
     the texture of what surrounds it."""
-    prompt: str = parameter("", metavar="TEXT")
+    prompt: str = parameter("", metavar="TEXT", shared=True)
     """What the source should paint there."""
     view: Path | None = parameter(None, metavar="CAM.json", file=True)
     """Camera of the view that is sent; default: one that faces the hole."""
-    size: int | None = parameter(None, metavar="PX")
+    size: int | None = parameter(None, metavar="PX", shared=True)
     """Pixels of its longer side; default: what --view says."""
     strictness: Strictness = parameter("normal", option="source_strictness")
     """Which pictures are refused, as in `splatpainter edit generate`."""

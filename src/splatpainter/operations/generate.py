@@ -11,7 +11,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.color import from_display
-from splatpainter.gatekeeper.gatekeeper import Strictness
+from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.operations.operation import AS_PYTHON, ReadyOperation, Report, ReportedView, Tools, Wording, parameter
 from splatpainter.operations.painting_options import PaintingOptions, PictureSourceOptions
 from splatpainter.painter import MAX_VIEWS, Asset, Mode, Painter
@@ -40,7 +40,7 @@ class Generate(PictureSourceOptions, PaintingOptions):
     """... or its direction: degrees around the asset."""
     elevation: float | None = parameter(None, metavar="DEGREES")
     """... and degrees above the horizon."""
-    size: int | None = parameter(None, metavar="PX")
+    size: int | None = parameter(None, metavar="PX", shared=True)
     """Pixels of the longer side of the views that are sent; default: 800, or what --view says."""
     views: Literal["", "auto"] = parameter("", metavar="auto")
     """auto: one view after another, each for surface that no earlier one showed, until the surface is covered."""

@@ -134,5 +134,5 @@ class Delight(LightBefore):
 
     kind: ClassVar[str] = "delight"
 
-    shadows: bool = True
+    shadows: bool = parameter(True, shared=True)
     """Shadows and occlusion by the asset itself, in the light before."""

@@ -52,13 +52,14 @@ def parameter(
     words: Any = None,
     file: bool = False,
     output: bool = False,
+    shared: bool = False,
 ) -> Any:
     """A field of an operation. metavar: its value in help. option: its name on the command line, where that is another
     ("camera" of `cameras`). positional: given there without a name. words: its type there, where that is another (str
     of a pixel "X,Y"); `__post_init__` makes of the words what the field is. file: it names files that are read; output:
-    a file that is written."""
+    a file that is written. shared: it is declared in a base class, too, and comes after the fields of its own."""
     metadata = {"metavar": metavar, "option": option, "positional": positional, "words": words}
-    return field(default=default, metadata={**metadata, "file": file, "output": output})
+    return field(default=default, metadata={**metadata, "file": file, "output": output}, kw_only=shared or MISSING)
 
 
 @dataclass(frozen=True)

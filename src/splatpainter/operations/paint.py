@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from splatpainter.gatekeeper.gatekeeper import Strictness
+from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.operations.operation import AS_PYTHON, ReadyOperation, Report, ReportedView, Tools, Wording, parameter
 from splatpainter.operations.painting_options import PaintingOptions
 from splatpainter.painter import MAX_VIEWS, Asset, Mode, Painter

@@ -20,15 +20,16 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from splatpainter.cameras import Camera, bounding_sphere
+from splatpainter.cameras import Camera, bounding_sphere, spherical_cameras
 from splatpainter.color import base_color, from_display, from_hex, sh_from_color
 from splatpainter.decals.decals import parse_width
-from splatpainter.grading.color_match import seen_weights
+from splatpainter.grading.color_match import VIEW_COUNT, VIEW_PX
 from splatpainter.kernels import portable
 from splatpainter.operations.operation import AS_PYTHON, Operation, ReadyOperation, Report, Tools, Wording, parameter
 from splatpainter.operations.region import Region, check_terms
 from splatpainter.painter import Asset
 from splatpainter.receipts import Pixelation, Receipt, untouched_hashes
+from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import ATTRIBUTES, Splats, changed_rows
 from splatpainter.transforms import matrix_to_quat, principal_axes, quat_to_matrix
 from splatpainter.voxels.neighbours import nearest_within
@@ -36,6 +37,10 @@ from splatpainter.voxels.neighbours import nearest_within
 Style = Literal["cells", "blur"]
 MAX_CELLS_ALONG = 1 << 20
 """Cells along an axis of an asset, at most: their numbers fit into 63 bits."""
+MIN_VISIBLE = 0.03
+"""Share of what a Gaussian covers that a view has to show: it would be visible there, as selections have it."""
+VIEW_DISTANCE_RADII = 3.2
+"""Distance of the views that look for hidden ones, in radii of the asset."""
 BLUR_CELLS = 0.75
 """Standard deviation of a blur, in cells."""
 MERGED_CELLS = 0.5
@@ -208,11 +213,23 @@ def _chosen(splats: Splats, region: Region, cells: np.ndarray, margin: int) -> t
     chosen = np.isin(keys, region_keys)
     points = splats.means[chosen & splats.drawable].astype(np.float64)
     reach = math.sqrt(float((np.ptp(points, axis=0) ** 2).sum())) / 2
-    hidden = np.flatnonzero(~chosen & splats.drawable & (seen_weights(splats) == 0))
+    hidden = np.flatnonzero(~chosen & splats.drawable & ~_is_visible(splats))
     near, _ = nearest_within(points, splats.means[hidden].astype(np.float64), reach)
     behind = hidden[near >= 0]
     chosen[behind] = True
     return chosen, len(behind)
+
+
+def _is_visible(splats: Splats) -> np.ndarray:
+    """[N] bool: whether some view from all around shows more than MIN_VISIBLE of what a Gaussian covers."""
+    center, radius = bounding_sphere(splats)
+    out = np.zeros(len(splats), bool)
+    black, everywhere = np.zeros((VIEW_PX, VIEW_PX, 3), np.float32), np.ones((VIEW_PX, VIEW_PX), np.float32)
+    for camera in spherical_cameras(center, VIEW_DISTANCE_RADII * radius, VIEW_COUNT, size=VIEW_PX):
+        view = project(splats, camera.local)
+        sums = view.backproject(black, everywhere)
+        out[view.gaussian_ids[sums.weight > MIN_VISIBLE * sums.alpha]] = True
+    return out
 
 
 def _unpacked(keys: np.ndarray) -> np.ndarray:
@@ -303,10 +320,10 @@ def _merge(
     for name, merged in (("means", means), ("scales", deviations), ("quats", quats), ("opacities", opacities)):
         values[name][order] = merged[labels].astype(np.float32)
     values["sh"][order] = values["sh"][order[firsts]][labels]
-    others = np.ones(len(order), bool)
-    others[firsts] = False
-    values["opacities"][order[others]] = 0
-    return order[others]
+    emptied = np.ones(len(order), bool)
+    emptied[firsts] = False
+    values["opacities"][order[emptied]] = 0
+    return order[emptied]
 
 
 def _notes(region: Region, claim: Pixelation, one_color: bool) -> list[str]:

@@ -24,11 +24,11 @@ class Refine(PictureSourceOptions):
     """Super-resolution model that enlarges the views."""
     scale: Literal[1, 2, 4] | None = parameter(None, metavar="1|2|4")
     """Factor by which each view is enlarged; default: 2, or 1 for sources that do not enlarge."""
-    source: str = parameter("upscale", metavar="NAME")
+    source: str = parameter("upscale", metavar="NAME", shared=True)
     """Picture source that enlarges the views (`splatpainter source list`)."""
-    prompt: str = parameter("", metavar="TEXT")
+    prompt: str = parameter("", metavar="TEXT", shared=True)
     """Prompt, for sources that take one."""
-    size: int | None = parameter(None, metavar="PX")
+    size: int | None = parameter(None, metavar="PX", shared=True)
     """Pixels of the longer side at which views are rendered and sent; default: the cameras'."""
     method: Literal["lift", "fit"] = "lift"
     """lift: analytic, seconds; fit: some seconds of optimisation after it, nearer to the pictures."""

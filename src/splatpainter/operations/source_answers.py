@@ -13,7 +13,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from splatpainter.atomic import brief_name, writing
-from splatpainter.gatekeeper.gatekeeper import RefusedPicture
 from splatpainter.image_files import CAMERA_KEYWORD, encode_png, quantized
 from splatpainter.operations.operation import Tools
 from splatpainter.sources.picture_source import (
@@ -109,6 +108,8 @@ def keeping_answers(
     try:
         yield
     except BaseException as error:
+        from splatpainter.gatekeeper.gatekeeper import RefusedPicture  # which takes a while to load
+
         paths = [path for source in sources for path in source.write_answers(out)]
         lines = answers_line(paths)
         if lines and type(error) in (ValueError, SourceError, RefusedPicture):

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from splatpainter.cameras import Camera, orbit_cameras
-from splatpainter.gatekeeper.gatekeeper import Strictness
+from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
 from splatpainter.receipts import Receipt, untouched_hashes
 from splatpainter.source_edits.coverage import ViewPlan, plan_views

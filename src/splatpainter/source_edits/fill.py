@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from splatpainter.cameras import Camera, look_at
-from splatpainter.gatekeeper.gatekeeper import Strictness
+from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.holes.body import body_or_selection
 from splatpainter.holes.fill import Filled, fill_hole, painted
 from splatpainter.lift.masks import dilated

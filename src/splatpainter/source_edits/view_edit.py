@@ -15,7 +15,8 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.color import from_display, to_display
-from splatpainter.gatekeeper.gatekeeper import AdmittedPicture, RefusedPicture, Strictness, admit
+from splatpainter.gatekeeper.gatekeeper import AdmittedPicture, RefusedPicture, admit
+from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.image_files import to_uint8
 from splatpainter.painter import Edit, Mode
 from splatpainter.sources.picture_source import (
