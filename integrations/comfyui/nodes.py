@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from .operation_nodes import operation_nodes
 from .operations import (
     add_view,
     coverage,
@@ -158,4 +159,5 @@ NODES = (
         is_output=True,
         history_entry=saved_files,
     ),
+    *operation_nodes(),
 )

@@ -130,14 +130,14 @@ def add_view(camera_info: dict, width: int, height: int, views: list | None = No
 
 def load_splat(file: str) -> tuple:
     """(SPLAT,): a splat file of ComfyUI's input folder, in any format that SplatPainter reads."""
-    splats = read(_input_file(file))
+    splats = read(input_file(file))
     return (with_lineage(splats, Lineage(splats, Asset(splats)), splat_class()),)
 
 
 def splat_file_state(file: str) -> str:
     """Changes when the file does, so that ComfyUI reads it again and does not give the splat of an earlier run."""
     with contextlib.suppress(OSError, ValueError):
-        entry = _input_file(file).stat()
+        entry = input_file(file).stat()
         return f"{entry.st_mtime_ns} {entry.st_size}"
     return ""
 
@@ -258,7 +258,7 @@ def _folder(kind: str) -> Path:
     return Path(getattr(importlib.import_module("folder_paths"), f"get_{kind}_directory")())
 
 
-def _input_file(name: str) -> Path:
+def input_file(name: str) -> Path:
     """Raises ValueError: outside of the input folder, not there."""
     folder = _folder("input")
     path = _inside(folder, name)

@@ -9,7 +9,7 @@ import json
 import math
 import sys
 import types
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,8 @@ import torch
 
 from splatpainter.cameras import look_at
 from splatpainter.io import read
+from splatpainter.operations.grade import Grade
+from splatpainter.painter import Asset
 from splatpainter.receipts import Receipt, verify
 from splatpainter.source_edits import coverage
 from splatpainter.splats import Splats
@@ -371,3 +373,38 @@ def test_a_workflow_opens(pack: types.ModuleType, path: Path) -> None:
                 assert value in kind
             elif "min" in options:
                 assert options["min"] <= value <= options["max"]
+
+
+# Operations
+
+
+def test_each_operation_is_a_node_with_its_options(pack: types.ModuleType) -> None:
+    nodes = {node.id: node for node in pack.NODES}
+    grade = nodes["SplatPainterGrade"]
+    assert [slot.id for slot in grade.inputs] == ["splat", *(field.name for field in fields(Grade))]
+    slots = {slot.id: slot for slot in grade.inputs}
+    assert slots["exposure"].type == "FLOAT" and slots["exposure"].tooltip == "Exposure in stops, of linear light."
+    assert slots["match"].type == "IMAGE" and slots["where"].options == {"default": ""}
+    remove = next(slot for slot in nodes["SplatPainterFill"].inputs if slot.id == "remove")
+    assert remove.options == {"options": ["body", "selection"], "default": "body"}
+    assert not {"source", "prompt", "seed"} & {slot.id for slot in nodes["SplatPainterFill"].inputs}
+    assert {"SplatPainterDecal", "SplatPainterLight", "SplatPainterDelight", "SplatPainterPixelate"} <= set(nodes)
+
+
+def test_operations_do_what_they_do_elsewhere(pack: types.ModuleType, values: Any, splat: SPLAT) -> None:
+    nodes = {node.id: node for node in pack.NODES}
+    defaults = {slot.id: slot.options["default"] for slot in nodes["SplatPainterGrade"].inputs if slot.options}
+    graded, receipt = nodes["SplatPainterGrade"].function(
+        splat, **{**defaults, "exposure": 0.5, "where": "y=..0 x=0.."}
+    )
+    expected = Grade(exposure=0.5, where=["y=..0", "x=0.."]).apply(Asset(values.splats_of(splat)))
+    assert expected.receipt is not None and json.loads(receipt)["touched_rows"] == len(expected.receipt.touched)
+    assert (values.splats_of(graded).sh == expected.splats.sh).all()
+    picture = torch.full((1, 8, 16, 3), 0.9)
+    at = {"at": "48,48", "width": "20%", "view_width": 96, "view_height": 96}
+    laid, receipt = nodes["SplatPainterDecal"].function(graded, picture=picture, camera=CAMERA, text="", **at)
+    assert json.loads(receipt)["appended_rows"] > 0 and len(values.splats_of(laid)) > len(values.splats_of(splat))
+    hidden, receipt = nodes["SplatPainterPixelate"].function(laid, where="z=..0", size="10%", merge=True)
+    assert json.loads(receipt)["pixelation"]["merged"]
+    with pytest.raises(ValueError, match="grade: expected sliders or one look"):
+        nodes["SplatPainterGrade"].function(hidden, **defaults)

@@ -12,10 +12,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias, get_type_hints
 
-import docstring_parser
 import tyro
 from tyro.conf import Positional, arg
 
+from splatpainter.operations.operation import option_texts
 from splatpainter.splats import Frame
 
 OLD_AXES_OPTION = "--out-frame"
@@ -59,11 +59,7 @@ def _described(kind: type) -> type:
     """The class as tyro is to see it: what `operations.operation.parameter` says of a field becomes an annotation, and
     docstrings of options lose their line breaks, which tyro keeps beside its own."""
     hints = get_type_hints(kind, include_extras=True)
-    texts: dict[str, str] = {}
-    for base in reversed(kind.__mro__[:-1]):
-        if base.__doc__ is not None and dataclasses.is_dataclass(base):
-            options = docstring_parser.parse_from_object(base).params
-            texts |= {option.arg_name: option.description for option in options if option.description}
+    texts = option_texts(kind)
     annotations: dict[str, Any] = {}
     for field in dataclasses.fields(kind):
         hint, says = field.metadata.get("words") or hints[field.name], field.metadata

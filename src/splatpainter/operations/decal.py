@@ -20,7 +20,7 @@ class LayDecal(ViewLimits):
 
     kind: ClassVar[str] = "decal"
 
-    picture: Path | None = parameter(None, metavar="PICTURE", positional=True, file=True)
+    picture: Path | None = parameter(None, metavar="PICTURE", positional=True, file=True, holds="picture")
     """A picture to lay on the surface, unwrapped over it; what is transparent stays as it is."""
     text: str = parameter("", metavar="WORD")
     """... or a text to lay on the surface."""
@@ -30,7 +30,7 @@ class LayDecal(ViewLimits):
     """Colour of the text."""
     at: tuple[float, float] | None = parameter(None, metavar="X,Y", words=str | None)
     """Pixel of the camera's picture (--camera CAM.json) under which the decal's centre lies on the surface."""
-    camera: Path | None = parameter(None, metavar="CAM.json[:N]", file=True)
+    camera: Path | None = parameter(None, metavar="CAM.json[:N]", file=True, holds="camera")
     """The camera: CAM.json, or a picture that `splatpainter render` made."""
     width: Any = parameter("", metavar="LENGTH|PERCENT", words=str)
     """Width of the decal along the surface: world units, or a percentage of the asset's diameter, like 12%."""

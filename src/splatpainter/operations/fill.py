@@ -31,7 +31,7 @@ class Fill(PictureSourceOptions):
     the texture of what surrounds it."""
     prompt: str = parameter("", metavar="TEXT", shared=True)
     """What the source should paint there."""
-    view: Path | None = parameter(None, metavar="CAM.json", file=True)
+    view: Path | None = parameter(None, metavar="CAM.json", file=True, holds="camera")
     """Camera of the view that is sent; default: one that faces the hole."""
     size: int | None = parameter(None, metavar="PX", shared=True)
     """Pixels of its longer side; default: what --view says."""

@@ -89,7 +89,7 @@ class Grade(Operation):
     sliders, curve, hues, strength."""
     lut: Path | None = parameter(None, metavar="FILE.cube", file=True)
     """... or a table of display colours, 1D or 3D, as grading programs write it."""
-    match: Path | None = parameter(None, metavar="PICTURE", file=True)
+    match: Path | None = parameter(None, metavar="PICTURE", file=True, holds="picture")
     """... or the mean and spread of the colours of this picture (linear Monge-Kantorovitch map)."""
     recolor: str = parameter("", metavar="#RRGGBB")
     """... or one new colour; light and shade stay as they are."""

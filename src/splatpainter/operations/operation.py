@@ -53,12 +53,14 @@ def parameter(
     file: bool = False,
     output: bool = False,
     shared: bool = False,
+    holds: str = "",
 ) -> Any:
     """A field of an operation. metavar: its value in help. option: its name on the command line, where that is another
     ("camera" of `cameras`). positional: given there without a name. words: its type there, where that is another (str
     of a pixel "X,Y"); `__post_init__` makes of the words what the field is. file: it names files that are read; output:
-    a file that is written. shared: it is declared in a base class, too, and comes after the fields of its own."""
-    metadata = {"metavar": metavar, "option": option, "positional": positional, "words": words}
+    a file that is written. shared: it is declared in a base class, too, and comes after the fields of its own.
+    holds: of a file, "picture" or "camera", for hosts that have these at hand."""
+    metadata = {"metavar": metavar, "option": option, "positional": positional, "words": words, "holds": holds}
     return field(default=default, metadata={**metadata, "file": file, "output": output}, kw_only=shared or MISSING)
 
 
@@ -225,6 +227,18 @@ def _literal(value: Any) -> str:
         inner = ", ".join(_literal(item) for item in value)
         return f"({inner},)" if len(value) == 1 else f"({inner})"
     return repr(value)
+
+
+def option_texts(kind: type) -> dict[str, str]:
+    """Field -> what its docstring says of it, with the line breaks that it has in the source; of base classes, too."""
+    import docstring_parser  # which parses the source, and is there for help alone
+
+    texts: dict[str, str] = {}
+    for base in reversed(kind.__mro__[:-1]):
+        if base.__doc__ is not None and dataclasses.is_dataclass(base):
+            options = docstring_parser.parse_from_object(base).params
+            texts |= {option.arg_name: option.description for option in options if option.description}
+    return texts
 
 
 def kinds() -> list[str]:

@@ -69,7 +69,7 @@ class Pixelate(Operation):
     """cells: one colour in each. blur: colours run from cell to cell; they know no more than these."""
     color: str = parameter("", metavar="#RRGGBB")
     """One colour for all in place of the cells' means: then nothing of the old colours is left."""
-    view: Path | None = parameter(None, metavar="CAM.json", file=True)
+    view: Path | None = parameter(None, metavar="CAM.json", file=True, holds="camera")
     """Camera along whose axes the cells lie, so that they look like pixels from there; default: the asset's axes."""
     margin: int = 0
     """Further cells around the region."""

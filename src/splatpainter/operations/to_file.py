@@ -202,7 +202,6 @@ def receipt_of_all(before: Splats, after: Splats, steps: Sequence[AppliedOperati
         source=sources[0] if len(sources) == 1 else None,
         note="; ".join(notes)[:MAX_NOTE],
         operations=tuple(_entry(step) for step in steps),
-        pixelation=receipts[-1].pixelation,
     )
 
 

@@ -290,4 +290,5 @@ def joined_receipt(before: Splats, after: Splats, receipts: Sequence[Receipt]) -
         removed=removed,
         aside=tuple(score for receipt in receipts for score in receipt.aside),
         limited_px=tuple(value for receipt in receipts for value in receipt.limited_px),
+        pixelation=receipts[-1].pixelation,
     )
