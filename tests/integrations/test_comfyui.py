@@ -394,9 +394,8 @@ def test_each_operation_is_a_node_with_its_options(pack: types.ModuleType) -> No
 def test_operations_do_what_they_do_elsewhere(pack: types.ModuleType, values: Any, splat: SPLAT) -> None:
     nodes = {node.id: node for node in pack.NODES}
     defaults = {slot.id: slot.options["default"] for slot in nodes["SplatPainterGrade"].inputs if slot.options}
-    graded, receipt = nodes["SplatPainterGrade"].function(
-        splat, **{**defaults, "exposure": 0.5, "where": "y=..0 x=0.."}
-    )
+    inputs = {**defaults, "exposure": 0.5, "where": "y=..0 x=0.."}
+    graded, receipt = nodes["SplatPainterGrade"].function(splat, **inputs)
     expected = Grade(exposure=0.5, where=["y=..0", "x=0.."]).apply(Asset(values.splats_of(splat)))
     assert expected.receipt is not None and json.loads(receipt)["touched_rows"] == len(expected.receipt.touched)
     assert (values.splats_of(graded).sh == expected.splats.sh).all()
