@@ -114,7 +114,7 @@ def build(
     names = " ".join(f"X({subject})" for subject in subjects)
     strings = ["-DSP_SUBJECTS(X)=" + names, f'-DSP_SOURCES="{hash_of_sources()}"']
     work = [
-        (f"{subject}.cpp", objects / f"{subject}_{kind}.o", [*machine, f"-DSP_TARGET={kind}"])
+        (f"{subject}.cpp", objects / f"{subject}_{kind}.o", [*machine, f"-DSP_TARGET={kind}", f"-DSP_KIND_{kind}"])
         for subject in subjects
         for kind, machine in kinds.items()
     ]

@@ -17,6 +17,9 @@ constexpr int LANES = 16;
 #endif
 template <class F> struct WideOf { typedef F type __attribute__((vector_size(SP_VECTOR_BYTES))); };
 template <class F> using Wide = typename WideOf<F>::type;
+template <class F> struct IntegerOf;
+template <> struct IntegerOf<float> { using type = i32; };
+template <> struct IntegerOf<double> { using type = i64; };
 template <class F> constexpr int W = SP_VECTOR_BYTES / (int)sizeof(F);
 #define SP_LANES(F, l) for (int l = 0; l < LANES; l += W<F>)
 
@@ -49,7 +52,8 @@ template <class F> struct LanesOf {
 // fused(a, b, c): a b + c, rounded once, with the same bits everywhere. One instruction on x86-64-v3, v4 and arm64;
 // elsewhere the product's error and the sum's are found exactly and rounded to odd, so that the last rounding is right
 // (S. Boldo and G. Melquiond, "Emulation of FMA and correctly rounded sums: proved algorithms using rounding to odd",
-// IEEE Transactions on Computers 57, 2008). Not for products beyond 2^995 of doubles.
+// IEEE Transactions on Computers 57, 2008); no part of their callers, which would take as long again to compile. Not for
+// products beyond 2^995 of doubles.
 #if defined(__FMA__) || defined(__aarch64__)
 SP_INLINE float fused(float a, float b, float c) { return __builtin_fmaf(a, b, c); }
 SP_INLINE double fused(double a, double b, double c) { return __builtin_fma(a, b, c); }
@@ -82,7 +86,7 @@ SP_INLINE D sum_to_odd(D a, D b) {
 SP_INLINE float fused(float a, float b, float c) {
     return (float)sum_to_odd<double, i64>((double)a * (double)b, (double)c);
 }
-SP_INLINE Wide<float> fused(Wide<float> a, Wide<float> b, Wide<float> c) {
+__attribute__((noinline)) Wide<float> fused(Wide<float> a, Wide<float> b, Wide<float> c) {
     typedef double D __attribute__((vector_size(2 * SP_VECTOR_BYTES)));
     typedef i64 L __attribute__((vector_size(2 * SP_VECTOR_BYTES)));
     const D product = __builtin_convertvector(a, D) * __builtin_convertvector(b, D);
@@ -101,8 +105,8 @@ SP_INLINE D fused_doubles(D a, D b, D c) {
     const D out = first + sum_to_odd<D, L>(second_error, first_error);
     return out == out ? out : high + c;  // infinities
 }
-SP_INLINE double fused(double a, double b, double c) { return fused_doubles<double, i64>(a, b, c); }
-SP_INLINE Wide<double> fused(Wide<double> a, Wide<double> b, Wide<double> c) {
+__attribute__((noinline)) double fused(double a, double b, double c) { return fused_doubles<double, i64>(a, b, c); }
+__attribute__((noinline)) Wide<double> fused(Wide<double> a, Wide<double> b, Wide<double> c) {
     return fused_doubles<Wide<double>, Wide<i64>>(a, b, c);
 }
 #endif

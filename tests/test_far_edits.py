@@ -32,7 +32,7 @@ def painted(splats: Splats) -> Edit:
 
 
 def applied(splats: Splats, mode: Any, **settings: Any) -> list[np.ndarray]:
-    painter = replace(Painter.load("lift"), aside=True, **settings)
+    painter = Painter.load("lift").with_settings(aside=True, **settings)
     result = painter.apply(painter.encode(splats), [painted(splats)], mode)
     receipt = result.receipt
     assert receipt is not None and result.splats.offset == splats.offset
@@ -105,7 +105,7 @@ def planned_views(splats: Splats) -> list[np.ndarray]:
 
 def turned(splats: Splats) -> list[np.ndarray]:
     from splatpainter.server.describe import home_view
-    from splatpainter.session.orientation import measure, view_detail
+    from splatpainter.session.measures.orientation import measure, view_detail
 
     orientation = measure(splats)
     center, radius, view = home_view(splats, (0, -1, 0), orientation.front)

@@ -71,7 +71,7 @@ def test_receipts_of_long_names(tmp_path: Path, capfd: Capture) -> None:
         assert len(list((tmp_path / "a").iterdir())) == 2 * (k + 1)
     with Session(alone(random_splats(20, 0)), tmp_path / "s.splatproj") as session:
         target = tmp_path / of_length(255, ".ply", "é")
-        session.export(target)
+        session.files.export(target)
     assert target.is_file() and receipt_of(target).is_file()
     target = tmp_path / of_length(255, ".glb")
     io.write(tmp_path / "b.ply", random_splats(30, 0, seed=1))

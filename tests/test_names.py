@@ -40,8 +40,8 @@ VAGUE = {
 word of a longer name."""
 VAGUE_ALONE = {"place", "places"}
 """Not alone; in a longer name it is a verb (`place_pairs`) or says that nothing is copied (`in_place`)."""
-EXCEPTIONS = {("session.py", "shown"), ("predictor.py", "own"), ("protocol.py", "kept"), ("edits.py", "_shown_again")}
-"""An old public name that still answers, a name of parameters in stored weights, a key of messages, and a function."""
+EXCEPTIONS = {("predictor.py", "own"), ("protocol.py", "kept"), ("edits.py", "_shown_again")}
+"""A name of parameters in stored weights, a key of messages, and a function."""
 WITHOUT_ROWS = ("models", "fit", "rendering")
 """Rooms that work on Gaussians. A row is a row of a file, of a table or of a picture, never a Gaussian."""
 ROW_EXCEPTIONS = {

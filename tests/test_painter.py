@@ -77,7 +77,7 @@ def test_one_call_is_what_a_painter_does_and_goes_on_from_its_asset() -> None:
 def test_receipts_score_whole_views_though_only_parts_are_drawn() -> None:
     splats = object_()
     free = dab(splats, RED, 40, 44)
-    full, rest = draw(splats), replace(Painter.load("lift"), proof=False)
+    full, rest = draw(splats), Painter.load("lift").with_settings(proof=False)
     for edit in (free, replace(free, mask=disk(CAMERA, 40, 44, 10))):
         made, unproved = apply(splats, [edit]), rest.apply(rest.encode(splats), [edit])
         assert same_bits(made.splats, unproved.splats)

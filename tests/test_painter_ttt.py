@@ -19,7 +19,7 @@ from splatpainter.models.encode import asset_views, canonical_cameras, encode_as
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.models.weights import _Deferred
 from splatpainter.nn.precision import Arithmetic, autocast
-from splatpainter.painter import Asset, Edit, Mode, Painter
+from splatpainter.painter import Asset, Edit, EditSettings, Mode, Painter
 from splatpainter.receipts import Receipt
 from splatpainter.rendering import render
 from splatpainter.splats import ATTRIBUTES, Splats
@@ -92,7 +92,10 @@ def test_an_untrained_network_on_own_rows_returns_the_asset_bit_for_bit(mode: Mo
 @pytest.mark.parametrize("mode", MODES)
 def test_an_untrained_network_on_the_lift_returns_the_lift_bit_for_bit(mode: Mode, precision: str) -> None:
     edits = [*edits_of(mode), dab(SPLATS, BLUE, 40), dab(SPLATS, GREEN, camera=REAR)]
-    painter, lift = Painter(model=built(LIFT)), Painter(local_options=LocalOptions(resurface=False))
+    painter, lift = (
+        Painter(model=built(LIFT)),
+        Painter(settings=EditSettings(local_options=LocalOptions(resurface=False))),
+    )
     result = painter.apply(painter.encode(SPLATS), edits, mode=mode)
     plain = lift.apply(lift.encode(SPLATS), edits, mode=mode)
     assert same_bits(result.splats, plain.splats) and not same_bits(result.splats, SPLATS)
@@ -181,7 +184,7 @@ def test_permuting_rows_or_views_permutes_the_result_and_nothing_else(precision:
     edits = [grade(splats), grade(splats, REAR)]
 
     def painted(splats: Splats, edits: list[Edit], precision: Arithmetic) -> Splats:
-        painter = Painter(model=model, precision=precision)
+        painter = Painter(model=model, settings=EditSettings(precision=precision))
         return painter.apply(painter.encode(splats), edits, mode="global").splats
 
     turn = np.random.default_rng(5).permutation(len(splats))
@@ -297,7 +300,7 @@ def test_polish_brings_the_picture_nearer_and_reaches_no_other_row(
     edits = edits_of(mode)
     plain, polished = (
         painter.apply(painter.encode(SPLATS), edits, mode=mode)
-        for painter in (Painter(model=model), Painter(model=model, polish=True))
+        for painter in (Painter(model=model), Painter(model=model, settings=EditSettings(polish=True)))
     )
     inside = disk(CAMERA, 32, 32, 7) if mode == "local" else np.ones((SIZE, SIZE), bool)
     scores = [db(render(a.splats, CAMERA).colors[0], edits[0].image, inside) for a in (plain, polished)]
@@ -331,13 +334,14 @@ def test_auto_is_compact_where_its_weights_are_else_the_lift(weights: Path) -> N
     for folder in (weights.parent / "packaged" / "compact", weights / "compact"):
         saved(folder, replace(ASSET_BASE, preset="compact"), seed=len(folder.parts))
         painter = Painter.load()
-        assert painter.model is not None and painter.preset == "compact" and painter.cache
+        assert painter.model is not None and painter.preset == "compact" and painter.settings.cache
         stored = SplatPainterModel.load(folder)
         assert torch.equal(painter.model.head.norm.weight, stored.head.norm.weight)
         name = "compressor.attribute.weight"
         assert torch.equal(painter.model.get_parameter(name), stored.get_parameter(name))  # the named folder wins
     assert Painter.load("lift").model is None
-    assert not Painter.load("compact", cache=False).cache and Painter.load("compact", polish=True).polish
+    assert not Painter.load("compact", cache=False).settings.cache
+    assert Painter.load("compact", polish=True).settings.polish
 
 
 def test_auto_is_the_lift_in_the_mode_where_the_weights_do_not_beat_it() -> None:
@@ -357,9 +361,9 @@ def test_weights_that_beat_the_lift_nowhere_are_not_even_read(weights: Path) -> 
     assert Painter.load().model is not None
     checkpoint.add_notes(weights / "compact", {"gain": {"local": -5.0, "global": -0.1}})
     painter = Painter.load()
-    assert isinstance(painter.model, _Deferred) and "measured no better" in painter.why
+    assert isinstance(painter.model, _Deferred) and "measured no better" in str(painter.why)
     done = receipt_of(painter.apply(painter.encode(SPLATS), [dab(SPLATS, RED)]))
-    assert (done.method, done.preset, done.precision) == ("lift", "lift", "") and painter.why in done.note
+    assert (done.method, done.preset, done.precision) == ("lift", "lift", "") and str(painter.why) in done.note
     assert "_model" not in vars(painter.model)
     # ... unless they are asked for.
     chosen = receipt_of(painter.apply(painter.encode(SPLATS, "ttt"), [dab(SPLATS, RED)], method="ttt"))

@@ -22,7 +22,7 @@ from splatpainter.cli import main
 from splatpainter.commands import SUMMARIES
 from splatpainter.kernels.parallel import cpus
 from splatpainter.server.launch import listen
-from splatpainter.session.lock import ProjectLock
+from splatpainter.session.project.lock import ProjectLock
 from tests.support.cli_scenes import Capture, ball, run, saved
 from tests.support.studio_scenes import live, make_studio
 from tests.support.syntax import nodes

@@ -28,7 +28,7 @@ from splatpainter.contact_sheet import Strip, error_map, sheet, write_sheet
 from splatpainter.image_files import to_uint8
 from splatpainter.io import detect, format_of_name, read, write
 from splatpainter.lift.masks import change_mask
-from splatpainter.painter import Asset, Edit, Method, Painter
+from splatpainter.painter import Asset, Edit, EditSettings, Method, Painter
 from splatpainter.pictures.drawing import over, solid_layer
 from splatpainter.receipts import score, verify
 from splatpainter.splats import Splats
@@ -370,7 +370,7 @@ def _split_alone(asset: Asset, edit: Edit, before: np.ndarray) -> dict[str, floa
     from splatpainter.lift.options import LocalOptions
     from splatpainter.rendering import render
 
-    split = Painter(local_options=LocalOptions(rounds=0)).apply(asset, [edit])
+    split = Painter(settings=EditSettings(local_options=LocalOptions(rounds=0))).apply(asset, [edit])
     assert split.receipt is not None
     mask = change_mask(edit.image, before)
     image = render(split.splats, edit.camera).colors[0]

@@ -22,7 +22,7 @@ from splatbench.spread_cases import SpreadCase, Stroke, cases
 from splatbench.timing import machine
 from splatpainter import text_tables as tables
 from splatpainter.contact_sheet import Strip, sheet, write_sheet
-from splatpainter.painter import Edit, Painter
+from splatpainter.painter import Edit, EditSettings, Painter
 from splatpainter.splats import Splats
 
 SEPARABLE = 0.85
@@ -156,7 +156,7 @@ def measure_case(case: SpreadCase, threshold: float | None = None) -> tuple[list
     from splatpainter.spread.options import SPREAD_DEFAULTS, SpreadOptions
 
     options = SPREAD_DEFAULTS if threshold is None else SpreadOptions(threshold)
-    painter = Painter(spread_options=options)
+    painter = Painter(settings=EditSettings(spread_options=options))
     asset = painter.encode(case.asset, "lift", ("local",))
     lines = []
     strips = [Strip(f"{case.name}: the truth", _cells(case.picture / 255, case.after))]

@@ -22,7 +22,7 @@ from splatpainter.models.image_tokens import tokenize
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.nn import fast_weights
 from splatpainter.nn.fast_weights import FastWeights
-from splatpainter.painter import Painter
+from splatpainter.painter import EditSettings, Painter
 from splattrain.data.shards import INDEX
 from splattrain.judge import judged_samples, refine_task
 from splattrain.training_data import DataSettings, ResourceFolders
@@ -77,7 +77,7 @@ def test_cases_are_the_samples_that_training_is_judged_on() -> None:
 
 def split_lift(task: EditTask) -> EditResult:
     """The lift as networks know it, without sheets."""
-    return painted(Painter(local_options=LocalOptions(resurface=False)), "lift", task)
+    return painted(Painter(settings=EditSettings(local_options=LocalOptions(resurface=False))), "lift", task)
 
 
 @pytest.mark.parametrize("index", [0, 1])

@@ -19,7 +19,7 @@ from splatpainter.lift.options import LocalOptions
 from splatpainter.models.lrm import DEPTH_REACH, AssetViews, patchify
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.nn.precision import autocast
-from splatpainter.painter import Edit, Mode, Painter
+from splatpainter.painter import Edit, EditSettings, Mode, Painter
 from splatpainter.rendering import render
 from splatpainter.splats import ATTRIBUTES, Splats, changed_rows
 from splatpainter.voxels.grid import bounding_cube
@@ -93,7 +93,9 @@ def test_untrained_weights_on_the_lift_are_the_lift(tmp_path: Path, mode: Mode) 
     budget = Budget(weights={"compact": saved(built(LIFT), tmp_path)})
     assert row_of("ttt").missing(budget) == ""
     task = work(dab(thing(), GREEN) if mode == "local" else grade(thing()), mode)
-    lifted = painted(Painter(local_options=LocalOptions(resurface=False)), "lift", task)  # as networks know it
+    lifted = painted(
+        Painter(settings=EditSettings(local_options=LocalOptions(resurface=False))), "lift", task
+    )  # as networks know it
     ours = row_of("ttt").edit(task, budget)
     assert same(lifted.splats, ours.splats) and ours.keeps_gaussians
     assert {"seconds_encode", "seconds_ttt"} <= set(ours.numbers)

@@ -56,7 +56,7 @@ def lift_picture(
     camera = camera_of(camera_info, picture.shape[1], picture.shape[0])
     edit = _edit(asset_of(splat)[0].splats, camera, picture, gatekeeper, mask, before)
     options = replace(LOCAL_DEFAULTS, angle_limit=angle_limit)
-    painter = replace(Painter.load(modes=["local"]), local_options=options, aside=True)
+    painter = Painter.load(modes=["local"]).with_settings(local_options=options, aside=True)
     return _painted(painter, splat, [edit], "local")
 
 

@@ -60,12 +60,12 @@ void find_stopping_depths(Rows<const F, COLUMNS> projected, Array1<const i32> fl
                 open |= (u32)used << b;
             }
         const BlockSet shown = open;
+        EachFootprint<F> drawn;
         const i64 begin = isect_offsets(k), end = isect_offsets(k + 1);
         for (i64 p = begin; p < end && open; ++p) {
-            prefetch_row(projected, flatten_ids(min_of(p + PREFETCH_ENTRIES, end - 1)));
             const i32 i = flatten_ids(p);
             const F* row = projected.row(i);
-            const Footprint<F> g = footprint(row, first);
+            const Footprint<F> g = drawn.at(projected, flatten_ids, p, end, first);
             over_blocks(g.blocks & open, [&](int b) {
                 SP_LANES(F, l) {
                     const Wide<F> alpha = alpha_of<Profile::inria>(g, b, l), light = load(&state[0][b][l]);

@@ -22,11 +22,11 @@ SP_INLINE i64 backproject_tile(const Rows<const F, COLUMNS>& projected, const Ar
                                const Array1<const i32>& pair_ids, i64 begin, i64 end, Pixel first,
                                Field<F>* __restrict state, BlockSet& open, const Rows<F, SUMS>& sums) {
     alignas(64) F lanes[6][LANES];
+    EachFootprint<F> drawn;
     for (i64 p = begin; p < end; ++p) {
         const i64 ahead = min_of(p + PREFETCH_ENTRIES, end - 1);
-        prefetch_row(projected, flatten_ids(ahead));
         prefetch_row(sums, pair_ids(ahead));
-        const Footprint<F> g = footprint(projected.row(flatten_ids(p)), first);
+        const Footprint<F> g = drawn.at(projected, flatten_ids, p, end, first);
         SP_LANES(F, l) {
             Wide<F> s[6] = {};
             over_blocks(g.blocks & open, [&](int b) {

@@ -54,13 +54,13 @@ void rasterize_backward_tiles(Rows<const F, COLUMNS> projected, Array1<const i32
         const Pixel first = open_tile<F>(tile_ids(k), alpha.shape[1], alpha.shape[0], state, 6);
         load_gradients(pictures, first, state);
         BlockSet open = ALL_BLOCKS;
+        EachFootprint<F> drawn;
         const i64 begin = isect_offsets(k), end = ends(k);
         for (i64 p = begin; p < end; ++p) {
             const i64 ahead = min_of(p + PREFETCH_ENTRIES, end - 1);
-            prefetch_row(projected, flatten_ids(ahead));
             prefetch_row(sums, pair_ids(ahead));
             const F* row = projected.row(flatten_ids(p));
-            const Footprint<F> g = footprint(row, first);
+            const Footprint<F> g = drawn.at(projected, flatten_ids, p, end, first);
             const F channels[4] = {row[RED], row[GREEN], row[BLUE], row[DEPTH]};
             // Where alpha is cut off at its largest value, nothing moves it.
             const F uncapped = F(g.opacity > F(MAX_ALPHA) ? MAX_LEVEL : INFINITE);

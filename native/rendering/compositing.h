@@ -61,16 +61,13 @@ SP_INLINE BlockSet still_open(const Field<F>& T, BlockSet open) {
     return open;
 }
 
-// Centres of pixels and blocks (px), relative to that of the tile's first pixel.
+// Centres of pixels (px), relative to that of the tile's first pixel.
 template <class F> struct Places {
     alignas(64) Field<F> pixel_x = {}, pixel_y = {};
-    alignas(64) F block_x[BLOCKS] = {}, block_y[BLOCKS] = {};
     constexpr Places() {
-        for (int b = 0; b < BLOCKS; ++b) {
-            block_x[b] = F((b % SIDE) * 4 + 1.5), block_y[b] = F((b / SIDE) * 4 + 1.5);
+        for (int b = 0; b < BLOCKS; ++b)
             for (int l = 0; l < LANES; ++l)
                 pixel_x[b][l] = F((b % SIDE) * 4 + (l & 3)), pixel_y[b][l] = F((b / SIDE) * 4 + (l >> 2));
-        }
     }
 };
 template <class F> constexpr Places<F> PLACES;
@@ -94,32 +91,93 @@ struct Footprint {
     BlockSet blocks;
 };
 
-// Blocks that may have a pixel with a positive level, by the ellipse and its box at the blocks' centres: in the norm of
-// the ellipse no pixel is farther from its block's centre than the block's corners.
-template <class F>
-SP_INLINE BlockSet blocks_of(F mx, F my, F a2, F b1, F c2, F level, F ex, F ey) {
-    const F corner = F(2.25) * (a2 + abs_of(b1) + c2), reach = sqrt_of(level) + sqrt_of(corner);
-    const F limit = F(CULLING_MARGIN) * reach * reach, right = ex + F(2), low = ey + F(2);
-    BlockSet out = 0;
-    using V = Wide<F>;
-    SP_LANES(F, l) {
-        const V dx = mx - load(&PLACES<F>.block_x[l]), dy = my - load(&PLACES<F>.block_y[l]);
-        const V distance = fused(fused(all(a2), dx, b1 * dy), dx, c2 * dy * dy);
-        const auto inside = (distance <= limit) & (dx <= right) & (dx >= -right) & (dy <= low) & (dy >= -low);
-        out |= bits_where(inside) << l;
-    }
-    return out;
-}
+// List entries whose footprints are found together, in vectors over the entries.
+constexpr int BATCH = 64;
 
+// The footprints of up to BATCH list entries in a tile. read() takes those from `from` on, ended by `end`.
+//
+// Blocks that may have a pixel with a positive level are found by the ellipse and its box at the blocks' centres: in
+// the norm of the ellipse no pixel is farther from its block's centre than the block's corners.
 template <class F>
-SP_INLINE Footprint<F> footprint(const F* p, Pixel first) {
-    const F mx = p[MEAN_X] - (F(first.x) + F(0.5)), my = p[MEAN_Y] - (F(first.y) + F(0.5));
-    const F half = F(0.5 * LOG2_E), a2 = half * p[CONIC_A], b1 = F(LOG2_E) * p[CONIC_B], c2 = half * p[CONIC_C];
-    // SQUARED_RADIUS = 2 ln(opacity / MIN_ALPHA) + RADIUS_MARGIN
-    const F level = half * (p[SQUARED_RADIUS] - F(RADIUS_MARGIN));
-    return {mx, my, a2, b1, c2, level, min_of(level, F(MAX_LEVEL)), p[OPACITY],
-            blocks_of(mx, my, a2, b1, c2, level, p[EXTENT_X], p[EXTENT_Y])};
-}
+struct Footprints {
+    using Integer = typename IntegerOf<F>::type;
+    alignas(64) F mx[BATCH], my[BATCH], a2[BATCH], b1[BATCH], c2[BATCH], level[BATCH], bound[BATCH];
+    alignas(64) F right[LANES], low[LANES];
+    alignas(64) Integer blocks[BATCH];  // sets of blocks
+    u64 entries[BLOCKS];  // of each block: bit j is entry from + j
+    const F* row[BATCH];
+    i64 from, count;
+
+    SP_INLINE void read(const Rows<const F, COLUMNS>& projected, const Array1<const i32>& flatten_ids, i64 begin,
+                        i64 end, Pixel first) {
+        from = begin;
+        count = min_of<i64>(BATCH, end - from);
+        for (u64& some : entries) some = 0;
+        for (i64 at = 0; at < count; at += LANES) {
+            const i64 some = min_of<i64>(LANES, count - at);
+            for (i64 j = 0; j < LANES; ++j) {
+                // What is left of the last vector is the first entry again, with a level that draws nothing.
+                const F* p = projected.row(flatten_ids(from + at + (j < some ? j : 0)));
+                if (j < some) prefetch_row(projected, flatten_ids(min_of(from + at + j + LANES, end - 1)));
+                const i64 k = at + j;
+                row[k] = p;
+                mx[k] = p[MEAN_X], my[k] = p[MEAN_Y];
+                a2[k] = p[CONIC_A], b1[k] = p[CONIC_B], c2[k] = p[CONIC_C];
+                level[k] = j < some ? p[SQUARED_RADIUS] : F(0);
+                right[j] = p[EXTENT_X], low[j] = p[EXTENT_Y];
+            }
+            SP_LANES(F, l) find(at + l, l, first);
+        }
+    }
+
+    SP_INLINE void find(i64 k, int l, Pixel first) {
+        using V = Wide<F>;
+        using I = Wide<Integer>;
+        const F half = F(0.5 * LOG2_E);
+        const V x = load(mx + k) - (F(first.x) + F(0.5)), y = load(my + k) - (F(first.y) + F(0.5));
+        const V a = half * load(a2 + k), b = F(LOG2_E) * load(b1 + k), c = half * load(c2 + k);
+        // SQUARED_RADIUS = 2 ln(opacity / MIN_ALPHA) + RADIUS_MARGIN
+        const V most = half * (load(level + k) - F(RADIUS_MARGIN));
+        store(mx + k, x), store(my + k, y), store(a2 + k, a), store(b1 + k, b), store(c2 + k, c);
+        store(level + k, most), store(bound + k, smaller_of(most, all(F(MAX_LEVEL))));
+        const V corner = F(2.25) * (a + magnitude_of(b) + c), reach = sqrt_of(most) + sqrt_of(corner);
+        const V limit = F(CULLING_MARGIN) * reach * reach, ex = load(right + l) + F(2), ey = load(low + l) + F(2);
+        V dx[SIDE], cross[SIDE], square[SIDE];
+        I across[SIDE], down[SIDE];
+        for (int side = 0; side < SIDE; ++side) {
+            dx[side] = x - F(side * 4 + 1.5);
+            across[side] = (I)(dx[side] <= ex) & (I)(dx[side] >= -ex);
+            const V dy = y - F(side * 4 + 1.5);
+            down[side] = (I)(dy <= ey) & (I)(dy >= -ey);
+            cross[side] = b * dy, square[side] = c * dy * dy;
+        }
+        I sets = {};
+        for (int block = 0; block < BLOCKS; ++block) {
+            const int i = block % SIDE, j = block / SIDE;
+            const V distance = fused(fused(a, dx[i], cross[j]), dx[i], square[j]);
+            const I inside = (I)(distance <= limit) & across[i] & down[j];
+            sets |= inside & (Integer(1) << block);
+            entries[block] |= (u64)bits_where(inside != 0) << k;
+        }
+        store(blocks + k, sets);
+    }
+
+    SP_INLINE Footprint<F> operator[](i64 j) const {
+        return {mx[j], my[j], a2[j], b1[j], c2[j], level[j], bound[j], row[j][OPACITY], (BlockSet)blocks[j]};
+    }
+};
+
+// The same, one entry after the other.
+template <class F>
+struct EachFootprint {
+    Footprints<F> batch;
+    SP_INLINE EachFootprint() { batch.from = batch.count = -1; }
+    SP_INLINE Footprint<F> at(const Rows<const F, COLUMNS>& projected, const Array1<const i32>& flatten_ids, i64 p,
+                              i64 end, Pixel first) {
+        if (p - batch.from >= batch.count || batch.count < 0) batch.read(projected, flatten_ids, p, end, first);
+        return batch[p - batch.from];
+    }
+};
 
 // body(b) for each block of a set, in order.
 template <class Body>
@@ -180,12 +238,19 @@ SP_INLINE Wide<F> alpha_of(const Footprint<F>& g, int b, int l) {
 
 // Weights w = alpha T, 0 where the pixel accepts no more. T goes on.
 template <Profile profile, class F>
-SP_INLINE Wide<F> accept(F* T, Wide<F> alpha) {
+SP_INLINE Wide<F> accept_into(Wide<F>& T, Wide<F> alpha) {
     using V = Wide<F>;
-    const V before = load(T), w = alpha * before, next = before - w;
+    const V before = T, w = alpha * before, next = before - w;
     const auto accepted = profile == Profile::inria ? next > F(MIN_TRANSMITTANCE) : before >= F(MIN_TRANSMITTANCE);
-    store(T, accepted ? next : -magnitude_of(before));
+    T = accepted ? next : -magnitude_of(before);
     return accepted ? w : V{};
+}
+template <Profile profile, class F>
+SP_INLINE Wide<F> accept(F* T, Wide<F> alpha) {
+    Wide<F> state = load(T);
+    const Wide<F> w = accept_into<profile, F>(state, alpha);
+    store(T, state);
+    return w;
 }
 
 } }  // namespace sp

@@ -8,23 +8,46 @@
 
 namespace sp { namespace {
 
-// Add list entries [begin, end) to fields T, r, g, b, depth of a tile; returns one past the last entry used.
+constexpr int COLOR_AND_DEPTH[4] = {RED, GREEN, BLUE, DEPTH};
+
+// Add list entries [begin, end) to fields T, r, g, b, depth of a tile; returns one past the last entry used: blocks are
+// asked after each eighth whether they are open.
 template <Profile profile, class F>
 SP_INLINE i64 composite(const Rows<const F, COLUMNS>& projected, const Array1<const i32>& flatten_ids, i64 begin,
                         i64 end, Pixel first, Field<F>* __restrict state, BlockSet& open) {
-    for (i64 p = begin; p < end; ++p) {
-        prefetch_row(projected, flatten_ids(min_of(p + PREFETCH_ENTRIES, end - 1)));
-        const F* row = projected.row(flatten_ids(p));
-        const Footprint<F> g = footprint(row, first);
-        const F channels[4] = {row[RED], row[GREEN], row[BLUE], row[DEPTH]};
-        over_blocks(g.blocks & open, [&](int b) {
+    using V = Wide<F>;
+    Footprints<F> drawn;
+    i64 closing = begin;  // the entry that closed a block last
+    for (i64 from = begin; from < end; from += BATCH) {
+        drawn.read(projected, flatten_ids, from, end, first);
+        over_blocks(open, [&](int b) {
+            const u64 hits = drawn.entries[b];
+            int last = 0;
+            bool some = false;
             SP_LANES(F, l) {
-                const Wide<F> w = accept<profile>(&state[0][b][l], alpha_of<profile>(g, b, l));
-                for (int c = 0; c < 4; ++c)
-                    store(&state[1 + c][b][l], fused(w, all(channels[c]), load(&state[1 + c][b][l])));
+                V T = load(&state[0][b][l]), sums[4];
+                if (!bits_where(T > F(0))) continue;
+                for (int c = 0; c < 4; ++c) sums[c] = load(&state[1 + c][b][l]);
+                bool accepts = true;
+                for (u64 rest = hits; rest; rest &= rest - 1) {
+                    const int j = __builtin_ctzll(rest);
+                    const V w = accept_into<profile, F>(T, alpha_of<profile, F>(drawn[j], b, l));
+                    for (int c = 0; c < 4; ++c) sums[c] = fused(w, all(drawn.row[j][COLOR_AND_DEPTH[c]]), sums[c]);
+                    if (!bits_where(T > F(0))) {
+                        accepts = false;
+                        last = max_of(last, j);
+                        break;
+                    }
+                }
+                some |= accepts;
+                store(&state[0][b][l], T);
+                for (int c = 0; c < 4; ++c) store(&state[1 + c][b][l], sums[c]);
             }
+            if (some) return;
+            open &= ~(1u << b);
+            closing = max_of(closing, from + last);
         });
-        if (((p - begin) & 7) == 7 && !(open = still_open<F>(state[0], open))) return p + 1;
+        if (!open) return min_of(end, begin + ((closing - begin) | 7) + 1);
     }
     return end;
 }
@@ -74,11 +97,11 @@ void heaviest_tiles_as(Rows<const F, COLUMNS> projected, Array1<const i32> flatt
         const Pixel first = open_tile<F>(tile_ids(k), width, height, state, 2);
         BlockSet open = ALL_BLOCKS;
         __builtin_memset(heaviest, -1, sizeof heaviest);
+        EachFootprint<F> drawn;
         const i64 begin = isect_offsets(k), end = isect_offsets(k + 1);
         for (i64 p = begin; p < end; ++p) {
             const i32 i = flatten_ids(p);
-            prefetch_row(projected, flatten_ids(min_of(p + PREFETCH_ENTRIES, end - 1)));
-            const Footprint<F> g = footprint(projected.row(i), first);
+            const Footprint<F> g = drawn.at(projected, flatten_ids, p, end, first);
             over_blocks(g.blocks & open, [&](int b) {
                 SP_LANES(F, l) {
                     const Wide<F> w = accept<profile>(&state[0][b][l], alpha_of<profile>(g, b, l));

@@ -17,10 +17,10 @@ SP_INLINE void cache_tile(const Rows<const F, COLUMNS>& projected, const Array1<
                           const Rows<const i64, 4>& boxes, const Array1<const i64>& block_offsets, Field<F>* state,
                           BlockSet open, const Rows<F, LANES>& weights) {
     i64 q = first;
+    EachFootprint<F> drawn;
     for (i64 p = begin; p < end; ++p) {
-        prefetch_row(projected, flatten_ids(min_of(p + PREFETCH_ENTRIES, end - 1)));
         const F* row = projected.row(flatten_ids(p));
-        const Footprint<F> g = footprint(row, start);
+        const Footprint<F> g = drawn.at(projected, flatten_ids, p, end, start);
         F channels[3] = {row[RED], row[GREEN], row[BLUE]};
         const bool movable = q < last && pairs(q) == p;
         i64 slot = 0;

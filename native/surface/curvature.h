@@ -1,4 +1,4 @@
-// How a surface bends around points, as in splatpainter/session/curvature.py.
+// How a surface bends around points, as in splatpainter/session/measures/curvature.py.
 #pragma once
 #include "falloff.h"
 #include "point_cells.h"

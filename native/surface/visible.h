@@ -24,11 +24,11 @@ void find_front_entries(Rows<const F, COLUMNS> projected, Array1<const i32> flat
                 if (at.y < height && at.x < width && pixels(at.y, at.x)) open |= 1u << b;
                 else clear[0][b][l] = F(-1);
             }
+        EachFootprint<F> drawn;
         const i64 end = isect_offsets(k + 1);
         for (i64 p = isect_offsets(k); p < end && open; ++p) {
-            prefetch_row(projected, flatten_ids(min_of(p + PREFETCH_ENTRIES, end - 1)));
             const i32 i = flatten_ids(p);
-            const Footprint<F> g = footprint(projected.row(i), first);
+            const Footprint<F> g = drawn.at(projected, flatten_ids, p, end, first);
             over_blocks(g.blocks & open, [&](int b) {
                 u32 stops = 0;
                 SP_LANES(F, l) {

@@ -14,11 +14,11 @@ from splatpainter.splats import ATTRIBUTES, Splats
 
 FILE = Path(__file__).with_suffix(".sog")
 HERO_EYE = (0.46, 0.92, 3.6)
-"""Recommended camera: where it stands ..."""
+"""Where the recommended camera stands, world units."""
 HERO_TARGET = (0.0, -0.11, 0.0)
-"""... what it looks at ..."""
+"""What it looks at, world units."""
 HERO_FOV = 33.0
-"""... and its vertical field of view, degrees."""
+"""Its vertical field of view, degrees."""
 BACKGROUND = (0.235, 0.295, 0.325)
 """A background that suits the still life, display sRGB."""
 CALM = (0.335, 0.455, 0.625, 0.555)

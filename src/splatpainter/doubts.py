@@ -20,25 +20,35 @@ from splatpainter.io.formats.sog import SogFile
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.transforms import row_max
 
-MIN_DRAWN_OPACITY = 1 / 255
-"""Opacity below which nothing is drawn."""
-MIN_ROWS = 16
-"""Gaussians from which a distribution of values says something."""
-MAX_SAMPLE = 1 << 16
-"""Gaussians, evenly spread over the rows, that are judged by their distribution."""
-ALL = 0.999
-"""Share of the values that counts as all of them."""
+
+@dataclass(frozen=True)
+class DoubtThresholds:
+    """What makes an asset look wrong. Source: taste, tried on files of other programs."""
+
+    min_drawn_opacity: float = 1 / 255
+    """Opacity below which nothing is drawn."""
+    min_rows: int = 16
+    """Gaussians from which a distribution of values says something."""
+    max_sample: int = 1 << 16
+    """Gaussians, evenly spread over the rows, that are judged by their distribution."""
+    nearly_all: float = 0.999
+    """Share of the values that counts as all of them."""
+    min_better_fit: float = 4.0
+    """Factor by which sizes fit the distance between neighbours better without exp than with it, from which they look
+    activated."""
+    coarse_step: float = 0.25
+    """Sizes of a Gaussian between neighbouring positions from which rounding is seen."""
+    bright: float = 4.0
+    """Base colour from which, as the median of all, colours are on another scale than 0 to 1."""
+    dark: float = 0.02
+    """Base colour up to which all are black."""
+
+
+DOUBTS = DoubtThresholds()
+
+
 LOG_FORMATS = ("ply", "compressed.ply")
 """Formats of log-scales and logits in which exporters have stored the values themselves."""
-MIN_BETTER_FIT = 4.0
-"""Factor by which sizes fit the distance between neighbours better without exp than with it, from which they look
-activated."""
-COARSE_STEP = 0.25
-"""Sizes of a Gaussian between neighbouring positions from which rounding is seen."""
-BRIGHT = 4.0
-"""Base colour from which, as the median of all, colours are on another scale than 0 to 1."""
-DARK = 0.02
-"""Base colour up to which all are black."""
 
 
 @dataclass(frozen=True)
@@ -96,12 +106,12 @@ def doubts_of_view(splats: Splats, camera: Camera, name: str = "the view") -> tu
 
 def _drawn(splats: Splats) -> np.ndarray:
     """[N] bool: Gaussians that can be seen from somewhere."""
-    return splats.drawable & (splats.numpy().opacities >= MIN_DRAWN_OPACITY)
+    return splats.drawable & (splats.numpy().opacities >= DOUBTS.min_drawn_opacity)
 
 
 def _sample(splats: Splats) -> Splats:
     rows = np.flatnonzero(_drawn(splats))
-    return splats.numpy().take(rows[:: max(1, len(rows) // MAX_SAMPLE)])
+    return splats.numpy().take(rows[:: max(1, len(rows) // DOUBTS.max_sample)])
 
 
 def _nothing_drawn(splats: Splats) -> Doubt | None:
@@ -127,15 +137,15 @@ def _nothing_drawn(splats: Splats) -> Doubt | None:
 
 def _activated(splats: Splats, few: Splats) -> Doubt | None:
     """Scales and opacities stored as they are, where logarithms and logits are expected; and colours for f_dc."""
-    if splats.source is None or splats.source.format not in LOG_FORMATS or len(few) < MIN_ROWS:
+    if splats.source is None or splats.source.format not in LOG_FORMATS or len(few) < DOUBTS.min_rows:
         return None
     logs, opacities = np.log(few.scales.astype(np.float64)), few.opacities.astype(np.float64)
     logits, base = np.log(opacities) - np.log1p(-opacities), few.sh[:, 0]
     parts: list[tuple[str, str, str, str]] = []
-    if (logs > 0).mean() >= ALL and _fits_better_without_exp(few):
+    if (logs > 0).mean() >= DOUBTS.nearly_all and _fits_better_without_exp(few):
         seen = f"scale_0..2 are all above 0 ({logs.min():.2g} to {logs.max():.2g})"
         parts.append((seen, "log", "sizes", "log for scales"))
-    if ((logits >= -1e-6) & (logits <= 1 + 1e-6)).mean() >= ALL:
+    if ((logits >= -1e-6) & (logits <= 1 + 1e-6)).mean() >= DOUBTS.nearly_all:
         seen = f"opacity is all within 0..1 ({logits.min():.3g} to {logits.max():.3g})"
         parts.append((seen, "logit", "opacities", "logit for opacities"))
     if _has_f_dc(splats) and base.min() >= 0 and base.max() <= 1 and base.min() < 0.25 and base.max() > 0.75:
@@ -160,7 +170,7 @@ def _fits_better_without_exp(few: Splats) -> bool:
     size = float(np.median(row_max(few.scales)))
     if not (spacing > 0 and size > 1):
         return False
-    return abs(np.log(size / spacing)) > abs(np.log(np.log(size) / spacing)) + np.log(MIN_BETTER_FIT)
+    return abs(np.log(size / spacing)) > abs(np.log(np.log(size) / spacing)) + np.log(DOUBTS.min_better_fit)
 
 
 def _has_f_dc(splats: Splats) -> bool:
@@ -207,7 +217,7 @@ def _lossy_planes(splats: Splats, few: Splats) -> Doubt | None:
 
 def _coarse_positions(splats: Splats, few: Splats) -> Doubt | None:
     step = positions.steps_in_sizes(few.world_means, few.scales)
-    if step < COARSE_STEP or _holds_doubles(splats):
+    if step < DOUBTS.coarse_step or _holds_doubles(splats):
         return None
     distinct, rows = len(np.unique(few.means, axis=0)), len(few)
     return Doubt(
@@ -245,17 +255,17 @@ def _color_scale(splats: Splats, few: Splats) -> Doubt | None:
 
 
 def _colors(splats: Splats, few: Splats) -> Doubt | None:
-    if len(few) < MIN_ROWS:
+    if len(few) < DOUBTS.min_rows:
         return None
     base = np.asarray(base_color(few.sh))
-    middle, most = float(np.median(base)), float(np.quantile(base, ALL))
-    if middle > BRIGHT:
+    middle, most = float(np.median(base)), float(np.quantile(base, DOUBTS.nearly_all))
+    if middle > DOUBTS.bright:
         return Doubt(
             f"base colours reach {base.max():.3g} (median {middle:.3g}), where 0 to 1 is expected",
             "everything is shown white: colours of 0 to 255 were probably stored without dividing by 255",
             "export again with colours of 0 to 1, or as f_dc_0..2",
         )
-    if most <= DARK and few.sh.shape[1] == 1:
+    if most <= DOUBTS.dark and few.sh.shape[1] == 1:
         return Doubt(
             f"all base colours are black (at most {most:.2g})",
             "colours were probably stored on another scale, such as integers of more than 8 bits",

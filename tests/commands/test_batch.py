@@ -143,11 +143,11 @@ def test_a_projects_layers_on_another_asset(folder: Path, capfd: Capture) -> Non
     with sp.Session(folder / "shoes" / "shoe0.ply", folder / "brand.splatproj", painter=Painter()) as session:
         picture = sp.render(session.splats, CAMERA).colors[0].copy()
         picture[40:50, 40:56] = (0.1, 0.6, 0.2)
-        session.add("paint", [sp.Edit(picture, CAMERA)], name="stripe")
-        session.add("look", parameters={"look": "grade", "exposure": -0.5}, name="darker")
-        hidden = session.add("look", parameters={"look": "grade", "exposure": 3.0}, name="hidden")
-        session.set(hidden.id, visible=False)
-        session.export(folder / "expected.ply")
+        session.layers.add("paint", [sp.Edit(picture, CAMERA)], name="stripe")
+        session.layers.add("look", parameters={"look": "grade", "exposure": -0.5}, name="darker")
+        hidden = session.layers.add("look", parameters={"look": "grade", "exposure": 3.0}, name="hidden")
+        session.layers.set(hidden.id, visible=False)
+        session.files.export(folder / "expected.ply")
     jobs_file(folder, "assets: [shoes/shoe0.ply]\nedits: [{layers: {project: brand.splatproj}}]\n")
     assert run(capfd, "batch", folder / "jobs.yaml").code == 0
     assert (folder / "out/shoe0.ply").read_bytes() == (folder / "expected.ply").read_bytes()
@@ -264,7 +264,7 @@ def test_nothing_is_replaced_that_no_batch_made(folder: Path, capfd: Capture) ->
 
 
 def test_two_batches_do_not_write_into_one_folder(folder: Path, capfd: Capture) -> None:
-    from splatpainter.session.lock import ProjectLock
+    from splatpainter.session.project.lock import ProjectLock
 
     (folder / "out").mkdir()
     lock = ProjectLock.take(folder / "out" / ".batch")

@@ -6,8 +6,9 @@ import json
 import re
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import MISSING, fields, replace
 from pathlib import Path
+from typing import get_type_hints
 
 import numpy as np
 import pytest
@@ -65,6 +66,17 @@ def test_texts_of_options_are_broken_at_the_edge_alone(capfd: pytest.CaptureFixt
     assert "or the view beside the picture or beside ASSET that it matches. --mask" in text
     lines = [line.strip("│ ") for line in run(capfd, "edit", "--help").out.splitlines() if line.startswith("│")]
     assert not {"picture", "at", "further."} & {*lines}, "a line of one word, where the docstring was broken"
+
+
+def test_defaults_are_of_their_types() -> None:
+    """What `option_parsing.parse` does not let tyro ask at each start."""
+    import typeguard
+
+    for name in SUMMARIES:
+        config = getattr(cli._module(name), "Config", None) if name not in cli.DISTRIBUTIONS else None
+        for option in fields(config) if config else ():
+            if option.default is not MISSING:
+                typeguard.check_type(option.default, get_type_hints(config)[option.name])
 
 
 @pytest.mark.parametrize("words", [[], ["--help"], ["-h"], ["help"]])

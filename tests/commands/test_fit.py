@@ -15,6 +15,7 @@ from splatpainter.image_files import to_uint8, write_png
 from splatpainter.io import read
 from splatpainter.rendering import render
 from tests.support.cli_scenes import Capture, ball, listing, run, saved
+from tests.support.far_assets import UTM, far_ply, moved_camera
 
 SMALL = ("--steps", 60, "--rows", 400, "--size", 40, "--sh-degree", 0, "--json")
 FEW = (*SMALL, "--views", 6, "--held-out", 2)
@@ -162,3 +163,27 @@ def test_bad_input_is_one_line_and_writes_nothing(tmp_path: Path, capfd: Capture
     assert "already exists" in run(capfd, "fit", tmp_path / "views", "--out", asset).error
     assert "unknown format" in run(capfd, "fit", asset, "--out", tmp_path / "out.txt").error
     assert listing(tmp_path) == before
+
+
+def test_an_asset_far_from_zero_is_fitted_as_beside_zero(tmp_path: Path, capfd: Capture) -> None:
+    far_ply(tmp_path / "far.ply", ball())
+    options = (*FEW, "--fixed")
+    done = [
+        run(capfd, "fit", tmp_path / f"{name}.ply", "--out", tmp_path / f"{name}.out.ply", *options).json
+        for name in ("far", "near_far")
+    ]
+    assert done[0]["psnr"]["held_out"] == pytest.approx(done[1]["psnr"]["held_out"], abs=0.3)
+    far, near = read(tmp_path / "far.out.ply"), read(tmp_path / "near_far.out.ply")
+    assert far.offset == UTM and abs(far.means - near.means).max() < 0.05
+
+
+def test_pictures_of_georeferenced_cameras_are_fitted_in_their_world(tmp_path: Path, capfd: Capture) -> None:
+    cameras = pictures(tmp_path / "near")
+    (tmp_path / "far").mkdir()
+    for k, camera in enumerate(cameras):
+        picture = np.asarray(Image.open(tmp_path / "near" / f"view_{k:03d}.png").convert("RGB")) / 255
+        write_png(tmp_path / "far" / f"view_{k:03d}.png", picture, moved_camera(camera, UTM))
+    for name in ("near", "far"):
+        assert run(capfd, "fit", tmp_path / name, "--out", tmp_path / f"{name}.ply", *SMALL, "--fixed").code == 0
+    far, near = read(tmp_path / "far.ply"), read(tmp_path / "near.ply")
+    assert abs(far.world_means - np.array(UTM) - near.means).max() < 0.05

@@ -164,7 +164,8 @@ def test_interrupted_in_the_middle_of_writing(sent: signal.Signals, code: int, v
     program = (
         "import signal, sys, time\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a shell's background jobs ignore it
-        "from splatpainter.io import files, ply\n"
+        "from splatpainter.io import files\n"
+        "from splatpainter.io.formats import ply\n"
         "encode = ply._encode\n"
         "def slow(*arguments):\n"
         "    for block in encode(*arguments):\n"

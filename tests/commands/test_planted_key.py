@@ -127,8 +127,8 @@ def test_the_studio_keeps_it_to_itself(service: FakeService, tmp_path: Path, cap
         answers += [refused.text, served.http.get("/api/state").text, json.dumps(served.post("receipt"))]
         folder = served.studio.blobs.folder
         assert leaks(folder) == []
-        served.studio.session.export(tmp_path / "out.ply")
-        records = served.studio.session.receipt().source
+        served.studio.session.files.export(tmp_path / "out.ply")
+        records = served.studio.session.files.receipt().source
     assert records is not None and [record["prompt"] for record in records["layers"]] == ["moss", "moss"]
     assert KEY not in "".join(answers) + caplog.text and leaks(tmp_path) == []
     assert (tmp_path / "own.splatproj").stat().st_size > 0

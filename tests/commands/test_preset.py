@@ -13,7 +13,7 @@ from splatpainter.models import checkpoint
 from splatpainter.models.config import ModelConfig
 from splatpainter.operations.operation import Tools
 from splatpainter.operations.paint import Paint
-from splatpainter.painter import Asset, Painter
+from splatpainter.painter import Asset, EditSettings, Painter
 from tests.support.cli_scenes import Capture, ball_and_painted_view, listing, paint, refused, rows_of, run
 from tests.support.painter_scenes import ASSET_BASE, COPY, LIFT, built
 
@@ -44,7 +44,7 @@ def test_auto_takes_compact_once_its_weights_are_there(view: Path, tmp_path: Pat
     assert (receipt["method"], receipt["preset"]) == ("ttt", "compact") and done["verified"]
     assert "compact" in receipt["note"] and "encode" in receipt["seconds"]
     # Untrained, on the lift as networks know it, without sheets: the very file.
-    painter = Painter(local_options=LocalOptions(resurface=False))
+    painter = Painter(settings=EditSettings(local_options=LocalOptions(resurface=False)))
     write(
         here / "split.ply",
         Paint([view], method="lift").apply(Asset(read(here / "ball.ply")), Tools(painter)).splats,

@@ -14,7 +14,7 @@ from PIL import Image
 import splatpainter as sp
 from splatpainter.decals import decal_views
 from splatpainter.decals.decal_placement import picture_up
-from splatpainter.decals.decals import MAX_ROUGH_PX, Decal, parse_width, rough_length_px, text_picture
+from splatpainter.decals.decals import DECALS, Decal, parse_width, rough_length_px, text_picture
 from splatpainter.demo_asset import demo_asset, demo_view
 from splatpainter.lift.masks import dilated
 from splatpainter.painter import Painter
@@ -168,7 +168,7 @@ def test_fog_is_painted_from_the_sides_too(monkeypatch: pytest.MonkeyPatch) -> N
     asset = sp.Painter().encode(surface_shapes.box(4_000))
     decal = Decal(dots(np.zeros((1, 2))), MIDDLE, FRONT, 0.5)
     (front,) = decal.views(asset)
-    monkeypatch.setattr(decal_views, "MIN_CLEAR", 1.01)
+    monkeypatch.setattr(decal_views, "DECAL_VIEWS", replace(decal_views.DECAL_VIEWS, min_clear=1.01))
     *sides, last = decal.views(asset)
     assert np.array_equal(np.asarray(last.image), np.asarray(front.image))
     angles = [np.degrees(np.arccos(side.camera.forward @ front.camera.forward)) for side in sides]
@@ -179,7 +179,7 @@ def test_large_stickers_on_rough_surface_are_averaged_down_words_are_not() -> No
     full = np.full((384, 384, 4), 1.0, np.float32)
     sides = [rough_length_px(Picture(full[..., :3], alpha), 384) for alpha in (None, full[..., 3])]
     assert sides[0] == sides[1]
-    assert 0.95 * MAX_ROUGH_PX < sides[0] ** 2 <= MAX_ROUGH_PX
+    assert 0.95 * DECALS.max_rough_px < sides[0] ** 2 <= DECALS.max_rough_px
     assert rough_length_px(text_picture("PEDESTAL", RED), 384) == 384
     assert rough_length_px(text_picture("PEDESTAL", RED), 200) == 200
 

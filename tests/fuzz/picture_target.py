@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image, PngImagePlugin
-from tests.sources.test_color_profiles import float_tiff
-from tests.sources.test_layered_files import psd
 
 from splatpainter.cameras import Camera, look_at
 from splatpainter.image_files import CAMERA_KEYWORD
 from splatpainter.pictures import edit_from_files
 from splatpainter.pictures.edit_files import camera_from
+from tests.pictures.test_color_profiles import float_tiff
+from tests.pictures.test_layered_files import psd
 
 from .mutations import bend_bytes, bend_integer, bend_json, bend_list, few, json_bytes, maybe
 from .target import Fault, Target, Verdict, refusal

@@ -84,25 +84,25 @@ class ProjectTarget(Target):
             source = path
         path = self.folder / "seed.splatproj"
         with Session(source, path, painter=self.painter, overwrite=True) as session:
-            first = session.add("paint", [dab(0.9)])
-            session.set(first.id, opacity=0.5)
-            session.add("look", parameters={"look": "gain", "gain": [1.1, 1, 0.9]})
-            session.add("paint", [dab(0.2)], blend="color")
+            first = session.layers.add("paint", [dab(0.9)])
+            session.layers.set(first.id, opacity=0.5)
+            session.layers.add("look", parameters={"look": "gain", "gain": [1.1, 1, 0.9]})
+            session.layers.add("paint", [dab(0.2)], blend="color")
             if not asset:
-                session.add("erase", [dab(0.5)])
-            session.duplicate(first.id)
-            session.add_bookmark("front", camera())
+                session.layers.add("erase", [dab(0.5)])
+            session.layers.duplicate(first.id)
+            session.bookmarks.add("front", camera())
             session.undo()
         return path.read_bytes()
 
     def _seed_with_sheets(self) -> bytes:
-        """A project of the lift's own: deltas of version 2, emptied Gaussians, one place painted twice."""
+        """A project of the lift's own: deltas with a base, emptied Gaussians, one place painted twice."""
         path = self.folder / "sheets.splatproj"
         with Session(lift_scenes.sheet(12, degree=1, opacity=0.95), path, painter=Painter.load("lift")) as session:
-            first = session.add("paint", [stripes(0.0)])
-            session.add("paint", [stripes(0.5)], blend="luminosity", opacity=0.5)
-            session.add("erase", [stripes(0.3)])
-            session.set(first.id, opacity=0.7)
+            first = session.layers.add("paint", [stripes(0.0)])
+            session.layers.add("paint", [stripes(0.5)], blend="luminosity", opacity=0.5)
+            session.layers.add("erase", [stripes(0.3)])
+            session.layers.set(first.id, opacity=0.7)
         return path.read_bytes()
 
     def make(self, rng: random.Random) -> dict[str, bytes]:
@@ -149,7 +149,7 @@ class ProjectTarget(Target):
             return
         database.execute(f"UPDATE OR REPLACE {table} SET {columns[k]} = ? WHERE {where}", (fresh, *row))
         if table == "layers" and columns[k] == "content" and isinstance(fresh, str):  # so that it is believed
-            from splatpainter.session.document import digest
+            from splatpainter.session.document.document import digest
 
             database.execute("UPDATE OR REPLACE layers SET sha256 = ? WHERE content = ?", (digest(fresh), fresh))
 
@@ -177,23 +177,23 @@ class ProjectTarget(Target):
             session.undo,
             session.redo,
             session.bookmarks,
-            session.conflicts,
-            session.receipt,
-            session.coverage,
+            session.layers.conflicts,
+            session.files.receipt,
+            session.layers.coverage,
             session.verify,
             session.refresh,
-            lambda: session.set(rng.choice(layers), opacity=0.25),
-            lambda: session.set(rng.choice(layers), visible=False),
-            lambda: session.delete(rng.choice(layers)),
-            lambda: session.duplicate(rng.choice(layers)),
-            lambda: session.move(rng.choice(layers), 0),
-            lambda: session.merge(layers[:2]),
-            lambda: session.jump(rng.randrange(8)),
-            lambda: session.facts(rng.choice(layers)),
-            lambda: session.add("paint", [dab(0.7)]),
-            lambda: session.export(self.folder / "out.ply", overwrite=True),
-            lambda: session.save_copy(self.folder / "copy.splatproj", overwrite=True),
-            lambda: session.export_layer(rng.choice(layers), self.folder / "a.splatlayer", overwrite=True),
+            lambda: session.layers.set(rng.choice(layers), opacity=0.25),
+            lambda: session.layers.set(rng.choice(layers), visible=False),
+            lambda: session.layers.delete(rng.choice(layers)),
+            lambda: session.layers.duplicate(rng.choice(layers)),
+            lambda: session.layers.move(rng.choice(layers), 0),
+            lambda: session.layers.merge(layers[:2]),
+            lambda: session.history.jump(rng.randrange(8)),
+            lambda: session.layers.facts(rng.choice(layers)),
+            lambda: session.layers.add("paint", [dab(0.7)]),
+            lambda: session.files.export(self.folder / "out.ply", overwrite=True),
+            lambda: session.files.save_copy(self.folder / "copy.splatproj", overwrite=True),
+            lambda: session.files.export_layer(rng.choice(layers), self.folder / "a.splatlayer", overwrite=True),
         ]
         for _ in range(4):
             try:

@@ -7,7 +7,7 @@ import pytest
 
 from splatpainter.demo_asset import demo_asset, demo_view
 from splatpainter.holes.body import body_of, body_or_selection
-from splatpainter.session.selection import in_mask
+from splatpainter.session.selection.selection import in_mask
 from splatpainter.splats import SH_C0, Splats
 
 SPACING = 0.05

@@ -182,7 +182,7 @@ def test_bad_input_is_one_line() -> None:
 
 
 def test_a_huge_hole_is_filled_more_coarsely(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(chart, "MAX_SIDE_PX", 60)
+    monkeypatch.setattr(chart, "CHART", replace(chart.CHART, max_side_px=60))
     splats = plate()
     removed = within(splats, (0, 0, 0), 0.6)
     filled = fill_hole(splats, removed=removed)

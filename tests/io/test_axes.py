@@ -18,7 +18,7 @@ from splatpainter.io.formats.spz import write_spz
 from splatpainter.io.write_options import WriteOptions
 from splatpainter.receipts import verify
 from splatpainter.session import Session
-from splatpainter.session.asset_files import write_original
+from splatpainter.session.project.asset_files import write_original
 from splatpainter.splats import Frame, Splats
 from tests.support.cli_scenes import BOX, Capture, ball, paint, run
 from tests.support.io_assets import disagreement, float_columns, random_splats
@@ -316,22 +316,22 @@ def test_a_project_remembers_the_frame_and_what_is_up(tmp_path: Path) -> None:
     before = (tmp_path / "a.spz").read_bytes()
     with Session(tmp_path / "a.spz", tmp_path / "a.splatproj", frame="rub") as session:
         means = session.splats.means.copy()
-        assert session.up == "-y"
-        session.set_up("+z")
+        assert session.scene.up == "-y"
+        session.scene.set_up("+z")
         with pytest.raises(ValueError, match="up: expected one of"):
-            session.set_up("z")
+            session.scene.set_up("z")
         assert len(session.history) == 1
     with Session.load(tmp_path / "a.splatproj") as session:
-        assert session.up == "+z" and np.array_equal(session.splats.means, means)
+        assert session.scene.up == "+z" and np.array_equal(session.splats.means, means)
         assert session.original.source is not None and session.original.source.frame == "rub"
-        _, verification = session.export(tmp_path / "b.spz")
+        _, verification = session.files.export(tmp_path / "b.spz")
         assert verification.ok and verification.same == 100
     assert (tmp_path / "b.spz").read_bytes() == before
 
 
 @pytest.mark.parametrize("embed", [True, False])
-def test_older_projects_keep_the_frame_of_spz_files(embed: bool, tmp_path: Path) -> None:
-    """What did not say its axes was right-up-back then, and no fact says so; projects of today name what they took."""
+def test_projects_keep_the_frame_that_an_spz_file_was_taken_for(embed: bool, tmp_path: Path) -> None:
+    """Files of this format differ and do not say: a project names what it took, whatever readers take them for."""
     import contextlib
     import sqlite3
 
@@ -345,30 +345,30 @@ def test_older_projects_keep_the_frame_of_spz_files(embed: bool, tmp_path: Path)
         assert (file.suffix, frame) == (".spz", "auto") and np.array_equal(io.read(file).means, means)
     with contextlib.closing(sqlite3.connect(tmp_path / "a.splatproj")) as db, db:
         assert db.execute("SELECT value FROM facts WHERE name = 'frame'").fetchall() == [("rdf",)]
-        db.execute("DELETE FROM facts WHERE name = 'frame'")
+        db.execute("UPDATE facts SET value = 'rub' WHERE name = 'frame'")
     with Session.load(tmp_path / "a.splatproj") as session:
         assert np.array_equal(session.splats.means, means * np.array([1, -1, -1], np.float32))
         if embed:
-            file, frame = write_original(tmp_path / "a.splatproj", tmp_path / "old")
+            file, frame = write_original(tmp_path / "a.splatproj", tmp_path / "turned")
             assert (file.suffix, frame) == (".ply", "auto") and np.array_equal(
                 io.read(file).means, session.splats.means
             )
-        _, verification = session.export(tmp_path / "b.spz")
+        _, verification = session.files.export(tmp_path / "b.spz")
         assert verification.ok
     assert (tmp_path / "b.spz").read_bytes() == (tmp_path / "a.spz").read_bytes()
 
 
-def test_files_of_older_projects_have_the_usual_up(tmp_path: Path) -> None:
+def test_a_project_that_says_no_up_has_the_usual_one(tmp_path: Path) -> None:
     import sqlite3
 
     with Session(alone(random_splats(20, 0)), tmp_path / "a.splatproj") as session:
-        assert session.up == "-y"
+        assert session.scene.up == "-y"
     with sqlite3.connect(tmp_path / "a.splatproj") as db:
         assert not db.execute("SELECT value FROM facts WHERE name IN ('up', 'frame')").fetchall()
         db.execute("INSERT INTO facts VALUES ('up', 'sideways')")
     db.close()
     with Session.load(tmp_path / "a.splatproj") as session:
-        assert session.up == "-y"
+        assert session.scene.up == "-y"
 
 
 def test_edit_in_a_chosen_frame(tmp_path: Path, capfd: Capture) -> None:

@@ -244,12 +244,12 @@ def test_info_measures_what_edits_lose_and_all_formats_where_asked(tmp_path: Pat
 
 def test_exports_measure_and_the_receipt_says_it(tmp_path: Path) -> None:
     with Session(scattered_sky(2000, 30)) as session:
-        receipt, proof = session.export(tmp_path / "a.compressed.ply")
+        receipt, proof = session.files.export(tmp_path / "a.compressed.ply")
         assert (
             proof.lost.startswith("positions move by up to") and f"lost in compressed.ply: {proof.lost}" in receipt.note
         )
-        _, proof = session.export(tmp_path / "a.glb")
+        _, proof = session.files.export(tmp_path / "a.glb")
         assert proof.lost == ""
-        session.add_asset(saved(tmp_path / "b.ply", ball(500, degree=0)))
-        receipt, proof = session.export(tmp_path / "both.compressed.ply")
+        session.scene.add(saved(tmp_path / "b.ply", ball(500, degree=0)))
+        receipt, proof = session.files.export(tmp_path / "both.compressed.ply")
         assert proof.lost.startswith("positions move by up to") and proof.lost in receipt.note

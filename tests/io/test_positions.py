@@ -164,7 +164,7 @@ def test_a_session_keeps_the_offset(from_file: bool, tmp_path: Path) -> None:
     splats, truth = far_ball(tmp_path / "far.ply")
     asset = splats if from_file else replace(splats, source=None, origin=None)
     with Session(asset, tmp_path / "a.splatproj", painter=Painter.load("lift")) as session:
-        session.add("paint", [painted_edit(splats, moved_camera(CAMERA, UTM))])
+        session.layers.add("paint", [painted_edit(splats, moved_camera(CAMERA, UTM))])
         edited = session.splats
     with Session.load(tmp_path / "a.splatproj", painter=Painter.load("lift")) as session:
         assert session.original.offset == splats.offset == session.splats.offset
@@ -172,10 +172,10 @@ def test_a_session_keeps_the_offset(from_file: bool, tmp_path: Path) -> None:
         (layer,) = session.layers
         picture = sp.render(session.splats, layer.cameras[0]).colors[0]
         assert abs(picture[48, 48] - (0.1, 0.7, 0.2)).max() < 0.1
-        receipt, proof = session.export(tmp_path / "out.ply")
+        receipt, proof = session.files.export(tmp_path / "out.ply")
         assert proof.ok
         with pytest.raises(ValueError, match="stands alone"):
-            session.add_asset(saved(tmp_path / "other.ply", ball(100)))
+            session.scene.add(saved(tmp_path / "other.ply", ball(100)))
     untouched = np.setdiff1d(np.arange(len(truth)), receipt.touched)
     stored = doubles_of(tmp_path / "out.ply", len(truth))
     assert abs(stored[untouched] - truth[untouched]).max() < 1e-6
@@ -251,6 +251,6 @@ def test_regions_are_in_world_coordinates(tmp_path: Path) -> None:
 def test_a_damaged_offset_of_a_project_is_refused(tmp_path: Path) -> None:
     splats, _ = far_ball(tmp_path / "far.ply", count=50)
     with Session(replace(splats, source=None, origin=None), tmp_path / "a.splatproj") as session:
-        session._project.set_fact("offset", json.dumps([1, 2]))
+        session._core.project.set_fact("offset", json.dumps([1, 2]))
     with pytest.raises(ValueError, match="offset of the original"):
         Session.load(tmp_path / "a.splatproj")

@@ -44,6 +44,14 @@ def test_products_of_other_shapes_are_refused():
             portable.matmul(np.ones(first), np.ones(second))
 
 
+@pytest.mark.filterwarnings("error")
+def test_hypot_of_numbers_whose_squares_overflow():
+    x = np.array([3e30, 3, np.inf, np.nan, 0, -3e38], np.float32)
+    y = np.array([4e30, 4, 1, 1, 0, 1], np.float32)
+    np.testing.assert_allclose(portable.hypot(x, y), [5e30, 5, np.inf, np.nan, 0, 3e38], rtol=1e-6)
+    assert portable.hypot(3e200, 4e200) == pytest.approx(5e200)
+
+
 @pytest.mark.parametrize("size", [1, 5, 10, 36])
 def test_least_squares_are_numpys(size: int):
     rng = np.random.default_rng(1)

@@ -10,7 +10,7 @@ import pytest
 from splatpainter.cameras import Camera
 from splatpainter.lighting import visibility
 from splatpainter.rendering.cpu.projected_view import project
-from splatpainter.session.curvature import bend_degrees
+from splatpainter.session.measures.curvature import bend_degrees
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.unwrap import smoothed, thinned, unwrap

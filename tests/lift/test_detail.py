@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splatpainter.lift.local.detail import DETAIL_WIDTH, REACHES_PX, SMALLEST_PX, detail_layer
+from splatpainter.lift.local.detail import DETAIL, detail_layer
 from splatpainter.lift.local.local_edit import lift_local
 from splatpainter.rendering import render
 from splatpainter.rendering.cpu.projected_view import project
@@ -33,7 +33,7 @@ def test_few_gaussians_follow_an_edge(degrees):
     assert (view.gaussian_ids[layer.parent_entries] < len(splats)).all()
     inner = disk(CAMERA, 48, 48, 18)
     picture = render(splats.append(layer.splats), CAMERA).colors[0]
-    each = detail_layer(splats, view, pixels, target, SMALLEST_PX)
+    each = detail_layer(splats, view, pixels, target, DETAIL.smallest_px)
     assert each is not None and len(each.splats) == pixels.sum()  # one per pixel
     assert db(picture, target, inner) > (24 if degrees % 90 == 0 else 22)
     colors = base_colors(layer.splats)
@@ -47,10 +47,10 @@ def test_gaussians_are_long_along_edges_and_round_where_there_is_one_colour():
     layer = detail_layer(splats, project(splats, CAMERA), disk(CAMERA, 48, 48, 20), target)
     assert layer is not None
     pixel = CAMERA.to_camera(layer.splats.means)[:, 2] / CAMERA.fx
-    long, wide = (np.sort(layer.splats.scales, 1)[:, k] / pixel / DETAIL_WIDTH for k in (2, 1))
+    long, wide = (np.sort(layer.splats.scales, 1)[:, k] / pixel / DETAIL.width for k in (2, 1))
     at_edge = np.abs(CAMERA.to_camera(layer.splats.means)[:, 0] / pixel) < 1
     assert at_edge.any() and (wide[at_edge] < 0.6).all() and np.median(long[at_edge]) > 1.8
-    assert long.max() < 1.1 * max(REACHES_PX) and (wide > 1.9).any()
+    assert long.max() < 1.1 * max(DETAIL.reaches_px) and (wide > 1.9).any()
 
 
 def test_paint_on_a_flat_sheet_is_crisp():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from splatpainter.lift.local.gaussian_merging import MAX_COST, Merged, merge
+from splatpainter.lift.local.gaussian_merging import MERGING, Merged, merge
 from splatpainter.lift.local.split import Lattice, projected_sizes
 from splatpainter.rendering import render
 from splatpainter.splats import Splats
@@ -52,7 +52,7 @@ def test_those_that_want_other_colours_or_lie_apart_stay_two():
     for splats in (pair(second=BLUE), pair(apart=0.4)):
         result = joined(splats)
         assert same_bits(result.splats, splats) and result.source.tolist() == [0, 1]
-    faint = joined(pair(second=BLUE), pixels=MAX_COST)  # hardly a pixel shows them
+    faint = joined(pair(second=BLUE), pixels=MERGING.max_cost)  # hardly a pixel shows them
     assert len(faint.splats) == 1
 
 

@@ -9,15 +9,7 @@ import pytest
 
 from splatpainter.cameras import look_at
 from splatpainter.lift.nearest import nearest_pixels
-from splatpainter.lift.sheets.near_surface import (
-    BESIDE,
-    FAR_BEHIND,
-    FAR_WINDOWS,
-    NORMAL_SIGMAS,
-    SURFACE_WINDOWS,
-    TOUCHES,
-    NearSurface,
-)
+from splatpainter.lift.sheets.near_surface import BESIDE, FAR_BEHIND, NEAR_SURFACE, TOUCHES, NearSurface
 from splatpainter.splats import Splats
 from splatpainter.surface.visible import PixelSurface
 from splatpainter.transforms import quat_to_matrix
@@ -51,8 +43,12 @@ def expected(near: NearSurface, splats: Splats) -> np.ndarray:
     height = ((splats.means - CAMERA.unproject(surface.depth[at], there)) * normal).sum(1)
     axes = quat_to_matrix(splats.quats.astype(np.float64))
     extent = np.linalg.norm(np.einsum("nik,ni->nk", axes, normal) * splats.scales, axis=1)
-    limit = NORMAL_SIGMAS * extent + SURFACE_WINDOWS * surface.windows[at] + 2 * surface.residuals[at]
-    far = height < -limit - FAR_WINDOWS * surface.windows[at]
+    limit = (
+        NEAR_SURFACE.normal_sigmas * extent
+        + NEAR_SURFACE.surface_windows * surface.windows[at]
+        + 2 * surface.residuals[at]
+    )
+    far = height < -limit - NEAR_SURFACE.far_windows * surface.windows[at]
     return np.where(z > 0, np.where(np.abs(height) < limit, TOUCHES, np.where(far, FAR_BEHIND, BESIDE)), BESIDE)
 
 

@@ -13,7 +13,7 @@ from splatpainter.lift.nearest import nearest_pixels
 from splatpainter.lift.options import LOCAL_DEFAULTS, LocalOptions
 from splatpainter.lift.sheets.fringe import FringedSurface, fringe_paint
 from splatpainter.lift.sheets.paint import PaintedView, paint_view
-from splatpainter.lift.sheets.sheet import MAX_CELL_PX, flat_cells
+from splatpainter.lift.sheets.sheet import SHEET, flat_cells
 from splatpainter.lift.sheets.view_limits import paintable
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import Splats
@@ -277,7 +277,7 @@ def test_cells_cover_every_pixel_once_and_are_large_only_where_nothing_changes()
         if size > 1:
             assert min(abs(low_x - 64), abs(low_x + size - 64)) >= size or not 0 < 64 - low_x + size < 3 * size
     np.testing.assert_array_equal(count, covered)
-    assert cells.sizes.max() == MAX_CELL_PX
+    assert cells.sizes.max() == SHEET.max_cell_px
 
 
 def outline_of_a_ball() -> tuple[Splats, np.ndarray, np.ndarray]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from splatpainter.lift.edit_views import edit_views
 from splatpainter.lift.edits import _shown_again, lift_local_views
 from splatpainter.lift.local import patch
 from splatpainter.lift.local.local_edit import LocalLift, lift_local
-from splatpainter.lift.local.patch import SILHOUETTE_MARGIN_PX
+from splatpainter.lift.local.patch import PATCHING
 from splatpainter.lift.masks import dilated
 from splatpainter.lift.options import LocalOptions
 from splatpainter.rendering import render
@@ -37,11 +39,11 @@ def test_no_detail_rows_at_an_outline(monkeypatch: pytest.MonkeyPatch) -> None:
     lifted = lift_local(BALL, FRONT, picture, mask, COARSE)
     beside = render(BALL, FRONT).alphas[0, ..., 0] < 0.5
     y, x = pixels_of(lifted)
-    assert len(x) > 100 and not dilated(beside, SILHOUETTE_MARGIN_PX)[y, x].any()
-    assert dilated(beside, SILHOUETTE_MARGIN_PX + 2)[y, x].any(), "it goes as near as it may"
-    monkeypatch.setattr(patch, "SILHOUETTE_MARGIN_PX", 0)
+    assert len(x) > 100 and not dilated(beside, PATCHING.silhouette_margin_px)[y, x].any()
+    assert dilated(beside, PATCHING.silhouette_margin_px + 2)[y, x].any(), "it goes as near as it may"
+    monkeypatch.setattr(patch, "PATCHING", replace(patch.PATCHING, silhouette_margin_px=0))
     y, x = pixels_of(lift_local(BALL, FRONT, picture, mask, COARSE))
-    assert dilated(beside, SILHOUETTE_MARGIN_PX)[y, x].sum() > 20
+    assert dilated(beside, PATCHING.silhouette_margin_px)[y, x].sum() > 20
 
 
 def pixels_of(lifted: LocalLift) -> tuple[np.ndarray, np.ndarray]:

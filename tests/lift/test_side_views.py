@@ -9,7 +9,7 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.lift.edit_views import EditView, edit_views
 from splatpainter.lift.edits import lift_local_views
-from splatpainter.lift.side_views import MAX_SIDE_PX, side_view_score, side_views
+from splatpainter.lift.side_views import SIDE_VIEWS, side_view_score, side_views
 from splatpainter.splats import Splats
 from splatpainter.voxels.grid import voxelize
 from tests.support.lift_scenes import SH_C0, disk, front, sheet
@@ -83,7 +83,7 @@ def test_side_views_are_small_and_keep_to_the_paint() -> None:
     for mask in (disk(camera, 350, 350, 300), disk(camera, 350, 350, 3)):
         view = edit_views(splats, [camera], [np.zeros((700, 700, 3), np.float32)], [mask])[0]
         pairs = side_views(splats, splats, view)
-        assert len(pairs) == 4 and all(max(pair.image.shape[:2]) <= MAX_SIDE_PX for pair in pairs)
+        assert len(pairs) == 4 and all(max(pair.image.shape[:2]) <= SIDE_VIEWS.max_side_px for pair in pairs)
         assert all(pair.painted.any() and pair.expected.shape == pair.image.shape for pair in pairs)
     tall = np.zeros((700, 700), bool)
     tall[:, 699] = True  # one column at the border: beside the sheet

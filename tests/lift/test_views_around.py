@@ -32,7 +32,7 @@ def changes(splats: Splats, view: EditView, *, directional: bool) -> list[tuple[
     out = []
     for camera, target, use in views_around(splats, [view], directional=directional):
         before = sp.render(splats, camera).colors[0]
-        center = slice(module.VIEW_PX // 2 - 2, module.VIEW_PX // 2 + 2)
+        center = slice(module.VIEWS_AROUND.edge_px // 2 - 2, module.VIEWS_AROUND.edge_px // 2 + 2)
         middle = (center, center)
         assert (use[middle] > 0).all()
         cosine = camera.position[2] / np.linalg.norm(camera.position)

@@ -109,7 +109,7 @@ def test_sizes_change_fast_only_where_gaussians_are_badly_placed(asset, monkeypa
     pairs = ((asset, before + stripes), (asset, 0.7 * before), (crooked, picture(detailed, camera)))
     for splats, edited in pairs:
         lift_wide(splats, edit_views(splats, [camera], [edited], [np.ones((PX, PX), bool)]), LOCAL_DEFAULTS)
-    assert rates == pytest.approx([wide_edit.RATE_SCALES[0]] * 2 + [wide_edit.RATE_SCALES[1]])
+    assert rates == pytest.approx([wide_edit.WIDE_EDITS.rate_scales[0]] * 2 + [wide_edit.WIDE_EDITS.rate_scales[1]])
 
 
 def test_gaussians_stay_where_moving_explains_nothing(asset, views) -> None:
@@ -226,7 +226,7 @@ def test_strong_detail_of_fine_gaussians_is_no_new_paint(monkeypatch) -> None:
     for edited, is_detail in ((stripes, True), (before[..., [1, 2, 0]], False)):
         calls.clear()
         view = edit_views(splats, [camera], [edited], [np.ones((PX, PX), bool)])[0]
-        assert median_change(edited, before, np.asarray(view.alpha)) > edits_module.MIN_REPAINTED
+        assert median_change(edited, before, np.asarray(view.alpha)) > edits_module.EDITS.min_repainted
         edits_module.lift_local_views(splats, grid, [view], "lift", features=False, surface=Surface.of(splats))
         assert bool(calls) == is_detail
 

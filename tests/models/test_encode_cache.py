@@ -16,7 +16,7 @@ from splatpainter.models import cache
 from splatpainter.models.cache import cache_folder, digest, encode_cached, encode_half
 from splatpainter.models.config import ModelConfig
 from splatpainter.models.encode import Encoded
-from splatpainter.painter import Painter
+from splatpainter.painter import EditSettings, Painter
 from splatpainter.splats import ATTRIBUTES, Splats
 from tests.support.lift_scenes import same_bits
 from tests.support.painter_scenes import ASSET_BASE, COPY, RED, built, dab, thing
@@ -169,13 +169,17 @@ def test_the_folder_is_the_platforms(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_painter_uses_it_only_if_told(folder: Path, count: list[int]) -> None:
     model = built(awake=0.05)
     results = []
-    for painter in (Painter(model=model), Painter(model=model, cache=True), Painter(model=model, cache=True)):
+    for painter in (
+        Painter(model=model),
+        Painter(model=model, settings=EditSettings(cache=True)),
+        Painter(model=model, settings=EditSettings(cache=True)),
+    ):
         asset = painter.encode(SPLATS)
         results.append(painter.apply(asset, [dab(SPLATS, RED)]))
-        assert folder.exists() == painter.cache
+        assert folder.exists() == painter.settings.cache
     assert all(same_bits(result.splats, results[0].splats) for result in results) and len(count) == 2
     assert all(getattr(results[0].splats, name).dtype == np.float32 for name in ATTRIBUTES)
     # Where the network is not asked, nothing is encoded.
-    painter = Painter(model=model, cache=True)
+    painter = Painter(model=model, settings=EditSettings(cache=True))
     assert painter.apply(painter.encode(SPLATS, "lift"), [dab(SPLATS, RED)], method="lift").encoding is None
     assert len(count) == 2

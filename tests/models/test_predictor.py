@@ -18,7 +18,8 @@ from splatpainter.models.gaussian_facts import FACTS, gaussian_facts
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.models.predictor import Predictor
 from splatpainter.models.stored_predictor import predicting
-from splatpainter.painter import Edit, Painter
+from splatpainter.painter import Edit, EditSettings, Painter
+from splatpainter.painting.networks import Networks
 from splatpainter.splats import Splats
 from tests.lift.test_global import BACK, FRONT, SIDE, ball, covered, draw, regraded
 from tests.support.model_scenes import TINY
@@ -203,7 +204,9 @@ def test_the_painter_asks_the_models_predictor_for_global_edits_alone() -> None:
     for mode in ("global", "local"):
         made = {}
         for name, painter in {
-            "lift": Painter(local_options=replace(LOCAL_DEFAULTS, resurface=False)),  # as networks know it
+            "lift": Painter(
+                settings=EditSettings(local_options=replace(LOCAL_DEFAULTS, resurface=False))
+            ),  # as networks know it
             "silent": Painter(model=silent),
             "speaking": Painter(model=speaking),
         }.items():
@@ -229,7 +232,7 @@ def test_alone_it_needs_no_encoding(monkeypatch: pytest.MonkeyPatch) -> None:
     expected = with_stage_two.apply(with_stage_two.encode(splats), [change], mode="global", method="ttt")
     painter = Painter(model=alone)
     assert not painter.encodes("ttt", "global") and painter.encodes("ttt", "local")
-    monkeypatch.setattr(Painter, "_encoded", None)  # whoever encodes fails
+    monkeypatch.setattr(Networks, "encode", None)  # whoever encodes fails
     asset = painter.encode(splats, "ttt", ["global"])
     made = painter.apply(asset, [change], mode="global", method="ttt")
     # Stage II is untrained, so it adds nothing.

@@ -14,7 +14,7 @@ from splatpainter.models.image_tokens import tokenize
 from splatpainter.models.lrm import patchify
 from splatpainter.nn import precision as rule
 from splatpainter.nn.precision import VARIABLE, autocast, exact, resolve, setting
-from splatpainter.painter import Painter
+from splatpainter.painter import EditSettings, Painter
 from splatpainter.rendering import render
 from splatpainter.splats import ATTRIBUTES
 from splattrain.build import make_task
@@ -62,7 +62,7 @@ def test_another_word_is_one_line_that_says_where(monkeypatch: pytest.MonkeyPatc
             call()
     with pytest.raises(ValueError, match=line):  # not a bad sample, once per sample
         make_task(RECIPE, model(), None, lambda line: None)
-    assert Painter.load("lift", precision="float32").precision == "float32"
+    assert Painter.load("lift", precision="float32").settings.precision == "float32"
 
 
 def test_the_context_rounds_products_or_does_not() -> None:
@@ -171,7 +171,7 @@ def test_painters_of_both_keep_their_encodings_apart_and_the_receipt_says_which(
     splats, net, results = thing(), built(LIFT, awake=0.05), {}
     for word in ("float32", "bfloat16"):
         monkeypatch.setenv(VARIABLE, "bfloat16" if word == "float32" else "float32")  # the caller comes first
-        painter = Painter(model=net, cache=True, precision=word)
+        painter = Painter(model=net, settings=EditSettings(cache=True, precision=word))
         results[word] = painter.apply(painter.encode(splats), [dab(splats, RED)])
         assert results[word].receipt.precision == word
         assert f'"precision": "{word}"' in results[word].receipt.to_json()

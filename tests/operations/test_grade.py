@@ -21,7 +21,7 @@ from splatpainter.painter import Edit, Painter
 from splatpainter.pictures.picture_reader import Picture
 from splatpainter.rendering import render
 from splatpainter.session import Session
-from splatpainter.session.selection import moved_ids
+from splatpainter.session.selection.selection import moved_ids
 from splatpainter.splats import SH_C0, Splats
 from tests.support.cli_scenes import ball, with_bad_gaussians
 
@@ -263,10 +263,10 @@ def test_what_a_project_selects_and_paints(tmp_path: Path) -> None:
     picture[mask] = (0.1, 0.9, 0.1)
     project = tmp_path / "p.splatproj"
     with Session(splats, project, painter=Painter()) as session:
-        session.save_selection("left half", chosen)
-        layer = session.add("paint", [Edit(picture, camera, mask)], name="logo")
-        edited, touched = session.splats, session.painted("logo")
-        assert np.array_equal(session.painted(layer.id), touched)
+        session.selections.save("left half", chosen)
+        layer = session.layers.add("paint", [Edit(picture, camera, mask)], name="logo")
+        edited, touched = session.splats, session.layers.painted("logo")
+        assert np.array_equal(session.layers.painted(layer.id), touched)
     weights = Region.parse([f"selection=left half@{project}"]).weights(edited)
     there = np.setdiff1d(np.arange(len(splats)), moved_ids(edited, splats))
     assert np.array_equal(weights[there], chosen[there])

@@ -14,7 +14,7 @@ from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.image_files import to_uint8, write_png
 from splatpainter.painter import Painter
 from splatpainter.pictures import edit_from_files
-from splatpainter.pictures.larger_views import MAX_LARGER_PX, larger_view
+from splatpainter.pictures.larger_views import LARGER, larger_view
 from splatpainter.rendering import render
 from splatpainter.splats import SH_C0, Splats
 from tests.support.cli_scenes import ball
@@ -119,7 +119,7 @@ def test_which_pictures_are_larger_views(camera: Camera) -> None:
         ((1280, 720), (1280, 720)),
         ((1000, 562), (1000, 562)),
         ((1000, 563), (1000, 563)),
-        ((8000, 4500), (MAX_LARGER_PX, 2304)),
+        ((8000, 4500), (LARGER.max_larger_px, 2304)),
     ):
         larger = larger_view(other, *size)
         assert (None if larger is None else (larger.width, larger.height)) == expected, size

@@ -6,9 +6,11 @@ import gc
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
+from splatpainter.rendering import render
 from splatpainter.rendering.cpu.projected_view import project
-from splatpainter.rendering.cpu.recent_views import note_view, recent_view
+from splatpainter.rendering.cpu.recent_views import drawn_view, note_view, recent_view
 from splatpainter.rendering.partial import PartialRender
 from tests.support.render_scenes import cameras, scene
 
@@ -48,3 +50,26 @@ def test_a_partial_render_of_a_view_at_hand_has_the_same_bits_before_and_after_a
     for one, two in pairs:
         for name in ("tiles", "colors", "alphas", "depths"):
             np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
+
+
+def test_a_drawn_view_is_what_render_shows_and_is_drawn_once_while_it_is_held():
+    splats, camera = scene(60, 2, 1, dtype=np.float32), replace(cameras(50, 34)[0], background=(0.2, 0.4, 0.6))
+    held = drawn_view(splats, camera)
+    anew = render(splats, camera)
+    for one, two in ((held.colors, anew.colors), (held.alphas, anew.alphas), (held.depths, anew.depths)):
+        np.testing.assert_array_equal(one, two[0].reshape(one.shape))
+        assert not one.flags.writeable
+    assert drawn_view(replace(splats), replace(camera)) is held
+    assert drawn_view(replace(splats, sh=splats.sh.copy()), camera) is not held
+    whole = PartialRender.of(splats, camera)
+    assert whole.view is held.view and whole.colors is held.colors
+    view = held.view
+    del held, whole
+    gc.collect()
+    assert drawn_view(splats, camera).view is view
+    del view
+    gc.collect()
+    assert recent_view(splats, camera) is None
+    assert PartialRender.of(splats, camera).view is None
+    with pytest.raises(ValueError, match="expected views of 1 to"):
+        drawn_view(splats, replace(camera, width=9000))

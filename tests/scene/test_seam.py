@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from splatpainter.color import base_color, linear_to_srgb, sh_from_color, srgb_to_linear
-from splatpainter.scene.seam import MIN_PAIRS, SeamMatch, light_sh, match_seam, seam_weights
+from splatpainter.scene.seam import SEAM, SeamMatch, light_sh, match_seam, seam_weights
 from splatpainter.splats import Splats
 from tests.support.lift_scenes import same_bits, sheet
 
@@ -38,7 +38,7 @@ def test_another_exposure_is_taken_back() -> None:
     left, right = halves()
     darker = recolored(right, GAIN, OFFSET)
     match = match_seam(darker, left)
-    assert match.pairs >= MIN_PAIRS
+    assert match.pairs >= SEAM.min_pairs
     matched = match.apply(darker, left)
     assert error(darker, right) > 0.07
     assert error(matched, right) < 0.25 * error(darker, right)

@@ -80,7 +80,7 @@ def test_a_picture_becomes_a_layer_as_in_python(studio: Live) -> None:
     from splatpainter.painter import Edit
 
     stored = np.asarray(Image.open(io.BytesIO(png_bytes(image)))).astype(np.float32) / 255
-    script_session.add("picture", [Edit(stored, camera, mask)])
+    script_session.layers.add("picture", [Edit(stored, camera, mask)])
     assert rows_sha256(script_session.splats) == rows_sha256(session.splats)
     script_session.close()
     layer = made["layer"]
@@ -342,7 +342,7 @@ def test_the_time_of_the_last_edit_is_not_that_of_opening(tmp_path: Path) -> Non
     projects = Projects(tmp_path)
     for name in ("one", "two"):
         with Session(ball(50), projects.fresh(name)) as session:
-            session.new_layer(name)
+            session.layers.new(name)
     times = {project.name: project.changed for project in projects.recent()}
     one = next(project for project in projects.recent() if project.name == "one")
     with Session.load(one.path):
@@ -362,7 +362,7 @@ def test_turning_an_asset_over_is_kept(studio: Live, tmp_path: Path) -> None:
     assert asset["up"] == [0, -1, 0] and asset["frame_stated"] and asset["frame"] == ""
     write(tmp_path / "shared" / "other.ply", ball(100, seed=5))
     studio.post("asset.open", file="other.ply")
-    assert studio.post("asset.up", up="+y")["python"] == "session.set_up('+y')"
+    assert studio.post("asset.up", up="+y")["python"] == "session.scene.set_up('+y')"
     turned = studio.http.get("/api/state").json()["asset"]
     assert turned["up"] == [0, 1, 0] and turned["frame"].startswith("right-down-front")
     down, eye = np.array(turned["home"]["world_to_camera"])[1, :3], turned["home"]["world_to_camera"][2][3]

@@ -24,9 +24,9 @@ from splatpainter.commands.batch import run as run_batch
 from splatpainter.io import read, write
 from splatpainter.rendering import render
 from splatpainter.scene.placement import Placement
+from splatpainter.server.batches import batch_runs as batches
 from splatpainter.server.batches.batch_folder import BatchFolder
 from splatpainter.server.batches.batch_runs import Batches
-from splatpainter.server.batches.batch_runs import batch_runs as batches
 from splatpainter.server.uploads.image_registration import png_bytes
 from splatpainter.session import Session
 from splatpainter.yamlio import read as read_yaml
@@ -129,8 +129,8 @@ def test_layers_on_other_assets_by_the_real_program_cancelled_on_the_way(
     assert verify.run(verify.Config(original, result)).code == 0
     alone = Session(original)
     exported = tmp_path / "stripe.splatlayer"
-    studio.studio.session.export_layer(studio.studio.session.layers[0].id, exported)
-    alone.import_layer(exported)
+    studio.studio.session.files.export_layer(studio.studio.session.layers[0].id, exported)
+    alone.files.import_layer(exported)
     assert np.array_equal(alone.splats.sh, read(result).sh), "as the layer on that asset by hand"
     alone.close()
 
@@ -173,7 +173,7 @@ def test_variants_are_planned_as_a_file_that_the_command_reads(studio: Live, tmp
         for variant in written.variants[1:3]:
             (term,) = variant.edits[1].step.where
             name = term.removeprefix("selection=").removesuffix("@project.splatproj")
-            assert session.selection(name).mean() > 0.9, "kept under a name that --where can say"
+            assert session.selections.load(name).mean() > 0.9, "kept under a name that --where can say"
     assert np.array_equal(read(folder / "assets" / "ball.ply").means, ball().means)
 
 
@@ -215,7 +215,7 @@ def test_assets_of_recent_projects_stand_as_they_do_there(tmp_path: Path) -> Non
     turned = read(tmp_path / "y-up.ply", frame="rub")
     for name, splats in (("up_1", turned), ("rows_1", ball(50, 3))):
         with Session(splats, studio.projects.root / f"{name}.splatproj") as session:
-            session.add("look", parameters={"look": "grade", "exposure": 0.5})
+            session.layers.add("look", parameters={"look": "grade", "exposure": 0.5})
     with live(studio) as served:
         paint(served)
         recents = {entry["name"]: entry["id"] for entry in served.post("project.recent")["recent"]}
@@ -237,9 +237,9 @@ def test_of_several_assets_the_chosen_one_makes_batches(studio: Live, tmp_path: 
     """Its layers go onto others, and its variants are of its own file; a layer of another asset stays out."""
     session, data = studio.studio.session, splat_bytes(tmp_path, 3)
     rug = studio.post("scene.add", blob=studio.send(data, "rug.ply"))["asset"]
-    session.set_asset(rug, placement=Placement.of(move=(0, 9, 0), scale=2))
-    bright = session.add("look", parameters={"look": "grade", "exposure": 1.0}, name="bright", asset=rug)
-    session.add("look", parameters={"look": "grade", "saturation": -1.0}, name="grey", asset="")
+    session.scene.set(rug, placement=Placement.of(move=(0, 9, 0), scale=2))
+    bright = session.layers.add("look", parameters={"look": "grade", "exposure": 1.0}, name="bright", asset=rug)
+    session.layers.add("look", parameters={"look": "grade", "saturation": -1.0}, name="grey", asset="")
     other = [{"blob": studio.send(splat_bytes(tmp_path, 4), "mat.ply")}]
     line = refusal(studio, "batch.plan", assets=other)
     assert line == "batch: several assets are open (asset, rug.ply); choose the one that is meant"
@@ -254,16 +254,16 @@ def test_of_several_assets_the_chosen_one_makes_batches(studio: Live, tmp_path: 
 
     (mat,) = made(assets=other)
     with Session(tmp_path / "asset4.ply") as alone:
-        alone.add("look", parameters={"look": "grade", "exposure": 1.0})
+        alone.layers.add("look", parameters={"look": "grade", "exposure": 1.0})
         assert np.array_equal(read(mat).sh, alone.splats.sh)
     unnamed = mat.parents[1] / "unnamed.yaml"
     text = (mat.parents[1] / "batch.yaml").read_text().replace('"asset": "2"', '"asset": ""')
     unnamed.write_text(text.replace('"out": "out"', '"out": "unnamed"'))
     assert "expected asset to be one of 'asset', 'rug.ply', got ''" in run_batch(BatchConfig(unnamed)).lines[1]
-    session.save_selection("all", np.ones(len(session.splats), np.float32))
+    session.selections.save("all", np.ones(len(session.splats), np.float32))
     rows: list[dict[str, Any]] = [{"name": "plain"}, {"name": "red", "transfer": RED, "on": "selection", "of": "all"}]
     plain, red = made(variants=rows)
-    assert plain.name == "rug-plain.ply" and np.array_equal(read(plain).sh, session.asset_splats(rug).sh)
+    assert plain.name == "rug-plain.ply" and np.array_equal(read(plain).sh, session.scene.splats_of(rug).sh)
     assert (read(red).sh[:, 0, 0] > read(red).sh[:, 0, 2]).all() and np.array_equal(read(red).means, read(plain).means)
     studio.post("layer.set", layer=bright.id, visible=False)
     assert "no visible layer of rug.ply to put" in refusal(studio, "batch.plan", assets=other, asset=rug)

@@ -433,10 +433,10 @@ def test_one_click_turns_the_asset_over(opened: tuple[studio_scenes.Live, Page])
     button = page.tab.get_by_role("button", name="Upside down?")
     button.click()
     page.wait("+y above", lambda: down() < -0.9)
-    assert page.state()["asset"]["up"] == [0, 1, 0] and live.studio.session.up == "+y"
+    assert page.state()["asset"]["up"] == [0, 1, 0] and live.studio.session.scene.up == "+y"
     assert live.studio.session.splats is before and len(page.state()["history"]) == 1
     page.open()
     page.wait("+y above, still", lambda: down() < -0.9)
     button.click()
     page.wait("-y above again", lambda: down() > 0.9)
-    assert live.studio.session.up == "-y"
+    assert live.studio.session.scene.up == "-y"

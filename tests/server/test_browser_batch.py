@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from splatpainter.io import write
-from splatpainter.server.batches.batch_runs import batch_runs as batches
+from splatpainter.server.batches import batch_runs as batches
 from tests.support import fake_batch, studio_scenes
 from tests.support.studio_pages import PATIENCE, Page, opened_page
 

@@ -66,7 +66,11 @@ def test_every_format_says_its_size_before_it_is_written(opened: tuple[studio_sc
     least = float(re.search(r"about ([\d.]+) kB", row.inner_text()).group(1))  # type: ignore[union-attr]
     assert abs(1e3 * least - len(data)) <= 0.08 * len(data) + 500 and least < estimates["SPZ"]
     line = page.tab.locator(".python code").inner_text()
-    assert line == f"session.export('{file}', options=sp.WriteOptions(sh_degree=0, spz_version=4))"
+    assert line == f"session.files.export('{file}', options=sp.WriteOptions(sh_degree=0, spz_version=4))"
+    page.tab.locator(".formats label", has=page.tab.get_by_text("PLY", exact=True)).click()
+    dialog.get_by_label("Axes").select_option(label="y up, z back (OpenGL, three.js)")
+    file, data = downloaded(page, "Export")
+    assert "axes='rub'" in page.tab.locator(".python code").inner_text() and data.startswith(b"ply")
 
 
 def test_a_film_of_the_chosen_size_and_background(opened: tuple[studio_scenes.Live, Page]) -> None:

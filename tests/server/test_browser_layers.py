@@ -178,7 +178,7 @@ def test_words_and_stickers_are_changed_after_they_were_applied(opened: tuple[st
     placed = page.state()["layers"][1]["placed"]
     assert placed["x"] > 1.05 * page.camera()["width"] / 2
     assert placed["unit"] > 0 and placed["view"]["width"] == page.camera()["width"]
-    assert live.studio.session.blob(placed["image"])[:4] == b"\x89PNG"
+    assert live.studio.session.files.blob(placed["image"])[:4] == b"\x89PNG"
 
 
 def test_the_panel_shows_at_once_what_was_asked_and_says_what_was_refused(
@@ -199,7 +199,7 @@ def test_the_panel_shows_at_once_what_was_asked_and_says_what_was_refused(
     def visible() -> list[bool]:
         return [layer["visible"] for layer in page.state()["layers"]]
 
-    with live.studio.session._commands:  # the server is busy
+    with live.studio.session._core.lock:  # the server is busy
         page.tab.get_by_role("button", name="Hide Paint 2").click()
         page.tab.get_by_role("button", name="Show Paint 2").wait_for()
         page.tab.get_by_label("Blend").select_option("color")

@@ -131,7 +131,7 @@ def test_sides_by_the_number_pad_and_the_axes(opened: tuple[studio_scenes.Live, 
     before = page.state()["asset"]["home"]
     page.tab.get_by_role("button", name="This side is the front").click()
     page.wait("the front", lambda: page.state()["asset"]["home"] != before)
-    assert live.studio.session.oriented
+    assert live.studio.session.scene.is_oriented
     keys.press("Numpad3")
     page.wait("its right side", lambda: abs(forward()[0]) < 1e-6)
     page.open()

@@ -80,7 +80,7 @@ def test_a_selection_follows_the_asset_and_limits_strokes_from_every_side(
     page.settled()
     layer = live.studio.session.layers[0]
     (view,) = layer.strokes[0].views if layer.strokes else layer.views
-    mask = live.studio.session._replay.main.mask(view)
+    mask = live.studio.session._core.replay.main.mask(view)
     grown = around[:: around.shape[0] // mask.shape[0], :: around.shape[1] // mask.shape[1]][: mask.shape[0]]
     left = columns.min() / around.shape[1]
     right = columns.max() / around.shape[1]

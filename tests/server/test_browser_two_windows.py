@@ -71,7 +71,7 @@ def test_two_windows_paint_in_turn_and_at_once(windows: tuple[studio_scenes.Live
     np.testing.assert_array_equal(one.pixels(), two.pixels())
     exported = [exported_asset(page) for page in (one, two)]
     assert exported[0] == exported[1]
-    live.studio.session.export(tmp_path / "session.ply")
+    live.studio.session.files.export(tmp_path / "session.ply")
     assert exported[0] == (tmp_path / "session.ply").read_bytes()
     assert live.studio.session.verify() == []
 

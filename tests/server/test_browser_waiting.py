@@ -98,9 +98,57 @@ def test_strokes_drawn_after_the_server_died_go_into_their_project(killed: tuple
     page.wait("the last one taken back", lambda: strokes(page) == [3])
 
 
+def reload(server: Server, page: Page) -> None:
+    """Load the page again, without a question whether to leave it."""
+    asked: list[str] = []
+    page.tab.on("dialog", lambda dialog: (asked.append(dialog.type), dialog.accept()))
+    page.tab.goto(server.url)
+    page.wait("the page", lambda: page.ask("!!window.studio?.state.value"))
+    assert asked == [], "what is drawn outlives the reload"
+
+
 @posix_only
 @pytest.mark.slow
-def test_a_stroke_whose_answer_was_lost_is_painted_once(killed: tuple[Server, Page]) -> None:
+def test_strokes_that_wait_survive_a_reload_of_the_page(killed: tuple[Server, Page]) -> None:
+    """They are kept by the browser, named by the question, and go into their own project, in their order."""
+    server, page = killed
+    project = page.state()["project"]["id"]
+    kill(server, page)
+    page.drag((0.42, 0.55), (0.5, 0.55))
+    page.drag((0.42, 0.65), (0.5, 0.65))
+    page.wait("them in the browser", lambda: page.ask(KEPT) == [["Brush", "Paint"], ["Brush", "Paint"]])
+    server.start()
+    reload(server, page)
+    question = page.tab.get_by_role("alert").filter(has_text="The studio was started again")
+    question.wait_for()
+    words = question.inner_text()
+    assert "You were in ball.ply (1 layer" in words and "2 strokes drawn since wait to go into it" in words, words
+    assert page.state()["project"]["id"] != project and page.names() == []
+    question.get_by_role("button", name="Continue").click()
+    page.wait("both strokes", lambda: page.state()["project"]["id"] == project and strokes(page) == [3])
+    page.settled()
+    page.wait("nothing kept any more", lambda: page.ask(KEPT) == [])
+    reload(server, page)
+    page.settled()
+    assert strokes(page) == [3] and page.tab.get_by_role("alert").count() == 0
+
+
+KEPT = """async () => {
+  const opened = indexedDB.open("splatpainter", 1);
+  const store = () => opened.result.transaction("strokes").objectStore("strokes").getAll();
+  const waited = (request) => new Promise((resolve) => (request.onsuccess = () => resolve(request.result)));
+  await waited(opened);
+  const strokes = await waited(store());
+  const layer = (id) => window.studio.state.value.layers.find((one) => one.id === id)?.name;
+  return strokes.map(({ name, target }) => [name, target.into_new ?? layer(target.layer)]);
+}"""
+"""Names of the strokes that the browser keeps, each with that of its layer."""
+
+
+@posix_only
+@pytest.mark.slow
+@pytest.mark.parametrize("reloaded", [False, True])
+def test_a_stroke_whose_answer_was_lost_is_painted_once(killed: tuple[Server, Page], reloaded: bool) -> None:
     """The commit reached the disk, the answer did not reach the page."""
     server, page = killed
     page.ask("""() => {
@@ -123,7 +171,11 @@ def test_a_stroke_whose_answer_was_lost_is_painted_once(killed: tuple[Server, Pa
 
     page.wait("it in the file", saved)
     kill(server, page)
+    if reloaded:
+        page.wait("it in the browser", lambda: page.ask(KEPT) == [["Brush", "Paint"]])
     server.start()
+    if reloaded:
+        reload(server, page)
     page.tab.get_by_role("button", name="Continue").click()
     page.wait("its project", lambda: page.names() == ["Paint"])
     page.settled()

@@ -4,6 +4,7 @@ files; and what is wrong with them."""
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +37,7 @@ def base(sh: np.ndarray) -> np.ndarray:
 def test_each_kind_is_previewed_committed_and_the_same_as_on_the_command_line(
     studio: Live, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(color_match, "VIEW_COUNT", 3)
+    monkeypatch.setattr(color_match, "MATCHING", replace(color_match.MATCHING, views=3))
     original = studio.studio.session.original
     red = np.zeros((8, 8, 3), np.float32) + np.array([0.8, 0.2, 0.1], np.float32)
     red[::2] *= 0.7
@@ -57,7 +58,7 @@ def test_each_kind_is_previewed_committed_and_the_same_as_on_the_command_line(
             expected = grade(original, look, strength=transfer.get("strength", 1.0)).splats
             assert np.allclose(studio.studio.session.splats.sh, expected.sh, atol=1e-5)
             path = tmp_path / f"{transfer['kind']}.splatlayer"
-            studio.studio.session.export_layer(made["id"], path)
+            studio.studio.session.files.export_layer(made["id"], path)
             again = grade(original, read_look(path)).splats
             assert np.allclose(again.sh, expected.sh, atol=1e-5)
             browser.do("undo")
@@ -75,7 +76,7 @@ def test_a_lut_outlives_the_studio_and_keeps_to_what_is_selected(studio: Live, t
     inverted = np.abs(base(sh) - (1 - base(session.original.sh))).max(1) < 0.01
     same = (sh == session.original.sh).all((1, 2))
     assert inverted[weights > 0].all() and same[weights == 0].all()
-    session.save_copy(tmp_path / "copy.splatproj")
+    session.files.save_copy(tmp_path / "copy.splatproj")
     with Session.load(tmp_path / "copy.splatproj") as loaded:
         assert np.array_equal(loaded.splats.sh, sh) and loaded.verify(repaint=True) == []
 
@@ -98,7 +99,7 @@ def test_what_is_wrong_is_said_in_one_line(studio: Live) -> None:
     )
     assert "either sliders or colours" in both.text
     assert studio.post("look.preview")["gaussians"] == 0  # ends a preview
-    assert studio.studio.session.layers == ()
+    assert list(studio.studio.session.layers) == []
 
 
 def test_parameters_and_tables_of_strangers_are_judged() -> None:

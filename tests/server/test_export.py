@@ -14,6 +14,7 @@ from PIL import Image
 
 from splatpainter import image_files
 from splatpainter.image_files import find_alpha, find_camera, read_deep
+from splatpainter.io import read
 from splatpainter.painter import Edit
 from splatpainter.rendering import render
 from splatpainter.server.commands import picture_check, viewing
@@ -49,7 +50,7 @@ def test_a_large_transparent_view_with_its_passes_is_one_zip(studio: Live, tmp_p
     made = studio.post("view.export", camera=wire(view()), **fields)
     assert made["name"] == "big.zip"
     assert made["python"] == (
-        "session.export_view('big.png', camera, bits=16, transparent='straight', "
+        "session.files.export_view('big.png', camera, bits=16, transparent='straight', "
         "aovs=['alpha', 'depth', 'normal', 'gaussian-ids', 'coverage'])"
     )
     bundle = zipfile.ZipFile(io.BytesIO(studio.http.get(made["url"]).content))
@@ -91,7 +92,7 @@ def test_a_plain_view_is_what_it_was(studio: Live) -> None:
     assert data == studio.http.get(f"/api/blobs/{made['picture']}").content and made["name"] == "view.png"
     pixels = np.asarray(Image.open(io.BytesIO(data)))
     assert np.abs(pixels / 255 - np.clip(render(ball(), view()).colors[0], 0, 1)).max() <= 0.51 / 255
-    assert made["python"] == "session.export_view('view.png', camera)"
+    assert made["python"] == "session.files.export_view('view.png', camera)"
 
 
 @deep
@@ -147,14 +148,28 @@ def test_a_session_exports_its_view(tmp_path: Path) -> None:
         mask = np.zeros((96, 96), bool)
         mask[40:56, 40:56] = True
         image = np.where(mask[..., None], (0.9, 0.1, 0.1), render(ball(), view()).colors[0]).astype(np.float32)
-        session.add("paint", [Edit(image, view(), mask)])
-        made = session.export_view(tmp_path / "v.png", view(), aovs=("depth", "coverage"), transparent="straight")
+        session.layers.add("paint", [Edit(image, view(), mask)])
+        made = session.files.export_view(tmp_path / "v.png", view(), aovs=("depth", "coverage"), transparent="straight")
         assert [path.name for path in made] == ["v.png", "v.depth.png", "v.coverage.png", "v.json"]
         with Image.open(made[2]) as picture:
             assert np.asarray(picture)[46:50, 46:50, 1].min() > 150
         assert json.loads(made[3].read_text())["aov"]["coverage"]["file"] == "v.coverage.png"
         with pytest.raises(ValueError, match="v.png: already exists"):
-            session.export_view(tmp_path / "v.png", view())
+            session.files.export_view(tmp_path / "v.png", view())
         with pytest.raises(ValueError, match="ending in .png or .exr"):
-            session.export_view(tmp_path / "v.jpg", view())
-        session.export_view(tmp_path / "v.png", view(), overwrite=True)
+            session.files.export_view(tmp_path / "v.jpg", view())
+        session.files.export_view(tmp_path / "v.png", view(), overwrite=True)
+
+
+@pytest.mark.parametrize("ending", [".ply", ".splat", ".spz"])
+def test_an_asset_is_written_in_the_axes_that_are_asked_for(studio: Live, tmp_path: Path, ending: str) -> None:
+    made = {axes: studio.post("export", file=f"{axes}{ending}", axes=axes) for axes in ("auto", "rub")}
+    assert "axes=" not in made["auto"]["python"] and "axes='rub'" in made["rub"]["python"]
+    means = {}
+    for axes, answer in made.items():
+        path = tmp_path / answer["file"]
+        path.write_bytes(studio.http.get(answer["url"]).content)
+        means[axes] = read(path, frame="rdf").means  # the file's numbers as they are, whatever they mean
+    assert np.abs(means["auto"]).max(axis=0).min() > 0.1
+    np.testing.assert_allclose(means["rub"] * (1, -1, -1), means["auto"], atol=1e-6)
+    assert studio.http.get(made["rub"]["receipt_url"]).status_code == 200, "proved as it was written"

@@ -72,3 +72,22 @@ def test_what_looks_wrong_is_said_when_it_is_opened(tmp_path: Path) -> None:
     with live(make_studio(tmp_path, splat_io.read(tmp_path / "far.spz"))) as studio:
         (line,) = studio.studio.state.asset.doubts
     assert "rounded when the file was written" in line
+
+
+def test_the_page_moves_a_second_tile_by_what_it_shows(studio: Live, tmp_path: Path) -> None:
+    """Places that the page sees and sends are beside the offset of the asset that was opened; the project's, and
+    Python's, are of the world."""
+    site = (UTM[0] + 2.5, UTM[1], UTM[2])
+    positions = far_ply(tmp_path / "east.ply", ball(), site)
+    blob = studio.send((tmp_path / "east.ply").read_bytes(), "east.ply")
+    with studio.greeted() as browser:
+        added = browser.do("scene.add", blob=blob)["asset"]
+        apart = np.array(studio.studio.session.scene.original_of(added).offset) - np.array(UTM)
+        browser.do("scene.set", asset=added, move=(apart + (0.5, 0, 0.25)).tolist(), turn=[0, 0, 0])
+        info = studio.http.get("/api/state").json()["assets"][1]
+    np.testing.assert_allclose(info["move"], apart + (0.5, 0, 0.25), atol=1e-6)
+    np.testing.assert_allclose(info["center"], np.median(positions, 0) - np.array(UTM) + (0.5, 0, 0.25), atol=1e-4)
+    session = studio.studio.session
+    np.testing.assert_allclose(session.scene.asset(added).placement.move, (0.5, 0, 0.25), atol=1e-6)
+    rows = session.splats.world_means[len(session.opened) :]
+    assert abs(rows - positions - (0.5, 0, 0.25)).max() < 1e-6

@@ -214,7 +214,7 @@ def test_a_project_that_does_not_open_leaves_nothing(studio: Live, tmp_path: Pat
 def test_what_cannot_be_told_to_clients_does_not_replace_what_is_open(studio: Live, tmp_path: Path) -> None:
     write(tmp_path / "x.ply", ball(50))
     with Session(tmp_path / "x.ply", tmp_path / "shared" / "x.splatproj") as session:
-        session.add_bookmark("front", view())
+        session.bookmarks.add("front", view())
     connection = sqlite3.connect(tmp_path / "shared" / "x.splatproj", isolation_level=None)
     connection.execute("UPDATE bookmarks SET camera = json_set(camera, '$.width', 100000)")
     connection.close()
@@ -478,8 +478,8 @@ def test_the_next_studio_sweeps_what_a_killed_one_left(tmp_path: Path, monkeypat
     killed = list(temporary.iterdir())
     first.blobs._scratch._lock._connection.close()  # type: ignore[union-attr]
     first.scratch._lock._connection.close()  # type: ignore[union-attr]
-    first.session._project._db.close()
-    first.session._project._lock._connection.close()  # type: ignore[union-attr]
+    first.session._core.project._db.close()
+    first.session._core.project._lock._connection.close()  # type: ignore[union-attr]
     (shared / ".x.splatproj.part").write_bytes(b"")
     (tmp_path / "own.splatproj").rename(tmp_path / "first.splatproj")
     second = make_studio(tmp_path, shared=shared)

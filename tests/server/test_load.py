@@ -96,7 +96,7 @@ def test_many_clients_end_up_with_the_same_gaussians(tmp_path: Path, sessions: i
             session = live_studio.studio.session
             assert len(session.layers) == (k == 0) and live_studio.studio.blobs.size == 0
             for layer in session.layers:  # the start of so long a history is not kept
-                session.delete(layer.id)
+                session.layers.delete(layer.id)
             assert rows_sha256(session.splats) == rows_sha256(session.original)
 
 

@@ -86,7 +86,7 @@ def test_the_latest_stroke_is_scored_from_the_side(tmp_path: Path) -> None:
             layer = live.post("paint.end", stroke=stroke, **target)["layer"]["id"]
         answer = live.post("aside", layer=layer)
         assert answer["psnr"] > 15 and answer["low"] is False
-        (score,) = live.studio.session.aside(layer)
+        (score,) = live.studio.session.strokes.side_scores(layer)
         assert score.psnr == answer["psnr"] and score.covered > 0.5
         empty = live.post("layer.new")["layer"]["id"]
         assert live.post("aside", layer=empty)["psnr"] is None

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from tests.sources.test_layered_files import planes_of, psd
 
 from splatpainter.gatekeeper import crop_search
 from splatpainter.rendering import render
 from splatpainter.server.uploads.image_registration import png_bytes
 from splatpainter.server.uploads.watched_folder import saved_picture
+from tests.pictures.test_layered_files import planes_of, psd
 from tests.support.studio_scenes import Live, ball, live_with_folder, view, wire
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from splatpainter.server.commands import files as file_commands
 from splatpainter.server.public_text import public_text
-from splatpainter.session import scratch
+from splatpainter.session.project import scratch
 from tests.support.studio_scenes import Live, live_with_folder
 
 TEMPORARY = tempfile.gettempdir()
@@ -56,7 +56,7 @@ def test_what_fails_in_a_scratch_folder_is_said_without_it(studio: Live, monkeyp
         def export(path: Path, **_: object) -> None:
             raise kind(f"{path}: cannot be written (No space left on device)")
 
-        monkeypatch.setattr(studio.studio.session, "export", export)
+        monkeypatch.setattr(studio.studio.session.files, "export", export)
 
     for kind, status in ((ValueError, 400), (OSError, 500)):
         broken(kind)

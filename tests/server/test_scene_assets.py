@@ -89,7 +89,7 @@ def test_what_is_selected_ends_with_the_assets_that_it_was_of(studio: Live, tmp_
     studio.studio.refresh()
     studio.post("scene.add", demo=True)
     assert not studio.studio.selection
-    assert len(session.splats) > 1000 and session.assets[1].name == "demo"
+    assert len(session.splats) > 1000 and session.scene.assets[1].name == "demo"
 
 
 def test_assets_of_recent_projects_are_added_as_they_were_read(tmp_path: Path) -> None:
@@ -97,13 +97,13 @@ def test_assets_of_recent_projects_are_added_as_they_were_read(tmp_path: Path) -
     turned = read(write_sheet(tmp_path), frame="rub")
     for name, splats in (("up_1", turned), ("rows_1", ball(50, 3))):
         with Session(splats, studio.projects.root / f"{name}.splatproj") as session:
-            session.add("look", parameters={"look": "grade", "exposure": 0.5})
+            session.layers.add("look", parameters={"look": "grade", "exposure": 0.5})
     with live(studio) as served:
         recents = {entry["name"]: entry["id"] for entry in served.post("project.recent")["recent"]}
         for name in ("up", "rows"):
             served.post("scene.add", recent=recents[name])
-        _, first, second = studio.session.assets
-        originals = [studio.session.asset_splats(asset.id) for asset in (first, second)]
+        _, first, second = studio.session.scene.assets
+        originals = [studio.session.scene.splats_of(asset.id) for asset in (first, second)]
     assert (first.name, second.name) == ("up", "rows")
     np.testing.assert_allclose(originals[0].means, turned.means)
     np.testing.assert_array_equal(originals[1].means, ball(50, 3).means)

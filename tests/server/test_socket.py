@@ -24,7 +24,9 @@ from splatpainter.server.commands.files import ReceiptShow
 from splatpainter.server.commands.layers import ConflictsList, Redo
 from splatpainter.server.hub import Hub
 from splatpainter.server.protocol import Answer
-from splatpainter.session import Session, project_file
+from splatpainter.session.commands.session_layers import SessionLayers
+from splatpainter.session.commands.session_surface import SessionSurface
+from splatpainter.session.project import project_file
 from splatpainter.splats import rows_sha256
 from tests.support.studio_scenes import Live, Mirror, ball, dab, live, make_studio, view, wire
 
@@ -50,7 +52,8 @@ def test_a_stroke_is_previewed_committed_and_undone_bit_for_bit(studio: Live) ->
         made = browser.do("paint.end", stroke=started["stroke"], name="red square")
         assert browser.order[-1] == "answer" and browser.order.count("frame") >= 1
         assert made["version"] == session.version == browser.mirror.version == 2
-        assert made["python"].startswith("session.add('paint', [sp.Edit(picture, camera, mask)], name='red square'")
+        line = "session.layers.add('paint', [sp.Edit(picture, camera, mask)], name='red square'"
+        assert made["python"].startswith(line)
         assert made["layer"]["gaussians_edited"] > 0 and browser.mirror.agrees(session.splats)
         score = made["layer"]["views"][0]
         assert score["psnr_after"] > score["psnr_before"] + 5
@@ -73,9 +76,9 @@ def test_a_cancelled_stroke_leaves_no_trace_on_the_screen(studio: Live) -> None:
 
 
 def test_another_opacity_is_seen_before_it_is_exact(studio: Live, monkeypatch: pytest.MonkeyPatch) -> None:
-    sent, unpatched_set, send_bytes = threading.Event(), Session.set, WebSocket.send_bytes
+    sent, unpatched_set, send_bytes = threading.Event(), SessionLayers.set, WebSocket.send_bytes
 
-    def after_the_preview(self: Session, *args: Any, **values: Any) -> Any:
+    def after_the_preview(self: SessionLayers, *args: Any, **values: Any) -> Any:
         assert sent.wait(60)
         return unpatched_set(self, *args, **values)
 
@@ -87,7 +90,7 @@ def test_another_opacity_is_seen_before_it_is_exact(studio: Live, monkeypatch: p
         made = browser.stroke(view(), (30, 30), 20, RED)
         before = browser.mirror.previews
         monkeypatch.setattr(WebSocket, "send_bytes", noted)
-        monkeypatch.setattr(Session, "set", after_the_preview)
+        monkeypatch.setattr(SessionLayers, "set", after_the_preview)
         browser.do("layer.set", layer=made["layer"]["id"], opacity=0.5)
         assert browser.order.count("frame") > 1 and browser.mirror.previews > before
         assert browser.mirror.agrees(studio.studio.session.splats)
@@ -110,7 +113,7 @@ def test_a_preview_ends_with_the_command_that_failed(studio: Live, monkeypatch: 
         def fail(*_: Any, **__: Any) -> None:
             raise ValueError("layer: refused")
 
-        monkeypatch.setattr(Session, "set", fail)
+        monkeypatch.setattr(SessionLayers, "set", fail)
         assert not browser.ask("layer.set", layer=made["layer"]["id"], opacity=0.5)["ok"]
         browser.do("receipt")  # an answer comes after all Gaussians
         assert browser.mirror.previews == before + 2  # the preview, and the true colours
@@ -122,9 +125,9 @@ def test_a_layer_below_is_hidden_and_shown_with_all_its_gaussians(
     studio: Live, fails: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Previews move Gaussians and add some; whatever comes then, the page shows what the session has."""
-    sent, unpatched_set, send_bytes = threading.Event(), Session.set, WebSocket.send_bytes
+    sent, unpatched_set, send_bytes = threading.Event(), SessionLayers.set, WebSocket.send_bytes
 
-    def after_the_preview(self: Session, *args: Any, **values: Any) -> Any:
+    def after_the_preview(self: SessionLayers, *args: Any, **values: Any) -> Any:
         assert sent.wait(60)
         if fails:
             raise ValueError("layer: refused")
@@ -142,13 +145,13 @@ def test_a_layer_below_is_hidden_and_shown_with_all_its_gaussians(
         visible, count = len(session.splats), len(session.original)
         monkeypatch.setattr(WebSocket, "send_bytes", noted)
         for is_visible in (False, True):
-            session.set(lower, visible=not is_visible)
+            session.layers.set(lower, visible=not is_visible)
             browser.do("receipt")
             assert browser.mirror.agrees(session.splats)
             sent.clear()
             before = browser.mirror.previews
             with monkeypatch.context() as patch:
-                patch.setattr(Session, "set", after_the_preview)
+                patch.setattr(SessionLayers, "set", after_the_preview)
                 assert browser.ask("layer.set", layer=lower, visible=is_visible)["ok"] is not fails
             browser.do("receipt")
             assert browser.mirror.previews > before and browser.mirror.agrees(session.splats)
@@ -505,11 +508,11 @@ def test_a_closed_studio_leaves_no_thread(tmp_path: Path, monkeypatch: pytest.Mo
     """Threads that go on compiling exchange the process's warning filters while others rely on theirs."""
     begun, may_end = threading.Event(), threading.Event()
 
-    def slow(self: Session, camera: Camera) -> None:
+    def slow(self: SessionSurface, camera: Camera) -> None:
         begun.set()
         may_end.wait(60)
 
-    monkeypatch.setattr(Session, "prepare", slow)
+    monkeypatch.setattr(SessionSurface, "prepare", slow)
     made = make_studio(tmp_path)
     made.prepare_edit(view())
     made.prepare_edit(view())  # one is at it

@@ -178,7 +178,7 @@ def test_layers_of_a_source_say_so_in_the_receipt(studio: Live) -> None:
     checked = studio.post("picture.check", picture=answer["picture"], threshold=0.01)
     views = [{key: checked[key] for key in ("camera", "picture", "mask")}]
     studio.post("edit", kind="picture", views=views, method="lift")
-    source = studio.studio.session.receipt().source
+    source = studio.studio.session.files.receipt().source
     assert source is not None and source["layers"][0]["name"] == "command"
     assert source["layers"][0]["views"][0]["request_sha256"]
 

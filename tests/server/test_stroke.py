@@ -13,7 +13,7 @@ from splatpainter.rendering import render
 from splatpainter.server.mirrored_stroke import MirroredStroke
 from splatpainter.server.protocol import CameraInfo
 from splatpainter.server.stroke import Stroke
-from splatpainter.session.mirror_plane import mirrored_camera, parsed_plane
+from splatpainter.session.measures.mirror_plane import mirrored_camera, parsed_plane
 from splatpainter.splats import Splats
 from tests.support import studio_scenes
 from tests.support.studio_scenes import ball, view

@@ -12,7 +12,7 @@ from splatpainter.io import FORMATS, read, write
 from splatpainter.io.write_options import WriteOptions
 from splatpainter.receipts import Receipt, prove, verify
 from splatpainter.session import Session
-from splatpainter.session.asset_files import receipt_between
+from splatpainter.session.project.asset_files import receipt_between
 from tests.support.io_assets import random_splats
 
 
@@ -38,11 +38,11 @@ def test_a_session_exports_with_options_and_its_receipt_proves_it(
         write(tmp_path / f"a{ending(start)}", original)
         original = read(tmp_path / f"a{ending(start)}")
     with Session(original) as session:
-        session.add("look", parameters={"look": "gain", "gain": [0.9, 1, 1]})
+        session.layers.add("look", parameters={"look": "gain", "gain": [0.9, 1, 1]})
         out = tmp_path / f"out{ending(key)}"
-        receipt, proof = session.export(out, options=options)
+        receipt, proof = session.files.export(out, options=options)
         assert proof.ok and receipt.options == options
-        assert session.exported().sh_degree == 3, "the session keeps all"
+        assert session.files.exported().sh_degree == 3, "the session keeps all"
         written = read(out)
         assert written.sh_degree == options.sh_degree
         assert written.antialiased == (options.antialiased is True)
@@ -70,12 +70,12 @@ def test_hidden_gaussians_and_bands_go_together(tmp_path: Path) -> None:
     with Session(random_splats(300, 2)) as session:
         weights = np.zeros(300, np.float32)
         weights[:100] = 1
-        session.hide(weights)
+        session.layers.hide_selected(weights)
         out = tmp_path / "less.spz"
-        receipt, proof = session.export(out, remove_hidden=True, options=WriteOptions(sh_degree=1))
+        receipt, proof = session.files.export(out, remove_hidden=True, options=WriteOptions(sh_degree=1))
         assert proof.ok and (len(read(out)), read(out).sh_degree) == (200, 1)
         assert receipt.dropped is not None and receipt.dropped["left_out"] == 100
         assert "100 hidden Gaussians were removed for good" in receipt.note and "SH above degree 1" in receipt.note
-        assert len(session.exported(remove_hidden=True)) == 200 and len(session.exported()) == 300
+        assert len(session.files.exported(remove_hidden=True)) == 200 and len(session.files.exported()) == 300
         with pytest.raises(ValueError, match="b.splat: sh_degree is not an option of this format"):
-            session.export(tmp_path / "b.splat", options=WriteOptions(sh_degree=0))
+            session.files.export(tmp_path / "b.splat", options=WriteOptions(sh_degree=0))

@@ -13,11 +13,11 @@ from typing import Any
 
 import pytest
 
-from splatpainter.session import database, open_file
-from splatpainter.session.database import UnwritableError
-from splatpainter.session.disk_probe import locks_refused
-from splatpainter.session.project_file import Project
-from splatpainter.session.scratch import ScratchFolder, sweep_folder
+from splatpainter.session.project import database, open_file
+from splatpainter.session.project.database import UnwritableError
+from splatpainter.session.project.disk_probe import locks_refused
+from splatpainter.session.project.project_file import Project
+from splatpainter.session.project.scratch import ScratchFolder, sweep_folder
 from tests.support.session_scenes import BLUE, GREEN, RED, asset, dab, flat, load, print_of, two_layers
 
 posix_only = pytest.mark.skipif(sys.platform == "win32", reason="Windows lets nobody replace an open file")
@@ -101,7 +101,7 @@ def test_what_needs_its_log_is_not_read_without_it(path: Path, monkeypatch: pyte
 def test_locks_that_are_refused_later_are_no_damage(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The lock daemon of a server stops while a project is open."""
     with flat(project=path) as session:
-        session.add("paint", [dab(RED)])
+        session.layers.add("paint", [dab(RED)])
         state = print_of(session)
         with monkeypatch.context() as patch:
             patch.setattr(database, "locks_refused", lambda folder: True)
@@ -117,12 +117,12 @@ def test_locks_that_are_refused_later_are_no_damage(path: Path, monkeypatch: pyt
                         raise error
                     return connection.execute(statement, *values)
 
-            connection = session._project._db
-            patch.setattr(session._project, "_db", Busy())
+            connection = session._core.project._db
+            patch.setattr(session._core.project, "_db", Busy())
             with pytest.raises(UnwritableError, match="nothing was changed: its file system refuses file locks"):
-                session.add("paint", [dab(BLUE)])
+                session.layers.add("paint", [dab(BLUE)])
         assert print_of(session) == state
-        session.add("paint", [dab(BLUE)])
+        session.layers.add("paint", [dab(BLUE)])
 
 
 def test_a_lock_that_somebody_holds_is_no_refusal(path: Path) -> None:
@@ -173,16 +173,18 @@ def refuse_maps(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_where_maps_cannot_be_shared_everything_works(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     refuse_maps(monkeypatch)
     with flat(project=path) as session:
-        session.add("paint", [dab(RED)], name="red")
-        assert session._project._db.execute("PRAGMA journal_mode").fetchall() == [("delete",)]
-        assert session._project._db.execute("PRAGMA synchronous").fetchall() == [(3,)]  # EXTRA: the folder is synced
+        session.layers.add("paint", [dab(RED)], name="red")
+        assert session._core.project._db.execute("PRAGMA journal_mode").fetchall() == [("delete",)]
+        assert session._core.project._db.execute("PRAGMA synchronous").fetchall() == [
+            (3,)
+        ]  # EXTRA: the folder is synced
         assert names(path.parent) == [path.name, f"{path.name}-lock"]
         with load(path) as reader:
             assert print_of(reader) == print_of(session) and reader.read_only.startswith("open elsewhere")
-            session.add("paint", [dab(BLUE, 19)], name="blue")
+            session.layers.add("paint", [dab(BLUE, 19)], name="blue")
             assert reader.refresh() and print_of(reader) == print_of(session)
         session.undo()
-        session.save_as(path.with_name("other.splatproj"))
+        session.files.save_as(path.with_name("other.splatproj"))
         session.redo()
     with load(path) as session:
         assert [layer.name for layer in session.layers] == ["red"] and session.redo() and session.verify() == []
@@ -195,7 +197,7 @@ def test_a_log_that_is_left_is_played_where_maps_cannot_be_shared(path: Path, mo
     with monkeypatch.context() as patch:
         patch.setattr(Project, "_fold", lambda self: None)
         with flat(project=path) as session:
-            session.add("paint", [dab(RED)], name="red")
+            session.layers.add("paint", [dab(RED)], name="red")
             state = print_of(session)
             for ending in ("", "-wal"):
                 shutil.copy(f"{path}{ending}", f"{copy}{ending}")
@@ -212,15 +214,15 @@ def test_a_copy_of_the_one_file_has_all_that_was_acknowledged(path: Path) -> Non
     copy = path.with_name("copy.splatproj")
     with flat(project=path) as session:
         for k, color in enumerate((RED, BLUE, GREEN)):
-            session.add("paint", [dab(color, 10 + 5 * k)])
+            session.layers.add("paint", [dab(color, 10 + 5 * k)])
             shutil.copy(path, copy)
             with load(copy) as other:
                 assert print_of(other) == print_of(session) and other.verify() == []
         session.undo()
-        session.add_bookmark("front", dab().camera)
+        session.bookmarks.add("front", dab().camera)
         shutil.copy(path, copy)
         with load(copy) as other:
-            assert print_of(other) == print_of(session) and len(other.bookmarks()) == 1
+            assert print_of(other) == print_of(session) and len(other.bookmarks) == 1
 
 
 def test_a_reader_keeps_no_command_waiting(path: Path) -> None:
@@ -229,11 +231,11 @@ def test_a_reader_keeps_no_command_waiting(path: Path) -> None:
         reader = sqlite3.connect(path)
         reader.execute("BEGIN")
         reader.execute("SELECT * FROM facts").fetchall()
-        session.add("paint", [dab(RED)])  # stays in the log
+        session.layers.add("paint", [dab(RED)])  # stays in the log
         assert database.has_log(path)
-        session.add("paint", [dab(BLUE, 19)])
+        session.layers.add("paint", [dab(BLUE, 19)])
         reader.close()
-        session.set(session.layers[0].id, name="red")
+        session.layers.set(session.layers[0].id, name="red")
         assert not database.has_log(path)
         shutil.copy(path, copy)
         with load(copy) as other:
@@ -274,7 +276,7 @@ def test_a_log_that_belongs_to_another_state_is_not_played(path: Path, readonly:
         else:
             assert f"{path.name}-wal.unused" in session.note
             assert path.with_name(f"{path.name}-wal.unused").read_bytes() == data
-            session.add("paint", [dab(GREEN)])
+            session.layers.add("paint", [dab(GREEN)])
     with load(path, readonly=readonly) as session:
         assert len(session.layers) == (2 if readonly else 3) and session.verify() == []
 
@@ -287,13 +289,13 @@ def test_an_older_log_beside_a_copy_of_an_open_project_is_not_played(
     """Both were copied while it was open, the log first: or the log is of another project of the same name."""
     copy, older = path.with_name("copy.splatproj"), path.with_name("older.splatproj")
     with flat(project=path) as session:
-        session.add("paint", [dab(RED)], name="red")
+        session.layers.add("paint", [dab(RED)], name="red")
         if is_other:
             flat(asset(8), older).close()
         else:
             shutil.copy(path, older)
         data = stale_log(older)
-        session.add("paint", [dab(BLUE, 19)], name="blue")
+        session.layers.add("paint", [dab(BLUE, 19)], name="blue")
         state = print_of(session)
         shutil.copy(path, copy)
     assert copy.read_bytes()[18:20] == b"\2\2"  # its head says that there is a log
@@ -318,14 +320,16 @@ def test_an_older_log_that_fits_is_not_played(path: Path) -> None:
     connection.close()
     path.with_name(path.name + "-wal").write_bytes(data)
     with load(path) as session:
-        assert session._project.fact("name") == "newer" and "-wal.unused" in session.note and session.verify() == []
+        assert (
+            session._core.project.fact("name") == "newer" and "-wal.unused" in session.note and session.verify() == []
+        )
 
 
 def test_a_log_of_a_killed_session_is_played(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     copy = path.with_name("copy.splatproj")
     monkeypatch.setattr(Project, "_fold", lambda self: None)
     with flat(project=path) as session:
-        session.add("paint", [dab(RED)], name="red")
+        session.layers.add("paint", [dab(RED)], name="red")
         for ending in ("", "-wal"):
             shutil.copy(f"{path}{ending}", f"{copy}{ending}")
         with load(copy) as other:
@@ -358,7 +362,7 @@ def test_a_rollback_journal_that_is_needed_is_not_passed_over(path: Path, monkey
     with load(copy) as session:
         assert print_of(session) == state and session.verify() == []
     with flat(project=again, overwrite=True) as session:  # a new one does not get the journal of the old one
-        session.add("paint", [dab(RED)])
+        session.layers.add("paint", [dab(RED)])
     with load(again) as session:
         assert len(session.layers) == 1 and session.verify() == []
 
@@ -388,21 +392,21 @@ def moved(path: Path) -> None:
 def test_nothing_is_acknowledged_for_a_file_that_is_gone(path: Path, harm, reason: str) -> None:
     fresh = path.with_name("fresh.splatproj")
     with flat(project=path) as session:
-        session.add("paint", [dab(RED)], name="red")
+        session.layers.add("paint", [dab(RED)], name="red")
         state, calls = print_of(session), len(session.painter.calls)  # type: ignore[attr-defined]
         harm(path)
         there = path.read_bytes() if path.exists() else None
         for attempt in (
-            lambda: session.add("paint", [dab(BLUE, 19)]),
+            lambda: session.layers.add("paint", [dab(BLUE, 19)]),
             session.undo,
-            lambda: session.add_bookmark("front", dab().camera),
-            lambda: session.save_as(path),
+            lambda: session.bookmarks.add("front", dab().camera),
+            lambda: session.files.save_as(path),
         ):
             with pytest.raises(UnwritableError, match=rf"work\.splatproj: {reason}.*; save_as another name"):
                 attempt()
         assert print_of(session) == state and len(session.painter.calls) == calls  # type: ignore[attr-defined]
-        session.save_as(fresh)
-        session.add("paint", [dab(BLUE, 19)], name="blue")
+        session.files.save_as(fresh)
+        session.layers.add("paint", [dab(BLUE, 19)], name="blue")
         assert session.path == fresh
     assert (path.read_bytes() if path.exists() else None) == there
     assert not [name for name in names(path.parent) if "rescued" in name or name.endswith(("-wal", "-shm", "-lock"))]
@@ -413,7 +417,7 @@ def test_nothing_is_acknowledged_for_a_file_that_is_gone(path: Path, harm, reaso
 @posix_only
 def test_what_was_acknowledged_before_the_file_was_replaced_is_written_beside_it(path: Path) -> None:
     session = flat(project=path)
-    session.add("paint", [dab(RED)], name="red")
+    session.layers.add("paint", [dab(RED)], name="red")
     state = print_of(session)
     path.with_name("work.rescued.splatproj").write_bytes(b"somebody's")
     replaced(path)
@@ -441,9 +445,12 @@ def test_a_file_that_another_program_wrote_into_is_left_alone(path: Path) -> Non
     other = path.with_name("other.splatproj")
     two_layers(other)
     session = flat(project=path)
-    session.add("paint", [dab(RED)])
+    session.layers.add("paint", [dab(RED)])
     shutil.copyfile(other, path)  # the same file: its inode stays
-    for attempt in (lambda: session.add("paint", [dab(BLUE)]), lambda: session.save_as(path.with_name("c.splatproj"))):
+    for attempt in (
+        lambda: session.layers.add("paint", [dab(BLUE)]),
+        lambda: session.files.save_as(path.with_name("c.splatproj")),
+    ):
         with pytest.raises(ValueError, match="was overwritten by another program .*; export what is shown"):
             attempt()
     session.close()
@@ -452,10 +459,10 @@ def test_a_file_that_another_program_wrote_into_is_left_alone(path: Path) -> Non
 
 def test_another_time_alone_is_no_other_file(path: Path) -> None:
     with flat(project=path) as session:
-        session.add("paint", [dab(RED)])
+        session.layers.add("paint", [dab(RED)])
         for moment in (1e9, 2e9):  # network folders correct times after a while
             os.utime(path, (moment, moment))
-            session.add("paint", [dab(BLUE)])
+            session.layers.add("paint", [dab(BLUE)])
     with load(path) as session:
         assert len(session.layers) == 3
 
@@ -469,15 +476,15 @@ def test_a_folder_that_cannot_be_reached_for_a_while(path: Path, monkeypatch: py
 
             patch.setattr(open_file.os, "stat", stale)
             with pytest.raises(UnwritableError, match=r"cannot be reached \(Stale file handle\).*; try again"):
-                session.add("paint", [dab(RED)])
-        session.add("paint", [dab(RED)])
+                session.layers.add("paint", [dab(RED)])
+        session.layers.add("paint", [dab(RED)])
         assert len(session.layers) == 1
 
 
 def test_what_is_committed_is_acknowledged_whatever_follows(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Exactly once: a disk that fails right after a commit does not make it a failure."""
     with flat(project=path) as session:
-        connection = session._project._db
+        connection = session._core.project._db
         with monkeypatch.context() as patch:
             committed = []
 
@@ -492,10 +499,10 @@ def test_what_is_committed_is_acknowledged_whatever_follows(path: Path, monkeypa
                         committed.append(1)
                     return connection.execute(statement, *values)
 
-            patch.setattr(session._project, "_db", Failing())
-            session.add("paint", [dab(RED)])
+            patch.setattr(session._core.project, "_db", Failing())
+            session.layers.add("paint", [dab(RED)])
         os.utime(path, (1e9, 1e9))  # and the server gives another time
-        session.add("paint", [dab(BLUE)])
+        session.layers.add("paint", [dab(BLUE)])
         assert len(session.layers) == len(session.history) - 1 == 2
     with load(path) as session:
         assert len(session.layers) == 2 and session.verify() == []
@@ -523,11 +530,11 @@ from tests.support.session_scenes import BLUE, RED, dab, flat, load
 path = Path(sys.argv[1])
 try:
     with flat(project=path) as session:
-        session.add("paint", [dab(RED)])
+        session.layers.add("paint", [dab(RED)])
         session.undo()
         session.redo()
-        session.save_as(path.with_name("b.splatproj"), overwrite=True)
-        session.add("paint", [dab(BLUE)])
+        session.files.save_as(path.with_name("b.splatproj"), overwrite=True)
+        session.layers.add("paint", [dab(BLUE)])
     with load(path.with_name("b.splatproj")) as session:
         print(len(session.layers), session.verify(), repr(session.read_only))
 except ValueError as error:

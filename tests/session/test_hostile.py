@@ -14,12 +14,13 @@ from pathlib import Path
 import pytest
 
 import splatpainter as sp
-from splatpainter.session import database, delta
-from splatpainter.session.asset_files import is_local_path, is_plain_name
-from splatpainter.session.document import Document, Layer, View, move_layer, resolve_conflict
-from splatpainter.session.lock import ProjectLock
-from splatpainter.session.project_file import Project
-from splatpainter.session.scratch import OWNER, ScratchFolder, sweep_folder, sweep_scratch
+from splatpainter.session.document.document import Document, Layer, View, move_layer, resolve_conflict
+from splatpainter.session.project import database
+from splatpainter.session.project.asset_files import is_local_path, is_plain_name
+from splatpainter.session.project.lock import ProjectLock
+from splatpainter.session.project.project_file import Project
+from splatpainter.session.project.scratch import OWNER, ScratchFolder, sweep_folder, sweep_scratch
+from splatpainter.session.replay import delta
 from tests.support.session_scenes import BLUE, RED, asset, dab, flat, load, print_of, two_layers
 from tests.support.systems import posix_only
 
@@ -95,8 +96,8 @@ def test_wrong_rows_are_one_line_and_leave_nothing(tmp_path: Path, path: Path, k
     ply = tmp_path / "vase.ply"
     sp.write(ply, asset(6))
     with flat(ply if kind == "file" else None, path) as session:
-        session.add("paint", [dab(RED)], name="red")
-        session.add("paint", [dab(BLUE, 19)], name="blue")
+        session.layers.add("paint", [dab(RED)], name="red")
+        session.layers.add("paint", [dab(BLUE, 19)], name="blue")
     changed(path, *statement.split("; ") if "TRIGGER" not in statement else [statement])
     if kind == "rows" and ("'..' WHERE name" in statement or "original SET file" in statement):
         return  # names of files that are not made
@@ -131,7 +132,7 @@ def test_wrong_results_are_computed_again(path: Path, statement: str) -> None:
     changed(path, statement)
     with load(path) as session:
         assert print_of(session) == state and len(session.painter.calls) == 2  # type: ignore[attr-defined]
-        assert all(isinstance(session.facts(layer.id).get("seconds", 0.0), float) for layer in session.layers)
+        assert all(isinstance(session.layers.facts(layer.id).get("seconds", 0.0), float) for layer in session.layers)
 
 
 def test_a_control_character_in_an_error_of_sqlite_is_not_printed(path: Path) -> None:
@@ -252,19 +253,6 @@ def test_a_query_ends_where_the_file_gives_no_reason_to_go_on(path: Path, monkey
         assert project.rows("SELECT 1") == [(1,)]  # and the connection goes on
     finally:
         project.close()
-
-
-def test_version_1_with_wrong_layers_is_one_line(path: Path) -> None:
-    for statement in ("UPDATE layers SET content = '[]'", "UPDATE layers SET content = x'00'", "DELETE FROM facts"):
-        connection = sqlite3.connect(path)
-        connection.executescript(Path(__file__).with_name("session_v1.sql").read_text(encoding="utf-8"))
-        connection.execute(statement)
-        connection.commit()
-        connection.close()
-        with pytest.raises(ValueError, match="damaged project file") as raised:
-            load(path)
-        assert "\n" not in str(raised.value)
-        path.unlink()
 
 
 # Originals that are only named
@@ -398,12 +386,16 @@ def test_what_cannot_be_written_can_be_looked_at(
         with load(path) as session:
             assert print_of(session) == state and raised in session.read_only and "save_as" in session.read_only
             assert "part" not in session.read_only and "-lock" not in session.read_only
-            for attempt in (lambda: session.add("paint", [dab()]), session.undo, lambda: session.set("1", opacity=0)):
+            for attempt in (
+                lambda: session.layers.add("paint", [dab()]),
+                session.undo,
+                lambda: session.layers.set("1", opacity=0),
+            ):
                 with pytest.raises(ValueError, match=raised):
                     attempt()
             target = path.with_name("copy.splatproj")
             with pytest.raises(ValueError) as error:
-                session.save_as(target)
+                session.files.save_as(target)
             assert str(error.value).startswith(f"{target}: cannot be") and str(path) not in str(error.value)
             assert ".part" not in str(error.value) and "\n" not in str(error.value)
         with pytest.raises(ValueError, match=raised):
@@ -433,17 +425,17 @@ def test_an_export_that_fails_names_its_target(tmp_path: Path, monkeypatch: pyte
         def nowhere(path, splats, options):
             raise ValueError(f"{path}: cannot be written (No space left on device)")
 
-        monkeypatch.setattr("splatpainter.session.asset_files.write", nowhere)
+        monkeypatch.setattr("splatpainter.session.project.asset_files.write", nowhere)
         with pytest.raises(ValueError) as error:
-            session.export(target)
+            session.files.export(target)
         assert str(error.value) == f"{target}: cannot be written (No space left on device)"
 
         def refused(*words, **how):
             raise PermissionError(13, "Permission denied", str(tmp_path / ".out.ply.abc.part"))
 
-        monkeypatch.setattr("splatpainter.session.asset_files.tempfile.TemporaryDirectory", refused)
+        monkeypatch.setattr("splatpainter.session.project.asset_files.tempfile.TemporaryDirectory", refused)
         with pytest.raises(ValueError) as error:
-            session.export(target)
+            session.files.export(target)
         assert str(error.value) == f"{target}: cannot be written (Permission denied)"
     assert not list(tmp_path.iterdir())
 

@@ -10,9 +10,9 @@ import pytest
 import splatpainter as sp
 from splatpainter.painter import Painter
 from splatpainter.session import Session
-from splatpainter.session.appearance import with_base
-from splatpainter.session.delta import Delta, between
-from splatpainter.session.layer_blending import ADJUSTMENTS, adjust_sh, blend_delta, blend_sh, mix_sh
+from splatpainter.session.replay.appearance import with_base
+from splatpainter.session.replay.delta import Delta, between
+from splatpainter.session.replay.layer_blending import ADJUSTMENTS, adjust_sh, blend_delta, blend_sh, mix_sh
 from splatpainter.splats import MAX_MAGNITUDE, Splats
 from tests.support.lift_scenes import bits, db, differing, disk, front, same_bits, sheet
 from tests.support.session_scenes import BLUE, RED, asset, dab
@@ -157,21 +157,21 @@ def test_blend_modes_of_a_sheet_act_on_the_picture_below():
     splats, camera = sheet(16, opacity=0.95), front(64)
     edit = dab(RED, 32, 32, 10, camera)
     with Session(splats, painter=Painter.load("lift")) as session:
-        layer = session.add("paint", [edit], blend="luminosity")
+        layer = session.layers.add("paint", [edit], blend="luminosity")
         below, paint = (sp.render(each, camera).colors[0] for each in (splats, session.splats))
         inside = disk(camera, 32, 32, 8)
         luma = np.array([0.3, 0.59, 0.11])
         np.testing.assert_allclose((paint @ luma)[inside].mean(), np.array(RED) @ luma, atol=0.02)
         chroma = [picture[inside] - (picture @ luma)[inside][:, None] for picture in (paint, below)]
         assert np.abs(chroma[0] - chroma[1]).mean() < 0.02 and np.abs(chroma[0] - chroma[1]).max() < 0.1
-        session.set(layer.id, blend="normal", opacity=0.5)
+        session.layers.set(layer.id, blend="normal", opacity=0.5)
         half, rows = session.splats, len(session.splats)
-        session.set(layer.id, opacity=1.0)
+        session.layers.set(layer.id, opacity=1.0)
         full = sp.render(session.splats, camera).colors[0]
         assert db(sp.render(half, camera).colors[0], (below + full) / 2, inside) > 38
-        merged = session.merge([layer.id, session.add("paint", [dab(BLUE, 36, 34, 7, camera)]).id])
+        merged = session.layers.merge([layer.id, session.layers.add("paint", [dab(BLUE, 36, 34, 7, camera)]).id])
         both = sp.render(session.splats, camera).colors[0]
-        session.set(merged.id, opacity=0.5)
+        session.layers.set(merged.id, opacity=0.5)
         wide = disk(camera, 34, 33, 12)
         assert db(sp.render(session.splats, camera).colors[0], (below + both) / 2, wide) > 36
         assert session.verify(repaint=True) == []

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from splatpainter.session.curvature import bend_degrees
-from splatpainter.session.layer_mask import LayerMask, MaskPart, by_rule, over
+from splatpainter.session.document.layer_mask import LayerMask, MaskPart, by_rule, over
+from splatpainter.session.measures.curvature import bend_degrees
 from splatpainter.splats import Splats
 from tests.support import surface_shapes
 from tests.support.session_scenes import BLUE, CAMERA, RED, SIZE, dab, flat, load, print_of
@@ -26,14 +26,14 @@ def path(tmp_path: Path) -> Path:
 def test_hidden_is_not_there_and_revealed_is_all_of_it(path: Path) -> None:
     with flat(project=path) as session:
         before = print_of(session)
-        layer = session.new_layer()
-        session.paint(layer.id, [dab(RED, radius=9)])
+        layer = session.layers.new()
+        session.strokes.paint(layer.id, [dab(RED, radius=9)])
         full, splats = print_of(session), session.splats
-        session.set_mask(layer.id, LayerMask(shows=False))
+        session.masks.set(layer.id, LayerMask(shows=False))
         assert print_of(session) == before
-        session.paint_mask(layer.id, CAMERA, np.ones_like(LEFT), np.ones_like(LEFT))
+        session.masks.paint(layer.id, CAMERA, np.ones_like(LEFT), np.ones_like(LEFT))
         np.testing.assert_array_equal(session.splats.sh, splats.sh)
-        session.paint_mask(layer.id, CAMERA, np.zeros_like(LEFT), LEFT)
+        session.masks.paint(layer.id, CAMERA, np.zeros_like(LEFT), LEFT)
         half, original = session.splats, session.original
         n = len(original)
         same = (half.scales[:n] == original.scales).all(1)
@@ -41,37 +41,37 @@ def test_hidden_is_not_there_and_revealed_is_all_of_it(path: Path) -> None:
         right = np.flatnonzero(same & (original.means[:, 0] > 0.7))
         np.testing.assert_allclose(half.sh[left], original.sh[left], atol=0.01)
         np.testing.assert_allclose(half.sh[right], splats.sh[right], atol=0.01)
-        mask = session.layer(layer.id).mask
+        mask = session.layers.by_id(layer.id).mask
         assert mask is not None and len(mask.parts) == 1  # of one view
-        session.set_mask(layer.id, replace(mask, enabled=False), what="mask off")
+        session.masks.set(layer.id, replace(mask, enabled=False), what="mask off")
         assert print_of(session) == full
         session.undo()
         painted = print_of(session)
     with load(path) as session:
         assert print_of(session) == painted and session.verify(repaint=True) == []
-        session.set_mask(layer.id, None)
+        session.masks.set(layer.id, None)
         assert print_of(session) == full
         with pytest.raises(ValueError, match="nothing was painted"):
-            session.paint_mask(layer.id, CAMERA, LEFT, np.zeros_like(LEFT))
+            session.masks.paint(layer.id, CAMERA, LEFT, np.zeros_like(LEFT))
         with pytest.raises(ValueError, match="expected pictures of shape"):
-            session.paint_mask(layer.id, CAMERA, LEFT[1:], LEFT[1:])
+            session.masks.paint(layer.id, CAMERA, LEFT[1:], LEFT[1:])
 
 
 @pytest.mark.parametrize("kind", ["picture", "look", "merged", "erase"])
 def test_layers_of_every_kind_have_masks(kind: str) -> None:
     with flat() as session:
         if kind == "erase":
-            session.add("paint", [dab(BLUE, radius=9)])
+            session.layers.add("paint", [dab(BLUE, radius=9)])
         below = session.splats
         if kind == "look":
-            layer = session.add("look", parameters={"look": "gain", "gain": [0.5, 1, 1]})
+            layer = session.layers.add("look", parameters={"look": "gain", "gain": [0.5, 1, 1]})
         elif kind == "merged":
-            layers = [session.add("picture", [dab(RED, x)]) for x in (12, 20)]
-            layer = session.merge([one.id for one in layers])
+            layers = [session.layers.add("picture", [dab(RED, x)]) for x in (12, 20)]
+            layer = session.layers.merge([one.id for one in layers])
         else:
-            layer = session.add(kind, [dab(RED, radius=9)])  # type: ignore[arg-type]
+            layer = session.layers.add(kind, [dab(RED, radius=9)])  # type: ignore[arg-type]
         full = session.splats
-        session.paint_mask(layer.id, CAMERA, np.zeros_like(LEFT), LEFT)
+        session.masks.paint(layer.id, CAMERA, np.zeros_like(LEFT), LEFT)
         masked, n = session.splats, len(below)
         geometry = (full.scales[:n] == below.scales).all(1) & (full.opacities[:n] == below.opacities)
         left, right = geometry & (below.means[:, 0] < -0.7), geometry & (below.means[:, 0] > 0.7)
@@ -82,12 +82,12 @@ def test_layers_of_every_kind_have_masks(kind: str) -> None:
 
 def test_rules_show_by_height_slope_and_coverage() -> None:
     with flat() as session:
-        session.add("paint", [dab(BLUE, 12, radius=4)])
+        session.layers.add("paint", [dab(BLUE, 12, radius=4)])
         below = session.splats
-        layer = session.add("look", parameters={"look": "gain", "gain": [0.5, 1, 1]})
+        layer = session.layers.add("look", parameters={"look": "gain", "gain": [0.5, 1, 1]})
 
         def changed(mask: LayerMask) -> np.ndarray:
-            session.set_mask(layer.id, mask)
+            session.masks.set(layer.id, mask)
             return (session.splats.sh != below.sh).any((1, 2))
 
         heights = -below.means[:, 1]
@@ -148,29 +148,29 @@ def test_one_part_over_another_is_both_in_turn() -> None:
 def test_a_selection_is_a_mask_from_every_side(path: Path) -> None:
     with flat(project=path) as session:
         original = session.splats
-        layer = session.add("look", parameters={"look": "gain", "gain": [0.5, 1, 1]})
-        painted = session.new_layer()
-        session.paint(painted.id, [dab(RED, radius=9)])
+        layer = session.layers.add("look", parameters={"look": "gain", "gain": [0.5, 1, 1]})
+        painted = session.layers.new()
+        session.strokes.paint(painted.id, [dab(RED, radius=9)])
         full = print_of(session)
         with pytest.raises(ValueError, match="nothing of its asset is selected"):
-            session.mask_selection(layer.id, np.zeros(len(session.splats), np.float32))
+            session.masks.set_selection(layer.id, np.zeros(len(session.splats), np.float32))
         assert print_of(session) == full
-        session.mask_selection(painted.id, (session.splats.means[:, 0] < 0).astype(np.float32))
-        session.mask_selection(layer.id, (session.splats.means[:, 0] > 0).astype(np.float32))
-        session.set(painted.id, visible=False)
+        session.masks.set_selection(painted.id, (session.splats.means[:, 0] < 0).astype(np.float32))
+        session.masks.set_selection(layer.id, (session.splats.means[:, 0] > 0).astype(np.float32))
+        session.layers.set(painted.id, visible=False)
         n = len(original)
         changed = (session.splats.sh[:n] != original.sh).any((1, 2))
         np.testing.assert_array_equal(changed, original.means[:, 0] > 0)
-        session.set(painted.id, visible=True)
+        session.layers.set(painted.id, visible=True)
         painted_now = (session.splats.sh[:n, 0, 0] > original.sh[:, 0, 0] + 0.1) & (original.means[:, 0] > 0.1)
         assert not painted_now.any()
         masked = print_of(session)
     with load(path) as session:
         assert print_of(session) == masked and session.verify(repaint=True) == []
-        mask = session.layer(layer.id).mask
+        mask = session.layers.by_id(layer.id).mask
         assert mask is not None and mask.pictures() == {mask.parts[0].selection}
-        session.set_mask(layer.id, None)
-        session.set_mask(painted.id, None)
+        session.masks.set(layer.id, None)
+        session.masks.set(painted.id, None)
         assert print_of(session) == full
     with pytest.raises(ValueError, match="expected the SHA-256 of a selection"):
         LayerMask.parse({"shows": True, "enabled": True, "parts": [{"selection": "no"}]}, "a layer")

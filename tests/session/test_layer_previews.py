@@ -27,48 +27,48 @@ def calls(session: Session) -> int:
 
 def covered(session: Session, layer: str) -> str:
     """The layer, under another that overlaps a part of it; colours below have been fitted to it."""
-    session.set(layer, opacity=0.9)
-    session.set(layer, opacity=1.0)
-    session.add("paint", [dab(BLUE, 20, radius=3)], name="above")
+    session.layers.set(layer, opacity=0.9)
+    session.layers.set(layer, opacity=1.0)
+    session.layers.add("paint", [dab(BLUE, 20, radius=3)], name="above")
     return layer
 
 
 def paint(session: Session) -> str:
-    layer = session.new_layer("Paint")
+    layer = session.layers.new("Paint")
     for color, x in ((RED, 14), (GREEN, 17)):
-        session.paint(layer.id, [dab(color, x)])
+        session.strokes.paint(layer.id, [dab(color, x)])
     return layer.id
 
 
 def masked(session: Session) -> str:
     layer = paint(session)
     weights = np.linspace(0, 1, len(session.splats)).astype(np.float32)
-    session.mask_selection(layer, weights)
+    session.masks.set_selection(layer, weights)
     return layer
 
 
 def merged(session: Session) -> str:
-    return session.merge([paint(session), session.add("paint", [dab(BLUE, 13, radius=3)]).id]).id
+    return session.layers.merge([paint(session), session.layers.add("paint", [dab(BLUE, 13, radius=3)]).id]).id
 
 
 def look(session: Session) -> str:
-    return session.add("look", parameters={"look": "gain", "gain": [0.5, 1, 1]}).id
+    return session.layers.add("look", parameters={"look": "gain", "gain": [0.5, 1, 1]}).id
 
 
 def hide(session: Session) -> str:
     weights = np.zeros(len(session.splats), np.float32)
     weights[::2] = 1
-    return session.hide(weights).id
+    return session.layers.hide_selected(weights).id
 
 
 def same_as_committed(session: Session, layer: str, **change: Any) -> int:
     """Compare a preview with what is then committed, Gaussian by Gaussian; how many the preview shows anew."""
     before, made = session.splats, calls(session)
-    preview = session.blend_preview(layer, **change)
+    preview = session.layers.blend_preview(layer, **change)
     assert preview is not None and session.splats is before and calls(session) == made, "nothing is painted"
     ids, splats = preview
     assert (np.diff(ids) > 0).all() and len(ids) == len(splats)
-    session.set(layer, **change)
+    session.layers.set(layer, **change)
     exact = session.splats
     appended = ids >= len(before)
     assert (ids[appended] == len(before) + np.arange(int(appended.sum()))).all()
@@ -100,24 +100,24 @@ def test_a_layer_that_was_hidden_when_the_project_was_opened(make: Callable[[Ses
     path = tmp_path / "one.splatproj"
     with flat(project=path) as session:
         layer = covered(session, make(session))
-        session.set(layer, visible=False)
+        session.layers.set(layer, visible=False)
     with load(path) as session:
         if make is masked:
-            assert session.blend_preview(layer, visible=True) is None, "its mask is to be measured first"
+            assert session.layers.blend_preview(layer, visible=True) is None, "its mask is to be measured first"
             return
         assert same_as_committed(session, layer, visible=True) >= 10
 
 
 def test_a_layer_whose_result_is_not_there_has_no_preview() -> None:
     with flat() as session:
-        layer = session.add("paint", [dab(RED)])
+        layer = session.layers.add("paint", [dab(RED)])
         covered(session, layer.id)
-        session.set(layer.id, visible=False)
-        session.add("look", parameters={"look": "gain", "gain": [1, 1, 0.5]})
-        session.move(session.layers[-1].id, 0)
+        session.layers.set(layer.id, visible=False)
+        session.layers.add("look", parameters={"look": "gain", "gain": [1, 1, 0.5]})
+        session.layers.move(session.layers[-1].id, 0)
         made = calls(session)
-        assert session.blend_preview(layer.id, visible=True) is None and calls(session) == made
-        assert session.blend_preview(layer.id, opacity=0.5) is None, "and a hidden one shows nothing"
+        assert session.layers.blend_preview(layer.id, visible=True) is None and calls(session) == made
+        assert session.layers.blend_preview(layer.id, opacity=0.5) is None, "and a hidden one shows nothing"
 
 
 @pytest.mark.parametrize("change", [{"opacity": 0.5}, {"visible": False}])
@@ -125,14 +125,14 @@ def test_of_several_assets_each_layer_where_its_asset_stands(change: dict[str, A
     for name, side in (("one.ply", 10), ("two.ply", 8)):
         write(tmp_path / name, asset(side))
     with flat(tmp_path / "one.ply", tmp_path / "scene.splatproj") as session:
-        second = session.add_asset(tmp_path / "two.ply", placement=RIGHT)
-        lower = session.add("look", parameters={"look": "gain", "gain": [0.5, 1, 1]}, asset=second.id)
+        second = session.scene.add(tmp_path / "two.ply", placement=RIGHT)
+        lower = session.layers.add("look", parameters={"look": "gain", "gain": [0.5, 1, 1]}, asset=second.id)
         first = covered(session, paint(session))
         assert same_as_committed(session, first, **change) >= 10
-        assert session.blend_preview(lower.id, **change) is None, "nothing of its asset lies above"
+        assert session.layers.blend_preview(lower.id, **change) is None, "nothing of its asset lies above"
         weights = np.zeros(len(session.splats), np.float32)
         weights[100:130] = 1
-        session.hide(weights)
+        session.layers.hide_selected(weights)
         assert same_as_committed(session, lower.id, **change) == 34
 
 
@@ -145,9 +145,9 @@ from splatpainter.session import Session
 from splatpainter.splats import Splats
 one = np.ones((1, 3), np.float32)
 session = Session(Splats(one, np.ones((1, 4), np.float32), one, one[:, 0], one[:, None]))
-layer = session.add("look", parameters={"look": "gain", "gain": [1, 1, 0.5]})
+layer = session.layers.add("look", parameters={"look": "gain", "gain": [1, 1, 0.5]})
 before = set(sys.modules)
-session.set(layer.id, opacity=0.5)
+session.layers.set(layer.id, opacity=0.5)
 print(*(set(sys.modules) - before))
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)

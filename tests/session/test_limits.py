@@ -10,8 +10,9 @@ import pytest
 import splatpainter as sp
 from splatpainter.lift.options import LocalOptions
 from splatpainter.lift.sheets import view_limits
-from splatpainter.painter import Edit, Painter
-from splatpainter.session import Session, compose
+from splatpainter.painter import Edit, EditSettings, Painter
+from splatpainter.session import Session
+from splatpainter.session.replay import compose
 from splatpainter.splats import Splats
 from splatpainter.transforms import fibonacci_sphere, matrix_to_quat
 from tests.support.lift_scenes import disk, front, same_bits
@@ -43,7 +44,7 @@ def off_centre(splats: Splats) -> Edit:
 def painted(parameters: dict[str, Any] | None, painter: Painter | None = None) -> Splats:
     splats = ball()
     with Session(splats, painter=painter or Painter.load("lift")) as session:
-        session.add("paint", [off_centre(splats)], parameters=parameters)
+        session.layers.add("paint", [off_centre(splats)], parameters=parameters)
         assert session.verify(repaint=True) == []
         return session.splats
 
@@ -58,7 +59,7 @@ def test_a_layer_carries_its_limits():
 
 
 def test_without_parameters_the_painters_limits_hold():
-    strict = Painter(local_options=LocalOptions(angle_limit=40))
+    strict = Painter(settings=EditSettings(local_options=LocalOptions(angle_limit=40)))
     assert same_bits(painted(None, strict), painted({"angle_limit": 40, "depth_edge_limit": 0}))
     assert same_bits(painted({"angle_limit": 80.0}, strict), painted({"brush": 3}))
 
@@ -66,10 +67,12 @@ def test_without_parameters_the_painters_limits_hold():
 def test_limits_are_set_anew_and_undone():
     splats = ball()
     with Session(splats, painter=Painter.load("lift")) as session:
-        layer = session.add("paint", [off_centre(splats)], parameters={"angle_limit": 0}).id
+        layer = session.layers.add("paint", [off_centre(splats)], parameters={"angle_limit": 0}).id
         free = session.splats
-        session.set(layer, parameters={"angle_limit": 40})
-        assert same_bits(session.splats, painted({"angle_limit": 40})) and "angle" in session.facts(layer)["note"]
+        session.layers.set(layer, parameters={"angle_limit": 40})
+        assert (
+            same_bits(session.splats, painted({"angle_limit": 40})) and "angle" in session.layers.facts(layer)["note"]
+        )
         session.undo()
         assert same_bits(session.splats, free)
 
@@ -90,24 +93,24 @@ def test_bad_limits_are_refused(parameters: dict[str, Any], reason: str):
     with Session(splats, painter=Painter.load("lift")) as session:
         edit = off_centre(splats)
         with pytest.raises(ValueError, match=reason):
-            session.add("paint", [edit], parameters=parameters)
-        layer = session.add("paint", [edit]).id
+            session.layers.add("paint", [edit], parameters=parameters)
+        layer = session.layers.add("paint", [edit]).id
         with pytest.raises(ValueError, match=reason):
-            session.set(layer, parameters=parameters)
-        assert session.layer(layer).parameters == {} and len(session.history) == 2
+            session.layers.set(layer, parameters=parameters)
+        assert session.layers.by_id(layer).parameters == {} and len(session.history) == 2
         with pytest.raises(ValueError, match="with pictures in modes local and spread only"):
-            session.add("picture", [edit], mode="global", parameters={"angle_limit": 60})
+            session.layers.add("picture", [edit], mode="global", parameters={"angle_limit": 60})
         with pytest.raises(ValueError, match="with pictures in modes local and spread only"):
-            session.add("erase", [edit], parameters={"angle_limit": 60})
+            session.layers.add("erase", [edit], parameters={"angle_limit": 60})
 
 
 def test_what_will_not_be_painted_is_the_rim_of_a_ball():
     splats, camera = ball(), front(256)
     with Session(splats, painter=Painter.load("lift")) as session:
-        masks = {limit: session.left_out(camera, angle_limit=limit) for limit in (0, 40, 60)}
-        strip = session.left_out(camera, angle_limit=0, depth_edge_limit=8)
+        masks = {limit: session.surface.left_out(camera, angle_limit=limit) for limit in (0, 40, 60)}
+        strip = session.surface.left_out(camera, angle_limit=0, depth_edge_limit=8)
         with pytest.raises(ValueError, match="angle limit: expected 0"):
-            session.left_out(camera, angle_limit=100)
+            session.surface.left_out(camera, angle_limit=100)
     ys, xs = np.mgrid[:256, :256] + 0.5
     rays = np.stack([(xs - camera.cx) / camera.fx, (ys - camera.cy) / camera.fy, np.ones_like(xs)], -1)
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
@@ -123,21 +126,23 @@ def test_what_will_not_be_painted_is_the_rim_of_a_ball():
 
 
 def test_what_will_not_be_painted_follows_the_painter_and_odd_views():
-    with Session(ball(500), painter=Painter(local_options=LocalOptions(angle_limit=30))) as session:
-        assert session.left_out(CAMERA).sum() > session.left_out(CAMERA, angle_limit=60).sum() > 0
+    with Session(
+        ball(500), painter=Painter(settings=EditSettings(local_options=LocalOptions(angle_limit=30)))
+    ) as session:
+        assert session.surface.left_out(CAMERA).sum() > session.surface.left_out(CAMERA, angle_limit=60).sum() > 0
         wide = sp.look_at((0, 0, -3), (0, 0, 0), width=333, height=7, fov=40)
-        assert session.left_out(wide).shape == (7, 333)
+        assert session.surface.left_out(wide).shape == (7, 333)
         away = sp.look_at((0, 0, -3), (0, 0, -9), width=40, height=30, fov=40)
-        assert not session.left_out(away).any()
+        assert not session.surface.left_out(away).any()
 
 
 def test_limits_and_the_surface_beneath_them_are_both_estimated_once(monkeypatch: pytest.MonkeyPatch):
     with Session(ball(500), painter=Painter.load("lift")) as session:
-        session.add("paint", [off_centre(session.splats)])
+        session.layers.add("paint", [off_centre(session.splats)])
         calls, estimate = [], view_limits.coarse_surface
         monkeypatch.setattr(compose, "coarse_surface", lambda *a: calls.append(1) or estimate(*a))
-        first = session.left_out(CAMERA, angle_limit=40)
-        session.surface_blocks(CAMERA)
-        assert np.array_equal(session.left_out(CAMERA, angle_limit=40), first)
-        session.surface_blocks(CAMERA)
+        first = session.surface.left_out(CAMERA, angle_limit=40)
+        session.surface.blocks(CAMERA)
+        assert np.array_equal(session.surface.left_out(CAMERA, angle_limit=40), first)
+        session.surface.blocks(CAMERA)
         assert len(calls) == 2

@@ -9,7 +9,7 @@ import pytest
 
 from splatpainter.cameras import look_at
 from splatpainter.rendering import render
-from splatpainter.session.mirror_plane import MirrorPlane, find_mirror_plane, mirrored_camera, parsed_plane
+from splatpainter.session.measures.mirror_plane import MirrorPlane, find_mirror_plane, mirrored_camera, parsed_plane
 from splatpainter.splats import Splats
 from tests.support import surface_shapes
 

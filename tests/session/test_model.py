@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from splatpainter.painter import Asset, Edit, Painter
+from splatpainter.painter import Asset, Edit, EditSettings, Painter
 from splatpainter.session import Session
 from tests.support.lift_scenes import same_bits
 from tests.support.painter_scenes import ASSET_BASE, BLUE, COPY, GREEN, LIFT, RED, built, dab, thing
@@ -47,17 +47,17 @@ def test_layers_are_the_painter_applied_again_and_again(config, tmp_path: Path):
     painter, path = Painter(model=built(config, awake=0.02)), tmp_path / "a.splatproj"
     with Session(SPLATS, path, painter=painter) as session:
         for edit in EDITS[:2]:
-            layer = session.add("paint", [edit])
+            layer = session.layers.add("paint", [edit])
         expected = straight(painter, EDITS[:2])
-        assert layer.method == "ttt" and session.facts(layer.id)["method"] == "ttt"
+        assert layer.method == "ttt" and session.layers.facts(layer.id)["method"] == "ttt"
         assert same_bits(session.splats, expected.splats)
         assert same_state(session.snapshot.state.painter_state, expected)
     with Session.load(path, painter=painter) as session:
         # From the stored state, which went through the file.
-        session.add("paint", [EDITS[2]])
+        session.layers.add("paint", [EDITS[2]])
         expected = straight(painter, EDITS)
         assert same_bits(session.splats, expected.splats) and same_state(session.snapshot.state.painter_state, expected)
-        session.set("1", visible=False)
+        session.layers.set("1", visible=False)
         expected = straight(painter, EDITS[1:])
         assert same_bits(session.splats, expected.splats) and same_state(session.snapshot.state.painter_state, expected)
         session.undo()
@@ -68,50 +68,50 @@ def test_without_the_weights_results_stay_and_only_new_ones_are_missing(tmp_path
     path = tmp_path / "a.splatproj"
     with Session(SPLATS, path, painter=Painter(model=built(awake=0.02))) as session:
         for edit in EDITS[:2]:
-            session.add("paint", [edit])
+            session.layers.add("paint", [edit])
         composed = session.splats
     with Session.load(path, painter=Painter()) as session:
         assert same_bits(session.splats, composed)
-        session.set("1", visible=False)
-        assert "needs a preset with trained weights" in session.facts("2")["problem"]
+        session.layers.set("1", visible=False)
+        assert "needs a preset with trained weights" in session.layers.facts("2")["problem"]
         session.undo()
         assert same_bits(session.splats, composed)
-        assert session.set("2", method="lift").method == "lift"
-        assert session.facts("2")["method"] == "lift" and "note" in session.facts("2")
-        assert "another painter" not in session.facts("2")["note"]
+        assert session.layers.set("2", method="lift").method == "lift"
+        assert session.layers.facts("2")["method"] == "lift" and "note" in session.layers.facts("2")
+        assert "another painter" not in session.layers.facts("2")["note"]
 
 
 def test_other_weights_are_said(tmp_path: Path):
     path = tmp_path / "a.splatproj"
     with Session(SPLATS, path, painter=Painter(model=built(awake=0.02))) as session:
         for edit in EDITS[:2]:
-            session.add("paint", [edit])
+            session.layers.add("paint", [edit])
     with Session.load(path, painter=Painter(model=built(awake=0.02, seed=8))) as session:
-        assert "another painter" not in session.facts("2")["note"]
-        session.set("1", visible=False)
-        assert "computed by another painter than it was made with" in session.facts("2")["note"]
+        assert "another painter" not in session.layers.facts("2")["note"]
+        session.layers.set("1", visible=False)
+        assert "computed by another painter than it was made with" in session.layers.facts("2")["note"]
 
 
 def test_the_precision_of_layers_is_in_the_receipt_and_another_one_is_said(tmp_path: Path):
     path, net = tmp_path / "a.splatproj", built(awake=0.02)
-    with Session(SPLATS, path, painter=Painter(model=net, precision="bfloat16")) as session:
-        session.add("paint", [EDITS[0]], method="lift")
-        assert session.receipt().precision == ""
-        session.add("paint", [EDITS[1]], method="ttt")
-        assert session.facts("2")["precision"] == "bfloat16" and "precision" not in session.facts("1")
-        assert session.receipt().precision == "bfloat16"
+    with Session(SPLATS, path, painter=Painter(model=net, settings=EditSettings(precision="bfloat16"))) as session:
+        session.layers.add("paint", [EDITS[0]], method="lift")
+        assert session.files.receipt().precision == ""
+        session.layers.add("paint", [EDITS[1]], method="ttt")
+        assert session.layers.facts("2")["precision"] == "bfloat16" and "precision" not in session.layers.facts("1")
+        assert session.files.receipt().precision == "bfloat16"
         composed = session.splats
-    with Session.load(path, painter=Painter(model=net, precision="float32")) as session:
-        assert same_bits(session.splats, composed) and session.receipt().precision == "bfloat16"
-        session.set("1", visible=False)
-        assert session.facts("2")["precision"] == session.receipt().precision == "float32"
-        assert "computed by another painter than it was made with" in session.facts("2")["note"]
-        session.set("2", visible=False)
-        assert session.receipt().precision == ""
+    with Session.load(path, painter=Painter(model=net, settings=EditSettings(precision="float32"))) as session:
+        assert same_bits(session.splats, composed) and session.files.receipt().precision == "bfloat16"
+        session.layers.set("1", visible=False)
+        assert session.layers.facts("2")["precision"] == session.files.receipt().precision == "float32"
+        assert "computed by another painter than it was made with" in session.layers.facts("2")["note"]
+        session.layers.set("2", visible=False)
+        assert session.files.receipt().precision == ""
 
 
 def test_painters_that_replace_all_rows_are_refused():
     with Session(SPLATS, painter=Painter(model=built(COPY, awake=0.02))) as session:
         with pytest.raises(ValueError, match="representation 'copy'"):
-            session.add("paint", EDITS[:1])
-        session.add("paint", EDITS[:1], method="lift")
+            session.layers.add("paint", EDITS[:1])
+        session.layers.add("paint", EDITS[:1], method="lift")

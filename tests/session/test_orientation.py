@@ -10,7 +10,7 @@ import pytest
 
 from splatpainter.cameras import UPS, look_at, orbit
 from splatpainter.session import Session
-from splatpainter.session.orientation import Orientation, azimuth_of, habitual_front, measure, parsed_direction
+from splatpainter.session.measures.orientation import Orientation, azimuth_of, habitual_front, measure, parsed_direction
 from splatpainter.splats import Splats
 from tests.support.studio_scenes import ball
 
@@ -67,12 +67,12 @@ def test_azimuths_are_those_of_orbit() -> None:
 
 def test_what_was_said_is_kept(tmp_path: Path) -> None:
     with Session(ball(), tmp_path / "a.splatproj") as session:
-        assert not session.oriented and session.up == "-y"
-        session.set_front(look_at((3, 0, 0), (0, 0, 0), (0, -1, 0)))
-        session.set_up("+y")
-        front = session.front
+        assert not session.scene.is_oriented and session.scene.up == "-y"
+        session.scene.set_front(look_at((3, 0, 0), (0, 0, 0), (0, -1, 0)))
+        session.scene.set_up("+y")
+        front = session.scene.front
     with Session.load(tmp_path / "a.splatproj") as session:
-        assert session.oriented and session.up == "+y" and session.front == front
+        assert session.scene.is_oriented and session.scene.up == "+y" and session.scene.front == front
         eye = orbit((0, 0, 0), 1, 1, elevation=0, start=front, up=UPS["+y"])[0].position
         assert eye[0] == pytest.approx(1)
         assert len(session.history) == 1

@@ -7,7 +7,6 @@ import shutil
 import sqlite3
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +15,8 @@ import pytest
 import splatpainter as sp
 from splatpainter.painter import Painter
 from splatpainter.session import Session
-from splatpainter.session.compose import LayerResult, LayerState, Replay
-from splatpainter.session.database import APPLICATION_ID, VERSION
-from splatpainter.session.document import Layer
-from splatpainter.session.lock import ProjectLock
-from splatpainter.splats import rows_sha256
+from splatpainter.session.project.database import APPLICATION_ID, VERSION
+from splatpainter.session.project.lock import ProjectLock
 from tests.support.lift_scenes import same_bits
 from tests.support.session_scenes import (
     BLUE,
@@ -35,19 +31,6 @@ from tests.support.session_scenes import (
     two_layers,
 )
 
-V1 = Path(__file__).with_name("session_v1.sql")
-V1_ROWS = "eea52c5e8cbffa235c1d457ff74fe8467a2fade2847df9f6b1e5a405e874d52c"
-"""Hash of the rows that the version 1 project showed when it was written."""
-V2 = Path(__file__).with_name("session_v2.sql")
-"""A version 2 project: paint, a conflict, an adjustment, the eraser, and layers merged and undone."""
-V2_PAINTED = "81cbac07d4510222120505c8bbcd67aec7ee27c41b9ff7d1e9a2c656c8468a6f"
-"""Hash of its rows below the adjustment: of stored results only."""
-V2_GEOMETRY = "5cfa7a752a3d61a682c10c9e032e31f0405069931ee3b93a63818442e17c2040"
-"""Hash of the means, quats, scales and opacities that it showed when it was written, ..."""
-V2_COLORS = Path(__file__).with_name("session_v2_colors.npy")
-"""... and their SH [274, 3]. Adjustments are computed whenever a project is opened, and powers in float32 round
-differently with AVX-512 than without."""
-
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
@@ -56,41 +39,43 @@ def path(tmp_path: Path) -> Path:
 
 def test_everything_is_there_again(path):
     with flat(project=path) as session:
-        first = session.add("paint", [dab(RED)], name="red")
-        session.add("paint", [dab(BLUE, 19)], opacity=0.5, blend="lighten")
-        session.set(first.id, visible=False)
-        session.resolve_conflict("1", "2", "first")
+        first = session.layers.add("paint", [dab(RED)], name="red")
+        session.layers.add("paint", [dab(BLUE, 19)], opacity=0.5, blend="lighten")
+        session.layers.set(first.id, visible=False)
+        session.layers.resolve_conflict("1", "2", "first")
         session.undo()
-        mark = session.add_bookmark("front", CAMERA)
-        session.add_bookmark("gone", CAMERA)
-        session.delete_bookmark("2")
-        layers, history, cursor, state = session.layers, session.history, session.cursor, print_of(session)
-        picture = session.blob(first.views[0].picture or "")
-        small = session.blob(first.thumbnail or "")
+        mark = session.bookmarks.add("front", CAMERA)
+        session.bookmarks.add("gone", CAMERA)
+        session.bookmarks.delete("2")
+        layers, history = tuple(session.layers), tuple(session.history)
+        cursor, state = session.history.cursor, print_of(session)
+        picture = session.files.blob(first.views[0].picture or "")
+        small = session.files.blob(first.thumbnail or "")
     assert [entry.name for entry in path.parent.iterdir()] == [path.name]  # one file
     with load(path) as session:
-        assert (session.layers, session.history, session.cursor) == (layers, history, cursor)
+        assert (*session.layers,) == layers and (*session.history,) == history
+        assert session.history.cursor == cursor
         assert print_of(session) == state and session.painter.calls == []  # type: ignore[attr-defined]
-        (bookmark,) = session.bookmarks()
+        (bookmark,) = session.bookmarks
         assert (bookmark.id, bookmark.name) == (mark, "front")
         np.testing.assert_array_equal(bookmark.camera.world_to_camera, CAMERA.world_to_camera)
-        assert session.blob(first.views[0].picture or "") == picture and small[:4] == b"\x89PNG"
+        assert session.files.blob(first.views[0].picture or "") == picture and small[:4] == b"\x89PNG"
         assert session.redo() and not session.redo()
-        session.jump(0)
+        session.history.jump(0)
         assert same_bits(session.splats, asset())
         assert session.verify() == []
         with pytest.raises(ValueError, match="bookmark: no bookmark with id '9'"):
-            session.delete_bookmark("9")
+            session.bookmarks.delete("9")
 
 
 def test_a_session_without_a_project_leaves_nothing(path):
     with flat() as session:
-        session.add("paint", [dab()])
+        session.layers.add("paint", [dab()])
         assert session.path is None
-        temporary = session._project.path
-        session.save_as(path)
+        temporary = session._core.project.path
+        session.files.save_as(path)
         assert session.path == path and not temporary.exists()
-        session.add("paint", [dab(BLUE)])
+        session.layers.add("paint", [dab(BLUE)])
         state = print_of(session)
     with load(path) as session:
         assert print_of(session) == state and len(session.layers) == 2
@@ -100,15 +85,15 @@ def test_save_as_leaves_the_old_file_as_it_is(path):
     two_layers(path)
     other = path.with_name("other.splatproj")
     with load(path) as session:
-        session.save_copy(other)
+        session.files.save_copy(other)
         with pytest.raises(ValueError, match="already exists"):
-            session.save_as(other)
-        session.save_as(other, overwrite=True)
-        session.add("paint", [dab(GREEN)])
+            session.files.save_as(other)
+        session.files.save_as(other, overwrite=True)
+        session.layers.add("paint", [dab(GREEN)])
     with load(path) as old, load(other) as new:
         assert len(old.layers) == 2 and len(new.layers) == 3
         with pytest.raises(ValueError, match="open elsewhere"):
-            old.save_as(other, overwrite=True)
+            old.files.save_as(other, overwrite=True)
     with pytest.raises(ValueError, match=r"ending in \.splatproj"):
         flat(project=path.with_suffix(".db"))
     with pytest.raises(ValueError, match="no such folder"):
@@ -133,13 +118,13 @@ def test_the_original_file_is_kept_byte_for_byte(tmp_path, path):
     sp.write(ply, asset(8))
     data = ply.read_bytes()
     with flat(ply, path) as session:
-        session.add("paint", [dab()])
+        session.layers.add("paint", [dab()])
         assert session.original.sha256 == sp.read(ply).sha256
     ply.unlink()
     with load(path) as session:
-        session.export(tmp_path / "again.ply")
+        session.files.export(tmp_path / "again.ply")
         session.undo()
-        session.export(tmp_path / "same.ply")
+        session.files.export(tmp_path / "same.ply")
     assert (tmp_path / "same.ply").read_bytes() == data
     assert (tmp_path / "again.ply").read_bytes() != data
 
@@ -160,7 +145,7 @@ def test_only_the_path_of_the_original(tmp_path, path):
     ply, moved = tmp_path / "vase.ply", tmp_path / "moved.ply"
     sp.write(ply, asset(40))
     with flat(ply, path, embed=False) as session:
-        session.add("paint", [dab()])
+        session.layers.add("paint", [dab()])
         state = print_of(session)
     assert path.stat().st_size < ply.stat().st_size
     with load(path) as session:
@@ -183,7 +168,7 @@ def test_rows_that_are_no_file_any_more_are_kept_as_rows(tmp_path, path):
     splats = sp.read(ply)
     ply.write_bytes(b"something else")
     with flat(splats, path) as session:
-        assert session._project.fact("format") == "rows"
+        assert session._core.project.fact("format") == "rows"
     with load(path) as session:
         assert same_bits(session.splats, splats)
 
@@ -193,10 +178,10 @@ def test_rows_that_are_no_file_any_more_are_kept_as_rows(tmp_path, path):
 def test_real_files_come_back_byte_for_byte(shared, tmp_path, path, name):
     source = shared / "data" / "splats" / name
     with flat(source, path) as session:
-        session.add("look", parameters={"look": "gain", "gain": [1.2, 1, 1]})
+        session.layers.add("look", parameters={"look": "gain", "gain": [1.2, 1, 1]})
         session.undo()
     with load(path) as session:
-        session.export(tmp_path / name)
+        session.files.export(tmp_path / name)
     assert (tmp_path / name).read_bytes() == source.read_bytes()
 
 
@@ -209,19 +194,19 @@ def test_the_second_opener_may_look_but_not_touch(path):
         assert writer.read_only == "" and reader.read_only.startswith("open elsewhere")
         assert print_of(reader) == print_of(writer)
         for attempt in (
-            lambda: reader.add("paint", [dab()]),
-            lambda: reader.set("1", name="mine"),
+            lambda: reader.layers.add("paint", [dab()]),
+            lambda: reader.layers.set("1", name="mine"),
             reader.undo,
-            lambda: reader.add_bookmark("b", CAMERA),
+            lambda: reader.bookmarks.add("b", CAMERA),
         ):
             with pytest.raises(ValueError, match="open elsewhere"):
                 attempt()
         with pytest.raises(ValueError, match="open elsewhere"):
             load(path, readonly=False)
-        writer.add("paint", [dab(GREEN)])
+        writer.layers.add("paint", [dab(GREEN)])
         assert reader.refresh() and print_of(reader) == print_of(writer) and not reader.refresh()
-        reader.save_as(path.with_name("mine.splatproj"))
-        reader.add("paint", [dab(GREEN)])
+        reader.files.save_as(path.with_name("mine.splatproj"))
+        reader.layers.add("paint", [dab(GREEN)])
     with load(path) as session:
         assert session.read_only == ""
     assert sorted(entry.name for entry in path.parent.iterdir()) == ["mine.splatproj", path.name]
@@ -232,7 +217,7 @@ def test_other_processes_are_kept_out_until_this_one_is_gone(path):
     code = f"""
 import sys; sys.path.insert(0, {str(Path(__file__).parents[2])!r})
 from pathlib import Path
-from splatpainter.session.lock import ProjectLock
+from splatpainter.session.project.lock import ProjectLock
 print("free" if ProjectLock.take(Path({str(path)!r})) else "taken")
 """
 
@@ -258,16 +243,21 @@ def test_reading_only_touches_nothing(path):
 # Other files
 
 
-def test_a_newer_file_is_refused_and_untouched(path):
+@pytest.mark.parametrize(
+    ("version", "line"),
+    [
+        (VERSION + 1, r"was written by a newer splatpainter .*; update splatpainter to open it$"),
+        (0, rf"damaged project file \(project version 0, expected {VERSION}\)$"),
+    ],
+)
+def test_a_file_of_another_version_is_refused_and_untouched(path, version, line):
     two_layers(path)
     database = sqlite3.connect(path)
-    database.execute(f"PRAGMA user_version={VERSION + 1}")
+    database.execute(f"PRAGMA user_version={version}")
     database.close()
     before = path.read_bytes()
     for readonly in (None, True, False):
-        with pytest.raises(
-            ValueError, match=r"was written by a newer splatpainter .*; update splatpainter to open it$"
-        ):
+        with pytest.raises(ValueError, match=line):
             load(path, readonly=readonly)
     assert path.read_bytes() == before and len(list(path.parent.iterdir())) == 1
 
@@ -322,73 +312,9 @@ def test_verify_finds_changed_bytes(path):
         with load(path) as session:
             assert session.verify() == []
         with load(copy) as session:
-            session._project._db.execute(statement)
+            session._core.project._db.execute(statement)
             problems = session.verify()
             assert len(problems) >= 1 and any(message.split(" ")[0] in line for line in problems)
-
-
-def test_version_1_is_brought_up(path):
-    database = sqlite3.connect(path)
-    database.executescript(V1.read_text(encoding="utf-8"))
-    database.close()
-    with pytest.raises(ValueError, match="must be opened for writing once"):
-        load(path, readonly=True)
-    with load(path) as session:
-        assert print_of(session) == V1_ROWS and session.painter.calls == []  # type: ignore[attr-defined]
-        assert [(layer.name, layer.blend, layer.opacity) for layer in session.layers] == [
-            ("red", "normal", 1.0),
-            ("blue", "color", 0.75),
-        ]
-        assert [step.label for step in session.history] == ["open", "add red", "add blue", "set opacity blue"]
-        assert session.bookmarks()[0].name == "front"
-        assert session.undo() and session.layers[1].opacity == 1
-        session.set("2", gesture="drag", opacity=0.25)
-        assert session.verify(repaint=True) == []
-    with load(path, readonly=True) as session:
-        assert session._project.rows("PRAGMA user_version") == [(VERSION,)]
-        assert session.layers[1].opacity == 0.25
-
-
-def test_a_project_of_version_2_from_before_its_modules_were_renamed_opens(path, monkeypatch):
-    database = sqlite3.connect(path)
-    database.executescript(V2.read_text(encoding="utf-8"))
-    database.close()
-    compute, computed = Replay._result, []
-
-    def result_of(replay: Replay, below: LayerState, layer: Layer) -> LayerResult:
-        computed.append(layer.name)
-        return compute(replay, below, layer)
-
-    monkeypatch.setattr(Replay, "_result", result_of)
-    with Session.load(path, painter=sp.Painter.load("lift")) as session:
-        assert [layer.name for layer in session.layers] == ["red", "red copy", "blue", "warm", "eraser"]
-        assert computed == ["warm"]  # all others were found by their keys
-        document = session._snapshot.document
-        painted = session._replay.compose(replace(document, layers=document.layers[:3])).splats
-        assert rows_sha256(painted) == V2_PAINTED
-        splats, before = session.splats, print_of(session)
-        assert rows_sha256(replace(splats, sh=np.zeros_like(splats.sh))) == V2_GEOMETRY
-        np.testing.assert_allclose(splats.sh[:, 0], np.load(V2_COLORS), rtol=0, atol=2e-6)
-        assert len(splats) == 274 and session.verify() == []
-        assert len(session.conflicts()) == 2 and (session.cursor, len(session.history)) == (6, 8)
-    with Session.load(path, painter=sp.Painter.load("lift")) as session:
-        assert session.redo() and session.layers[0].name == "both" and print_of(session) == before
-    assert set(computed) == {"warm"}
-
-
-def test_a_failed_migration_leaves_version_1(path, monkeypatch):
-    database = sqlite3.connect(path)
-    database.executescript(V1.read_text(encoding="utf-8"))
-    database.execute("UPDATE layers SET content = '{' WHERE id = 2")
-    database.commit()
-    database.close()
-    with pytest.raises(ValueError):
-        load(path)
-    database = sqlite3.connect(path)
-    assert database.execute("PRAGMA user_version").fetchone() == (1,)
-    assert "gesture" not in str(database.execute("SELECT sql FROM sqlite_master WHERE name = 'steps'").fetchone())
-    database.close()
-    assert VERSION == 4
 
 
 # Out of it
@@ -398,9 +324,9 @@ def test_export_proves_what_it_wrote(tmp_path, path):
     ply = tmp_path / "vase.ply"
     sp.write(ply, asset(8))
     with flat(ply, path) as session:
-        session.add("paint", [dab()])
+        session.layers.add("paint", [dab()])
         for name in ("out.ply", "out.spz"):
-            receipt, verification = session.export(tmp_path / name)
+            receipt, verification = session.files.export(tmp_path / name)
             assert verification.ok and receipt.asset_sha256 == sp.read(ply).sha256
             stored = sp.Receipt.from_json((tmp_path / f"{name}.receipt.json").read_text())
             assert stored.output_sha256 == sp.read(tmp_path / name).sha256 and stored.mode == "session"
@@ -413,25 +339,25 @@ def test_export_proves_what_it_wrote(tmp_path, path):
             ("none/x.ply", "no such folder"),
         ):
             with pytest.raises(ValueError, match=message):
-                session.export(tmp_path / name)
-        session.export(tmp_path / "out.ply", overwrite=True)
+                session.files.export(tmp_path / name)
+        session.files.export(tmp_path / "out.ply", overwrite=True)
     assert not [entry for entry in tmp_path.iterdir() if entry.name.startswith(".")]
 
 
 def test_one_layer_travels_alone(tmp_path, path):
     file = tmp_path / "red.splatlayer"
     with flat() as session:
-        session.add("paint", [dab(RED)], name="red", opacity=0.5)
-        session.add("paint", [dab(BLUE, 19)], name="blue")
+        session.layers.add("paint", [dab(RED)], name="red", opacity=0.5)
+        session.layers.add("paint", [dab(BLUE, 19)], name="blue")
         state = print_of(session)
-        merged = session.merge(["1", "2"], "both")
-        session.export_layer(merged.id, file)
+        merged = session.layers.merge(["1", "2"], "both")
+        session.files.export_layer(merged.id, file)
         with pytest.raises(ValueError, match="already exists"):
-            session.export_layer(merged.id, file)
+            session.files.export_layer(merged.id, file)
     with flat() as other:
-        other.add("paint", [dab(GREEN)])
-        other.set("1", visible=False)
-        new = other.import_layer(file)
+        other.layers.add("paint", [dab(GREEN)])
+        other.layers.set("1", visible=False)
+        new = other.files.import_layer(file)
         assert new.name == "both" and print_of(other) == state
         assert len({new.id, *(inner.id for inner in new.layers), "1"}) == 4
         assert other.verify() == []
@@ -439,15 +365,15 @@ def test_one_layer_travels_alone(tmp_path, path):
         for wrong in (b"no zip", data[:-30], data.replace(b'"version": 1', b'"version": 7')):
             file.write_bytes(wrong)
             with pytest.raises(ValueError, match=r"red\.splatlayer: expected a \.splatlayer file|damaged"):
-                other.import_layer(file)
+                other.files.import_layer(file)
 
 
 def test_history_is_bounded(path, monkeypatch):
-    monkeypatch.setattr("splatpainter.session.project_file.MAX_STEPS", 5)
+    monkeypatch.setattr("splatpainter.session.project.project_file.MAX_STEPS", 5)
     with flat(project=path) as session:
         for k in range(12):
-            session.add("look", parameters={"look": "gain", "gain": [1, 1, 1 + k / 100]})
-        assert len(session.history) <= 6 and session.cursor == len(session.history) - 1
+            session.layers.add("look", parameters={"look": "gain", "gain": [1, 1, 1 + k / 100]})
+        assert len(session.history) <= 6 and session.history.cursor == len(session.history) - 1
         session.undo()
         session.redo()
         assert session.verify() == []
@@ -457,10 +383,10 @@ def test_undone_work_does_not_pile_up(path):
     with flat(project=path) as session:
         sizes = []
         for k in range(40):
-            session.add("paint", [dab(RED, 10 + k % 12)])
+            session.layers.add("paint", [dab(RED, 10 + k % 12)])
             session.undo()
             sizes.append(
-                session._project.rows("SELECT (SELECT count(*) FROM results), (SELECT count(*) FROM blobs)")[0]
+                session._core.project.rows("SELECT (SELECT count(*) FROM results), (SELECT count(*) FROM blobs)")[0]
             )
         assert max(sizes) == sizes[0]
     assert path.stat().st_size < 200_000
@@ -468,11 +394,11 @@ def test_undone_work_does_not_pile_up(path):
 
 def test_parameters_of_layers_are_json(path):
     with flat(project=path) as session:
-        layer = session.add("paint", [dab()], parameters={"brush": {"size": 3.5}, "seeds": [1, 2]})
+        layer = session.layers.add("paint", [dab()], parameters={"brush": {"size": 3.5}, "seeds": [1, 2]})
         assert json.loads(json.dumps(layer.parameters)) == {"brush": {"size": 3.5}, "seeds": [1, 2]}
         for wrong in ({"when": {1, 2}}, {"size": float("nan")}):
             with pytest.raises(ValueError, match="^layer 'Paint': expected parameters that JSON can hold"):
-                session.set(layer.id, parameters=wrong)
+                session.layers.set(layer.id, parameters=wrong)
     with load(path) as session:
         assert session.layers[0].parameters == {"brush": {"size": 3.5}, "seeds": [1, 2]}
 
@@ -484,8 +410,8 @@ def test_an_export_of_rows_that_cannot_be_drawn_proves_itself_in_another_format(
     splats.sh[6], splats.quats[7] = np.inf, 0
     sp.write(tmp_path / "vase.ply", splats)
     with Session(tmp_path / "vase.ply", painter=Painter()) as session:
-        session.add("paint", [dab(RED)], method="lift")
-        receipt, verification = session.export(tmp_path / f"painted{ending}")
+        session.layers.add("paint", [dab(RED)], method="lift")
+        receipt, verification = session.files.export(tmp_path / f"painted{ending}")
     assert verification.ok and receipt.appended_rows == verification.appended > 0
     back = sp.read(tmp_path / f"painted{ending}")
     assert back.drawable.all() and not back.opacities[3:8].any()

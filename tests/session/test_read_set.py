@@ -13,8 +13,8 @@ import pytest
 from splatpainter.cameras import Camera, look_at
 from splatpainter.painter import Edit, Painter
 from splatpainter.session import Session
-from splatpainter.session.delta import Delta
-from splatpainter.session.read_set import ReadSet, read_set_of, renumber
+from splatpainter.session.replay.delta import Delta
+from splatpainter.session.replay.read_set import ReadSet, read_set_of, renumber
 from splatpainter.splats import Splats
 from splatpainter.voxels.grid import voxelize
 from tests.support.lift_scenes import disk, same_bits, sheet
@@ -37,13 +37,13 @@ def ground() -> Splats:
 def counted(session: Session) -> list[str]:
     """Names of the layers that are painted from now on."""
     names: list[str] = []
-    compute = session._replay.main._result
+    compute = session._core.replay.main._result
 
     def noted(below, layer):
         names.append(layer.name)
         return compute(below, layer)
 
-    session._replay.main._result = noted  # type: ignore[method-assign]
+    session._core.replay.main._result = noted  # type: ignore[method-assign]
     return names
 
 
@@ -52,12 +52,16 @@ def painted_anew(session: Session) -> Splats:
     with Session(session.original, painter=Painter.load("lift")) as other:
         for layer in session.layers:
             edits = [
-                Edit(session._replay.main._edit(view, layer).image, view.camera, session._replay.main.mask(view))
+                Edit(
+                    session._core.replay.main._edit(view, layer).image,
+                    view.camera,
+                    session._core.replay.main.mask(view),
+                )
                 for view in layer.views
             ]
-            made = other.add(layer.kind, edits, parameters=layer.parameters)
-            other.set(made.id, opacity=layer.opacity, blend=layer.blend)
-            other.set(made.id, visible=layer.visible)
+            made = other.layers.add(layer.kind, edits, parameters=layer.parameters)
+            other.layers.set(made.id, opacity=layer.opacity, blend=layer.blend)
+            other.layers.set(made.id, visible=layer.visible)
         names = [layer.id for layer in other.layers]
         assert len(names) == len(session.layers)
         return other.splats
@@ -69,7 +73,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, s
     path = tmp_path_factory.mktemp("four") / "four.splatproj"
     session, ids = four()
     with session:
-        session.save_as(path)
+        session.files.save_as(path)
     return path, ids
 
 
@@ -77,7 +81,9 @@ def four() -> tuple[Session, dict[str, str]]:
     """Three dabs far from each other, and one over the first."""
     session = Session(ground(), painter=Painter.load("lift"))
     positions = {"a": (30, 30, RED), "b": (130, 32, BLUE), "c": (126, 128, GREEN), "over a": (34, 34, BLUE)}
-    ids = {name: session.add("paint", [dab(color, x, y)], name=name).id for name, (x, y, color) in positions.items()}
+    ids = {
+        name: session.layers.add("paint", [dab(color, x, y)], name=name).id for name, (x, y, color) in positions.items()
+    }
     assert len(session.splats) > len(session.original) + 20
     return session, ids
 
@@ -85,15 +91,15 @@ def four() -> tuple[Session, dict[str, str]]:
 @pytest.mark.parametrize(
     ("change", "again"),
     [
-        (lambda s, i: s.set(i["a"], visible=False), ["over a"]),
-        (lambda s, i: s.set(i["a"], opacity=0.4), ["over a"]),
-        (lambda s, i: s.set(i["a"], blend="color"), ["over a"]),
-        (lambda s, i: s.set(i["b"], visible=False), []),
-        (lambda s, i: s.move(i["b"], 3), []),
-        (lambda s, i: s.move(i["b"], 2), []),
-        (lambda s, i: s.move(i["a"], 3), ["over a", "a"]),
-        (lambda s, i: s.delete(i["c"]), []),
-        (lambda s, i: s.merge([i["b"], i["c"]]), []),
+        (lambda s, i: s.layers.set(i["a"], visible=False), ["over a"]),
+        (lambda s, i: s.layers.set(i["a"], opacity=0.4), ["over a"]),
+        (lambda s, i: s.layers.set(i["a"], blend="color"), ["over a"]),
+        (lambda s, i: s.layers.set(i["b"], visible=False), []),
+        (lambda s, i: s.layers.move(i["b"], 3), []),
+        (lambda s, i: s.layers.move(i["b"], 2), []),
+        (lambda s, i: s.layers.move(i["a"], 3), ["over a", "a"]),
+        (lambda s, i: s.layers.delete(i["c"]), []),
+        (lambda s, i: s.layers.merge([i["b"], i["c"]]), []),
     ],
     ids=["hide", "opacity", "blend", "hide aside", "top", "within", "over", "delete", "merge"],
 )
@@ -112,29 +118,29 @@ def test_only_what_read_something_else_is_painted_again(change, again, project, 
 def test_again_and_again_after_the_project_was_closed(tmp_path) -> None:
     session, ids = four()
     with session:
-        session.save_as(tmp_path / "own.splatproj")
+        session.files.save_as(tmp_path / "own.splatproj")
     with Session.load(tmp_path / "own.splatproj", painter=Painter.load("lift")) as session:
         names = counted(session)
         all_layers = session.splats
-        session.set(ids["b"], visible=False)
-        session.set(ids["c"], visible=False)
-        session.set(ids["b"], visible=True)
+        session.layers.set(ids["b"], visible=False)
+        session.layers.set(ids["c"], visible=False)
+        session.layers.set(ids["b"], visible=True)
         assert names == [] and same_bits(session.splats, painted_anew(session))
-        session.set(ids["c"], visible=True)
+        session.layers.set(ids["c"], visible=True)
         assert same_bits(session.splats, all_layers) and session.verify(repaint=True) == []
 
 
 def test_conflicts_name_the_rows_where_they_are_now() -> None:
     side = look_at((1.2, 0, 2.3), (0, 0, 0), width=SIZE, height=SIZE, fov=42)
     with Session(ground(), painter=Painter.load("lift")) as session:
-        low = session.add("paint", [dab(RED, 30, 30)])
-        session.add("paint", [dab(BLUE, 110, 116)])
-        session.add("paint", [dab(GREEN, 108, 116, camera=side)])
+        low = session.layers.add("paint", [dab(RED, 30, 30)])
+        session.layers.add("paint", [dab(BLUE, 110, 116)])
+        session.layers.add("paint", [dab(GREEN, 108, 116, camera=side)])
         names = counted(session)
-        before, composed = session.conflicts(), session.splats
-        session.set(low.id, visible=False)
+        before, composed = session.layers.conflicts(), session.splats
+        session.layers.set(low.id, visible=False)
         assert names == [] and len(before) == 1
-        (now,) = session.conflicts()
+        (now,) = session.layers.conflicts()
         assert now.share == before[0].share and len(now.gaussian_ids) == len(before[0].gaussian_ids) > 0
         assert session.verify(repaint=True) == []
         assert same_bits(session.splats.take(now.gaussian_ids), composed.take(before[0].gaussian_ids))

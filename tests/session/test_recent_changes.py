@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splatpainter.session import recent_changes
-from splatpainter.session.recent_changes import changes, note_changes
+from splatpainter.session.replay import recent_changes
+from splatpainter.session.replay.recent_changes import changes, note_changes
 from splatpainter.splats import Splats, changed_rows
 from tests.support.render_scenes import scene
 

@@ -11,7 +11,7 @@ import pytest
 from splatpainter.cameras import look_at
 from splatpainter.rendering import render
 from splatpainter.session import Session
-from splatpainter.session.relief import COPY, CopyAnchor, Relief
+from splatpainter.session.replay.relief import COPY, CopyAnchor, Relief
 from splatpainter.splats import Splats
 from splatpainter.transforms import quat_to_matrix
 
@@ -48,7 +48,7 @@ def test_a_copy_is_the_rivet_elsewhere_and_can_be_taken_back(tmp_path: Path) -> 
     camera = look_at((0, 0, -4), (0, 0, 0), (0, -1, 0), width=200, height=100, fov=35)
     side = look_at((0.3, -1.6, -0.8), (1, 0, 0), (0, 0, -1), width=60, height=60, fov=40)
     with Session(splats, tmp_path / "a.splatproj") as session:
-        layer = session.copy(relief())
+        layer = session.layers.copy_relief(relief())
         after = session.splats
         assert np.array_equal(after.means[: len(splats)], splats.means)
         picture = render(after, camera).colors[0]
@@ -60,10 +60,10 @@ def test_a_copy_is_the_rivet_elsewhere_and_can_be_taken_back(tmp_path: Path) -> 
         assert np.abs(there[6, 6] - here[6, 6]).max() < 0.12 and there[6, 6, 0] - there[6, 6, 1] > 0.4
         assert np.abs(picture[:, :90] - before[:, :90]).max() < 1e-6, "elsewhere nothing changes"
         assert render(after, side).colors[0][..., 0].max() > 0.6, "it stands off the plate"
-        session.set(layer.id, visible=False)
+        session.layers.set(layer.id, visible=False)
         assert all(np.array_equal(getattr(session.splats, name), getattr(splats, name)) for name in ("means", "sh"))
         assert np.array_equal(session.splats.opacities, splats.opacities)
-        session.set(layer.id, visible=True)
+        session.layers.set(layer.id, visible=True)
         bits = session.splats
     with Session(tmp_path / "a.splatproj") as session:
         assert np.array_equal(session.splats.means, bits.means) and session.verify(repaint=True) == []
@@ -105,8 +105,8 @@ def test_what_cannot_be_copied_is_one_line(tmp_path: Path) -> None:
     with Session(board(), tmp_path / "a.splatproj") as session:
         far = replace(relief(), source=CopyAnchor.of(np.array([50.0, 0, 0]), FRONT, np.array([1.0, 0, 0])))
         with pytest.raises(ValueError, match="nothing within the brush"):
-            session.copy(far)
-        assert session.layers == ()
+            session.layers.copy_relief(far)
+        assert not session.layers
     for damaged in (
         {},
         {COPY: 3},

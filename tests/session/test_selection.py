@@ -13,7 +13,7 @@ from splatpainter.io import read
 from splatpainter.painter import Edit
 from splatpainter.rendering import render
 from splatpainter.session import Session
-from splatpainter.session.selection import (
+from splatpainter.session.selection.selection import (
     Selection,
     by_attribute,
     by_color,
@@ -25,7 +25,7 @@ from splatpainter.session.selection import (
     view_and_points,
     view_of,
 )
-from splatpainter.session.selection_space import connected, feathered, floaters, grown, parts, shrunk
+from splatpainter.session.selection.selection_space import connected, feathered, floaters, grown, parts, shrunk
 from splatpainter.splats import Splats
 from splatpainter.voxels.neighbours import components, nearest_within
 from tests.support.studio_scenes import ball, view
@@ -207,7 +207,7 @@ def test_a_selection_outlives_layers_and_travels_as_a_picture(tmp_path: Path) ->
         mask = np.zeros((96, 96), bool)
         mask[40:56, 24:72] = True
         image[mask] = (0.9, 0.1, 0.1)
-        session.add("paint", [Edit(image, view(), mask)])
+        session.layers.add("paint", [Edit(image, view(), mask)])
         after = session.splats
         assert len(after) > len(before)
         now = selection.on(after, session.original)
@@ -232,23 +232,23 @@ def test_hiding_is_a_layer_and_brings_everything_back(tmp_path: Path) -> None:
         before = session.splats
         weights = np.zeros(1500, np.float32)
         weights[:300], weights[300:400] = 1, 0.5
-        layer = session.hide(weights, "Junk")
+        layer = session.layers.hide_selected(weights, "Junk")
         hidden = session.splats
         assert len(hidden) == 1500 and (hidden.opacities[:300] == 0).all()
         assert np.allclose(hidden.opacities[300:400], 0.5 * before.opacities[300:400], atol=1e-2)
         assert np.array_equal(hidden.opacities[400:], before.opacities[400:])
-        receipt = session.receipt()
+        receipt = session.files.receipt()
         assert receipt.removed.tolist() == list(range(300)) and len(receipt.touched) == 400
-        session.set(layer.id, opacity=0.5)
+        session.layers.set(layer.id, opacity=0.5)
         assert np.allclose(session.splats.opacities[:300], 0.5 * before.opacities[:300])
-        session.set(layer.id, opacity=1.0)
-        session.set(layer.id, visible=False)
+        session.layers.set(layer.id, opacity=1.0)
+        session.layers.set(layer.id, visible=False)
         assert np.array_equal(session.splats.opacities, before.opacities)
-        session.set(layer.id, visible=True)
+        session.layers.set(layer.id, visible=True)
         with pytest.raises(ValueError, match="nothing is selected"):
-            session.hide(np.zeros(1500))
+            session.layers.hide_selected(np.zeros(1500))
         with pytest.raises(ValueError, match="finite weights"):
-            session.hide(np.zeros(7))
+            session.layers.hide_selected(np.zeros(7))
     with Session.load(path) as session:
         assert (session.splats.opacities[:300] == 0).all() and session.verify(repaint=True) == []
         while session.undo():
@@ -260,16 +260,16 @@ def test_hidden_gaussians_are_removed_for_good_only_at_export_and_the_receipt_sa
     with Session(ball(1000), tmp_path / "a.splatproj") as session:
         weights = np.zeros(1000, np.float32)
         weights[200:300] = 1
-        session.hide(weights)
+        session.layers.hide_selected(weights)
         image = render(session.splats, view()).colors[0].copy()
         mask = np.zeros((96, 96), bool)
         mask[40:56, 40:56] = True
         image[mask] = (0.9, 0.1, 0.1)
-        session.add("paint", [Edit(image, view(), mask)])
+        session.layers.add("paint", [Edit(image, view(), mask)])
         now = session.splats
-        full, _ = session.export(tmp_path / "all.ply")
+        full, _ = session.files.export(tmp_path / "all.ply")
         assert full.asset_rows == 1000 and len(read(tmp_path / "all.ply")) == len(now) and full.dropped is None
-        receipt, proof = session.export(tmp_path / "visible.ply", remove_hidden=True)
+        receipt, proof = session.files.export(tmp_path / "visible.ply", remove_hidden=True)
         visible = now.opacities > 0
         assert proof.ok and receipt.dropped is not None
         assert receipt.dropped["rows"] == 1000 and receipt.dropped["left_out"] == int((~visible[:1000]).sum()) >= 100
@@ -278,9 +278,9 @@ def test_hidden_gaussians_are_removed_for_good_only_at_export_and_the_receipt_sa
         assert len(written) == visible.sum() and np.allclose(written.means, now.means[visible])
         again = type(receipt).from_json((tmp_path / "visible.ply.receipt.json").read_text())
         assert again.dropped == receipt.dropped
-        session.hide(np.ones(len(now)))
+        session.layers.hide_selected(np.ones(len(now)))
         with pytest.raises(ValueError, match="everything is hidden"):
-            session.export(tmp_path / "none.ply", remove_hidden=True)
+            session.files.export(tmp_path / "none.ply", remove_hidden=True)
 
 
 def test_a_look_keeps_to_a_selection_and_selections_have_names(tmp_path: Path) -> None:
@@ -290,22 +290,22 @@ def test_a_look_keeps_to_a_selection_and_selections_have_names(tmp_path: Path) -
     with Session(ball(1000), path) as session:
         weights = np.zeros(1000, np.float32)
         weights[:100], weights[100:200] = 1, 0.5
-        session.save_selection("Upper part", weights)
+        session.selections.save("Upper part", weights)
         data = Selection.of(weights, session.splats, session.original).to_png()
         before = session.splats.sh
         gain = {"look": "gain", "gain": [0, 0, 0]}
-        session.add("look", name="Dark", parameters={**gain, "selection": sha256(data)}, attached=[data])
+        session.layers.add("look", name="Dark", parameters={**gain, "selection": sha256(data)}, attached=[data])
         after = session.splats.sh
         full = -0.5 / 0.28209479177387814
         assert np.allclose(after[:100, 0], full) and np.array_equal(after[200:], before[200:])
         assert np.allclose(after[100:200, 0], (before[100:200, 0] + full) / 2, atol=0.02)
         with pytest.raises(ValueError, match="a name of at most 80"):
-            session.save_selection("", weights)
+            session.selections.save("", weights)
     with Session.load(path) as session:
-        assert session.selections() == ["Upper part"]
-        assert np.abs(session.selection("Upper part") - weights).max() < 0.01
+        assert session.selections.names() == ["Upper part"]
+        assert np.abs(session.selections.load("Upper part") - weights).max() < 0.01
         assert session.verify(repaint=True) == []
         with pytest.raises(ValueError, match="expected one of Upper part, got 'x'"):
-            session.selection("x")
-        session.delete_selection("Upper part")
-        assert session.selections() == []
+            session.selections.load("x")
+        session.selections.delete("Upper part")
+        assert session.selections.names() == []

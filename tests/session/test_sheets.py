@@ -4,24 +4,19 @@ projects, which have none."""
 from __future__ import annotations
 
 import math
-import sqlite3
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import splatpainter as sp
 from splatpainter.cameras import Camera, look_at
-from splatpainter.lift.options import LocalOptions
 from splatpainter.painter import Edit, Painter
 from splatpainter.session import Session
-from splatpainter.session.fingerprint import OLDER_SHEETS, SHEETS, lays_sheets
 from splatpainter.splats import Splats
-from tests.support.lift_scenes import differing, disk, front, same_bits, sheet
+from tests.support.lift_scenes import disk, front, same_bits, sheet
 from tests.support.session_scenes import BLUE, CAMERA, GREEN, RED, SIZE, dab, print_of
 
-V2 = Path(__file__).with_name("session_v2.sql")
 """A version 2 project, made before there were sheets."""
 PX = 96
 
@@ -50,7 +45,7 @@ def test_a_place_painted_ten_times_does_not_grow_ten_sheets(views) -> None:
     with Session(splats, painter=Painter.load("lift")) as session:
         appended, visible = [], []
         for k in range(10):
-            session.add("paint", [checks(k, front(PX) if views == "the same view" else around(k))])
+            session.layers.add("paint", [checks(k, front(PX) if views == "the same view" else around(k))])
             appended.append(len(session.splats) - len(splats))
             visible.append(int((session.splats.opacities > 0).sum()) - len(splats))
         assert appended[0] > 500
@@ -61,11 +56,11 @@ def test_a_place_painted_ten_times_does_not_grow_ten_sheets(views) -> None:
 
 
 def layered(session: Session) -> None:
-    first = session.add("paint", [dab(RED, 14, radius=6)])
-    session.add("paint", [dab(BLUE, 19, radius=6)], opacity=0.5)
-    session.add("erase", [Edit(np.zeros((SIZE, SIZE, 3)), CAMERA, disk(CAMERA, 12, 16, 5))])
-    session.add("paint", [dab(GREEN, 17, 21, radius=4)], blend="luminosity")
-    session.set(first.id, opacity=0.7)
+    first = session.layers.add("paint", [dab(RED, 14, radius=6)])
+    session.layers.add("paint", [dab(BLUE, 19, radius=6)], opacity=0.5)
+    session.layers.add("erase", [Edit(np.zeros((SIZE, SIZE, 3)), CAMERA, disk(CAMERA, 12, 16, 5))])
+    session.layers.add("paint", [dab(GREEN, 17, 21, radius=4)], blend="luminosity")
+    session.layers.set(first.id, opacity=0.7)
 
 
 def test_any_number_of_threads_gives_equal_bits(monkeypatch) -> None:
@@ -99,10 +94,12 @@ def test_every_format_holds_emptied_rows_as_invisible(ending, tmp_path) -> None:
     start = tmp_path / f"start.{ending}"
     sp.write(start, splats)
     with Session(start, painter=Painter.load("lift")) as session:
-        session.add("paint", [Edit(np.full((PX, PX, 3), 0.8, np.float32), front(PX), disk(front(PX), 48, 48, 26))])
+        session.layers.add(
+            "paint", [Edit(np.full((PX, PX, 3), 0.8, np.float32), front(PX), disk(front(PX), 48, 48, 26))]
+        )
         emptied = np.flatnonzero((session.splats.opacities == 0)[: len(session.original)])
         assert len(emptied) > 5
-        receipt, verification = session.export(tmp_path / f"out.{ending}")
+        receipt, verification = session.files.export(tmp_path / f"out.{ending}")
         assert verification.ok, verification.problems
         np.testing.assert_array_equal(receipt.removed, emptied)
         assert len(receipt.replaced) > 5 and not np.isin(receipt.replaced, emptied).any()
@@ -114,58 +111,3 @@ def test_every_format_holds_emptied_rows_as_invisible(ending, tmp_path) -> None:
     assert sp.verify(start, tmp_path / f"out.{ending}", stored).ok
     np.testing.assert_array_equal(stored.removed, emptied)
     assert np.abs(sp.render(written, camera).colors[0] - drawn).mean() < 0.02
-
-
-def old_project(path: Path) -> Session:
-    database = sqlite3.connect(path)
-    database.executescript(V2.read_text(encoding="utf-8"))
-    database.close()
-    return Session.load(path, painter=Painter.load("lift"))
-
-
-def test_layers_with_sheets_of_earlier_versions_are_not_split():
-    assert all(lays_sheets(f"lift None None {sheets}") for sheets in (SHEETS, *OLDER_SHEETS))
-    assert not lays_sheets("lift None None")
-
-
-def test_layers_of_older_projects_stay_split_until_they_are_painted_anew(tmp_path) -> None:
-    with old_project(tmp_path / "old.splatproj") as session:
-        before, top = print_of(session), session.layers[2]
-        assert SHEETS not in top.painter and top.kind == "paint"
-        # Without those below, it is computed where it stands now: as when it was made.
-        for layer in session.layers[:2]:
-            session.set(layer.id, visible=False)
-        assert session.facts(top.id)["note"].startswith("lifted without sheets, as it was made")
-        assert "another painter" not in session.facts(top.id)["note"]
-        state = session._replay.compose(
-            replace(session.snapshot.document, layers=(replace(top, opacity=1.0, blend="normal"),))
-        )
-        view = top.views[0]
-        edit = Edit(session._replay.main._edit(view, top).image, view.camera, session._replay.main.mask(view))
-        splitting = Painter(local_options=LocalOptions(resurface=False))
-        alone = splitting.apply(splitting.encode(session.original), [edit]).splats
-        assert same_bits(state.splats, alone) and len(alone) > len(session.original)
-        for layer in session.layers[:2]:
-            session.set(layer.id, visible=True)
-        assert print_of(session) == before
-        # Painted anew when asked.
-        again = session.set(top.id, method="lift")
-        assert SHEETS in again.painter and "without sheets" not in session.facts(top.id).get("note", "")
-        assert print_of(session) != before
-        session.undo()
-        assert print_of(session) == before and session.verify() == []
-
-
-def test_half_an_old_erasers_opacity_fades_as_it_did() -> None:
-    with Session(scene(), painter=Painter.load("lift")) as session:
-        session.add("paint", [dab(RED, radius=6)])
-        painted = session.splats
-        mask = Edit(np.zeros((SIZE, SIZE, 3)), CAMERA, disk(CAMERA, 16, 16, 14))
-        layer = session.add("erase", [mask], opacity=0.5)
-        assert not differing(replace(painted, sh=painted.sh * 0), replace(session.splats, sh=painted.sh * 0)).any()
-        older = replace(layer, painter="lift None None")
-        state = session._replay.compose(replace(session.snapshot.document, layers=(session.layers[0], older)))
-        came = np.arange(len(scene()), len(painted))
-        hidden = state.splats.opacities[came] < painted.opacities[came]
-        assert hidden.any()
-        np.testing.assert_allclose(state.splats.opacities[came][hidden], painted.opacities[came][hidden] / 2, rtol=1e-6)

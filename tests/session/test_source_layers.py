@@ -13,7 +13,7 @@ import pytest
 from splatpainter.cameras import Camera
 from splatpainter.receipts import Receipt
 from splatpainter.session import Session
-from splatpainter.session.source_layers import add_source_views
+from splatpainter.session.commands.source_layers import add_source_views
 from splatpainter.source_edits import coverage
 from splatpainter.source_edits.coverage import plan_views
 from splatpainter.source_edits.edit import edit_with_source
@@ -59,7 +59,7 @@ def test_each_view_is_a_layer_and_merged_ones_show_the_same(session: Session, tm
     source, plan = FunctionSource(exchanged_8_bit), planned(session, 3)
     made = add_source_views(session, source, BRIEF, plan, method="lift")
     assert [layer.name for layer in made.layers] == [f"function: exchange the colours ({k})" for k in (1, 2, 3)]
-    assert session.layers == made.layers and made.notes == () and len(source.requests) == 3
+    assert tuple(session.layers) == made.layers and made.notes == () and len(source.requests) == 3
     separate, before = session.splats, displayed(session.original, plan.cameras[2])[0]
     assert not np.allclose(source.requests[2].image, before, atol=0.05)  # it shows what those before painted
     outright = edit_with_source(
@@ -78,18 +78,18 @@ def test_each_view_is_a_layer_and_merged_ones_show_the_same(session: Session, tm
         session.undo()
     again = add_source_views(session, FunctionSource(exchanged_8_bit), BRIEF, plan, method="lift", one_layer=True)
     (one,) = again.layers
-    assert session.layers == (one,) and one.kind == "merged" and one.name == "function: exchange the colours"
+    assert tuple(session.layers) == (one,) and one.kind == "merged" and one.name == "function: exchange the colours"
     assert all(
         np.array_equal(getattr(separate, name), getattr(session.splats, name)) for name in ("means", "sh", "opacities")
     )
-    receipt, _ = session.export(tmp_path / "out.ply")
+    receipt, _ = session.files.export(tmp_path / "out.ply")
     read = Receipt.from_json((tmp_path / "out.ply.receipt.json").read_text("utf-8"))
     assert read.source == receipt.source and receipt.source is not None
     records = receipt.source["layers"]
     assert [record["layer"] for record in records] == [layer.name for layer in one.layers]
     assert records[0]["prompt"] == BRIEF.prompt and records[0]["views"][0]["model"] == "function-1"
-    session.set(one.id, visible=False)
-    assert session.receipt().source is None
+    session.layers.set(one.id, visible=False)
+    assert session.files.receipt().source is None
     assert session.verify() == []
 
 
@@ -105,10 +105,10 @@ def test_cancelled_on_the_way_what_was_painted_stays(session: Session) -> None:
             return super().edit(request, progress, cancel)
 
     made = add_source_views(session, Slow(exchanged), BRIEF, planned(session, 3), cancel=stop, method="lift")
-    assert made.sourced_views.cancelled and len(made.layers) == 1 and session.layers == made.layers
+    assert made.sourced_views.cancelled and len(made.layers) == 1 and tuple(session.layers) == made.layers
     with pytest.raises(SourceCancelled):
         add_source_views(session, Slow(exchanged), BRIEF, planned(session, 2), cancel=stop)
-    assert session.layers == made.layers
+    assert tuple(session.layers) == made.layers
 
 
 def test_only_what_is_allowed_is_planned_and_changed(session: Session) -> None:
@@ -137,4 +137,4 @@ def test_errors_leave_no_layer(session: Session) -> None:
 
     with pytest.raises(SourceError, match="expired"):
         add_source_views(session, Failing(exchanged), BRIEF, planned(session, 2))
-    assert session.layers == () and len(session.history) == 1
+    assert not session.layers and len(session.history) == 1

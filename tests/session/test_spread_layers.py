@@ -9,8 +9,8 @@ import pytest
 
 from splatpainter.painter import Edit, Painter
 from splatpainter.session import Session
-from splatpainter.session.conflicts import ORIGINAL, PREDICTED, SEEN
-from splatpainter.session.document import SPREAD_THRESHOLD
+from splatpainter.session.document.document import SPREAD_THRESHOLD
+from splatpainter.session.replay.conflicts import ORIGINAL, PREDICTED, SEEN
 from splatpainter.splats import rows_sha256
 from tests.support.lift_scenes import differing
 from tests.support.spread_scenes import CAMERA, SIDE, board, left_half, painted_picture
@@ -30,39 +30,41 @@ def changed_behind(session: Session) -> int:
 
 def test_another_threshold_solves_the_layer_again_and_undo_is_exact(tmp_path: Path) -> None:
     with Session(SPLATS, tmp_path / "one.splatproj", painter=Painter()) as session:
-        layer = session.add("paint", [edit()], mode="spread")
-        assert layer.parameters == {SPREAD_THRESHOLD: 0.5} and session.facts(layer.id)["method"] == "lift"
+        layer = session.layers.add("paint", [edit()], mode="spread")
+        assert layer.parameters == {SPREAD_THRESHOLD: 0.5} and session.layers.facts(layer.id)["method"] == "lift"
         counts, prints = [changed_behind(session)], [rows_sha256(session.splats)]
         assert counts[0] > 0.95 * (LEFT & BACK).sum()
-        session.set(layer.id, parameters={SPREAD_THRESHOLD: 1.0})
+        session.layers.set(layer.id, parameters={SPREAD_THRESHOLD: 1.0})
         assert changed_behind(session) == 0
         session.undo()
         assert rows_sha256(session.splats) == prints[0]
         session.redo()
-        session.set(layer.id, parameters={SPREAD_THRESHOLD: 0.02})
+        session.layers.set(layer.id, parameters={SPREAD_THRESHOLD: 0.02})
         assert changed_behind(session) > counts[0]
-        session.set(layer.id, visible=False)
+        session.layers.set(layer.id, visible=False)
         assert not differing(SPLATS, session.splats).any()
         assert session.verify(repaint=True) == []
     with Session.load(tmp_path / "one.splatproj", painter=Painter()) as session:
-        assert session.layer(layer.id).parameters == {SPREAD_THRESHOLD: 0.02} and session.verify(repaint=True) == []
+        assert (
+            session.layers.by_id(layer.id).parameters == {SPREAD_THRESHOLD: 0.02} and session.verify(repaint=True) == []
+        )
 
 
 def test_coverage_tells_painted_from_predicted() -> None:
     with Session(SPLATS, painter=Painter()) as session:
-        session.add("picture", [edit()], mode="spread")
-        kinds = session.coverage()
+        session.layers.add("picture", [edit()], mode="spread")
+        kinds = session.layers.coverage()
         assert (kinds[: len(SPLATS)][LEFT & BACK] == PREDICTED).mean() > 0.95
         assert (kinds[len(SPLATS) :] == SEEN).all()
         assert (kinds[: len(SPLATS)][BACK & (SPLATS.means[:, 0] > 0.2)] == ORIGINAL).all()
-        assert not session.conflicts()
+        assert not session.layers.conflicts()
 
 
 def test_opacity_mixes_all_of_it() -> None:
     with Session(SPLATS, painter=Painter()) as session:
-        layer = session.add("paint", [edit()], mode="spread")
+        layer = session.layers.add("paint", [edit()], mode="spread")
         full = session.splats.sh[: len(SPLATS)][LEFT & BACK].astype(np.float64)
-        session.set(layer.id, opacity=0.5)
+        session.layers.set(layer.id, opacity=0.5)
         half = session.splats.sh[: len(SPLATS)][LEFT & BACK]
         np.testing.assert_allclose(half, (full + SPLATS.sh[LEFT & BACK]) / 2, atol=1e-5)
 
@@ -70,12 +72,12 @@ def test_opacity_mixes_all_of_it() -> None:
 def test_what_a_spread_layer_cannot_be() -> None:
     with Session(SPLATS, painter=Painter()) as session:
         with pytest.raises(ValueError, match="expected kind paint or picture with mode spread, got clone"):
-            session.add("clone", [edit()], mode="spread")
+            session.layers.add("clone", [edit()], mode="spread")
         for bad, reason in (("x", "expected spread_threshold as a number"), (2, "expected 0 .reaches more. to 1")):
             with pytest.raises(ValueError, match=reason):
-                session.add("paint", [edit()], mode="spread", parameters={SPREAD_THRESHOLD: bad})
-        layer = session.add("paint", [edit()], mode="spread", parameters={"angle_limit": 40})
+                session.layers.add("paint", [edit()], mode="spread", parameters={SPREAD_THRESHOLD: bad})
+        layer = session.layers.add("paint", [edit()], mode="spread", parameters={"angle_limit": 40})
         with pytest.raises(ValueError, match="spread threshold"):
-            session.set(layer.id, parameters={SPREAD_THRESHOLD: -1})
+            session.layers.set(layer.id, parameters={SPREAD_THRESHOLD: -1})
         with pytest.raises(ValueError, match="takes no strokes"):
-            session.paint(layer.id, [edit()])
+            session.strokes.paint(layer.id, [edit()])

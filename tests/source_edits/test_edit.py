@@ -273,7 +273,7 @@ def test_a_whole_asset_made_anew_is_split_and_a_part_of_it_gets_sheets() -> None
     solid = displayed(splats, camera)[1] > 0.95
     error = np.abs(displayed(remade.splats, camera)[0] - displayed(truth, camera)[0]).max(-1)[solid]
     (front,) = orbit_cameras(splats, 1, size=128, background=GREY)
-    sheeted = replace(LIFT, local_options=replace(LOCAL_DEFAULTS, fine_px=0.0))
+    sheeted = LIFT.with_settings(local_options=replace(LOCAL_DEFAULTS, fine_px=0.0))
     sheets = sheeted.apply(LIFT.encode(splats), [Edit(displayed(truth, front)[0], front)]).splats
     before = np.abs(displayed(sheets, camera)[0] - displayed(truth, camera)[0]).max(-1)[solid]
     assert error.mean() < 0.8 * before.mean()

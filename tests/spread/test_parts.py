@@ -9,7 +9,7 @@ from splatpainter.color import LUMA, linear_to_srgb, luminance, srgb_to_linear
 from splatpainter.spread.classifier import FEATURES, Projections, density_ratio, two_class
 from splatpainter.spread.color_change import ColorChange
 from splatpainter.spread.descriptors import Descriptors
-from splatpainter.spread.nearest_neighbours import NEIGHBOURS, neighbours, smoothed, weighted_means
+from splatpainter.spread.nearest_neighbours import SEARCH, neighbours, smoothed, weighted_means
 from splatpainter.spread.overlay import behind, confidence_overlay, confidence_picture
 from tests.support.spread_scenes import CAMERA, board
 
@@ -20,7 +20,7 @@ def test_neighbours_are_the_nearest_points() -> None:
     points = RNG.normal(0, 1, (400, 3)).astype(np.float32) * [1, 1, 0.05]
     near = neighbours(points.astype(np.float32))
     square = ((points[:, None] - points) ** 2).sum(2)
-    expected = np.sort(square, axis=1)[:, :NEIGHBOURS]
+    expected = np.sort(square, axis=1)[:, : SEARCH.neighbours]
     result = np.take_along_axis(square, near.astype(np.int64), 1)
     np.testing.assert_array_equal(near[:, 0], np.arange(400))
     assert (np.abs(result - expected) < 1e-6).mean() > 0.97  # strays see only MAX_RINGS cubes far
@@ -30,7 +30,7 @@ def test_neighbours_are_the_nearest_points() -> None:
 @pytest.mark.parametrize("count", [0, 1, 3])
 def test_neighbours_of_few_points_and_of_a_heap(count: int) -> None:
     near = neighbours(np.zeros((count, 3), np.float32))
-    assert near.shape == (count, NEIGHBOURS) and ((near >= 0) & (near < max(count, 1))).all()
+    assert near.shape == (count, SEARCH.neighbours) and ((near >= 0) & (near < max(count, 1))).all()
     heap = neighbours(np.zeros((6000, 3), np.float32))
     assert (heap[:, 1:] != heap[:, :1]).all()
 

@@ -9,7 +9,7 @@ import pytest
 
 from splatpainter.kernels.parallel import THREADS_VARIABLE
 from splatpainter.lift.masks import dilated
-from splatpainter.painter import Asset, Edit, Painter
+from splatpainter.painter import Asset, Edit, EditSettings, Painter
 from splatpainter.rendering import render
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.spread.options import SpreadOptions
@@ -21,7 +21,7 @@ BACK = np.arange(2 * SIDE**2) >= SIDE**2
 
 def spread(splats: Splats, mask: np.ndarray, threshold: float | None = None) -> Asset:
     options = None if threshold is None else SpreadOptions(threshold)
-    painter = Painter(spread_options=options)
+    painter = Painter(settings=EditSettings(spread_options=options))
     return painter.apply(painter.encode(splats), [Edit(painted_picture(splats), CAMERA, mask)], "spread")
 
 

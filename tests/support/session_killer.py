@@ -18,7 +18,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-from splatpainter.session import Session, database
+from splatpainter.session import Session
+from splatpainter.session.project import database
 from tests.support.session_scenes import RED, FlatPainter, asset, dab, flat, print_of
 
 
@@ -30,11 +31,11 @@ def write_forever(path: Path, pipe: int, seed: int) -> None:
     while True:
         choice = rng.random()
         if choice < 0.5 or not session.layers:
-            session.add("paint", [dab(RED, rng.uniform(6, 26), rng.uniform(6, 26), 6)])
+            session.layers.add("paint", [dab(RED, rng.uniform(6, 26), rng.uniform(6, 26), 6)])
         elif choice < 0.75:
-            session.set(rng.choice(session.layers).id, opacity=rng.random())
+            session.layers.set(rng.choice(session.layers).id, opacity=rng.random())
         elif choice < 0.85:
-            session.delete(rng.choice(session.layers).id)
+            session.layers.delete(rng.choice(session.layers).id)
         else:
             session.undo()
         os.write(pipe, (json.dumps(position(session)) + "\n").encode())  # shorter than PIPE_BUF: whole or not at all
@@ -70,9 +71,9 @@ def killed_writer(path: Path, seed: int, lines: int, wait: float) -> list[dict[s
 def main(folder: Path, rounds: int, seed: int) -> dict[str, Any]:
     """Counts over all rounds, and the first thing that went wrong."""
     with flat(asset(8)) as session:  # what is imported here need not be imported by each writer
-        session.add("paint", [dab(RED, radius=6)])
-        session.set(session.layers[0].id, opacity=0.5)
-        session.delete(session.layers[0].id)
+        session.layers.add("paint", [dab(RED, radius=6)])
+        session.layers.set(session.layers[0].id, opacity=0.5)
+        session.layers.delete(session.layers[0].id)
         session.undo()
     gc.freeze()  # nor need its garbage collector walk through it, which copies every page of it
     rng = random.Random(seed)
@@ -115,7 +116,7 @@ def judge(path: Path, report: dict[str, Any] | None, out: dict[str, Any]) -> dic
             out["ahead"] += 1
             if now["cursor"] > report["cursor"]:
                 session.undo()
-                right = print_of(session) == report["rows"] and session.cursor == report["cursor"]
+                right = print_of(session) == report["rows"] and session.history.cursor == report["cursor"]
                 session.redo()
             else:
                 session.redo()
@@ -126,12 +127,12 @@ def judge(path: Path, report: dict[str, Any] | None, out: dict[str, Any]) -> dic
         if painter.calls:  # results are as durable as layers
             out["wrong"] = out["wrong"] or {"painted again": len(painter.calls)}
         if len(session.history) > 6:
-            session.jump(0)  # the next new step drops the rest: keep the rounds short
+            session.history.jump(0)  # the next new step drops the rest: keep the rounds short
         return position(session)
 
 
 def position(session: Session) -> dict[str, Any]:
-    return {"steps": len(session.history), "cursor": session.cursor, "rows": print_of(session)}
+    return {"steps": len(session.history), "cursor": session.history.cursor, "rows": print_of(session)}
 
 
 def verified(path: Path) -> list[str]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.painter import Asset, Edit, EncodedAsset
+from splatpainter.painter import Asset, Edit, EditSettings, EncodedAsset
 from splatpainter.session import Session
 from splatpainter.splats import SH_C0, Splats, rows_sha256
 from tests.support.lift_scenes import disk, front, sheet
@@ -25,12 +25,9 @@ class FlatPainter:
     and shrinks. Global: every row moves by a tenth towards the picture's mean colour. It counts its calls."""
 
     preset: str = "flat"
-    local_options: None = None
-    global_options: None = None
+    settings: EditSettings = EditSettings(precision="float32")
     model: Any = None
     """Any torch module: then it learns."""
-    polish: bool = False
-    precision: str = "float32"
     calls: list[str] = field(default_factory=list)
 
     def choose(self, method: str, mode: str) -> tuple[str, str]:
@@ -42,6 +39,9 @@ class FlatPainter:
 
     def encodes(self, method: str, mode: str) -> bool:
         return method == "ttt"
+
+    def with_settings(self, **changes: Any) -> FlatPainter:
+        return replace(self, settings=replace(self.settings, **changes))
 
     def encode(self, splats: Splats, method: str = "auto") -> Asset:
         if self.model is None:
@@ -131,9 +131,9 @@ def load(path: Path, **how: Any) -> Session:
 def two_layers(path: Path) -> str:
     """A project with two layers and one undone step; the hash of what it shows."""
     with flat(project=path) as session:
-        session.add("paint", [dab(RED)], name="red")
-        session.add("paint", [dab(BLUE, 19)], name="blue", opacity=0.5)
-        session.add("paint", [dab(GREEN)], name="green")
+        session.layers.add("paint", [dab(RED)], name="red")
+        session.layers.add("paint", [dab(BLUE, 19)], name="blue", opacity=0.5)
+        session.layers.add("paint", [dab(GREEN)], name="green")
         session.undo()
         return print_of(session)
 

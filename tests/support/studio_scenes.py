@@ -55,7 +55,7 @@ def make_studio(
 
 def fill_disk(session: Session) -> None:
     """From now on SQLite finds no room for more in the session's project file."""
-    connection = session._project._db
+    connection = session._core.project._db
     (pages,) = connection.execute("PRAGMA page_count").fetchone()
     connection.execute(f"PRAGMA max_page_count = {pages}").fetchall()
 

@@ -91,7 +91,7 @@ def main() -> None:
     assert command(["verify", str(asset), "out.ply"]) == 0
 
     with sp.Session(sp.read(asset)) as session:
-        session.save_as("ball.splatproj")
+        session.files.save_as("ball.splatproj")
     with sp.Session.load("ball.splatproj") as session:
         assert len(session.snapshot.splats) == 400
     with ShardWriter(Path("shards"), {"seed": 3}, 1, 1) as writer:

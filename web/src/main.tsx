@@ -8,33 +8,39 @@ import "./style/panels.css";
 import { limits } from "./net/connection";
 import { parseFrame } from "./net/frames";
 import { followAside } from "./state/side-view";
-import { camera, pendingStrokes, pose, state, status } from "./state/store";
+import { camera, graphicsLost, pendingStrokes, pose, state, status } from "./state/store";
 import { cursorFrame } from "./paint/brush";
 import { meanRadius } from "./paint/dabs";
+import { followDecal } from "./paint/decal-preview";
+import { followSurface } from "./paint/follow-surface";
 import { handles, placement } from "./paint/placement";
-import { followDecal } from "./paint/placement";
-import { followSurface, surfaceOf } from "./paint/view-surface";
-import { go, link, start, viewer } from "./state/studio";
+import { surfaceOf } from "./paint/view-surface";
+import { inHand } from "./tools";
+import { penInput } from "./tools/pen-input";
+import { go } from "./editor/camera-moves";
+import { editor } from "./editor/editor";
 import { App } from "./ui/app";
 import { listen } from "./ui/keys";
 
 const root = document.getElementById("app")!;
 const canvas = document.createElement("canvas");
 try {
-  start(canvas);
+  editor.start(canvas);
   render(<App canvas={canvas} />, root);
   listen();
-  followSurface();
+  followSurface(() => inHand().needsSurface?.() ?? false);
   followDecal();
   followAside();
+  graphicsLost.subscribe((lost) => lost && penInput.finish()); // before the page is loaded again
   window.addEventListener("beforeunload", (event) => {
-    if (pendingStrokes.value > 0 && status.value !== "open") event.preventDefault(); // they would be lost
+    if (pendingStrokes.value > 0 && status.value !== "open" && !editor.strokes.allKept) event.preventDefault();
   });
   const brushRadius = (x: number, y: number) =>
     meanRadius(cursorFrame(x * camera.value!.width, y * camera.value!.height));
   const surface = (x = 0.5, y = 0.5) =>
     surfaceOf(camera.value)?.at(x * camera.value!.width, y * camera.value!.height) ?? null;
   const tools = { brushRadius, surface, placement, handles };
+  const { viewer, link } = editor;
   const studio = { viewer, link, go, pose, camera, state, parseFrame, limits, ...tools };
   Object.assign(window, { studio }); // for the console and for tests
 } catch (error) {

@@ -39,7 +39,7 @@ describe("the state", () => {
     expect(activity.value).toBe("Waiting");
     answerStorage(true);
     expect(activity.value).toBe("Saving");
-    swapped.value = { id: "one", name: "one", file: null, layers: 1, changed: 0 };
+    swapped.value = { id: "one", name: "one", file: null, layers: 1, changed: 0, steps: 3, sha256: "" };
     expect(activity.value).toBe("Waiting");
     swapped.value = null;
   });

@@ -1,12 +1,12 @@
 import { describe, expect, it } from "vitest";
 
-import { Drawing, NO_PRESSURE, UNPRESSED_SAMPLES, type PenKnowledge } from "../src/paint/drawing";
-import type { Pen, ToolHandler } from "../src/paint/tool";
+import { Drawing, NO_PRESSURE, UNPRESSED_SAMPLES, type PenKnowledge } from "../src/tools/drawing";
+import type { Pen, ToolGesture } from "../src/tools/tool";
 
 const pen = (x: number, pressure: number): Pen => ({ x, y: 0, pressure, shift: false, alt: false });
 
 /** A tool that notes what it is given. */
-function noting(): { handler: ToolHandler; notes: string[] } {
+function noting(): { handler: ToolGesture; notes: string[] } {
   const notes: string[] = [];
   const note = (what: string) => (at: Pen) => void notes.push(`${what} ${at.x} ${at.pressure}`);
   const handler = { down: note("down"), move: note("move"), up: note("up"), cancel: () => void notes.push("cancel") };

@@ -2,11 +2,16 @@ import { beforeEach, describe, expect, it } from "vitest";
 
 import type { State } from "../src/messages";
 import { state, status } from "../src/state/store";
-import { giveUpWaiting, noteSuccessor, projectIsBack, waitingElsewhere } from "../src/state/waiting";
+import { giveUpWaiting, leftNow, noteLeft, projectIsBack, projectOf, waitingElsewhere } from "../src/state/waiting";
 
 /** A state of a project in which `steps` were done. */
 const of = (id: string, steps = 3, sha256 = "a"): State =>
-  ({ project: { id }, asset: { sha256 }, history: Array(steps).fill({}) }) as unknown as State;
+  ({
+    project: { id, name: id, file: null },
+    asset: { sha256 },
+    layers: [],
+    history: Array(steps).fill({}),
+  }) as unknown as State;
 
 /** What a promise resolved with so far; null: it has not. */
 async function soFar<T>(promise: Promise<T>): Promise<T | null> {
@@ -52,12 +57,19 @@ describe("what waits for its project", () => {
   });
 
   it("goes into the project that took the place of one in which nothing was done, over the same asset only", async () => {
-    noteSuccessor(of("empty", 1), of("fresh", 1));
+    noteLeft(leftNow(of("empty", 1)), of("fresh", 1));
     state.value = of("fresh", 1);
     expect(await projectIsBack("empty")).toBe(true);
-    noteSuccessor(of("painted", 2), of("fresh", 1));
+    noteLeft(leftNow(of("painted", 2)), of("fresh", 1));
     expect(await soFar(projectIsBack("painted"))).toBe(null);
-    noteSuccessor(of("other", 1, "b"), of("fresh", 1));
+    noteLeft(leftNow(of("other", 1, "b")), of("fresh", 1));
     expect(await soFar(projectIsBack("other"))).toBe(null);
+  });
+
+  it("is known by the name of its project, shown or left", () => {
+    expect(projectOf("one")?.name).toBe("one");
+    expect(projectOf("left")).toBe(null);
+    noteLeft({ ...leftNow(of("left", 4)), name: "vase.ply" }, of("one"));
+    expect(projectOf("left")).toMatchObject({ name: "vase.ply", steps: 4 });
   });
 });

@@ -12,7 +12,7 @@ from splatbench.cases import Budget
 from splatbench.methods import EditResult, EditTask, Method
 from splatbench.methods.lift import TABLES, painted
 from splatbench.methods.weights import SHIPPED, Weights
-from splatpainter.painter import Painter
+from splatpainter.painter import EditSettings, Painter
 
 CROSS = Weights(
     ("cross-attention",),
@@ -26,7 +26,7 @@ def refined(weights: Weights, *, polish: bool = False) -> Callable[[EditTask, Bu
     """A row: Stage II with these weights, and two rounds of the lift afterwards with polish."""
 
     def edit(task: EditTask, budget: Budget) -> EditResult:
-        return painted(Painter(model=weights.load(budget), polish=polish), "ttt", task)
+        return painted(Painter(model=weights.load(budget), settings=EditSettings(polish=polish)), "ttt", task)
 
     return edit
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -104,7 +104,7 @@ def run(config: Config) -> Outcome:
     with placed(config.out) as partial:
         from splatpainter.io import write
 
-        write(partial, fitted)
+        write(partial, replace(fitted, offset=pictures.offset))
     training = _psnr(fitted, list(zip(pictures.cameras, pictures.colors, strict=True)))
     held_out = _psnr(fitted, pictures.held_out) if pictures.held_out else None
     timings = {"pictures": prepared, "fit": fitting}

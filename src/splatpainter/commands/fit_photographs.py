@@ -14,6 +14,7 @@ from splatpainter.captures.colmap import model_folder, read_points
 from splatpainter.captures.nerfstudio import TABLES
 from splatpainter.gatekeeper.photographs import read_photograph, straight_picture
 from splatpainter.image_files import find_camera, picture_header
+from splatpainter.io.positions import NO_OFFSET, Offset, float32_step
 from splatpainter.pictures.edit_files import has_aspect
 from splatpainter.pictures.picture_reader import Picture, read_picture
 from splatpainter.splats import Splats
@@ -26,6 +27,9 @@ better."""
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
 TRIES_PER_GAUSSIAN = 20
 """Random points per first Gaussian that carving may throw away."""
+MAX_STEP_OF_REACH = 1e-5
+"""Distance between neighbouring float32 numbers at the cameras, as a share of what they show, from which they are moved
+to an offset: a hundredth of a pixel in pictures of a thousand."""
 MIN_POINTS = 16
 """Of a start."""
 
@@ -54,6 +58,20 @@ def posed_pictures(folder: Path, size: int | None) -> list[PosedPicture]:
             f"{folder}: expected pictures with cameras, {' or '.join(TABLES)}, or COLMAP's sparse/0; found neither"
         )
     return [_picture(path, find_camera(path), size, k) for k, path in enumerate(paths)]
+
+
+def near_zero(pictures: list[PosedPicture]) -> tuple[list[PosedPicture], Offset]:
+    """(the pictures with cameras near zero, the offset that these are relative to): where float32 cannot hold what
+    cameras at such world coordinates see, as of georeferenced captures; else as they are, and zero."""
+    cameras = [picture.camera.relative_to(NO_OFFSET) for picture in pictures]
+    eyes = np.array([camera.position for camera in cameras])
+    center, reach = _common_center(cameras)
+    offset = NO_OFFSET
+    if float(np.median(float32_step(eyes))) > MAX_STEP_OF_REACH * reach:
+        x, y, z = np.rint(center).tolist()
+        offset = x, y, z
+    near = [replace(camera.relative_to(offset), offset=NO_OFFSET) for camera in cameras]
+    return [replace(picture, camera=camera) for picture, camera in zip(pictures, near, strict=True)], offset
 
 
 def _checked(view: CapturedView) -> Path:
@@ -111,10 +129,11 @@ def _posed(camera: Camera, picture: Picture, k: int) -> PosedPicture:
 
 
 def first_gaussians(
-    folder: Path, pictures: list[PosedPicture], rows: int, sh_degree: int, seed: int
+    folder: Path, pictures: list[PosedPicture], rows: int, sh_degree: int, seed: int, offset: Offset = NO_OFFSET
 ) -> tuple[Splats, str]:
     """(at most `rows` Gaussians to start with, a line that says where they come from): the points of COLMAP's
     reconstruction where the folder's cameras are its, as 3DGS starts, else random points that no picture shows empty.
+    offset: what the pictures' cameras, and what comes out, are relative to.
     Raises ValueError: no such point."""
     from splatpainter.fit.start import from_points
 
@@ -125,7 +144,7 @@ def first_gaussians(
         if len(points) >= MIN_POINTS:
             chosen = np.random.default_rng(seed).permutation(len(points))[:rows]
             line = f"the first Gaussians are {len(chosen):,} of the {len(points):,} points of {model.name or model}"
-            return from_points(points[chosen], colors[chosen], sh_degree), line
+            return from_points(points[chosen] - np.array(offset), colors[chosen], sh_degree), line
     line = "no depth maps: the first Gaussians are random points where no picture shows empty space"
     return _carved(pictures, rows, sh_degree, seed), line
 

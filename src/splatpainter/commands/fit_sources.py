@@ -13,10 +13,11 @@ from typing import Any, Literal
 import numpy as np
 
 from splatpainter.cameras import AUTO_UP, FRAME_MARGIN, UPS, Camera, bounding_sphere, spherical_cameras
-from splatpainter.commands.fit_photographs import BACKGROUNDS, first_gaussians, posed_pictures
+from splatpainter.commands.fit_photographs import BACKGROUNDS, first_gaussians, near_zero, posed_pictures
 from splatpainter.io import files, read
 from splatpainter.io.folders import iterations
 from splatpainter.io.formats.sog_container import META
+from splatpainter.io.positions import NO_OFFSET, Offset
 from splatpainter.splats import Splats
 
 FOV = 40.0
@@ -52,6 +53,9 @@ class FitPictures:
     """Each [H, W, 3] float32 0..1."""
     held_out: list[tuple[Camera, np.ndarray]] = field(repr=False)
     start: Splats = field(repr=False)
+    """Its means, and the cameras, are relative to `offset`."""
+    offset: Offset = NO_OFFSET
+    """World coordinates, float64 (Splats.offset); not zero where float32 cannot hold those of the source."""
     notes: list[str] = field(default_factory=list)
 
 
@@ -78,14 +82,13 @@ def _from_asset(source: Path, settings: FitPictureSettings) -> FitPictures:
     splats = read(source)
     if not splats.drawable.any():
         raise ValueError(f"{source}: none of its {len(splats):,} Gaussians can be drawn; there is nothing to fit to")
-    if any(splats.offset):
-        raise ValueError(f"{source}: has positions that float32 cannot hold; move it near 0, then fit to it")
+    offset, splats = splats.offset, replace(splats, offset=NO_OFFSET, source=None, origin=None)
     center, radius = bounding_sphere(splats)
 
     pictures = rendered_pictures(
         "asset", partial(drawn, splats), center, radius, np.array(UPS[AUTO_UP]), settings, np.eye(4)
     )
-    return replace(pictures, start=replace(pictures.start, color_space=splats.color_space))
+    return replace(pictures, start=replace(pictures.start, color_space=splats.color_space), offset=offset)
 
 
 def _from_mesh(source: Path, settings: FitPictureSettings) -> FitPictures:
@@ -135,13 +138,13 @@ def rendered_pictures(
 
 
 def _from_pictures(folder: Path, settings: FitPictureSettings) -> FitPictures:
-    posed = posed_pictures(folder, settings.size)
+    posed, offset = near_zero(posed_pictures(folder, settings.size))
     if len(posed) < 2:
         raise ValueError(f"{folder}: expected at least two pictures with cameras, got {len(posed)}")
     count = min(settings.held_out, len(posed) // 4)
     apart = np.linspace(0, len(posed) - 1, count + 2)[1:-1].round().astype(int).tolist() if count else []
     rest = [picture for k, picture in enumerate(posed) if k not in apart]
     held_out = [(posed[k].camera, posed[k].colors) for k in dict.fromkeys(apart)]
-    start, note = first_gaussians(folder, rest, settings.rows, settings.sh_degree, settings.seed)
+    start, note = first_gaussians(folder, rest, settings.rows, settings.sh_degree, settings.seed, offset)
     cameras, colors = [picture.camera for picture in rest], [picture.colors for picture in rest]
-    return FitPictures("pictures", cameras, colors, held_out, start, [note])
+    return FitPictures("pictures", cameras, colors, held_out, start, offset, [note])

@@ -119,13 +119,13 @@ def part_lines(parts: Sequence[Part], verification: MergeVerification) -> list[s
 def side_by_side(assets: Sequence[Splats], transforms: Sequence[Placement]) -> list[Placement]:
     """Each asset moved along x to the right of the one before it."""
     out = [transforms[0]]
-    left = transforms[0].points(_visible(assets[0]).means)
+    left = transforms[0].points(_visible(assets[0]).world_means)
     for splats, transform in zip(assets[1:], transforms[1:], strict=True):
-        points = transform.points(_visible(splats).means)
-        shift = shift_to_the_right(left, points)[0]
-        x, y, z = transform.move
-        out.append(replace(transform, move=(x + shift, y, z)))
-        left = out[-1].points(_visible(splats).means)
+        points = transform.points(_visible(splats).world_means)
+        shift = shift_to_the_right(left, points)
+        x, y, z = (a + b for a, b in zip(transform.move, shift, strict=True))
+        out.append(replace(transform, move=(x, y, z)))
+        left = out[-1].points(_visible(splats).world_means)
     return out
 
 

@@ -8,8 +8,10 @@ import difflib
 import functools
 import io
 import os
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import Annotated, Any, TypeAlias, get_type_hints
 
 import tyro
@@ -37,8 +39,9 @@ def parse(kind: type, program: str, words: Sequence[str]) -> Any:
     Raises ValueError with tyro's complaint in one line; --help prints the help and raises SystemExit(0)."""
     _refuse_repeats_and_typos(kind, program, words)
     marks = (tyro.conf.FlagCreatePairsOff,)
-    described = _described(kind)
-    if "--help" in words or "-h" in words:
+    asks_for_help = "--help" in words or "-h" in words
+    described = _described(kind, asks_for_help)
+    if asks_for_help:
         return tyro.cli(described, prog=program, args=list(words), config=marks)
     box, unicode = io.StringIO(), io.TextIOWrapper(io.BytesIO(), encoding="utf-8")
     try:  # tyro looks at stdout's encoding for how it frames what it writes to stderr
@@ -46,6 +49,7 @@ def parse(kind: type, program: str, words: Sequence[str]) -> Any:
             contextlib.redirect_stderr(box),
             contextlib.redirect_stdout(unicode),
             _environment("COLUMNS", UNWRAPPED_COLUMNS),
+            _defaults_of_their_types(),
         ):
             return tyro.cli(described, prog=program, args=list(words), config=marks)
     except SystemExit as done:
@@ -55,11 +59,12 @@ def parse(kind: type, program: str, words: Sequence[str]) -> Any:
 
 
 @functools.cache
-def _described(kind: type) -> type:
-    """The class as tyro is to see it: what `operations.operation.parameter` says of a field becomes an annotation, and
-    docstrings of options lose their line breaks, which tyro keeps beside its own."""
+def _described(kind: type, with_texts: bool) -> type:
+    """The class as tyro is to see it: what `operations.operation.parameter` says of a field becomes an annotation.
+    with_texts: docstrings of options, too, lose their line breaks, which tyro keeps beside its own; reading them takes
+    time that only people who ask for help have."""
     hints = get_type_hints(kind, include_extras=True)
-    texts = option_texts(kind)
+    texts = option_texts(kind) if with_texts else {}
     annotations: dict[str, Any] = {}
     for field in dataclasses.fields(kind):
         hint, says = field.metadata.get("words") or hints[field.name], field.metadata
@@ -113,6 +118,23 @@ def _refuse_repeats_and_typos(kind: type, program: str, words: Sequence[str]) ->
 def option_name(field: dataclasses.Field) -> str:
     """The option of a field, without its dashes."""
     return (field.metadata.get("option") or field.name).replace("_", "-")
+
+
+@contextlib.contextmanager
+def _defaults_of_their_types() -> Iterator[None]:
+    """tyro asks typeguard whether the defaults of options are of the options' types, which the type checker has said
+    and a test asks again: importing it (with unittest.mock and asyncio) takes a sixth of the time of a refusal."""
+    if "typeguard" in sys.modules:
+        yield
+        return
+    answers = ModuleType("typeguard")
+    answers.check_type = lambda value, kind: value  # pyright: ignore[reportAttributeAccessIssue]
+    answers.TypeCheckError = TypeError  # pyright: ignore[reportAttributeAccessIssue]
+    sys.modules["typeguard"] = answers
+    try:
+        yield
+    finally:
+        del sys.modules["typeguard"]
 
 
 @contextlib.contextmanager

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
@@ -162,7 +162,7 @@ def run(config: Config) -> Outcome:
     is gone; with a timeout also where nothing was lifted."""
     receipt_path = config.receipt or receipt_of(config.out)
     _check(config, receipt_path)
-    painter = replace(Painter.load(config.preset, modes=[config.mode]), aside=True)
+    painter = Painter.load(config.preset, modes=[config.mode]).with_settings(aside=True)
     saved = SavedPictures(config.folder)
     splats = read(config.asset, frame=config.frame)
     warn_of_doubts(splats, config.asset, editing=True)

@@ -17,22 +17,31 @@ from splatpainter.surface.estimate import Surface
 
 MAX_DECAL_PX = 384
 """Pixels of a decal's longer side in the views that paint it; larger pictures are averaged down to it."""
-MIN_DECAL_PX = 96
-"""... and at least."""
-SAMPLES = 12_000
-"""Samples of the surface, under a decal."""
-BALL_SAMPLES = 20_000
-"""... and of a disk around it."""
-SPACING_WIDTHS = 0.6
-"""Least distance between samples, in widths of the Gaussians."""
-MIN_LEVEL_SINE = 0.26
-"""Sine of the angle between the surface's normal and the object's up, from which a picture stands upright on it; on
-what lies flatter (15 degrees: a table, a lid) its up is the view's."""
-EVENED_SHARE = 0.35
-"""Radius around the middle within which the surface's mean direction says what is upright, in the shorter sides (the
-page's handles have the same)."""
-MAX_PREVIEW_PX = 320
-"""Longer side of a view on which a decal is shown before it is laid."""
+
+
+@dataclass(frozen=True)
+class DecalPlacementSettings:
+    """Where a decal lies and how finely. Source: taste."""
+
+    min_decal_px: int = 96
+    """Pixels of that side, at least."""
+    samples: int = 12_000
+    """Samples of the surface, under a decal, at most."""
+    ball_samples: int = 20_000
+    """Samples of a disk around it, at most."""
+    spacing_widths: float = 0.6
+    """Least distance between samples, in widths of the Gaussians."""
+    min_level_sine: float = 0.26
+    """Sine of the angle between the surface's normal and the object's up, from which a picture stands upright on it; on
+    what lies flatter (15 degrees: a table, a lid) its up is the view's."""
+    evened_share: float = 0.35
+    """Radius around the middle within which the surface's mean direction says what is upright, in the shorter sides
+    (the page's handles have the same)."""
+    max_preview_px: int = 320
+    """Longer side of a view on which a decal is shown before it is laid."""
+
+
+PLACEMENT = DecalPlacementSettings()
 
 
 @dataclass(frozen=True)
@@ -55,6 +64,7 @@ class DecalPlacement:
         """[H, W, 2] float32: which place of the picture each pixel of a view of the asset shows, world units right and
         up of its middle; NaN where it shows none."""
         out = np.full((camera.height, camera.width, 2), np.nan, np.float32)
+        # The same code that lays the decal draws its preview: what is shown is what will be painted.
         view = mapped_view(asset, surface, self.patch, self.patch.under, camera)
         chosen = self.patch.within[view.nearest]
         chosen &= (np.abs(view.uv) <= np.array(self.size) / 2 + self.spacing).all(1)
@@ -78,11 +88,15 @@ def decal_placement(
     of the picture's longer side; angle: degrees, counter-clockwise from outside; wrap: degrees; level: [3] world
     direction that is up, None: the view's. Raises ValueError where there is no surface under the pixel."""
     width, height = size
-    pixel = max(size) / int(np.clip(longer_px, MIN_DECAL_PX, MAX_DECAL_PX))
-    spacing = max(math.sqrt(width * height / SAMPLES), 1.5 * pixel, SPACING_WIDTHS * surface.typical_width)
-    spacing = max(spacing, math.sqrt(math.pi * (width**2 + height**2) / 4 / BALL_SAMPLES))
+    pixel = max(size) / int(np.clip(longer_px, PLACEMENT.min_decal_px, MAX_DECAL_PX))
+    # Samples as fine as the picture needs, as the Gaussians can tell, and as time allows.
+    spacing = max(
+        math.sqrt(width * height / PLACEMENT.samples), 1.5 * pixel, PLACEMENT.spacing_widths * surface.typical_width
+    )
+    spacing = max(spacing, math.sqrt(math.pi * (width**2 + height**2) / 4 / PLACEMENT.ball_samples))
+    # Upright by what the surface does over the picture's size, not by the fold under one pixel.
     point, normal = surface_under(asset, surface, camera, at)
-    around = mean_normal(asset, surface, camera, (point, normal), EVENED_SHARE * min(size))
+    around = mean_normal(asset, surface, camera, (point, normal), PLACEMENT.evened_share * min(size))
     up = picture_up(camera, around, angle, level)
     up -= (up @ normal) * normal
     up /= np.linalg.norm(up)
@@ -93,9 +107,10 @@ def decal_placement(
 def picture_up(camera: Camera, normal: np.ndarray, angle: float, level: np.ndarray | None = None) -> np.ndarray:
     """[3] unit tangent: the picture's up, with the arguments of `decal_placement`. normal: [3] unit, outwards."""
     rotation = camera.world_to_camera[:3, :3]
+    # Up of the object if it is told, else up of the view, else forwards for a surface seen edge-on.
     ways = [(-rotation[1], 0.05), (rotation[2], 0.0)]  # the surface is seen from its edge: forwards is up
     if level is not None:
-        ways.insert(0, (np.asarray(level, np.float64) / np.linalg.norm(level), MIN_LEVEL_SINE))
+        ways.insert(0, (np.asarray(level, np.float64) / np.linalg.norm(level), PLACEMENT.min_level_sine))
     up = np.zeros(3)
     for way, least in ways:
         up = way - (way @ normal) * normal
@@ -108,8 +123,8 @@ def picture_up(camera: Camera, normal: np.ndarray, angle: float, level: np.ndarr
 
 
 def blocks_of(camera: Camera) -> tuple[Camera, int]:
-    """(the same view in blocks, at most MAX_PREVIEW_PX along its longer side; pixels of one). The last blocks of
-    a row and a column may reach beyond the view."""
-    block = -(-max(camera.width, camera.height) // MAX_PREVIEW_PX)
+    """(the same view in blocks, at most PLACEMENT.max_preview_px along its longer side; pixels of one). The last blocks
+    of a row and a column may reach beyond the view."""
+    block = -(-max(camera.width, camera.height) // PLACEMENT.max_preview_px)
     focal = {name: getattr(camera, name) / block for name in ("fx", "fy", "cx", "cy")}
     return replace(camera, width=-(-camera.width // block), height=-(-camera.height // block), **focal), block

@@ -13,23 +13,33 @@ from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import VisibleSurface, visible_surface
 from splatpainter.voxels.raycast import first_hits, inside
 
-MIN_ALPHA = 0.5
-"""Alpha of a pixel from which the surface is seen there."""
-ROUGH_RESIDUAL = 0.2
-"""rms distance of Gaussians from the surface, in its windows, from which its points and normals are smoothed: those of
-captures scatter by about half a Gaussian."""
-MAX_FIT_PX = 3
-"""Reach of planes fitted to rendered depth where the surface is not trusted, ..."""
-MAX_FIT_RESIDUAL = 1.0
-"""... and the rms distance of the depths from such a plane, in pixels, up to which it is used."""
-MEAN_PX = 48
-"""Side of the picture in which the mean normal around a point is measured, at most."""
-SAME_SIDE = 0.3
-"""Cosine between a normal and that of the point from which it is one of the same side."""
-SIZES_AWAY = 2.5
-"""Distance of a camera from a patch, in the patch's diameters: nearly parallel rays."""
-MAX_APPROACHES, APPROACH = 4, 0.6
-"""How often, and by which factor, a camera comes nearer where something else stands in between."""
+
+@dataclass(frozen=True)
+class DecalSurfaceThresholds:
+    """The surface under a decal as one camera sees it. Source: taste, tried on captures."""
+
+    min_alpha: float = 0.5
+    """Alpha of a pixel from which the surface is seen there."""
+    rough_residual: float = 0.2
+    """rms distance of Gaussians from the surface, in its windows, from which its points and normals are smoothed: those
+    of captures scatter by about half a Gaussian."""
+    max_fit_px: int = 3
+    """Reach of planes fitted to rendered depth where the surface is not trusted, pixels."""
+    max_fit_residual: float = 1.0
+    """The rms distance of the depths from such a plane, in pixels, up to which it is used."""
+    mean_px: int = 48
+    """Side of the picture in which the mean normal around a point is measured, at most."""
+    same_side: float = 0.3
+    """Cosine between a normal and that of the point from which it is one of the same side."""
+    sizes_away: float = 2.5
+    """Distance of a camera from a patch, in the patch's diameters: nearly parallel rays."""
+    max_approaches: int = 4
+    """How often a camera comes nearer where something else stands in between, at most."""
+    approach: float = 0.6
+    """Factor of its distance each time."""
+
+
+DECAL_SURFACE = DecalSurfaceThresholds()
 
 
 @dataclass(frozen=True)
@@ -63,7 +73,8 @@ def surface_pixels(
     z = np.where(trusted, at.depth, depth[ys, xs])
     points = camera.unproject(z, np.stack([xs, ys], 1) + 0.5)
     normals = at.normals @ camera.world_to_camera[:3, :3]
-    rough = ~trusted | (at.residuals > ROUGH_RESIDUAL * at.windows)
+    # Rough surface is used as it is here and smoothed by the caller, who knows the decal's size.
+    rough = ~trusted | (at.residuals > DECAL_SURFACE.rough_residual * at.windows)
     position = np.full((*pixels.shape, 3), np.nan)
     position[ys, xs] = points
     normals[~trusted], fitted = _fitted_normals(position, ys[~trusted], xs[~trusted], camera, z[~trusted])
@@ -85,13 +96,19 @@ def _fitted_normals(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(normals [F, 3] towards the camera, [F] bool whether a plane fits) at F pixels of a picture of points ([H, W, 3],
     NaN: none), of z-depth [F] there, by their neighbours that are near in depth."""
-    steps = np.arange(-MAX_FIT_PX, MAX_FIT_PX + 1)
+    steps = np.arange(-DECAL_SURFACE.max_fit_px, DECAL_SURFACE.max_fit_px + 1)
     dy, dx = (axis.ravel() for axis in np.meshgrid(steps, steps, indexing="ij"))
-    padded = np.pad(position, [(MAX_FIT_PX, MAX_FIT_PX)] * 2 + [(0, 0)], constant_values=np.nan)
-    near = padded[ys[:, None] + dy + MAX_FIT_PX, xs[:, None] + dx + MAX_FIT_PX] - position[ys, xs][:, None]
+    padded = np.pad(
+        position, [(DECAL_SURFACE.max_fit_px, DECAL_SURFACE.max_fit_px)] * 2 + [(0, 0)], constant_values=np.nan
+    )
+    near = (
+        padded[ys[:, None] + dy + DECAL_SURFACE.max_fit_px, xs[:, None] + dx + DECAL_SURFACE.max_fit_px]
+        - position[ys, xs][:, None]
+    )
     pixel = z / camera.fx
     reach = 2 * pixel[:, None] * (1 + np.hypot(dx, dy))
     weight = (np.linalg.norm(near, axis=2) < reach).astype(float)  # NaN is not near
+    # Covariance of the neighbours that are near in depth; its least axis is the normal.
     near = np.nan_to_num(near) * weight[..., None]
     total = np.maximum(weight.sum(1), 1)[:, None]
     near = (near - (near.sum(1) / total)[:, None]) * weight[..., None]
@@ -100,7 +117,7 @@ def _fitted_normals(
     line = camera.position - position[ys, xs]
     cosine = (normals * line).sum(1) / np.maximum(np.linalg.norm(line, axis=1), 1e-30)
     normals = np.where(cosine[:, None] < 0, -normals, normals)
-    flat = np.sqrt(np.maximum(values[:, 0], 0)) < MAX_FIT_RESIDUAL * pixel
+    flat = np.sqrt(np.maximum(values[:, 0], 0)) < DECAL_SURFACE.max_fit_residual * pixel
     return normals, flat & (np.abs(cosine) > 0.3) & (total[:, 0] >= 0.5 * len(dx)) & (z > 0)
 
 
@@ -113,16 +130,18 @@ def surface_under(
         raise ValueError(f"decal: expected a pixel of the camera's {camera.width}x{camera.height}, got {x:g},{y:g}")
     reach = 12
     left, top = max(int(x) - reach, 0), max(int(y) - reach, 0)
+    # A few pixels around the click: rendering the whole view would take as long as an edit.
     window = camera.cropped(
         left, top, min(int(x) + reach, camera.width) - left, min(int(y) + reach, camera.height) - top
     )
     view = project(asset.splats, window)
     _, alpha, depth = view.rasterize()
-    visible_part = surface_pixels(asset, surface, view, alpha > MIN_ALPHA, depth)
+    visible_part = surface_pixels(asset, surface, view, alpha > DECAL_SURFACE.min_alpha, depth)
     away = np.hypot(visible_part.xs + 0.5 - (x - left), visible_part.ys + 0.5 - (y - top))
     if not len(away) or away.min() > 2:
         raise ValueError(f"decal: there is no surface under pixel {x:g},{y:g}; choose one on the asset")
     first = int(away.argmin())
+    # The normal is a mean over those beside it that face the same way: one pixel is noise.
     near = away < away.min() + 2
     normal = visible_part.normals[near & (visible_part.normals @ visible_part.normals[first] > 0.5)].mean(0)
     return visible_part.points[first], normal / np.linalg.norm(normal)
@@ -137,13 +156,14 @@ def mean_normal(
     (pixel,), (z,) = camera.project(point[None])
     reach = radius * camera.fx / max(float(z), 1e-9)
     window = camera.cropped(int(pixel[0] - reach), int(pixel[1] - reach), int(2 * reach) + 1, int(2 * reach) + 1)
-    side = min(window.width, MEAN_PX)
+    side = min(window.width, DECAL_SURFACE.mean_px)
     window = window.resized(side, side)
     view = project(asset.splats, window)
     _, alpha, depth = view.rasterize()
-    seen = surface_pixels(asset, surface, view, alpha > MIN_ALPHA, depth)
+    seen = surface_pixels(asset, surface, view, alpha > DECAL_SURFACE.min_alpha, depth)
+    # Nearer parts count more; those of another side not at all.
     weights = np.maximum(1 - np.linalg.norm(seen.points - point, axis=1) / radius, 0)
-    weights *= seen.normals @ normal > SAME_SIDE
+    weights *= seen.normals @ normal > DECAL_SURFACE.same_side
     mean = (weights[:, None] * seen.normals).sum(0) + 1e-3 * normal
     return mean / np.linalg.norm(mean)
 
@@ -161,13 +181,14 @@ def facing_camera(
     """A square camera that looks at `target` ([3]) from `direction` ([3] unit, from there to the camera), with room for
     a ball of `radius` (world units) around it at `pixel` world units per pixel. It stands nearer where something is in
     between, and where that does not help, or it must not (`nearer`), at the first distance outside the asset."""
-    distance, outside = SIZES_AWAY * 2 * radius, 0.0
-    for _ in range(MAX_APPROACHES):
+    # As far as is good for parallel rays, nearer if a wall or another part stands in between.
+    distance, outside = DECAL_SURFACE.sizes_away * 2 * radius, 0.0
+    for _ in range(DECAL_SURFACE.max_approaches):
         if not inside(asset.grid, asset.grid.occupancy, target + distance * direction):
             if not nearer or _clear(asset, target, direction, distance, radius):
                 break
             outside = outside or distance
-        distance *= APPROACH
+        distance *= DECAL_SURFACE.approach
     else:
         distance = outside or distance
     half = min(radius / max(distance**2 - radius**2, (0.5 * distance) ** 2) ** 0.5, 1.5)

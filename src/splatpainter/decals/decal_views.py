@@ -11,15 +11,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.decals.decal_fusion import fused_surface
-from splatpainter.decals.decal_surface import (
-    MAX_FIT_PX,
-    MIN_ALPHA,
-    SIZES_AWAY,
-    SurfacePixels,
-    depth_pixels,
-    facing_camera,
-    surface_pixels,
-)
+from splatpainter.decals.decal_surface import DECAL_SURFACE, SurfacePixels, depth_pixels, facing_camera, surface_pixels
 from splatpainter.lift.masks import dilated
 from splatpainter.lift.sheets.near_surface import NearSurface
 from splatpainter.lift.sheets.resurface import clear_pixels
@@ -29,78 +21,90 @@ from splatpainter.surface.estimate import Surface
 from splatpainter.surface.unwrap import Unwrapped, smoothed, thinned, unwrap
 from splatpainter.voxels.raycast import inside
 
-MAX_ROUGH = 0.1
-"""Share of the samples that are rough, from which all are smoothed: smoothed ones beside others would lie on two
-layers."""
-SMOOTHED_VOXELS = 4.0
-"""Radius within which what views see of rough surface is moved onto the fused one, voxels, ..."""
-RAY_ROUNDS = 2
-"""... as often, each time back onto its line of sight: all views find the same letters at the same place."""
-MIN_SLOPE = 0.2
-"""Cosine of the angle at which a line of sight must meet the surface for that."""
-SAME_SIDE = 0.3
-"""Cosine between the normals of the first point and of the fused surface there, at least."""
-SMOOTHED_SPACINGS = 5.0
-"""Radius of this smoothing, in spacings of samples, ..."""
-SMOOTHED_SIZE = 0.06
-"""... and in diagonals of the decal, at least."""
-SMOOTHING_ROUNDS = 2
-"""Rounds of smoothing of the samples."""
-MIN_OUTLINE_SHARE, MAX_OUTLINE_SHARE = 0.05, 0.85
-"""Share of the pixels around one that show the same surface: up to the first it is a speck, up to the second it lies
-at an outline, ..."""
-INWARD_SINE = 0.5
-"""... and of the sine of the angle by which these lie above its tangent plane, from which its normal is wrong."""
-FUSED_RADIUS_DIAGONALS = 0.54
-"""Radius of the ball in which views of rough surface are fused, in diagonals of the decal."""
-MAX_SAMPLES = 60_000
-"""Most samples of one decal; from which on no further view is surveyed."""
-STRIP_MARGIN = 0.35
-"""How far beyond its rectangle's side a turned decal may wind around something, in lengths of the other side."""
-MIN_RIM_ALPHA = 0.15
-"""Alpha of a pixel from which a decal is continued over an outline, so that the Gaussians there are painted."""
-FILL_PX = 3
-"""How far, ..."""
-RIM_SLOPE = 4.0
-"""... and how steeply the surface may fall away there: depth over width."""
-MAX_SURVEYS = 10
-"""Cameras that look for the surface under a decal."""
-PIXELS_PER_SPACING = 1.4
-"""Resolution of these cameras, where they face the surface."""
-MIN_FACING_COSINE = np.cos(np.radians(58.0))
-"""Cosine between the normal and the line of sight below which a sample should be seen from elsewhere."""
-LEAN_RADIANS = np.radians(50.0)
-"""Angle by which a camera leans outwards over a rim, to see how the surface goes on behind it."""
-MIN_RIM_LENGTH = 0.22
-"""Length of `Unwrapped.rims` from which a sample is at a rim."""
-MIN_CAMERA_COSINE = np.cos(np.radians(40.0))
-"""Cosine between the direction in which a sample asks for a camera and that of one, from which it has got it."""
-MIN_OPEN = 0.25
-"""Samples of a decal that must ask for a camera, over those along its shorter side: a word that goes on around an edge
-asks along a line."""
-FRONTAL_COSINE = np.cos(np.radians(42.0))
-"""Cosine between normal and line of sight from which a view counts as frontal."""
-SIDE_TURN = np.radians(38.0)
-"""Angle to both sides of a view that paints fog: more cameras that paint the same part."""
-MIN_CLEAR = 0.25
-"""Share of the pixels of a view that show Gaussians on the surface, below which it paints fog, as on rough surface."""
-CREASE_PX = 10
-"""Width to both sides of an edge between faces, pixels of the decal that a view from between them paints: for those
-that face them the edge is an outline, and what they see there of the other face they would spoil."""
-MAX_CREASE_COSINE = 0.64
-"""Cosine between the directions of two views for an edge between what they face; less its negative: a rim."""
-MIN_FACE_COSINE = 0.85
-"""Mean, over what lies beside the edge, of the cosine between normals and the direction of the view that faces it:
-round surfaces have no edge."""
-OVERLAP_PX = 3
-"""Pixels by which the parts of neighbouring views overlap."""
-MARGIN_PX = 24
-"""Pixels around the part that a view paints."""
-MAX_PART_SHARE = 0.35
-"""Largest share of its picture that a view paints: an edit of 0.4 of a picture is taken for a zoom-in (lift/edits.py),
-which has no sheets."""
-MIN_SHARE = 0.01
-"""Least share of a patch: what a view must show best, to be one of those that paint it."""
+
+@dataclass(frozen=True)
+class DecalViewThresholds:
+    """Which cameras paint which part of a decal. Source: taste, tried on boxes, cylinders, rims and captures."""
+
+    max_rough: float = 0.1
+    """Share of the samples that are rough, from which all are smoothed: smoothed ones beside others would lie on two
+    layers."""
+    smoothed_voxels: float = 4.0
+    """Radius within which what views see of rough surface is moved onto the fused one, voxels."""
+    ray_rounds: int = 2
+    """How often it is moved, each time back onto its line of sight: all views find the same letters at the same
+    place."""
+    min_slope: float = 0.2
+    """Cosine of the angle at which a line of sight must meet the surface for that."""
+    same_side: float = 0.3
+    """Cosine between the normals of the first point and of the fused surface there, at least."""
+    smoothed_spacings: float = 5.0
+    """Radius of the smoothing of samples, in spacings of samples."""
+    smoothed_size: float = 0.06
+    """The least of that radius, in diagonals of the decal."""
+    smoothing_rounds: int = 2
+    """Rounds of smoothing of the samples."""
+    min_outline_share: float = 0.05
+    """Share of the pixels around one that show the same surface, up to which it is a speck."""
+    max_outline_share: float = 0.85
+    """The same, up to which it lies at an outline."""
+    inward_sine: float = 0.5
+    """Sine of the angle by which these pixels lie above its tangent plane, times their share, from which its normal is
+    wrong."""
+    fused_radius_diagonals: float = 0.54
+    """Radius of the ball in which views of rough surface are fused, in diagonals of the decal."""
+    max_samples: int = 60_000
+    """Most samples of one decal; from which on no further view is surveyed."""
+    strip_margin: float = 0.35
+    """How far beyond its rectangle's side a turned decal may wind around something, in lengths of the other side."""
+    min_rim_alpha: float = 0.15
+    """Alpha of a pixel from which a decal is continued over an outline, so that the Gaussians there are painted."""
+    fill_px: int = 3
+    """Pixels by which a decal is continued over an outline."""
+    rim_slope: float = 4.0
+    """Slope, depth over width, by which the surface may fall away there."""
+    max_surveys: int = 10
+    """Cameras that look for the surface under a decal."""
+    pixels_per_spacing: float = 1.4
+    """Resolution of these cameras, where they face the surface."""
+    min_facing_cosine: float = np.cos(np.radians(58.0))
+    """Cosine between the normal and the line of sight below which a sample should be seen from elsewhere."""
+    lean_radians: float = np.radians(50.0)
+    """Angle by which a camera leans outwards over a rim, to see how the surface goes on behind it."""
+    min_rim_length: float = 0.22
+    """Length of `Unwrapped.rims` from which a sample is at a rim."""
+    min_camera_cosine: float = np.cos(np.radians(40.0))
+    """Cosine between the direction in which a sample asks for a camera and that of one, from which it has got it."""
+    min_open: float = 0.25
+    """Samples of a decal that must ask for a camera, over those along its shorter side: a word that goes on around an
+    edge asks along a line."""
+    frontal_cosine: float = np.cos(np.radians(42.0))
+    """Cosine between normal and line of sight from which a view counts as frontal."""
+    side_turn: float = np.radians(38.0)
+    """Angle to both sides of a view that paints fog: more cameras that paint the same part."""
+    min_clear: float = 0.25
+    """Share of the pixels of a view that show Gaussians on the surface, below which it paints fog, as on rough
+    surface."""
+    crease_px: int = 10
+    """Width to both sides of an edge between faces, pixels of the decal that a view from between them paints: for those
+    that face them the edge is an outline, and what they see there of the other face they would spoil."""
+    max_crease_cosine: float = 0.64
+    """Cosine between the directions of two views for an edge between what they face; less its negative: a rim."""
+    min_face_cosine: float = 0.85
+    """Mean, over what lies beside the edge, of the cosine between normals and the direction of the view that faces it:
+    round surfaces have no edge."""
+    overlap_px: int = 3
+    """Pixels by which the parts of neighbouring views overlap."""
+    margin_px: int = 24
+    """Pixels around the part that a view paints."""
+    max_part_share: float = 0.35
+    """Largest share of its picture that a view paints: an edit of 0.4 of a picture is taken for a zoom-in
+    (lift/edits.py), which has no sheets."""
+    min_share: float = 0.01
+    """Least share of a patch: what a view must show best, to be one of those that paint it."""
+
+
+DECAL_VIEWS = DecalViewThresholds()
 
 
 @dataclass(frozen=True)
@@ -129,8 +133,9 @@ def survey(
     those before saw at a grazing angle, or that look over a rim; rough surface is fused out of views from all around.
     up: [3] of the decal; size: (width, height), world
     units; max_turn: wrap limit, radians."""
+    # Start with the point that was clicked; every round adds what one more camera sees.
     radius = 0.5 * float(np.hypot(*size))
-    smoothing = max(SMOOTHED_SPACINGS * spacing, SMOOTHED_SIZE * 2 * radius)
+    smoothing = max(DECAL_VIEWS.smoothed_spacings * spacing, DECAL_VIEWS.smoothed_size * 2 * radius)
     points, normals, rough = start[0][None], start[1][None], np.zeros(1, bool)
     half = (size[0] / 2, size[1] / 2)
     directions: list[np.ndarray] = []
@@ -139,45 +144,56 @@ def survey(
     while True:
         # From behind the start one looks past it: nearer to it is within what it is the surface of.
         nearer = bool(direction @ start[1] > 0)
-        camera = facing_camera(asset, target, direction, up, radius * 1.08, spacing / PIXELS_PER_SPACING, nearer=nearer)
+        camera = facing_camera(
+            asset, target, direction, up, radius * 1.08, spacing / DECAL_VIEWS.pixels_per_spacing, nearer=nearer
+        )
         view = project(asset.splats, camera)
         _, alpha, depth = view.rasterize()
-        frontal = best > MIN_FACING_COSINE
-        requested = (alpha > MIN_ALPHA) & ~_surveyed(camera, depth, points[frontal], normals[frontal], spacing)
+        # Only what no earlier camera saw frontally is asked for: most pixels are known after two views.
+        frontal = best > DECAL_VIEWS.min_facing_cosine
+        requested = (alpha > DECAL_SURFACE.min_alpha) & ~_surveyed(
+            camera, depth, points[frontal], normals[frontal], spacing
+        )
         ys, xs = np.nonzero(requested)
         requested[ys, xs] = _near_strip(camera.unproject(depth[ys, xs], np.stack([xs, ys], 1) + 0.5), start, up, size)
         seen = surface_pixels(asset, surface, view, requested, depth)
-        if not directions and len(seen.ys) and seen.rough.mean() > MAX_ROUGH:
+        # The first look decides: on fog one fused surface serves all views.
+        if not directions and len(seen.ys) and seen.rough.mean() > DECAL_VIEWS.max_rough:
             patch = _fused_patch(asset, surface, start, up, size, max_turn)
             if patch is not None:
                 return patch
+        # No point farther than the decal's half diagonal can be under it.
         near = ((seen.points - start[0]) ** 2).sum(1) < (1.06 * radius) ** 2
         near &= ~_facing_inwards(seen, alpha.shape, 4 * spacing)
         points, normals, best, rough = _joined((points, normals, best, rough), seen, near, camera, spacing)
+        # Unwrapped on smoothed samples where they scatter, as they are elsewhere.
         even, turned = points, normals
-        scatters = rough.mean() > MAX_ROUGH
-        for _ in range(SMOOTHING_ROUNDS if scatters else 0):
+        scatters = rough.mean() > DECAL_VIEWS.max_rough
+        for _ in range(DECAL_VIEWS.smoothing_rounds if scatters else 0):
             even, turned = smoothed((even, turned), (even, turned), smoothing)
         samples = unwrap(even, turned, up, spacing, half, max_turn)
         within = samples.reached & (samples.normals @ turned[0] >= np.cos(min(max_turn, np.pi)) - 1e-9)
         under = within & (np.abs(samples.uv) < half).all(1)
         directions.append(direction)
         rim = np.linalg.norm(samples.rims, axis=1)
-        at_rim = under & (rim > MIN_RIM_LENGTH)
+        at_rim = under & (rim > DECAL_VIEWS.min_rim_length)
+        # Where to look next: frontally at what was seen at an angle, over a rim at what goes on behind it.
         leaning = np.where(
             at_rim[:, None],
-            np.cos(LEAN_RADIANS) * turned - np.sin(LEAN_RADIANS) * samples.rims / np.maximum(rim, 1e-9)[:, None],
+            np.cos(DECAL_VIEWS.lean_radians) * turned
+            - np.sin(DECAL_VIEWS.lean_radians) * samples.rims / np.maximum(rim, 1e-9)[:, None],
             turned,
         )
-        asking = under & (at_rim | (best < MIN_FACING_COSINE))
-        asking &= (leaning @ np.stack(directions, 1)).max(1) < MIN_CAMERA_COSINE
+        asking = under & (at_rim | (best < DECAL_VIEWS.min_facing_cosine))
+        asking &= (leaning @ np.stack(directions, 1)).max(1) < DECAL_VIEWS.min_camera_cosine
         asking[0] = False
-        if asking.sum() <= max(MIN_OPEN * min(size) / spacing, 3):
+        if asking.sum() <= max(DECAL_VIEWS.min_open * min(size) / spacing, 3):
             break
-        if len(directions) == MAX_SURVEYS or len(points) > MAX_SAMPLES:
+        if len(directions) == DECAL_VIEWS.max_surveys or len(points) > DECAL_VIEWS.max_samples:
             break
         view_requests = leaning[asking]
         candidates = view_requests[:: max(len(view_requests) // 200, 1)]
+        # The direction that serves most requests; then what they want in the mean.
         votes = view_requests @ candidates.T > np.cos(np.radians(35.0))
         winner = votes[:, votes.sum(0).argmax()]
         direction = view_requests[winner].mean(0)
@@ -195,14 +211,15 @@ def _fused_patch(
     max_turn: float,
 ) -> UnwrappedPatch | None:
     """`survey` on rough surface: one made of all views (`fused_surface`); None where there is none at the start."""
-    radius = FUSED_RADIUS_DIAGONALS * float(np.hypot(*size))
+    radius = DECAL_VIEWS.fused_radius_diagonals * float(np.hypot(*size))
 
     def facing(direction: np.ndarray, pixel: float) -> Camera:
         return facing_camera(asset, start[0], direction, up, radius * 1.08, pixel)
 
     points, normals, voxel = fused_surface(asset.splats, surface, start, up, radius, facing)
-    away = np.where(normals @ start[1] > SAME_SIDE, np.linalg.norm(points - start[0], axis=1), np.inf)
-    if not len(away) or away.min() > SMOOTHED_VOXELS * voxel:
+    # The fused surface has to pass by the start, facing the same way.
+    away = np.where(normals @ start[1] > DECAL_VIEWS.same_side, np.linalg.norm(points - start[0], axis=1), np.inf)
+    if not len(away) or away.min() > DECAL_VIEWS.smoothed_voxels * voxel:
         return None
     order = np.concatenate([[away.argmin()], np.delete(np.arange(len(points)), away.argmin())])
     order = order[thinned(points[order], normals[order], voxel)]
@@ -210,45 +227,52 @@ def _fused_patch(
     samples = unwrap(points[order], normals[order], up, voxel, half, max_turn)
     within = samples.reached & (samples.normals @ samples.normals[0] >= np.cos(min(max_turn, np.pi)) - 1e-9)
     under = within & (np.abs(samples.uv) < half).all(1)
-    return UnwrappedPatch(samples, within, under, SMOOTHED_VOXELS * voxel)
+    return UnwrappedPatch(samples, within, under, DECAL_VIEWS.smoothed_voxels * voxel)
 
 
 def _facing_inwards(seen: SurfacePixels, shape: tuple[int, int], reach: float) -> np.ndarray:
     """[Q] bool specks, and pixels at an outline of a picture [H, W] whose normal leads into it: that of a face behind
     the outline, turned to the camera. reach: world units up to which neighbours belong together."""
-    rows, columns = seen.ys + MAX_FIT_PX, seen.xs + MAX_FIT_PX
-    share = _share_near(seen.points, rows, columns, (shape[0] + 2 * MAX_FIT_PX, shape[1] + 2 * MAX_FIT_PX), reach)
-    outline = np.flatnonzero((share >= MIN_OUTLINE_SHARE) & (share < MAX_OUTLINE_SHARE))
-    index = np.full((shape[0] + 2 * MAX_FIT_PX, shape[1] + 2 * MAX_FIT_PX), -1)
+    rows, columns = seen.ys + DECAL_SURFACE.max_fit_px, seen.xs + DECAL_SURFACE.max_fit_px
+    # Cheap first: only pixels near an outline are looked at closely.
+    share = _share_near(
+        seen.points,
+        rows,
+        columns,
+        (shape[0] + 2 * DECAL_SURFACE.max_fit_px, shape[1] + 2 * DECAL_SURFACE.max_fit_px),
+        reach,
+    )
+    outline = np.flatnonzero((share >= DECAL_VIEWS.min_outline_share) & (share < DECAL_VIEWS.max_outline_share))
+    index = np.full((shape[0] + 2 * DECAL_SURFACE.max_fit_px, shape[1] + 2 * DECAL_SURFACE.max_fit_px), -1)
     index[rows, columns] = np.arange(len(rows))
     total = np.zeros((len(outline), 3))
-    for dy, dx in np.ndindex(2 * MAX_FIT_PX + 1, 2 * MAX_FIT_PX + 1):
+    for dy, dx in np.ndindex(2 * DECAL_SURFACE.max_fit_px + 1, 2 * DECAL_SURFACE.max_fit_px + 1):
         other = index[seen.ys[outline] + dy, seen.xs[outline] + dx]
         way = seen.points[other] - seen.points[outline]
         near = (other >= 0) & ((way**2).sum(1) < reach**2)
         total += np.where(near[:, None], way, 0)
-    inwards = share < MIN_OUTLINE_SHARE  # specks
-    inwards[outline] = (total * seen.normals[outline]).sum(1) > INWARD_SINE * np.linalg.norm(total, axis=1)
+    inwards = share < DECAL_VIEWS.min_outline_share  # specks
+    inwards[outline] = (total * seen.normals[outline]).sum(1) > DECAL_VIEWS.inward_sine * np.linalg.norm(total, axis=1)
     return inwards
 
 
 def _share_near(
     points: np.ndarray, rows: np.ndarray, columns: np.ndarray, shape: tuple[int, int], reach: float
 ) -> np.ndarray:
-    """[Q] share of the pixels up to MAX_FIT_PX away, itself too, with points nearer than `reach`. points: [Q, 3] at
-    rows and columns ([Q], so far from the edges) of a picture [H, W]."""
+    """[Q] share of the pixels up to DECAL_SURFACE.max_fit_px away, itself too, with points nearer than `reach`. points:
+    [Q, 3] at rows and columns ([Q], so far from the edges) of a picture [H, W]."""
     planes = np.full((3, *shape), np.nan)
     planes[:, rows, columns] = points.T
     count = np.ones(shape, np.uint8)
-    for dy in range(MAX_FIT_PX + 1):
-        for dx in range(-MAX_FIT_PX if dy else 1, MAX_FIT_PX + 1):  # each pair once
+    for dy in range(DECAL_SURFACE.max_fit_px + 1):
+        for dx in range(-DECAL_SURFACE.max_fit_px if dy else 1, DECAL_SURFACE.max_fit_px + 1):  # each pair once
             first = slice(0, shape[0] - dy), slice(max(-dx, 0), shape[1] - max(dx, 0))
             second = slice(dy, None), slice(max(dx, 0), shape[1] - max(-dx, 0))
             x, y, z = (plane[first] - plane[second] for plane in planes)
             near = x * x + y * y + z * z < reach**2
             count[first] += near
             count[second] += near
-    return count[rows, columns] / (2 * MAX_FIT_PX + 1) ** 2
+    return count[rows, columns] / (2 * DECAL_SURFACE.max_fit_px + 1) ** 2
 
 
 def _joined(
@@ -269,7 +293,9 @@ def _joined(
     good = cosine > 0.17
     points, normals = np.concatenate([points, new[good]]), np.concatenate([normals, facing[good]])
     best, rough = np.concatenate([best, cosine[good]]), np.concatenate([rough, new_rough[good]])
-    order = np.concatenate([[0], 1 + np.argsort(-(best[1:] > MIN_FACING_COSINE).astype(int), kind="stable")])
+    order = np.concatenate(
+        [[0], 1 + np.argsort(-(best[1:] > DECAL_VIEWS.min_facing_cosine).astype(int), kind="stable")]
+    )
     order = order[thinned(points[order], normals[order], spacing)]
     return points[order], normals[order], best[order], rough[order]
 
@@ -297,7 +323,7 @@ def _near_strip(
     way = points - start[0]
     u, v = np.abs(way @ right), np.abs(way @ np.cross(start[1], right))
     width, height = size
-    along, across = 0.5 * width + STRIP_MARGIN * height, 0.5 * height + STRIP_MARGIN * width
+    along, across = 0.5 * width + DECAL_VIEWS.strip_margin * height, 0.5 * height + DECAL_VIEWS.strip_margin * width
     return (u < along) & (v < across) & ((way**2).sum(1) < 0.4 * (width**2 + height**2))
 
 
@@ -325,26 +351,33 @@ def faced_parts(
     samples that something is painted on; up: [3] of the pictures; pixel: world units."""
     samples = patch.samples
     views: list[PatchView] = []
+    # One camera for each face, one between two faces that meet at an outward edge.
     groups = _directions(samples.points[painted], samples.normals[painted], limit)
-    creases = [] if patch.smoothing else _creases(samples, painted, groups, max(CREASE_PX * pixel, samples.spacing))
+    creases = (
+        []
+        if patch.smoothing
+        else _creases(samples, painted, groups, max(DECAL_VIEWS.crease_px * pixel, samples.spacing))
+    )
     faces = len(groups)
     groups += [(direction, samples.points[beside]) for direction, beside in creases[: limit - faces]]
     for direction, members in groups:
         views.append(_view(asset, surface, patch, painted, direction, members, up, pixel))
     for view, (_, beside) in zip(views[faces:], creases, strict=False):
         view.cosines[:] = np.where(beside & (view.cosines > 0), 2, 0)  # there before all others, and nowhere else
+    # A camera inside something solid sees its inner side.
     free = [not inside(asset.grid, asset.grid.occupancy, view.camera.position) for view in views]
     if not any(free):
         raise ValueError("decal: no camera that faces it stands free of the asset; choose another pixel")
     views = [view for view, f in zip(views, free, strict=True) if f]
     groups = [group for group, f in zip(groups, free, strict=True) if f]
+    # Every sample belongs to the view that sees it most frontally.
     cosines = np.stack([view.cosines for view in views])
     keep = np.ones(len(views), bool)
     while True:  # the smallest goes while it is hardly needed
         owners = np.where(keep[:, None], cosines, -1).argmax(0)
         seen = cosines[keep].max(0) > 0
         shares = np.bincount(owners[seen & painted], minlength=len(views)) / max((seen & painted).sum(), 1)
-        small = np.flatnonzero(keep & (shares < MIN_SHARE))
+        small = np.flatnonzero(keep & (shares < DECAL_VIEWS.min_share))
         if not len(small) or keep.sum() == 1:
             break
         keep[small[shares[small].argmin()]] = False
@@ -355,7 +388,7 @@ def faced_parts(
         if not patch.smoothing and not views[k].foggy(painted & (owners == k)):
             continue
         direction, members = groups[k]
-        for turn in (-SIDE_TURN, SIDE_TURN):
+        for turn in (-DECAL_VIEWS.side_turn, DECAL_VIEWS.side_turn):
             if len(parts) + len(sides) >= limit:
                 break
             side = np.cross(up, direction)
@@ -387,23 +420,24 @@ class PatchView:
     def foggy(self, chosen: np.ndarray) -> bool:
         """Whether most of the pixels of some samples ([S] bool) are not clear."""
         at = chosen[self.nearest]
-        return bool(at.any()) and self.clear[self.ys[at], self.xs[at]].mean() < MIN_CLEAR
+        return bool(at.any()) and self.clear[self.ys[at], self.xs[at]].mean() < DECAL_VIEWS.min_clear
 
     def part(self, owned: np.ndarray, patch: UnwrappedPatch) -> FacedPart:
         """owned: [S] bool samples that this view paints."""
         picture = np.zeros(self.before.shape[:2], bool)
         at = owned[self.nearest]
         picture[self.ys[at], self.xs[at]] = True
-        picture = dilated(picture, OVERLAP_PX)
+        picture = dilated(picture, DECAL_VIEWS.overlap_px)
         chosen = picture[self.ys, self.xs] & patch.within[self.nearest]
         ys, xs = self.ys[chosen], self.xs[chosen]
         height, width = picture.shape
         if not len(ys):
             return FacedPart(self.camera, self.before, self.alpha, ys, xs, self.uv[chosen])
-        margin = MARGIN_PX
+        # Enough unpainted picture around the part that it is not taken for a zoom-in.
+        margin = DECAL_VIEWS.margin_px
         extent = np.array([np.ptp(ys) + 1, np.ptp(xs) + 1])
-        while len(ys) > MAX_PART_SHARE * np.prod(extent + 2 * margin):
-            margin += MARGIN_PX // 2
+        while len(ys) > DECAL_VIEWS.max_part_share * np.prod(extent + 2 * margin):
+            margin += DECAL_VIEWS.margin_px // 2
         top, left = int(ys.min()) - margin, int(xs.min()) - margin
         bottom, right = top + int(extent[0]) + 2 * margin, left + int(extent[1]) + 2 * margin
         camera = self.camera.cropped(left, top, right - left, bottom - top)
@@ -426,9 +460,10 @@ def _view(
     pixel: float,
 ) -> PatchView:
     """The patch from a direction, in a picture with room for some of its points ([M, 3])."""
+    # Quantiles: a few far samples must not move the camera.
     middle = (np.quantile(members, 0.02, 0) + np.quantile(members, 0.98, 0)) / 2
     target = members[np.linalg.norm(members - middle, axis=1).argmin()]
-    radius = float(np.quantile(np.linalg.norm(members - target, axis=1), 0.995)) + MARGIN_PX * pixel
+    radius = float(np.quantile(np.linalg.norm(members - target, axis=1), 0.995)) + DECAL_VIEWS.margin_px * pixel
     camera = facing_camera(asset, target, direction, up, radius, pixel)
     return mapped_view(asset, surface, patch, painted, camera, pixel)
 
@@ -445,24 +480,26 @@ def mapped_view(
     as the camera shows the samples, which need not face it."""
     samples = patch.samples
     uv, z = camera.project(samples.points[painted])
+    # Only the surroundings of projected samples are rendered.
     region = np.zeros((camera.height, camera.width), bool)
     inside_picture = (z > 0) & (uv >= 0).all(1) & (uv[:, 0] < camera.width) & (uv[:, 1] < camera.height)
     x, y = uv[inside_picture].astype(int).T
     region[y, x] = True
     if pixel is None:
         pixel = float(np.median(z[z > 0])) / camera.fx if (z > 0).any() else 1.0
-    reach = int(np.ceil(2.5 * samples.spacing / pixel * SIZES_AWAY / (SIZES_AWAY - 0.5)))
-    tiles = tiles_of_mask(dilated(region, reach + MARGIN_PX))
+    reach = int(np.ceil(2.5 * samples.spacing / pixel * DECAL_SURFACE.sizes_away / (DECAL_SURFACE.sizes_away - 0.5)))
+    tiles = tiles_of_mask(dilated(region, reach + DECAL_VIEWS.margin_px))
     region = dilated(region, reach)
     view = project(asset.splats, camera, tiles=tiles)
     before, alpha, depth = view.rasterize()
-    drawn = region & (alpha > MIN_ALPHA)
+    drawn = region & (alpha > DECAL_SURFACE.min_alpha)
     seen = depth_pixels(camera, drawn, depth) if patch.smoothing else surface_pixels(asset, surface, view, drawn, depth)
     points, normals = seen.points, seen.normals
     if patch.smoothing:
         reached = samples.reached
+        # On rough surface pixels are pulled onto the fused one, along their own lines of sight.
         even = (samples.points[reached], samples.normals[reached])
-        for _ in range(RAY_ROUNDS):
+        for _ in range(DECAL_VIEWS.ray_rounds):
             points, normals = smoothed(even, (points, normals), patch.smoothing)
             points = _on_rays(camera.position, seen.points, points, normals, 2 * patch.smoothing)
         points, normals = smoothed(even, (points, normals), patch.smoothing)
@@ -471,6 +508,7 @@ def mapped_view(
         drawn[:] = False
         drawn[seen.ys, seen.xs] = True
         clear, _ = clear_pixels(asset.splats, view, NearSurface.of(seen.visible, drawn), drawn)
+    # The place of every pixel on the decal.
     coordinates, nearest = samples.at(points, normals)
     uv = np.full((*region.shape, 2), np.nan)
     index = np.full(region.shape, -1, np.int64)
@@ -478,14 +516,17 @@ def mapped_view(
     visible = np.zeros(len(samples.points), bool)
     visible[nearest[nearest >= 0]] = True
     mapped = uv[..., 0].copy()
-    uv, index = _filled(uv, index, region & (alpha > MIN_RIM_ALPHA), 4 * pixel)
+    uv, index = _filled(uv, index, region & (alpha > DECAL_VIEWS.min_rim_alpha), 4 * pixel)
     # Over an outline it goes on only where nothing else stands behind: there the paint would land.
     ys, xs = np.nonzero(index >= 0)
     behind = np.abs(camera.project(samples.points[index[ys, xs]])[1] - depth[ys, xs])
-    beyond = np.isnan(mapped[ys, xs]) & (behind > 3 * samples.spacing + RIM_SLOPE * FILL_PX * pixel)
+    beyond = np.isnan(mapped[ys, xs]) & (
+        behind > 3 * samples.spacing + DECAL_VIEWS.rim_slope * DECAL_VIEWS.fill_px * pixel
+    )
     ys, xs = ys[~beyond], xs[~beyond]
     line = camera.position - samples.points
     cosine = (line * samples.normals).sum(1) / np.linalg.norm(line, axis=1)
+    # A sample that is seen at all belongs to someone, however grazing.
     cosine = np.where(visible, np.maximum(cosine, 1e-3), 0)
     return PatchView(camera, before, alpha, ys, xs, uv[ys, xs], index[ys, xs], cosine, clear)
 
@@ -497,7 +538,8 @@ def _on_rays(
     with `normals`; these points where that is far away (limit: world units) or the plane is seen from its edge."""
     ray = seen - position
     slope = (ray * normals).sum(1)
-    frontal = slope < -MIN_SLOPE * np.linalg.norm(ray, axis=1)
+    # Edge-on a line of sight meets the plane anywhere; such points stay where they are.
+    frontal = slope < -DECAL_VIEWS.min_slope * np.linalg.norm(ray, axis=1)
     length = ((points - position) * normals).sum(1) / np.where(frontal, slope, -1.0)
     moved = position + length[:, None] * ray
     near = np.linalg.norm(moved - seen, axis=1) < limit
@@ -505,10 +547,10 @@ def _on_rays(
 
 
 def _filled(uv: np.ndarray, index: np.ndarray, region: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray]:
-    """uv [H, W, 2] and sample [H, W], continued linearly up to FILL_PX into pixels of `region` without them: creases,
-    outlines and specks of surface that is not trusted. limit: largest step per pixel, world units."""
+    """uv [H, W, 2] and sample [H, W], continued linearly up to DECAL_VIEWS.fill_px into pixels of `region` without
+    them: creases, outlines and specks of surface that is not trusted. limit: largest step per pixel, world units."""
     uv, index = uv.copy(), index.copy()
-    for _ in range(FILL_PX):
+    for _ in range(DECAL_VIEWS.fill_px):
         ys, xs = np.nonzero(region & (index < 0))
         padded = np.pad(uv, [(2, 2), (2, 2), (0, 0)], constant_values=np.nan)
         total, count, source = np.zeros((len(ys), 2)), np.zeros(len(ys)), np.full(len(ys), -1, np.int64)
@@ -535,7 +577,8 @@ def _creases(
     out = []
     for first in range(len(groups)):
         for second in range(first):
-            if abs(directions[first] @ directions[second]) > MAX_CREASE_COSINE:
+            # Faces that look nearly the same way, or opposite ways, share no edge that a view between them would see.
+            if abs(directions[first] @ directions[second]) > DECAL_VIEWS.max_crease_cosine:
                 continue
             a, b = (np.flatnonzero(face == k) for k in (first, second))
             a, b = (
@@ -545,7 +588,7 @@ def _creases(
             if not len(a) or not len(b):
                 continue
             flat = [(samples.normals[ids] @ directions[k]).mean() for ids, k in ((a, first), (b, second))]
-            if min(flat) < MIN_FACE_COSINE:
+            if min(flat) < DECAL_VIEWS.min_face_cosine:
                 continue
             way = samples.points[b].mean(0) - samples.points[a].mean(0)
             if way @ directions[first] > 0:  # an inward edge: both views see it well
@@ -567,6 +610,7 @@ def _beside(points: np.ndarray, neighbours: np.ndarray, reach: float) -> np.ndar
     for values in (points, neighbours):
         x, y, z = ((values - corner) / reach).astype(np.int64).T
         keys.append((x << 42) | (y << 21) | z)
+    # Keys of all 27 cubes around: an exact distance is not needed to find an edge's neighbours.
     steps = np.array([(x << 42) + (y << 21) + z for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)])
     return np.isin(keys[0], np.unique(keys[1][:, None] + steps))
 
@@ -577,15 +621,16 @@ def _directions(points: np.ndarray, normals: np.ndarray, limit: int) -> list[tup
     out = []
     left = np.ones(len(points), bool)
     for _ in range(limit):
-        if left.sum() <= max(MIN_SHARE * len(points), 0) and out:
+        if left.sum() <= max(DECAL_VIEWS.min_share * len(points), 0) and out:
             break
+        # The normal with most others around it, then their mean, a few times (mean shift).
         candidates = normals[left][:: max(int(left.sum()) // 256, 1)]
-        direction = candidates[(normals[left] @ candidates.T > FRONTAL_COSINE).sum(0).argmax()]
+        direction = candidates[(normals[left] @ candidates.T > DECAL_VIEWS.frontal_cosine).sum(0).argmax()]
         for _ in range(3):
-            near = left & (normals @ direction > FRONTAL_COSINE)
+            near = left & (normals @ direction > DECAL_VIEWS.frontal_cosine)
             direction = normals[near].mean(0)
             direction /= np.linalg.norm(direction)
-        near = left & (normals @ direction > FRONTAL_COSINE)
+        near = left & (normals @ direction > DECAL_VIEWS.frontal_cosine)
         if not near.any():
             break
         out.append((direction, points[near]))

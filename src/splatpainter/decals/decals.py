@@ -3,8 +3,8 @@
     decal = Decal("label.png", at=(400, 300), camera=camera, width="12%")
     asset = painter.apply(asset, decal.views(asset))
 
-A decal becomes one to MAX_DECAL_VIEWS edited views from cameras that face parts of it, so everything that edits promise
-holds for decals: receipts, undo, layers. Each part is painted from the camera that sees it most frontally.
+A decal becomes one to DECALS.max_decal_views edited views from cameras that face parts of it, so everything that edits
+promise holds for decals: receipts, undo, layers. Each part is painted from the camera that sees it most frontally.
 """
 
 from __future__ import annotations
@@ -17,28 +17,38 @@ import numpy as np
 
 from splatpainter.cameras import Camera, bounding_sphere
 from splatpainter.color import from_display
-from splatpainter.decals.decal_placement import MAX_DECAL_PX, MIN_DECAL_PX, DecalPlacement, decal_placement
+from splatpainter.decals.decal_placement import MAX_DECAL_PX, PLACEMENT, DecalPlacement, decal_placement
 from splatpainter.decals.decal_views import FacedPart, faced_parts
 from splatpainter.painter import Asset, Edit
 from splatpainter.pictures.picture_reader import MAX_PICTURE_PIXELS, SIZE_LIMIT, Picture, read_picture
 from splatpainter.surface.estimate import Surface
 
-MAX_DECAL_VIEWS = 6
-"""Edited views of one decal."""
-MAX_ROUGH_PX = 50_000
-"""Opaque pixels of a decal on rough surface, where nearly every one of them needs a Gaussian: words have fewer, large
-stickers are averaged down. A sticker of 60 % of a capture's diameter: 94,000 Gaussians and 12 CPU s instead of 176,000
-and 22; with half as many its outline crumbles."""
-MIN_PAINT_ALPHA = 0.02
-"""Alpha below which a pixel of a decal paints nothing."""
+
+@dataclass(frozen=True)
+class DecalLimits:
+    """Limits of one decal. Measured where an entry says on what, else taste."""
+
+    max_decal_views: int = 6
+    """Edited views of one decal."""
+    max_rough_px: int = 50_000
+    """Opaque pixels of a decal on rough surface, where nearly every one of them needs a Gaussian: words have fewer,
+    large stickers are averaged down. A sticker of 60 % of a capture's diameter: 94,000 Gaussians and 12 CPU s instead
+    of 176,000 and 22; with half as many its outline crumbles."""
+    min_paint_alpha: float = 0.02
+    """Alpha below which a pixel of a decal paints nothing."""
+    nearly_all: float = 0.97
+    """Share of a decal on the surface from which its note says nothing about it."""
+    max_diameters: float = 4.0
+    """Width and height of a decal, at most, in diameters of the asset."""
+    max_aspect: float = 40.0
+    """Largest aspect ratio of a decal."""
+
+
+DECALS = DecalLimits()
+
+
 LITTLE_COVERAGE = 0.5
 """Share of a decal on the surface below which its note advises."""
-NEARLY_ALL = 0.97
-"""... and from which it says nothing more."""
-MAX_DIAMETERS = 4.0
-"""Width and height of a decal, at most, in diameters of the asset."""
-MAX_ASPECT = 40.0
-"""Largest aspect ratio of a decal."""
 
 
 @dataclass(frozen=True)
@@ -83,10 +93,10 @@ class Decal:
         assert isinstance(self.picture, Picture)
         columns, rows = self.picture.size
         height = width * rows / columns
-        if not 0 < max(width, height) <= MAX_DIAMETERS * diameter:
+        if not 0 < max(width, height) <= DECALS.max_diameters * diameter:
             raise ValueError(
-                f"decal: {width:g} x {height:g} is too large; expected at most {MAX_DIAMETERS:g} times the diameter of "
-                f"the asset, {diameter:g}"
+                f"decal: {width:g} x {height:g} is too large; expected at most {DECALS.max_diameters:g} times the "
+                f"diameter of the asset, {diameter:g}"
             )
         return width, height
 
@@ -100,17 +110,19 @@ class Decal:
         """`views`, with what there is to say about them."""
         assert isinstance(self.picture, Picture)
         surface = surface or Surface.of(asset.splats)
+        # Where it lies, in how many pixels, and which samples it paints at all.
         placement = self.placed(asset, surface)
         patch, up, (width, height) = placement.patch, placement.up, placement.size
-        longer = int(np.clip(max(self.picture.size), MIN_DECAL_PX, MAX_DECAL_PX))
+        longer = int(np.clip(max(self.picture.size), PLACEMENT.min_decal_px, MAX_DECAL_PX))
         pixel = max(width, height) / longer
         if patch.smoothing:
             pixel = max(width, height) / rough_length_px(self.picture, longer)
         texture = _texture(self.picture, max(round(width / pixel), 1), max(round(height / pixel), 1))
         alpha = _sampled(texture, patch.samples.uv, (width, height), soft=2 * placement.spacing)[:, 3]
-        painted = patch.under & (alpha > MIN_PAINT_ALPHA)
+        painted = patch.under & (alpha > DECALS.min_paint_alpha)
         painted[0] |= not painted.any()
-        parts = faced_parts(asset, surface, patch, painted, up, pixel, MAX_DECAL_VIEWS)
+        # From here on a decal is ordinary edits: receipts, undo and layers need nothing new.
+        parts = faced_parts(asset, surface, patch, painted, up, pixel, DECALS.max_decal_views)
         edits = [self._edit(asset, part, texture, (width, height)) for part in parts]
         edits = [edit for edit in edits if edit is not None]
         if not edits:
@@ -134,7 +146,7 @@ class Decal:
     def _edit(self, asset: Asset, part: FacedPart, texture: np.ndarray, size: tuple[float, float]) -> Edit | None:
         layer = _sampled(texture, part.uv, size)
         ys, xs = part.ys, part.xs
-        painted = layer[:, 3] > MIN_PAINT_ALPHA
+        painted = layer[:, 3] > DECALS.min_paint_alpha
         if not painted.any():
             return None
         ys, xs, layer = ys[painted], xs[painted], layer[painted]
@@ -168,7 +180,7 @@ class LaidDecal:
         text = f"decal {self.size[0]:.4g} x {self.size[1]:.4g}, {self.coverage:.0%} of it on the surface, {views}"
         if self.coverage < LITTLE_COVERAGE:
             text += "; less than half of it found a surface: choose another pixel or a smaller width"
-        elif self.coverage < NEARLY_ALL:
+        elif self.coverage < DECALS.nearly_all:
             text += f"; the other {1 - self.coverage:.0%} hangs over edges of the surface or the wrap limit"
         return text
 
@@ -197,7 +209,7 @@ def text_picture(text: str, color: tuple[float, float, float], font: Path | None
     left, top, right, bottom = load_font(font, capital).getbbox(text, anchor="ls")
     shape = (math.ceil(bottom - top) + 32, math.ceil(right - left) + 32)
     layer = draw_text(shape, text, (shape[1] / 2, shape[0] / 2), capital, color, font)
-    ys, xs = np.nonzero(layer[..., 3] > MIN_PAINT_ALPHA)
+    ys, xs = np.nonzero(layer[..., 3] > DECALS.min_paint_alpha)
     if not len(ys):
         raise ValueError(f"decal: nothing of the text {text[:40]!r} can be drawn with this font")
     return _picture(layer[ys.min() : ys.max() + 1, xs.min() : xs.max() + 1])
@@ -224,9 +236,9 @@ def _picture(source: np.ndarray | Picture | str | Path) -> Picture:
     columns, rows = picture.size
     if columns * rows > MAX_PICTURE_PIXELS:
         raise ValueError(f"decal: expected a picture of {SIZE_LIMIT}, got {columns}x{rows}")
-    if max(columns, rows) > MAX_ASPECT * min(columns, rows):
-        raise ValueError(f"decal: expected sides of at most {MAX_ASPECT:g} to 1, got {columns}x{rows}")
-    if picture.alpha is not None and picture.alpha.max() <= MIN_PAINT_ALPHA:
+    if max(columns, rows) > DECALS.max_aspect * min(columns, rows):
+        raise ValueError(f"decal: expected sides of at most {DECALS.max_aspect:g} to 1, got {columns}x{rows}")
+    if picture.alpha is not None and picture.alpha.max() <= DECALS.min_paint_alpha:
         raise ValueError("decal: the picture is transparent everywhere")
     return picture
 
@@ -236,15 +248,16 @@ def _texture(picture: Picture, columns: int, rows: int) -> np.ndarray:
     width, height = picture.size
     small = picture.resized(min(columns, width), min(rows, height))
     alpha = np.ones(small.colors.shape[:2], np.float32) if small.alpha is None else np.clip(small.alpha, 0, 1)
+    # Premultiplied and with a transparent rim: bilinear sampling leaks no colour at edges.
     layer = np.concatenate([np.clip(small.colors, 0, 1) * alpha[..., None], alpha[..., None]], -1)
     return np.pad(layer, [(1, 1), (1, 1), (0, 0)]).astype(np.float32)
 
 
 def rough_length_px(picture: Picture, longest: int) -> int:
-    """Pixels of a picture's longer side, up to `longest`, with which at most MAX_ROUGH_PX of all are opaque."""
+    """Pixels of a picture's longer side, up to `longest`, with which at most DECALS.max_rough_px of all are opaque."""
     opaque = 1.0 if picture.alpha is None else float((picture.alpha > 0.5).mean())
     shape = min(picture.size) / max(picture.size)
-    return int(min(max(math.sqrt(MAX_ROUGH_PX / max(opaque * shape, 1e-9)), MIN_DECAL_PX), longest))
+    return int(min(max(math.sqrt(DECALS.max_rough_px / max(opaque * shape, 1e-9)), PLACEMENT.min_decal_px), longest))
 
 
 def _sampled(texture: np.ndarray, uv: np.ndarray, size: tuple[float, float], soft: float = 0.0) -> np.ndarray:
@@ -290,6 +303,7 @@ def _coverage(parts: list[FacedPart], texture: np.ndarray, size: tuple[float, fl
     """Share of the decal's opaque area that the parts show, by cells of about 1/48 of its longer side."""
     longer = max(size)
     columns, rows = (max(round(48 * s / longer), 1) for s in size)
+    # Coverage by a coarse grid: a note needs per cents, not pixels.
     middle = np.stack(np.meshgrid((np.arange(columns) + 0.5) / columns - 0.5, 0.5 - (np.arange(rows) + 0.5) / rows), -1)
     opaque = _sampled(texture, (middle * size).reshape(-1, 2), size)[:, 3] > 0.5
     if not opaque.any():

@@ -18,42 +18,58 @@ from splatpainter.color import linear_to_srgb, srgb_to_linear
 from splatpainter.lift.masks import box_mean, largest_channel
 
 DriftKind = Literal["none", "gain", "gain and offset", "matrix"]
-MAX_REWEIGHTINGS = 30
-"""Most rounds of reweighting."""
-COLOR_LEVELS, MAX_OF_A_COLOR = 16, 250
-"""Steps of each channel, and pixels that are fitted of each colour in them: a bare background must not outvote all."""
-MIN_SAMPLES = 64
-"""... at least."""
-UNCLIPPED_RANGE = (0.01, 0.985)
-"""Display values beyond which a pixel was clipped and says nothing."""
-TUKEY = 4.685
-"""Standard deviations beyond which a pixel does not count."""
-MIN_SPREAD = 0.002
-"""Standard deviation, linear light, below which differences are rounding."""
-MIN_AGREEING = 0.4
-"""Share of the pixels that must agree after the correction, where any of them may have been painted over."""
-MIN_AGREEING_MASKED = 0.15
-"""... and where a mask says that none was to be."""
-MAX_MIXED = 0.3
-"""Largest part of one channel that drifts into another."""
-MAX_AGREEING_DIFFERENCE = 0.02
-"""Largest difference, display values, of a pixel that agrees."""
-MIN_GAIN_RANGE = 0.03
-"""Standard deviation of linear light from which an offset can be told from a gain."""
-MIN_MATRIX_RANGE = 0.004
-"""Smallest principal deviation of the colours from which a matrix can be told."""
-MIN_IMPROVEMENT = 0.85
-"""A richer model is taken only where it leaves at most this part of the simpler one's error."""
-MIN_DRIFT = 0.75 / 255
-"""Mean correction, display values, below which there is none."""
-MIN_TONE = 0.03
-"""Mean change of a channel, display values, from which a tone that changed everywhere was asked for: services drift by
-less."""
-MIN_TONED, MAX_TONE_ERROR = 0.93, 0.04
-"""Share of the pixels that one function of colour must explain, to this error of their 3 x 3 means, for nothing but the
-tone to have changed; ..."""
-PAINTED_PX, PAINTED_SHARE = 2, 0.9
-"""... and in no square of this reach may so large a share be left: compression leaves lines at edges, paint areas."""
+
+
+@dataclass(frozen=True)
+class DriftThresholds:
+    """What a program did to all colours of a picture. In linear light unless said. Source: taste, tried on services'
+    pictures, where an entry names none."""
+
+    max_reweightings: int = 30
+    """Most rounds of reweighting."""
+    color_levels: int = 16
+    """Steps of each channel by which colours are told apart when pixels are drawn for the fit."""
+    max_of_a_color: int = 250
+    """Pixels of each such colour that are fitted: a bare background must not outvote all."""
+    min_samples: int = 64
+    """Pixels that a fit needs."""
+    unclipped_range: tuple[float, float] = (0.01, 0.985)
+    """Display values beyond which a pixel was clipped and says nothing."""
+    tukey: float = 4.685
+    """Standard deviations beyond which a pixel does not count (Tukey's biweight, 95 % efficient on normal noise)."""
+    min_spread: float = 0.002
+    """Standard deviation, linear light, below which differences are rounding."""
+    min_agreeing: float = 0.4
+    """Share of the pixels that must agree after the correction, where any of them may have been painted over."""
+    min_agreeing_masked: float = 0.15
+    """The same where a mask says that none was to be painted over."""
+    max_mixed: float = 0.3
+    """Largest part of one channel that drifts into another."""
+    max_agreeing_difference: float = 0.02
+    """Largest difference, display values, of a pixel that agrees."""
+    min_gain_range: float = 0.03
+    """Standard deviation of linear light from which an offset can be told from a gain."""
+    min_matrix_range: float = 0.004
+    """Smallest principal deviation of the colours from which a matrix can be told."""
+    min_improvement: float = 0.85
+    """A richer model is taken only where it leaves at most this part of the simpler one's error."""
+    min_drift: float = 0.75 / 255
+    """Mean correction, display values, below which there is none."""
+    min_tone: float = 0.03
+    """Mean change of a channel, display values, from which a tone that changed everywhere was asked for: services drift
+    by less."""
+    min_toned: float = 0.93
+    """Share of the pixels that one function of colour must explain for nothing but the tone to have changed."""
+    max_tone_error: float = 0.04
+    """Error of their 3 x 3 means, display values, up to which it explains them."""
+    painted_px: int = 2
+    """Reach of the squares in which what is left unexplained is counted, pixels: compression leaves lines at edges,
+    paint areas."""
+    painted_share: float = 0.9
+    """Share of such a square that may be left unexplained."""
+
+
+DRIFT = DriftThresholds()
 
 
 @dataclass(frozen=True)
@@ -99,26 +115,32 @@ def estimate_drift(picture: np.ndarray, render: np.ndarray, reference: np.ndarra
 
     certain: whether nobody was to change these (a mask says so). A correction that makes too few of them agree, or that
     exchanges channels, is none: there the picture was changed on purpose."""
-    low, high = UNCLIPPED_RANGE
+    low, high = DRIFT.unclipped_range
+    # Clipped values say "at least so bright": they would pull any fit.
     usable = reference & ((picture > low) & (picture < high) & (render > low) & (render < high)).all(-1)
-    if usable.sum() < MIN_SAMPLES:
+    if usable.sum() < DRIFT.min_samples:
         return NO_DRIFT
+    # An even choice of colours: a large plain background must not decide alone.
     ids = _samples(np.flatnonzero(usable), render)
     display, expected = (image.reshape(-1, 3)[ids].astype(np.float64) for image in (picture, render))
     source, target = srgb_to_linear(display), srgb_to_linear(expected)
     drift, error = NO_DRIFT, math.inf
+    # Simplest first; a richer model has to pay for its parameters with a clearly smaller error.
     for kind in _models(source):
         matrix = _fitted(source, target, kind)
         after = ColorDrift(kind, matrix).corrected(display)
         distance = largest_channel(np.abs(after - expected))
-        rest = float(np.minimum(distance, 2 * MAX_AGREEING_DIFFERENCE).mean()) + 0.25 / 255
+        # Capped, so that painted pixels weigh no more than any other disagreement; a quarter level keeps it above 0.
+        rest = float(np.minimum(distance, 2 * DRIFT.max_agreeing_difference).mean()) + 0.25 / 255
+        # A matrix that exchanges channels is an edit (a recolouring), not a drift.
         mixed = np.abs(matrix[:, :3] - np.diag(np.diag(matrix[:, :3]))).max()
-        if rest < MIN_IMPROVEMENT * error and mixed < MAX_MIXED:
-            drift, error = ColorDrift(kind, matrix, float((distance < MAX_AGREEING_DIFFERENCE).mean())), rest
-    if drift.agreeing < (MIN_AGREEING_MASKED if certain else MIN_AGREEING):
+        if rest < DRIFT.min_improvement * error and mixed < DRIFT.max_mixed:
+            drift, error = ColorDrift(kind, matrix, float((distance < DRIFT.max_agreeing_difference).mean())), rest
+    if drift.agreeing < (DRIFT.min_agreeing_masked if certain else DRIFT.min_agreeing):
         return NO_DRIFT
+    # Below a level there is nothing to correct, and correcting would change every pixel.
     moved = np.abs(drift.corrected(display) - display).mean(0).max()
-    return drift if moved > MIN_DRIFT else NO_DRIFT
+    return drift if moved > DRIFT.min_drift else NO_DRIFT
 
 
 def tone_change(picture: np.ndarray, render: np.ndarray, reference: np.ndarray) -> float | None:
@@ -128,26 +150,32 @@ def tone_change(picture: np.ndarray, render: np.ndarray, reference: np.ndarray) 
 
     The function is a cubic polynomial of the display colours (curves, exposure, balance, hue, saturation); what it
     clips may be clipped in the picture."""
-    low, high = UNCLIPPED_RANGE
+    low, high = DRIFT.unclipped_range
+    # Here the render may be clipped: the function is fitted from it, not back to it.
     usable = reference & ((picture > low) & (picture < high)).all(-1)
-    if usable.sum() < MIN_SAMPLES:
+    if usable.sum() < DRIFT.min_samples:
         return None
     ids = _samples(np.flatnonzero(usable), render)
     source, target = _powers(render.reshape(-1, 3)[ids]), picture.reshape(-1, 3)[ids].astype(np.float64)
     share = np.ones(len(ids))
     coefficients = np.zeros((source.shape[1], 3))
-    for _ in range(MAX_REWEIGHTINGS // 3):
+    # The polynomial is linear in its coefficients, so fewer rounds settle it.
+    for _ in range(DRIFT.max_reweightings // 3):
         weighted = source * share[:, None]
         normal = weighted.T @ source
         normal += 1e-6 * np.trace(normal) / len(normal) * np.eye(len(normal))
         coefficients = np.linalg.solve(normal, weighted.T @ target)
         distance = np.linalg.norm(source @ coefficients - target, axis=1)
-        spread = max(float(np.median(distance)), MIN_SPREAD)
-        share = np.maximum(1 - (distance / (TUKEY * spread)) ** 2, 0) ** 2
+        spread = max(float(np.median(distance)), DRIFT.min_spread)
+        share = np.maximum(1 - (distance / (DRIFT.tukey * spread)) ** 2, 0) ** 2
     expected = np.clip(_powers(render.reshape(-1, 3)) @ coefficients, 0, 1).reshape(render.shape)
-    left = largest_channel(np.abs(box_mean((picture - expected) * reference[..., None], 1))) > MAX_TONE_ERROR
+    # Means over 3 x 3 pixels: compression averages out, a repainted patch does not.
+    left = largest_channel(np.abs(box_mean((picture - expected) * reference[..., None], 1))) > DRIFT.max_tone_error
     left &= reference
-    if left.sum() > (1 - MIN_TONED) * reference.sum() or (box_mean(left, PAINTED_PX) > PAINTED_SHARE).any():
+    if (
+        left.sum() > (1 - DRIFT.min_toned) * reference.sum()
+        or (box_mean(left, DRIFT.painted_px) > DRIFT.painted_share).any()
+    ):
         return None
     return float(np.abs(picture - render)[reference].mean(0).max())
 
@@ -159,22 +187,25 @@ def _powers(colors: np.ndarray) -> np.ndarray:
 
 
 def _samples(ids: np.ndarray, render: np.ndarray) -> np.ndarray:
-    """At most MAX_OF_A_COLOR of the pixels of each colour of the render, evenly over the picture."""
-    steps = (render.reshape(-1, 3)[ids] * COLOR_LEVELS).astype(int)
-    label = (steps[:, 0] * (COLOR_LEVELS + 1) + steps[:, 1]) * (COLOR_LEVELS + 1) + steps[:, 2]
+    """At most DRIFT.max_of_a_color of the pixels of each colour of the render, evenly over the picture."""
+    steps = (render.reshape(-1, 3)[ids] * DRIFT.color_levels).astype(int)
+    label = (steps[:, 0] * (DRIFT.color_levels + 1) + steps[:, 1]) * (DRIFT.color_levels + 1) + steps[:, 2]
+    # Every n-th of each colour, in the order of the picture: no random numbers, so equal input gives equal answers.
     order = np.argsort(label, kind="stable")
     _, first, count = np.unique(label[order], return_index=True, return_counts=True)
     rank = np.arange(len(ids)) - np.repeat(first, count)
-    stride = np.repeat(-(-count // MAX_OF_A_COLOR), count)
+    stride = np.repeat(-(-count // DRIFT.max_of_a_color), count)
     return np.sort(ids[order[rank % stride == 0]])
 
 
 def _models(source: np.ndarray) -> list[DriftKind]:
     """Those that these colours can tell apart, simplest first."""
+    # An offset needs bright and dark pixels, a matrix colours that differ in all directions: else they are not
+    # determined.
     out: list[DriftKind] = ["gain"]
-    if source.std(0).min() > MIN_GAIN_RANGE:
+    if source.std(0).min() > DRIFT.min_gain_range:
         out.append("gain and offset")
-        if math.sqrt(max(float(np.linalg.eigvalsh(np.cov(source.T))[0]), 0)) > MIN_MATRIX_RANGE:
+        if math.sqrt(max(float(np.linalg.eigvalsh(np.cov(source.T))[0]), 0)) > DRIFT.min_matrix_range:
             out.append("matrix")
     return out
 
@@ -182,15 +213,17 @@ def _models(source: np.ndarray) -> list[DriftKind]:
 def _fitted(source: np.ndarray, target: np.ndarray, kind: DriftKind) -> np.ndarray:
     """[3, 4] by reweighted least squares, from the median ratio on."""
     matrix = np.zeros((3, 4))
+    # A robust start: with a bad one the reweighting would lock onto what was painted over.
     np.fill_diagonal(matrix, np.median(target / source, axis=0))
     if kind != "gain":  # a weak start cannot leave what is painted over; the simpler model's answer is a better one
         matrix = _fitted(source, target, "gain")
     homogeneous = np.concatenate([source, np.ones((len(source), 1))], 1)
-    for _ in range(MAX_REWEIGHTINGS):
+    for _ in range(DRIFT.max_reweightings):
         error = homogeneous @ matrix.T - target
         distance = np.linalg.norm(error, axis=1)
-        spread = max(float(np.median(distance)), MIN_SPREAD)
-        share = np.maximum(1 - (distance / (TUKEY * spread)) ** 2, 0) ** 2
+        # Scale from the median, so that half of the pixels may be painted over.
+        spread = max(float(np.median(distance)), DRIFT.min_spread)
+        share = np.maximum(1 - (distance / (DRIFT.tukey * spread)) ** 2, 0) ** 2
         previous, matrix = matrix, _least_squares(homogeneous, target, share, kind)
         if np.abs(matrix - previous).max() < 1e-5:
             break
@@ -202,6 +235,7 @@ def _least_squares(source: np.ndarray, target: np.ndarray, share: np.ndarray, ki
     out = np.eye(3, 4)
     weighted = source * share[:, None]
     for channel in range(3):
+        # Each channel by itself: which columns it may use is what tells the models apart.
         free = {"gain": [channel], "gain and offset": [channel, 3]}.get(kind, [0, 1, 2, 3])
         fixed = np.eye(4)[channel][free]
         normal = weighted[:, free].T @ source[:, free]

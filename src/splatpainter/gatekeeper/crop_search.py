@@ -13,39 +13,57 @@ import numpy as np
 
 from splatpainter.pictures.picture_reader import resample
 
-MAX_SHIFT_FRACTION = 0.04
-"""Part of the picture's size by which it may have been moved."""
-CROP_SCALES = (1.0, 2.0, 4.0, 0.5)
-"""How much larger than the view a cropped picture may have been made afterwards (upscalers)."""
-MIN_CROP_PX = 24
-"""Pixels of the view that a crop is wide and high, at least."""
-COARSE_PX = 320
-"""Pixels of the longer side of the small pictures."""
-MAX_PEAKS = 6
-"""Peaks that are looked at closely."""
-TARGET_POINTS, MIN_POINTS = 3000, 50
-"""Pixels that are compared, about and at least."""
-POINT_BLOCKS = 8
-"""Parts along each side of the picture from which they are taken."""
-MIN_EDGE_STEP = 0.02
-"""Least step to the next pixel there."""
-MAX_CROP_ERROR = 0.02
-"""Mean difference of the half that agrees best, up to which it does agree: compression and resampling leave less."""
-MAX_RIVAL_RATIO = 0.5
-"""A place counts only where every other one is worse by this factor: a bare background is like any other."""
+
+@dataclass(frozen=True)
+class CropThresholds:
+    """The search for the part of a view that a picture shows. Source: taste."""
+
+    max_shift_fraction: float = 0.04
+    """Part of the picture's size by which it may have been moved."""
+    crop_scales: tuple[float, ...] = (1.0, 2.0, 4.0, 0.5)
+    """How much larger than the view a cropped picture may have been made afterwards (upscalers)."""
+    min_crop_px: int = 24
+    """Pixels of the view that a crop is wide and high, at least."""
+    coarse_px: int = 320
+    """Pixels of the longer side of the small pictures."""
+    max_peaks: int = 6
+    """Peaks that are looked at closely."""
+    target_points: int = 3000
+    """Pixels that are compared, about."""
+    min_points: int = 50
+    """Pixels that are compared, at least."""
+    point_blocks: int = 8
+    """Parts along each side of the picture from which they are taken."""
+    min_edge_step: float = 0.02
+    """Least step to the next pixel there."""
+    max_crop_error: float = 0.02
+    """Mean difference of the half that agrees best, up to which it does agree: compression and resampling leave
+    less."""
+    max_rival_ratio: float = 0.5
+    """A place counts only where every other one is worse by this factor: a bare background is like any other."""
+
+
+CROPS = CropThresholds()
 
 
 def find_shift(picture: np.ndarray, render: np.ndarray) -> tuple[int, int]:
     """(right, down) whole pixels that the picture [H, W, 3] was moved by against the render, (0, 0) where that does not
     make them agree much better. By phase correlation of their gradients."""
     height, width = render.shape[:2]
+    # Edges, not colours: a service changes exposure before it moves anything.
     spectra = [np.fft.rfft2(_edges(image)) for image in (picture, render)]
     cross = spectra[0] * np.conj(spectra[1])
+    # Phase correlation: only phases count, so one strong edge does not decide.
     peak = np.fft.irfft2(cross / np.maximum(np.abs(cross), 1e-12), (height, width))
     down, right = np.unravel_index(int(peak.argmax()), peak.shape)
     down, right = (int(v - size if v > size // 2 else v) for v, size in ((down, height), (right, width)))
-    if (right, down) == (0, 0) or abs(right) > MAX_SHIFT_FRACTION * width or abs(down) > MAX_SHIFT_FRACTION * height:
+    if (
+        (right, down) == (0, 0)
+        or abs(right) > CROPS.max_shift_fraction * width
+        or abs(down) > CROPS.max_shift_fraction * height
+    ):
         return 0, 0
+    # The peak is only a guess; what counts is that the pixels then agree.
     still, moved = _disagreement(picture, render), _disagreement(undo_shift(picture, render, right, down), render)
     return (right, down) if moved < 0.5 * still else (0, 0)
 
@@ -68,6 +86,7 @@ def _disagreement(picture: np.ndarray, render: np.ndarray) -> float:
     """Mean difference, of the half of the textured pixels that agrees best."""
     difference = np.abs(np.clip(picture, 0, 1) - np.clip(render, 0, 1)).mean(-1)
     edges = _edges(render)
+    # Textured pixels say where a picture lies; the half that agrees best is what was left unpainted.
     values = np.sort(difference[edges >= np.quantile(edges, 0.8)])
     return float(values[: len(values) // 2 + 1].mean()) + 1e-4
 
@@ -90,12 +109,13 @@ class Crop:
 
 
 def find_crop(picture: np.ndarray, render: np.ndarray) -> Crop | None:
-    """Where in the render [H, W, 3] the picture [h, w, 3] was cut out, at one of CROP_SCALES; None: nowhere."""
+    """Where in the render [H, W, 3] the picture [h, w, 3] was cut out, at one of CROPS.crop_scales; None: nowhere."""
     height, width = render.shape[:2]
     best = None
-    for scale in CROP_SCALES:
+    # Upscalers return whole multiples, so few scales have to be tried.
+    for scale in CROPS.crop_scales:
         size = round(picture.shape[1] / scale), round(picture.shape[0] / scale)
-        if min(size) < MIN_CROP_PX or size[0] > width or size[1] > height or size == (width, height):
+        if min(size) < CROPS.min_crop_px or size[0] > width or size[1] > height or size == (width, height):
             continue
         resized = picture if scale == 1 else resample(np.clip(picture, 0, 1), *size)
         crop = _locate(resized, render)
@@ -117,11 +137,12 @@ class _EdgePoints:
         grey = np.clip(picture, 0, 1).mean(-1)
         edges = np.hypot(np.gradient(grey, axis=0), np.gradient(grey, axis=1))
         chosen = []
-        for lines in np.array_split(np.arange(grey.shape[0]), POINT_BLOCKS):
-            for columns in np.array_split(np.arange(grey.shape[1]), POINT_BLOCKS):
+        for lines in np.array_split(np.arange(grey.shape[0]), CROPS.point_blocks):
+            for columns in np.array_split(np.arange(grey.shape[1]), CROPS.point_blocks):
                 block = edges[lines[0] : lines[-1] + 1, columns[0] : columns[-1] + 1]
-                y, x = np.nonzero(block > max(MIN_EDGE_STEP, float(np.quantile(block, 0.8))))
-                pick = slice(None, None, max(len(y) * POINT_BLOCKS**2 // TARGET_POINTS, 1))
+                # The strongest edges of each block, so that every part of the picture has its say.
+                y, x = np.nonzero(block > max(CROPS.min_edge_step, float(np.quantile(block, 0.8))))
+                pick = slice(None, None, max(len(y) * CROPS.point_blocks**2 // CROPS.target_points, 1))
                 chosen.append(np.stack([y[pick] + lines[0], x[pick] + columns[0]]))
         self.y, self.x = np.concatenate(chosen, 1)
         self.colors = np.clip(picture[self.y, self.x], 0, 1)
@@ -134,6 +155,7 @@ class _EdgePoints:
         out = np.empty(len(offsets))
         for k, (y, x) in enumerate(offsets):
             away = np.abs(render[self.y + y, self.x + x] - self.colors).mean(-1)
+            # Half of the points may be painted over.
             out[k] = np.partition(away, len(away) // 2)[: len(away) // 2 + 1].mean()
         return out
 
@@ -142,17 +164,19 @@ def _locate(picture: np.ndarray, render: np.ndarray) -> Crop | None:
     height, width = picture.shape[:2]
     max_offset = np.array([render.shape[0] - height, render.shape[1] - width])
     points = _EdgePoints(picture)
-    if len(points) < MIN_POINTS:
+    if len(points) < CROPS.min_points:
         return None
-    shrink = max(max(render.shape[:2]) / COARSE_PX, 1.0)
+    # Coarse to fine: correlation at a few hundred pixels names peaks, whole pixels around them are then tried.
+    shrink = max(max(render.shape[:2]) / CROPS.coarse_px, 1.0)
     scores = _correlation(_shrunk(picture, shrink), _shrunk(render, shrink))
     reach = int(np.ceil(1.5 * shrink))
     steps = np.stack(np.meshgrid(*[np.arange(-reach, reach + 1)] * 2, indexing="ij"), -1).reshape(-1, 2)
     offsets, errors = [], []
-    for _ in range(MAX_PEAKS):
+    for _ in range(CROPS.max_peaks):
         peak = np.array(np.unravel_index(int(scores.argmax()), scores.shape))
         if scores[tuple(peak)] <= 0:
             break
+        # The surroundings of a peak that was looked at are no peak of their own.
         low = np.maximum(peak - 2, 0)
         scores[low[0] : peak[0] + 3, low[1] : peak[1] + 3] = 0
         around = np.clip(np.round(peak * shrink).astype(int) + steps, 0, max_offset)
@@ -162,12 +186,13 @@ def _locate(picture: np.ndarray, render: np.ndarray) -> Crop | None:
         return None
     tried, tried_errors = np.concatenate(offsets), np.concatenate(errors)
     y, x = tried[int(tried_errors.argmin())]
+    # Rivals: the other peaks, and places drawn at random. Only a place that beats all of them clearly is believed.
     far = np.abs(tried - (y, x)).max(1) > max(2, reach)
     elsewhere = np.random.default_rng(0).integers(0, max_offset + 1, (60, 2))
     elsewhere = elsewhere[np.abs(elsewhere - (y, x)).max(1) > 2]
     rivals = np.concatenate([tried_errors[far], points.errors(np.clip(render, 0, 1), elsewhere)])
     error = tried_errors.min()
-    if error > MAX_CROP_ERROR or (len(rivals) and error > MAX_RIVAL_RATIO * rivals.min()):
+    if error > CROPS.max_crop_error or (len(rivals) and error > CROPS.max_rival_ratio * rivals.min()):
         return None
     return Crop(int(x), int(y), width, height, float(error))
 
@@ -185,6 +210,7 @@ def _correlation(part: np.ndarray, image: np.ndarray) -> np.ndarray:
     if h > height or w > width:  # by rounding
         part = part[:height, :width]
         h, w = part.shape
+    # Zero mean makes the product a correlation; window sums give its length without a loop over positions.
     centered = part - part.mean()
     spectrum = np.fft.rfft2(image - image.mean()) * np.conj(np.fft.rfft2(centered, image.shape))
     product = np.fft.irfft2(spectrum, image.shape)[: height - h + 1, : width - w + 1]

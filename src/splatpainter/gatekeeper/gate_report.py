@@ -37,6 +37,7 @@ def report_page(
         weight = _fitted(admitted.weight, size)
         # An enlarged picture is the enlarged render outside of what was taken, which is no difference.
         painted = np.where(weight[..., None] > 0, image, request.image) if admitted.factor > 1 else image
+        # Red on a faded render: what was taken stands out on any asset.
         tinted = 0.6 * request.image + 0.4 * request.image.mean(-1, keepdims=True)
         tinted = tinted + 0.6 * weight[..., None] * (np.array([1.0, 0.15, 0.1]) - tinted)
         cells = (

@@ -17,54 +17,61 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
-from splatpainter.gatekeeper.color_drift import (
-    MIN_TONE,
-    NO_DRIFT,
-    UNCLIPPED_RANGE,
-    ColorDrift,
-    estimate_drift,
-    tone_change,
-)
+from splatpainter.gatekeeper.color_drift import DRIFT, NO_DRIFT, ColorDrift, estimate_drift, tone_change
 from splatpainter.gatekeeper.registration import Registration, edge_strength, register, warped
 from splatpainter.gatekeeper.strictness import Strictness
-from splatpainter.lift.masks import MAX_NOISE, MAX_ROUNDING, box_mean, change_mask, dilated, largest_channel
+from splatpainter.lift.masks import MASKS, box_mean, change_mask, dilated, largest_channel
 from splatpainter.pictures.picture_reader import resample
 from splatpainter.sources.picture_source import PictureAnswer, PictureRequest, SourceError
 
-MAX_ADMITTED_PX = 4096
-"""Longer side of an enlarged picture."""
-MIN_ENLARGEMENT = 1.75
-"""Pixels of a picture per pixel of the view from which it counts as enlarged."""
-FEATHER_PX = 2
-"""Reach of the soft edge around what changed, and within a mask of hard edges."""
-MIN_FEATHER = 0.25
-"""Weight on the rim of a mask, and on strokes that are all rim."""
-GROWN_PX = 2
-"""Pixels by which the changed region grows before its edge is softened."""
-RIM_PX = 4
-"""Pixels beside a mask that are not compared: generators soften its edge."""
-MAX_UNTOUCHED = 0.02
-"""Share of a mask that changed, up to which nothing was done there."""
-MIN_SPILLED = 0.4
-"""Share of the asset outside a mask that changed, from which the picture was edited there."""
-MAX_LOSSLESS = 0.51 / 255
-"""Nine of ten unchanged pixels of a picture that was never compressed differ by less: rounding to 8 bits."""
-SPECK_PX, SPECK_SHARE = 3, 0.4
-"""In compressed pictures a changed pixel counts where so large a share of those within this reach changed, too:
-colours that were stored at half the size bleed over edges."""
-SLACK_PX = 0.2
-"""Pixels by which a picture that was moved back may still be off: that much of the slope is no change."""
-MIN_WHOLLY_CHANGED_SHARE = 0.6
-"""Share of what may change from which all of it counts as changed: a new style leaves some pixels by chance."""
-MAX_MIRRORED, MIRROR_GAIN = 0.75, 0.2
-"""Scores below which a picture may be a mirror image, and by which its mirror image must agree better to be one."""
-MIN_COVER = 0.02
-"""Alpha from which a pixel shows the asset."""
-CONSISTENT_ROUNDS = 8
-"""Rounds of back-projection."""
+
+@dataclass(frozen=True)
+class GateThresholds:
+    """What a picture has to show to be let in. Source: taste, tried on services' pictures, where an entry names no
+    measurement."""
+
+    max_admitted_px: int = 4096
+    """Longer side of an enlarged picture."""
+    min_enlargement: float = 1.75
+    """Pixels of a picture per pixel of the view from which it counts as enlarged."""
+    feather_px: int = 2
+    """Reach of the soft edge around what changed, and within a mask of hard edges."""
+    min_feather: float = 0.25
+    """Weight on the rim of a mask, and on strokes that are all rim."""
+    grown_px: int = 2
+    """Pixels by which the changed region grows before its edge is softened."""
+    rim_px: int = 4
+    """Pixels beside a mask that are not compared: generators soften its edge."""
+    max_untouched: float = 0.02
+    """Share of a mask that changed, up to which nothing was done there."""
+    min_spilled: float = 0.4
+    """Share of the asset outside a mask that changed, from which the picture was edited there."""
+    max_lossless: float = 0.51 / 255
+    """Nine of ten unchanged pixels of a picture that was never compressed differ by less: rounding to 8 bits."""
+    speck_px: int = 3
+    """In compressed pictures a changed pixel counts where enough of those within this reach changed, too: colours that
+    were stored at half the size bleed over edges."""
+    speck_share: float = 0.4
+    """How large a share of them is enough."""
+    slack_px: float = 0.2
+    """Pixels by which a picture that was moved back may still be off: that much of the slope is no change."""
+    min_wholly_changed_share: float = 0.6
+    """Share of what may change from which all of it counts as changed: a new style leaves some pixels by chance."""
+    max_mirrored: float = 0.75
+    """Score below which a picture may be a mirror image."""
+    mirror_gain: float = 0.2
+    """Score by which its mirror image must agree better to be one."""
+    min_cover: float = 0.02
+    """Alpha from which a pixel shows the asset."""
+    consistent_rounds: int = 8
+    """Rounds of back-projection."""
+
+
+GATE = GateThresholds()
 
 
 class RefusedPicture(SourceError):
@@ -172,87 +179,57 @@ def admit(
     mask = None if request.mask is None else np.clip(request.mask, 0, 1).astype(np.float32)
     if mask is not None and not (mask > 0).any():
         raise SourceError(f"{name}: the mask is empty; expected some pixels above 0 (1: may change)")
-    limits = LIMITS[strictness]
-    outside = np.ones(render.shape[:2], bool) if mask is None else ~dilated(mask > 0.01, RIM_PX)
-    compared = None if mask is None else outside.astype(np.float32)
-    registration = register(colors, render, compared, content)
-    if registration.score < limits.score:
-        _complain_of_polarity(colors, render, mask, content, name, limits)
-        where, advice = "", "mask what is to change, or ask again"
-        if mask is not None:
-            where, advice = " outside the mask", "is the mask the right way round (white may change)? else ask again"
-        raise RefusedPicture(
-            f"{name}: the picture shows something other than what was sent: its edges agree{where} by "
-            f"{registration.score:.2f} of 1, expected {limits.score:g} (strictness {strictness}); {advice}"
-        )
-    _check_mirror(registration, colors, render, compared, content, name)
-    _check_moves(registration, render.shape, limits, strictness, name)
+    task = _Task(colors, content, render, request.alpha > GATE.min_cover, mask, strictness, name)
+    # Where it lies: nothing else can be said of a picture that shows something else.
+    registration = _registered(task)
     size = render.shape[1], render.shape[0]
     still = registration.is_still(*size)
-    aligned, inside = _laid(colors, registration.matrix, size, still)
-    if content is not None:
-        inside &= _laid(content, registration.matrix, size, still)[0] > 0.5
-    drift, toned, cover = NO_DRIFT, False, request.alpha > MIN_COVER
-    if mask is not None or not regraded:
-        drift = estimate_drift(aligned, render, outside & inside, mask is not None and mask_sent)
+    aligned, inside = task.laid(registration.matrix, size, still)
+    # Its colours: a drift everywhere is taken back, a change of tone that was asked for is not.
     factor = 1 if enlarged is None else _factor(registration, size, request.scale)
-    if drift.kind != "none" and factor == 1 and tones:  # enlarged pictures are to be consistent with the render
-        tone = tone_change(aligned, render, cover & inside)
-        toned = tone is not None and tone > MIN_TONE
-    if toned and strictness == "strict":
-        raise RefusedPicture(
-            f"{name}: the picture changed its tone everywhere, by {drift.strength:.1f} stops, and nothing else; "
-            f"{_ways_of_tone(mask, 'strictness normal takes it as it is')}"
-        )
-    if drift.strength > limits.stops and not toned:
-        _complain_of_polarity(colors, render, mask, content, name, limits)
-        raise RefusedPicture(
-            f"{name}: the picture's colours drifted by {drift.strength:.1f} stops outside what was to change, expected "
-            f"at most {limits.stops:g} (strictness {strictness}); "
-            f"{_ways_of_tone(mask, 'strictness loose takes the drift back and paints the rest')}"
-        )
+    drift = NO_DRIFT
+    if mask is not None or not regraded:
+        drift = estimate_drift(aligned, render, task.outside & inside, mask is not None and mask_sent)
+    # Enlarged pictures are to be consistent with the render, so they have no tone of their own.
+    toned = tones and factor == 1 and _is_toned(task, aligned, inside, drift)
+    _check_drift(task, drift, toned)
     if toned:  # as was asked: within a mask, if there is one
         drift = NO_DRIFT
+    # What changed, against a render that went through the same resampling.
     like = _like(render, registration, colors.shape, still)
     aligned = _corrected(drift, aligned, like)
-    if regraded and mask is None and not change_mask(aligned, like)[cover & inside].mean() > MAX_UNTOUCHED:
-        _check_regraded(aligned, like, cover & inside, name)
-    changed = _changed(aligned, like, mask, cover, regraded or toned) & inside
+    if regraded and mask is None and not change_mask(aligned, like)[task.cover & inside].mean() > GATE.max_untouched:
+        _check_regraded(aligned, like, task.cover & inside, name)
+    changed = _changed(aligned, like, mask, task.cover, regraded or toned) & inside
     if not still:
-        changed &= largest_channel(np.abs(aligned - like)) > MAX_ROUNDING + SLACK_PX * edge_strength(render)
-    spilled = _share(changed & outside, outside & cover) if mask is not None else 0.0
-    if mask is not None and _share(changed, _without_rim(mask, cover)) < MAX_UNTOUCHED and spilled > MIN_SPILLED:
-        raise RefusedPicture(_wrong_polarity(name))
-    if spilled > limits.spilled:
-        raise RefusedPicture(
-            f"{name}: {100 * spilled:.0f} % of the asset outside the mask changed, expected at most "
-            f"{100 * limits.spilled:.0f} % (strictness {strictness})"
-        )
-    base = render
+        changed &= largest_channel(np.abs(aligned - like)) > MASKS.max_rounding + GATE.slack_px * edge_strength(render)
+    spilled = _spilled(task, changed)
+    base, cover, allowed = render, task.cover, task.cover.astype(np.float32)
+    if mask is not None:
+        allowed = _soft_mask(mask) * task.cover
+    # An enlarged picture once more, at its own size, on the enlarged render.
     if factor > 1:
         assert enlarged is not None
         base = np.clip(enlarged(factor), 0, 1).astype(np.float32)
-        finer = registration.matrix @ np.diag([1 / factor, 1 / factor, 1])
-        large = size[0] * factor, size[1] * factor
-        aligned, inside = _laid(colors, finer, large, still)
-        if content is not None:
-            inside &= _laid(content, finer, large, still)[0] > 0.5
-        aligned = _corrected(drift, aligned, base)
-        edited = changed if mask is not None else _edited(pooled(aligned, factor), render)
-        aligned = consistent(aligned, render, dilated(edited, GROWN_PX))
-        cover = _repeated(cover, factor)
-        larger = None if mask is None else _repeated(mask, factor)
-        reach = _repeated(dilated(changed, GROWN_PX), factor)
+        aligned, inside = task.laid_larger(registration.matrix, factor, still, drift, base, changed)
+        cover, larger = _repeated(cover, factor), None if mask is None else _repeated(mask, factor)
+        reach = _repeated(dilated(changed, GATE.grown_px), factor)
         changed = _changed(aligned, base, larger, cover, regraded or toned) & inside
         if request.scale == 1:  # nobody asked for a sharper picture: what was merely enlarged is no edit
             changed &= reach
-    allowed = cover.astype(np.float32) if mask is None else _soft_mask(mask) * (request.alpha > MIN_COVER)
-    if factor > 1 and mask is not None:
-        allowed = np.where(_repeated(allowed > 0, factor), resample(allowed, *large), 0)
+        if mask is None:
+            allowed = cover.astype(np.float32)
+        else:
+            allowed = np.where(_repeated(allowed > 0, factor), resample(allowed, size[0] * factor, size[1] * factor), 0)
+    # The cut: outside what changed and may change, the render's own bits.
     weight = np.minimum(_softened(changed, inside), allowed).astype(np.float32)
     image = np.where(weight[..., None] < 1, base + weight[..., None] * (aligned - base), aligned)
     image = np.where(weight[..., None] > 0, image, base)
-    result = AdmittedPicture(
+    if not (weight > 0).any():
+        where = "" if mask is None else " within the mask"
+        raise RefusedPicture(f"{name}: the picture came back unchanged{where}; there is nothing to paint")
+    notes = _notes(registration, drift, spilled, registration.is_moved(*size), factor) + _tone_notes(toned, mask)
+    return AdmittedPicture(
         image.astype(np.float32),
         weight > 0,
         weight,
@@ -262,22 +239,135 @@ def admit(
         drift,
         _share(weight > 0, cover),
         spilled,
-        _notes(registration, drift, spilled, registration.is_moved(*size), factor) + _tone_notes(toned, mask),
+        notes,
         toned,
     )
-    if not result.changed.any():
-        where = "" if mask is None else " within the mask"
-        raise RefusedPicture(f"{name}: the picture came back unchanged{where}; there is nothing to paint")
-    return result
+
+
+@dataclass(frozen=True)
+class _Task:
+    """A picture and what it is judged by. H, W: pixels of the view."""
+
+    colors: np.ndarray
+    """[h, w, 3] the picture, over the render where it is transparent."""
+    content: np.ndarray | None
+    """[h, w] its alpha; None: all is opaque."""
+    render: np.ndarray
+    """[H, W, 3] what was sent."""
+    cover: np.ndarray
+    """[H, W] bool: pixels of the asset."""
+    mask: np.ndarray | None
+    """[H, W] 0..1: what may change."""
+    strictness: Strictness
+    name: str
+
+    @property
+    def limits(self) -> AdmissionLimits:
+        return LIMITS[self.strictness]
+
+    @cached_property
+    def outside(self) -> np.ndarray:
+        """[H, W] bool: pixels that nobody was to change."""
+        if self.mask is None:
+            return np.ones(self.render.shape[:2], bool)
+        return ~dilated(self.mask > 0.01, GATE.rim_px)
+
+    @property
+    def compared(self) -> np.ndarray | None:
+        """[H, W] float32: where picture and render should agree; None: everywhere."""
+        return None if self.mask is None else self.outside.astype(np.float32)
+
+    def laid(self, matrix: np.ndarray, size: tuple[int, int], still: bool) -> tuple[np.ndarray, np.ndarray]:
+        """(the picture over a render of that size, [H, W] bool where it shows anything)."""
+        aligned, inside = _laid(self.colors, matrix, size, still)
+        if self.content is not None:
+            inside &= _laid(self.content, matrix, size, still)[0] > 0.5
+        return aligned, inside
+
+    def laid_larger(
+        self,
+        matrix: np.ndarray,
+        factor: int,
+        still: bool,
+        drift: ColorDrift,
+        base: np.ndarray,
+        changed: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The same at `factor` times the view's size, its means over the view's pixels the render's where nothing
+        changed. base: the render at that size; changed: [H, W] bool, at the view's size."""
+        height, width = self.render.shape[:2]
+        finer = matrix @ np.diag([1 / factor, 1 / factor, 1])
+        aligned, inside = self.laid(finer, (width * factor, height * factor), still)
+        aligned = _corrected(drift, aligned, base)
+        edited = changed if self.mask is not None else _edited(pooled(aligned, factor), self.render)
+        return consistent(aligned, self.render, dilated(edited, GATE.grown_px)), inside
+
+
+def _registered(task: _Task) -> Registration:
+    """Where the picture lies. Raises RefusedPicture: it shows something else, is a mirror image, or moved too far."""
+    registration = register(task.colors, task.render, task.compared, task.content)
+    if registration.score < task.limits.score:
+        _complain_of_polarity(task)
+        where, advice = "", "mask what is to change, or ask again"
+        if task.mask is not None:
+            where, advice = " outside the mask", "is the mask the right way round (white may change)? else ask again"
+        raise RefusedPicture(
+            f"{task.name}: the picture shows something other than what was sent: its edges agree{where} by "
+            f"{registration.score:.2f} of 1, expected {task.limits.score:g} (strictness {task.strictness}); {advice}"
+        )
+    _check_mirror(registration, task)
+    _check_moves(registration, task.render.shape, task.limits, task.strictness, task.name)
+    return registration
+
+
+def _is_toned(task: _Task, aligned: np.ndarray, inside: np.ndarray, drift: ColorDrift) -> bool:
+    """Whether nothing but the tone of all colours changed, by more than services drift."""
+    if drift.kind == "none":
+        return False
+    tone = tone_change(aligned, task.render, task.cover & inside)
+    return tone is not None and tone > DRIFT.min_tone
+
+
+def _check_drift(task: _Task, drift: ColorDrift, toned: bool) -> None:
+    """Raises RefusedPicture where colours changed by more than the level allows."""
+    if toned and task.strictness == "strict":
+        raise RefusedPicture(
+            f"{task.name}: the picture changed its tone everywhere, by {drift.strength:.1f} stops, and nothing else; "
+            f"{_ways_of_tone(task.mask, 'strictness normal takes it as it is')}"
+        )
+    if drift.strength > task.limits.stops and not toned:
+        _complain_of_polarity(task)
+        raise RefusedPicture(
+            f"{task.name}: the picture's colours drifted by {drift.strength:.1f} stops outside what was to change, "
+            f"expected at most {task.limits.stops:g} (strictness {task.strictness}); "
+            f"{_ways_of_tone(task.mask, 'strictness loose takes the drift back and paints the rest')}"
+        )
+
+
+def _spilled(task: _Task, changed: np.ndarray) -> float:
+    """Share of the asset outside the mask that changed. Raises RefusedPicture where that is too much, or all."""
+    if task.mask is None:
+        return 0.0
+    spilled = _share(changed & task.outside, task.outside & task.cover)
+    untouched = _share(changed, _without_rim(task.mask, task.cover)) < GATE.max_untouched
+    if untouched and spilled > GATE.min_spilled:
+        raise RefusedPicture(_wrong_polarity(task.name))
+    if spilled > task.limits.spilled:
+        raise RefusedPicture(
+            f"{task.name}: {100 * spilled:.0f} % of the asset outside the mask changed, expected at most "
+            f"{100 * task.limits.spilled:.0f} % (strictness {task.strictness})"
+        )
+    return spilled
 
 
 def _corrected(drift: ColorDrift, colors: np.ndarray, like: np.ndarray) -> np.ndarray:
     """[H, W, 3] colours without their drift. What the drift clipped says "at least so bright" (or dark): there the
     render's value stands where it is beyond the corrected one."""
+    # A gain cannot bring back what it pushed past white or black.
     out = drift.corrected(colors)
     if drift.kind not in ("gain", "gain and offset"):  # a matrix carries what was clipped into other channels
         return out
-    low, high = UNCLIPPED_RANGE
+    low, high = DRIFT.unclipped_range
     out = np.where((colors >= high) & (out < like), like, out)
     return np.where((colors <= low) & (out > like), like, out)
 
@@ -287,14 +377,16 @@ def _changed(
 ) -> np.ndarray:
     """[H, W] bool: pixels that were edited. Within a mask every difference counts that is no rounding, elsewhere those
     above the picture's noise; where most of what may change did, all of it did."""
+    # The tolerant test everywhere, the strict one within a mask, where a faint stroke is meant.
     changed, difference = change_mask(picture, render), largest_channel(np.abs(picture - render))
-    if changed.any() and not changed.all() and np.quantile(difference[~changed], 0.9) > MAX_LOSSLESS:
-        changed &= box_mean(changed, SPECK_PX) > SPECK_SHARE
+    if changed.any() and not changed.all() and np.quantile(difference[~changed], 0.9) > GATE.max_lossless:
+        changed &= box_mean(changed, GATE.speck_px) > GATE.speck_share
+    # A new style leaves some pixels by chance: where most changed, all did.
     region = cover if mask is None else cover & (mask > 0)
     if mask is not None:
-        changed |= (mask > 0) & (difference > MAX_ROUNDING)
+        changed |= (mask > 0) & (difference > MASKS.max_rounding)
     everything = regraded and mask is None
-    if everything or (changed & region).sum() > MIN_WHOLLY_CHANGED_SHARE * region.sum():
+    if everything or (changed & region).sum() > GATE.min_wholly_changed_share * region.sum():
         changed = changed | region
     return changed
 
@@ -302,7 +394,7 @@ def _changed(
 def _edited(picture: np.ndarray, render: np.ndarray) -> np.ndarray:
     """[H, W] bool: where an enlarged picture shows something else, and not only sharper edges, whose differences
     average out."""
-    return largest_channel(np.abs(box_mean(picture - render, 2))) > MAX_NOISE
+    return largest_channel(np.abs(box_mean(picture - render, 2))) > MASKS.max_noise
 
 
 def consistent(picture: np.ndarray, render: np.ndarray, changed: np.ndarray) -> np.ndarray:
@@ -311,9 +403,10 @@ def consistent(picture: np.ndarray, render: np.ndarray, changed: np.ndarray) -> 
     height, width = render.shape[:2]
     factor = picture.shape[0] // height
     assert picture.shape[:2] == (height * factor, width * factor)
+    # Back-projection: add, at the fine size, what the means lack at the coarse one, and repeat.
     free = np.where(changed[..., None], 0, 1).astype(np.float32)
     out = picture
-    for step in range(CONSISTENT_ROUNDS):
+    for step in range(GATE.consistent_rounds):
         error = free * (render - pooled(out, factor))
         if step < 2:  # smoothly, then what is left
             spread = np.stack([_enlarged(error[..., k], factor) for k in range(3)], -1)
@@ -343,6 +436,7 @@ def _flat(picture: np.ndarray, render: np.ndarray) -> tuple[np.ndarray, np.ndarr
     colors = np.ascontiguousarray(np.clip(np.nan_to_num(picture[..., :3]), 0, 1), np.float32)
     if picture.shape[2] == 3 or picture[..., 3].min() > 0.999:
         return colors, None
+    # Transparent parts show the render, so that they count as unchanged in everything that follows.
     alpha = np.clip(np.nan_to_num(picture[..., 3]), 0, 1).astype(np.float32)
     behind = resample(render, picture.shape[1], picture.shape[0])
     return colors * alpha[..., None] + behind * (1 - alpha[..., None]), alpha
@@ -364,6 +458,7 @@ def _like(render: np.ndarray, registration: Registration, shape: tuple[int, ...]
     size = shape[1], shape[0]
     if still:
         return render if size == (width, height) else resample(resample(render, *size), width, height)
+    # Moved pictures were resampled once; the render goes the same way and back, so that both are equally soft.
     inverse = np.linalg.inv(np.vstack([registration.matrix, [0, 0, 1]]))[:2]
     values, inside = warped(render, inverse, size)
     back = warped(values, registration.matrix, (width, height))[0]
@@ -380,13 +475,14 @@ def _ways_of_tone(mask: np.ndarray | None, otherwise: str) -> str:
 
 def _check_regraded(picture: np.ndarray, render: np.ndarray, region: np.ndarray, name: str) -> None:
     """Raises RefusedPicture where a picture that was to be regraded differs by compression alone."""
-    if not region.any() or np.abs((picture - render)[region].mean(0)).max() < MAX_ROUNDING:
+    if not region.any() or np.abs((picture - render)[region].mean(0)).max() < MASKS.max_rounding:
         raise RefusedPicture(f"{name}: the picture came back unchanged; there is nothing to paint")
 
 
 def _check_moves(
     registration: Registration, shape: tuple[int, ...], limits: AdmissionLimits, strictness: Strictness, name: str
 ) -> None:
+    # Limits of shift are shares of the picture, as a service works at its own size.
     longer = max(shape[:2])
     shift = max(abs(registration.right), abs(registration.down)) / longer
     checks = (
@@ -411,38 +507,26 @@ def _check_moves(
         )
 
 
-def _check_mirror(
-    registration: Registration,
-    colors: np.ndarray,
-    render: np.ndarray,
-    compared: np.ndarray | None,
-    content: np.ndarray | None,
-    name: str,
-) -> None:
+def _check_mirror(registration: Registration, task: _Task) -> None:
     """Raises RefusedPicture where the picture is a mirror image: round objects have nearly the edges of theirs."""
-    if registration.score < MAX_MIRRORED:
-        flipped = None if content is None else np.ascontiguousarray(content[:, ::-1])
-        score = register(np.ascontiguousarray(colors[:, ::-1]), render, compared, flipped).score
-        if score > max(registration.score + MIRROR_GAIN, MAX_MIRRORED):
+    # Registering a second time is dear, and a picture that agrees well is no mirror image.
+    if registration.score < GATE.max_mirrored:
+        flipped = None if task.content is None else np.ascontiguousarray(task.content[:, ::-1])
+        score = register(np.ascontiguousarray(task.colors[:, ::-1]), task.render, task.compared, flipped).score
+        if score > max(registration.score + GATE.mirror_gain, GATE.max_mirrored):
             raise RefusedPicture(
-                f"{name}: the picture came back mirrored: its edges agree by {registration.score:.2f} of 1, flipped "
-                f"from left to right by {score:.2f}; ask again, or flip it"
+                f"{task.name}: the picture came back mirrored: its edges agree by {registration.score:.2f} of 1, "
+                f"flipped from left to right by {score:.2f}; ask again, or flip it"
             )
 
 
-def _complain_of_polarity(
-    colors: np.ndarray,
-    render: np.ndarray,
-    mask: np.ndarray | None,
-    content: np.ndarray | None,
-    name: str,
-    limits: AdmissionLimits,
-) -> None:
+def _complain_of_polarity(task: _Task) -> None:
     """Raises RefusedPicture where the picture agrees inside the mask and not outside it."""
-    if mask is not None:
-        inverse = register(colors, render, (mask > 0.5).astype(np.float32), content)
-        if inverse.score > max(limits.score, 0.7) and not inverse.inside:
-            raise RefusedPicture(_wrong_polarity(name))
+    if task.mask is not None:
+        # Agreement where it was to change, and not elsewhere: the mask means the opposite to the source.
+        inverse = register(task.colors, task.render, (task.mask > 0.5).astype(np.float32), task.content)
+        if inverse.score > max(task.limits.score, 0.7) and not inverse.inside:
+            raise RefusedPicture(_wrong_polarity(task.name))
 
 
 def _wrong_polarity(name: str) -> str:
@@ -454,10 +538,11 @@ def _wrong_polarity(name: str) -> str:
 
 def _factor(registration: Registration, size: tuple[int, int], requested: int) -> int:
     """How many times the view's size an enlarged picture is admitted at."""
+    # Whole multiples only: pooling has to be exact for the back-projection.
     scale = registration.pixel_scale
-    if scale < MIN_ENLARGEMENT:
+    if scale < GATE.min_enlargement:
         return 1
-    limit = max(1, MAX_ADMITTED_PX // max(size))
+    limit = max(1, GATE.max_admitted_px // max(size))
     return max(1, min(requested if 1 < requested <= scale + 0.25 else int(scale + 0.25), limit))
 
 
@@ -465,25 +550,26 @@ def _without_rim(mask: np.ndarray, cover: np.ndarray) -> np.ndarray:
     """[H, W] bool: where a mask shows the asset, without its rim: there a picture that was edited beside it changes a
     little, too. All of a mask that is all rim."""
     region = (mask > 0.5) & cover
-    inner = region & ~dilated(mask <= 0.5, RIM_PX)
+    inner = region & ~dilated(mask <= 0.5, GATE.rim_px)
     return inner if inner.any() else region
 
 
 def _soft_mask(mask: np.ndarray) -> np.ndarray:
     """[H, W] the mask with a soft edge that lies within it: 0 where it is 0."""
+    # A mask that was drawn soft is taken as it is.
     hard = ((mask == 0) | (mask == 1)).all()
     return np.where(mask > 0, np.minimum(mask, _ramp(mask > 0)), 0) if hard else mask
 
 
 def _ramp(region: np.ndarray) -> np.ndarray:
-    """[H, W] 0 outside a region, rising to 1 within FEATHER_PX; the picture's borders are no edge of it."""
-    return np.clip(2 * box_mean(region, FEATHER_PX) - 1, MIN_FEATHER, 1) * region
+    """[H, W] 0 outside a region, rising to 1 within GATE.feather_px; the picture's borders are no edge of it."""
+    return np.clip(2 * box_mean(region, GATE.feather_px) - 1, GATE.min_feather, 1) * region
 
 
 def _softened(changed: np.ndarray, inside: np.ndarray) -> np.ndarray:
     """[H, W] 1 on what changed, falling to 0 around it; 0 where the picture shows nothing."""
-    grown = dilated(changed, GROWN_PX)
-    soft = np.where(changed, 1, box_mean(grown, FEATHER_PX))
+    grown = dilated(changed, GATE.grown_px)
+    soft = np.where(changed, 1, box_mean(grown, GATE.feather_px))
     return np.where(inside, soft, 0) if inside.all() else np.minimum(soft, _ramp(inside))
 
 

@@ -28,53 +28,71 @@ Change: TypeAlias = Callable[[np.ndarray], np.ndarray]
 """[H, W, 3] -> [H, W, 3] (turns may exchange H and W), colours 0..1."""
 Size: TypeAlias = tuple[int, int]
 """(width, height)."""
-SMALL_PX = 160
-"""Pixels of the longer side of the small copies: noise of compression averages out."""
-MAX_DIFFERENCE = 4.5 / 255
-"""Mean difference over 3 x 3 pixels of small copies up to which they agree."""
-MIN_PREDICTED = 7 / 255
-"""Difference to the render from which a mistake says that a pixel changed."""
-MAX_UNCHANGED = 2.5 / 255
-"""Difference up to which a pixel is as it was rendered, and no mistake changed it."""
-MIN_PREDICTED_SHARE = 0.08
-"""Share of what the picture and the view show that a mistake must change to be told at all."""
-MIN_EXPLAINED = 0.5
-"""Share of what a mistake changes that must be as it makes it: the rest may be painted over. On eighteen views of six
-captures: mistakes 0.77 to 1.00, recoloured by hand over 70 % 0.52 to 0.93; those have more than MAX_CONTRADICTING."""
-MAX_CONTRADICTING = 0.015
-"""... and that may be as it was rendered. Mistakes have none of it; colours changed by hand over 85 % 0.03 and more."""
-MIN_ALIKE = 0.95
-"""Share of what the picture and the view show that agrees from which nothing is looked for."""
-MAX_AGREEING = 0.15
-"""Share of what the picture and the view show from which a picture that nothing explains is taken for a painted one.
-Other views and assets have up to 0.08, a decal over 90 % 0.06 to 0.08."""
-MAX_STRAY = 0.02
-"""Share of the bare background that differs up to which all paint lies on the asset: it may be all painted over."""
-MIN_BARE_SHARE = 0.03
-"""Share of a picture that must be bare background to say that."""
-MAX_AGREEING_FULL = 0.03
-"""MAX_AGREEING where no background is bare."""
-MAX_AGREEING_MOVED = 0.4
-"""MAX_AGREEING of pictures of another outline, which are looked at whether they were moved."""
-MAX_ERASED = 0.05
-"""Share of the asset where a picture may show nothing but the background."""
-MIN_SURE = 0.95
-"""Share that agrees after a mistake from which no other is looked for."""
+
+
+@dataclass(frozen=True)
+class MistakeThresholds:
+    """Which pictures were saved or chosen by mistake. In display values, pixels of small copies. Measured where an
+    entry says on what, else taste."""
+
+    small_px: int = 160
+    """Pixels of the longer side of the small copies: noise of compression averages out."""
+    max_difference: float = 4.5 / 255
+    """Mean difference over 3 x 3 pixels of small copies up to which they agree."""
+    min_predicted: float = 7 / 255
+    """Difference to the render from which a mistake says that a pixel changed."""
+    max_unchanged: float = 2.5 / 255
+    """Difference up to which a pixel is as it was rendered, and no mistake changed it."""
+    min_predicted_share: float = 0.08
+    """Share of what the picture and the view show that a mistake must change to be told at all."""
+    min_explained: float = 0.5
+    """Share of what a mistake changes that must be as it makes it: the rest may be painted over. On eighteen views of
+    six captures: mistakes 0.77 to 1.00, recoloured by hand over 70 % 0.52 to 0.93; those have more than
+    max_contradicting."""
+    max_contradicting: float = 0.015
+    """Share of what a mistake changes that may be as it was rendered. Mistakes have none of it; colours changed by hand
+    over 85 % 0.03 and more."""
+    min_alike: float = 0.95
+    """Share of what the picture and the view show that agrees from which nothing is looked for."""
+    max_agreeing: float = 0.15
+    """Share of what the picture and the view show from which a picture that nothing explains is taken for a painted
+    one. Other views and assets have up to 0.08, a decal over 90 % 0.06 to 0.08."""
+    max_stray: float = 0.02
+    """Share of the bare background that differs up to which all paint lies on the asset: it may be all painted over."""
+    min_bare_share: float = 0.03
+    """Share of a picture that must be bare background to say that."""
+    max_agreeing_full: float = 0.03
+    """As max_agreeing, where no background is bare."""
+    max_agreeing_moved: float = 0.4
+    """As max_agreeing, for pictures of another outline, which are looked at whether they were moved."""
+    max_erased: float = 0.05
+    """Share of the asset where a picture may show nothing but the background."""
+    min_sure: float = 0.95
+    """Share that agrees after a mistake from which no other is looked for."""
+    min_cover: float = 0.5
+    """Alpha from which a pixel of a small copy shows the asset."""
+    max_bare: float = 0.02
+    """Alpha up to which it shows none of it."""
+    rim_px: int = 2
+    """Pixels of a small copy beside the asset that are not bare background."""
+    min_tone_contrast: float = 0.35
+    """Standard deviation of a graded picture in parts of the render's: one flat colour is paint."""
+    min_registered_px: int = 16
+    """Pixels of the shorter side of a small copy from which it is looked where it lies."""
+    min_moved_score: float = 0.6
+    """Score of a registration from which a picture was moved."""
+    min_moved_px: float = 0.8
+    """Pixels of a small copy from which it was moved."""
+
+
+MISTAKES = MistakeThresholds()
+
+
 GRADED_WORDS = (
     "graded as a whole, but for its background: its other sides stay as they are; --mode global carries the look all "
     "around"
 )
 PAINTED_OVER_WORDS = "painted over everywhere; if it is not, it is of another view or asset"
-MIN_COVER, MAX_BARE = 0.5, 0.02
-"""Alpha from which a pixel of a small copy shows the asset, and up to which it shows none of it."""
-RIM_PX = 2
-"""Pixels of a small copy beside the asset that are not bare background."""
-MIN_TONE_CONTRAST = 0.35
-"""Standard deviation of a graded picture in parts of the render's: one flat colour is paint."""
-MIN_REGISTERED_PX = 16
-"""Pixels of the shorter side of a small copy from which it is looked where it lies."""
-MIN_MOVED_SCORE, MIN_MOVED_PX = 0.6, 0.8
-"""Score of a registration, and pixels of a small copy, from which a picture was moved."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +117,7 @@ class Explanation:
     agreeing: float
     """Share of what the picture and the view show that agrees as it is, 0..1."""
     agreeing_after: float
-    """... that agrees with what the mistake makes of the view; 0 where none explains the picture."""
+    """Share that agrees with what the mistake makes of the view, 0..1; 0 where none explains the picture."""
     mistake: Mistake | None = None
 
 
@@ -187,21 +205,28 @@ def explain(
     """Why a picture [H, W, 3] differs from its view nearly everywhere; None where it does not, or where what differs
     may well be paint. render: [H, W, 3]; alpha: [H, W] of it; with_other_axes: gives views of that size of the asset
     read with other axes, and what to do about each; asked only where nothing else explains the picture."""
+    # Small copies: compression averages out, and thirty mistakes can be tried in no time.
     view = _Small.of(picture, render, alpha)
-    if not view.compared.any() or view.agreeing > MIN_ALIKE:
+    if not view.compared.any() or view.agreeing > MISTAKES.min_alike:
         return None
+    # Every mistake is made of the render and compared; the best explanation wins ...
     judged = (_judged(mistake, view) for mistake in (*TURNS, *COLORS))
     best = max(filter(None, judged), key=lambda one: one.agreeing_after, default=None)
-    if best is not None and (best.cause == "turned" or best.agreeing_after > MIN_SURE):
+    if best is not None and (best.cause == "turned" or best.agreeing_after > MISTAKES.min_sure):
         return best
-    graded = _graded(view) if view.agreeing <= MAX_AGREEING else None
+    # ... against one smooth function of colour, which many mistakes of encoding resemble.
+    graded = _graded(view) if view.agreeing <= MISTAKES.max_agreeing else None
     likeliest = max(filter(None, (graded, best)), key=lambda one: one.agreeing_after, default=None)
     if likeliest is not None:
         return likeliest
-    if view.agreeing > MAX_AGREEING and not (view.agreeing < MAX_AGREEING_MOVED and view.has_other_outline):
+    # Much of it agrees: it was painted on, unless its outline says that it was moved.
+    if view.agreeing > MISTAKES.max_agreeing and not (
+        view.agreeing < MISTAKES.max_agreeing_moved and view.has_other_outline
+    ):
         return None
+    # Registration is dear, so it comes after what is cheap; other axes need new renders and come last.
     moved = _moved(view)
-    if moved is not None or view.agreeing > MAX_AGREEING:
+    if moved is not None or view.agreeing > MISTAKES.max_agreeing:
         return moved
     return _of_other_axes(view, with_other_axes) or _something_else(view)
 
@@ -215,47 +240,53 @@ class _Small:
     alpha: np.ndarray
     compared: np.ndarray
     """[h, w] bool: where the view shows the asset, or the picture something else than the view's background."""
+    unchanged: np.ndarray
+    """[h, w] bool: as it was rendered."""
     agreeing: float
     """Share of `compared` that agrees."""
 
     @staticmethod
     def of(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray) -> _Small:
         seen, before, cover = (_small(values) for values in (picture, render, alpha))
-        agrees = _difference(seen, before) <= MAX_DIFFERENCE
-        compared = (cover > MIN_COVER) | ~agrees
-        return _Small(seen, before, cover, compared, float(agrees[compared].mean()) if compared.any() else 1.0)
+        difference = _difference(seen, before)
+        agrees = difference <= MISTAKES.max_difference
+        compared = (cover > MISTAKES.min_cover) | ~agrees
+        agreeing = float(agrees[compared].mean()) if compared.any() else 1.0
+        return _Small(seen, before, cover, compared, difference <= MISTAKES.max_unchanged, agreeing)
 
     @property
     def bare(self) -> np.ndarray:
         """[h, w] bool: background, not beside the asset."""
-        return ~dilated(self.alpha > MAX_BARE, RIM_PX)
+        return ~dilated(self.alpha > MISTAKES.max_bare, MISTAKES.rim_px)
 
     @property
     def paint_is_on_asset(self) -> bool:
         """Whether the background is as it was rendered, where there is enough of it to say."""
         bare = self.bare
-        differs = _difference(self.picture, self.render) > MAX_DIFFERENCE
-        return bool(bare.mean() >= MIN_BARE_SHARE and differs[bare].mean() <= MAX_STRAY)
+        differs = _difference(self.picture, self.render) > MISTAKES.max_difference
+        return bool(bare.mean() >= MISTAKES.min_bare_share and differs[bare].mean() <= MISTAKES.max_stray)
 
     @property
     def has_other_outline(self) -> bool:
         """Whether the picture shows its background where the asset is, or something else beside it: paint does
         neither."""
         bare = self.bare
-        if bare.mean() < MIN_BARE_SHARE:
+        if bare.mean() < MISTAKES.min_bare_share:
             return False
+        # The render's bare pixels say what the background is, whatever colour it has.
         background = np.median(self.render[bare], axis=0)
-        solid = self.alpha > MIN_COVER
+        solid = self.alpha > MISTAKES.min_cover
         empty, before = (
-            largest_channel(np.abs(image - background)) <= MAX_UNCHANGED for image in (self.picture, self.render)
+            largest_channel(np.abs(image - background)) <= MISTAKES.max_unchanged
+            for image in (self.picture, self.render)
         )
-        erased = (empty & ~before & solid).sum() > MAX_ERASED * max(int(solid.sum()), 1)
+        erased = (empty & ~before & solid).sum() > MISTAKES.max_erased * max(int(solid.sum()), 1)
         return bool(erased or not self.paint_is_on_asset)
 
 
 def _small(values: np.ndarray) -> np.ndarray:
     height, width = values.shape[:2]
-    shrink = max(max(height, width) / SMALL_PX, 1.0)
+    shrink = max(max(height, width) / MISTAKES.small_px, 1.0)
     size = max(round(width / shrink), 1), max(round(height / shrink), 1)
     clipped = np.clip(np.nan_to_num(values), 0, 1).astype(np.float32)
     return clipped if size == (width, height) else resample(clipped, *size)
@@ -272,44 +303,51 @@ def _judged(mistake: Mistake, view: _Small) -> Explanation | None:
 
 
 def _compared(mistake: Mistake, made: np.ndarray, view: _Small) -> Explanation | None:
-    predicted = view.compared & (_difference(made, view.render) > MIN_PREDICTED)
-    if predicted.sum() < MIN_PREDICTED_SHARE * view.compared.sum():
+    # Only pixels that the mistake would have changed can tell whether it was made.
+    predicted = view.compared & (_difference(made, view.render) > MISTAKES.min_predicted)
+    if predicted.sum() < MISTAKES.min_predicted_share * view.compared.sum():
         return None
-    agrees = _difference(view.picture, made) <= MAX_DIFFERENCE
-    explained = float(agrees[predicted].mean())
-    unchanged = float((_difference(view.picture, view.render) <= MAX_UNCHANGED)[predicted].mean())
-    if explained < MIN_EXPLAINED or unchanged > MAX_CONTRADICTING:
+    # A mistake changes everything: pixels that are as they were rendered speak against it. The likeliest answer, as
+    # most pictures were painted on, so it is asked first.
+    if float(view.unchanged[predicted].mean()) > MISTAKES.max_contradicting:
+        return None
+    agrees = _difference(view.picture, made) <= MISTAKES.max_difference
+    if float(agrees[predicted].mean()) < MISTAKES.min_explained:
         return None
     return Explanation(mistake.cause, mistake.words, view.agreeing, float(agrees[view.compared].mean()), mistake)
 
 
 def _graded(view: _Small) -> Explanation | None:
     """One smooth function of colour changed all of the asset; of the picture, where its background changed, too."""
-    solid = view.alpha > MIN_COVER
+    solid = view.alpha > MISTAKES.min_cover
     if not solid.any():
         return None
+    # One flat colour over the asset is paint, though a (constant) function explains it.
     contrast = view.picture[solid].std(0).mean() / max(float(view.render[solid].std(0).mean()), 1e-6)
-    if contrast < MIN_TONE_CONTRAST or tone_change(view.picture, view.render, solid) is None:
+    if contrast < MISTAKES.min_tone_contrast or tone_change(view.picture, view.render, solid) is None:
         return None
+    # The background did not change: somebody graded or painted the asset, and may mean it.
     if view.paint_is_on_asset:
         return Explanation("look", GRADED_WORDS, view.agreeing, 1.0)
+    # Gain and offset can be taken back; a free curve cannot.
     drift = estimate_drift(view.picture, view.render, solid, certain=True)
-    words, undone, after = "graded as a whole", None, MIN_EXPLAINED
+    words, undone, after = "graded as a whole", None, MISTAKES.min_explained
     if drift.kind in ("gain", "gain and offset"):
         words = f"graded as a whole (exposure or white balance by {drift.strength:.1f} stops)"
     if drift.kind != "none":
         undone = drift.corrected
-        after = float((_difference(undone(view.picture), view.render) <= MAX_DIFFERENCE)[view.compared].mean())
+        after = float((_difference(undone(view.picture), view.render) <= MISTAKES.max_difference)[view.compared].mean())
     return Explanation("tone", words, view.agreeing, after, Mistake("tone", words, lambda colors: colors, undone))
 
 
 def _moved(view: _Small) -> Explanation | None:
-    if min(view.alpha.shape) < MIN_REGISTERED_PX:
+    if min(view.alpha.shape) < MISTAKES.min_registered_px:
         return None
+    # Judged at the small size: a shift below a small pixel is not what makes everything differ.
     laid = register(view.picture, view.render)
     reach = max(view.alpha.shape) / 2
     moved = max(abs(laid.right), abs(laid.down), reach * abs(laid.scale - 1))
-    if laid.score < MIN_MOVED_SCORE or (laid.framing == "full" and moved < MIN_MOVED_PX):
+    if laid.score < MISTAKES.min_moved_score or (laid.framing == "full" and moved < MISTAKES.min_moved_px):
         return None
     words = "moved, scaled or turned by a little" if laid.framing == "full" else f"{laid.framing} within its frame"
     return Explanation("moved", words, view.agreeing, laid.score)
@@ -329,11 +367,14 @@ def _of_other_axes(
 
 
 def _something_else(view: _Small) -> Explanation | None:
-    if view.bare.mean() >= MIN_BARE_SHARE and not view.has_other_outline:
+    # Same outline, nothing agrees: painted over everywhere, if anything.
+    if view.bare.mean() >= MISTAKES.min_bare_share and not view.has_other_outline:
         return (
-            Explanation("look", PAINTED_OVER_WORDS, view.agreeing, 0.0) if view.agreeing < MAX_AGREEING_FULL else None
+            Explanation("look", PAINTED_OVER_WORDS, view.agreeing, 0.0)
+            if view.agreeing < MISTAKES.max_agreeing_full
+            else None
         )
-    if view.bare.mean() < MIN_BARE_SHARE and view.agreeing > MAX_AGREEING_FULL:
+    if view.bare.mean() < MISTAKES.min_bare_share and view.agreeing > MISTAKES.max_agreeing_full:
         return None
     words = "of another asset, another view or another camera"
     return Explanation("other", words, view.agreeing, 0.0)

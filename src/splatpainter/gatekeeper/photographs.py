@@ -23,15 +23,8 @@ from splatpainter.captures import CapturedView, capture_of, choose_one, is_captu
 from splatpainter.captures.lenses import straightened
 from splatpainter.color import to_display
 from splatpainter.gatekeeper.color_drift import estimate_drift
-from splatpainter.gatekeeper.gatekeeper import (
-    MAX_LOSSLESS,
-    SPECK_PX,
-    SPECK_SHARE,
-    AdmittedPicture,
-    RefusedPicture,
-    Strictness,
-    admit,
-)
+from splatpainter.gatekeeper.gatekeeper import GATE, AdmittedPicture, RefusedPicture, admit
+from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.image_files import find_camera, is_exr, picture_header, to_uint8
 from splatpainter.lift.masks import box_mean, change_mask, changed_throughout, dilated, largest_channel
 from splatpainter.painter import Mode
@@ -41,27 +34,41 @@ from splatpainter.rendering import render as render_views
 from splatpainter.sources.picture_source import PictureRequest
 from splatpainter.splats import Splats
 
-MAX_PHOTOGRAPH_PX = 1600
-"""Longer side, straightened, at which a painted photograph is used; INRIA's trainer and nerfstudio scale larger ones
-down to that."""
-COMPARED_PX = 256
-"""Longer side of pictures whose turns are told apart."""
-MIN_SOLID = 0.5
-"""Alpha from which a pixel of a straightened photograph is one."""
-BLUR_PX = 3
-"""Reach of the means by which a photograph is compared with a render: detail that the asset lacks averages out."""
-MAX_RESIDUAL = 60 / 255
-"""No photograph differs from its render by more without paint, ..."""
-RESIDUALS = 6.0
-"""... and none by so many times what it differs by where there is as much detail."""
-MIN_RESIDUAL = 10 / 255
-"""Smaller differences of a photograph to its render are never paint."""
-DETAIL_LEVELS = 8
-SEED_RESIDUALS, MIN_SEED_RESIDUAL, MAX_SEED_RESIDUAL = 4.0, 24 / 255, 100 / 255
-"""Paint has a place where it differs by more than so many times what four fifths of the pixels differ by, within these
-bounds: of 6 photographs of an asset of 24 to 25 dB none does without paint."""
-SPREAD_PX = 16
-"""Pixels by which paint reaches from there to what differs less, step by step."""
+
+@dataclass(frozen=True)
+class PhotographThresholds:
+    """What was painted on a photograph, told from what an asset never shows of it. Measured on six photographs of one
+    capture where an entry says so, else taste."""
+
+    max_photograph_px: int = 1600
+    """Longer side, straightened, at which a painted photograph is used; INRIA's trainer and nerfstudio scale larger
+    ones down to that."""
+    compared_px: int = 256
+    """Longer side of pictures whose turns are told apart."""
+    min_solid: float = 0.5
+    """Alpha from which a pixel of a straightened photograph is one."""
+    blur_px: int = 3
+    """Reach of the means by which a photograph is compared with a render: detail that the asset lacks averages out."""
+    max_residual: float = 60 / 255
+    """No photograph differs from its render by more without paint."""
+    residuals: float = 6.0
+    """No photograph without paint differs by more times than this of what it differs by where there is as much
+    detail."""
+    min_residual: float = 10 / 255
+    """Smaller differences of a photograph to its render are never paint."""
+    detail_levels: int = 8
+    """Levels of detail, each with what photographs differ by there."""
+    seed_residuals: float = 4.0
+    """Paint has a place where it differs by more than so many times what four fifths of the pixels differ by."""
+    min_seed_residual: float = 24 / 255
+    """The least such difference: of 6 photographs of an asset of 24 to 25 dB none has it without paint."""
+    max_seed_residual: float = 100 / 255
+    """The largest that is asked for."""
+    spread_px: int = 16
+    """Pixels by which paint reaches from there to what differs less, step by step."""
+
+
+PHOTOGRAPHS = PhotographThresholds()
 
 
 @dataclass(frozen=True)
@@ -80,6 +87,7 @@ def read_photograph(path: Path, size: tuple[int, int]) -> Picture:
     them, for COLMAP, nerfstudio and INRIA's trainer look at no EXIF orientation; as EXIF turns them where only that
     has the camera's shape. Raises ValueError as `read_picture`."""
     picture = read_picture(path)
+    # The shape decides: a camera file knows in which turn its pixels were counted.
     orientation = _orientation(path)
     stored = unturned(picture, orientation)
     return picture if not has_aspect(stored.size, size) and has_aspect(picture.size, size) else stored
@@ -121,6 +129,7 @@ def straight_picture(picture: Picture, view: CapturedView, *, all_of_it: bool) -
     if picture.alpha is None:
         colors, inside = straightened(picture.colors, camera, view.lens, window)
         return StraightPicture(window, np.clip(colors, 0, 1), None if inside.all() else inside.astype(np.float32))
+    # Premultiplied, so that colours of transparent pixels do not leak into their neighbours when they are resampled.
     alpha = picture.alpha[..., None]
     straight, inside = straightened(np.concatenate([picture.colors * alpha, alpha], 2), camera, view.lens, window)
     colors = np.clip(straight[..., :3] / np.maximum(straight[..., 3:], 1e-3), 0, 1)
@@ -162,19 +171,23 @@ def carries_camera(picture: Path) -> bool:
 
 
 def photograph_edit(path: Path, view: CapturedView, mask: Path | None = None) -> FileEdit:
-    """A painted photograph, straightened, at most of MAX_PHOTOGRAPH_PX. mask: a picture of the photograph's pixels.
+    """A painted photograph, straightened, at most of PHOTOGRAPHS.max_photograph_px. mask: a picture of the photograph's
+    pixels.
 
     Raises ValueError, one line naming the file: unreadable, of another shape than its camera, an empty mask."""
     size = view.camera.width, view.camera.height
+    # The photograph as it was taken, if the capture still has it, says best what was painted.
     original = view.picture()
     if original is not None and original.resolve() == path.resolve():  # painted in its place
         original = None
     taken = None if original is None else read_photograph(original, size)
     if taken is not None and not has_aspect(taken.size, size):
         taken = None
+    # Which way round the program saved it.
     picture, turn = _as_taken(path, size, taken, 1 if original is None else _orientation(original))
+    # Straightened at the size that is used, not at the file's: a phone's picture has 50 million pixels.
     window = view.resized(*picture.size).pinhole(all_of_it=True)
-    scale = min(1.0, MAX_PHOTOGRAPH_PX / max(window.width, window.height))
+    scale = min(1.0, PHOTOGRAPHS.max_photograph_px / max(window.width, window.height))
     used = view.resized(*(max(1, round(side * scale)) for side in picture.size))
     straight = straight_picture(picture, used, all_of_it=True)
     notes = list(picture.notes)
@@ -186,6 +199,7 @@ def photograph_edit(path: Path, view: CapturedView, mask: Path | None = None) ->
         notes.append(f"used at {size_used} of its {picture.size[0]}x{picture.size[1]} pixels")
     marked = None if mask is None else _mask(mask, turn, used)
     if taken is not None:
+        # The original with the loss of the painted file: what still differs is paint.
         taken = _saved_again(taken, picture, path, turn)
     before = None if taken is None else straight_picture(taken, used, all_of_it=True).colors
     photograph = Photograph(before, None if before is None else original)
@@ -217,7 +231,8 @@ def _as_taken(path: Path, size: tuple[int, int], taken: Picture | None, orientat
         )
     if taken is None or len(ways) == 1:
         return ways[0]
-    small = [max(1, round(side * COMPARED_PX / max(size))) for side in size]
+    # At this size a turn is plain and paint is not.
+    small = [max(1, round(side * PHOTOGRAPHS.compared_px / max(size))) for side in size]
     like = taken.resized(*small).colors
     return min(ways, key=lambda way: float(np.abs(way[0].resized(*small).colors - like).mean()))
 
@@ -229,6 +244,7 @@ def _saved_again(taken: Picture, picture: Picture, path: Path, turn: int) -> Pic
     from PIL import Image, JpegImagePlugin
 
     file_turn = _orientation(path)
+    # JPEG's blocks lie in the file's own orientation.
     stored = unturned(turned(taken, turn), file_turn)
     try:
         with Image.open(path, formats=("JPEG",)) as image:
@@ -258,7 +274,7 @@ def _mask(path: Path, turn: int, view: CapturedView) -> np.ndarray:
     straight = straight_picture(as_stored, view, all_of_it=True)
     out = straight.colors[..., 0] > MIN_MASK
     if straight.alpha is not None:
-        out &= straight.alpha > MIN_SOLID
+        out &= straight.alpha > PHOTOGRAPHS.min_solid
     if not out.any():
         raise ValueError(f"{path}: empty mask; expected some pixels that are not black (or not transparent)")
     return out
@@ -275,23 +291,27 @@ def laid_over(edit: FileEdit, splats: Splats, mode: Mode = "local", strictness: 
     photograph = edit.photograph
     if photograph is None:
         return edit
+    # Georeferenced captures: camera and asset in the same small numbers.
     edit = edit.relative_to(splats.offset)
     drawn = render_views(splats, edit.camera)
     space = splats.color_space
     render, cover = np.clip(to_display(drawn.colors[0], space), 0, 1).astype(np.float32), drawn.alphas[0, ..., 0]
     colors, taken = edit.picture.colors, photograph.taken
-    solid = np.ones(cover.shape, bool) if edit.picture.alpha is None else edit.picture.alpha > MIN_SOLID
-    if taken is not None and _nearer(colors, render, taken, solid & (cover > MIN_SOLID)):
+    solid = np.ones(cover.shape, bool) if edit.picture.alpha is None else edit.picture.alpha > PHOTOGRAPHS.min_solid
+    # The file's name may be a photograph's while its pixels are a render's.
+    if taken is not None and _nearer(colors, render, taken, solid & (cover > PHOTOGRAPHS.min_solid)):
         taken = None  # not the photograph was painted on, but a render that lost its camera
     if mode == "global" and edit.mask is None:
         return _regraded(edit, render, taken, solid)
+    # Everything else is the gatekeeper's: place, exposure, cut.
     request = PictureRequest(render, cover, None if edit.mask is None else edit.mask.astype(np.float32))
     if taken is not None and edit.mask is None:
         request = replace(request, mask=_painted(edit, taken, solid).astype(np.float32))
     admitted = _admitted(edit, request, strictness)
     notes = edit.notes
     if request.mask is None:
-        paint = _beyond_a_photograph(admitted, render, solid & (cover > MIN_SOLID))
+        # Without the original a second pass is needed: first lay it over, then ask what no photograph does by itself.
+        paint = _beyond_a_photograph(admitted, render, solid & (cover > PHOTOGRAPHS.min_solid))
         if not paint.any():
             raise ValueError(f"{edit.path}: no paint: it differs from the asset's render by what photographs do")
         request = replace(request, mask=paint.astype(np.float32))
@@ -332,8 +352,8 @@ def _painted(edit: FileEdit, taken: np.ndarray, solid: np.ndarray) -> np.ndarray
             "--mode global for a look, or --mask M.png for what was painted"
         )
     paint, difference = change_mask(colors, taken) & solid, largest_channel(np.abs(colors - taken))
-    if paint.any() and not paint.all() and np.quantile(difference[~paint], 0.9) > MAX_LOSSLESS:
-        paint &= box_mean(paint, SPECK_PX) > SPECK_SHARE  # saved again with another loss
+    if paint.any() and not paint.all() and np.quantile(difference[~paint], 0.9) > GATE.max_lossless:
+        paint &= box_mean(paint, GATE.speck_px) > GATE.speck_share  # saved again with another loss
     if not paint.any():
         raise ValueError(f"{edit.path}: is {name} as it was taken; nothing is painted on it")
     return paint
@@ -342,28 +362,31 @@ def _painted(edit: FileEdit, taken: np.ndarray, solid: np.ndarray) -> np.ndarray
 def _beyond_a_photograph(admitted: AdmittedPicture, render: np.ndarray, where: np.ndarray) -> np.ndarray:
     """[H, W] bool: where a photograph, its exposure corrected, differs from the render by more than photographs do
     where there is as much detail."""
-    shift = largest_channel(np.abs(box_mean(admitted.aligned - render, BLUR_PX)))
+    # Blurred: a photograph is sharper than its asset, which is no paint.
+    shift = largest_channel(np.abs(box_mean(admitted.aligned - render, PHOTOGRAPHS.blur_px)))
     grey = render.mean(-1)
-    detail = box_mean(np.abs(np.gradient(grey, axis=0)) + np.abs(np.gradient(grey, axis=1)), 2 * BLUR_PX)
+    detail = box_mean(np.abs(np.gradient(grey, axis=0)) + np.abs(np.gradient(grey, axis=1)), 2 * PHOTOGRAPHS.blur_px)
     if not where.any():
         return where
-    edges = np.quantile(detail[where], np.linspace(0, 1, DETAIL_LEVELS + 1)[1:-1])
+    # How much photographs differ depends on how much detail there is; each level has its own limit.
+    edges = np.quantile(detail[where], np.linspace(0, 1, PHOTOGRAPHS.detail_levels + 1)[1:-1])
     level = np.searchsorted(edges, detail)
-    limits = np.zeros(DETAIL_LEVELS)
-    for k in range(DETAIL_LEVELS):
+    limits = np.zeros(PHOTOGRAPHS.detail_levels)
+    for k in range(PHOTOGRAPHS.detail_levels):
         values = shift[where & (level == k)]
-        limits[k] = RESIDUALS * float(np.quantile(values, 0.35)) if len(values) else 0.0
-    different = (shift > np.clip(limits, MIN_RESIDUAL, MAX_RESIDUAL)[level]) & where
-    different &= box_mean(different, BLUR_PX) > 0.4  # areas, no lines along edges
-    largest = SEED_RESIDUALS * float(np.quantile(shift[where], 0.8))
-    paint = different & (shift > np.clip(largest, MIN_SEED_RESIDUAL, MAX_SEED_RESIDUAL))
-    for _ in range(max(shift.shape) // SPREAD_PX + 1):
-        more = dilated(paint, SPREAD_PX) & different
+        limits[k] = PHOTOGRAPHS.residuals * float(np.quantile(values, 0.35)) if len(values) else 0.0
+    different = (shift > np.clip(limits, PHOTOGRAPHS.min_residual, PHOTOGRAPHS.max_residual)[level]) & where
+    different &= box_mean(different, PHOTOGRAPHS.blur_px) > 0.4  # areas, no lines along edges
+    # Paint starts where the difference is beyond doubt and spreads to what is merely different.
+    largest = PHOTOGRAPHS.seed_residuals * float(np.quantile(shift[where], 0.8))
+    paint = different & (shift > np.clip(largest, PHOTOGRAPHS.min_seed_residual, PHOTOGRAPHS.max_seed_residual))
+    for _ in range(max(shift.shape) // PHOTOGRAPHS.spread_px + 1):
+        more = dilated(paint, PHOTOGRAPHS.spread_px) & different
         if more.sum() == paint.sum():
             break
         paint = more
-    painted = largest_channel(np.abs(admitted.aligned - render)) > MIN_RESIDUAL / 2
-    return (box_mean(paint, BLUR_PX) > 0) & where & painted
+    painted = largest_channel(np.abs(admitted.aligned - render)) > PHOTOGRAPHS.min_residual / 2
+    return (box_mean(paint, PHOTOGRAPHS.blur_px) > 0) & where & painted
 
 
 def _regraded(edit: FileEdit, render: np.ndarray, taken: np.ndarray | None, solid: np.ndarray) -> FileEdit:
@@ -371,6 +394,7 @@ def _regraded(edit: FileEdit, render: np.ndarray, taken: np.ndarray | None, soli
     if taken is None:
         note = "the photograph before it is not there: its exposure counts as part of the look"
         return replace(edit, notes=(*edit.notes, note), photograph=None)
+    # Both photographs brought to the render's exposure; their difference is the look.
     drift = estimate_drift(taken, render, solid, True)
     change = drift.corrected(edit.picture.colors) - drift.corrected(taken)
     colors = np.clip(render + change, 0, 1).astype(np.float32)

@@ -25,6 +25,7 @@ from splatpainter.pictures.edit_files import FileEdit, draw, over_render
 from splatpainter.pictures.encodings import guessed_encoding
 from splatpainter.pictures.picture_reader import Picture
 from splatpainter.pictures.view_search import most_alike, same_view, views_in
+from splatpainter.rendering.cpu.recent_views import drawn_view
 from splatpainter.sources.picture_source import PictureRequest
 from splatpainter.splats import Splats
 
@@ -77,14 +78,18 @@ def checked_picture(
     Renders the view. Raises ValueError, one line: a picture that differs everywhere (policy "refuse", no mask, not mode
     global), and what the gatekeeper refuses."""
     source = source.relative_to(splats.offset)
-    view = _compared(source.at_view(), splats)
+    at_view = source.at_view()
+    source = replace(source, drawn=drawn_view(splats.numpy(), at_view.camera))
+    view = _compared(at_view, splats)
     if not (view.cover > 0).any():  # nothing in view, which the painter says
         return CheckedPicture(source)
+    # One rule for all entrances: command line, batch, session and nodes come through here.
     explanation = explain(
         view.colors, view.render, view.cover, lambda size: _with_other_axes(splats, view.camera, size)
     )
     if policy == "correct":
         return CheckedPicture(_corrected(source, view, splats, mode, strictness, explanation))
+    # A mask says where paint is, and mode global means all of it: then a difference everywhere may be meant.
     free = source.mask is None and mode != "global"
     warning = ""
     if explanation is not None and explanation.cause == "look":
@@ -95,6 +100,7 @@ def checked_picture(
         pass  # a new light changes everything, too, and nothing explains it
     elif explanation is not None and (free or explanation.cause in NEVER_MEANT):
         warning = f"{_complaint(source, explanation)}; painted with as it is"
+    # No guess of an encoding either: the caller says that every difference is paint.
     if policy == "force":
         source = replace(source, picture=replace(source.picture, encoding=None))
     elif free and not source.is_lossy and source.original_size == (view.camera.width, view.camera.height):
@@ -127,6 +133,7 @@ def _other_view(source: FileEdit) -> str:
     with contextlib.suppress(ValueError):
         if not same_view(find_camera(source.path), camera):
             return "it has a camera of its own (leave --camera out)"
+    # Most wrong views are the neighbour of the right one, in the same folder.
     views = views_in([source.path.parent], source.original_size, besides=source.path)
     best = most_alike(source.picture.colors, views)
     if best is None or same_view(best.camera, camera):
@@ -164,6 +171,7 @@ def _corrected(
 ) -> FileEdit:
     """The picture after what explains it was undone, and through the gatekeeper: cut to what was painted."""
     colors, notes = view.colors if source.picture.alpha is not None else source.picture.colors, list(source.notes)
+    # First the mistake is undone, then the rest is a source's picture like any other.
     mistake = None if explanation is None else explanation.mistake
     if mistake is not None and mistake.undone is not None:
         colors = np.ascontiguousarray(mistake.undone(colors), np.float32)

@@ -24,38 +24,49 @@ from splatpainter.lift.masks import box_mean, largest_channel
 from splatpainter.pictures.edit_files import MAX_ASPECT_ERROR
 from splatpainter.pictures.picture_reader import resample
 
-LEVELS_PX = (128, 256, 512)
-"""Longer sides of the pyramid's pictures."""
-GRID_PX = 64
-"""... of those on which turns and scales are searched."""
+
+@dataclass(frozen=True)
+class RegistrationThresholds:
+    """Where a picture lies in its view. Source: taste, tried on services' pictures."""
+
+    levels_px: tuple[int, ...] = (128, 256, 512)
+    """Longer sides of the pyramid's pictures."""
+    grid_px: int = 64
+    """Longer side of the pictures on which turns and scales are searched."""
+    grid_degrees: tuple[float, ...] = (-8.0, -6.0, -4.0, -2.0, 0.0, 2.0, 4.0, 6.0, 8.0)
+    """Turns that are searched there, degrees."""
+    sure_score: float = 0.8
+    """Score from which the first answer is taken without looking further."""
+    max_steps: int = 20
+    """Gauss-Newton steps on one level."""
+    still_px: float = 0.005
+    """A step that moves no corner by more ends a level."""
+    normal_radius_px: int = 4
+    """Reach of the surroundings by which brightness and edges are normalised, pixels of a level."""
+    min_contrast: float = 0.02
+    """Added to the surroundings' deviation: flat parts say nothing."""
+    tukey: float = 4.685
+    """Standard deviations beyond which a pixel does not count (95 % efficient on normal noise)."""
+    identity_px: float = 0.1
+    """A picture whose corners moved by less, in pixels of the render, was not moved."""
+    max_moved_ratio: float = 0.9
+    """A picture was moved only where that leaves at most this part of 1 - score: a new style moves edges, too."""
+    max_score_loss: float = 0.03
+    """Fine steps may cost as much of a score: what was painted over agrees by chance."""
+    score_px: int = 256
+    """Longer side of the pictures that are scored."""
+    score_block_px: int = 16
+    """Side of a block there."""
+    min_block_deviation: float = 0.008
+    """Deviation of a block's edges, below which it has no texture."""
+    min_blocks: int = 6
+    """Blocks with texture that a score needs."""
+
+
+REGISTRATION = RegistrationThresholds()
+
+
 GRID_SCALES = tuple(np.exp(np.linspace(math.log(0.8), math.log(1.25), 13)).tolist())
-GRID_DEGREES = (-8.0, -6.0, -4.0, -2.0, 0.0, 2.0, 4.0, 6.0, 8.0)
-SURE_SCORE = 0.8
-"""Score from which the first answer is taken without looking further."""
-MAX_STEPS = 20
-"""Gauss-Newton steps on one level."""
-STILL_PX = 0.005
-"""A step that moves no corner by more ends a level."""
-NORMAL_RADIUS_PX = 4
-"""Reach of the surroundings by which brightness and edges are normalised, pixels of a level."""
-MIN_CONTRAST = 0.02
-"""Added to the surroundings' deviation: flat parts say nothing."""
-TUKEY = 4.685
-"""Standard deviations beyond which a pixel does not count (95 % efficient on normal noise)."""
-IDENTITY_PX = 0.1
-"""A picture whose corners moved by less, in pixels of the render, was not moved."""
-MAX_MOVED_RATIO = 0.9
-"""A picture was moved only where that leaves at most this part of 1 - score: a new style moves edges, too."""
-MAX_SCORE_LOSS = 0.03
-"""Fine steps may cost as much of a score: what was painted over agrees by chance."""
-SCORE_PX = 256
-"""Longer side of the pictures that are scored."""
-SCORE_BLOCK_PX = 16
-"""Side of a block there."""
-MIN_BLOCK_DEVIATION = 0.008
-"""Deviation of a block's edges, below which it has no texture."""
-MIN_BLOCKS = 6
-"""Blocks with texture that a score needs."""
 
 FramingKind = Literal["full", "stretched", "cropped", "padded", "part"]
 """full: the picture shows what the render shows; stretched: too, at another aspect ratio; cropped: margins of the
@@ -88,7 +99,7 @@ class Registration:
         """Whether the picture of a render of this size was moved, turned or scaled within its framing."""
         reach = math.hypot(width, height) / 2
         turned = reach * max(abs(self.scale - 1), abs(math.radians(self.rotation)))
-        return math.hypot(self.right, self.down) + turned >= IDENTITY_PX
+        return math.hypot(self.right, self.down) + turned >= REGISTRATION.identity_px
 
     def is_still(self, width: int, height: int) -> bool:
         """Whether the picture shows all of a render of this size, and that where it was."""
@@ -111,18 +122,20 @@ def register(
     weight: [H, W] 0..1, where the picture should still be as the render is (outside a mask); None: everywhere. valid:
     [h, w] 0..1, where the picture has content. Shifts and scales up to about a quarter and turns up to 10 degrees are
     looked for, and smaller windows of the render that are not turned."""
+    # Most pictures come back nearly in place: a quick descent at the smallest size settles those.
     weight = np.ones(render.shape[:2], np.float32) if weight is None else weight.astype(np.float32)
     scorer = _Scorer(picture, render, weight, valid)
     best: Registration | None = None
     framings = _framings(picture.shape[:2], render.shape[:2])
     for kind, frame in framings:
-        attempt = _refined(picture, render, weight, valid, frame, _NOT_MOVED, LEVELS_PX[:1])
+        attempt = _refined(picture, render, weight, valid, frame, _NOT_MOVED, REGISTRATION.levels_px[:1])
         best = _better(best, scorer.scored(attempt, frame, kind))
     assert best is not None
-    if best.score < SURE_SCORE:
+    # The others: a grid of turns and scales, and windows that were cut out.
+    if best.score < REGISTRATION.sure_score:
         for kind, frame in framings:
             start = _searched(picture, render, weight, valid, frame)
-            attempt = _refined(picture, render, weight, valid, frame, start, LEVELS_PX[:1])
+            attempt = _refined(picture, render, weight, valid, frame, start, REGISTRATION.levels_px[:1])
             best = _better(best, scorer.scored(attempt, frame, kind))
         crop = find_crop(np.clip(picture, 0, 1), np.clip(render, 0, 1))
         if crop is not None:
@@ -130,12 +143,16 @@ def register(
             best = _better(best, scorer.scored(_NOT_MOVED, frame, "part"))
             if best.framing == "part":
                 return best
+    # The rest of the pyramid, from the best start alone.
     frame = next(frame for kind, frame in framings if kind == best.framing)
     start = np.linalg.inv(_square(frame)) @ _square(best.matrix)
-    final = scorer.scored(_refined(picture, render, weight, valid, frame, start, LEVELS_PX[1:]), frame, best.framing)
+    final = scorer.scored(
+        _refined(picture, render, weight, valid, frame, start, REGISTRATION.levels_px[1:]), frame, best.framing
+    )
+    # A move has to earn itself: a new style shifts edges a little without any motion.
     still = scorer.scored(_NOT_MOVED, frame, best.framing)
-    final = final if final.score > best.score - MAX_SCORE_LOSS else best
-    gained = 1 - final.score < MAX_MOVED_RATIO * (1 - still.score)
+    final = final if final.score > best.score - REGISTRATION.max_score_loss else best
+    gained = 1 - final.score < REGISTRATION.max_moved_ratio * (1 - still.score)
     return final if gained and not final.is_still(render.shape[1], render.shape[0]) else still
 
 
@@ -145,6 +162,7 @@ def warped(picture: np.ndarray, matrix: np.ndarray, size: tuple[int, int]) -> tu
     shrinks."""
     height, width = picture.shape[:2]
     shrink = math.sqrt(abs(np.linalg.det(matrix[:, :2])))
+    # Point samples of a much larger picture would alias.
     if shrink > 1.25:
         small = max(1, round(width / shrink)), max(1, round(height / shrink))
         picture = resample(np.clip(picture, 0, 1), *small)
@@ -256,9 +274,9 @@ def edge_strength(image: np.ndarray) -> np.ndarray:
 
 
 def _normalised(values: np.ndarray) -> np.ndarray:
-    mean = box_mean(values, NORMAL_RADIUS_PX)
-    spread = np.sqrt(np.maximum(box_mean(values**2, NORMAL_RADIUS_PX) - mean**2, 0))
-    return (values - mean) / (spread + MIN_CONTRAST)
+    mean = box_mean(values, REGISTRATION.normal_radius_px)
+    spread = np.sqrt(np.maximum(box_mean(values**2, REGISTRATION.normal_radius_px) - mean**2, 0))
+    return (values - mean) / (spread + REGISTRATION.min_contrast)
 
 
 def _refined(
@@ -284,6 +302,7 @@ def _descended(level: _Level, frame: np.ndarray, motion: np.ndarray) -> np.ndarr
     target, reach = level.render, max(width, height) / 2
     y, x = np.mgrid[:height, :width] + 0.5
     x, y = x - width / 2, y - height / 2
+    # Inverse form: the render's slopes do not change from step to step, only the picture is warped.
     slopes = []  # of each channel by (scale, turn, right, down); scale and turn in pixels at `reach`
     for channel in range(target.shape[2]):
         down, across = np.gradient(target[..., channel])
@@ -293,8 +312,9 @@ def _descended(level: _Level, frame: np.ndarray, motion: np.ndarray) -> np.ndarr
     full = level.to_picture @ _square(frame)
     rim = np.zeros((height, width), bool)
     rim[1:-1, 1:-1] = True
-    for _ in range(MAX_STEPS):
+    for _ in range(REGISTRATION.max_steps):
         matrix = (full @ motion @ to_level)[:2]
+        # Where the picture shows nothing, and at its rim, nothing can be compared.
         seen = _sampled(level.valid, matrix, (width, height), cubic=False) > 0.9
         trust = np.where(seen & rim, level.weight, 0)
         image = _sampled(level.picture, matrix, (width, height), cubic=False)
@@ -304,22 +324,25 @@ def _descended(level: _Level, frame: np.ndarray, motion: np.ndarray) -> np.ndarr
             steep = strong[channel] & (trust > 0.5)
             if steep.sum() < 32:
                 continue
+            # Scale from steep pixels: flat ones agree whatever the motion.
             spread = 1.4826 * float(np.median(np.abs(error[steep]))) + 1e-3
-            share = trust * np.maximum(1 - (error / (TUKEY * spread)) ** 2, 0) ** 2 / spread**2
+            share = trust * np.maximum(1 - (error / (REGISTRATION.tukey * spread)) ** 2, 0) ** 2 / spread**2
             flat = slope.reshape(-1, 4)
             scaled = flat * share.reshape(-1, 1)
             normal += scaled.T @ flat
             gain += scaled.T @ error.ravel()
         if not np.trace(normal) > 0:
             break
+        # A weak ridge where texture leaves a direction open, and a bound on a step from a bad start.
         step = np.linalg.solve(normal + 1e-6 * np.trace(normal) * np.eye(4), gain)
         step = np.clip(step, -8, 8)
         about = np.array([[1, 0, width / 2], [0, 1, height / 2], [0, 0, 1]], np.float64)
         grow, turn = step[0] / reach, step[1] / reach
         change = np.array([[1 + grow, -turn, step[2]], [turn, 1 + grow, step[3]], [0, 0, 1]])
         change = about @ change @ np.linalg.inv(about)
+        # Composed inversely: the step was found on the render's side.
         motion = motion @ to_level @ np.linalg.inv(change) @ level.to_render
-        if np.abs(step).max() < STILL_PX:
+        if np.abs(step).max() < REGISTRATION.still_px:
             break
     return motion
 
@@ -328,8 +351,9 @@ def _searched(
     picture: np.ndarray, render: np.ndarray, weight: np.ndarray, valid: np.ndarray | None, frame: np.ndarray
 ) -> np.ndarray:
     """[3, 3] the best similarity on a grid of scales and turns, its shift by correlation of the edges."""
-    level = _Level.of(picture, render, weight, valid, frame, GRID_PX)
+    level = _Level.of(picture, render, weight, valid, frame, REGISTRATION.grid_px)
     height, width = level.weight.shape
+    # Correlation over all shifts at once, by Fourier transform, for every turn and scale of the grid.
     target = np.maximum(level.render[..., 1], 0) * level.weight
     padded = (2 * height, 2 * width)
     spectrum = np.conj(np.fft.rfft2(target, padded))
@@ -343,6 +367,7 @@ def _searched(
         # correlation over shifts of the picture: sum_p target(p) edges(p + shift) / its length under the weight
         product = np.fft.irfft2(np.fft.rfft2(edges, padded) * spectrum, padded)
         length = np.sqrt(np.maximum(np.fft.irfft2(np.fft.rfft2(edges**2, padded) * energy, padded), 1e-6))
+        # Damped where there are few edges, or an empty corner would score best.
         scores = product / (length + 0.25 * length.max())
         down, right = np.unravel_index(int(scores.argmax()), scores.shape)
         if scores[down, right] > best:
@@ -357,15 +382,16 @@ def _grid(width: int, height: int) -> Iterator[np.ndarray]:
     """[3, 3] scales and turns about the centre of a picture."""
     about = np.array([[1, 0, width / 2], [0, 1, height / 2], [0, 0, 1]], np.float64)
     for scale in GRID_SCALES:
-        for degrees in GRID_DEGREES:
+        for degrees in REGISTRATION.grid_degrees:
             sine, cosine = scale * math.sin(math.radians(degrees)), scale * math.cos(math.radians(degrees))
             turn = np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
             yield about @ turn @ np.linalg.inv(about)
 
 
 def _block_shares(mask: np.ndarray) -> np.ndarray:
-    """Share of True pixels of each block of SCORE_BLOCK_PX, those at the right and the lower border smaller."""
-    starts = [np.arange(0, size, SCORE_BLOCK_PX) for size in mask.shape]
+    """Share of True pixels of each block of REGISTRATION.score_block_px, those at the right and the lower border
+    smaller."""
+    starts = [np.arange(0, size, REGISTRATION.score_block_px) for size in mask.shape]
     counts, areas = (
         np.add.reduceat(np.add.reduceat(values, starts[0], 0, np.int64), starts[1], 1)
         for values in (mask, np.ones_like(mask))
@@ -378,7 +404,7 @@ class _Scorer:
 
     def __init__(self, picture: np.ndarray, render: np.ndarray, weight: np.ndarray, valid: np.ndarray | None) -> None:
         height, width = render.shape[:2]
-        shrink = max(max(height, width) / SCORE_PX, 1.0)
+        shrink = max(max(height, width) / REGISTRATION.score_px, 1.0)
         self.size = max(round(width / shrink), 1), max(round(height / shrink), 1)
         self.to_full = np.diag([width / self.size[0], height / self.size[1], 1])
         self.center = np.array([width / 2, height / 2, 1.0])
@@ -387,7 +413,8 @@ class _Scorer:
         self.edges = box_mean(edge_strength(_resized(render, self.size)), 1)
         outside = _resized(weight, self.size) > 0.5
         self.blocks = self._blocks(outside)
-        self.inside = len(self.blocks) < MIN_BLOCKS
+        # Nothing outside the mask has texture: then look inside, and say so.
+        self.inside = len(self.blocks) < REGISTRATION.min_blocks
         if self.inside:
             self.blocks = self._blocks(np.ones_like(outside))
         self.counted = np.ones_like(outside) if self.inside else outside
@@ -395,9 +422,9 @@ class _Scorer:
     def _blocks(self, counted: np.ndarray) -> list[tuple[slice, slice]]:
         """Those with texture, half of which counts at least."""
         out = []
-        for down, across in np.argwhere(_block_shares(counted) > 0.5) * SCORE_BLOCK_PX:
-            block = slice(down, down + SCORE_BLOCK_PX), slice(across, across + SCORE_BLOCK_PX)
-            if self.edges[block].std() > MIN_BLOCK_DEVIATION:
+        for down, across in np.argwhere(_block_shares(counted) > 0.5) * REGISTRATION.score_block_px:
+            block = slice(down, down + REGISTRATION.score_block_px), slice(across, across + REGISTRATION.score_block_px)
+            if self.edges[block].std() > REGISTRATION.min_block_deviation:
                 out.append(block)
         return out
 
@@ -411,9 +438,10 @@ class _Scorer:
         usable, scores = self.counted & inside & content, []
         empty, used = _block_shares(inside & ~content), _block_shares(usable)
         for block in self.blocks:
-            at = block[0].start // SCORE_BLOCK_PX, block[1].start // SCORE_BLOCK_PX
+            at = block[0].start // REGISTRATION.score_block_px, block[1].start // REGISTRATION.score_block_px
             if empty[at] > 0.5:  # says nothing, neither good nor bad
                 continue
+            # A block that the motion pushed out of sight counts against it.
             if used[at] < 0.4:
                 scores.append(0.0)
                 continue

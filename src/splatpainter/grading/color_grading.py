@@ -63,6 +63,7 @@ class ColorGrade:
 
 def apply_grade(colors: Array, grade: ColorGrade) -> Array:
     """[..., 3] display colours 0..1 after all settings of a grade, clipped to 0..1."""
+    # In a raw developer's order: light, tone, curves, toning, saturation.
     out = colors.clip(0, 1)
     if grade.exposure or grade.temperature or grade.tint:
         light = white_balance(expose(srgb_to_linear(out), grade.exposure), grade.temperature, grade.tint)
@@ -86,6 +87,7 @@ def expose(linear: Array, stops: float) -> Array:
 def white_balance(linear: Array, temperature: float, tint: float) -> Array:
     """Linear light under von Kries gains in RGB: temperature 1 is half a stop more red and less blue, tint 1 half a
     stop less green. The gains are scaled so that grey keeps its luminance."""
+    # Gains on linear light, scaled so that a grey keeps its luminance.
     gains = (2 ** (temperature / 2), 2 ** (-tint / 2), 2 ** (-temperature / 2))
     level = sum(weight * gain for weight, gain in zip(LUMA, gains, strict=True))
     return _stacked([linear[..., k] * (gain / level) for k, gain in enumerate(gains)])
@@ -97,6 +99,7 @@ def adjust_contrast(display: Array, slope: float) -> Array:
     if slope <= 0:
         raise ValueError(f"look: expected a contrast above 0, got {slope:g}")
     value = display.clip(0, 1)
+    # Two power curves that meet at middle grey with one slope: nothing clips at either end.
     dark = PIVOT * (value.clip(None, PIVOT) / PIVOT) ** slope
     light = (1 - PIVOT) * (1 - ((1 - value.clip(PIVOT, None)) / (1 - PIVOT)) ** slope)
     return dark + light
@@ -112,6 +115,7 @@ def split_tone(display: Array, shadows: tuple[float, float, float], highlights: 
     """Colour added to darks and lights, each at most where its weight, (1 - luma)^2 or luma^2, is largest; pure black
     and white stay."""
     luma = luminance(display).clip(0, 1)
+    # Weights vanish at black and white, which have to stay neutral.
     middle = 4 * luma * (1 - luma)
     dark, light = middle * (1 - luma), middle * luma
     return _stacked([display[..., k] + dark * shadows[k] + light * highlights[k] for k in range(3)])
@@ -125,6 +129,7 @@ def tone_curve(values: Array, points: Sequence[tuple[float, float]]) -> Array:
     if len(x) < 2 or (np.diff(x) < MIN_CURVE_STEP).any():
         line = f"at least two points from left to right, {MIN_CURVE_STEP:g} apart"
         raise ValueError(f"look: expected a curve of {line}, got {list(points)}")
+    # Plain splines overshoot, and a tone curve that turns back swaps tones.
     slopes = _monotone_slopes(x, y)
     out = values * 0 + float(y[0])
     for k in range(len(x) - 1):  # each piece adds its own rise: outside its interval t is 0 or 1
@@ -235,12 +240,14 @@ def apply_to_sh(sh: np.ndarray, function: Callable[[np.ndarray], np.ndarray], sp
     def in_space(colors: np.ndarray) -> np.ndarray:
         return srgb_to_linear(function(linear_to_srgb(colors))) if space == "linear" else function(colors)
 
+    # In pieces that fit the cache, shared among threads.
     pieces = [sh[start : start + GAUSSIANS_PER_PIECE] for start in range(0, len(sh), GAUSSIANS_PER_PIECE)]
     return np.concatenate(each(lambda piece: _graded(piece, in_space), pieces)) if pieces else sh
 
 
 @np.errstate(over="ignore", invalid="ignore")  # of Gaussians that cannot be drawn; in each thread
 def _graded(sh: np.ndarray, function: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    # The base colour goes through the function; differences are written, so that unchanged Gaussians keep their bits.
     base = np.clip(np.nan_to_num(base_color(sh)), 0, 1).astype(np.float32)
     new = function(base)
     change = (new - base) / np.float32(SH_C0)
@@ -248,6 +255,7 @@ def _graded(sh: np.ndarray, function: Callable[[np.ndarray], np.ndarray]) -> np.
     out[:, 0] = np.where(change != 0, sh[:, 0] + change, sh[:, 0])
     if sh.shape[1] > 1:
         slopes = []
+        # The other bands go through its Jacobian, by one-sided differences that stay inside 0..1.
         for channel in range(3):
             bright = base[:, channel] > 0.5
             step = np.where(bright, -JACOBIAN_STEP, JACOBIAN_STEP).astype(np.float32)  # stay inside 0..1
@@ -269,12 +277,14 @@ def shift_hues(colors: np.ndarray, band: HueBand) -> np.ndarray:
     high, low = np.maximum(np.maximum(red, green), blue), np.minimum(np.minimum(red, green), blue)
     chroma = high - low
     safe = np.where(chroma > 1e-6, chroma, 1)
+    # Hue by the hexagon of HSV, in sixths of a turn.
     sextant = np.where(
         high == red,
         (green - blue) / safe % 6,
         np.where(high == green, (blue - red) / safe + 2, (red - green) / safe + 4),
     )
     distance = np.abs((60 * sextant - band.hue + 180) % 360 - 180)
+    # A raised cosine: bands fade into each other without an edge.
     weight = np.where(distance < band.width, 0.5 + 0.5 * np.cos(np.pi * distance / band.width), 0)
     weight = weight * np.minimum(chroma / 0.05, 1)  # what is nearly grey has a hue by chance
     out = colors @ _hue_rotation(band.shift) if band.shift else colors
@@ -333,6 +343,8 @@ def _monotone_slopes(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """[K] slopes at the points: three-point means, limited to three times the smaller of the neighbouring secants."""
     secants = np.diff(y) / np.diff(x)
     slopes = np.concatenate([secants[:1], (secants[:-1] + secants[1:]) / 2, secants[-1:]])
+    # Fritsch and Carlson: where neighbouring secants differ in sign the slope is 0, else at most three times the
+    # smaller.
     left, right = np.concatenate([secants[:1], secants]), np.concatenate([secants, secants[-1:]])
     limit = 3 * np.minimum(np.abs(left), np.abs(right))
     return np.where(left * right <= 0, 0, np.clip(slopes, -limit, limit))

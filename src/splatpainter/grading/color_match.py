@@ -25,16 +25,28 @@ from splatpainter.splats import Splats
 
 ColorMap = Callable[[np.ndarray], np.ndarray]
 """[..., 3] display colours 0..1 -> the like."""
-NOISE = 4 / 255
-"""Standard deviation that is added to both distributions: a flat one has no spread that could be stretched."""
-MIN_ALPHA = 0.5
-"""Pixels of a reference picture with less alpha do not count."""
-MAX_PIXELS = 1 << 20
-"""Most pixels of a reference picture that are looked at; of larger ones every n-th row and column."""
-VIEW_COUNT, VIEW_PX = 24, 192
-"""Views around an asset that say what is seen of it, and the pixels of their sides."""
-MIN_LUMINANCE = 1e-3
-"""Least luminance of what is given a new colour, in linear light: black has no light and shade that could be kept."""
+
+
+@dataclass(frozen=True)
+class ColorMatchSettings:
+    """How an asset's colours are matched to those of a picture. Source: taste."""
+
+    noise: float = 4 / 255
+    """Standard deviation that is added to both distributions: a flat one has no spread that could be stretched."""
+    min_alpha: float = 0.5
+    """Pixels of a reference picture with less alpha do not count."""
+    max_pixels: int = 1 << 20
+    """Most pixels of a reference picture that are looked at; of larger ones every n-th row and column."""
+    views: int = 24
+    """Views around an asset that say what is seen of it."""
+    view_px: int = 192
+    """Pixels of their sides."""
+    min_luminance: float = 1e-3
+    """Least luminance of what is given a new colour, in linear light: black has no light and shade that could be
+    kept."""
+
+
+MATCHING = ColorMatchSettings()
 
 
 @dataclass(frozen=True)
@@ -44,9 +56,9 @@ class AffineMap:
     matrix: np.ndarray
     """[3, 3] from the right."""
     start: np.ndarray
-    """[3] mean of the colours before ..."""
+    """[3] mean of the colours before the match."""
     end: np.ndarray
-    """... and after."""
+    """[3] mean of the colours after it."""
 
     def __call__(self, colors: np.ndarray) -> np.ndarray:
         matrix, start, end = (values.astype(np.float32) for values in (self.matrix, self.start, self.end))
@@ -77,13 +89,17 @@ class ColorMatch:
     def fit(self, colors: np.ndarray, weights: np.ndarray) -> AffineMap:
         """colors: [N, 3] display colours of what is to change, weights: [N] how much each of them counts.
         Raises ValueError: nothing of the picture is opaque."""
-        step = max(1, int(np.ceil((self.picture.colors.shape[0] * self.picture.colors.shape[1] / MAX_PIXELS) ** 0.5)))
+        step = max(
+            1, int(np.ceil((self.picture.colors.shape[0] * self.picture.colors.shape[1] / MATCHING.max_pixels) ** 0.5))
+        )
+        # Statistics of a million pixels are those of fifty million.
         pixels = self.picture.colors[::step, ::step].reshape(-1, 3)
         alpha = self.picture.alpha
         share = np.ones(len(pixels)) if alpha is None else alpha[::step, ::step].reshape(-1).astype(np.float64)
-        share[share < MIN_ALPHA] = 0
+        share[share < MATCHING.min_alpha] = 0
         if not share.sum() > 0:
             raise ValueError(f"{self.name}: expected a reference picture of which something is opaque")
+        # What the asset shows against what the picture shows.
         mean, covariance = statistics(colors, weights)
         target_mean, target_covariance = statistics(pixels, share)
         return AffineMap(monge_kantorovitch(covariance, target_covariance), mean, target_mean)
@@ -101,9 +117,10 @@ class Recolor:
 
     def fit(self, colors: np.ndarray, weights: np.ndarray) -> NewColor:
         """As ColorMatch.fit. Raises ValueError: what is to change is black."""
+        # Shade is luminance over its mean; the new colour takes the place of that mean.
         light = luminance(srgb_to_linear(colors.clip(0, 1).astype(np.float64)))
         mean = float((light * weights).sum() / max(weights.sum(), 1e-12))
-        if mean < MIN_LUMINANCE:
+        if mean < MATCHING.min_luminance:
             raise ValueError("recolor: expected something brighter than black; raise its exposure first")
         return NewColor(self.target, mean)
 
@@ -120,8 +137,9 @@ def statistics(colors: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def monge_kantorovitch(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """[3, 3] symmetric: the linear map from a covariance to another, each with NOISE added."""
-    noise = NOISE**2 * np.eye(3)
+    """[3, 3] symmetric: the linear map from a covariance to another, each with MATCHING.noise added."""
+    noise = MATCHING.noise**2 * np.eye(3)
+    # The closed form of the optimal map between two Gaussians; noise keeps flat ones invertible.
     root = _power(source + noise, 0.5)
     inverse = _power(source + noise, -0.5)
     return inverse @ _power(root @ (target + noise) @ root, 0.5) @ inverse
@@ -141,13 +159,17 @@ def display_colors(splats: Splats) -> np.ndarray:
 
 
 def seen_weights(splats: Splats) -> np.ndarray:
-    """[N] float64 pixels that show each Gaussian in VIEW_COUNT views from all around."""
+    """[N] float64 pixels that show each Gaussian in MATCHING.views views from all around."""
     from splatpainter.rendering.cpu.projected_view import project
 
+    # Views from all around say how much of each Gaussian anybody sees.
     center, radius = bounding_sphere(splats)
     weights = np.zeros(len(splats))
-    black, everywhere = np.zeros((VIEW_PX, VIEW_PX, 3), np.float32), np.ones((VIEW_PX, VIEW_PX), np.float32)
-    for camera in spherical_cameras(center, 3.2 * radius, VIEW_COUNT, size=VIEW_PX):
+    black, everywhere = (
+        np.zeros((MATCHING.view_px, MATCHING.view_px, 3), np.float32),
+        np.ones((MATCHING.view_px, MATCHING.view_px), np.float32),
+    )
+    for camera in spherical_cameras(center, 3.2 * radius, MATCHING.views, size=MATCHING.view_px):
         view = project(splats, camera.local)
         weights[view.gaussian_ids] += view.backproject(black, everywhere).weight
     return weights

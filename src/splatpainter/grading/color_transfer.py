@@ -36,6 +36,7 @@ def transfer_parameters(
     """(parameters of a layer, the pictures that it has to keep). name: of the file that it came from, for people."""
     shared = {"name": name[:200], "strength": float(strength), "space": space}
     if isinstance(function, CubeLut):
+        # A project stores blobs by their hash; parameters only name it.
         png = function.to_png()
         return {"look": LUT, TABLE: files.sha256(png), **shared}, [png]
     if isinstance(function, AffineMap):
@@ -102,6 +103,7 @@ def _numbers(parameters: Mapping[str, Any], name: str, shape: tuple[int, ...]) -
         numbers = np.asarray(value, np.float64)
     except (TypeError, ValueError, OverflowError):
         numbers = np.zeros(0)
+    # True and "1" convert to numbers; they are not meant as such.
     flat = [value] if not isinstance(value, list) else np.ravel(np.array(value, object)).tolist()
     if numbers.shape != shape or any(isinstance(one, bool | str) for one in flat):
         raise ValueError(f"look: expected {name} of {list(shape) or 'one number'}, got {ascii(value)[:60]}")

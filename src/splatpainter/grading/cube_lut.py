@@ -59,6 +59,7 @@ class CubeLut:
     def __call__(self, colors: np.ndarray) -> np.ndarray:
         out = np.asarray(colors, np.float32)
         if self.shaper is not None:
+            # Resolve's order: the 1D table shapes what the 3D table reads.
             out = _shaped(_position(out, self.shaper_domain, len(self.shaper)), self.shaper)
         if self.cube is not None:
             flat = _position(out, self.cube_domain, len(self.cube)).reshape(-1, 3)
@@ -79,6 +80,7 @@ class CubeLut:
     def from_png(png: bytes, name: str) -> CubeLut:
         """The inverse. Raises ValueError naming `name`."""
         try:
+            # A project may come from anywhere: its tables are checked as a file's are.
             data = bytes_of_png(png, HEAD_BYTES + 12 * (MAX_1D_SIZE + MAX_3D_SIZE**3))
             if data[:4] != MAGIC:
                 raise ValueError("it is another picture")
@@ -118,6 +120,7 @@ def parse_cube(text: str, where: Path | str) -> CubeLut:
     header: dict[str, tuple[float, ...]] = {}
     table = np.zeros((0, 3), np.float32)
     count = limit = 0
+    # Line by line, so that every error names its line.
     for number, raw in enumerate(io.StringIO(text), 1):
         at = f"{where}:{number}"
         line = raw.split("#", 1)[0].strip()
@@ -126,6 +129,7 @@ def parse_cube(text: str, where: Path | str) -> CubeLut:
                 raise ValueError(f"{at}: expected at most {MAX_OTHER_LINES} lines that are no entries")
             continue
         keyword = line.split(None, 1)[0].upper()
+        # Numbers never begin with a letter; unknown keywords are errors, as they may change what entries mean.
         if keyword[0].isalpha():
             if count:
                 raise ValueError(f"{at}: expected keywords before the entries, got {_quoted(keyword)}")
@@ -139,6 +143,7 @@ def parse_cube(text: str, where: Path | str) -> CubeLut:
             )
             raise ValueError(f"{at}: expected {expected}, got {_quoted(line)}")
         if not count:
+            # Allocated at the first entry, when its size has been judged.
             table = np.empty((limit, 3), np.float32)
         table[count] = _numbers(line.split(), 3, at)
         count += 1
@@ -225,6 +230,7 @@ def _tetrahedral(position: np.ndarray, cube: np.ndarray) -> np.ndarray:
     first, to its last corner."""
     first = np.minimum(position.astype(np.int64), len(cube) - 2)
     share = position - first
+    # Six tetrahedra a cell: walking along the largest share first stays inside the right one.
     order = np.argsort(-share, axis=1, kind="stable")
     corner = first.copy()
     each = np.arange(len(corner))

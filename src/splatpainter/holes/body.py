@@ -6,9 +6,9 @@ ground on which it stands. Pure.
 Gaussians are gathered into small pieces of surface of one place, direction and colour. Neighbouring pieces hang
 together the better, the more their colours and normals agree: over a contact ring, where a thing stands on the ground,
 hardly. A random walk over them (Grady, "Random walks for image segmentation", 2006) that may end anywhere, more rarely
-where nothing is selected (SELECTED_SHARE), has from all of one body about the same chance to end at the selection: the
-body is what lies above the level of chances that cuts the fewest links. A strip of ground within a lasso is not of it,
-as it hangs together with all the ground around.
+where nothing is selected (BODY.selected_share), has from all of one body about the same chance to end at the selection:
+the body is what lies above the level of chances that cuts the fewest links. A strip of ground within a lasso is not of
+it, as it hangs together with all the ground around.
 """
 
 from __future__ import annotations
@@ -24,44 +24,61 @@ from splatpainter.splats import Splats
 from splatpainter.transforms import quat_to_matrix
 from splatpainter.voxels.neighbours import joined_labels
 
-PIECE_CELLS = 1.5
-"""Edge of the cubes in which Gaussians are gathered, in distances between neighbours, ..."""
-MAX_PIECES, COARSER = 60_000, 1.5
-"""... and the factor by which it grows while there are more pieces than this."""
-REACH_RADII = 3.0
-"""Radius around what is selected within which a body lies, in radii of what is selected."""
-FAR = 0.9
-"""Share of it beyond which all is ground."""
-RADIUS_QUANTILE = 0.98
-"""Of the distances of what is selected from its middle: strays beside."""
-END_CHANCE = 3e-3
-"""How strongly a selected piece is of the body, where an edge between equal neighbours is 1."""
-SELECTED_SHARE = 0.2
-"""How strongly one that is not selected is of the ground, over that."""
-COLOR_DISTANCE = 0.04
-"""Distance in OKLab over which neighbours come apart."""
-SQUARED_SINE = 0.05
-"""Squared sine of the angle between normals over which they do."""
-LEAST_LINK = 1e-5
-"""Of neighbours, whatever they look like."""
-COLOR_STEPS = 3
-"""Parts of each channel's range; pieces have Gaussians of one."""
-MAX_STEPS, MAX_RESIDUAL_SHARE = 400, 1e-5
-"""Steps of conjugate gradients, and the share of the first residual at which they end."""
-LEVELS, LEVEL_SHARES = 60, (0.4, 0.8)
-"""Chances that are tried as the least of a body, and between which shares of the largest one they lie: ..."""
-TOP_QUANTILE = 0.9
-"""... this quantile of those of what is selected. Specks of a colour of their own have larger ones."""
-MAX_CRUMB_SHARE = 0.05
-"""Gaussians, over those of the body, up to which a part of it by itself is none, and a part of what is left is body."""
-MIN_SELECTED_SHARE = 0.12
-"""Share of its Gaussians by which a body is selected, at least: a spot on a pot is not the pot."""
-MAX_CUT = 0.02
-"""Links between a body and what is left over those within it, up to which it is one (a lemon on a board: 0.003); above,
-the cut runs through a surface (a spot on the board: 0.09)."""
-MAX_EVENNESS = 0.7
-"""Mean agreement of the normals along the cut, up to which it is one (a lemon: 0.38); above, it is a painted figure (of
-the pot: 0.97)."""
+
+@dataclass(frozen=True)
+class BodyThresholds:
+    """Which Gaussians hang together with what is selected. Measured on a lemon on a board and on spots of a pot where
+    an entry says so, else taste."""
+
+    piece_cells: float = 1.5
+    """Edge of the cubes in which Gaussians are gathered at first, in distances between neighbours."""
+    max_pieces: int = 60_000
+    """Pieces, at most."""
+    coarser: float = 1.5
+    """Factor by which the cubes' edge grows while there are more pieces than that."""
+    reach_radii: float = 3.0
+    """Radius around what is selected within which a body lies, in radii of what is selected."""
+    far_share: float = 0.9
+    """Share of it beyond which all is ground."""
+    radius_quantile: float = 0.98
+    """Quantile of the distances of what is selected from its middle that is its radius: strays lie outside."""
+    end_chance: float = 3e-3
+    """How strongly a selected piece is of the body, where an edge between equal neighbours is 1."""
+    selected_share: float = 0.2
+    """How strongly one that is not selected is of the ground, over that."""
+    color_distance: float = 0.04
+    """Distance in OKLab over which neighbours come apart."""
+    squared_sine: float = 0.05
+    """Squared sine of the angle between normals over which they do."""
+    least_link: float = 1e-5
+    """Of neighbours, whatever they look like."""
+    color_steps: int = 3
+    """Parts of each channel's range; pieces have Gaussians of one."""
+    max_steps: int = 400
+    """Steps of conjugate gradients, at most."""
+    max_residual_share: float = 1e-5
+    """Share of the first residual at which they end."""
+    levels: int = 60
+    """Chances that are tried as the least of a body."""
+    level_shares: tuple[float, float] = (0.4, 0.8)
+    """Those chances lie between these shares of the largest one."""
+    top_quantile: float = 0.9
+    """Quantile of the chances of what is selected that counts as the largest one. Specks of a colour of their own have
+    larger ones."""
+    max_crumb_share: float = 0.05
+    """Gaussians, over those of the body, up to which a part of it by itself is none, and a part of what is left is
+    body."""
+    min_selected_share: float = 0.12
+    """Share of its Gaussians by which a body is selected, at least: a spot on a pot is not the pot."""
+    max_cut: float = 0.02
+    """Links between a body and what is left over those within it, up to which it is one (a lemon on a board: 0.003);
+    above, the cut runs through a surface (a spot on the board: 0.09)."""
+    max_evenness: float = 0.7
+    """Mean agreement of the normals along the cut, up to which it is one (a lemon: 0.38); above, it is a painted figure
+    (of the pot: 0.97)."""
+
+
+BODY = BodyThresholds()
 
 
 def body_of(splats: Splats, selected: np.ndarray) -> np.ndarray | None:
@@ -72,31 +89,37 @@ def body_of(splats: Splats, selected: np.ndarray) -> np.ndarray | None:
     if not len(seeds):
         return None
     means = splats.means.astype(np.float64)
+    # Only what is near enough can be of the body: a walk over a whole capture would take minutes.
     middle = np.median(means[seeds], axis=0)
-    reach = REACH_RADII * float(np.quantile(np.linalg.norm(means[seeds] - middle, axis=1), RADIUS_QUANTILE))
+    reach = BODY.reach_radii * float(np.quantile(np.linalg.norm(means[seeds] - middle, axis=1), BODY.radius_quantile))
     away = np.linalg.norm(means - middle, axis=1)
     ids = np.flatnonzero(visible & ((away < reach) | selected))
-    edge = PIECE_CELLS * cell_of(splats, seeds)
+    edge = BODY.piece_cells * cell_of(splats, seeds)
+    # Pieces, not Gaussians: tens of thousands of nodes whatever the asset has.
     pieces = _Pieces.of(splats, ids, edge)
-    while len(pieces.counts) > MAX_PIECES:
-        edge *= COARSER
+    while len(pieces.counts) > BODY.max_pieces:
+        edge *= BODY.coarser
         pieces = _Pieces.of(splats, ids, edge)
+    # The walk: it starts anywhere and ends where something is selected, rarely elsewhere, surely far away.
     one, two, links, evenness = pieces.links()
     chosen = pieces.mean(selected[ids].astype(np.float64))
-    beyond = pieces.mean((away[ids] > FAR * reach).astype(np.float64)) > 0.5
-    ends = END_CHANCE * (chosen + SELECTED_SHARE * (1 - chosen)) + beyond
-    chances = _walked(one, two, links, END_CHANCE * chosen, ends)
-    most = float(np.quantile(chances[pieces.piece][selected[ids]], TOP_QUANTILE))
+    beyond = pieces.mean((away[ids] > BODY.far_share * reach).astype(np.float64)) > 0.5
+    ends = BODY.end_chance * (chosen + BODY.selected_share * (1 - chosen)) + beyond
+    chances = _walked(one, two, links, BODY.end_chance * chosen, ends)
+    # The cut: the level of chances at which the fewest links are cut for what lies within.
+    most = float(np.quantile(chances[pieces.piece][selected[ids]], BODY.top_quantile))
     is_body = _swept(one, two, links, np.where(beyond, 0, chances), most)
     is_body = _without_crumbs(one, two, is_body, pieces.counts)
+    # Doubts: a cut through a surface, or along a painted figure, is no body's border.
     crossing = is_body[one] != is_body[two]
     inner = is_body[one] & is_body[two]
-    if not is_body.any() or float(links[crossing].sum()) > MAX_CUT * float(links[inner].sum()):
+    if not is_body.any() or float(links[crossing].sum()) > BODY.max_cut * float(links[inner].sum()):
         return None
-    if crossing.any() and float(evenness[crossing].mean()) > MAX_EVENNESS:
+    if crossing.any() and float(evenness[crossing].mean()) > BODY.max_evenness:
         return None
+    # A small part of the body under the lasso was meant as that part.
     within = is_body[pieces.piece]
-    if selected[ids][within].mean() < MIN_SELECTED_SHARE:
+    if selected[ids][within].mean() < BODY.min_selected_share:
         return None
     body = np.zeros(len(splats), bool)
     body[ids] = within | _enclosed(means[ids], pieces, (one, two), is_body, beyond)
@@ -134,11 +157,13 @@ class _Pieces:
         axes = quat_to_matrix(splats.quats[ids].astype(np.float64))
         x, y, z = axes[np.arange(len(ids)), :, scales.argmin(1)].T
         root = np.sqrt(2)
+        # Normals have no sign, so their outer products are averaged; six numbers hold them.
         outer = np.stack([x * x, y * y, z * z, root * x * y, root * x * z, root * y * z], 1)
         colors = to_display(np.clip(base_color(splats.sh[ids]), 0, 1), splats.color_space)
-        step = np.minimum((colors * COLOR_STEPS).astype(np.int64), COLOR_STEPS - 1)
+        step = np.minimum((colors * BODY.color_steps).astype(np.int64), BODY.color_steps - 1)
         cells = np.floor((means - means.min(0)) / edge).astype(np.int64)
         facing = np.abs(np.stack([x, y, z], 1)).argmax(1)
+        # One piece is one place, one direction and one colour, so a corner or a colour edge never lies within one.
         keys = np.concatenate([cells, facing[:, None], step], 1)
         _, first, piece, counts = np.unique(keys, axis=0, return_index=True, return_inverse=True, return_counts=True)
         piece = piece.ravel()
@@ -159,6 +184,7 @@ class _Pieces:
         order = np.argsort(keys, kind="stable")
         ordered = keys[order]
         ones, twos = [], []
+        # Half of the 26 neighbours and the cube itself: each pair once.
         for x in (0, 1):
             for y in (-1, 0, 1) if x else (0, 1):
                 for z in (-1, 0, 1) if x or y else (0, 1):
@@ -172,17 +198,19 @@ class _Pieces:
                     ones.append(one[different])
                     twos.append(two[different])
         one, two = np.concatenate(ones), np.concatenate(twos)
-        away = ((self.colors[one] - self.colors[two]) ** 2).sum(1) / COLOR_DISTANCE**2
+        away = ((self.colors[one] - self.colors[two]) ** 2).sum(1) / BODY.color_distance**2
         cosine = (self.normals[one] * self.normals[two]).sum(1)  # squared; less where normals scatter
+        # Against the scatter of normals in each piece: fog must not count as a crease.
         even = np.sqrt((self.normals[one] ** 2).sum(1) * (self.normals[two] ** 2).sum(1))
-        evenness = portable.exp(-np.clip(even - cosine, 0, 1) / SQUARED_SINE)
-        return one, two, np.maximum(portable.exp(-away) * evenness, LEAST_LINK), evenness
+        evenness = portable.exp(-np.clip(even - cosine, 0, 1) / BODY.squared_sine)
+        return one, two, np.maximum(portable.exp(-away) * evenness, BODY.least_link), evenness
 
 
 def _walked(one: np.ndarray, two: np.ndarray, links: np.ndarray, source: np.ndarray, ends: np.ndarray) -> np.ndarray:
     """[P] chance that a walk from each piece ends at what is selected: (L + diag(ends)) p = source, L the Laplacian of
     the links. By conjugate gradients."""
     count = len(ends)
+    # The system is symmetric and diagonally dominant; conjugate gradients with its diagonal as preconditioner.
     diagonal = ends + np.bincount(one, links, count) + np.bincount(two, links, count)
 
     def product(p: np.ndarray) -> np.ndarray:
@@ -193,8 +221,8 @@ def _walked(one: np.ndarray, two: np.ndarray, links: np.ndarray, source: np.ndar
     direction = residual / diagonal
     energy = float((residual * direction).sum())
     start = energy
-    for _ in range(MAX_STEPS):
-        if energy <= MAX_RESIDUAL_SHARE**2 * start or energy == 0:
+    for _ in range(BODY.max_steps):
+        if energy <= BODY.max_residual_share**2 * start or energy == 0:
             break
         image = product(direction)
         length = energy / float((direction * image).sum())
@@ -209,10 +237,10 @@ def _walked(one: np.ndarray, two: np.ndarray, links: np.ndarray, source: np.ndar
 def _swept(one: np.ndarray, two: np.ndarray, links: np.ndarray, chances: np.ndarray, most: float) -> np.ndarray:
     """[P] bool: pieces with the largest chances, as many as give the least cut for what is within (as Andersen, Chung,
     Lang, "Local graph partitioning using PageRank vectors", 2006)."""
-    levels = np.linspace(*LEVEL_SHARES, LEVELS) * most
+    levels = np.linspace(*BODY.level_shares, BODY.levels) * most
     low, high = (np.searchsorted(levels, f(chances[one], chances[two]), "left") for f in (np.minimum, np.maximum))
     # A piece is within at levels below its chance: an edge is cut at those between its ends.
-    begins, ends = (np.bincount(of, links, LEVELS + 1)[:LEVELS] for of in (low, high))
+    begins, ends = (np.bincount(of, links, BODY.levels + 1)[: BODY.levels] for of in (low, high))
     cut = np.cumsum(begins - ends)
     within = 2 * links.sum() - np.cumsum(begins + ends)
     return chances > levels[int((cut / np.maximum(within, 1e-30)).argmin())]
@@ -223,9 +251,10 @@ def _without_crumbs(one: np.ndarray, two: np.ndarray, is_body: np.ndarray, count
     Gaussians of each piece."""
     for side in (True, False):
         same = (is_body[one] == side) & (is_body[two] == side)
+        # First crumbs of the body go to the ground, then crumbs of the ground that only it touches to the body.
         labels = joined_labels(len(counts), one[same], two[same])
         sizes = np.bincount(labels, counts, len(counts))
-        limit = MAX_CRUMB_SHARE * (sizes[labels[is_body]].max(initial=0) if side else counts[is_body].sum())
+        limit = BODY.max_crumb_share * (sizes[labels[is_body]].max(initial=0) if side else counts[is_body].sum())
         touching = np.zeros(len(counts), bool)
         crossing = is_body[one] != is_body[two]
         touching[labels[one[crossing]]], touching[labels[two[crossing]]] = True, True
@@ -238,6 +267,7 @@ def _enclosed(
     means: np.ndarray, pieces: _Pieces, edges: tuple[np.ndarray, np.ndarray], is_body: np.ndarray, beyond: np.ndarray
 ) -> np.ndarray:
     """[G] bool: what hangs together with nothing else, within the body's box: the inner side of a hollow one."""
+    # A hollow body's inner side touches nothing outside: it would be left hanging in the air.
     labels = joined_labels(len(pieces.counts), *edges)
     elsewhere = np.zeros(len(labels), bool)
     elsewhere[labels[is_body | beyond]] = True

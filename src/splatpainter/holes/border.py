@@ -12,28 +12,35 @@ from splatpainter.splats import Splats
 from splatpainter.transforms import quat_to_matrix
 from splatpainter.voxels.neighbours import components, nearest_within
 
-MIN_OPACITY = 0.05
-"""Least opacity of a Gaussian that borders a hole."""
-MIN_BORDER = 12
-"""Gaussians of a border."""
-CELL_WIDTHS = 1 / 0.6
-"""Distance between neighbours in widths sqrt(s0 s1) of Gaussians that cover a surface."""
-REACH_CELLS = 2.5
-"""Distance to what was removed up to which Gaussians border it, in cells."""
-MAX_GROWTHS = 4
-"""Times that this distance doubles where there are too few of them."""
-LINK_CELLS = 3.0
-"""Edge of the cubes in which the Gaussians of one border hang together, in cells."""
-MAX_BORDERS = 8
-"""Parts of a border that are looked at, the largest first: an object may touch several things."""
-MIN_BORDER_SHARE = 0.08
-"""Gaussians of a part beside those of the largest one: smaller parts are crumbs."""
-MIN_ALIGNED = 0.6
-"""Share of the normals' second moment along one axis, from which that axis is the normal of a border; below, it is that
-along which the border extends least: around a stump normals point everywhere."""
 
-MIN_FLATNESS = 0.2
-"""Mean of 1 - shortest / middle axis, from which Gaussians have normals."""
+@dataclass(frozen=True)
+class BorderThresholds:
+    """Which Gaussians border what was removed. Source: taste, tried on bodies removed from captures."""
+
+    min_opacity: float = 0.05
+    """Least opacity of a Gaussian that borders a hole."""
+    min_gaussians: int = 12
+    """Gaussians of a border."""
+    cell_widths: float = 1 / 0.6
+    """Distance between neighbours in widths sqrt(s0 s1) of Gaussians that cover a surface."""
+    reach_cells: float = 2.5
+    """Distance to what was removed up to which Gaussians border it, in cells."""
+    max_growths: int = 4
+    """Times that this distance doubles where there are too few of them."""
+    link_cells: float = 3.0
+    """Edge of the cubes in which the Gaussians of one border hang together, in cells."""
+    max_borders: int = 8
+    """Parts of a border that are looked at, the largest first: an object may touch several things."""
+    min_border_share: float = 0.08
+    """Gaussians of a part beside those of the largest one: smaller parts are crumbs."""
+    min_aligned: float = 0.6
+    """Share of the normals' second moment along one axis, from which that axis is the normal of a border; below, it is
+    that along which the border extends least: around a stump normals point everywhere."""
+    min_flatness: float = 0.2
+    """Mean of 1 - shortest / middle axis, from which Gaussians have normals."""
+
+
+BORDER = BorderThresholds()
 
 
 @dataclass(frozen=True)
@@ -58,14 +65,15 @@ class Border:
 
 def borders_of(splats: Splats, remaining: np.ndarray, candidates: np.ndarray) -> list[Border]:
     """The connected parts, the largest first, of candidates ([N] bool) among what remains ([N] bool)."""
-    ids = np.flatnonzero(candidates & remaining & splats.drawable & (splats.opacities >= MIN_OPACITY))
-    if len(ids) < MIN_BORDER:
+    ids = np.flatnonzero(candidates & remaining & splats.drawable & (splats.opacities >= BORDER.min_opacity))
+    if len(ids) < BORDER.min_gaussians:
         return []
     cell = cell_of(splats, ids)
-    labels = components(splats.means[ids], LINK_CELLS * cell)
+    # An object may have stood on several things: each connected part is a border by itself.
+    labels = components(splats.means[ids], BORDER.link_cells * cell)
     counts = np.bincount(labels)
-    order = np.argsort(-counts, kind="stable")[:MAX_BORDERS]
-    least = max(MIN_BORDER, MIN_BORDER_SHARE * counts.max())
+    order = np.argsort(-counts, kind="stable")[: BORDER.max_borders]
+    least = max(BORDER.min_gaussians, BORDER.min_border_share * counts.max())
     parts = [ids[labels == label] for label in order if counts[label] >= least]
     return [_border(splats, part) for part in parts]
 
@@ -73,16 +81,17 @@ def borders_of(splats: Splats, remaining: np.ndarray, candidates: np.ndarray) ->
 def bordering_gaussians(splats: Splats, remaining: np.ndarray, removed: np.ndarray) -> np.ndarray:
     """[N] bool: what remains near to what was removed ([N] bool)."""
     out = np.zeros(len(splats), bool)
-    gone, rest = np.flatnonzero(removed), np.flatnonzero(remaining & (splats.opacities >= MIN_OPACITY))
+    gone, rest = np.flatnonzero(removed), np.flatnonzero(remaining & (splats.opacities >= BORDER.min_opacity))
     if not len(gone) or not len(rest):
         return out
-    radius = REACH_CELLS * cell_of(splats, gone)
-    for _ in range(MAX_GROWTHS):
+    # Grow until there are neighbours: an object may have stood a little above its ground.
+    radius = BORDER.reach_cells * cell_of(splats, gone)
+    for _ in range(BORDER.max_growths):
         _, distance = nearest_within(splats.means[gone], splats.means[rest], radius)
         near = rest[np.isfinite(distance)]
-        if len(near) >= MIN_BORDER:
+        if len(near) >= BORDER.min_gaussians:
             # Neighbours may be coarser than what was removed, or finer.
-            least = REACH_CELLS * min(cell_of(splats, near), 4 * radius / REACH_CELLS)
+            least = BORDER.reach_cells * min(cell_of(splats, near), 4 * radius / BORDER.reach_cells)
             if least > radius:
                 _, distance = nearest_within(splats.means[gone], splats.means[rest], least)
                 near = rest[np.isfinite(distance)]
@@ -95,25 +104,28 @@ def bordering_gaussians(splats: Splats, remaining: np.ndarray, removed: np.ndarr
 def cell_of(splats: Splats, ids: np.ndarray) -> float:
     """Distance between neighbours among some Gaussians, world units, by their median width."""
     scales = np.sort(splats.scales[ids].astype(np.float64), 1)
-    return max(float(np.median(np.sqrt(scales[:, 1] * scales[:, 2]))) * CELL_WIDTHS, 1e-9)
+    return max(float(np.median(np.sqrt(scales[:, 1] * scales[:, 2]))) * BORDER.cell_widths, 1e-9)
 
 
 def _border(splats: Splats, ids: np.ndarray) -> Border:
     means, scales = splats.means[ids].astype(np.float64), splats.scales[ids]
     axes = quat_to_matrix(splats.quats[ids].astype(np.float64))
     thin = axes[np.arange(len(ids)), :, scales.argmin(1)]
+    # The middle of the box: the mean would lean to where the border is denser.
     center = (means.min(0) + means.max(0)) / 2
     offsets = means - means.mean(0)
     extents, directions = np.linalg.eigh(offsets.T @ offsets)
+    # Two candidates for the normal: what the Gaussians' own normals agree on, and the border's shortest extent.
     shares, normals = np.linalg.eigh(thin.T @ thin / len(ids))
     ordered = np.sort(scales, 1)
-    if float((1 - ordered[:, 0] / ordered[:, 1]).mean()) < MIN_FLATNESS:  # round ones have no normal
+    if float((1 - ordered[:, 0] / ordered[:, 1]).mean()) < BORDER.min_flatness:  # round ones have no normal
         aligned, normal = True, directions[:, 0]
     else:
-        aligned = bool(shares[2] >= MIN_ALIGNED)
+        aligned = bool(shares[2] >= BORDER.min_aligned)
         normal = normals[:, 2] if aligned else directions[:, 0]
     across = directions[:, int(extents.argmax())]
     across = across - (across @ normal) * normal
+    # A border without extent across the normal: any direction will do.
     if np.linalg.norm(across) < 1e-3:
         across = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
     across /= np.linalg.norm(across)

@@ -14,37 +14,54 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.color import sh_from_color
-from splatpainter.holes.border import MIN_BORDER, Border, bordering_gaussians, borders_of
-from splatpainter.holes.chart import CELL_PX, Chart, chart_of
+from splatpainter.holes.border import BORDER, Border, bordering_gaussians, borders_of
+from splatpainter.holes.chart import CHART, Chart, chart_of
 from splatpainter.holes.smooth_surface import ThinPlate, sphere_heights
 from splatpainter.holes.texture import complete
 from splatpainter.lift.colors import lift_colors, recolor
 from splatpainter.lift.masks import dilated
-from splatpainter.lift.sheets.sheet import CELL_WIDTH, SHEET_OPACITY, pixel_gaussians
+from splatpainter.lift.sheets.sheet import SHEET, pixel_gaussians
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import Splats
 
-MAX_STRETCH = 2.0
-"""Largest stretch of a Gaussian along a slanted surface."""
-MAX_GAUSSIANS_PER_CELL = 3
-"""Gaussians that share a cell where it is steeper."""
-BAND_SHARE, MIN_BAND_PX, MAX_BAND_PX = 0.35, 6, 28
-"""Width of the strip of shell whose heights are continued: in square roots of the hole's area, pixels."""
-NOISE_CELLS = 0.25
-"""Deviation of a border's heights from a smooth surface that is expected, in cells."""
-MIN_WALL_CELLS = 2.0
-"""Distance between two shells from which a wall has two sides, each filled by itself; ..."""
-MIN_PAINTED_WALL_CELLS, MIN_WALL_CONTRAST = 0.4, 0.04
-"""... or, where the sides show colours that differ so much, from this distance."""
-COLOR_ROUNDS = 6
-MAX_COMPENSATION = 0.08
-"""Largest change of a colour channel, by which a Gaussian may differ from the picture where it lies."""
-RIM_PX, SOFT_RIM_PX = 1, 4
-"""Pixels by which the new Gaussians reach under the border."""
-PERSPECTIVE_ROUNDS = 3
-"""Heights are functions of place, and a pixel's place depends on its depth: so often one is set by the other."""
-SLOPE_LIMIT = 4.0
-"""Steepest slope of the continued surface in its chart."""
+
+@dataclass(frozen=True)
+class HoleFillThresholds:
+    """New Gaussians over a hole. Source: taste, tried on bodies removed from captures."""
+
+    max_stretch: float = 2.0
+    """Largest stretch of a Gaussian along a slanted surface."""
+    max_gaussians_per_cell: int = 3
+    """Gaussians that share a cell where it is steeper."""
+    band_share: float = 0.35
+    """Width of the strip of shell whose heights are continued, in square roots of the hole's area."""
+    min_band_px: int = 6
+    """The least width of that strip, pixels."""
+    max_band_px: int = 28
+    """The largest width of that strip, pixels."""
+    noise_cells: float = 0.25
+    """Deviation of a border's heights from a smooth surface that is expected, in cells."""
+    min_wall_cells: float = 2.0
+    """Distance between two shells, in cells, from which a wall has two sides, each filled by itself."""
+    min_painted_wall_cells: float = 0.4
+    """The same where both sides show different colours."""
+    min_wall_contrast: float = 0.04
+    """Difference of colours, 0..1, from which they are different."""
+    color_rounds: int = 6
+    """Colour rounds in which the new Gaussians take the filled picture's colours."""
+    max_compensation: float = 0.08
+    """Largest change of a colour channel, by which a Gaussian may differ from the picture where it lies."""
+    rim_px: int = 1
+    """Pixels by which the new Gaussians reach under the border."""
+    soft_rim_px: int = 4
+    """The same where the border is soft."""
+    perspective_rounds: int = 3
+    """Heights are functions of place, and a pixel's place depends on its depth: so often one is set by the other."""
+    slope_limit: float = 4.0
+    """Steepest slope of the continued surface in its chart."""
+
+
+FILLING = HoleFillThresholds()
 
 
 Picture = tuple[Camera, np.ndarray, np.ndarray]
@@ -62,9 +79,9 @@ class Filled:
     coarse: bool
     """Whether a hole was so large that its Gaussians are coarser than their neighbours."""
     camera: Camera | None = None
-    """Camera that faces the largest hole, ..."""
+    """Camera that faces the largest hole."""
     size_px: float = 0.0
-    """... which is so wide in it, pixels."""
+    """Width of that hole in it, pixels."""
     reason: str = ""
     """Why nothing was filled."""
 
@@ -93,17 +110,19 @@ def fill_hole(splats: Splats, *, removed: np.ndarray | None = None, around: np.n
         remaining = visible & ~removed
         candidates = bordering_gaussians(splats, remaining, removed)
     else:
+        # Either something was removed, and its neighbours are the border; or the border itself was circled.
         remaining, candidates = visible, np.zeros(len(splats), bool) if around is None else around & visible
         if not candidates.any():
             raise ValueError("fill: nothing is selected; circle the hole, with some of the asset around it")
     borders = borders_of(splats, remaining, candidates)
-    if not borders and removed is not None and remaining.sum() >= MIN_BORDER:
+    if not borders and removed is not None and remaining.sum() >= BORDER.min_gaussians:
         return _unfilled(splats, "what was removed touched nothing")
     if not borders:
         raise ValueError("fill: expected a border of at least 12 Gaussians around the hole; nothing is left there")
     pieces: list[Splats] = []
     cameras: list[Camera] = []
     seen, coarse = False, False
+    # Every border has up to two sides, and each side with a hole gets its own Gaussians.
     for border in borders:
         charts = _charts(splats, remaining, removed, border)
         seen |= bool(charts)
@@ -112,8 +131,9 @@ def fill_hole(splats: Splats, *, removed: np.ndarray | None = None, around: np.n
             if len(piece):
                 pieces.append(piece)
                 cameras.append(chart.camera)
-                coarse |= chart.pixel * CELL_PX > 1.5 * border.cell
+                coarse |= chart.pixel * CHART.cell_px > 1.5 * border.cell
     if not pieces:
+        # Nothing was filled: say why, as an error where a hole was named, as a note where something was removed.
         loose = "what surrounds the hole is not a surface that can be continued (fog, or loose Gaussians)"
         closed = "the surface is closed behind it"
         if removed is not None:
@@ -122,6 +142,7 @@ def fill_hole(splats: Splats, *, removed: np.ndarray | None = None, around: np.n
     appended = pieces[0]
     for piece in pieces[1:]:
         appended = appended.append(piece)
+    # The camera of the largest hole is what a source or a person gets to see.
     largest = int(np.argmax([len(piece) for piece in pieces]))
     camera = cameras[largest]
     pixels, _ = camera.project(pieces[largest].means)
@@ -145,6 +166,7 @@ def _charts(splats: Splats, remaining: np.ndarray, removed: np.ndarray | None, b
 
 def _is_other(front: Chart, back: Chart, border: Border) -> bool:
     """Whether two sides of a border show two shells, the sides of a wall, and not one from both sides."""
+    # Compare both shells around the hole: how far apart, and how different in colour.
     near = dilated(front.hole, 4) & front.shell
     if not near.any() or not back.shell.any():
         return False
@@ -160,49 +182,55 @@ def _is_other(front: Chart, back: Chart, border: Border) -> bool:
     gap = float(np.median((z[inside] - back.depth[v, u])[seen_behind])) / border.cell
     colors = np.abs(front.picture[ys[inside], xs[inside]] - back.picture[v, u])[seen_behind]
     contrast = float(np.median(colors.mean(1)))
-    return gap > MIN_WALL_CELLS or (gap > MIN_PAINTED_WALL_CELLS and contrast > MIN_WALL_CONTRAST)
+    return gap > FILLING.min_wall_cells or (
+        gap > FILLING.min_painted_wall_cells and contrast > FILLING.min_wall_contrast
+    )
 
 
 def _filled(splats: Splats, chart: Chart, border: Border) -> Splats:
     """New Gaussians in a chart's hole."""
     none = replace(splats.take(np.zeros(0, np.int64)), source=None, origin=None)
-    hole = dilated(chart.hole, RIM_PX) | (dilated(chart.hole, SOFT_RIM_PX) & ~chart.clean & chart.shell)
-    ys, xs = np.nonzero(_cells(hole, CELL_PX))
-    pixels = (np.stack([xs, ys], 1) + 0.5) * CELL_PX
+    # Under the rim too, farther where the border is soft: no gap between old and new.
+    hole = dilated(chart.hole, FILLING.rim_px) | (dilated(chart.hole, FILLING.soft_rim_px) & ~chart.clean & chart.shell)
+    ys, xs = np.nonzero(_cells(hole, CHART.cell_px))
+    pixels = (np.stack([xs, ys], 1) + 0.5) * CHART.cell_px
     if not len(pixels):
         return none
+    # Geometry first: a smooth continuation of the border, as dense as its neighbours.
     depth, normals = _continued(chart, border, pixels)
     camera = chart.camera
     rays = camera.sight_lines(pixels)
     facing = -(rays * normals).sum(1) / np.linalg.norm(rays, axis=1)
-    stretch = np.clip(1 / np.maximum(facing, 1e-3), 1, MAX_STRETCH * MAX_GAUSSIANS_PER_CELL)
-    count = np.clip(np.ceil(stretch / MAX_STRETCH), 1, MAX_GAUSSIANS_PER_CELL).astype(np.int64)
+    stretch = np.clip(1 / np.maximum(facing, 1e-3), 1, FILLING.max_stretch * FILLING.max_gaussians_per_cell)
+    count = np.clip(np.ceil(stretch / FILLING.max_stretch), 1, FILLING.max_gaussians_per_cell).astype(np.int64)
     source = np.repeat(np.arange(len(pixels)), count)
     turn = np.arange(len(source)) - np.repeat(np.cumsum(count) - count, count)
     shift = (turn + 0.5) / count[source] - 0.5
-    sizes = np.full(len(source), float(CELL_PX))
+    sizes = np.full(len(source), float(CHART.cell_px))
     geometry = pixel_gaussians(
         camera,
         pixels[source],
         depth[source],
         normals[source],
-        CELL_WIDTH * sizes,
+        SHEET.cell_width * sizes,
         sizes,
         stretch[source],
         count[source],
         shift,
     )
+    # Colours second: texture continued in the chart, then the Gaussians fitted to that picture.
     target = complete(chart.picture, chart.shell, chart.clean, hole)
-    colors = _means(target, CELL_PX)[ys, xs][source]
+    colors = _means(target, CHART.cell_px)[ys, xs][source]
     sh = np.zeros((len(source), *splats.sh.shape[1:]), np.float32)
     sh[:, 0] = sh_from_color(colors)
     fresh = Splats(
         geometry.means.astype(np.float32),
         geometry.quats.astype(np.float32),
         geometry.scales.astype(np.float32),
-        np.full(len(source), SHEET_OPACITY, np.float32),
+        np.full(len(source), SHEET.opacity, np.float32),
         sh,
     )
+    # `append` brings the asset's SH degree, colour space and flags along.
     fresh = none.append(fresh)
     return painted(chart.splats, fresh, [(camera, target, hole)])
 
@@ -217,12 +245,12 @@ def painted(splats: Splats, appended: Splats, pictures: Sequence[Picture]) -> Sp
         chosen = editable[view.gaussian_ids]
         before = view.unclamped_colors
         target, weights = (np.ascontiguousarray(a, np.float32) for a in (picture, mask))
-        colors = lift_colors(view, target, weights, chosen, COLOR_ROUNDS)
+        colors = lift_colors(view, target, weights, chosen, FILLING.color_rounds)
         # What hangs before them, fog or the soft edge of the border, is not made up for by ever stronger colours.
         index = np.clip(np.floor(view.means2d).astype(int), 0, (camera.width - 1, camera.height - 1))
         target_colors = target[index[:, 1], index[:, 0]]
         bounded = (weights[index[:, 1], index[:, 0]] > 0)[:, None]
-        limited = np.clip(colors, target_colors - MAX_COMPENSATION, target_colors + MAX_COMPENSATION)
+        limited = np.clip(colors, target_colors - FILLING.max_compensation, target_colors + FILLING.max_compensation)
         colors = np.where(bounded, limited, colors)
         ids, sh = view.gaussian_ids[chosen], joined.sh.copy()
         sh[ids] = recolor(sh[ids], before[chosen], colors[chosen], 1.0)
@@ -234,16 +262,18 @@ def _continued(chart: Chart, border: Border, pixels: np.ndarray) -> tuple[np.nda
     """([P] z-depths, [P, 3] unit normals towards the camera, camera space) of the border's surface, continued."""
     camera = chart.camera
     area = int(chart.hole.sum())
-    band = int(np.clip(BAND_SHARE * np.sqrt(area), MIN_BAND_PX, MAX_BAND_PX))
+    # Only a strip around the hole says how it goes on: what is far away has other curves.
+    band = int(np.clip(FILLING.band_share * np.sqrt(area), FILLING.min_band_px, FILLING.max_band_px))
     ys, xs = np.nonzero(dilated(chart.hole, band) & chart.shell)
     z = chart.depth[ys, xs]
     rays = camera.sight_lines(np.stack([xs, ys], 1) + 0.5)
     points = rays * np.stack([z, z, -z], 1)  # heights grow towards the camera
     up = chart.normals[ys, xs] * (1, 1, -1)
-    noise = NOISE_CELLS * border.cell
+    noise = FILLING.noise_cells * border.cell
     slopes = camera.slopes(pixels)
     middle = float(np.median(z))
     queries = slopes * middle
+    # A sphere where it reaches over all of the hole (a ball, a bottle), else a plane; the plate takes the rest.
     is_sphere = sphere_heights(points, up, np.concatenate([points[:, :2], queries])) is not None
 
     def base(at: np.ndarray) -> np.ndarray:
@@ -256,14 +286,16 @@ def _continued(chart: Chart, border: Border, pixels: np.ndarray) -> tuple[np.nda
     def depth_at(at: np.ndarray) -> np.ndarray:
         return np.clip(-(base(at) + plate.at(at)), low, high)
 
+    # Pixel to place needs the depth, depth needs the place: a few rounds settle it.
     at = slopes * middle
-    for _ in range(PERSPECTIVE_ROUNDS):
+    for _ in range(FILLING.perspective_rounds):
         depth = depth_at(at)
         at = slopes * depth[:, None]
     depth = depth_at(at)
     h = border.cell
-    dx = np.clip((depth_at(at + (h, 0)) - depth) / h, -SLOPE_LIMIT, SLOPE_LIMIT)
-    dy = np.clip((depth_at(at + (0, h)) - depth) / h, -SLOPE_LIMIT, SLOPE_LIMIT)
+    # Normals from the continued surface itself, by differences of one cell.
+    dx = np.clip((depth_at(at + (h, 0)) - depth) / h, -FILLING.slope_limit, FILLING.slope_limit)
+    dy = np.clip((depth_at(at + (0, h)) - depth) / h, -FILLING.slope_limit, FILLING.slope_limit)
     normals = np.stack([dx, dy, -np.ones(len(dx))], 1)
     return depth, normals / np.linalg.norm(normals, axis=1, keepdims=True)
 

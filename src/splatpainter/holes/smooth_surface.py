@@ -11,15 +11,30 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-MAX_KNOTS = 500
-"""Values that a thin plate is fitted to; of more, so many are taken."""
-ROBUST_ROUNDS = 4
-"""Rounds of reweighting by residuals (Cauchy), after which outliers say little."""
-DISTANCES_PER_BLOCK = 1 << 22
-"""Distances in memory at a time."""
-COARSEST_PX = 6
-MEMBRANE_SWEEPS = 40
-"""Sweeps of a membrane on each level of its pyramid."""
+
+@dataclass(frozen=True)
+class SmoothSurfaceSettings:
+    """Thin plates and membranes over a hole. Source: taste."""
+
+    max_knots: int = 500
+    """Values that a thin plate is fitted to; of more, so many are taken."""
+    robust_rounds: int = 4
+    """Rounds of reweighting by residuals (Cauchy), after which outliers say little."""
+    distances_per_block: int = 1 << 22
+    """Distances in memory at a time."""
+    coarsest_px: int = 6
+    """Shorter side of the pyramid's last level, pixels."""
+    membrane_sweeps: int = 40
+    """Sweeps of a membrane on each level of its pyramid."""
+    max_condition: float = 1e6
+    """Largest condition number of the knots' linear functions: beyond it they lie on a line, and slopes across it are
+    open (the least are taken)."""
+    bending_weight: float = 1e-6
+    """Weight of the bending energy for each knot (lengths over the extent): noise is smoothed, slopes at the rim
+    stay."""
+
+
+SMOOTH = SmoothSurfaceSettings()
 
 
 @dataclass(frozen=True)
@@ -34,17 +49,19 @@ class ThinPlate:
     """Lengths are divided by it."""
 
     @staticmethod
-    def fit(points: np.ndarray, values: np.ndarray, noise: float, max_knots: int = MAX_KNOTS) -> ThinPlate:
+    def fit(points: np.ndarray, values: np.ndarray, noise: float, max_knots: int = SMOOTH.max_knots) -> ThinPlate:
         """points: [P, 2]; values: [P]; noise: expected deviation of a value, above which it counts for less."""
+        # Every n-th point: the system grows with the cube of its knots.
         take = np.linspace(0, len(points) - 1, min(len(points), max_knots)).round().astype(int)
         scale = max(float(np.ptp(points, axis=0).max()), 1e-12)
         knots, heights = points[take] / scale, values[take].astype(np.float64)
         kernel = _phi(_distances(knots, knots))
         ones = np.concatenate([np.ones((len(knots), 1)), knots], 1)
         weights, solved = np.ones(len(knots)), np.zeros(len(knots) + 3)
-        on_line = np.linalg.cond(ones) > MAX_CONDITION
-        for _ in range(ROBUST_ROUNDS):
-            stiff = np.diag(BENDING_WEIGHT * len(knots) / weights)
+        # Knots on a line leave the slope across it open; least squares takes none.
+        on_line = np.linalg.cond(ones) > SMOOTH.max_condition
+        for _ in range(SMOOTH.robust_rounds):
+            stiff = np.diag(SMOOTH.bending_weight * len(knots) / weights)
             system = np.block([[kernel + stiff, ones], [ones.T, np.zeros((3, 3))]])
             right = np.append(heights, np.zeros(3))
             solved = np.linalg.lstsq(system, right, rcond=1e-12)[0] if on_line else np.linalg.solve(system, right)
@@ -55,19 +72,13 @@ class ThinPlate:
     def at(self, points: np.ndarray) -> np.ndarray:
         """[Q] values at [Q, 2]."""
         out = np.empty(len(points))
-        step = max(DISTANCES_PER_BLOCK // max(len(self.knots), 1), 1)
+        step = max(SMOOTH.distances_per_block // max(len(self.knots), 1), 1)
+        # In blocks: all distances at once would not fit into memory.
         for start in range(0, len(points), step):
             part = points[start : start + step] / self.scale
             out[start : start + step] = _phi(_distances(part, self.knots)) @ self.weights[:-3]
             out[start : start + step] += self.weights[-3] + part @ self.weights[-2:]
         return out
-
-
-MAX_CONDITION = 1e6
-"""Largest condition number of the knots' linear functions: beyond it they lie on a line, and slopes across it are open
-(the least are taken)."""
-BENDING_WEIGHT = 1e-6
-"""Weight of the bending energy for each knot (lengths over the extent): noise is smoothed, slopes at the rim stay."""
 
 
 def _distances(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -84,6 +95,7 @@ def sphere_heights(points: np.ndarray, normals: np.ndarray, queries: np.ndarray)
     mean, mean_normal = points.mean(0), normals.mean(0)
     p = points - mean
     spread = (p * p).sum(1).mean()
+    # Algebraic sphere in closed form: normals and points together fix its curvature.
     u4 = 0.5 * (p * normals).sum(1).mean() / max(spread, 1e-300)
     u = mean_normal  # of the shifted points, whose mean is 0
     u0 = -u4 * spread
@@ -103,7 +115,8 @@ def membrane(values: np.ndarray, free: np.ndarray) -> np.ndarray:
     out = np.where(free[..., None], 0, values).astype(np.float64)
     if free.all():
         return out
-    if min(height, width) > COARSEST_PX:
+    # Coarse levels carry the tone across; sweeps at the fine one alone would need thousands.
+    if min(height, width) > SMOOTH.coarsest_px:
         pad = ((0, height % 2), (0, width % 2))
         fixed = np.pad(~free, pad).astype(np.float64)
         sums = _blocks(np.pad(out, (*pad, (0, 0))) * fixed[..., None])
@@ -114,7 +127,7 @@ def membrane(values: np.ndarray, free: np.ndarray) -> np.ndarray:
     else:
         out = np.where(free[..., None], values[~free].mean(0), out)
     counts = _neighbours(np.ones((height, width, 1)))
-    for _ in range(MEMBRANE_SWEEPS):
+    for _ in range(SMOOTH.membrane_sweeps):
         out = np.where(free[..., None], _neighbours(out) / counts, out)
     return out
 

@@ -8,32 +8,47 @@ blurred surroundings, which is added back.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from splatpainter.holes.smooth_surface import membrane
 
-PATCH_PX = 7
-"""Side of a patch, pixels, odd."""
-MIN_LEVEL_PX = 24
-"""Shorter side of the bounding box of a hole that is not halved again."""
-TONE_VOTE = 2.0 * PATCH_PX**2
+
+@dataclass(frozen=True)
+class TextureSettings:
+    """Patches that continue a texture (Wexler, Shechtman and Irani 2007; PatchMatch, Barnes et al. 2009). Source:
+    taste."""
+
+    patch_px: int = 7
+    """Side of a patch, pixels, odd."""
+    min_level_px: int = 24
+    """Shorter side of the bounding box of a hole that is not halved again."""
+    vote_spread_px: float = 1.2
+    """Standard deviation, pixels, of the weights of the patches over a pixel."""
+    last_vote_spread_px: float = 0.6
+    """The same in the last round, in which the middles of patches count for most: that keeps the grain."""
+    level_rounds: tuple[int, int] = (4, 14)
+    """Rounds of matching and voting: on all levels but the coarsest, on that."""
+    propagation_steps_px: tuple[int, int] = (1, 4)
+    """Pixels from which neighbours' matches are tried."""
+    tone_share: float = 0.35
+    """Width of the blur that makes the tone, in square roots of the hole's area."""
+    seed: int = 7
+    """Of the random numbers with which matches start: equal holes are filled alike."""
+    tone_copied: float = 0.6
+    """Share of the tone that is copied with patches; the rest is the membrane's."""
+    cleaning_px: int = 2
+    """Reach of the blur that replaces what is not clean."""
+    depth_weight_base: float = 1.3
+    """Each pixel deeper in the hole counts for so much less."""
+
+
+TEXTURE = TextureSettings()
+
+
+TONE_VOTE = 2.0 * TEXTURE.patch_px**2
 """Weight of the difference of tones beside those of a patch's pixels."""
-VOTE_SPREAD_PX, LAST_VOTE_SPREAD_PX = 1.2, 0.6
-"""Standard deviation, pixels, of the weights of the patches over a pixel; in the last round the middles of patches
-count for most, which keeps the grain."""
-LEVEL_ROUNDS = (4, 14)
-"""Rounds of matching and voting: on all levels but the coarsest, on that."""
-PROPAGATION_STEPS_PX = (1, 4)
-"""Pixels from which neighbours' matches are tried."""
-TONE_SHARE = 0.35
-"""Width of the blur that makes the tone, in square roots of the hole's area."""
-SEED = 7
-TONE_COPIED = 0.6
-"""Share of the tone that is copied with patches; the rest is the membrane's."""
-CLEANING_PX = 2
-"""Reach of the blur that replaces what is not clean."""
-DEPTH_WEIGHT_BASE = 1.3
-"""Each pixel deeper in the hole counts for so much less."""
 
 
 def complete(picture: np.ndarray, valid: np.ndarray, clean: np.ndarray, hole: np.ndarray) -> np.ndarray:
@@ -43,12 +58,14 @@ def complete(picture: np.ndarray, valid: np.ndarray, clean: np.ndarray, hole: np
     clean = clean & valid
     picture = np.clip(picture, 0, 1).astype(np.float32)
     if clean.any():
-        near = _blurred(picture, clean, CLEANING_PX)
+        # Soft borders show what is behind them: their colours are taken from clean neighbours.
+        near = _blurred(picture, clean, TEXTURE.cleaning_px)
         picture = np.where((valid & ~clean)[..., None], near, picture).astype(np.float32)
+    # Light and shade are continued smoothly, texture by patches; a part of the tone travels with the patches.
     tone = tone_of(picture, valid, hole)
-    base = (1 - TONE_COPIED) * tone
+    base = (1 - TEXTURE.tone_copied) * tone
     part = np.where(valid[..., None], picture - base, 0).astype(np.float32)
-    completed = base + _completed(part, tone, valid, hole, np.random.default_rng(SEED))
+    completed = base + _completed(part, tone, valid, hole, np.random.default_rng(TEXTURE.seed))
     out = picture.copy()
     out[hole] = np.clip(completed[hole], 0, 1)
     return out
@@ -66,7 +83,7 @@ def _blurred(picture: np.ndarray, weight: np.ndarray, width: int) -> np.ndarray:
 
 def tone_of(picture: np.ndarray, valid: np.ndarray, hole: np.ndarray) -> np.ndarray:
     """[H, W, 3] what is left of a picture without its texture; in the hole it is continued from the rim."""
-    width = max(int(TONE_SHARE * np.sqrt(hole.sum())), 2)
+    width = max(int(TEXTURE.tone_share * np.sqrt(hole.sum())), 2)
     valid = valid & ~hole
     return membrane(_blurred(picture, valid, width), ~valid)
 
@@ -88,15 +105,16 @@ def _completed(
     ys, xs = np.nonzero(hole)
     if not len(ys) or not _sources(valid).any():
         return np.where(valid[..., None], detail, 0)
+    # Coarse to fine: large structures are decided where a patch is as large as they are.
     smallest = min(np.ptp(ys), np.ptp(xs)) + 1
-    if smallest > MIN_LEVEL_PX and min(hole.shape) >= 6 * PATCH_PX:
+    if smallest > TEXTURE.min_level_px and min(hole.shape) >= 6 * TEXTURE.patch_px:
         coarse, coarse_valid = _halved(detail, valid)
         coarse_hole = _any_block(hole)
         below = _completed(coarse, _halved(tone, np.ones_like(valid))[0], coarse_valid & ~coarse_hole, coarse_hole, rng)
         first = below.repeat(2, 0).repeat(2, 1)[: hole.shape[0], : hole.shape[1]]
-        rounds = LEVEL_ROUNDS[0]
+        rounds = TEXTURE.level_rounds[0]
     else:
-        first, rounds = None, LEVEL_ROUNDS[1]
+        first, rounds = None, TEXTURE.level_rounds[1]
     out = np.where(valid[..., None], detail, 0).astype(np.float32)
     if first is None:  # from anywhere: patches that fit best between nothing and nothing are plain ones
         values = detail[valid]
@@ -110,10 +128,11 @@ def _matched(
     picture: np.ndarray, tone: np.ndarray, valid: np.ndarray, hole: np.ndarray, rounds: int, rng
 ) -> np.ndarray:
     height, width = hole.shape
-    half = PATCH_PX // 2
+    half = TEXTURE.patch_px // 2
     sources = np.flatnonzero(_sources(valid))
     if not len(sources):
         return picture
+    # Patches are named by the flat index of their middle: neighbours differ by 1 or by a row.
     allowed = np.zeros(height * width, bool)
     allowed[sources] = True
     # Patches that reach into the hole.
@@ -129,6 +148,7 @@ def _matched(
     flat = picture.reshape(-1, 3).copy()
     inside = hole.reshape(-1)
     confidence = _confidence(valid, hole)
+    # Pixels near the rim are surer than those in the middle, and count for more in a comparison.
     covered = confidence.reshape(-1)[centers[:, None] + offsets].astype(np.float32)
     covered *= len(offsets) / np.maximum(covered.sum(1, keepdims=True), 1e-6)
     trust = confidence.reshape(-1)[centers] + 1e-3
@@ -158,12 +178,14 @@ def _matched(
             match[better] = candidates[better]
             best[better] = score[better]
 
-        for jump in PROPAGATION_STEPS_PX if turn else (1, 4, 16):
+        # Propagation: what fits my neighbour, moved by as much, may fit me.
+        for jump in TEXTURE.propagation_steps_px if turn else (1, 4, 16):
             for step in (-jump, jump, -jump * width, jump * width):
                 neighbour = np.clip(centers + step, 0, height * width - 1)
                 neighbour_position = position[neighbour]
                 candidates = np.where(neighbour_position >= 0, match[np.maximum(neighbour_position, 0)] - step, match)
                 improve(np.clip(candidates, 0, height * width - 1))
+        # Random search around the best match, closer and closer, and once anywhere.
         radius = max(height, width) // 2
         while radius >= 1:
             dy = rng.integers(-radius, radius + 1, len(centers))
@@ -184,20 +206,23 @@ def _confidence(valid: np.ndarray, hole: np.ndarray) -> np.ndarray:
         inner = left.copy()
         for axis in (0, 1):
             inner &= _box(left.astype(np.float64), 1, axis) > 1 - 1e-9
-        out[left & ~inner] = max(DEPTH_WEIGHT_BASE**-depth, 1e-3)
+        out[left & ~inner] = max(TEXTURE.depth_weight_base**-depth, 1e-3)
         left = inner
     return out
 
 
 def _vote(flat, inside, centers, offsets, match, best, trust, last: bool) -> None:
     """Every pixel of the hole becomes the mean of what the patches over it say."""
+    # Weights relative to what matches usually reach on this texture.
     scale = max(float(np.quantile(best, 0.75)), 1e-9)
     quality = (np.exp(-best / (2 * scale)) + 1e-4) * trust
     sums, weights = np.zeros((len(flat), 3)), np.zeros(len(flat))
-    half = PATCH_PX // 2
+    half = TEXTURE.patch_px // 2
     for k, offset in enumerate(offsets):
-        dy, dx = k // PATCH_PX - half, k % PATCH_PX - half
-        share = quality * np.exp(-(dy * dy + dx * dx) / (2 * (LAST_VOTE_SPREAD_PX if last else VOTE_SPREAD_PX) ** 2))
+        dy, dx = k // TEXTURE.patch_px - half, k % TEXTURE.patch_px - half
+        share = quality * np.exp(
+            -(dy * dy + dx * dx) / (2 * (TEXTURE.last_vote_spread_px if last else TEXTURE.vote_spread_px) ** 2)
+        )
         weights += np.bincount(centers + offset, share, len(flat))
         for c in range(3):
             sums[:, c] += np.bincount(centers + offset, share * flat[match + offset, c], len(flat))
@@ -207,7 +232,7 @@ def _vote(flat, inside, centers, offsets, match, best, trust, last: bool) -> Non
 
 def _sources(valid: np.ndarray) -> np.ndarray:
     """[H, W] bool: middles of patches of which every pixel is valid."""
-    half = PATCH_PX // 2
+    half = TEXTURE.patch_px // 2
     out = valid.astype(np.float64)
     for axis in (0, 1):
         out = _box(out, half, axis)

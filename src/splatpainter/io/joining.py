@@ -20,6 +20,7 @@ from splatpainter.io.formats.glb import with_bands
 from splatpainter.io.formats.ply import PlyFile, settled_comments
 from splatpainter.io.formats.ply_container import TYPES, BinaryRows, Element, make_header
 from splatpainter.io.formats.splat import SplatFile
+from splatpainter.io.positions import offset_of
 from splatpainter.splats import ATTRIBUTES, Splats
 
 ROWS_STAND_ALONE = ("ply", "splat")
@@ -29,8 +30,13 @@ TYPE_NAMES = {code: next(name for name, c in TYPES.items() if c == code) for cod
 
 def concatenated(parts: Sequence[Splats]) -> Splats:
     """All Gaussians in order, without source, at the highest SH degree; bands that a part lacks are zeros. Flags are
-    those of the first."""
+    those of the first, and means relative to the offset of all, or to one amid them where they have several."""
     bands = max(part.sh.shape[1] for part in parts)
+    if len({part.offset for part in parts}) > 1:
+        offset = offset_of(
+            *(np.concatenate([getattr(part, name) for part in parts]) for name in ("world_means", "scales"))
+        )
+        parts = [part.relative_to(offset) for part in parts]
     columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ATTRIBUTES if name != "sh"}
     sh = np.concatenate([with_bands(part.sh, bands) for part in parts])
     return replace(parts[0], **columns, sh=sh, source=None, origin=None)
@@ -39,8 +45,8 @@ def concatenated(parts: Sequence[Splats]) -> Splats:
 def write_joined(path: Path, parts: Sequence[Splats]) -> None:
     """Write the rows of several assets into one file, in order, at the highest SH degree among them. The name says the
     format. A PLY has the properties of all parts, in the order in which they come first; where a part lacks one, its
-    rows have 0. Comments are those of the first part; other elements and trailing bytes are left out. Raises ValueError
-    as `io.write`."""
+    rows have 0; of two types of one property, such as float and double, the wider one. Comments are those of the first
+    part; other elements and trailing bytes are left out. Raises ValueError as `io.write`."""
     key = format_of_name(path)
     if key not in ROWS_STAND_ALONE:
         write(path, concatenated(parts))
@@ -49,6 +55,8 @@ def write_joined(path: Path, parts: Sequence[Splats]) -> None:
     records = []
     with tempfile.TemporaryDirectory() as folder:
         for part in parts:
+            if part.source is not None and part.source.splats.offset != part.offset:  # its file's rows cannot hold it
+                part = replace(part, source=None, origin=None)
             single = Path(folder) / f"part{path.suffix.lower()}"
             record = _written(single, replace(part, sh=with_bands(part.sh, bands)))
             if isinstance(record, PlyFile) and "f_dc_0" not in _vertex(record).names:  # colours as red, green, blue
@@ -86,10 +94,13 @@ def _vertex(record: PlyFile) -> Element:
 
 def _one_layout(records: Sequence[PlyFile]) -> list[np.ndarray]:
     """The rows of several PLY files as structured arrays of one type: float32 words keep their bits."""
-    layout: dict[str, str] = {}
+    layout: dict[str, np.dtype] = {}
     for record in records:
         for entry in _vertex(record).properties:
-            layout.setdefault(entry.name, "<" + entry.type)
+            kind = np.dtype("<" + entry.type)
+            before = layout.setdefault(entry.name, kind)
+            if before.kind == kind.kind and before.itemsize < kind.itemsize:
+                layout[entry.name] = kind
     out = []
     for record in records:
         rows = np.zeros(len(record.rows), np.dtype(list(layout.items())))

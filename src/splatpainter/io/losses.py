@@ -70,9 +70,9 @@ class Losses:
     color_cut_share: float = 0.0
     """Share whose base colour was cut to the range that came back."""
     color_range: tuple[float, float] = (0.0, 0.0)
-    """Base colours as they were, least and largest ..."""
+    """Least and largest base colour before the round trip."""
     color_range_after: tuple[float, float] = (0.0, 0.0)
-    """... and as they came back."""
+    """Least and largest base colour after it."""
     sh_largest: float = 0.0
     """Root mean square over directions of the error of a channel by SH above degree 0."""
     sh_rms: float = 0.0

@@ -93,19 +93,23 @@ class Kernel:
 
     def __init__(self, name: str):
         self.name = name
+        self._listed: dict[str, tuple[str, int]] = {}
+        """Its forms as the library lists them, by the letter of the dtype that tells them apart: most are not asked
+        for, and to read the signatures of all takes longer than a small edit's kernels."""
         self._forms: dict[str, _Form] = {}
         self._chooser = 0
 
     def __repr__(self) -> str:
         return f"<native kernel {self.name}>"
 
-    def add(self, signature: str, address: int) -> None:
-        form = _Form(signature, address)
-        floats = [(at, p.dtype.char) for at, p in enumerate(form.parameters) if p.dimensions and p.dtype.char in "fd"]
+    def add(self, signature: str, address: int, *, instead: bool = False) -> None:
+        """instead: of none; a form of that dtype that is there stays."""
+        floats = [(at, word[0]) for at, word in enumerate(signature.split()) if word[0] in "fd" and word[1] != "0"]
         self._chooser, char = floats[0] if floats else (0, "")
-        if char in self._forms:
+        if char not in self._listed:
+            self._listed[char] = signature, address
+        elif not instead:
             raise ValueError(f"kernel {self.name}: listed twice in native/")
-        self._forms[char] = form
 
     def bind(self, *arguments: Any) -> Callable[[int, int], None]:
         """The call of these arguments by (thread, threads). Arrays must be C-contiguous and of the kernel's dtypes and
@@ -135,16 +139,21 @@ class Kernel:
         self.bind(*arguments[:-2])(arguments[-2], arguments[-1])
 
     def _form(self, arguments: tuple[Any, ...]) -> _Form:
-        forms = self._forms
-        first = next(iter(forms.values()))
+        first = self._of_dtype(next(iter(self._listed)))
         if len(arguments) != len(first.parameters):
             raise TypeError(f"{self.name}: expected {len(first.parameters)} arguments, got {len(arguments)}")
-        if len(forms) == 1:
+        if len(self._listed) == 1:
             return first
         dtype = getattr(arguments[self._chooser], "dtype", None)
-        form = forms.get(getattr(dtype, "char", ""))
-        if form is None:
+        char = getattr(dtype, "char", "")
+        if char not in self._listed:
             raise TypeError(f"{self.name}: argument {self._chooser}: expected a float32 or float64 array, got {dtype}")
+        return self._of_dtype(char)
+
+    def _of_dtype(self, char: str) -> _Form:
+        form = self._forms.get(char)
+        if form is None:
+            form = self._forms[char] = _Form(*self._listed[char])
         return form
 
 
@@ -167,6 +176,10 @@ class Kernels:
         self._kernels: dict[str, Kernel] = {}
         for kernel, signature, address in _rows(targets[names.index(self.cpu)].tables):
             self._kernels.setdefault(kernel, Kernel(kernel)).add(signature, address)
+        # Forms that this kind lacks (FLOAT_FIRST in native/kernels.h) are those of the next one, with the same bits.
+        for target in targets[names.index(self.cpu) + 1 : len(names)]:
+            for kernel, signature, address in _rows(target.tables):
+                self._kernels[kernel].add(signature, address, instead=True)
 
     def __getattr__(self, name: str) -> Kernel:
         try:

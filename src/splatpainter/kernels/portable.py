@@ -71,8 +71,14 @@ def length(vector: np.ndarray) -> float:
 
 
 def hypot(x: Number, y: Number) -> Number:
-    """The root of x^2 + y^2."""
-    return np.sqrt(x * x + y * y)
+    """The root of x^2 + y^2; of numbers whose squares overflow, too."""
+    with np.errstate(all="ignore"):
+        out = np.sqrt(x * x + y * y)
+        if not np.isinf(out).any():
+            return out
+        largest = np.maximum(np.abs(x), np.abs(y))
+        scaled = largest * np.sqrt((x / largest) ** 2 + (y / largest) ** 2)
+    return np.where(np.isinf(out) & np.isfinite(largest), scaled, out)[()]
 
 
 def interp(x: Number, points: Sequence[float] | np.ndarray, values: Sequence[float] | np.ndarray) -> Any:

@@ -49,13 +49,17 @@ def lift_colors(
     out = view.colors.copy()
     if not rounds:
         return out
+    # A colour above the ceiling that the asset had already may stay: it is drawn, and pulling it down would show.
     first = out[editable]
     colors, ceiling = first, np.maximum(first, MAX_COLOR)
     towards = sirt_steps(view, target, weights, editable)
     total = towards.weight
     pull = np.zeros_like(total) if hold is None else hold[editable].astype(total.dtype)
+    # Where the mask shows nothing of a Gaussian its step is 0, so that it keeps its colour exactly.
     step = np.where(total > 0, relaxation / np.maximum(total + pull, 1e-6), 0).astype(colors.dtype)[:, None]
     for _ in range(rounds):
+        # The residual of all pixels at once: Gaussians that share a pixel share its error (Jacobi, not Gauss-Seidel),
+        # so the order of Gaussians has no part in the result.
         gain = towards.residual(colors)
         colors = np.clip(colors + step * (gain - pull[:, None] * (colors - first)), 0, ceiling)
     out[editable] = colors
@@ -76,6 +80,7 @@ def painted_sh(
     in `recolor`."""
     colors = lift_colors(view, target, np.ones(target.shape[:2], np.float32), editable, rounds, hold)
     before = view.unclamped_colors
+    # Compared with what is drawn (clamped at 0): a colour below 0 that stays below 0 has not moved.
     moved = editable & (row_max(np.abs(colors - np.maximum(before, 0))) > MIN_CHANGE)
     if not moved.any():
         return sh
@@ -92,11 +97,13 @@ def recolor(
 
     One view cannot know view dependence: bands above the first are kept, but scaled down to `damping` as the change
     approaches `full_change` (0..1), so that a repainted highlight does not shine through the paint from other sides."""
+    # The fraction of the old view dependence that stays falls with the size of the change.
     change = row_max(np.abs(target - before))  # [M]
     keep = (1 - (1 - damping) * np.clip(change / full_change, 0, 1))[:, None]  # [M, 1]
     constant = SH_C0 * sh[:, 0]
     varying = before - 0.5 - constant  # what bands >= 1 add towards this view
     out = sh * keep[..., None]
+    # The constant band takes what the kept bands do not give, so that this view shows the target exactly.
     out[:, 0] = (target - 0.5 - keep * varying) / SH_C0
     return out.astype(sh.dtype)
 
@@ -122,6 +129,7 @@ class SolidView:
         _, alpha, _ = projected.rasterize()
         use = (mask & (alpha > MIN_SOLID_ALPHA)).astype(np.float32)
         weight = np.zeros(len(splats), np.float32)
+        # The picture back-projected here does not matter: only the sums of weights are read.
         weight[projected.gaussian_ids] = projected.backproject(target, use).weight
         return SolidView(camera, target, use, weight, projected)
 
@@ -147,10 +155,12 @@ def joint_change(
     change = np.zeros((len(total), 3), np.float32)
     for _ in range(rounds):
         gain = np.zeros_like(change)
+        # Gains of all views are summed before the step, so that views that disagree meet in the middle, by weight.
         for now, view in zip(projected, views, strict=True):
             ids, before = now.gaussian_ids, now.unclamped_colors
             colors = np.clip(before + change[ids], 0, np.maximum(before, MAX_COLOR))
             gain_here = now.sirt_step(view.target, view.use, colors)[0]
+            # A view whose weight was set to 0 (it lost a conflict) says nothing about the Gaussian.
             gain[ids] += np.where(view.weight[ids, None] > 0, gain_here, 0)
         change += (gain - hold * change) / np.maximum(total + hold, 1e-6)[:, None]
         np.clip(change, -limit, limit, out=change)
@@ -167,6 +177,7 @@ def refine_colors_local(
     picture to reach: where nothing was edited it holds Gaussians that straddle the edit's edge; editable: [N] bool.
     Other Gaussians keep their bits."""
     for camera, target in pictures:
+        # Only tiles that editable Gaussians touch can change; a dab so costs milliseconds.
         tiles = project(splats, camera, gaussian_mask=editable).tiles_of(editable)
         view = project(splats, camera, tiles=tiles)
         sh = painted_sh(splats.sh, view, target, editable[view.gaussian_ids], rounds, LOCAL_DEFAULTS.damping)
@@ -179,6 +190,7 @@ def refine_colors_global(splats: Splats, views: Sequence[tuple[Camera, np.ndarra
     pixels that the asset covers by less than 0.9 do not count."""
     solid = [SolidView.of(splats, *view) for view in views]
     change = joint_change(solid, REFINE_ROUNDS, limit=np.inf)
+    # Small moves keep their bits, so that receipts name as few Gaussians as possible.
     moved = (total_weight(solid) > MIN_SEEN_PX) & (np.abs(change).max(1) > MIN_CHANGE)
     if not moved.any():
         return splats

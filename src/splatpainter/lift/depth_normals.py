@@ -3,6 +3,8 @@ normals of Gaussians: their shortest axes, turned to the side from which they ar
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from splatpainter.cameras import Camera, orbit
@@ -12,15 +14,23 @@ from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.splats import Splats
 from splatpainter.transforms import quat_to_matrix
 
-STOPPED_LIGHT = 0.4
-"""The surface is where this much of a pixel's light has been stopped: in front of the expected depth, so that little
-lies before it, but not on the first floater."""
-SMOOTHING_PX = 3
-"""Pixels around each one whose depths are averaged."""
-RING_VIEWS = 8
-"""Views around the asset that decide which side of a Gaussian is its outside."""
-RING_PX = 160
-"""Pixels of their edges."""
+
+@dataclass(frozen=True)
+class VisibleNormalThresholds:
+    """Where a view's surface is taken to be, and the ring of views that tells outside from inside. Source: taste."""
+
+    stopped_light: float = 0.4
+    """The surface is where this much of a pixel's light has been stopped: in front of the expected depth, so that
+    little lies before it, but not on the first floater."""
+    smoothing_px: int = 3
+    """Pixels around each one whose depths are averaged."""
+    ring_views: int = 8
+    """Views around the asset that decide which side of a Gaussian is its outside."""
+    ring_px: int = 160
+    """Pixels of their edges."""
+
+
+VISIBLE_NORMALS = VisibleNormalThresholds()
 
 
 def surface(view: ProjectedView, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -28,7 +38,7 @@ def surface(view: ProjectedView, pixels: np.ndarray) -> tuple[np.ndarray, np.nda
     weighs most in the pixel, -1 for none), for the given pixels ([H, W] bool) of drawn tiles."""
     shape = pixels.shape
     raw, host = np.zeros(shape, np.float32), np.full(shape, -1, np.int32)
-    chosen, share = np.ascontiguousarray(pixels), np.float32(STOPPED_LIGHT)
+    chosen, share = np.ascontiguousarray(pixels), np.float32(VISIBLE_NORMALS.stopped_light)
     run(
         kernels.find_stopping_depths,
         view.projected,
@@ -40,6 +50,7 @@ def surface(view: ProjectedView, pixels: np.ndarray) -> tuple[np.ndarray, np.nda
         raw,
         host,
     )
+    # Medians first take out single wrong depths at edges; means then smooth what is left without smearing those.
     medians, smooth = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
     run(kernels.take_depth_medians, raw, medians)
     run(kernels.take_depth_means, medians, smooth)
@@ -47,8 +58,8 @@ def surface(view: ProjectedView, pixels: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def surface_normals(depth: np.ndarray, ys: np.ndarray, xs: np.ndarray, camera: Camera) -> np.ndarray:
-    """[A, 3] unit normals in camera space of pixels, from depths [H, W] SMOOTHING_PX away; towards the camera where the
-    depth breaks."""
+    """[A, 3] unit normals in camera space of pixels, from depths [H, W] VISIBLE_NORMALS.smoothing_px away; towards the
+    camera where the depth breaks."""
     height, width = depth.shape
 
     def at(xs: np.ndarray, ys: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -59,11 +70,13 @@ def surface_normals(depth: np.ndarray, ys: np.ndarray, xs: np.ndarray, camera: C
         x0, x1 = np.clip(xs - dx, 0, width - 1), np.clip(xs + dx, 0, width - 1)
         z0, z1 = depth[y0, x0].astype(np.float64), depth[y1, x1].astype(np.float64)
         step = at(x1, y1, z1) - at(x0, y0, z0)
+        # Steeper than 2.5 to 1 is a break in depth: a difference across it says nothing of the surface.
         flat = np.abs(step[:, 1] if dy else step[:, 0])
         return step, (z0 > 0) & (z1 > 0) & (np.abs(step[:, 2]) < 2.5 * flat)
 
-    right, good_x = slope(0, SMOOTHING_PX)
-    down, good_y = slope(SMOOTHING_PX, 0)
+    right, good_x = slope(0, VISIBLE_NORMALS.smoothing_px)
+    down, good_y = slope(VISIBLE_NORMALS.smoothing_px, 0)
+    # Without a slope along an axis the surface counts as facing the camera along it.
     right[~good_x], down[~good_y] = (1, 0, 0), (0, 1, 0)
     normal = np.cross(right, down)
     return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
@@ -77,16 +90,28 @@ def outward_normals(splats: Splats) -> np.ndarray:
     if not drawable.all():
         return scattered(outward_normals(splats.take(drawable)), drawable)
     n = len(splats)
+    # The shortest axis is the normal, up to its sign: the views say which side is outside.
     normal = quat_to_matrix(splats.quats)[np.arange(n), :, splats.scales.argmin(1)]
+    # Median and quantile, not mean and maximum: floaters far away must not move the ring.
     center = np.median(splats.means, 0)
     radius = float(np.quantile(np.linalg.norm(splats.means - center, axis=1), 0.98))
     towards = 1e-3 * (splats.means - center) / max(radius, 1e-9)  # [N, 3] mean direction to the views that see it
-    shape = (RING_PX, RING_PX)
-    for k in range(RING_VIEWS):
+    shape = (VISIBLE_NORMALS.ring_px, VISIBLE_NORMALS.ring_px)
+    for k in range(VISIBLE_NORMALS.ring_views):
+        # From above and from below in turn, so that lids and undersides are seen as well.
         tilt = 35.0 if k % 2 else -20.0
-        start = 360.0 * k / RING_VIEWS
-        camera = orbit(center, 2.8 * radius, 1, elevation=tilt, start=start, width=RING_PX, height=RING_PX)[0]
+        start = 360.0 * k / VISIBLE_NORMALS.ring_views
+        camera = orbit(
+            center,
+            2.8 * radius,
+            1,
+            elevation=tilt,
+            start=start,
+            width=VISIBLE_NORMALS.ring_px,
+            height=VISIBLE_NORMALS.ring_px,
+        )[0]
         projected = project(splats, camera.local)
+        # How many pixels show each Gaussian, and how many would if nothing hid it.
         sums = projected.backproject(np.zeros((*shape, 3), np.float32), np.ones(shape, np.float32))
         away = camera.position.astype(np.float32) - splats.means[projected.gaussian_ids]
         # What shimmers through the far wall is seen from within.

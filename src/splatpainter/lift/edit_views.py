@@ -56,6 +56,8 @@ def edit_views(
     each; masks: [H, W] bool each."""
     splats, views = splats.numpy(), []
     for camera, picture, mask in zip(cameras, pictures, masks, strict=True):
+        # What the asset shows now, from the same camera: changes are differences to this, not to the file the user
+        # painted on.
         drawn = render(splats, camera)
         before = (drawn.colors[0], drawn.depths[0, ..., 0], drawn.alphas[0, ..., 0])
         views.append(EditView(camera, np.ascontiguousarray(picture, np.float32), np.asarray(mask, bool), *before))

@@ -26,7 +26,7 @@ from splatpainter.lift.local.wide_edit import lift_wide
 from splatpainter.lift.masks import median_change
 from splatpainter.lift.options import GLOBAL_DEFAULTS, LOCAL_DEFAULTS, GlobalOptions, LocalOptions, ResidualBase
 from splatpainter.lift.sheets.paint import PaintedView, is_fine, paint_view
-from splatpainter.lift.sheets.resurface import MIN_COVER
+from splatpainter.lift.sheets.resurface import RESURFACING
 from splatpainter.lift.sheets.rounding import rounded
 from splatpainter.lift.view_selection import ViewShare, view_shares, with_joint_colors
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
@@ -35,21 +35,29 @@ from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import SightEstimates
 from splatpainter.voxels.grid import VoxelGrid, voxelize
 
-HINT_ROUNDS = 4
-"""Colour rounds behind the features of base "own": a hint, and half of what a lift would cost."""
-MIN_REPAINTED = 0.08
-"""Median change of a view's colours, 0..1, from which it was repainted or regraded; less is detail. Beside a view of a
-whole asset (vase, chair) splitting gains 3 to 6 dB over `lift_wide` where it was repainted or strongly regraded, and
-loses 2 where it was warmed a little."""
-MIN_REPAINTED_FOLLOWED = 0.7
-"""Share of the change that the Gaussians can follow as they are (`Evidence.followed`) from which a view was repainted;
-less is detail, however strong. Eight training meshes fitted by 3DGS: graded, recoloured and inverted close-ups 0.75 to
-1.00 (splitting gains up to 4 dB in novel ones, less where the change is small), close-ups of the truth 0.09 to 0.63 (it
-loses 0.2 to 2.8), posterised ones 0.08 to 0.59 (+0.4 to -0.4)."""
-SAME_PART = 0.3
-"""Share of a view's Gaussians from which a later one counts as showing the same part. On 20 painted training meshes
-with 2 to 4 edited views, near them: 26.4 dB with a detail layer per view, 27.3 with one for the last; in the edited
-views 29.0 and 29.5."""
+
+@dataclass(frozen=True)
+class EditThresholds:
+    """Which way an edit takes. Measured where an entry says on what, else taste."""
+
+    hint_rounds: int = 4
+    """Colour rounds behind the features of base "own": a hint, and half of what a lift would cost."""
+    min_repainted: float = 0.08
+    """Median change of a view's colours, 0..1, from which it was repainted or regraded; less is detail. Beside a view
+    of a whole asset (vase, chair) splitting gains 3 to 6 dB over `lift_wide` where it was repainted or strongly
+    regraded, and loses 2 where it was warmed a little."""
+    min_repainted_followed: float = 0.7
+    """Share of the change that the Gaussians can follow as they are (`Evidence.followed`) from which a view was
+    repainted; less is detail, however strong. Eight training meshes fitted by 3DGS: graded, recoloured and inverted
+    close-ups 0.75 to 1.00 (splitting gains up to 4 dB in novel ones, less where the change is small), close-ups of the
+    truth 0.09 to 0.63 (it loses 0.2 to 2.8), posterised ones 0.08 to 0.59 (+0.4 to -0.4)."""
+    same_part: float = 0.3
+    """Share of a view's Gaussians from which a later one counts as showing the same part. On 20 painted training meshes
+    with 2 to 4 edited views, near them: 26.4 dB with a detail layer per view, 27.3 with one for the last; in the edited
+    views 29.0 and 29.5."""
+
+
+EDITS = EditThresholds()
 
 
 @dataclass(frozen=True)
@@ -99,6 +107,8 @@ def lift_local_views(
     original, on which sheets are laid (None: Gaussians are split, as networks know it); originals: how many of the N
     are the original's (default: all). Raises ValueError, naming the view, where an edit reaches no Gaussian."""
     if base == "lift":
+        # Whether the edit fills its pictures decides the way: a zoom-in or restyled view is detail, paint on a part is
+        # paint.
         close = surface is not None and options.resurface and all(is_wide(view.mask) for view in views)
         if close and not _all_repainted(splats, views, options, originals):
             lifted = _together(splats, views, options)
@@ -110,12 +120,13 @@ def lift_local_views(
             return lifted
         return replace(lifted, features=local_features(splats, lifted.splats, lifted.ids, lifted.parents, views))
     assert grid is not None
+    # Base "own": the network makes the edit; the lift only says which Gaussians may change, and hints at colours.
     reached = gaussians_in_views(splats, grid, views)
     ids = np.flatnonzero(reached)
     values = no_features(ids)
     if features:
         pictures = [(view.camera, view.target) for view in views]
-        painted = refine_colors_local(splats, pictures, reached, min(options.rounds, HINT_ROUNDS))
+        painted = refine_colors_local(splats, pictures, reached, min(options.rounds, EDITS.hint_rounds))
         values = local_features(splats, painted, ids, ids, views)
     return LiftedEdit(splats, ids, ids, values, detail=True)
 
@@ -133,6 +144,7 @@ def lift_global_views(
     """A global edit: all Gaussians that can be drawn. splats: numpy, N; features: as in `lift_local_views`; normals and
     predict: as in `lift_global`. Raises ValueError, naming the views, where they show no solid part of it."""
     ids = np.flatnonzero(splats.drawable)
+    # Nothing would read the lift then, and it is most of the time.
     if base == "own" and not features:
         return LiftedEdit(splats, ids, ids, no_features(ids))
     with errors_name(", ".join(dict.fromkeys(view.name for view in views))):
@@ -148,17 +160,23 @@ def _all_repainted(splats: Splats, views: Sequence[EditView], options: LocalOpti
     count = len(splats) if originals is None else originals
     for view in views:
         with errors_name(view.name):
-            painted = view.mask & (np.asarray(view.alpha) > MIN_COVER) if view.alpha is not None else view.mask
+            # Pixels that the asset hardly covers belong to the background, whatever was painted there.
+            painted = (
+                view.mask & (np.asarray(view.alpha) > RESURFACING.min_cover) if view.alpha is not None else view.mask
+            )
             alpha = np.ones(painted.shape, np.float32) if view.alpha is None else np.asarray(view.alpha)
-            if not painted.any() or median_change(view.edited, view.before, alpha) < MIN_REPAINTED:
+            # The cheapest test first; the dearer ones only where it passes.
+            if not painted.any() or median_change(view.edited, view.before, alpha) < EDITS.min_repainted:
                 return False
             projected = project(splats, view.camera, tiles=tiles_of_mask(painted))
             if not is_fine(
                 painted, gaussians_in_mask(splats, view.camera, painted, None, projected), count, count, options
             ):
                 return False
+            # Repainted means that Gaussians as they are can follow the change; detail finer than they are cannot be
+            # followed.
             change = np.where(painted[..., None], view.edited - view.before, 0)
-            if Evidence.of(projected, change, painted).followed < MIN_REPAINTED_FOLLOWED:
+            if Evidence.of(projected, change, painted).followed < EDITS.min_repainted_followed:
                 return False
     return True
 
@@ -175,7 +193,7 @@ def _one_after_the_other(
     splats: Splats, grid: VoxelGrid | None, views: Sequence[EditView], options: LocalOptions
 ) -> LiftedEdit:
     """Split Gaussians, each view on the result of those before, without features. A view gets no detail layer where a
-    later one shows the same part: from another side its Gaussians stand in the way (SAME_PART)."""
+    later one shows the same part: from another side its Gaussians stand in the way (EDITS.same_part)."""
     from splatpainter.voxels.raycast import editable_gaussians
 
     result = _PaintedSoFar.of(splats)
@@ -183,8 +201,10 @@ def _one_after_the_other(
     for k, view in enumerate(views):
         with errors_name(view.name):
             assert grid is not None
+            # Splitting moved and added Gaussians: who is visible from here is asked of what there is now.
             grid = grid if k == 0 else voxelize(result.splats, grid.resolution)
             allowed = editable_gaussians(grid, result.splats, view.camera, view.mask)
+            # max_error 1 switches the detail layer off.
             settings = replace(options, max_error=1.0) if again[k] else options
             at_hand = view.projected if k == 0 else None
             painted = paint_view(
@@ -223,6 +243,7 @@ def _on_surface(
     if len(views) == 1:
         view = views[0]
         return result.after(painted_by(view, view.mask, options, at_hand=view.projected)).lifted(len(splats))
+    # Which view paints which point of the surface is decided before anything is painted, on the asset as it is.
     shares = view_shares(splats, surface, views)
     settings = [replace(options, max_error=1.0) if again else options for again in _shown_again(splats, grid, views)]
     on_surface, limited = [np.zeros_like(view.mask) for view in views], [0.0] * len(views)
@@ -232,11 +253,14 @@ def _on_surface(
         try:
             painted = painted_by(view, share.painted, settings[k], sight=share.sight)
         except NothingPaintableError:
+            # A view that was left all its pixels and can paint none is the user's error; one that lost pixels to others
+            # is not.
             if np.array_equal(share.painted, view.mask):
                 raise
             limited[k] = float(share.painted.sum())  # what others left to it lies beyond its limits
             continue
         result, on_surface[k], limited[k] = result.after(painted), painted.on_surface, painted.limited
+    # A second pass for pixels that were given to a view which found no trusted surface there.
     for k, (view, share) in enumerate(zip(views, shares, strict=True)):
         bare = share.off_surface(on_surface)
         if not bare.any():
@@ -268,6 +292,7 @@ class _PaintedSoFar:
         """painted: made of these `splats`."""
         changed, replaced = self.changed.copy(), self.replaced.copy()
         changed[painted.touched], replaced[painted.replaced] = True, True
+        # Appended Gaussians are changed by definition, and took no old index.
         new = np.ones(len(painted.parents), bool)
         return _PaintedSoFar(
             painted.splats,
@@ -280,6 +305,7 @@ class _PaintedSoFar:
     def with_joint_colors(self, count: int, views: Sequence[EditView], shares: Sequence[ViewShare]) -> _PaintedSoFar:
         """count: N."""
         splats = with_joint_colors(self.splats, self.changed, views, shares)
+        # The joint colours are no longer rounded as new Gaussians are; project files count on it.
         new = np.flatnonzero(self.replaced | (np.arange(len(splats)) >= count))
         splats.sh[new] = rounded(splats.take(new)).sh
         return replace(self, splats=splats)
@@ -287,6 +313,7 @@ class _PaintedSoFar:
     def lifted(self, count: int) -> LiftedEdit:
         """count: N."""
         ids = np.flatnonzero(self.changed)
+        # Opacity 0 is how an index stays when its Gaussian goes: rows never move.
         empty = self.splats.opacities[:count] == 0
         removed = np.flatnonzero(self.changed[:count] & empty)
         taken = np.flatnonzero(self.replaced[:count] & ~empty)
@@ -296,11 +323,12 @@ class _PaintedSoFar:
 
 
 def _shown_again(splats: Splats, grid: VoxelGrid | None, views: Sequence[EditView]) -> list[bool]:
-    """For each view, whether a later one edits SAME_PART of the Gaussians that it edits."""
+    """For each view, whether a later one edits EDITS.same_part of the Gaussians that it edits."""
     if len(views) == 1:
         return [False]
     assert grid is not None
     parts = [gaussians_in_views(splats, grid, [view]) for view in views]
     return [
-        any((part & later).sum() > SAME_PART * part.sum() for later in parts[k + 1 :]) for k, part in enumerate(parts)
+        any((part & later).sum() > EDITS.same_part * part.sum() for later in parts[k + 1 :])
+        for k, part in enumerate(parts)
     ]

@@ -35,6 +35,7 @@ def local_features(
     axes = quat_to_matrix(np.ascontiguousarray(after.quats[ids]))
     normals = axes[np.arange(len(ids)), :, after.scales[ids].argmin(1)]
     towards = np.mean([view.camera.position for view in views], axis=0) - after.means[ids]
+    # An axis has no sign; the side towards the edited views is the one that they lit.
     normals = np.where((normals * towards).sum(1, keepdims=True) < 0, -normals, normals)
     parts = (_colors(before, parents), new, _seen(after, views)[ids, None], new, normals)
     return np.concatenate(parts, 1, dtype=np.float32)

@@ -62,7 +62,7 @@ def lift_global(
     drawable = splats.drawable
     normals = outward_normals(splats) if normals is None else normals
     if not drawable.all():  # a NaN would spread through the regression
-
+        # The caller's regression knows all N Gaussians; the recursion works on the drawable ones and translates.
         def predict_drawable(change: np.ndarray, weight: np.ndarray) -> np.ndarray:
             assert predict is not None
             return predict(scattered(change, drawable), scattered(weight, drawable))[drawable]
@@ -73,6 +73,7 @@ def lift_global(
         values = (part.confidence, part.seen, part.predicted, part.normals)
         return GlobalLift(replace(splats, sh=sh), *(scattered(value, drawable) for value in values))
     old = base_color(splats.sh)  # [N, 3]
+    # First what the views show: colours towards all of them at once, as a local lift does.
     solid = _solid_views(splats, views)
     weight = total_weight(solid)
     change = joint_change(solid, options.rounds)
@@ -81,23 +82,30 @@ def lift_global(
         raise ValueError(
             "edit: the views show no solid part of the asset (alpha above 0.9); check the cameras and masks"
         )
+    # Then what no view shows: the same change as a function of old colour and normal.
     features = regression_features(np.clip(old, 0, 1), normals)
     solution, inverse = ridge(features[seen], change[seen], weight[seen], options)
     # [N, 3] change of base colour
     predicted = portable.matmul(features, solution) if predict is None else predict(change, weight)
     if options.far_side:
+        # Light that came to the front went from the back; see GlobalOptions.far_side for when this is believed.
         predicted = predicted - _far_side(splats, solid, change, weight, options)
+    # What was seen replaces the prediction by degrees: a pixel's worth of sight is not yet certain.
     share = (weight / (weight + options.half_seen))[:, None]
+    # Colours outside the drawn range stay as far outside as they were, no farther.
     new = np.clip(old + predicted, np.minimum(old, 0), np.maximum(old, MAX_COLOR))
     sh = splats.sh.copy()
     sh[:, 0] = sh_from_color(new)
     if sh.shape[1] > 1:
+        # View dependence is turned by the derivative of the same map: a red light makes highlights red, too.
         sh[:, 1:] = portable.matmul(sh[:, 1:], color_matrices(features, solution).transpose(0, 2, 1))
     result = replace(splats, sh=sh.astype(splats.sh.dtype))
     if options.last_rounds:
+        # Last rounds start from the prediction, so that they only mend what the edited views still show wrong.
         projected = [project(result, view.camera) for view in solid]
         last = joint_change(solid, options.last_rounds, projected=projected, hold=options.hold)
         result.sh[:, 0] += last / SH_C0  # its own copy
+    # How far a Gaussian's features are from all that was seen (leverage of the regression): far ones are guesses.
     leverage = (portable.matmul(features, inverse.astype(np.float32)) * features).sum(1)
     typical = np.maximum(np.average(leverage[seen], weights=weight[seen]), 1e-12)
     certain = share[:, 0] + (1 - share[:, 0]) * 0.5 / (1 + leverage / (4 * typical))
@@ -139,6 +147,7 @@ def _far_side(
     low, high = options.unexplained
     unexplained = unexplained_by_color(0.5 + SH_C0 * splats.sh[seen, 0], change[seen], weight[seen], options)
     share = options.far_side * one_sided(splats, [view.camera for view in views])
+    # A change that is a function of colour is a look, and goes all around: nothing is taken back.
     share *= float(np.clip((unexplained - low) / (high - low), 0, 1))
     mean = np.average(change[seen], axis=0, weights=np.minimum(weight[seen], MAX_WEIGHT_PX))
     hidden = options.half_hidden_px / (weight + options.half_hidden_px)
@@ -147,6 +156,7 @@ def _far_side(
 
 def one_sided(splats: Splats, cameras: Sequence[Camera]) -> float:
     """0..1: 1 where all views come from one side of the asset, 0 where they surround it. splats: all drawable."""
+    # The mean of unit directions is long where all views come from one side, and 0 where they surround the asset.
     away = np.stack([camera.position for camera in cameras]) - np.median(splats.means, 0)
     lines = away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
     return float((lines.mean(0) ** 2).sum())
@@ -160,6 +170,7 @@ def unexplained_by_color(
     show each."""
     capped = np.minimum(weight, MAX_WEIGHT_PX).astype(np.float64)[:, None]
     r, g, b = np.clip(colors, 0, 1).astype(np.float64).T
+    # All quadratic monomials of the colour: enough for curves and crosstalk of common looks.
     terms = np.stack([np.ones_like(r), r, g, b, r * r, g * g, b * b, r * g, g * b, b * r], 1)
     gram = portable.gram(terms, capped[:, 0]) + options.ridge * capped.sum() * np.eye(10)
     solution = portable.solved(gram, portable.transposed_product(terms * capped, change))
@@ -172,12 +183,14 @@ def _solid_views(splats: Splats, views: Sequence[tuple[Camera, np.ndarray, np.nd
     solid: list[SolidView] = []
     decided = np.zeros(len(splats), bool)
     last = np.zeros((len(splats), 3), np.float32)  # the change that the latest view wants of each
+    # Latest first, so that what a later view decided stands when an earlier one is looked at.
     for camera, target, mask in reversed(views):
         view = SolidView.of(splats, camera, target, mask)
         ids = view.projected.gaussian_ids
         weight = view.weight[ids]
         gain, _ = view.projected.sirt_step(target, view.use, np.maximum(view.projected.unclamped_colors, 0))
         change = gain / np.maximum(weight, 1e-6)[:, None]
+        # Conflicts are judged by the change each view wants by itself, before any round mixes them.
         weight[decided[ids] & (np.abs(change - last[ids]).max(1) > MIN_CONFLICT_CHANGE)] = 0
         fresh = (weight > 1) & ~decided[ids]
         last[ids[fresh]], decided[ids[fresh]] = change[fresh], True
@@ -200,6 +213,7 @@ def ridge(
     """(solution [36, 3], inverse normal matrix [36, 36]) in float64. features: [S, 36]; change: [S, 3]; weight: [S]
     pixels that show each."""
     capped = np.minimum(weight, MAX_WEIGHT_PX).astype(np.float64)
+    # The four constant terms are held less: exposure and tint are common, direction is rarely sure.
     penalty = np.full(36, options.ridge_normals)
     penalty[:4] = options.ridge
     inverse = portable.solved(portable.gram(features, capped) + np.diag(penalty * capped.sum()), np.eye(36))

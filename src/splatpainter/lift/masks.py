@@ -2,39 +2,62 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-MAX_ROUNDING = 3.5 / 255
-"""Differences up to here are rounding."""
-MAX_NOISE = 24 / 255
-"""No picture is so noisy that larger differences are not edits."""
-MAX_LOSSLESS = 0.3 / 255
-"""Where a picture has detail, JPEG even of quality 100 leaves more than this at all but one pixel in twenty."""
-MAX_EXACT = 1.5 / 255
-"""Mean difference over 3 x 3 pixels up to which two pictures are one, decoded by two programs."""
-LOSS_REACH_PX, MAX_LOSS_LEVELS, MAX_EXACT_LOSS_LEVELS = 8, 3.0, 1.0
-"""Pixels around one in which the loss of an encoding is like its own: a block of JPEG. What is lost may exceed its mean
-level there by so much; where it is known pixel by pixel, by less."""
-MIN_LOSS, MIN_EXACT_LOSS = 0.5 / 255, 0.25
-"""Level of loss from which there is any, and share of those pixels that must be as expected for it to be known."""
-DETAIL_BINS = 8
-"""Levels of detail, each with its noise."""
+
+@dataclass(frozen=True)
+class MaskThresholds:
+    """When a pixel was edited, and when all of a picture was. In display values 0..1 unless said; measured on renders,
+    painted renders and their JPEG and WebP copies where an entry says so, else taste."""
+
+    max_rounding: float = 3.5 / 255
+    """Differences up to here are rounding."""
+    max_noise: float = 24 / 255
+    """No picture is so noisy that larger differences are not edits."""
+    max_lossless: float = 0.3 / 255
+    """Where a picture has detail, JPEG even of quality 100 leaves a larger difference than this at all but one pixel in
+    twenty."""
+    max_exact: float = 1.5 / 255
+    """Mean difference over 3 x 3 pixels up to which two pictures are one, decoded by two programs."""
+    loss_reach_px: int = 8
+    """Pixels around one in which the loss of an encoding is like its own: a block of JPEG."""
+    max_loss_levels: float = 3.0
+    """What is lost may exceed its mean level in that reach by this factor."""
+    max_exact_loss_levels: float = 1.0
+    """The same where the loss is known pixel by pixel."""
+    min_loss: float = 0.5 / 255
+    """Level of loss from which there is any."""
+    min_exact_loss: float = 0.25
+    """Share of those pixels that must be as expected for the loss to be known pixel by pixel."""
+    detail_bins: int = 8
+    """Levels of detail, each with its noise."""
+    min_upper_change: float = 3.5 / 255
+    """Upper quartile of the difference after averaging over 9 x 9 pixels: a faint drift of all colours is no detail."""
+    min_smooth_share: float = 0.6
+    """What averaging over 9 x 9 pixels leaves of the median difference, at least: noise averages out, other detail
+    less."""
+    min_smooth_share_large: float = 0.52
+    """The least share where the median difference is large."""
+    large_median_change: float = 4.4 / 255
+    """Median difference that counts as large: larger than JPEG's mostly is."""
+    rise: float = 1.1
+    """Detail is added where contrast, a mean over 9 x 9 pixels, is this many times what it was."""
+    min_risen_share: float = 0.75
+    """Share of the asset's pixels where detail is added, from which all of the picture was made anew. JPEG takes detail
+    away, or adds some to what is flat. Where the median difference is large, JPEG of quality 30 to 90 of renders and of
+    painted renders has at most 0.60, close-ups of the truth whose change averages out 0.94 and more."""
+    min_fine_share: float = 0.5
+    """What averaging over 3 x 3 pixels leaves of the median difference, where detail is added: of noise it leaves a
+    third."""
+
+
+MASKS = MaskThresholds()
+
+
 MIN_MEDIAN_CHANGE = 1.15 / 255
 """Median difference on the asset from which all of it may have changed; rounding leaves 0.7 / 255."""
-MIN_UPPER_CHANGE = 3.5 / 255
-"""Upper quartile of the difference after averaging over 9 x 9 pixels: a faint drift of all colours is no detail."""
-MIN_SMOOTH_SHARE = 0.6
-"""What averaging over 9 x 9 pixels leaves of the median difference, at least: noise averages out, other detail less."""
-MIN_SMOOTH_SHARE_LARGE, LARGE_MEDIAN_CHANGE = 0.52, 4.4 / 255
-"""The least share where the median difference is larger than JPEG's mostly is."""
-RISE, MIN_RISEN_SHARE = 1.1, 0.75
-"""Detail is added where contrast, a mean over 9 x 9 pixels, is RISE times what it was; and the share of the asset's
-pixels where it is, from which all of the picture was made anew. JPEG takes detail away, or adds some to what is flat.
-Where the median difference is large, JPEG of quality 30 to 90 of renders and of painted renders has at most 0.60,
-close-ups of the truth whose change averages out 0.94 and more."""
-MIN_FINE_SHARE = 0.5
-"""What averaging over 3 x 3 pixels leaves of the median difference, where detail is added: of noise it leaves a
-third."""
 
 
 def change_mask(edited: np.ndarray, render: np.ndarray) -> np.ndarray:
@@ -48,18 +71,25 @@ def change_mask(edited: np.ndarray, render: np.ndarray) -> np.ndarray:
     (10 % opaque) up to 5 %; of the other pixels up to 0.5 % were taken for edits, without an edit up to 0.1 %."""
     before = np.clip(render, 0, 1)
     signed = np.clip(edited, 0, 1) - before
+    # Exact zeros for what is rounding, so that lossless pictures have a noise of 0.
     signed[np.abs(signed) < 0.51 / 255] = 0  # what rounding to 8 bits leaves
     difference = largest_channel(np.abs(signed))
     near, detail = box_mean(difference, 1), contrast(before)
     detailed = detail > 0.5 / 255
-    if not detailed.any() or np.quantile(near[detailed], 0.05) <= MAX_LOSSLESS:
-        core = near > MAX_ROUNDING
+    # Lossless: where there is detail, some pixels agree exactly. JPEG leaves a little nearly everywhere.
+    if not detailed.any() or np.quantile(near[detailed], 0.05) <= MASKS.max_lossless:
+        core = near > MASKS.max_rounding
     else:
+        # JPEG: noise averages out over 5 x 5 pixels, an edit does not.
         shift = largest_channel(np.abs(box_mean(signed, 2)))
         noise = _noise(shift, box_mean(detail, 8))  # 17 x 17: the reach of JPEG's blocks
-        core = (shift > np.clip(MAX_ROUNDING + 6 * noise, MAX_ROUNDING, MAX_NOISE)) | (near > MAX_NOISE)
+        core = (shift > np.clip(MASKS.max_rounding + 6 * noise, MASKS.max_rounding, MASKS.max_noise)) | (
+            near > MASKS.max_noise
+        )
+    # Fewer than four set pixels of nine are a speck, not a stroke.
     core &= box_mean(core, 1) > 3.5 / 9
-    return (box_mean(core, 1) > 0.5 / 9) & (difference > MAX_ROUNDING)
+    # Grown by one pixel for the soft rim, but only where something differs at all.
+    return (box_mean(core, 1) > 0.5 / 9) & (difference > MASKS.max_rounding)
 
 
 def change_mask_beyond(edited: np.ndarray, render: np.ndarray, expected: np.ndarray) -> np.ndarray:
@@ -70,21 +100,27 @@ def change_mask_beyond(edited: np.ndarray, render: np.ndarray, expected: np.ndar
     much of the picture is exactly as expected, the loss is known, and fainter paint is told from it."""
     before, lossy = np.clip(render, 0, 1), np.clip(expected, 0, 1)
     picture = np.clip(edited, 0, 1)
-    level = box_mean(largest_channel(np.abs(box_mean(lossy - before, 2))), LOSS_REACH_PX)
+    # What the same loss did to the render says how much it may have done to the picture.
+    level = box_mean(largest_channel(np.abs(box_mean(lossy - before, 2))), MASKS.loss_reach_px)
     near = box_mean(largest_channel(np.abs(picture - lossy)), 1)
-    lost = level > MIN_LOSS
-    levels = MAX_LOSS_LEVELS if not lost.any() or exact_share(near, lost) < MIN_EXACT_LOSS else MAX_EXACT_LOSS_LEVELS
-    core = near > MAX_ROUNDING
+    lost = level > MASKS.min_loss
+    levels = (
+        MASKS.max_loss_levels
+        if not lost.any() or exact_share(near, lost) < MASKS.min_exact_loss
+        else MASKS.max_exact_loss_levels
+    )
+    core = near > MASKS.max_rounding
+    # Different from both: paint is neither what was rendered nor what the loss made of it.
     for base in (before, lossy):
-        core &= largest_channel(np.abs(box_mean(picture - base, 2))) > MAX_ROUNDING + levels * level
+        core &= largest_channel(np.abs(box_mean(picture - base, 2))) > MASKS.max_rounding + levels * level
     core &= box_mean(core, 1) > 3.5 / 9
-    return (box_mean(core, 1) > 0.5 / 9) & (largest_channel(np.abs(picture - before)) > MAX_ROUNDING)
+    return (box_mean(core, 1) > 0.5 / 9) & (largest_channel(np.abs(picture - before)) > MASKS.max_rounding)
 
 
 def exact_share(near: np.ndarray, region: np.ndarray) -> float:
     """Share of the pixels of a region, both [H, W], where the mean difference over 3 x 3 pixels is no more than what
     another decoder makes; 1 of an empty one."""
-    return float((near <= MAX_EXACT)[region].mean()) if region.any() else 1.0
+    return float((near <= MASKS.max_exact)[region].mean()) if region.any() else 1.0
 
 
 def edited_mask(edited: np.ndarray, render: np.ndarray, alpha: np.ndarray) -> np.ndarray:
@@ -107,11 +143,12 @@ def changed_throughout(edited: np.ndarray, render: np.ndarray, alpha: np.ndarray
     if median < MIN_MEDIAN_CHANGE:
         return False
     edited, render = np.clip(edited, 0, 1), np.clip(render, 0, 1)
+    # A new look survives averaging; noise and compression do not.
     smooth = largest_channel(np.abs(box_mean(edited - render, 4)))[solid]
-    share = MIN_SMOOTH_SHARE if median < LARGE_MEDIAN_CHANGE else MIN_SMOOTH_SHARE_LARGE
-    if float(np.quantile(smooth, 0.75)) > MIN_UPPER_CHANGE and float(np.median(smooth)) > share * median:
+    share = MASKS.min_smooth_share if median < MASKS.large_median_change else MASKS.min_smooth_share_large
+    if float(np.quantile(smooth, 0.75)) > MASKS.min_upper_change and float(np.median(smooth)) > share * median:
         return True
-    return median >= LARGE_MEDIAN_CHANGE and _more_detailed(edited, render, solid, median)
+    return median >= MASKS.large_median_change and _more_detailed(edited, render, solid, median)
 
 
 def _more_detailed(edited: np.ndarray, render: np.ndarray, solid: np.ndarray, median: float) -> bool:
@@ -119,7 +156,7 @@ def _more_detailed(edited: np.ndarray, render: np.ndarray, solid: np.ndarray, me
     asset's pixels; median: of the difference there."""
     fine = float(np.median(largest_channel(np.abs(box_mean(edited - render, 1)))[solid]))
     before, after = (box_mean(contrast(image), 4)[solid] for image in (render, edited))
-    return fine > MIN_FINE_SHARE * median and float((after > RISE * before).mean()) >= MIN_RISEN_SHARE
+    return fine > MASKS.min_fine_share * median and float((after > MASKS.rise * before).mean()) >= MASKS.min_risen_share
 
 
 def median_change(edited: np.ndarray, render: np.ndarray, alpha: np.ndarray) -> float:
@@ -136,6 +173,7 @@ def dilated(mask: np.ndarray, reach: int) -> np.ndarray:
     out = mask.copy()
     for axis in (0, 1):
         source, target = np.moveaxis(out.copy(), axis, 0), np.moveaxis(out, axis, 0)
+        # Along one axis, then along the other: a square, in 2 reach steps an axis.
         for step in range(1, min(reach, len(source) - 1) + 1):
             target[step:] |= source[:-step]
             target[:-step] |= source[step:]
@@ -155,11 +193,12 @@ def largest_channel(values: np.ndarray) -> np.ndarray:
 
 def _noise(values: np.ndarray, detail: np.ndarray) -> np.ndarray:
     """[H, W]: the lower quartile of `values` [H, W] over the pixels of about the same detail; 0 where there is none."""
+    # Bins of equal count, so that every level of detail has enough pixels for a quartile.
     busy = detail > 1e-4
-    edges = np.quantile(detail[busy], np.linspace(0, 1, DETAIL_BINS + 1)[1:-1])
+    edges = np.quantile(detail[busy], np.linspace(0, 1, MASKS.detail_bins + 1)[1:-1])
     label = np.where(busy, 1 + np.searchsorted(edges, detail), 0)
     levels = [
-        np.quantile(values[label == k], 0.25) if k and (label == k).any() else 0.0 for k in range(DETAIL_BINS + 1)
+        np.quantile(values[label == k], 0.25) if k and (label == k).any() else 0.0 for k in range(MASKS.detail_bins + 1)
     ]
     return np.array(levels)[label]
 
@@ -168,5 +207,6 @@ def box_mean(values: np.ndarray, radius: int) -> np.ndarray:
     """[H, W, ...] float32 mean over the square of 2 radius + 1 around each pixel; edges are repeated."""
     (height, width), size = values.shape[:2], 2 * radius + 1
     padded = np.pad(values.astype(np.float32), [(radius, radius)] * 2 + [(0, 0)] * (values.ndim - 2), mode="edge")
+    # Rows first, then columns; a fixed order of sums gives equal bits everywhere.
     sums = sum(padded[k : k + height] for k in range(1, size)) + padded[:height]
     return (sum(sums[:, k : k + width] for k in range(1, size)) + sums[:, :width]) / size**2

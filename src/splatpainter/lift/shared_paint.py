@@ -25,6 +25,7 @@ def paint_of_other_views(views: Sequence[EditView], depths: Sequence[np.ndarray]
         for j, (other, other_depth) in enumerate(zip(views, depths, strict=True)):
             if j == k or other.mask.all():
                 continue
+            # A pixel shows another view's paint if both cameras see the same point of the old surface.
             same = seen_in_both(other.camera, other_depth, view.camera, depth)
             ys, xs = np.nonzero(same & ~view.mask & ~shared)
             pixels, _ = other.camera.project(view.camera.unproject(depth[ys, xs], np.stack([xs, ys], 1) + 0.5))

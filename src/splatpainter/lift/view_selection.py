@@ -29,44 +29,53 @@ from splatpainter.splats import SH_C0, Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import SightEstimates, visible_surface
 
-MIN_ALPHA = 0.5
-"""Least alpha of a pixel that shows a surface."""
-MAX_HEIGHT = 0.02
-"""Distance of a point from the plane that a view shows in its pixel, of its depth, up to which the view sees it, ..."""
-MAX_SIGHT_DISTANCE = 0.1
-"""... and of the depths along the line of sight: grazing planes are long."""
-MIN_RESOLUTION_RATIO = 1.3
-"""Pixels per area over another view's, from which a view is preferred to a later one."""
-MIN_DIFFERENCE = 0.08
-"""Colours, 0..1, that differ by less are alike, ..."""
-RELATIVE_DIFFERENCE = 0.25
-"""... or by less than this share of the edit's change, times the ratio of the views' pixels per area: what a grazing
-view shows of an edge lies where its few pixels put it."""
-COMPARED_PX = 4
-"""Reach of the means in which changes are compared."""
-MARGIN_RATIO = 1.5
-"""Ratio of the pixels per area from which the better view also decides on what it leaves unedited, ..."""
-MARGIN_PX = 3.0
-"""... around its mask for so many pixels of the other view, ..."""
-MAX_MARGIN_PX = 8
-"""... or of its own, at most."""
-MAJORITY_PX = (3, 6, 12)
-"""Reaches of the means by which pixels join the view that paints most around them; the further ones are for pixels
-whose own surface is not known."""
-OVERLAP_PX = 2
-"""Pixels by which the pixels of a view reach into those of others."""
-MAX_JOINT_DIFFERENCE = 0.1
-"""A view's pixels that another one paints take part in the joint colours up to this difference, 0..1, ..."""
-ALIKE_PX = 2
-"""... of means of this reach."""
-JOINT_ROUNDS = 4
-"""Colour rounds over all views. On 24 local edits of 2 or 3 views and 6 painted clean meshes with 2 or 3 (none held
-out), novel / edited views: 30.0 / 33.1 dB without, 30.7 / 34.7 with two, 30.8 / 34.9 with four; split in place of
-sheets 27.3 / 31.0."""
-UNEDITED_WEIGHT = 0.35
-"""Weight of a pixel that a view does not edit, beside an edited one: it is to stay as it is."""
-JOINT_HOLD_PX = 0.5
-"""Weight of a Gaussian's colour in these rounds, pixels."""
+
+@dataclass(frozen=True)
+class ViewSelectionThresholds:
+    """Which of several edited views paints which pixel. Measured where an entry says on what, else taste."""
+
+    min_alpha: float = 0.5
+    """Least alpha of a pixel that shows a surface."""
+    max_height: float = 0.02
+    """Distance of a point from the plane that a view shows in its pixel, as a share of its depth, up to which the view
+    sees it."""
+    max_sight_distance: float = 0.1
+    """The same along the line of sight, at most: grazing planes are long."""
+    min_resolution_ratio: float = 1.3
+    """Pixels per area over another view's, from which a view is preferred to a later one."""
+    min_difference: float = 0.08
+    """Colours, 0..1, that differ by less are alike."""
+    relative_difference: float = 0.25
+    """Colours are also alike if they differ by less than this share of the edit's change, times the ratio of the views'
+    pixels per area: what a grazing view shows of an edge lies where its few pixels put it."""
+    compared_px: int = 4
+    """Reach of the means in which changes are compared."""
+    margin_ratio: float = 1.5
+    """Ratio of the pixels per area from which the better view also decides on what it leaves unedited."""
+    margin_px: float = 3.0
+    """It does so around its mask, for so many pixels of the other view."""
+    max_margin_px: int = 8
+    """It does so for so many of its own pixels, at most."""
+    majority_px: tuple[int, ...] = (3, 6, 12)
+    """Reaches of the means by which pixels join the view that paints most around them; the further ones are for pixels
+    whose own surface is not known."""
+    overlap_px: int = 2
+    """Pixels by which the pixels of a view reach into those of others."""
+    max_joint_difference: float = 0.1
+    """A view's pixels that another one paints take part in the joint colours up to this difference, 0..1."""
+    alike_px: int = 2
+    """Reach of the means in which that difference is taken, pixels."""
+    joint_rounds: int = 4
+    """Colour rounds over all views. On 24 local edits of 2 or 3 views and 6 painted clean meshes with 2 or 3 (none held
+    out), novel / edited views: 30.0 / 33.1 dB without, 30.7 / 34.7 with two, 30.8 / 34.9 with four; split in place of
+    sheets 27.3 / 31.0."""
+    unedited_weight: float = 0.35
+    """Weight of a pixel that a view does not edit, beside an edited one: it is to stay as it is."""
+    joint_hold_px: float = 0.5
+    """Weight of a Gaussian's colour in these rounds, pixels."""
+
+
+VIEW_SELECTION = ViewSelectionThresholds()
 
 
 @dataclass(frozen=True)
@@ -93,22 +102,34 @@ class ViewShare:
         winner, pixels = np.full(mask_here.shape, -1), np.zeros(mask_here.shape, np.int64)
         best, silent = np.zeros(mask_here.shape), np.zeros(mask_here.shape, bool)
         change = np.zeros((*mask_here.shape, 3))
+        # Latest first: an earlier view takes a pixel only where it paints alike and sees it better.
         for k in range(len(views) - 1, -1, -1):
             moved = here.at_its_pixels() if k == index else views[k].moved_to(here)
             ratio = moved.density / np.maximum(best, 1e-9)
-            beside = (winner >= 0) & (ratio > MARGIN_RATIO) & (moved.margin_px <= MARGIN_PX * np.sqrt(ratio))
+            beside = (
+                (winner >= 0)
+                & (ratio > VIEW_SELECTION.margin_ratio)
+                & (moved.margin_px <= VIEW_SELECTION.margin_px * np.sqrt(ratio))
+            )
             says = moved.painted | beside
-            better = _alike(moved.change, change, says & (winner >= 0), ratio) & (ratio > MIN_RESOLUTION_RATIO)
+            better = _alike(moved.change, change, says & (winner >= 0), ratio) & (
+                ratio > VIEW_SELECTION.min_resolution_ratio
+            )
             taken = says & ((winner < 0) | better)
             winner[taken], pixels[taken], best[taken] = k, moved.pixels[taken], moved.density[taken]
             change[taken], silent[taken] = moved.change[taken], ~moved.painted[taken]
+        # Pixels without a surface follow the majority around them.
         judged = winner >= 0
         lost = _majority(judged, judged & (winner != index), mask_here)
-        difference = largest_channel(np.abs(box_mean(_float32((here.change - change) * judged[..., None]), ALIKE_PX)))
+        # Where this view shows what the winner paints, both may help the joint colours.
+        difference = largest_channel(
+            np.abs(box_mean(_float32((here.change - change) * judged[..., None]), VIEW_SELECTION.alike_px))
+        )
         nothing = np.zeros_like(mask)
         out = ViewShare(nothing, nothing.copy(), np.full(mask.shape, -1), np.zeros(mask.shape, int), here.sight)
-        out.painted[window] = mask_here & dilated(mask_here & ~lost, OVERLAP_PX)
-        out.consistent[window] = mask_here & judged & (difference < MAX_JOINT_DIFFERENCE)
+        # Parts overlap by a few pixels, so that no seam is left between two views' sheets.
+        out.painted[window] = mask_here & dilated(mask_here & ~lost, VIEW_SELECTION.overlap_px)
+        out.consistent[window] = mask_here & judged & (difference < VIEW_SELECTION.max_joint_difference)
         out.winner[window] = np.where(lost & ~silent & (winner != index), winner, -1)
         out.pixels[window] = pixels
         return out
@@ -143,21 +164,23 @@ def with_joint_colors(
     view shows they are what they are."""
     solid, seen_by = [], np.zeros(len(splats), np.int64)
     for view, share in zip(views, shares, strict=True):
+        # Each view counts where it shows what is painted, and a little where it must not change.
         projected = project(splats, view.camera, tiles=tiles_of_mask(share.consistent))
         image, alpha, _ = projected.rasterize()
         opaque = alpha > MIN_SOLID_ALPHA
         edited, unedited = (_float32(opaque & part) for part in (share.consistent, ~share.consistent))
         target = np.where(share.consistent[..., None], view.edited, image)
         seen_by[projected.gaussian_ids] += projected.backproject(target, edited).weight > 0
-        use, weight = edited + UNEDITED_WEIGHT * unedited, np.zeros(len(splats), np.float32)
+        use, weight = edited + VIEW_SELECTION.unedited_weight * unedited, np.zeros(len(splats), np.float32)
         weight[projected.gaussian_ids] = projected.backproject(target, use).weight
         solid.append(SolidView(view.camera, target, use, weight, projected))
+    # A Gaussian that one view shows has its colour from that view already.
     common = changed & (seen_by > 1)
     if not common.any():
         return splats
     solid = [replace(view, weight=np.where(common, view.weight, 0)) for view in solid]
     sh = splats.sh.copy()
-    sh[:, 0] += joint_change(solid, JOINT_ROUNDS, hold=JOINT_HOLD_PX) / SH_C0
+    sh[:, 0] += joint_change(solid, VIEW_SELECTION.joint_rounds, hold=VIEW_SELECTION.joint_hold_px) / SH_C0
     return replace(splats, sh=sh)
 
 
@@ -172,7 +195,7 @@ class _Moved:
     density: np.ndarray
     """[H, W] pixels per area; 0 where it is not seen."""
     margin_px: np.ndarray
-    """[H, W] pixels from the mask, inf beyond MAX_MARGIN_PX."""
+    """[H, W] pixels from the mask, inf beyond VIEW_SELECTION.max_margin_px."""
     pixels: np.ndarray
     """[H, W] int64 flat indices of its pixels; any where it is not seen."""
 
@@ -197,11 +220,12 @@ class _ViewOnSurface:
 
     @staticmethod
     def of(splats: Splats, surface: Surface, view: EditView) -> _ViewOnSurface:
-        camera, near = view.camera, dilated(view.mask, MAX_MARGIN_PX)
+        camera, near = view.camera, dilated(view.mask, VIEW_SELECTION.max_margin_px)
         projected = view.projected
         if projected is None or (tiles_of_mask(near) & ~projected.tiles).any():
             projected = project(splats, camera, tiles=tiles_of_mask(near))
-        solid = near & (projected.rasterize()[1] > MIN_ALPHA)
+        # Surface, normals and resolution at every pixel of the mask and its margin.
+        solid = near & (projected.rasterize()[1] > VIEW_SELECTION.min_alpha)
         ys, xs = np.nonzero(solid)
         visible = visible_surface(surface, splats, projected, solid)
         at = visible.at(np.stack([xs, ys], 1) + 0.5)
@@ -211,6 +235,7 @@ class _ViewOnSurface:
         depth[ys, xs], normals[ys, xs] = at.depth[seen], at.normals[seen]
         rays = camera.sight_lines(np.stack([xs, ys], 1) + 0.5)
         facing = np.abs((at.normals[seen] * rays).sum(1)) / np.linalg.norm(rays, axis=1)
+        # Pixels per area: grazing and far views have few.
         density[ys, xs] = facing * camera.fx * camera.fy / at.depth[seen] ** 2
         mask = (view.mask & (depth > 0)).astype(np.float64)
         change = (view.edited - view.before) * mask[..., None]
@@ -236,8 +261,14 @@ class _ViewOnSurface:
         x, y = x.clip(0, width - 1), y.clip(0, height - 1)
         depth = self.depth[y, x]
         rays = self.camera.sight_lines(np.stack([x, y], -1) + 0.5)
+        # Seen if the point lies on the plane shown there; along the line of sight alone grazing planes would fail.
         height_over = np.abs((z - depth) * (rays * self.normals[y, x]).sum(-1))
-        seen = inside & (depth > 0) & (height_over < MAX_HEIGHT * z) & (np.abs(z - depth) < MAX_SIGHT_DISTANCE * z)
+        seen = (
+            inside
+            & (depth > 0)
+            & (height_over < VIEW_SELECTION.max_height * z)
+            & (np.abs(z - depth) < VIEW_SELECTION.max_sight_distance * z)
+        )
         values = np.concatenate([self.change, self.mask[..., None], self.density[..., None]], -1)
         values = bilinear(values, pixels) * seen[..., None]
         margin = np.where(seen, self.margin_px[y, x], np.inf)
@@ -246,7 +277,7 @@ class _ViewOnSurface:
 
 def _window(mask: np.ndarray) -> tuple[slice, slice]:
     """Rows and columns of the mask and of all around it that its pixels' shares depend on."""
-    reach = MAJORITY_PX[-1] + COMPARED_PX
+    reach = VIEW_SELECTION.majority_px[-1] + VIEW_SELECTION.compared_px
     spans = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
     rows, columns = (
         slice(max(int(span[0]) - reach, 0), min(int(span[-1]) + 1 + reach, size))
@@ -258,10 +289,16 @@ def _window(mask: np.ndarray) -> tuple[slice, slice]:
 def _alike(first: np.ndarray, second: np.ndarray, both: np.ndarray, ratio: np.ndarray) -> np.ndarray:
     """[H, W] bool: two changes [H, W, 3] are the same edit, by their means over pixels that have both ([H, W] bool).
     ratio: [H, W] of the pixels per area."""
-    total = np.maximum(box_mean(_float32(both), COMPARED_PX), 1e-6)[..., None]
-    difference = box_mean(_float32((first - second) * both[..., None]), COMPARED_PX) / total
-    size = box_mean(_float32(np.maximum(np.abs(first), np.abs(second)) * both[..., None]), COMPARED_PX) / total
-    limit = np.maximum(MIN_DIFFERENCE, RELATIVE_DIFFERENCE * ratio * largest_channel(size))
+    total = np.maximum(box_mean(_float32(both), VIEW_SELECTION.compared_px), 1e-6)[..., None]
+    difference = box_mean(_float32((first - second) * both[..., None]), VIEW_SELECTION.compared_px) / total
+    # The difference is judged against how large the edit is there.
+    size = (
+        box_mean(_float32(np.maximum(np.abs(first), np.abs(second)) * both[..., None]), VIEW_SELECTION.compared_px)
+        / total
+    )
+    limit = np.maximum(
+        VIEW_SELECTION.min_difference, VIEW_SELECTION.relative_difference * ratio * largest_channel(size)
+    )
     return largest_channel(np.abs(difference)) < limit
 
 
@@ -269,7 +306,7 @@ def _majority(judged: np.ndarray, lost: np.ndarray, mask: np.ndarray) -> np.ndar
     """[H, W] bool: pixels of the mask that other views paint. judged: those whose surface is known; lost: part of these
     that others paint."""
     out, left = np.zeros_like(mask), mask
-    for k, reach in enumerate(MAJORITY_PX):
+    for k, reach in enumerate(VIEW_SELECTION.majority_px):
         total = box_mean(_float32(judged), reach)
         decided = left & (judged if k == 0 else total > 1e-6)
         out |= decided & (box_mean(_float32(lost), reach) > 0.5 * total)
@@ -278,11 +315,11 @@ def _majority(judged: np.ndarray, lost: np.ndarray, mask: np.ndarray) -> np.ndar
 
 
 def _distance_px(mask: np.ndarray) -> np.ndarray:
-    """[H, W] pixels to the nearest one of the mask, inf beyond MAX_MARGIN_PX."""
+    """[H, W] pixels to the nearest one of the mask, inf beyond VIEW_SELECTION.max_margin_px."""
     nearest = nearest_pixels(mask)
     ys, xs = np.indices(mask.shape)
     distance = portable.hypot(ys - nearest // mask.shape[1], xs - nearest % mask.shape[1])
-    return np.where((nearest >= 0) & (distance <= MAX_MARGIN_PX), distance, np.inf)
+    return np.where((nearest >= 0) & (distance <= VIEW_SELECTION.max_margin_px), distance, np.inf)
 
 
 def _float32(values: np.ndarray) -> np.ndarray:

@@ -38,6 +38,7 @@ def seen_in_both(first: Camera, first_depth: np.ndarray, other: Camera, other_de
     pixels, z = first.project(other.unproject(np.where(other_depth > 0, other_depth, 1)))
     height, width = first_depth.shape
     x, y = (np.floor(np.nan_to_num(pixels[..., k], nan=-1, posinf=-1, neginf=-1)).astype(int) for k in (0, 1))
+    # NaN and infinite projections were set to -1 above and so count as outside.
     inside = (x >= 0) & (x < width) & (y >= 0) & (y < height) & (z > 0) & (other_depth > 0)
     first_depth_seen = first_depth[y.clip(0, height - 1), x.clip(0, width - 1)]
     return inside & (first_depth_seen > 0) & (np.abs(first_depth_seen - z) < MAX_DEPTH_DIFFERENCE * z)
@@ -46,6 +47,7 @@ def seen_in_both(first: Camera, first_depth: np.ndarray, other: Camera, other_de
 def bilinear(values: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     """[..., C] of pictures [h, w, C] at pixel positions [..., 2] (centres at +0.5), 0 outside."""
     height, width = values.shape[:2]
+    # A border of zeros: positions outside fade out instead of being asked for.
     padded = np.pad(values, ((1, 1), (1, 1), (0, 0)))
     x = np.clip(np.nan_to_num(pixels[..., 0]) + 0.5, 0, width + 0.999)
     y = np.clip(np.nan_to_num(pixels[..., 1]) + 0.5, 0, height + 0.999)

@@ -83,7 +83,7 @@ class LayDecal(ViewLimits):
         camera = camera_from(self.camera, tools.asset)
         decal = Decal(picture, self._pixel(), camera, str(self.width), self.angle, self.wrap, name)
         method: Method = "lift" if self.method == "auto" else self.method
-        painter = tools.painter or self.limited(replace(Painter.load(modes=["local"]), aside=tools.aside))
+        painter = tools.painter or self.limited(Painter.load(modes=["local"]).with_settings(aside=tools.aside))
 
         def lay(asset: Asset, report: Report) -> Asset:
             asset = painter.encode(asset.splats, method, ["local"]) if asset.receipt is None else asset

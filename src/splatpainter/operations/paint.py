@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -86,7 +86,7 @@ class Paint(PaintingOptions):
         if self.spread_threshold is not None:
             from splatpainter.spread.options import SpreadOptions
 
-            painter = replace(painter, spread_options=SpreadOptions(self.spread_threshold))
+            painter = painter.with_settings(spread_options=SpreadOptions(self.spread_threshold))
 
         def paint(asset: Asset, report: Report) -> Asset:
             return self._painted(asset, self._of_size(pictures, painter), painter, report)
@@ -144,7 +144,7 @@ class Paint(PaintingOptions):
         from splatpainter.spread.overlay import confidence_picture
 
         assert edited.confidence is not None
-        arrays, threshold = splats.numpy(), (painter.spread_options or SPREAD_DEFAULTS).threshold
+        arrays, threshold = splats.numpy(), (painter.settings.spread_options or SPREAD_DEFAULTS).threshold
         confidence = edited.confidence[: len(arrays)]
         write_png(path, confidence_picture(arrays, confidence, threshold, pictures[0].camera.within(splats.offset)))
 

@@ -28,7 +28,8 @@ class ViewLimits(Operation):
     def limited(self, painter: Painter) -> Painter:
         """The painter with these limits. Raises ValueError: out of range."""
         limits = {"angle_limit": self.angle_limit, "depth_edge_limit": self.depth_edge_limit}
-        return replace(painter, local_options=replace(painter.local_options or LOCAL_DEFAULTS, **limits))
+        local = replace(painter.settings.local_options or LOCAL_DEFAULTS, **limits)
+        return painter.with_settings(local_options=local)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +56,7 @@ class PaintingOptions(ViewLimits):
             return tools.painter
         self._refuse_idle_networks(mode, tools.wording)
         painter = Painter.load(self.preset, modes=[mode], polish=self.polish, precision=self.precision)
-        painter = replace(self.limited(painter), aside=tools.aside)
+        painter = self.limited(painter).with_settings(aside=tools.aside)
         method, reason = painter.choose(self.method, mode)
         if method == "ttt" and painter.model is not None and painter.model.config.representation == "copy":
             raise ValueError(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -57,7 +57,7 @@ class Refine(PictureSourceOptions):
         cameras = [camera_from(path, tools.asset) for path in self.views]
         if self.size is not None:
             cameras = [camera.with_longest_side(self.size) for camera in cameras]
-        painter = tools.painter or replace(Painter.load("lift"), aside=tools.aside)
+        painter = tools.painter or Painter.load("lift").with_settings(aside=tools.aside)
 
         def refined(asset: Asset, report: Report) -> Asset:
             brief = SourceBrief(self.prompt, scale=self.scale or usual_scale(source))

@@ -63,12 +63,14 @@ class ColorStatement:
     def to_srgb(self, colors: np.ndarray) -> np.ndarray:
         """[..., 3] stored values 0..1 as display sRGB 0..1; float32."""
         curves = self.curves if len(self.curves) == 3 else self.curves * 3
+        # Curves first, then the matrix: primaries mix light, not stored values.
         light = np.stack([curve(colors[..., k].astype(np.float64)) for k, curve in enumerate(curves)], -1)
         return linear_to_srgb(np.clip(light @ self.matrix.T, 0, 1)).astype(np.float32)
 
     @property
     def is_srgb(self) -> bool:
         """Whether it leaves a ramp of colours where it was."""
+        # A statement is judged by what it does, not by how it is written: there are dozens of spellings of sRGB.
         steps = np.linspace(0, 1, 9)
         ramp = np.stack(np.meshgrid(steps, steps, steps), -1)
         return bool(np.abs(self.to_srgb(ramp) - ramp).max() <= MAX_SAME_DIFFERENCE)
@@ -90,6 +92,7 @@ def png_colors(path: Path) -> PngColors:
     """What a PNG says of its colours. Raises ValueError: light beyond white (PQ, HLG), which has no sRGB."""
     chunks, notes = _chunks(path), []
     bits = chunks[b"IHDR"][8] if len(chunks.get(b"IHDR", b"")) == 13 else 8
+    # In the standard's order of precedence; the first kind that is understood counts.
     if b"cICP" in chunks:
         statement, note = _cicp(chunks[b"cICP"], bits, path)
         if statement is not None:
@@ -116,9 +119,11 @@ def _chunks(path: Path) -> dict[bytes, bytes]:
             if len(head) < 8:
                 break
             size, kind = struct.unpack(">I4s", head)
+            # Statements have to stand before the pixels; nothing behind them is looked at.
             if kind in (b"IDAT", b"IEND"):
                 break
             if kind in kinds:
+                # None of these chunks needs more bytes (a profile is read by Pillow); a claimed size allocates nothing.
                 body = file.read(min(size, 64))
                 out.setdefault(kind, body)
                 file.seek(size - len(body) + 4, 1)
@@ -139,6 +144,7 @@ def _cicp(body: bytes, bits: int, path: Path) -> tuple[ColorStatement | None, st
     if curve is None or primaries not in CHROMATICITIES or matrix != 0 or full > 1:
         code = "/".join(map(str, body))
         return None, f"its cICP chunk ({code}) says colours that are not read here and was left out"
+    # Limited range: video levels, at the picture's own number of bits.
     if not full:
         step = 2.0 ** (bits - 8)
         curve = _of_range(curve, 16 * step / (2.0**bits - 1), 219 * step / (2.0**bits - 1))
@@ -153,6 +159,7 @@ def _gamma_and_primaries(chunks: dict[bytes, bytes]) -> tuple[ColorStatement | N
         (value,) = struct.unpack(">I", gamma) if len(gamma) == 4 else (0,)
         if not 1000 <= value <= 10_000_000:
             return None, "its gAMA chunk makes no sense; its colours are taken as sRGB"
+        # 1/2.2 in gAMA is how programs say sRGB, whose curve is no power.
         if abs(value / SRGB_GAMMA - 1) > MAX_GAMMA_ERROR:
             names.append(f"gAMA {value}")
             curve = _power(100_000 / value)
@@ -201,6 +208,7 @@ def _to_xyz(chromaticities: tuple[float, ...] | list[float]) -> np.ndarray:
     """[3, 3] light of primaries to XYZ; white has Y = 1. chromaticities: x, y of white, red, green, blue. Raises
     ValueError: they span nothing."""
     white, *colors = (_xyz(*chromaticities[k : k + 2]) for k in range(0, 8, 2))
+    # Scaled so that equal parts of all three make the stated white.
     basis = np.stack(colors, 1)
     if abs(np.linalg.det(basis)) < 1e-4:
         raise ValueError("primaries on a line")
@@ -209,6 +217,7 @@ def _to_xyz(chromaticities: tuple[float, ...] | list[float]) -> np.ndarray:
 
 def _adapted(white: np.ndarray, target: np.ndarray) -> np.ndarray:
     """[3, 3] XYZ under a white to XYZ under another one."""
+    # Von Kries in Bradford's cone space, as ICC and CSS adapt whites.
     gains = (BRADFORD @ target) / (BRADFORD @ white)
     return np.linalg.inv(BRADFORD) @ (gains[:, None] * BRADFORD)
 
@@ -228,6 +237,7 @@ def matrix_profile(profile: bytes) -> ColorStatement | None:
         if profile[16:20] != b"RGB " or profile[20:24] != b"XYZ ":
             return None
         tags = _tags(profile)
+        # A profile with tables means these, not its matrix.
         if any(tag in tags for tag in (b"A2B0", b"A2B1")):
             return None
         columns = [np.array(struct.unpack_from(">3i", tags[name], 8)) / 65536 for name in (b"rXYZ", b"gXYZ", b"bXYZ")]
@@ -243,6 +253,7 @@ def matrix_profile(profile: bytes) -> ColorStatement | None:
 def _tags(profile: bytes) -> dict[bytes, bytes]:
     (count,) = struct.unpack_from(">I", profile, 128)
     out = {}
+    # A count from the file bounds nothing by itself.
     for k in range(min(count, 100)):
         name, offset, size = struct.unpack_from(">4sII", profile, 132 + 12 * k)
         out[name] = profile[offset : offset + size]
@@ -266,6 +277,7 @@ def _icc_curve(tag: bytes) -> Curve:
     if kind != b"para":
         raise ValueError("no curve")
     (function,) = struct.unpack_from(">H", tag, 8)
+    # Parameters in the order of the standard; types 0 to 4 have 1, 3, 4, 5 and 7 of them.
     g, *rest = (value / 65536 for value in struct.unpack_from(f">{(1, 3, 4, 5, 7)[function]}i", tag, 12))
     a, b, c, d, e, f = (*rest, *(1, 0, 0, 0, 0, 0)[len(rest) :])
     if function == 0:

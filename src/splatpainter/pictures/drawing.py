@@ -47,6 +47,7 @@ def over(image: np.ndarray, layer: np.ndarray) -> np.ndarray:
 
 def stack_layers(below: np.ndarray, above: np.ndarray) -> np.ndarray:
     """[H, W, 4] two layers as one."""
+    # Porter and Duff's "over" with straight colours: weigh, then divide by the coverage.
     share = above[..., 3:] + below[..., 3:] * (1 - above[..., 3:])
     colors = above[..., :3] * above[..., 3:] + below[..., :3] * below[..., 3:] * (1 - above[..., 3:])
     return np.concatenate([colors / np.maximum(share, 1e-6), share], -1).astype(np.float32)
@@ -55,6 +56,7 @@ def stack_layers(below: np.ndarray, above: np.ndarray) -> np.ndarray:
 def catmull_rom(points: np.ndarray, count: int) -> np.ndarray:
     """[count, C] samples, evenly in parameter, of the uniform Catmull-Rom spline through points
     [K, C], K >= 2; its ends are the first and the last point."""
+    # Mirrored ends, so that the spline reaches the first and the last point.
     ends = np.concatenate([2 * points[:1] - points[1:2], points, 2 * points[-1:] - points[-2:-1]])
     at = np.linspace(0, len(points) - 1, count)
     k = np.minimum(at.astype(int), len(points) - 2)
@@ -75,6 +77,7 @@ def draw_stroke(
     bristles, which carry more or less paint and run dry towards the end."""
     coverage = np.zeros(shape, np.float32)
     length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
+    # Dabs an eighth of a width apart look like one line.
     count = max(int(length / max(0.12 * brush.width, 0.7)), 2)
     path = catmull_rom(np.concatenate([points, pressure[:, None]], 1), count)
     hairs = np.random.default_rng(seed).uniform(0, 1, (2, max(brush.bristles, 1) + 1))
@@ -89,13 +92,16 @@ def draw_stroke(
         dy = (np.arange(box[0].start, box[0].stop, dtype=np.float32) + np.float32(0.5 - y))[:, None]
         rim = max((1 - brush.hardness) * radius, 0.7)
         dab = np.clip((radius - np.sqrt(dx * dx + dy * dy)) / rim + 0.25, 0, 1)
+        # Smoothstep: no visible ring where the falloff begins.
         dab = dab * dab * (3 - 2 * dab)
         if brush.bristles:
+            # Hairs run along the stroke: each has its place across it, its wetness and where it runs dry.
             across = (along[k, 0] * dy - along[k, 1] * dx) / radius
             hair = np.clip((across + 1) / 2 * brush.bristles, 0, brush.bristles - 1e-3)
             left = hair.astype(int)
             wet, dry = ((value[left] * (left + 1 - hair) + value[left + 1] * (hair - left)) for value in hairs)
             dab = dab * (0.45 + 0.55 * wet) * np.clip((0.75 + 0.6 * dry - k / count) * 5, 0, 1)
+        # The largest dab counts: overlapping dabs of one stroke do not darken.
         np.maximum(coverage[box], dab, out=coverage[box])
     return solid_layer(coverage * brush.flow, color)
 
@@ -121,6 +127,7 @@ def draw_text(
     left, top, right, bottom = (round(v) for v in letters.getbbox(text, stroke_width=rim + bold, anchor="ls"))
     size = (max(right - left, 1) + 2, max(bottom - top, 1) + 2)
     stamp = np.zeros((size[1], size[0], 4), np.float32)
+    # The outline first, the letters over it.
     for ink, stroke_width in ((outline, rim + bold), (color, bold)):
         if ink is not None:
             part = Image.new("L", size)  # coverage alone: drawn in colour, the edges would mix with black
@@ -151,6 +158,7 @@ def draw_sticker(
     shrink = max(int(longest / (size * 2)), 1)  # bilinear looks at 2 x 2 pixels: bring it near them first
     packed = Image.fromarray((np.clip(stamp, 0, 1) * 255 + 0.5).astype(np.uint8), "RGBA").reduce(shrink)
     scale, turn = longest / shrink / (size * SUPERSAMPLING), math.radians(angle)  # source pixels per fine pixel
+    # Pillow wants the inverse map: from pixels of the result to those of the stamp.
     a, b = math.cos(turn) * scale, -math.sin(turn) * scale
     x, y = (center[0] - box[1].start) * SUPERSAMPLING, (center[1] - box[0].start) * SUPERSAMPLING
     matrix = (a, b, packed.width / 2 - a * x - b * y, -b, a, packed.height / 2 + b * x - a * y)
@@ -169,6 +177,7 @@ def round_spot(
     dx, dy = x - np.float32(center[0]), y - np.float32(center[1])
     angle, reach = np.arctan2(dy, dx), np.hypot(dx, dy)
     edge = np.full(shape, radius, np.float32)
+    # A few harmonics of the angle: round, but not a circle.
     for k in (2, 3, 5):
         edge += radius * rng.uniform(-0.14, 0.14) * np.cos(k * angle + rng.uniform(0, 2 * np.pi)).astype(np.float32)
     fall = np.clip((edge - reach) / max(softness * radius, 0.8), 0, 1)
@@ -180,6 +189,7 @@ def value_noise(shape: tuple[int, int], grain: float, rng: np.random.Generator) 
     from PIL import Image
 
     out, total = np.zeros((*shape, 3), np.float32), 0.0
+    # Finer and weaker octaves; the sum of squares brings the deviation back to about 1.
     for k in range(OCTAVES):
         step = max(grain / 2**k, 1.0)
         small = (max(math.ceil(shape[0] / step), 2), max(math.ceil(shape[1] / step), 2))
@@ -235,6 +245,7 @@ def load_font(font: Path | None, height: float) -> FreeTypeFont | ImageFont:
 
     load = (lambda size: ImageFont.truetype(str(font), size)) if font else ImageFont.load_default
     try:
+        # Fonts differ in how high a capital is at one size: measured at 100, then scaled.
         _, top, _, bottom = load(100).getbbox("H")
         return load(max(round(100 * height / max(bottom - top, 1)), 1))
     except OSError as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,6 +30,9 @@ from splatpainter.pictures.picture_reader import (
 )
 from splatpainter.pictures.view_search import MAX_ASPECT_ERROR, lost_camera
 from splatpainter.splats import Splats
+
+if TYPE_CHECKING:
+    from splatpainter.rendering.cpu.recent_views import DrawnView
 
 MIN_MASK = 0.25
 """Value from which a resampled mask counts: a thin stroke survives being shrunk."""
@@ -66,6 +70,8 @@ class FileEdit:
     """The view that was rendered, where `camera` is a larger one of it, of the picture's size (larger_views.py)."""
     photograph: Photograph | None = None
     """What `photographs.laid_over` needs, before which there is no edit; None: a painted render."""
+    drawn: DrawnView | None = field(default=None, repr=False, compare=False)
+    """The view as the asset shows it, held so that nobody draws it again (recent_views.py); None: not drawn yet."""
 
     def at_view(self) -> FileEdit:
         """The picture at the size of the view that was rendered."""
@@ -88,15 +94,18 @@ class FileEdit:
         """The edit of this asset. Transparent pixels show the asset's own render, so they change nothing; a mode
         "global" edit does not learn from them, and takes the picture at its view's size. Renders the asset where it has
         to."""
+        # A look needs no detail: the view's own size is enough, and much quicker.
         if mode == "global" and self.view is not None:
             return self.at_view().edit(splats, mode)
         if self.camera.relative_to(splats.offset) is not self.camera:
             return self.relative_to(splats.offset).edit(splats, mode)
+        # A render is needed where transparent pixels show it, or where resampling or storing changed every edge.
         alpha, mask = self.picture.alpha, self.mask
         resized = self.view is not None or self.original_size != (self.camera.width, self.camera.height)
         colors = from_display(self.picture.colors, splats.color_space)
         unmasked = mask is None and (mode == "local" if resized else self.is_lossy and mode != "global")
         if alpha is not None or unmasked:
+            # Drawn once, for both reasons.
             render, cover = draw(splats, self.camera)
             if alpha is not None:
                 behind = self.camera.background if self.cut_out else None
@@ -109,6 +118,7 @@ class FileEdit:
                         f"{self.path}: nothing was painted: it differs from its view only as "
                         f"{self.picture.encoding.words} does"
                     )
+            # What is transparent was not painted, whatever its colour.
             if alpha is not None and (mask is not None or mode == "global"):
                 mask = (alpha > MAX_CLEAR_ALPHA) & (True if mask is None else mask)
         return Edit(np.ascontiguousarray(colors, np.float32), self.camera, mask, str(self.path))
@@ -123,6 +133,7 @@ class FileEdit:
         these alone move every edge by more than an edit's tolerance. None: the painter is to say."""
         space, encoding = splats.color_space, self.picture.encoding
         picture, displayed = to_display(colors, space), np.clip(to_display(render, space), 0, 1)
+        # A larger picture may have been enlarged by any kernel, so it has a test of its own.
         if self.view is not None:
             small = to_display(draw(splats, self.view)[0], space)
             mask = edited_in_larger(picture, displayed, small, cover)
@@ -132,6 +143,7 @@ class FileEdit:
                 picture, displayed, encoding.fitted(picture, displayed, cover).applied(displayed)
             )
         camera = self.camera
+        # Stored with loss: the render goes through the same loss before it is compared.
         if encoding is not None:
             if self.original_size == (camera.width, camera.height):
                 return edited_in_encoded(picture, displayed, cover, encoding)
@@ -139,6 +151,7 @@ class FileEdit:
             stored = fitted.applied(resample(displayed, *self.original_size))
             expected = resample(stored, camera.width, camera.height)
             return change_mask_beyond(picture, displayed, expected)
+        # Only resized: there and back, as the picture was.
         resized = resample(displayed, *self.original_size)
         return change_mask(colors, from_display(resample(resized, camera.width, camera.height), space))
 
@@ -153,12 +166,14 @@ def edit_from_files(
 
     Raises ValueError, one line naming the file: an unreadable, too large or animated picture, inks (CMYK), no camera or
     a broken one, an aspect ratio more than 1 % off, an empty mask."""
+    # Sizes are judged by headers, before anything is decoded.
     declared = declared_size(picture)
     searched: list[Path] | None = None
     if camera is not None and camera.is_dir():
         searched, camera = [camera], None
     elif camera is None and not has_camera(picture):
         searched = [picture.parent, *folders]
+    # No camera anywhere: the picture itself says which view it is.
     if searched is not None:
         recognised = read_picture(picture, inks=False)
         view, view_name = lost_camera(picture, recognised, searched)
@@ -172,6 +187,7 @@ def edit_from_files(
     decoded = recognised or read_picture(picture, inks=False)
     notes = [*camera_notes, *decoded.notes]
     _check_aspect(picture, "the picture", decoded.size, target_size)
+    # A larger picture of the view's shape is a larger render of it; others are resampled.
     larger = larger_view(view, *decoded.size)
     if larger is not None:
         lifted = "" if decoded.size == (larger.width, larger.height) else f", lifted at {larger.width}x{larger.height}"
@@ -182,6 +198,7 @@ def edit_from_files(
         notes.append(_resampled(decoded.size, view))
     camera_used = larger or view
     size = camera_used.width, camera_used.height
+    # The mask, at the camera's size.
     marked = None
     if mask is not None:
         _check_declared(mask, "the mask", declared_size(mask), target_size)
@@ -191,6 +208,7 @@ def edit_from_files(
             raise ValueError(f"{mask}: empty mask; expected some pixels that are not black (or not transparent)")
         if marked.shape[::-1] != size:
             marked = resample(marked.astype(np.float32), *size) > MIN_MASK
+    # Rendered without a background: behind it lies the background, not the asset.
     cut_out = find_alpha(picture) or (camera and find_alpha(picture, camera))
     fitted = unmultiplied(decoded, cut_out).resized(*size)
     rendered = None if larger is None else view
@@ -242,6 +260,7 @@ def has_aspect(size: tuple[int, int], target: tuple[int, int]) -> bool:
     """Whether a size has the shape of another: equal sizes have; others must have the target's aspect ratio within
     MAX_ASPECT_ERROR, or be a pixel off."""
     (width, height), (w, h) = size, target
+    # Small pictures are off by a whole pixel, which is more than a per cent of them.
     scale = (width * height / (w * h)) ** 0.5
     rounding = abs(width - w * scale) <= 1 and abs(height - h * scale) <= 1
     return rounding or abs((width / height) / (w / h) - 1) <= MAX_ASPECT_ERROR
@@ -270,6 +289,7 @@ def over_render(
     share = alpha[..., None]
     if behind is None:
         return share * colors + (1 - share) * render
+    # Alpha replaces the asset's own up to there, so untouched soft edges come back as they were.
     background = np.asarray(behind, np.float32)
     cover = cover[..., None]
     drawn = render - (1 - cover) * background  # multiplied by its alpha
@@ -279,7 +299,7 @@ def over_render(
 
 def draw(splats: Splats, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """([H, W, 3] colours, [H, W] alpha)."""
-    from splatpainter.rendering import render
+    from splatpainter.rendering.cpu.recent_views import drawn_view
 
-    drawn = render(splats, camera)
-    return drawn.colors[0], drawn.alphas[0, ..., 0]
+    drawn = drawn_view(splats.numpy(), camera)
+    return drawn.colors, drawn.alphas

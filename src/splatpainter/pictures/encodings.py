@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from splatpainter.lift.masks import (
-    MAX_EXACT,
+    MASKS,
     box_mean,
     change_mask_beyond,
     changed_throughout,
@@ -29,29 +29,49 @@ if TYPE_CHECKING:
 EncodingKind = Literal["JPEG", "WebP", "palette", "blur"]
 MAX_PALETTE = 256
 """Colours of a palette."""
-JPEG_QUALITIES = (95, 90, 85, 80, 75, 70, 60, 50, 40, 30)
-WEBP_QUALITIES = (95, 90, 80, 70, 60, 50, 40, 30, 20, 10)
-BLURS_PX = (0.6, 1.0, 1.5, 2.0)
-"""Standard deviations of blurs that are tried."""
-SEARCH_PX, SEARCH_WEBP_PX = 256, 1024
-"""Side of the part of a picture on which settings are looked for. Blocks of JPEG do not depend on each other; WebP
-spreads its bits over the whole picture."""
-UNPAINTED_SHARE = 0.25
-"""Share of the asset's pixels that is left unpainted, at least, where settings are looked for."""
-HALF_LEVEL = 0.51 / 255
-"""What rounding to 8 bits leaves."""
-MIN_LOSSLESS, MIN_ROUNDED = 0.05, 0.8
-"""Share of the asset's pixels that agree so far with the render from which a picture may have been stored without loss,
-and their part of those that agree nearly."""
-TIE_SHARE = 1e-3
-"""Part of the mean error that decides between settings that leave what agrees best alike: flat parts."""
-MAX_ERROR_RATIO = 0.7
-"""Error of a guessed encoding in parts of that of none, where it is not met exactly. WebP of quality 30 to 80 of
-painted renders has 0.53 to 0.60, noise and sharpening 0.88 and more."""
-MIN_EXACT, MIN_GAIN = 0.5, 0.25
-"""Share of the asset's pixels that a guessed encoding must meet exactly, and its gain over none."""
-MIN_LEFT_ALONE = 0.1
-"""Share of the asset's pixels that paint leaves alone, at least; else all of a picture was made anew."""
+
+
+@dataclass(frozen=True)
+class EncodingThresholds:
+    """How a picture was compressed, guessed from what is left unpainted. Measured on painted renders where an entry
+    says so, else taste."""
+
+    jpeg_qualities: tuple[int, ...] = (95, 90, 85, 80, 75, 70, 60, 50, 40, 30)
+    """Qualities of JPEG that are tried."""
+    webp_qualities: tuple[int, ...] = (95, 90, 80, 70, 60, 50, 40, 30, 20, 10)
+    """Qualities of WebP that are tried."""
+    blurs_px: tuple[float, ...] = (0.6, 1.0, 1.5, 2.0)
+    """Standard deviations of blurs that are tried."""
+    search_px: int = 256
+    """Side of the part of a picture on which settings of JPEG are looked for; its blocks do not depend on each
+    other."""
+    search_webp_px: int = 1024
+    """The same for WebP, which spreads its bits over the whole picture."""
+    unpainted_share: float = 0.25
+    """Share of the asset's pixels that is left unpainted, at least, where settings are looked for."""
+    half_level: float = 0.51 / 255
+    """What rounding to 8 bits leaves."""
+    min_lossless: float = 0.05
+    """Share of the asset's pixels that agree so far with the render from which a picture may have been stored without
+    loss."""
+    min_rounded: float = 0.8
+    """Their least part of those that agree nearly."""
+    tie_share: float = 1e-3
+    """Part of the mean error that decides between settings that leave what agrees best alike: flat parts."""
+    max_error_ratio: float = 0.7
+    """Error of a guessed encoding in parts of that of none, where it is not met exactly. WebP of quality 30 to 80 of
+    painted renders has 0.53 to 0.60, noise and sharpening 0.88 and more."""
+    min_exact: float = 0.5
+    """Share of the asset's pixels that a guessed encoding must meet exactly."""
+    min_gain: float = 0.25
+    """Its least gain over none."""
+    min_left_alone: float = 0.1
+    """Share of the asset's pixels that paint leaves alone, at least; else all of a picture was made anew."""
+
+
+ENCODINGS = EncodingThresholds()
+
+
 STANDARD_LUMA_MEAN = 57.625
 """Mean of JPEG's example table of luminance (ITU-T T.81, table K.1)."""
 
@@ -72,6 +92,7 @@ class Encoding:
         """[H, W, 3] colours 0..1 as they come back after being stored so."""
         from PIL import Image, ImageFilter
 
+        # Through Pillow's own encoders, in memory: what they lose is what files lose.
         image = Image.fromarray((np.clip(np.nan_to_num(colors), 0, 1) * 255 + 0.5).astype(np.uint8))
         if self.kind == "palette":
             assert self.palette is not None
@@ -99,7 +120,8 @@ class Encoding:
         not say them (WebP). alpha: [H, W] of the render."""
         if self.kind != "WebP" or self.settings:
             return self
-        part = _busiest(alpha, SEARCH_WEBP_PX)
+        # Trying ten qualities on all of a large picture would take seconds.
+        part = _busiest(alpha, ENCODINGS.search_webp_px)
         seen, before, solid = picture[part], render[part], alpha[part] > 0.5
         return min(_webp_options(), key=lambda option: _low_error(seen, option.applied(before), solid))
 
@@ -107,6 +129,7 @@ class Encoding:
 def encoding_of(image: PillowImage) -> Encoding | None:
     """How the file of an opened picture was stored; None: without loss, or as nobody can say."""
     if image.format == "JPEG":
+        # A JPEG carries its tables: nothing has to be guessed.
         tables = getattr(image, "quantization", None)
         if not tables:
             return None
@@ -129,6 +152,7 @@ def palette_of(colors: np.ndarray) -> Encoding:
 def _jpeg(image: PillowImage, tables: dict[int, list[int]]) -> Encoding:
     from PIL import JpegImagePlugin
 
+    # The quality as libjpeg scales its example table; only for words.
     scale = 100 * float(np.mean(tables[min(tables)])) / STANDARD_LUMA_MEAN
     quality = 5000 / scale if scale > 100 else (200 - scale) / 2
     settings: dict[str, Any] = {"qtables": [list(tables[key]) for key in sorted(tables)][:2]}
@@ -159,52 +183,60 @@ def edited_in_encoded(
 ) -> np.ndarray | None:
     """[H, W] bool: what was edited in a picture [H, W, 3] that was stored so; None where all of it was made anew, so
     that nothing is as storing the render [H, W, 3] would have made it. alpha: [H, W] of the render."""
+    # What storing the unpainted render would have left.
     expected = encoding.fitted(picture, render, alpha).applied(render)
     mask = change_mask_beyond(picture, render, expected)
     if changed_throughout(picture, render, alpha) and changed_throughout(picture, expected, alpha):
         rest = np.where(mask, 0, alpha)  # paint leaves something alone, beyond what storing it did
-        if (rest > 0.9).sum() < MIN_LEFT_ALONE * (alpha > 0.9).sum() or changed_throughout(picture, expected, rest):
+        if (rest > 0.9).sum() < ENCODINGS.min_left_alone * (alpha > 0.9).sum() or changed_throughout(
+            picture, expected, rest
+        ):
             return None
     return mask
 
 
 def _webp_options() -> list[Encoding]:
-    return [Encoding("WebP", f"WebP of quality {quality}", {"quality": quality}) for quality in WEBP_QUALITIES]
+    return [
+        Encoding("WebP", f"WebP of quality {quality}", {"quality": quality}) for quality in ENCODINGS.webp_qualities
+    ]
 
 
 def guessed_encoding(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray) -> Encoding | None:
     """How a picture [H, W, 3] was stored before, or softened, as far as it agrees with its render [H, W, 3] after the
     same; None where it agrees without, or with nothing that is tried. alpha: [H, W] of the render."""
+    # Few colours are a palette, whatever the file says.
     colors = _few_colors(picture)
     if colors is not None:
         return palette_of(colors)
     best, plain = None, 1.0
     errors: list[tuple[float, Encoding]] = []
-    for options, side in ((_guesses(), SEARCH_PX), (_webp_options(), SEARCH_WEBP_PX)):
+    for options, side in ((_guesses(), ENCODINGS.search_px), (_webp_options(), ENCODINGS.search_webp_px)):
         part = _busiest(alpha, side)
         seen, before = picture[part], np.clip(render[part], 0, 1)
+        # Flat pixels survive every encoding, so only detailed ones can tell.
         solid = _detailed(before, alpha[part] > 0.5)
         if best is not None or _is_lossless(seen, before, solid):
             break
-        share = max(MIN_EXACT, _exact_share(seen, before, solid) + MIN_GAIN)
+        share = max(ENCODINGS.min_exact, _exact_share(seen, before, solid) + ENCODINGS.min_gain)
         plain = min(plain, _low_error(seen, before, solid))
         for option in options:
             expected = option.applied(before)
             errors.append((_low_error(seen, expected, solid), option))
+            # A guess must meet unpainted pixels exactly; being nearer on average is not enough.
             exact = _exact_share(seen, expected, solid)
             if exact > share:
                 best, share = option, exact
     if best is None and errors:  # paint changes all of a WebP a little: then that which comes nearest
         error, nearest = min(errors, key=lambda pair: pair[0])
-        return nearest if error < MAX_ERROR_RATIO * plain else None
+        return nearest if error < ENCODINGS.max_error_ratio * plain else None
     return best
 
 
 def _guesses() -> Iterator[Encoding]:
-    for radius in BLURS_PX:
+    for radius in ENCODINGS.blurs_px:
         yield Encoding("blur", "blurring or resampling", {"radius": radius})
     yield Encoding("blur", "shrinking and enlarging", {"factor": 2})
-    for quality in JPEG_QUALITIES:
+    for quality in ENCODINGS.jpeg_qualities:
         for subsampling in (2, 0):
             yield Encoding("JPEG", f"JPEG of quality {quality}", {"quality": quality, "subsampling": subsampling})
 
@@ -232,6 +264,7 @@ def _busiest(alpha: np.ndarray, side: int) -> tuple[slice, slice]:
     """The part of a view with most of the asset, of at most `side` pixels a side; it begins with a whole block."""
     out = []
     for axis in (1, 0):
+        # The window with most of the asset, starting on a block of JPEG or WebP.
         weight = np.concatenate([[0], np.cumsum(alpha.sum(axis, dtype=np.float64))])
         size = min(side, len(weight) - 1)
         starts = np.arange(0, len(weight) - size, 16)
@@ -249,11 +282,14 @@ def _is_lossless(picture: np.ndarray, render: np.ndarray, solid: np.ndarray) -> 
     near = box_mean(largest_channel(np.abs(picture - render)), 1)[solid]
     if not len(near):
         return True
-    return bool((near <= HALF_LEVEL).mean() >= max(MIN_LOSSLESS, MIN_ROUNDED * (near <= MAX_EXACT).mean()))
+    return bool(
+        (near <= ENCODINGS.half_level).mean()
+        >= max(ENCODINGS.min_lossless, ENCODINGS.min_rounded * (near <= MASKS.max_exact).mean())
+    )
 
 
 def _low_error(picture: np.ndarray, expected: np.ndarray, solid: np.ndarray) -> float:
     """The error of what agrees best: the rest may be painted over."""
     error = box_mean(largest_channel(np.abs(picture - expected)), 1)
     values = error[solid] if solid.any() else error.ravel()
-    return float(np.quantile(values, UNPAINTED_SHARE) + TIE_SHARE * values.mean())
+    return float(np.quantile(values, ENCODINGS.unpainted_share) + ENCODINGS.tie_share * values.mean())

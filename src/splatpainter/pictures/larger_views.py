@@ -6,6 +6,7 @@ render and from the small one enlarged. Pure.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,28 +14,43 @@ from splatpainter.cameras import Camera
 from splatpainter.lift.masks import change_mask, changed_throughout, dilated, largest_channel
 from splatpainter.pictures.picture_reader import Kernel, resample
 
-MIN_SCALE = 1.1
-"""Pictures that are less larger than their view are resampled to it."""
-MAX_SCALE = 8
-MAX_LARGER_PX = 4096
-"""Most pixels of the longer side of a larger view; pictures beyond are shrunk to it."""
+
+@dataclass(frozen=True)
+class LargerViewLimits:
+    """Pictures with more pixels than their view. Source: taste."""
+
+    min_scale: float = 1.1
+    """Pictures that are less larger than their view are resampled to it."""
+    max_scale: int = 8
+    """Times a picture may be larger than its view, per axis."""
+    max_larger_px: int = 4096
+    """Most pixels of the longer side of a larger view; pictures beyond are shrunk to it."""
+    kernel_range_margin: float = 2 / 255
+    """Most by which an enlargement may leave the range of those by KERNELS."""
+    reach_px: int = 3
+    """Pixels of the view around what surely was edited, in which differences count that may come from enlarging."""
+
+
+LARGER = LargerViewLimits()
+
+
 KERNELS: tuple[Kernel, ...] = ("nearest", "bilinear", "bicubic", "lanczos")
 """Kernels by which programs enlarge."""
-KERNEL_RANGE_MARGIN = 2 / 255
-"""Most by which an enlargement may leave the range of those by KERNELS."""
-REACH_PX = 3
-"""Pixels of the view around what surely was edited, in which differences count that may come from enlarging."""
 
 
 def larger_view(view: Camera, width: int, height: int, max_pixels: float = math.inf) -> Camera | None:
-    """The view at the size of a picture, at most MAX_LARGER_PX and MAX_SCALE times its own and of `max_pixels`; None
-    where the picture (or what is left of it) is not larger by MIN_SCALE, or not of its shape to a pixel of it."""
+    """The view at the size of a picture, at most LARGER.max_larger_px and LARGER.max_scale times its own and of
+    `max_pixels`; None where the picture (or what is left of it) is not larger by LARGER.min_scale, or not of its shape
+    to a pixel of it."""
+    # By width; the height may be off by the rounding of one row of the smaller picture.
     scale = width / view.width
-    if scale < MIN_SCALE or abs(view.height * scale - height) > math.ceil(scale):
+    if scale < LARGER.min_scale or abs(view.height * scale - height) > math.ceil(scale):
         return None
-    shrink = min(1, MAX_LARGER_PX / max(width, height), MAX_SCALE / scale, (max_pixels / (width * height)) ** 0.5)
+    shrink = min(
+        1, LARGER.max_larger_px / max(width, height), LARGER.max_scale / scale, (max_pixels / (width * height)) ** 0.5
+    )
     larger = view.resized(max(1, int(width * shrink + 1e-6)), max(1, int(height * shrink + 1e-6)))
-    return larger if larger.width > MIN_SCALE * view.width else None
+    return larger if larger.width > LARGER.min_scale * view.width else None
 
 
 def edited_in_larger(picture: np.ndarray, large: np.ndarray, small: np.ndarray, cover: np.ndarray) -> np.ndarray:
@@ -46,16 +62,19 @@ def edited_in_larger(picture: np.ndarray, large: np.ndarray, small: np.ndarray, 
     counts only near pixels that lie outside."""
     height, width = large.shape[:2]
     before = np.clip(large, 0, 1)
+    # Whatever kernel a program used, an unedited pixel lies between these and the larger render.
     enlarged = [resample(np.clip(small, 0, 1), width, height, kernel) for kernel in KERNELS]
     solid = cover > 0.9
+    # The kernel that agrees best in the median is taken for the program's.
     errors = [
         float(np.median(largest_channel(np.abs(picture - one))[solid])) if solid.any() else 0.0 for one in enlarged
     ]
     nearest = enlarged[int(np.argmin(errors))]
     if changed_throughout(picture, before, cover) and changed_throughout(picture, nearest, cover):
         return np.ones(cover.shape, bool)
-    low = np.minimum.reduce([before, *enlarged]) - KERNEL_RANGE_MARGIN
-    high = np.maximum.reduce([before, *enlarged]) + KERNEL_RANGE_MARGIN
+    low = np.minimum.reduce([before, *enlarged]) - LARGER.kernel_range_margin
+    high = np.maximum.reduce([before, *enlarged]) + LARGER.kernel_range_margin
+    # Beyond all of them it was surely edited; near that, smaller differences count as well.
     surely = change_mask(picture, np.clip(picture, low, high))
-    reach = math.ceil(REACH_PX * width / small.shape[1])
+    reach = math.ceil(LARGER.reach_px * width / small.shape[1])
     return change_mask(picture, before) & change_mask(picture, nearest) & dilated(surely, reach)

@@ -106,6 +106,7 @@ def read_psd(path: Path) -> Composite:
     size = os.path.getsize(path)
     with open(path, "rb") as file:
         header = _psd_header(file, path)
+        # Sections in the order of the file: colour modes, resources, layers, then the composite.
         _skipped(file, 4, size, path)
         profile, has_composite = _resources(file, size, path)
         if not has_composite:
@@ -117,6 +118,7 @@ def read_psd(path: Path) -> Composite:
         planes = _planes(file, header, size, path)
     colors = np.stack(planes[:3], -1) if header.mode == RGB_MODE else np.repeat(planes[0][..., None], 3, -1)
     values = colors.astype(np.float32) / (255 if header.bits == 8 else 65535)
+    # The first channel behind the colours may be transparency, or a saved selection.
     count = 3 if header.mode == RGB_MODE else 1
     if not transparent or len(planes) <= count:
         return Composite(values, None, profile)
@@ -134,6 +136,7 @@ def _psd_header(file: BinaryIO, path: Path) -> _PsdHeader:
     if len(head) < 26 or head[:4] != PSD_MAGIC:
         raise ValueError(f"{path}: damaged PSD (its header is cut off)")
     version, channels, height, width, bits, mode = struct.unpack(">H6xHIIHH", head[4:])
+    # Everything that the header claims is judged here, before a byte of pixels is read.
     if version not in (1, 2):
         raise ValueError(f"{path}: expected a PSD of version 1 or 2, got {version}")
     if not 0 < width * height <= MAX_PICTURE_PIXELS:
@@ -174,6 +177,7 @@ def _resources(file: BinaryIO, size: int, path: Path) -> tuple[bytes | None, boo
         file.seek(at + 6 + name_bytes + 1 + (name_bytes + 1) % 2)
         length = int.from_bytes(file.read(4), "big")
         body = file.tell()
+        # An unknown signature means that the walk is lost; what was read so far counts.
         if head[:4] not in (b"8BIM", b"MeSa", b"AgHg", b"PHUT", b"DCSR") or body + length > end:
             break
         if id == PROFILE_RESOURCE and length <= MAX_PROFILE_BYTES:
@@ -205,6 +209,7 @@ def _planes(file: BinaryIO, header: _PsdHeader, size: int, path: Path) -> list[n
     row_bytes = header.width * header.bits // 8
     rest = size - file.tell()
     dtype = np.dtype(np.uint8 if header.bits == 8 else ">u2")
+    # Raw: channel after channel, all rows.
     if kind == 0:
         needed = channel_count * header.height * row_bytes
         if rest < needed:
@@ -220,6 +225,7 @@ def _planes(file: BinaryIO, header: _PsdHeader, size: int, path: Path) -> list[n
     lengths = np.frombuffer(table, f">u{count_bytes}").astype(np.int64)[: channel_count * header.height]
     if int(lengths.sum()) > size - file.tell():
         raise ValueError(f"{path}: damaged PSD (its flattened picture is cut off)")
+    # A bomb would claim large rows and give few bytes: PackBits cannot expand by more than 64.
     if int(lengths.sum()) * 128 < channel_count * header.height * row_bytes:  # PackBits makes 128 bytes of 2
         raise ValueError(f"{path}: damaged PSD (its rows are too short for {header.width} pixels)")
     out = np.zeros((channel_count * header.height, row_bytes), np.uint8)
@@ -235,6 +241,7 @@ def _unpack(packed: bytes, row: np.ndarray, path: Path) -> None:
         code = packed[at]
         at += 1
         if code < 128:
+            # 0 to 127: so many bytes and one more as they are; 129 to 255: one byte repeated; 128: nothing.
             piece = packed[at : at + code + 1]
             if filled + len(piece) > size or len(piece) <= code:
                 break
@@ -268,6 +275,7 @@ def merged_png(path: Path) -> bytes:
     import zlib
 
     with open(path, "rb") as file:
+        # The directory is walked by our own bounded reader before zipfile sees the file.
         entries = [entry for entry in zip_directory(file, path) if entry.filename == MERGED]
         if not entries:
             raise ValueError(

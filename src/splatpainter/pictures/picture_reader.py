@@ -29,6 +29,7 @@ from splatpainter.image_files import (
     is_exr,
     read_deep,
 )
+from splatpainter.kernels.parallel import each
 from splatpainter.pictures.color_profiles import (
     ColorStatement,
     PngColors,
@@ -92,6 +93,7 @@ class Picture:
         if self.alpha is None:
             return replace(self, colors=resample(self.colors, width, height))
         alpha = resample(self.alpha, width, height)
+        # Premultiplied while resampling: colours under transparent pixels are anything.
         solid = resample(self.colors * self.alpha[..., None], width, height) / np.maximum(alpha, 1e-3)[..., None]
         return replace(self, colors=np.clip(solid, 0, 1).astype(np.float32), alpha=alpha)
 
@@ -102,6 +104,7 @@ def read_picture(path: Path, *, inks: bool = True) -> Picture:
     picture of a PSD, OpenRaster or Krita file. inks: whether colours may be of INKS, not in
     pictures that are compared with a render. Raises ValueError: missing, unreadable, damaged, another kind of file,
     animated, more than MAX_PICTURE_PIXELS pixels, OpenEXR without OpenImageIO."""
+    # Kinds that Pillow does not read, or not with all their bits, go first.
     if is_exr(path):
         return _light(read_deep(path, MAX_PICTURE_PIXELS))
     if is_zip(path):
@@ -116,16 +119,19 @@ def read_picture(path: Path, *, inks: bool = True) -> Picture:
 
         if not inks and image.mode in INKS:
             raise ValueError(f"{path}: expected RGB colours, got {image.mode}; save it as RGB")
+        # Turned before anything is measured: everybody else sees it so, too.
         turned = ImageOps.exif_transpose(image)
         stated = png_colors(path) if image.format == "PNG" else PngColors(profiled=True)
         notes = list(stated.notes)
         if turned.mode.startswith("I") or turned.mode == "F":
             return _in_srgb(Picture(*_deep_grey(turned), notes=tuple(notes)), stated.statement)
+        # Pillow's colour management is 8 bits; deep pictures take the matrix way below where they can.
         profile = image.info.get("icc_profile") if stated.profiled else None
         alpha = _alpha(turned)
         colors, note = _srgb(turned, profile)
         if is_deep(path, image):
             statement = matrix_profile(profile) if note and profile else None
+            # All bits, where the reader is there and the colours can be brought to sRGB without losing them.
             if can_do_deep() and (statement is not None or not note):
                 picture = replace(_deep(read_deep(path, MAX_PICTURE_PIXELS)), notes=tuple(notes))
                 if statement is None:
@@ -157,6 +163,7 @@ def read_mask(path: Path) -> np.ndarray:
     """[H, W] bool: where a mask picture is not black or, if any of it is transparent, where it is not transparent.
     Raises ValueError as `read_picture`."""
     picture = read_picture(path)
+    # Black that went through JPEG is not quite black.
     lossy = picture.encoding is not None and picture.encoding.kind in LOSSY_KINDS
     if picture.alpha is not None:
         return picture.alpha > 0
@@ -168,10 +175,12 @@ def resample(values: np.ndarray, width: int, height: int, kernel: Kernel = "lanc
     from PIL import Image
 
     planes = values[..., None] if values.ndim == 2 else values
-    out = [
-        np.asarray(Image.fromarray(plane, "F").resize((width, height), Image.Resampling[kernel.upper()]))
-        for plane in np.ascontiguousarray(np.moveaxis(planes, -1, 0), np.float32)
-    ]
+
+    def resized(plane: np.ndarray) -> np.ndarray:
+        return np.asarray(Image.fromarray(plane, "F").resize((width, height), Image.Resampling[kernel.upper()]))
+
+    # Float planes one by one: Pillow resamples a colour picture in 8 bits only.
+    out = each(resized, list(np.ascontiguousarray(np.moveaxis(planes, -1, 0), np.float32)))
     stacked = np.clip(np.stack(out, -1), 0, 1)
     return stacked[..., 0] if values.ndim == 2 else stacked
 
@@ -182,6 +191,7 @@ def _opened(path: Path, decode: bool = True) -> Iterator[Image]:
     becomes one line."""
     from PIL import Image, UnidentifiedImageError
 
+    # Each cause its own line; a FIFO or a device would block for ever.
     if not path.exists():
         raise ValueError(f"{path}: no such file")
     if path.is_dir():
@@ -201,6 +211,7 @@ def _opened(path: Path, decode: bool = True) -> Iterator[Image]:
         except Exception as error:
             raise ValueError(f"{path}: cannot be read as a picture ({_short(error)})") from None
         with image:
+            # Pillow has read the header alone: nothing is decoded yet.
             if image.width * image.height > MAX_PICTURE_PIXELS:
                 actual = f"{image.width}x{image.height}"
                 raise ValueError(f"{path}: expected {SIZE_LIMIT}, got {actual}; scale it down")
@@ -284,6 +295,7 @@ def _check_still(path: Path, image: Image) -> None:
     """Raises ValueError: frames, or pages (GIMP's layers in a TIFF), of which the first alone would count. The second
     picture in JPEG files of phones is a preview."""
     kind = image.format
+    # The first frame alone would be painted with, and the rest lost without a word.
     if kind in ("PNG", "WEBP") and getattr(image, "is_animated", False):
         actual = f"{kind} with {getattr(image, 'n_frames', 'several')} frames"
         raise ValueError(f"{path}: expected a still picture, got {actual}; save one of them as PNG")
@@ -306,6 +318,7 @@ def _deep_grey(image: Image) -> tuple[np.ndarray, None]:
 def _deep(samples: PixelSamples) -> Picture:
     """16-bit samples in display colours, turned as EXIF says."""
     values = samples.values
+    # OpenImageIO leaves the orientation to its caller.
     if samples.orientation >= 5:
         values = values.swapaxes(0, 1)
     across, down = EXIF_STEPS.get(samples.orientation, (1, 1))
@@ -323,6 +336,7 @@ def _light(samples: PixelSamples) -> Picture:
     values = samples.values
     alpha = np.clip(values[..., -1], 0, 1) if samples.channels in (2, 4) else None
     light = values[..., :3] if samples.channels >= 3 else np.repeat(values[..., :1], 3, -1)
+    # EXR is scene light: primaries first, then the display curve.
     light = _of_srgb_primaries(light, samples.primaries)
     colors = to_display(light if alpha is None else unpremultiplied(light, alpha), "linear")
     opaque = alpha is None or alpha.min() == 1
@@ -370,6 +384,7 @@ def _srgb(image: Image, profile: bytes | None) -> tuple[Image, str]:
         intent = ImageCms.Intent.RELATIVE_COLORIMETRIC
         flags = ImageCms.Flags.BLACKPOINTCOMPENSATION
         turn = ImageCms.buildTransform(source, ImageCms.createProfile("sRGB"), base.mode, "RGB", intent, flags)
+        # Profiles of sRGB come in many spellings; converting would only round.
         if base.mode == "RGB" and _same(turn):
             return base, ""
         converted = ImageCms.applyTransform(base, turn)

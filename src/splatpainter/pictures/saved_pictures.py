@@ -33,6 +33,7 @@ class SavedPictures:
         """Raises ValueError: no folder, or one that cannot be read."""
         self.folder = folder
         self._quiet_seconds, self._clock = quiet_seconds, clock
+        # What is there already was not saved since.
         self._seen = self._signatures()
         self._changing: dict[str, tuple[Signature, float]] = {}
 
@@ -52,6 +53,7 @@ class SavedPictures:
             if self._seen.get(name) == signature:
                 self._changing.pop(name, None)
                 continue
+            # Programs write in several steps: a file counts once it has been quiet for a while.
             before, since = self._changing.get(name, (None, now))
             if before != signature:
                 self._changing[name] = (signature, now)
@@ -59,6 +61,7 @@ class SavedPictures:
                 self._seen[name] = signature
                 del self._changing[name]
                 saved.append((signature, self.folder / name))
+        # A file that went and comes back under its name is a new save.
         self._seen = {name: signature for name, signature in self._seen.items() if name in current}
         return [path for _, path in sorted(saved)]
 

@@ -17,21 +17,37 @@ from splatpainter.cameras import Camera
 from splatpainter.image_files import CAMERA_KEYWORD, exr_text, find_camera, is_exr
 from splatpainter.pictures.picture_reader import MAX_PICTURE_PIXELS, Picture, declared_size, read_picture, resample
 
+
+@dataclass(frozen=True)
+class ViewSearchThresholds:
+    """How a picture's view is recognised. Source: taste, tried on turntables and captures."""
+
+    thumbnail_px: int = 48
+    """Pixels of the thumbnails that pictures are recognised by."""
+    max_thumbnail_difference: float = 0.04
+    """Mean difference of the half of the thumbnails that agrees best, up to which one was made from the other."""
+    min_rival_ratio: float = 1.5
+    """A view is the one only where every other is worse by this factor."""
+    min_rival_margin: float = 0.004
+    """Every other must also be worse by this mean difference."""
+    min_content: float = 3 / 255
+    """Difference to the background from which a pixel of a thumbnail shows something."""
+    max_files: int = 2000
+    """Files of a folder whose names are looked at."""
+    max_views: int = 128
+    """Views of it that are compared, the latest first."""
+    max_decoded_pixels: int = 1 << 24
+    """Larger pictures are no candidates: decoding them all takes too long."""
+
+
+VIEW_SEARCH = ViewSearchThresholds()
+
+
 MAX_ASPECT_ERROR = 0.01
 """A picture's aspect ratio may differ from its camera's by this part (one pixel of rounding, and some)."""
-THUMBNAIL_PX = 48
-"""Pixels of the thumbnails that pictures are recognised by."""
-MAX_THUMBNAIL_DIFFERENCE = 0.04
-"""Mean difference of the half of the thumbnails that agrees best, up to which one was made from the other."""
-MIN_RIVAL_RATIO, MIN_RIVAL_MARGIN = 1.5, 0.004
-"""A view is the one only where every other is worse by this factor and this mean difference."""
-MIN_CONTENT = 3 / 255
-"""Difference to the background from which a pixel of a thumbnail shows something."""
+
+
 VIEW_ENDINGS = (".png", ".exr", ".webp", ".tif", ".tiff", ".jpg", ".jpeg")
-MAX_FILES, MAX_VIEWS = 2000, 128
-"""Files of a folder whose names are looked at, and views of it that are compared, the latest first."""
-MAX_DECODED_PIXELS = 1 << 24
-"""Larger pictures are no candidates: decoding them all takes too long."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +68,8 @@ def same_shape(size: tuple[int, int], target: tuple[int, int]) -> bool:
 
 
 def thumbnail(image: np.ndarray) -> np.ndarray:
-    """[THUMBNAIL_PX, THUMBNAIL_PX, 3] a picture shrunk, to be recognised by."""
-    return resample(np.clip(image, 0, 1), THUMBNAIL_PX, THUMBNAIL_PX)
+    """[VIEW_SEARCH.thumbnail_px, VIEW_SEARCH.thumbnail_px, 3] a picture shrunk, to be recognised by."""
+    return resample(np.clip(image, 0, 1), VIEW_SEARCH.thumbnail_px, VIEW_SEARCH.thumbnail_px)
 
 
 def most_alike(picture: np.ndarray, views: Sequence[NamedView], stem: str = "") -> NamedView | None:
@@ -65,10 +81,11 @@ def most_alike(picture: np.ndarray, views: Sequence[NamedView], stem: str = "") 
     pixels = thumbnail(picture)
     scores = [_unlikeness(pixels, view.thumbnail) for view in views]
     order = sorted(range(len(views)), key=lambda k: scores[k])
-    if not order or scores[order[0]] > MAX_THUMBNAIL_DIFFERENCE:
+    if not order or scores[order[0]] > VIEW_SEARCH.max_thumbnail_difference:
         return None
     best = views[order[0]]
-    limit = max(MIN_RIVAL_RATIO * scores[order[0]], scores[order[0]] + MIN_RIVAL_MARGIN)
+    # Two views that are nearly as alike leave a doubt, which only a name can settle.
+    limit = max(VIEW_SEARCH.min_rival_ratio * scores[order[0]], scores[order[0]] + VIEW_SEARCH.min_rival_margin)
     rivals = [views[k] for k in order if scores[k] < limit and not same_view(views[k].camera, best.camera)]
     if not rivals:
         return best
@@ -77,9 +94,12 @@ def most_alike(picture: np.ndarray, views: Sequence[NamedView], stem: str = "") 
 
 
 def _unlikeness(picture: np.ndarray, other: np.ndarray) -> float:
+    # A view's border is mostly background; bare pixels agree in any two views and say nothing.
     border = np.concatenate([other[0], other[-1], other[:, 0], other[:, -1]])
     background = np.median(border, 0)
-    shows = np.maximum(np.abs(picture - background).max(-1), np.abs(other - background).max(-1)) > MIN_CONTENT
+    shows = (
+        np.maximum(np.abs(picture - background).max(-1), np.abs(other - background).max(-1)) > VIEW_SEARCH.min_content
+    )
     difference = np.abs(picture - other).mean(-1)
     values = np.sort(difference[shows] if shows.any() else difference, axis=None)
     return float(values[: len(values) // 2 + 1].mean())
@@ -100,9 +120,10 @@ def views_in(folders: Iterable[Path], size: tuple[int, int], besides: Path | Non
     """Views of the shape of a picture of `size` that lie in folders as pictures with a camera in them or beside them.
     Folders and files that cannot be read are passed over. besides: a file that is none of them."""
     out: list[NamedView] = []
+    # The latest first, and a bounded number: a folder may hold years of pictures.
     for folder in dict.fromkeys(Path(folder) for folder in folders):
         for path in _pictures(folder):
-            if len(out) >= MAX_VIEWS:
+            if len(out) >= VIEW_SEARCH.max_views:
                 return out
             if besides is not None and path.name == besides.name and path.parent == besides.parent:
                 continue
@@ -116,7 +137,7 @@ def _pictures(folder: Path) -> list[Path]:
     dated = []
     try:
         for count, path in enumerate(folder.iterdir()):
-            if count >= MAX_FILES:
+            if count >= VIEW_SEARCH.max_files:
                 break
             if path.suffix.lower() in VIEW_ENDINGS and not path.name.startswith(".") and path.is_file():
                 dated.append((-path.stat().st_mtime_ns, path.name, path))
@@ -127,11 +148,15 @@ def _pictures(folder: Path) -> list[Path]:
 
 def _view_of(path: Path, size: tuple[int, int]) -> NamedView | None:
     try:
+        # Cheap tests first; decoding comes last.
         if not (path.with_suffix(".json").is_file() or _says_camera(path)):
             return None
         camera = find_camera(path)
         declared = declared_size(path) or (camera.width, camera.height)
-        if not same_shape(size, (camera.width, camera.height)) or declared[0] * declared[1] > MAX_DECODED_PIXELS:
+        if (
+            not same_shape(size, (camera.width, camera.height))
+            or declared[0] * declared[1] > VIEW_SEARCH.max_decoded_pixels
+        ):
             return None
         picture = read_picture(path)
     except ValueError:

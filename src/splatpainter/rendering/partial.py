@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.rendering import check_views, render
+from splatpainter.rendering import check_views
 from splatpainter.splats import Splats
 
 if TYPE_CHECKING:
@@ -47,14 +47,14 @@ class PartialRender:
         """tiles: [TH, TW] bool; None: all of them; beside: more that the `view` is to have; view: one of the splats
         that has these, if at hand. Raises ValueError for sizes that `render` does not draw."""
         from splatpainter.rendering.cpu.projected_view import project, tile_shape
+        from splatpainter.rendering.cpu.recent_views import drawn_view, recent_view
 
-        check_views([camera])
         everywhere = np.ones(tile_shape(camera), bool)
         if tiles is None or tiles.all():
-            picture = render(splats, camera)
-            return PartialRender(
-                splats, camera, everywhere, picture.colors[0], picture.alphas[0, ..., 0], picture.depths[0, ..., 0]
-            )
+            at_hand = recent_view(splats, camera)  # held by another: many views of large assets are not kept here
+            drawn = drawn_view(splats, camera)
+            return PartialRender(splats, camera, everywhere, drawn.colors, drawn.alphas, drawn.depths, at_hand)
+        check_views([camera])
         if view is None:
             view = project(splats, camera, tiles=tiles if beside is None else tiles | beside)
         pictures = view.rasterize(tiles=tiles)

@@ -21,13 +21,15 @@ import numpy as np
 
 from splatpainter.atomic import brief_name
 from splatpainter.comparison import compare, listed
-from splatpainter.io import files, format_of_name, read
+from splatpainter.io import FORMATS, files, format_of_name, read
 from splatpainter.io.contents import StoredTable, contents
 from splatpainter.io.formats.glb import with_bands
 from splatpainter.io.formats.ply_container import TextRows
-from splatpainter.io.joining import ROWS_STAND_ALONE, write_joined
+from splatpainter.io.joining import ROWS_STAND_ALONE, concatenated, write_joined
+from splatpainter.io.losses import loss_line, measure
+from splatpainter.io.positions import Offset
 from splatpainter.receipts import MAX_CARRIED, Receipt, receipt_of, untouched_hashes
-from splatpainter.scene.placement import Placement
+from splatpainter.scene.placement import Placement, check_near, scene_offset
 from splatpainter.scene.seam import SeamMatch, match_seam
 from splatpainter.splats import Splats, changed_rows
 
@@ -107,11 +109,13 @@ def merge(
 ) -> Receipt:
     """Write several assets into one file and its receipt (OUT.receipt.json); see `parts_of` and `write_merged`."""
     target = Path(out)
+    # Everything is checked before anything is written.
     parts = parts_of([read(path) for path in assets], transforms, seam, seam_falloff)
     receipt_path = receipt_of(target)
     for path in (target, receipt_path):
         if path.exists() and not overwrite:
             raise ValueError(f"{path}: already exists; choose another name or allow overwriting")
+    # Written and proved beside the target, then renamed: a failure leaves what was there.
     with tempfile.TemporaryDirectory(
         prefix=f".{brief_name(target.name)}.", suffix=".part", dir=target.parent
     ) as folder:
@@ -143,8 +147,10 @@ def parts_of(
         )
     parts = [Part(splats, transform or Placement()) for splats, transform in zip(assets, transforms, strict=True)]
     before: dict[tuple[str, Placement], int] = {}
+    offset = scene_offset([(part.splats, part.placement) for part in parts])
     for number, part in enumerate(parts, 1):
-        _check(part, parts[0])
+        _check(part, parts[0], offset)
+        # The same file twice at one place doubles every opacity: surely a slip.
         twin = before.setdefault((part.splats.sha256, part.placement), number)
         if twin != number:
             raise ValueError(
@@ -154,14 +160,16 @@ def parts_of(
     return _matched(parts, seam_falloff) if seam else parts
 
 
-def placed(parts: Sequence[Part]) -> list[Splats]:
-    """Each part's Gaussians as they are in the scene."""
+def placed(parts: Sequence[Part], splats: Sequence[Splats] | None = None) -> list[Splats]:
+    """Each part's Gaussians as they are in the scene. splats: those of each part, edited; None: as read. What is not
+    moved keeps its offset (Splats.offset), what is moved has that of the scene."""
+    offset = scene_offset([(part.splats, part.placement) for part in parts])
     out: list[Splats] = []
-    for part in parts:
-        splats = part.placement.apply(part.splats)
+    for part, rows in zip(parts, splats or [part.splats for part in parts], strict=True):
+        rows = part.placement.apply(rows, rows.offset if part.placement.is_identity else offset)
         if part.seam is not None:
-            splats = part.seam.apply(splats, out[0])
-        out.append(splats)
+            rows = part.seam.apply(rows, out[0])
+        out.append(rows)
     return out
 
 
@@ -171,11 +179,18 @@ def write_merged(path: Path, parts: Sequence[Part]) -> tuple[Receipt, MergeVerif
     Raises ValueError as `write`; RuntimeError: what was written is not what was to be."""
     key = format_of_name(path)
     assert key is not None
+    # Written, read again, and proved from the sources: the receipt speaks of the file, not of memory.
     scene = placed(parts)
     write_joined(path, scene)
-    merged = read(path, lenient=True)
+    merged = read(path, lenient=True, offset=scene[0].offset)
+    joined = concatenated(scene)
+    lost = loss_line(joined, key, measure(joined, merged))
     first, sources = 0, []
     for part, splats in zip(parts, scene, strict=True):
+        # Each range against what was given to the writer: formats with loss say how many rows came back exactly.
+        if splats.offset != merged.offset and FORMATS[key].holds_offset:
+            merged = read(path, lenient=True, offset=splats.offset)
+        splats = splats.relative_to(merged.offset)
         stored = merged.take(np.arange(first, first + len(splats)))
         bands = max(stored.sh.shape[1], splats.sh.shape[1])  # some formats hold fewer than they are given
         before, after = (replace(rows, sh=with_bands(rows.sh, bands)) for rows in (splats, stored))
@@ -195,8 +210,11 @@ def write_merged(path: Path, parts: Sequence[Part]) -> tuple[Receipt, MergeVerif
         )
         first += len(splats)
     lead = parts[0].splats
+    # The first asset counts as the edited one, the others as appended to it.
     stays = parts[0].stored_as(key) == BYTES and merged.sh.shape[1] == lead.sh.shape[1]
     touched = np.zeros(0, np.int64) if stays else np.arange(len(lead))
+    if merged.offset != lead.offset:
+        merged = read(path, lenient=True, offset=lead.offset)
     before, after = untouched_hashes(lead, merged, touched)
     receipt = Receipt(
         asset_sha256=lead.sha256,
@@ -210,9 +228,10 @@ def write_merged(path: Path, parts: Sequence[Part]) -> tuple[Receipt, MergeVerif
         appended_rows=len(merged) - len(lead),
         untouched_sha256_before=before,
         untouched_sha256_after=after,
-        note="; ".join(_notes(parts)),
+        note="; ".join([*_notes(parts), *([f"lost in {key}: {lost}"] if lost else [])]),
         merge={"sources": sources},
     )
+    # The same check that `verify` makes later, from files.
     verification = check_merge(merged, [part.splats for part in parts], receipt)
     if not verification.ok:
         raise RuntimeError(f"the merged file is not what its sources make: {'; '.join(verification.problems)}")
@@ -236,6 +255,7 @@ def check_merge(merged: Splats, sources: Sequence[Splats], receipt: Receipt) -> 
         problems.append(f"the merged file changed since (sha256 {merged.sha256[:12]}...)")
     if receipt.dropped is not None:
         problems.append("hidden rows were removed for good, so that ranges have no rows of their own any more")
+    # Sources are known by their hash, so they may have moved or been renamed.
     ordered, unused = _by_hash(records, sources)
     problems += [f"{splats.source.path}: is not a source of this file" for splats in unused if splats.source]
     problems += [
@@ -250,17 +270,20 @@ def check_merge(merged: Splats, sources: Sequence[Splats], receipt: Receipt) -> 
         for record, splats in zip(records, ordered, strict=True)
         if splats is not None
     ]
+    # Without every source nothing can be rebuilt; say what is missing and stop.
     total = sum(record["rows"] for record in records)
     fits = all(splats is None or len(splats) == r["rows"] for r, splats in zip(records, ordered, strict=True))
     if len(parts) < len(records) or len(merged) < total or not fits:
         if len(merged) < total:
             problems.append(f"{total - len(merged)} rows are missing")
         return MergeVerification(False, (), 0, tuple(problems or ["the sources have other rows"]), "nothing")
+    # The scene made once more, compared value by value.
     comparison = compare(_rebuilt(parts, merged), merged)
     problems += comparison.problems
     rows = np.zeros(total, bool)
     rows[comparison.differs] = True
     for record, part in zip(records, parts, strict=True):
+        # And stored bytes against stored bytes, where a range holds its source as it was.
         differing, fields = _stored_differences(part, merged, record["first"])
         rows[record["first"] + differing] = True
         problems += [f"{part.name}: the stored bytes of {name} differ" for name in fields]
@@ -268,6 +291,7 @@ def check_merge(merged: Splats, sources: Sequence[Splats], receipt: Receipt) -> 
     if receipt.mode != MODE:
         for ids in (receipt.touched, receipt.merge_touched):
             edited[ids[ids < total]] = True
+    # What differs has to stand in a receipt.
     unlisted = np.flatnonzero(rows & ~edited)
     if len(unlisted):
         problems.append(f"{len(unlisted)} rows differ that no receipt lists: {listed(unlisted)}")
@@ -293,6 +317,7 @@ def differing_rows(parts: Sequence[Part], merged: Splats) -> np.ndarray:
 
 def carried(receipt: Receipt, before: Receipt | None) -> Receipt:
     """The receipt of an edit of a merged asset, with what the asset's own receipt (`before`) says of its sources."""
+    # Only the receipt of exactly this file may speak for it.
     if before is None or before.merge is None or before.output_sha256 != receipt.asset_sha256:
         return receipt
     touched = before.merge_touched
@@ -301,31 +326,29 @@ def carried(receipt: Receipt, before: Receipt | None) -> Receipt:
     return replace(receipt, merge=before.merge, merge_touched=touched[touched < receipt.asset_rows])
 
 
-def _check(part: Part, first: Part) -> None:
+def _check(part: Part, first: Part, offset: Offset) -> None:
     path, splats = part.path, part.splats
     if not len(splats):
         raise ValueError(f"{path}: has no Gaussians to merge")
     visible = int(splats.drawable.sum())
     if not visible:
         raise ValueError(f"{path}: none of its {len(splats)} Gaussians can be drawn")
-    if any(splats.offset):
-        raise ValueError(
-            f"{path}: has positions that float32 cannot hold; move it near 0 (subtract its offset, as info shows it), "
-            "then merge"
-        )
     if splats.color_space != first.splats.color_space:
         spaces = f"{splats.color_space}, those of {first.name} {first.splats.color_space}"
         raise ValueError(f"{path}: its colours are {spaces}; convert one of them first")
-    if not part.placement.is_identity and int(part.placement.apply(splats).drawable.sum()) < visible:
+    # Far moves overflow float32: Gaussians would vanish without a word.
+    inside = part.placement.apply(splats, offset)
+    if inside is not splats and int(inside.drawable.sum()) < visible:
         raise ValueError(f"{path}: its transform takes Gaussians out of what can be drawn; use smaller numbers")
+    check_near(path, inside)
 
 
 def _matched(parts: Sequence[Part], falloff: float) -> list[Part]:
     out = [parts[0]]
-    fixed = parts[0].placement.apply(parts[0].splats)
-    for part in parts[1:]:
+    fixed, *others = placed(parts)
+    for part, moving in zip(parts[1:], others, strict=True):
         try:
-            match = match_seam(part.placement.apply(part.splats), fixed, falloff)
+            match = match_seam(moving, fixed, falloff)
         except ValueError as error:
             raise ValueError(f"{part.path}: {str(error).removeprefix('seam: ')}") from None
         out.append(replace(part, seam=match))
@@ -351,6 +374,7 @@ def _records(receipt: Receipt) -> list[dict[str, Any]]:
             raise ValueError("it is not of a merge")
         records, first = [], 0
         for record in receipt.merge["sources"]:
+            # A receipt is a file like any other: every number in it is checked before it indexes anything.
             rows = record["rows"]
             if isinstance(rows, bool) or not isinstance(rows, int) or rows < 1 or record["first"] != first:
                 raise ValueError("its ranges do not follow each other")
@@ -377,10 +401,11 @@ def _rebuilt(parts: Sequence[Part], merged: Splats) -> Splats:
     """The merged file, made once more from its sources."""
     assert merged.source is not None
     with tempfile.TemporaryDirectory() as folder:
+        # Formats are told by their names.
         name = {"sog": "merged.sog", "compressed.ply": "merged.compressed.ply"}.get(merged.source.format)
         path = Path(folder) / (name or f"merged.{merged.source.format}")
         write_joined(path, placed(parts))
-        return read(path, lenient=True)
+        return read(path, lenient=True, offset=merged.offset)
 
 
 def _stored_differences(part: Part, merged: Splats, first: int) -> tuple[np.ndarray, list[str]]:
@@ -420,6 +445,7 @@ def _field_differs(old: StoredTable, new: StoredTable, name: str, merged_name: s
         return np.arange(len(old)) if name in old.edited else np.zeros(0, np.int64)
     theirs = new.records[merged_name][first : first + len(old)]
     values = old.records[name]
+    # Big and little endian files hold the same values in other bytes.
     if values.dtype.newbyteorder("<") != theirs.dtype.newbyteorder("<"):
         return np.zeros(0, np.int64)  # another type: compared by value
     one, two = (np.ascontiguousarray(v.astype(v.dtype.newbyteorder("<"))) for v in (values, theirs))

@@ -4,19 +4,23 @@
 
 The axes are those of every asset in memory (x right, y down, z forward: right-down-front). What is not moved keeps its
 bits: a placement without a turn leaves rotations and SH alone, one without a scale the scales, and the identity all.
-Sums are written out, and the matrices of the SH bands rounded to SH_DECIMALS, so that every machine gives equal bits.
+Where positions are kept relative to an offset (Splats.offset), a placement is of world coordinates; `between` is what
+it does to `means`. Sums are written out, and the matrices of the SH bands rounded to SH_DECIMALS, so that every machine
+gives equal bits.
 """
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.io.positions import Offset, is_coarse, offset_of, relative, steps_in_sizes
 from splatpainter.splats import Splats
 from splatpainter.transforms import quat_to_matrix, sh_rotations, snapped
 
@@ -24,6 +28,12 @@ MAX_MOVE = 1e9
 """World units along each axis."""
 MIN_SCALE, MAX_SCALE = 1e-6, 1e6
 MAX_DEGREES = 36_000.0
+MAX_APART = 1000.0
+"""Distance of two assets, in widths of the wider one, beyond which they lie in different places of the world."""
+MAX_STEP_IN_SCENE = 1.0
+"""Distance between neighbouring float32 numbers, in sizes of the median Gaussian of an asset, that a scene bears."""
+MAX_SAMPLE = 1 << 14
+"""Gaussians of each asset, evenly spread over its rows, by which an offset for all is chosen."""
 SH_DECIMALS = 10
 """Decimals of the matrices that turn SH bands: beyond what float32 holds, and short of what libraries of linear algebra
 differ in."""
@@ -62,10 +72,12 @@ class Placement:
             raise ValueError(f"transform: expected angles within {MAX_DEGREES:g} degrees, got {_listed(turn)}")
         quat = (1.0, 0.0, 0.0, 0.0)
         for axis, degrees in enumerate(turn):
+            # Whole turns are taken off first, so that 360000 degrees lose nothing to rounding.
             half = math.radians(math.remainder(degrees, 720.0)) / 2
             step = [math.cos(half), 0.0, 0.0, 0.0]
             step[1 + axis] = math.sin(half)
             quat = _product((step[0], step[1], step[2], step[3]), quat)
+        # Right angles give exact numbers: a quarter turn must not leave 1e-17 in every mean.
         w, x, y, z = (float(value) for value in snapped(np.array(quat)))
         norm = math.sqrt(w * w + x * x + y * y + z * z)
         return Placement((move[0], move[1], move[2]), (w / norm, x / norm, y / norm, z / norm), scale)
@@ -108,6 +120,7 @@ class Placement:
     @property
     def turn(self) -> tuple[float, float, float]:
         """Degrees about x, then y, then z (`of`); about y within 90."""
+        # The inverse of `of`: first z, then y, then x, with the one case where two of them coincide.
         m = self.matrix
         y = math.asin(max(-1.0, min(1.0, -m[2, 0])))
         if abs(m[2, 0]) < 1 - 1e-9:
@@ -134,13 +147,38 @@ class Placement:
             parts.append(f"scaled by {self.scale:.6g}")
         return ", ".join(parts) or "as it is"
 
-    def apply(self, splats: Splats) -> Splats:
+    def between(self, offset: Offset, scene: Offset) -> Placement:
+        """What this does to `means` that are relative to `offset`, where the scene's are relative to `scene`; this
+        itself where both are zero. float64. Raises ValueError where that moves them beyond MAX_MOVE."""
+        return replace(self, move=self._moved_by(1, offset, scene))
+
+    def in_world(self, offset: Offset, scene: Offset) -> Placement:
+        """The inverse of `between`."""
+        return replace(self, move=self._moved_by(-1, offset, scene))
+
+    def _moved_by(self, sign: int, offset: Offset, scene: Offset) -> tuple[float, float, float]:
+        """The move, and `sign` times from `scene` to where `offset` comes to lie without it."""
+        if not any(offset) and not any(scene):
+            return self.move
+        if self.turns or self.scale != 1:
+            offset = tuple(replace(self, move=(0.0, 0.0, 0.0)).points(np.array([offset]))[0].tolist())
+        x, y, z = (m + sign * (a - b) for m, a, b in zip(self.move, offset, scene, strict=True))
+        return x, y, z
+
+    def apply(self, splats: Splats, scene: Offset | None = None) -> Splats:
         """The Gaussians in the scene (numpy); `source` and `origin` stay, so that what does not change keeps its bytes.
-        float64 inside."""
+        float64 inside. scene: what the scene's `means` are relative to; None: what those of `splats` are."""
+        scene = splats.offset if scene is None else scene
+        within = self.between(splats.offset, scene)
+        out = splats if within.is_identity else within._applied(splats)
+        return out if out.offset == scene else replace(out, offset=scene)
+
+    def _applied(self, splats: Splats) -> Splats:
+        """This done to `means` as they are."""
         values: dict[str, np.ndarray] = {}
         with np.errstate(all="ignore"):  # Gaussians that cannot be drawn
-            if not self.is_identity:
-                values["means"] = self.points(splats.means).astype(np.float32)
+            # Arrays that a placement does not touch stay the same, and their bytes with them.
+            values["means"] = self.points(splats.means).astype(np.float32)
             if self.scale != 1:
                 values["scales"] = (splats.scales.astype(np.float64) * self.scale).astype(np.float32)
             if self.turns:
@@ -155,11 +193,14 @@ class Placement:
         rows = zip(self.matrix, self.move, strict=True)
         return np.stack([self.scale * (row[0] * x + row[1] * y + row[2] * z) + shift for row, shift in rows], 1)
 
-    def camera(self, camera: Camera) -> Camera:
+    def camera(self, camera: Camera, offset: Offset | None = None) -> Camera:
         """A camera of the scene as one of the asset's own space, which shows the asset there as this one shows it here.
-        Depths are divided by the scale."""
+        Depths are divided by the scale. offset: what the asset's `means` are relative to; None: what the camera is."""
+        if offset is not None and camera.offset is not None and (any(offset) or any(camera.offset)):
+            return replace(self.between(offset, camera.offset).camera(camera), offset=offset)
         if self.is_identity:
             return camera
+        # The camera goes the other way instead of the asset: nothing has to be copied.
         view = np.asarray(camera.world_to_camera, np.float64)
         inside = np.eye(4)
         inside[:3, :3] = view[:3, :3] @ self.matrix
@@ -174,6 +215,7 @@ class Placement:
             band = sh[:, l * l : (l + 1) * (l + 1)].astype(np.float64)
             for a, row in enumerate(np.round(exact, SH_DECIMALS)):
                 total = row[0] * band[:, 0]
+                # Sums written out in one order: libraries of linear algebra differ in theirs.
                 for b in range(1, len(row)):
                     total = total + row[b] * band[:, b]
                 out[:, l * l + a] = total
@@ -181,11 +223,42 @@ class Placement:
 
 
 def shift_to_the_right(fixed: np.ndarray, moving: np.ndarray, gap: float = 0.1) -> tuple[float, float, float]:
-    """The move along x that sets some points to the right of others. fixed, moving: [P, 3], [Q, 3]; gap: share of the
-    wider one's width between them. Strays (1 % at either end) do not count."""
+    """The move along x that sets some points to the right of others; where these lie in another place of the world
+    altogether (MAX_APART), to the same height and depth, too. fixed, moving: [P, 3], [Q, 3] world coordinates; gap:
+    share of the wider one's width between them. Strays (1 % at either end) do not count."""
+    # Strays would push the assets far apart.
     low, high = (np.quantile(points[:, 0], (0.01, 0.99)) for points in (fixed, moving))
     width = max(low[1] - low[0], high[1] - high[0])
-    return (float(np.float32(low[1] + gap * width - high[0])), 0.0, 0.0)
+    apart = np.median(fixed, axis=0).astype(np.float64) - np.median(moving, axis=0)
+    y, z = apart[1:].tolist() if np.abs(apart).max() > MAX_APART * width else (0.0, 0.0)
+    return (float(np.float32(low[1] + gap * width - high[0])), float(np.float32(y)), float(np.float32(z)))
+
+
+def scene_offset(assets: Sequence[tuple[Splats, Placement]]) -> Offset:
+    """What the `means` of several assets are relative to where they stand together: the offset of all, where they have
+    the same and float32 holds their positions beside it; else `offset_of` all of them."""
+    points, sizes = [], []
+    for splats, placement in assets:
+        every = slice(None, None, max(1, len(splats) // MAX_SAMPLE))
+        points.append(placement.points(splats.world_means[every]))
+        sizes.append(splats.scales[every] * np.float32(placement.scale))
+    offset = assets[0][0].offset
+    if all(splats.offset == offset for splats, _ in assets):
+        if not any(is_coarse(relative(some, offset), scales) for some, scales in zip(points, sizes, strict=True)):
+            return offset
+    return offset_of(np.concatenate(points), np.concatenate(sizes))
+
+
+def check_near(name: str, splats: Splats) -> None:
+    """Raises ValueError where Gaussians, as they stand in a scene, are so far from its offset that float32 rounds their
+    positions by more than MAX_STEP_IN_SCENE."""
+    steps = steps_in_sizes(splats.means, splats.scales)
+    if steps > MAX_STEP_IN_SCENE:
+        x, y, z = splats.middle.tolist()
+        raise ValueError(
+            f"{name}: lies ({x:.6g}, {y:.6g}, {z:.6g}) from the middle of the scene, where positions are rounded to "
+            f"{steps:.2g} sizes of its Gaussians; bring it nearer by its transform (move=X,Y,Z)"
+        )
 
 
 def _product(a: tuple[Any, ...], b: tuple[Any, ...]) -> tuple[Any, Any, Any, Any]:

@@ -7,11 +7,11 @@ Pairs are Gaussians of both surfaces that lie within a few spacings of each othe
 point, so slopes come from spreads, not from a regression, which would go to 0 with noise. With m the means, v the
 variances, r the correlation of both sides' light,
 
-    gain^2 = (v_target + k m_target^2) / (v_source + k m_source^2),   k = OFFSET_PULL (1 - r^2)
+    gain^2 = (v_target + k m_target^2) / (v_source + k m_source^2),   k = SEAM.offset_pull (1 - r^2)
     offset = m_target - gain m_source
 
 which is the line itself where the pairs lie on one, and the ratio of the means where they say nothing of a slope. Pairs
-farther off the ratio of the medians than MAX_DEVIATIONS robust deviations do not count. Base colours
+farther off the ratio of the medians than SEAM.max_deviations robust deviations do not count. Base colours
 count; view-dependent bands follow by the slope of the function (color_grading.apply_to_sh).
 """
 
@@ -31,18 +31,36 @@ from splatpainter.voxels.neighbours import nearest_within
 
 LIGHT = "light"
 """Name of the look: {"look": "light", "gain": [3], "offset": [3], "space": "srgb"}."""
-MIN_OPACITY = 0.2
-"""Least opacity of Gaussians that count as surface."""
-MIN_PAIRS = 24
-RADII = 4
-"""Distances at which pairs are looked for, each twice the one before, the first twice the median size of a Gaussian."""
-OFFSET_PULL = 4.0
-"""How much more than the spread of uncorrelated pairs their mean counts for the gain."""
-NOISE_VARIANCE = 1e-6
-"""Variance of linear light, added to both sides: black on black is no change."""
-MAX_DEVIATIONS = 3.0
-MIN_GAIN, MAX_GAIN, MAX_OFFSET = 0.1, 10.0, 0.5
-"""What a match may ask for."""
+
+
+@dataclass(frozen=True)
+class SeamThresholds:
+    """Colours on both sides of a seam. Source: taste."""
+
+    min_opacity: float = 0.2
+    """Least opacity of Gaussians that count as surface."""
+    min_pairs: int = 24
+    """Pairs of Gaussians across the seam that a match needs."""
+    radii: int = 4
+    """Distances at which pairs are looked for, each twice the one before, the first twice the median size of a
+    Gaussian."""
+    offset_pull: float = 4.0
+    """How much more than the spread of uncorrelated pairs their mean counts for the gain."""
+    noise_variance: float = 1e-6
+    """Variance of linear light, added to both sides: black on black is no change."""
+    max_deviations: float = 3.0
+    """Standard deviations of the differences beyond which a pair says nothing."""
+    min_gain: float = 0.1
+    """The least gain that a match may ask for."""
+    max_gain: float = 10.0
+    """The largest gain that a match may ask for."""
+    max_offset: float = 0.5
+    """The largest offset that a match may ask for, linear light."""
+
+
+SEAM = SeamThresholds()
+
+
 MAX_NUMBER = 1e6
 """Largest absolute value of gains and offsets that a project may name."""
 
@@ -108,6 +126,7 @@ def match_seam(moving: Splats, fixed: Splats, falloff: float = 0.0) -> SeamMatch
         raise ValueError(f"seam: expected a falloff of 0 to {MAX_NUMBER:g} world units, got {falloff:g}")
     if moving.color_space != fixed.color_space:
         raise ValueError(f"seam: colours of one asset are {moving.color_space}, of the other {fixed.color_space}")
+    # Pairs near the seam only: what is far away may well have other colours.
     ids, near_ids, _ = seam_pairs(moving, fixed)
     source = to_light(np.clip(base_color(moving.sh[ids]), 0, 1), moving.color_space).astype(np.float64)
     target = to_light(np.clip(base_color(fixed.sh[near_ids]), 0, 1), fixed.color_space).astype(np.float64)
@@ -118,25 +137,27 @@ def match_seam(moving: Splats, fixed: Splats, falloff: float = 0.0) -> SeamMatch
 
 def seam_pairs(moving: Splats, fixed: Splats) -> tuple[np.ndarray, np.ndarray, float]:
     """([P] ids of `moving`, [P] ids of `fixed` nearest to them, the distance within which they lie). Raises ValueError
-    where there are fewer than MIN_PAIRS."""
+    where there are fewer than SEAM.min_pairs."""
+    moving = moving.relative_to(fixed.offset)
     ids, other_ids = (np.flatnonzero(_surface(splats)) for splats in (moving, fixed))
+    # From two Gaussians' width on, doubling until there are enough pairs.
     radius = 2 * max((float(np.median(s.scales[k].max(1))) for s, k in ((moving, ids), (fixed, other_ids)) if len(k)))
-    for _ in range(RADII):
+    for _ in range(SEAM.radii):
         near, _distance = nearest_within(fixed.means[other_ids], moving.means[ids], radius)
         touching = near >= 0
-        if touching.sum() >= MIN_PAIRS:
+        if touching.sum() >= SEAM.min_pairs:
             return ids[touching], other_ids[near[touching]], radius
         radius *= 2
     count = int(touching.sum())
     raise ValueError(
         f"seam: the assets are not near to each other: {count} pairs of Gaussians within {radius / 2:.3g} world units, "
-        f"expected {MIN_PAIRS}; move them together"
+        f"expected {SEAM.min_pairs}; move them together"
     )
 
 
 def seam_weights(moving: Splats, fixed: Splats, falloff: float) -> np.ndarray:
     """[N] float32 of `moving`: 1 at the seam with `fixed`, 0 from `falloff` world units on, smooth between."""
-    ids, _, _ = seam_pairs(moving, fixed)
+    ids, _, _ = seam_pairs(moving, fixed)  # moving.means are compared with themselves only
     _, distance = nearest_within(moving.means[ids], moving.means, falloff)
     share = np.clip(1 - np.where(np.isfinite(distance), distance, falloff) / falloff, 0, 1)
     return (share * share * (3 - 2 * share)).astype(np.float32)
@@ -158,7 +179,7 @@ def light_sh(sh: np.ndarray, parameters: Mapping[str, Any]) -> np.ndarray:
 
 def _surface(splats: Splats) -> np.ndarray:
     """[N] bool: Gaussians that show."""
-    visible = splats.drawable & (splats.opacities >= MIN_OPACITY)
+    visible = splats.drawable & (splats.opacities >= SEAM.min_opacity)
     if not visible.any():
         raise ValueError("seam: one of the assets shows nothing")
     return visible
@@ -166,21 +187,25 @@ def _surface(splats: Splats) -> np.ndarray:
 
 def _fitted(source: np.ndarray, target: np.ndarray) -> tuple[float, float]:
     """(gain, offset) of one channel."""
-    gain = np.clip(np.median(target) / max(float(np.median(source)), 1e-4), MIN_GAIN, MAX_GAIN)
+    # A first gain by medians throws out pairs of different things; the line is fitted to the rest.
+    gain = np.clip(np.median(target) / max(float(np.median(source)), 1e-4), SEAM.min_gain, SEAM.max_gain)
     error = np.abs(target - gain * source)
     deviation = 1.4826 * float(np.median(error))
-    good = error <= max(MAX_DEVIATIONS * deviation, 1e-4)
+    good = error <= max(SEAM.max_deviations * deviation, 1e-4)
     gain, offset = _line(source[good], target[good])
-    return gain, float(np.clip(offset, -MAX_OFFSET, MAX_OFFSET))
+    return gain, float(np.clip(offset, -SEAM.max_offset, SEAM.max_offset))
 
 
 def _line(source: np.ndarray, target: np.ndarray) -> tuple[float, float]:
     mean, target_mean = float(source.mean()), float(target.mean())
     spread, target_variance = float(source.var()), float(target.var())
     together = float(((source - mean) * (target - target_mean)).mean())
-    pull = OFFSET_PULL * (1 - min(max(together, 0.0) ** 2 / max(spread * target_variance, 1e-24), 1.0))
-    square = (target_variance + pull * target_mean**2 + NOISE_VARIANCE) / (spread + pull * mean**2 + NOISE_VARIANCE)
-    gain = float(np.clip(math.sqrt(square), MIN_GAIN, MAX_GAIN))
+    # Uncorrelated pairs say nothing of a slope: the more, the more the ratio of the means decides.
+    pull = SEAM.offset_pull * (1 - min(max(together, 0.0) ** 2 / max(spread * target_variance, 1e-24), 1.0))
+    square = (target_variance + pull * target_mean**2 + SEAM.noise_variance) / (
+        spread + pull * mean**2 + SEAM.noise_variance
+    )
+    gain = float(np.clip(math.sqrt(square), SEAM.min_gain, SEAM.max_gain))
     return gain, target_mean - gain * mean
 
 

@@ -11,7 +11,6 @@ import functools
 import json
 import mimetypes
 from collections.abc import AsyncIterator
-from pathlib import Path
 from typing import Any, Literal
 
 from fastapi import APIRouter, FastAPI, Request, WebSocket
@@ -20,7 +19,6 @@ from fastapi.responses import FileResponse, JSONResponse, PlainTextResponse, Res
 from pydantic import ValidationError
 from starlette.requests import ClientDisconnect
 from starlette.routing import BaseRoute
-from starlette.staticfiles import StaticFiles
 
 from splatpainter._version import __version__
 from splatpainter.server import frames
@@ -31,6 +29,8 @@ from splatpainter.server.commands.context import CommandContext
 from splatpainter.server.commands.viewing import ViewRender, render_view
 from splatpainter.server.hub import CommandError, Hub, log, problem_of
 from splatpainter.server.limits import BadBody, BodyLimit, CommandRoute, body_limit
+from splatpainter.server.packed_files import STATIC
+from splatpainter.server.page_files import PageFiles
 from splatpainter.server.page_state import PageState
 from splatpainter.server.protocol import Cancel, Command, Failure, Hello, Problem, State, Sync, first_fault
 from splatpainter.server.schema import schema_hash
@@ -40,7 +40,6 @@ from splatpainter.server.uploads import watched_folder
 from splatpainter.server.uploads.storage import TooLarge
 from splatpainter.server.work_queue import Ticket
 
-STATIC = Path(__file__).with_name("static")
 PAGE_TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
 """File ending -> its content type: browsers do not guess (x-content-type-options)."""
 STATUS = {"input": 400, "cancelled": 409, "busy": 503, "schema": 409, "storage": 507, "fault": 500}
@@ -88,7 +87,7 @@ def create_app(studio: Studio, access: Access | None = None) -> FastAPI:
     if (STATIC / "index.html").is_file():
         for ending, kind in PAGE_TYPES.items():  # the registry of Windows may call scripts text/plain
             mimetypes.add_type(kind, ending)
-        app.mount("/", StaticFiles(directory=STATIC, html=True))
+        app.mount("/", PageFiles(STATIC))
     else:
         app.get("/", include_in_schema=False)(lambda: PlainTextResponse(UNBUILT))
     app.add_middleware(BodyLimit, limit=body_limit)

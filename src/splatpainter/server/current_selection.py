@@ -15,7 +15,7 @@ from splatpainter.cameras import Camera
 from splatpainter.io import files
 from splatpainter.server.selection_history import SelectionHistory, SelectionState
 from splatpainter.session import Session
-from splatpainter.session.selection import Combine, Selection, combined, view_and_points, view_of
+from splatpainter.session.selection.selection import Combine, Selection, combined, view_and_points, view_of
 from splatpainter.splats import Splats
 
 SHARPEN = (0.3, 0.7)

@@ -20,11 +20,11 @@ from splatpainter.io import FORMATS, frame_is_open, frame_line
 from splatpainter.server import protocol
 from splatpainter.server.fine_detail import has_fine_detail
 from splatpainter.session import Layer, Session
-from splatpainter.session.document import PLACED
-from splatpainter.session.layer_mask import LayerMask
-from splatpainter.session.project_file import Bookmark, Step
-from splatpainter.session.recent_changes import changes as changes_between
-from splatpainter.session.scene_asset import MAIN_ASSET_ID
+from splatpainter.session.document.document import PLACED
+from splatpainter.session.document.layer_mask import LayerMask
+from splatpainter.session.document.scene_asset import MAIN_ASSET_ID
+from splatpainter.session.project.project_file import Bookmark, Step
+from splatpainter.session.replay.recent_changes import changes as changes_between
 from splatpainter.splats import Splats
 
 HOME_VIEW = {"elevation": 15.0, "fov": 40.0}
@@ -35,7 +35,7 @@ PICTURE_PX = 96
 
 def up_axis(session: Session) -> tuple[int, int, int]:
     """World axis that is up on the screen."""
-    return UPS[session.up]
+    return UPS[session.scene.up]
 
 
 def home_view(splats: Splats, up: tuple[int, int, int], start: float) -> tuple[np.ndarray, float, cameras.Camera]:
@@ -64,7 +64,7 @@ def asset_info(session: Session, name: str) -> protocol.AssetInfo:
     """What there is to say of the asset as it was opened; `counted` says how it is now."""
     original = session.original
     up = up_axis(session)
-    center, radius, view = home_view(original, up, session.front)
+    center, radius, view = home_view(original, up, session.scene.front)
     source = original.source
     return protocol.AssetInfo(
         name=name,
@@ -97,8 +97,9 @@ def counted(info: protocol.AssetInfo, original: Splats, now: Splats) -> protocol
 def scene_assets(session: Session, name: str) -> list[protocol.SceneAssetInfo]:
     """All assets. name: of the one that was opened."""
     out = []
-    for asset in session.assets:
-        rows, placement = session.asset_original(asset.id), asset.placement
+    for asset in session.scene.assets:
+        rows = session.scene.original_of(asset.id)
+        placement = asset.placement.between(rows.offset, session.original.offset)
         center = placement.points(rows.middle[None])[0]
         is_main = asset.id == MAIN_ASSET_ID and not session.snapshot.document.assets
         out.append(
@@ -119,7 +120,7 @@ def scene_assets(session: Session, name: str) -> list[protocol.SceneAssetInfo]:
 
 def layer_info(session: Session, layer: Layer) -> protocol.LayerInfo:
     """A layer with the figures of its last computation."""
-    facts = session.facts(layer.id)
+    facts = session.layers.facts(layer.id)
     latest_views = layer.strokes[-1].views if layer.strokes else layer.views
     scores: list[dict[str, Any]] = [*facts.get("views", ()), *({} for _ in latest_views)]
     views = [
@@ -159,7 +160,7 @@ def latest_edit(session: Session) -> protocol.EditFigures | None:
     """Figures of the newest stroke or layer that is in effect: ids only ever go up."""
     latest: tuple[int, Layer, str, dict[str, Any]] | None = None
     for layer in (leaf for one in session.layers if one.visible for leaf in one.leaves()):
-        facts = session.facts(layer.id)
+        facts = session.layers.facts(layer.id)
         newest = layer.strokes[-1] if layer.strokes else layer
         number = int(newest.id) if newest.id.isdecimal() else 0
         if "rows_touched" in facts and (latest is None or number > latest[0]):
@@ -205,7 +206,7 @@ def conflict_infos(session: Session) -> list[protocol.ConflictInfo]:
         protocol.ConflictInfo(
             lower=c.lower, upper=c.upper, gaussians=len(c.gaussian_ids), share=min(c.share, 1), policy=c.policy
         )
-        for c in session.conflicts()
+        for c in session.layers.conflicts()
     ]
 
 
@@ -226,7 +227,7 @@ class Lists:
     def bookmarks(self, session: Session) -> list[protocol.BookmarkInfo]:
         """Views to come back to."""
         earlier = self._bookmarks
-        self._bookmarks = {id(b): earlier.get(id(b)) or (b, _bookmark_info(b)) for b in session.bookmarks()}
+        self._bookmarks = {id(b): earlier.get(id(b)) or (b, _bookmark_info(b)) for b in session.bookmarks}
         return [info for _, info in self._bookmarks.values()]
 
 

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.session.orientation import COVERED_ALPHA, thinned
+from splatpainter.session.measures.orientation import COVERED_ALPHA, thinned
 from splatpainter.splats import Splats
 
 VIEW_PX = 256

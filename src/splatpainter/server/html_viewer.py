@@ -23,9 +23,9 @@ from splatpainter.cameras import Camera, bounding_sphere
 from splatpainter.color import to_display
 from splatpainter.io.size_estimate import sample
 from splatpainter.server.frames import MAX_HALF, pack_base, pack_harmonics
+from splatpainter.server.packed_files import STATIC, page_file
 from splatpainter.splats import Splats
 
-STATIC = Path(__file__).with_name("static")
 MAX_COEFFICIENTS = 16
 """Per Gaussian and channel, SH degree 3: the screen shows no more."""
 HTML_OPTIONS = ("sh_degree", "antialiased")
@@ -188,7 +188,7 @@ def pack_rotations(quats: np.ndarray) -> np.ndarray:
 def _script(path: Path) -> bytes:
     """A script of the page, gzip."""
     try:
-        return gzip.compress(path.read_bytes(), GZIP_LEVEL, mtime=0)
+        return gzip.compress(page_file(path), GZIP_LEVEL, mtime=0)
     except OSError:
         raise ValueError("HTML: the page is not built: run npm ci && npm run build in web/") from None
 

@@ -21,7 +21,7 @@ from splatpainter.server.protocol import Answer, Command, Message, Problem, Stat
 from splatpainter.server.studio import Studio
 from splatpainter.server.work_queue import Busy, Cancelled, Ticket, WorkQueue
 from splatpainter.session import Session
-from splatpainter.session.database import UnwritableError
+from splatpainter.session.project.database import UnwritableError
 
 log = logging.getLogger("splatpainter.server")
 

@@ -9,7 +9,7 @@ import numpy as np
 from splatpainter.cameras import Camera, orbit
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.rendering.pixel_shares import before_black
-from splatpainter.session.conflicts import PREDICTED, SEEN
+from splatpainter.session.replay.conflicts import PREDICTED, SEEN
 from splatpainter.splats import Splats
 
 OVERLAY_OPACITY = 0.65

@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from splatpainter.cameras import Camera
 from splatpainter.io.files import printable
 from splatpainter.painter import LayerMethod, Method, Mode
-from splatpainter.session.document import Blend, Kind, Policy
+from splatpainter.session.document.document import Blend, Kind, Policy
 
 MAX_VIEW_PIXELS = 4_000_000
 """Most pixels of a view that is painted or rendered."""

@@ -36,8 +36,8 @@ from splatpainter.server.protocol import (
 from splatpainter.server.public_text import public_text
 from splatpainter.server.uploads.storage import Blobs, Downloads, Folder, Projects, RecentProject, UploadLimits
 from splatpainter.session import Session
-from splatpainter.session.layer_factory import thumbnail
-from splatpainter.session.scratch import ScratchFolder, sweep_folder, sweep_scratch
+from splatpainter.session.document.layer_factory import thumbnail
+from splatpainter.session.project.scratch import ScratchFolder, sweep_folder, sweep_scratch
 from splatpainter.splats import Splats
 from splatpainter.user_folders import projects_folder
 
@@ -122,7 +122,7 @@ class Studio:
         for it."""
         if self._preparing is None or not self._preparing.is_alive():
             self._preparing = threading.Thread(
-                target=self.session.prepare, args=(camera,), name="studio-prepare", daemon=True
+                target=self.session.surface.prepare, args=(camera,), name="studio-prepare", daemon=True
             )
             self._preparing.start()
 
@@ -135,10 +135,10 @@ class Studio:
             asset = describe.counted(describe.asset_info(session, name), session.original, snapshot.splats)
             state = self._state_of(session, session_id, name, asset, lists, selection)
         self.session, self.session_id, self.name = session, session_id, name
-        self._drawn = snapshot.version if session.has_picture else None
+        self._drawn = snapshot.version if session.files.has_picture else None
         self.selection = selection
         self._asset, self._lists, self._counted = asset, lists, snapshot.version
-        self._front = session.front
+        self._front = session.scene.front
         self._original = snapshot.original
         self.state = state
 
@@ -146,9 +146,9 @@ class Studio:
         """Describe the session anew; cheap where the Gaussians are the same."""
         session, snapshot = self.session, self.session.snapshot
         self.selection.note()
-        if self._asset.up != list(describe.up_axis(session)) or self._front != session.front:
+        if self._asset.up != list(describe.up_axis(session)) or self._front != session.scene.front:
             self._asset, self._counted = describe.asset_info(session, self._asset.name), 0
-            self._front = session.front
+            self._front = session.scene.front
         if len(snapshot.history) > 1:
             self._earlier = []
         if self._original is not snapshot.original:  # assets came, went, or moved
@@ -164,7 +164,7 @@ class Studio:
 
     def _scene_assets(self, session: Session, name: str) -> list[SceneAssetInfo]:
         """Described anew where something about them changed."""
-        key = (id(session), session.assets, tuple(layer.asset for layer in session.layers), name)
+        key = (id(session), session.scene.assets, tuple(layer.asset for layer in session.layers), name)
         if self._scene is None or self._scene[0] != key:
             self._scene = (key, describe.scene_assets(session, name))
         return self._scene[1]
@@ -185,7 +185,7 @@ class Studio:
             assets=self._scene_assets(session, name),
             layers=[describe.layer_info(session, layer) for layer in session.layers],
             history=lists.history(session),
-            cursor=session.cursor,
+            cursor=session.history.cursor,
             latest_edit=describe.latest_edit(session),
             conflicts=describe.conflict_infos(session),
             bookmarks=lists.bookmarks(session),
@@ -194,7 +194,7 @@ class Studio:
             selection=SelectionInfo(
                 revision=selection.revision,
                 gaussians=selection.gaussians,
-                names=session.selections(),
+                names=session.selections.names(),
                 undo=selection.steps[0],
                 redo=selection.steps[1],
             ),
@@ -245,7 +245,7 @@ class Studio:
         self._drawn = session.version
         camera = describe.small_view(self._asset)
         with contextlib.suppress(ValueError):  # a full disk
-            session.set_picture(thumbnail(describe.drawn(session.splats, camera), None, few_colors=True))
+            session.files.set_picture(thumbnail(describe.drawn(session.splats, camera), None, few_colors=True))
 
     def public(self, text: str) -> str:
         """A message without the folders that clients have no business with; names of files in them stay."""
@@ -282,7 +282,7 @@ class Studio:
             blob = self.blobs.get(sha256)
             return blob.path.read_bytes(), blob.info.media
         with contextlib.suppress(ValueError):
-            return self.session.blob(sha256), "image/png"
+            return self.session.files.blob(sha256), "image/png"
         raise ValueError(f"blob {sha256[:12]}...: no longer available")
 
     def close(self) -> None:
@@ -300,8 +300,8 @@ def _close(session: Session, projects: Projects) -> None:
     """Close a session; a project of the studio's own folder in which nothing was done is removed."""
     path = session.path
     unused = path is not None and path.parent == projects.root and not session.read_only
-    unused = unused and len(session.history) == 1 and not session.bookmarks() and not session.oriented
-    unused = unused and session.has_its_file
+    unused = unused and len(session.history) == 1 and not session.bookmarks and not session.scene.is_oriented
+    unused = unused and session.files.is_in_place
     session.close()
     if unused and path is not None:
         files.remove(path)

@@ -1,4 +1,5 @@
-"""Sessions: layers over an asset, undo and redo, and the project file. Begin with session.py.
+"""Sessions: layers over an asset, undo and redo, and the project file. Begin with session.py, which
+names the parts; they stand in commands/, on the rooms document, replay, project, selection and measures.
 
 Names are imported on first use.
 """
@@ -12,13 +13,19 @@ from typing import TYPE_CHECKING, Any
 from splatpainter.operations.session_files import SessionFiles, Weigh, read_session_files_with
 
 if TYPE_CHECKING:
-    from splatpainter.session.delta import AssetDelta as AssetDelta
-    from splatpainter.session.document import Layer as Layer
-    from splatpainter.session.document import View as View
+    from splatpainter.session.document.document import Layer as Layer
+    from splatpainter.session.document.document import View as View
+    from splatpainter.session.replay.delta import AssetDelta as AssetDelta
+    from splatpainter.session.replay.snapshot import Snapshot as Snapshot
     from splatpainter.session.session import Session as Session
-    from splatpainter.session.session import Snapshot as Snapshot
 
-_MODULES = {"Session": "session", "Snapshot": "session", "Layer": "document", "View": "document", "AssetDelta": "delta"}
+_MODULES = {
+    "Session": "session",
+    "Snapshot": "replay.snapshot",
+    "Layer": "document.document",
+    "View": "document.document",
+    "AssetDelta": "replay.delta",
+}
 __all__ = ["AssetDelta", "Layer", "Session", "Snapshot", "View"]
 
 

@@ -18,8 +18,8 @@ from splatpainter.operations.grade import Look
 from splatpainter.operations.region import Region as Region
 from splatpainter.operations.region import wrong_term
 from splatpainter.operations.session_files import Weigh
-from splatpainter.session.asset_files import read_layer
-from splatpainter.session.document import SELECTION, Layer
+from splatpainter.session.document.document import SELECTION, Layer
+from splatpainter.session.project.asset_files import read_layer
 from splatpainter.splats import Splats
 
 SAME_ASSET_SHARE = 0.1
@@ -71,7 +71,7 @@ def _transfer_of_layer(path: Path, layer: Layer, blobs: dict[str, bytes]) -> Loo
 
 def project_term(name: str, text: str) -> Weigh:
     """A selection that a project keeps, or what one of its layers paints, on an asset made from its original."""
-    from splatpainter.session.selection import Selection
+    from splatpainter.session.selection.selection import Selection
     from splatpainter.session.session import Session
 
     title, at, project = text.rpartition("@")
@@ -79,10 +79,10 @@ def project_term(name: str, text: str) -> Weigh:
         raise wrong_term(name, "NAME@PROJECT.splatproj", text)
     with Session.load(project, readonly=True) as session:
         try:
-            weights = session.selection(title) if name == "selection" else session.painted(title)
+            weights = session.selections.load(title) if name == "selection" else session.layers.painted(title)
         except ValueError as error:
             raise ValueError(f"{project}: {error}") from None
-        parts = session.selected_parts(weights)
+        parts = session.selections.by_asset(weights)
 
     def weigh(splats: Splats) -> np.ndarray:
         for part in parts:

@@ -120,7 +120,8 @@ def edit_view(
 def _without_sheets(painter: Painter) -> Painter:
     from splatpainter.lift.options import LOCAL_DEFAULTS
 
-    return replace(painter, local_options=replace(painter.local_options or LOCAL_DEFAULTS, **WITHOUT_SHEETS))
+    local = replace(painter.settings.local_options or LOCAL_DEFAULTS, **WITHOUT_SHEETS)
+    return painter.with_settings(local_options=local)
 
 
 def refine(

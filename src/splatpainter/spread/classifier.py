@@ -36,6 +36,7 @@ class Projections:
     def of(inputs: int, seed: int = 0) -> Projections:
         """Projections for points of `inputs` coordinates, in units of the kernel's standard deviation."""
         rng = np.random.default_rng([seed, inputs, 811])
+        # In turns, as the kernel's cosine takes them.
         directions = rng.standard_normal((inputs, FEATURES)) / (2 * np.pi)
         return Projections(directions.astype(np.float32), rng.random(FEATURES).astype(np.float32))
 
@@ -56,6 +57,7 @@ class Projections:
 def two_class(features: np.ndarray, positive: np.ndarray, weights: np.ndarray, ridge: float) -> np.ndarray:
     """[FEATURES] float64 theta. features: [M, FEATURES]; positive: [M] bool, some and not all; weights: [M] > 0."""
     inside, outside = np.where(positive, weights, 0), np.where(positive, 0, weights)
+    # Each class weighs one: a stroke has few Gaussians, the rest of the view many.
     w = inside / inside.sum(dtype=np.float64) + outside / outside.sum(dtype=np.float64)
     return _solved(features, w, w * positive, ridge)
 
@@ -72,6 +74,7 @@ def _solved(features: np.ndarray, weights: np.ndarray, values: np.ndarray, ridge
     right = np.zeros(FEATURES)
     rows = np.ascontiguousarray(features, np.float32)
     run(kernels.add_normal_equations, rows, weights.astype(np.float64), values.astype(np.float64), gram, right)
+    # Weights sum to one or two, so the ridge means the same for any number of examples.
     gram[np.diag_indices(FEATURES)] += ridge
     kernels.solve_symmetric(gram, right[:, None], 0, 1)
     return right

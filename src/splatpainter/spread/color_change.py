@@ -26,12 +26,22 @@ from splatpainter.kernels import portable
 from splatpainter.lift.colors import MAX_COLOR
 from splatpainter.splats import Splats
 
-MIN_LIGHT = 1e-3
-"""Luminance, linear, that a mean counts as at least."""
-HOLD_MATRIX, HOLD_OFFSET = 0.02, 0.05
-"""Pull of A and b towards where they start, in variances of the old colour over its mean luminance."""
-DIFFERENCE_STEP = 0.02
-"""Step of the central differences along a SH coefficient, display units."""
+
+@dataclass(frozen=True)
+class ColorChangeSettings:
+    """The affine map between a material's old and new colours. Source: taste."""
+
+    min_light: float = 1e-3
+    """Luminance, linear, that a mean counts as at least."""
+    hold_matrix: float = 0.02
+    """Pull of A towards where it starts, in variances of the old colour over its mean luminance."""
+    hold_offset: float = 0.05
+    """Pull of b towards where it starts, in the same."""
+    difference_step: float = 0.02
+    """Step of the central differences along a SH coefficient, display units."""
+
+
+COLOR_CHANGE = ColorChangeSettings()
 
 
 @dataclass(frozen=True)
@@ -48,11 +58,12 @@ class ColorChange:
         """old, new: [P, 3] display colours; weights: [P] >= 0, not all 0."""
         x, y = (srgb_to_linear(colors.astype(np.float64).clip(0, 1)) for colors in (old, new))
         share = weights.astype(np.float64) / weights.sum(dtype=np.float64)
-        light = max(float((share * luminance(x)).sum()), MIN_LIGHT)
+        light = max(float((share * luminance(x)).sum()), COLOR_CHANGE.min_light)
         x = x / light
+        # The prior: paint of the mean new colour, lit as the old surface was.
         start = np.outer((share[:, None] * y).sum(0), LUMA)  # [3, 3]
         columns = np.concatenate([x, np.ones((len(x), 1))], 1)  # [P, 4]
-        gram = _summed(columns, columns, share) + np.diag([HOLD_MATRIX] * 3 + [HOLD_OFFSET])
+        gram = _summed(columns, columns, share) + np.diag([COLOR_CHANGE.hold_matrix] * 3 + [COLOR_CHANGE.hold_offset])
         solved = portable.solved(gram, _summed(columns, y - _mapped(x, start), share))  # [4, 3]
         return ColorChange((start + solved[:3].T) / light, solved[3])
 
@@ -75,10 +86,11 @@ class ColorChange:
         out[:, 0] = sh_from_color(change(old))
         if sh.shape[1] > 1:
             bands = sh[:, 1:]
+            # Central differences along each coefficient: the map may have kinks where it clips.
             size = np.maximum(np.abs(bands).max(-1, keepdims=True), 1e-6)
-            along = DIFFERENCE_STEP * bands / size
-            middle = old.clip(2 * DIFFERENCE_STEP, 1 - 2 * DIFFERENCE_STEP)[:, None]
-            out[:, 1:] = (change(middle + along) - change(middle - along)) * (size / (2 * DIFFERENCE_STEP))
+            along = COLOR_CHANGE.difference_step * bands / size
+            middle = old.clip(2 * COLOR_CHANGE.difference_step, 1 - 2 * COLOR_CHANGE.difference_step)[:, None]
+            out[:, 1:] = (change(middle + along) - change(middle - along)) * (size / (2 * COLOR_CHANGE.difference_step))
         return (sh + shares[:, None, None] * (out - sh)).astype(np.float32)
 
 

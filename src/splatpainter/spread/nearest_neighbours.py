@@ -6,33 +6,48 @@ depends on the number of threads.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from splatpainter.kernels.arrays import readonly
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
 
-NEIGHBOURS = 16
-"""Neighbours of a point, itself the first."""
-POINTS_PER_CUBE = 4.0
-"""Points per cube, about, of the cubes that hold any."""
-MAX_RINGS = 3
-"""Cubes around its own into which a search looks."""
-MAX_TESTED = 4096
-"""Points that one search looks at: a million points at one place cost no more."""
+
+@dataclass(frozen=True)
+class NeighbourSearchLimits:
+    """The search for neighbours in cubes. Source: taste; they bound the time of a search."""
+
+    neighbours: int = 16
+    """Neighbours of a point, itself the first."""
+    points_per_cube: float = 4.0
+    """Points per cube, about, of the cubes that hold any."""
+    max_rings: int = 3
+    """Cubes around its own into which a search looks."""
+    max_tested: int = 4096
+    """Points that one search looks at: a million points at one place cost no more."""
+
+
+SEARCH = NeighbourSearchLimits()
+
+
 BITS = 20
 """Bits of a cube's index along each axis."""
 
 
 def neighbours(points: np.ndarray) -> np.ndarray:
-    """[M, NEIGHBOURS] int32: each point, then those nearest to it in rising distance; where a search meets fewer, the
-    point itself again. points: [M, 3] finite."""
+    """[M, SEARCH.neighbours] int32: each point, then those nearest to it in rising distance; where a search meets
+    fewer, the point itself again. points: [M, 3] finite."""
     count = len(points)
-    out = np.empty((count, NEIGHBOURS), np.int32)
+    out = np.empty((count, SEARCH.neighbours), np.int32)
     if count:
+        # Cubes are numbered from a corner far below the points, so that outliers keep positive indices.
         size = _cube_size(points)
         low = np.quantile(points, 0.001, axis=0) - size * (1 << (BITS - 2))
-        cells = np.floor((points.astype(np.float64) - low) / size).clip(MAX_RINGS, (1 << BITS) - 1 - MAX_RINGS)
+        cells = np.floor((points.astype(np.float64) - low) / size).clip(
+            SEARCH.max_rings, (1 << BITS) - 1 - SEARCH.max_rings
+        )
         cells = cells.astype(np.int64)
         keys = (cells[:, 0] << 2 * BITS) | (cells[:, 1] << BITS) | cells[:, 2]
         order = np.argsort(keys, kind="stable")
@@ -49,14 +64,15 @@ def neighbours(points: np.ndarray) -> np.ndarray:
 
 
 def _cube_size(points: np.ndarray) -> float:
-    """World units: halved from the asset's size until cubes hold POINTS_PER_CUBE points."""
+    """World units: halved from the asset's size until cubes hold SEARCH.points_per_cube points."""
     low, high = np.quantile(points, [0.01, 0.99], axis=0).astype(np.float64)
     extent = max(float((high - low).max()), 1e-12)
+    # Occupied cubes, not all cubes: surfaces fill few of them.
     for level in range(1, 17):
         size = extent / 2**level
         cells = np.floor((points - low) / size).clip(-(2**19), 2**19).astype(np.int64) + 2**19
         occupied = len(np.unique((cells[:, 0] << 2 * BITS) | (cells[:, 1] << BITS) | cells[:, 2]))
-        if len(points) <= POINTS_PER_CUBE * occupied:
+        if len(points) <= SEARCH.points_per_cube * occupied:
             break
     return size
 

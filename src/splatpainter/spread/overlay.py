@@ -16,9 +16,9 @@ from splatpainter.splats import Splats
 OPACITY = 0.7
 """Opacity of the colours over the view."""
 RAMP_AT = (0.0, 0.5, 1.0, 1.6)
-"""Confidence over the threshold ..."""
+"""Confidence over the threshold at the stops of RAMP."""
 RAMP = ((40, 60, 160), (235, 70, 60), (250, 200, 40), (60, 200, 90))
-"""... and its colour: blue and red are not reached, yellow is the threshold, green is sure."""
+"""Colours at RAMP_AT, 8-bit sRGB: blue and red are not reached, yellow is the threshold, green is sure."""
 
 
 def confidence_overlay(splats: Splats, confidence: np.ndarray, threshold: float, camera: Camera) -> np.ndarray:
@@ -29,6 +29,7 @@ def confidence_overlay(splats: Splats, confidence: np.ndarray, threshold: float,
     amount = np.clip(2 * relative, 0, 1)
     ramp = [portable.interp(relative, RAMP_AT, [color[k] for color in RAMP]) for k in range(3)]
     dtype = frame.projected.dtype
+    # Premultiplied, then divided by what was drawn: blending Gaussians blends colours, not their alpha.
     colors = frame.rasterize((np.stack(ramp, 1) * amount[:, None]).astype(dtype))[0]
     total = frame.rasterize(np.repeat(amount[:, None], 3, 1).astype(dtype))[0][..., :1]
     alpha = 255 * OPACITY * np.clip(total, 0, 1)
@@ -48,6 +49,7 @@ def confidence_picture(splats: Splats, confidence: np.ndarray, threshold: float,
 
 def behind(camera: Camera, center: np.ndarray) -> Camera:
     """The view turned by half a circle around the vertical of its picture through `center` [3]."""
+    # Half a turn about the picture's own vertical, so that up stays up.
     turn = np.diag([-1.0, 1.0, -1.0])
     rotation = camera.world_to_camera[:3, :3]
     half = portable.matmul(portable.matmul(rotation.T, turn), rotation)  # about the camera's y, in world axes

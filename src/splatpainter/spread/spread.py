@@ -31,28 +31,48 @@ from splatpainter.spread.examples import Examples
 from splatpainter.spread.nearest_neighbours import smoothed
 from splatpainter.spread.options import SPREAD_DEFAULTS, SpreadOptions
 
-MAX_EXAMPLES = 8192
-"""Most examples of each kind, evenly chosen, that the classifier learns from."""
-KERNEL_SCALE = 0.4
-"""Width of the kernel: units of descriptors are multiplied by it."""
-RIDGE, RIDGE_PARTIAL = 0.3, 1.0
-"""Ridge of both questions (classifier.py)."""
-SMOOTHING_ROUNDS, HOLD, HOLD_EXAMPLES = 12, 0.4, 0.8
-"""Rounds of smoothing over the surface, and how much a Gaussian, and an example, holds on to its own answer in each."""
-SELF_ROUNDS, SELF_NEGATIVE, SELF_POSITIVE = 3, 0.5, 0.6
-"""For paint that ends in the middle of the material: rounds, and the answers up to which, and from which, what the
-views show is an example of the next one. On 14 training meshes, a stroke over 30 % of the material in view: IoU 0.64
-without, 0.67 after one round, 0.71 after three."""
-COLOR_SIMILARITY = 1.0
-"""Units of colour by which neighbours may differ to take much from each other."""
-FADE_CONFIDENCE = 0.15
-"""Confidence above the threshold over which the change fades in."""
-MIN_PAINTED_PX, SURE = 0.3, 0.5
-"""Pixels that must show a Gaussian under the paint, and confidence, for it to say how the colour changes."""
-MAX_CONFIDENCE = 0.99
-"""Highest confidence of what is not painted itself."""
-MIN_SHARE = 1 / 64
-"""Gaussians that would change by less keep their bits."""
+
+@dataclass(frozen=True)
+class SpreadThresholds:
+    """How a painted material is found elsewhere. Measured where an entry says on what, else taste."""
+
+    max_examples: int = 8192
+    """Most examples of each kind, evenly chosen, that the classifier learns from."""
+    kernel_scale: float = 0.4
+    """Width of the kernel: units of descriptors are multiplied by it."""
+    ridge: float = 0.3
+    """Ridge of the question what is painted material and what is not (classifier.py)."""
+    ridge_partial: float = 1.0
+    """Ridge where the paint ends in the middle of the material."""
+    smoothing_rounds: int = 12
+    """Rounds of smoothing over the surface."""
+    hold: float = 0.4
+    """How much a Gaussian holds on to its answer in each of these rounds."""
+    hold_examples: float = 0.8
+    """The same of an example."""
+    self_rounds: int = 3
+    """Rounds for paint that ends in the middle of the material, in which answers become examples of the next one. On 14
+    training meshes, a stroke over 30 % of the material in view: IoU 0.64 without, 0.67 after one round, 0.71 after
+    three."""
+    self_negative: float = 0.5
+    """Answer up to which what the views show is a negative example of the next round."""
+    self_positive: float = 0.6
+    """Answer from which it is a positive one."""
+    color_similarity: float = 1.0
+    """Units of colour by which neighbours may differ to take much from each other."""
+    fade_confidence: float = 0.15
+    """Confidence above the threshold over which the change fades in."""
+    min_painted_px: float = 0.3
+    """Pixels that must show a Gaussian under the paint for it to say how the colour changes."""
+    sure_confidence: float = 0.5
+    """Confidence that it must have for that."""
+    max_confidence: float = 0.99
+    """Highest confidence of what is not painted itself."""
+    min_share: float = 1 / 64
+    """Gaussians that would change by less keep their bits."""
+
+
+SPREADING = SpreadThresholds()
 
 
 @dataclass(frozen=True)
@@ -68,8 +88,8 @@ class SpreadConfidence:
     @property
     def shares(self) -> np.ndarray:
         """[N] float32 0..1 how much of the change each Gaussian takes."""
-        part = (self.confidence - self.threshold) / FADE_CONFIDENCE
-        return np.where(part < MIN_SHARE, 0, np.minimum(part, 1)).astype(np.float32)
+        part = (self.confidence - self.threshold) / SPREADING.fade_confidence
+        return np.where(part < SPREADING.min_share, 0, np.minimum(part, 1)).astype(np.float32)
 
 
 def spread_confidence(
@@ -81,7 +101,7 @@ def spread_confidence(
     part = splats.take(drawn)
     examples, descriptors = Examples.of(part, views), Descriptors.of(part)
     confidence = np.zeros(len(splats), np.float32)
-    confidence[drawn] = answered(descriptors, examples).clip(0, MAX_CONFIDENCE)
+    confidence[drawn] = answered(descriptors, examples).clip(0, SPREADING.max_confidence)
     return SpreadConfidence(confidence, options.threshold, examples.is_partial)
 
 
@@ -90,10 +110,11 @@ def answered(descriptors: Descriptors, examples: Examples) -> np.ndarray:
     answer = _smooth(_classified(descriptors, examples), descriptors, examples)
     if not examples.is_partial:
         return answer
+    # The paint ended in the middle: what the answer says of seen Gaussians becomes examples of a better question.
     visible = examples.positive | examples.negative
-    for _ in range(SELF_ROUNDS):
-        positive = examples.positive | (visible & (answer > SELF_POSITIVE))
-        negative = visible & ~positive & (answer < SELF_NEGATIVE)
+    for _ in range(SPREADING.self_rounds):
+        positive = examples.positive | (visible & (answer > SPREADING.self_positive))
+        negative = visible & ~positive & (answer < SPREADING.self_negative)
         if not negative.any():
             break
         again = replace(examples, positive=positive, negative=negative, is_partial=False)
@@ -103,23 +124,25 @@ def answered(descriptors: Descriptors, examples: Examples) -> np.ndarray:
 
 def _classified(descriptors: Descriptors, examples: Examples) -> np.ndarray:
     """[M] float32 about 0..1, not clipped."""
+    # A bounded number of examples of each kind: the solution costs the same for any asset.
     ids = np.union1d(_some(examples.positive), _some(examples.negative))
-    points = KERNEL_SCALE * descriptors.values
+    points = SPREADING.kernel_scale * descriptors.values
     projections = Projections.of(DESCRIPTOR_CHANNELS)
     features, positive, weights = projections.features(points[ids]), examples.positive[ids], examples.weights[ids]
     if not examples.is_partial:
-        return projections.predict(points, two_class(features, positive, weights, RIDGE))
-    ratio = projections.predict(points, density_ratio(features, positive, weights, RIDGE_PARTIAL))
+        return projections.predict(points, two_class(features, positive, weights, SPREADING.ridge))
+    ratio = projections.predict(points, density_ratio(features, positive, weights, SPREADING.ridge_partial))
+    # A density ratio has no scale of its own; painted ones define 1.
     typical = float(np.median(ratio[examples.positive]))
     return ratio / max(typical, 1e-6)
 
 
 def _some(chosen: np.ndarray) -> np.ndarray:
-    """Indices of at most MAX_EXAMPLES of the chosen ([M] bool), evenly over their order."""
+    """Indices of at most SPREADING.max_examples of the chosen ([M] bool), evenly over their order."""
     ids = np.flatnonzero(chosen)
-    if len(ids) <= MAX_EXAMPLES:
+    if len(ids) <= SPREADING.max_examples:
         return ids
-    return ids[np.linspace(0, len(ids) - 1, MAX_EXAMPLES).astype(np.int64)]
+    return ids[np.linspace(0, len(ids) - 1, SPREADING.max_examples).astype(np.int64)]
 
 
 def _smooth(answer: np.ndarray, descriptors: Descriptors, examples: Examples) -> np.ndarray:
@@ -129,12 +152,13 @@ def _smooth(answer: np.ndarray, descriptors: Descriptors, examples: Examples) ->
     for n in range(1, near.shape[1]):
         other = near[:, n]
         square = ((descriptors.colors[other] - descriptors.colors) ** 2).sum(1)
-        links[:, n] = portable.exp(-square / (2 * COLOR_SIMILARITY**2)) * descriptors.weights[other]
+        # Neighbours of other colours pass nothing on: answers stay within the material.
+        links[:, n] = portable.exp(-square / (2 * SPREADING.color_similarity**2)) * descriptors.weights[other]
     links /= np.maximum(links.sum(1, keepdims=True), 1e-12)
     counted = examples.positive | (examples.negative & (not examples.is_partial))
     target = np.where(examples.positive, 1, np.where(counted, 0, answer))
-    hold = np.where(counted, HOLD_EXAMPLES, HOLD)
-    return smoothed(answer, target, hold, links, near, SMOOTHING_ROUNDS)
+    hold = np.where(counted, SPREADING.hold_examples, SPREADING.hold)
+    return smoothed(answer, target, hold, links, near, SPREADING.smoothing_rounds)
 
 
 @dataclass(frozen=True)
@@ -149,6 +173,7 @@ class Spread:
 
     def with_lift(self, lifted: LiftedEdit) -> LiftedEdit:
         """The local lift of the same views, made on `splats`, as an edit of the asset before both."""
+        # What the spread changed beyond the lift is part of the same edit, and of its receipt.
         new = np.setdiff1d(self.ids, lifted.ids)
         every = np.concatenate([lifted.ids, new])
         order = np.argsort(every, kind="stable")
@@ -186,7 +211,8 @@ def _color_change(splats: Splats, views: Sequence[EditView], confidence: np.ndar
     drawn = np.flatnonzero(splats.drawable)
     part = splats.take(drawn)
     change, weight = seen_change(part, [(view.camera, view.edited, view.mask) for view in views])
-    for painted in ((weight > MIN_PAINTED_PX) & (confidence[drawn] > SURE), weight > 0):
+    # Sure examples first; any that the paint shows where there are none.
+    for painted in ((weight > SPREADING.min_painted_px) & (confidence[drawn] > SPREADING.sure_confidence), weight > 0):
         if painted.any():
             old = base_color(part.sh[painted])
             old, new = (to_display(colors, splats.color_space) for colors in (old, old + change[painted]))

@@ -70,6 +70,8 @@ class Surface:
         count = len(points)
         out = np.zeros((count, 12))
         s = self.samples
+        # One kernel call for all queries; its columns are SurfacePoints' fields (column 8, thickness, goes into trust
+        # alone).
         lists = (s.keys, s.level_starts, s.cell_sizes, s.reaches, s.min_corner)
         queries = [np.ascontiguousarray(a, np.float64) for a in (points, directions, widths)]
         if count and len(s):

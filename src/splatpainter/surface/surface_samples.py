@@ -60,6 +60,7 @@ class SurfaceSamples:
         arrays = splats.numpy()
         ids = np.flatnonzero(splats.drawable & (arrays.opacities >= MIN_OPACITY))
         means = arrays.means[ids].astype(np.float32)
+        # The shortest axis is the normal; sorted once here, so that queries need not look.
         order = np.argsort(-arrays.scales[ids], axis=1, kind="stable")
         scales = np.take_along_axis(arrays.scales[ids], order, 1).astype(np.float32)
         scales = np.maximum(scales, np.maximum(MIN_FLATNESS_SCALE * scales[:, :1], np.float32(1e-30)))
@@ -73,6 +74,7 @@ class SurfaceSamples:
         low, high = np.quantile(means, [0.001, 0.999], axis=0).astype(np.float64)
         # No smaller than indices can tell apart over the asset without its outliers.
         smallest = max(2 * float(np.quantile(scales[:, 0], 0.1)), float((high - low).max()) / (1 << (CELL_BITS - 1)))
+        # Level by length: a cell is at least twice as wide as its patches, so few cells have to be visited.
         doublings = portable.log(np.maximum(2 * scales[:, 0].astype(np.float64) / smallest, 1)) / LN_2
         level = np.ceil(doublings - 1e-9)
         level = np.clip(level, 0, MAX_LEVELS - 1).astype(np.int64)
@@ -81,6 +83,7 @@ class SurfaceSamples:
         cells = np.floor((means.astype(np.float64) - corner) / (smallest * 2.0**level)[:, None])
         cells = np.clip(cells, 0, (1 << CELL_BITS) - 1).astype(np.int64)
         keys = (cells[:, 0] << 2 * CELL_BITS) | (cells[:, 1] << CELL_BITS) | cells[:, 2]
+        # By level, then by cell: a query's neighbours are runs of one array.
         rank = np.lexsort((keys, level))
         level, scales = level[rank], scales[rank]
         present = np.unique(level)

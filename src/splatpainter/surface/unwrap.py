@@ -110,6 +110,7 @@ def thinned(points: np.ndarray, normals: np.ndarray, spacing: float) -> np.ndarr
     """[S] int64 ascending: points that keep MIN_DISTANCE spacings between each other, the first of them first. Points
     whose normals part by more than 90 degrees are on two sides of something and may be nearer.
     points, normals: [N, 3]."""
+    # Greedy in the given order: earlier points have the right of way.
     cells = PointCells.of(points, MIN_DISTANCE * spacing)
     chosen = np.zeros(len(points), np.bool_)
     if len(points):
@@ -148,6 +149,7 @@ def unwrap(
     points, normals = (np.ascontiguousarray(a, np.float64) for a in (points, normals))
     if not (np.isfinite(points).all() and np.allclose((normals**2).sum(1), 1, atol=1e-3)):
         raise ValueError("unwrap: expected finite points and unit normals")
+    # The picture's up, made tangent: sample 0 gets the first frame, all others get theirs from neighbours.
     forward = up - (up * normals[0]).sum() * normals[0]
     length = portable.length(forward)
     if not length > 1e-6 * portable.length(up):
@@ -157,8 +159,10 @@ def unwrap(
     distances, rims = np.full(count, np.inf), np.zeros((count, 3))
     uv[0], right[0] = 0, np.cross(forward / length, normals[0])
     cells = PointCells.of(points, NEIGHBOUR_SPACINGS * spacing)
+    # A margin beyond the rectangle, so that samples at its side have neighbours on both sides.
     margin = NEIGHBOUR_SPACINGS * spacing
     limits = (half_size[0] + margin, half_size[1] + margin, portable.cos(min(max_turn, math.pi)) - 1e-12)
+    # Scratch is allocated here: kernels allocate nothing.
     heap = MAX_HEAP_ENTRIES * (count + 1)
     scratch = (np.empty(count), np.empty(count, np.bool_), np.empty(heap), np.empty(heap, np.int64))
     results = (uv, right, distances, rims)

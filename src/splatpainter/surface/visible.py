@@ -18,23 +18,33 @@ from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface, SurfacePoints
 from splatpainter.transforms import quat_to_matrix, turned
 
-STOPPED_LIGHT = 0.5
-"""A line of sight meets the surface where this much of its light has been stopped."""
-MAX_STEP_PX = 4
-"""Largest spacing of the lattice, pixels."""
-STEP_WIDTHS = 0.9
-"""Spacing of the lattice in widths of the Gaussians that are seen."""
-WINDOW_WIDTHS = 1.3
-"""First window in widths of the Gaussian that is seen."""
-MIN_WINDOW_PX = 1.5
-"""... and in pixels, at least."""
-MIN_TRUST = 0.3
-"""Trust from which a height is used. Held-out objects: it keeps 99.5 % of what is seen of clean assets (what it drops
-is off by 1.7 widths in the median), 84 to 90 % of fitted ones (dropped: 0.6 widths) and 93 to 99 % of six captures."""
-MAX_DISAGREEMENT = 0.6
-"""Distance between a plane and its neighbour's, in windows, up to which both are one surface."""
-MIN_AGREEING = 1
-"""How many, of a lattice point's eight neighbours, must lie on its plane."""
+
+@dataclass(frozen=True)
+class VisibleSurfaceThresholds:
+    """Where a view's lattice of surface points lies, and which of them to use. Measured where an entry says on what,
+    else taste."""
+
+    stopped_light: float = 0.5
+    """A line of sight meets the surface where this much of its light has been stopped."""
+    max_step_px: int = 4
+    """Largest spacing of the lattice, pixels."""
+    step_widths: float = 0.9
+    """Spacing of the lattice in widths of the Gaussians that are seen."""
+    window_widths: float = 1.3
+    """First window in widths of the Gaussian that is seen."""
+    min_window_px: float = 1.5
+    """First window in pixels, at least."""
+    min_trust: float = 0.3
+    """Trust from which a height is used. Held-out objects: it keeps 99.5 % of what is seen of clean assets (what it
+    drops is off by 1.7 widths in the median), 84 to 90 % of fitted ones (dropped: 0.6 widths) and 93 to 99 % of six
+    captures."""
+    max_disagreement: float = 0.6
+    """Distance between a plane and its neighbour's, in windows, up to which both are one surface."""
+    min_agreeing: int = 1
+    """How many, of a lattice point's eight neighbours, must lie on its plane."""
+
+
+VISIBLE = VisibleSurfaceThresholds()
 
 
 @dataclass(frozen=True)
@@ -92,6 +102,7 @@ class SightEstimates:
             line[earlier.pixels] = np.arange(len(earlier.pixels))
             source = line[pixels]
             at = np.flatnonzero(source >= 0)
+            # A line counts as the same only if all seven numbers are: then the answer has the same bits.
             source[at[(earlier.queries[source[at]] != queries[at]).any(1)]] = -1
         new = np.flatnonzero(source < 0)
         result = surface.at(queries[new, :3], queries[new, 3:6], queries[new, 6])
@@ -139,10 +150,12 @@ def visible_surface(
     (0: as fine as the Gaussians that are seen need); earlier: of the same surface and camera, if at hand: what it
     answers is not computed again."""
     camera = view.camera
+    # Where a line of sight has lost half of its light, something is there to be a surface.
     entry = np.full(pixels.shape, -1, np.int32)
     lists = (view.projected, view.flatten_ids, view.tile_ids, view.isect_offsets)
-    run(kernels.find_front_entries, *lists, np.ascontiguousarray(pixels), STOPPED_LIGHT, entry)
+    run(kernels.find_front_entries, *lists, np.ascontiguousarray(pixels), VISIBLE.stopped_light, entry)
     step = step or _lattice_step(splats, view, entry)
+    # Estimates on a lattice as fine as the Gaussians; planes between them answer for all pixels.
     xs, ys, index = _lattice(entry, step)
     ids = view.gaussian_ids[entry[ys, xs]]
     rays = camera.sight_lines(np.stack([xs, ys], 1) + 0.5)
@@ -151,7 +164,8 @@ def visible_surface(
     starts = camera.to_world(rays * depth[:, None])
     lengths = np.linalg.norm(rays, axis=1)
     directions = portable.matmul(rays / lengths[:, None], rotation)
-    window = np.maximum(WINDOW_WIDTHS * width, MIN_WINDOW_PX * depth / camera.fx)
+    # The window follows the Gaussian that is seen, but never below what a pixel can tell.
+    window = np.maximum(VISIBLE.window_widths * width, VISIBLE.min_window_px * depth / camera.fx)
     # An edited Gaussian may be far smaller than the surface's own patches; those decide.
     window = np.maximum(window, 0.25 * surface.typical_width)
     queries = np.concatenate([starts, directions, window[:, None]], 1)
@@ -159,8 +173,9 @@ def visible_surface(
     result = estimates.result
     local = camera.to_camera(result.points)
     normals = portable.matmul(result.normals, rotation.T)
-    valid = (result.trust >= MIN_TRUST) & (local[:, 2] > 0)
-    trusted = valid & (_agreeing(index, local, normals, result.windows, valid) >= MIN_AGREEING)
+    # Trusted twice: by the estimate itself, and by a neighbour that sees the same plane.
+    valid = (result.trust >= VISIBLE.min_trust) & (local[:, 2] > 0)
+    trusted = valid & (_agreeing(index, local, normals, result.windows, valid) >= VISIBLE.min_agreeing)
     return VisibleSurface(camera, step, index, local, normals, result.windows, result.residuals, trusted, estimates)
 
 
@@ -170,7 +185,7 @@ def _lattice_step(splats: Splats, view: ProjectedView, entry: np.ndarray) -> int
         return 1
     scales = np.sort(splats.scales[view.gaussian_ids[seen]], 1)
     widths = np.sqrt(scales[:, 1] * scales[:, 2]) * view.camera.fx / np.maximum(view.depths[seen], 1e-9)
-    return int(np.clip(STEP_WIDTHS * np.median(widths), 1, MAX_STEP_PX))
+    return int(np.clip(VISIBLE.step_widths * np.median(widths), 1, VISIBLE.max_step_px))
 
 
 def _lattice(entry: np.ndarray, step: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -181,6 +196,7 @@ def _lattice(entry: np.ndarray, step: int) -> tuple[np.ndarray, np.ndarray, np.n
     padded[:height, :width] = entry
     blocks = padded.reshape(rows, step, columns, step).transpose(0, 2, 1, 3).reshape(rows, columns, step * step)
     dy, dx = np.divmod(np.arange(step * step), step)
+    # The pixel nearest to the block's centre that has a surface stands for the block.
     order = np.argsort((dy - (step - 1) / 2) ** 2 + (dx - (step - 1) / 2) ** 2, kind="stable")
     valid = blocks[..., order] >= 0
     first = order[valid.argmax(-1)]
@@ -197,6 +213,7 @@ def depths_along(splats: Splats, camera: Camera, rays: np.ndarray) -> tuple[np.n
     axes = turned(turn, quat_to_matrix(splats.quats.astype(np.float64)))  # columns
     scales = splats.scales.astype(np.float64)
     scales = np.maximum(scales, 1e-3 * scales.max(1, keepdims=True))
+    # The densest point along a ray, in the Gaussian's own axes, where it is a unit sphere.
     along = (axes * rays[:, :, None]).sum(1) / scales
     offset = (axes * mean[:, :, None]).sum(1) / scales
     depth = (along * offset).sum(1) / np.maximum((along**2).sum(1), 1e-300)
@@ -218,7 +235,7 @@ def _agreeing(index, points, normals, windows, valid) -> np.ndarray:
             pair = (first >= 0) & (second >= 0)
             a, b = first[pair], second[pair]
             way = points[b] - points[a]
-            limit = MAX_DISAGREEMENT * np.minimum(windows[a], windows[b])
+            limit = VISIBLE.max_disagreement * np.minimum(windows[a], windows[b])
             close = (np.abs((way * normals[a]).sum(1)) < limit) & (np.abs((way * normals[b]).sum(1)) < limit)
             out[a] += close & valid[b]
     return out

@@ -38,6 +38,7 @@ class CodedFrames:
 def avif_samples(data: bytes) -> CodedFrames:
     """Take an AVIF image sequence apart. Raises ValueError where it is none, or not as ISO 14496-12 wants."""
     try:
+        # An AVIF sequence has an MP4's tables already: take its samples and decoder configuration.
         boxes = _boxes(data, 0, len(data))
         table = {kind: data[start:end] for kind, start, end in boxes}
         entry = table[b"stsd"][8:]
@@ -50,6 +51,7 @@ def avif_samples(data: bytes) -> CodedFrames:
         frames = []
         for offset, count in _chunks(table):
             for size in sizes[len(frames) : len(frames) + count]:
+                # Offsets and sizes are claims of the file.
                 if offset + size > len(data):
                     raise ValueError("a sample lies outside the file")
                 frames.append(data[offset : offset + size])
@@ -66,12 +68,14 @@ def avif_samples(data: bytes) -> CodedFrames:
 
 def mp4(samples: CodedFrames, fps: float) -> bytes:
     """The film as an MP4 file whose index comes first, so that it plays while it loads. fps: frames per second."""
+    # 29.97 is 30000/1001: film rates need a fraction.
     rate = Fraction(fps).limit_denominator(1001)
     scale, tick = rate.numerator, rate.denominator
     if not 0 < scale <= MAX_TIMESCALE or not tick:
         raise ValueError(f"MP4: expected frames per second above 0 and up to {MAX_TIMESCALE}, got {fps}")
     film = b"".join(samples.frames)
     head = box(b"ftyp", b"iso6" + struct.pack(">I", 512) + b"iso6" + b"av01" + b"mp41")
+    # The index first, so that the film plays while it loads. Its length does not depend on the offset in it.
     index = _moov(samples, scale, tick, 0)
     start = len(head) + len(index) + 8
     if start + len(film) >= 1 << 32:
@@ -129,6 +133,7 @@ def _boxes(data: bytes, start: int, end: int) -> list[tuple[bytes, int, int]]:
         stop = end if size == 0 else start + size
         if size and size < 8 or stop > end:
             raise ValueError(f"the box {kind!r} is longer than what holds it")
+        # Of two boxes of a kind the first counts: an alpha track comes after the picture's.
         kinds = {kind for kind, _, _ in out}
         if kind in CONTAINERS and kind not in kinds:
             out += [(kind, start + 8, stop), *_boxes(data, start + 8, stop)]

@@ -83,6 +83,7 @@ def turn(camera: Camera, center: np.ndarray, up: Sequence[float], count: int, de
     """`count` views from `camera` on, at its height above and distance from the centre [3], with its lens; they look
     at the centre. up: [3] world direction of the axis. degrees: of the whole turn, counter-clockwise seen from above;
     after a full one the next view would be the first again, else the last is at its end."""
+    # The first view as height and angle about the axis; the others keep both distance and height.
     axis = np.asarray(up, float) / np.linalg.norm(up)
     away = camera.position - center
     height = float(away @ axis)
@@ -91,6 +92,7 @@ def turn(camera: Camera, center: np.ndarray, up: Sequence[float], count: int, de
     tilt = float(np.degrees(np.arctan2(height, max(np.linalg.norm(flat), 1e-9))))
     zero = orbit(center, distance, 1, elevation=0, up=axis)[0].position - center
     start = float(np.degrees(np.arctan2(float(np.cross(zero, flat) @ axis), float(zero @ flat))))
+    # A full turn ends one step before its first view, so that a loop does not stutter.
     closed = degrees % 360 == 0 and degrees != 0
     steps = degrees * np.arange(count) / max(count if closed else count - 1, 1)
     ring = (orbit(center, distance, 1, elevation=tilt, start=start + step, up=axis)[0] for step in steps.tolist())
@@ -125,11 +127,13 @@ def turntable_bytes(
         return frame(splats, cameras[k], options)
 
     if options.format == "mp4":
+        # In parts of bounded memory, each beginning with a picture at which a player can start.
         count = -(-len(cameras) // KEY_INTERVAL)
         ends = [len(cameras) * k // count for k in range(count + 1)]  # of two frames at least: one alone is no sequence
         parts = [_av1(draw, start, end, options) for start, end in pairwise(ends)]
         return mp4(joined(parts), options.fps)
     images = _sequence(draw, 0, len(cameras))
+    # WebP counts milliseconds: ends are rounded, not durations, so that errors do not add up.
     ends = np.rint(1000 / options.fps * np.arange(1, len(cameras) + 1)).astype(int)
     durations = np.diff(ends, prepend=0).tolist()
     file = io.BytesIO()

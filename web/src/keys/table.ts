@@ -1,8 +1,11 @@
 /**
  * Every command that has a key: its name, what it is called, and the keys that it has at first, which are those of
- * Photoshop where that has the same command. The one source for key handling, tooltips and the sheet of shortcuts.
- * Pure. Names of keys are those of `chord.ts`.
+ * Photoshop where that has the same command; those of the tools stand with these. The one source for key handling,
+ * tooltips and the sheet of shortcuts. Names of keys are those of `chord.ts`.
  */
+
+import { ALL_TOOLS } from "../tools";
+import type { ToolCommand } from "../tools/tool";
 
 export type Group = "Tools" | "Colour and brush" | "View" | "Selection" | "Layers" | "Edit";
 
@@ -14,21 +17,6 @@ interface Entry {
 }
 
 const TABLE = [
-  { id: "tool.orbit", group: "Tools", label: "Turn the view", keys: ["H", "V"] },
-  { id: "tool.brush", group: "Tools", label: "Brush", keys: ["B"] },
-  { id: "tool.erase", group: "Tools", label: "Eraser", keys: ["E"] },
-  { id: "tool.fill", group: "Tools", label: "Paint bucket", keys: ["G"] },
-  { id: "tool.line", group: "Tools", label: "Line", keys: ["U"] },
-  { id: "tool.text", group: "Tools", label: "Text", keys: ["T"] },
-  { id: "tool.stamp", group: "Tools", label: "Picture stamp", keys: ["P"] },
-  { id: "tool.clone", group: "Tools", label: "Clone", keys: ["S"] },
-  { id: "tool.heal", group: "Tools", label: "Heal", keys: ["J"] },
-  { id: "tool.pick", group: "Tools", label: "Eyedropper, as seen", keys: ["I"] },
-  { id: "tool.rectangle", group: "Tools", label: "Select a rectangle", keys: ["M"] },
-  { id: "tool.lasso", group: "Tools", label: "Lasso", keys: ["L"] },
-  { id: "tool.wand", group: "Tools", label: "Select by colour", keys: ["W"] },
-  { id: "tool.selectbrush", group: "Tools", label: "Paint a selection", keys: ["Q"] },
-
   { id: "color.swap", group: "Colour and brush", label: "Swap the two colours", keys: ["X"] },
   { id: "color.default", group: "Colour and brush", label: "Black and white", keys: ["D"] },
   { id: "brush.smaller", group: "Colour and brush", label: "Smaller", keys: ["["] },
@@ -93,13 +81,16 @@ const TABLE = [
   { id: "help", group: "Edit", label: "Shortcuts", keys: ["?"] },
 ] as const satisfies readonly Entry[];
 
-export type CommandId = (typeof TABLE)[number]["id"];
+export type CommandId = (typeof TABLE)[number]["id"] | ToolCommand["id"];
 
 export interface Command extends Entry {
   id: CommandId;
 }
 
-export const COMMANDS: readonly Command[] = TABLE;
+const TOOL_COMMANDS = ALL_TOOLS.flatMap(({ commands }) =>
+  commands.map(({ id, label, keys }): Command => ({ id, group: "Tools", label, keys })),
+);
+export const COMMANDS: readonly Command[] = [...TOOL_COMMANDS, ...TABLE];
 export const GROUPS: readonly Group[] = [...new Set(COMMANDS.map(({ group }) => group))];
 
 /** What the mouse, the pen, fingers and held keys do: listed in the sheet, not to be changed. */

@@ -2,7 +2,7 @@
 
 import { computed, signal } from "@preact/signals";
 
-import { brush, density, state } from "../state/store";
+import { brush, density, paintMode, state } from "../state/store";
 import type { BuiltInTip, Texture } from "./tips";
 import { BUILT_IN_TIPS, TEXTURES, TIP_PX } from "./tips";
 
@@ -79,6 +79,9 @@ export function resizeBrush(factor: number): void {
 const chosenShading = signal<number | null>(null);
 /** All of it where the asset has fine detail of its own, until it is chosen. */
 export const keepShading = computed(() => chosenShading.value ?? (state.value?.asset.fine_detail ? 1 : 0));
+/** What paint keeps in the present mode: one that changes the colour alone keeps all shading by itself. */
+export const shadingApplies = computed(() => paintMode.value !== "color");
+export const keptShading = computed(() => (shadingApplies.value ? keepShading.value : 0));
 export const setKeepShading = (share: number): void => void (chosenShading.value = Math.max(0, Math.min(1, share)));
 
 /** A brush with everything that it is, as it is kept and exported. */
@@ -136,7 +139,7 @@ export const currentPreset = (name: string): Preset => {
   return { name, size, hardness, opacity, flow, pressureSize, pressureFlow, engine: engine.value };
 };
 
-export function usePreset({ name: _name, engine: next, ...tone }: Preset): void {
+export function takePreset({ name: _name, engine: next, ...tone }: Preset): void {
   // a size in world units belongs to an asset: the preset's is one on the screen
   const { unit, worldSize } = engine.value;
   brush.value = { ...brush.value, ...tone };

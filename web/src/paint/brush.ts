@@ -1,11 +1,12 @@
 /** The brush as it is set, for the tools that paint with it: its dabs, its texture, its colour. */
 
-import { brush, camera, color, paintMode, pose, rgb, tool } from "../state/store";
-import { viewer } from "../state/studio";
-import { rayOf } from "../view/camera";
-import { engine, keepShading, viewScale } from "./brush-settings";
+import { editor } from "../editor/editor";
+import { brush, camera, color, paintMode, pose, rgb } from "../state/store";
+import { rayOf, type CameraJson } from "../view/camera";
+import { engine, keptShading, viewScale } from "./brush-settings";
 import { blend, type Rgb } from "./colors";
 import { roundFrame, shaped, type Brush, type Frame } from "./dabs";
+import { rememberLatest } from "./latest";
 import type { Grain, Source } from "./patch";
 import { localMean, NEIGHBOURHOOD, shaded } from "./shading";
 import type { Stroke } from "./stroke";
@@ -15,30 +16,28 @@ import { surfaceOf } from "./view-surface";
 
 /** The string of a steady hand at its full strength, pixels of the screen. */
 const MAX_STRING_PX = 80;
-/** Tools whose dabs are laid down one after the other along a path of the pen. */
-export const BRUSH_TOOLS: readonly string[] = ["brush", "erase", "line", "clone", "heal"];
 
 /** Length of the stabiliser's string, pixels of the view. */
 export const stringLength = (): number => engine.value.stabiliser * MAX_STRING_PX * viewScale.value;
 
-let pictureTip: { data: Uint8Array; tip: TipImage } | null = null;
+const tipOfPicture = rememberLatest((picture: Uint8Array): TipImage =>
+  withHalves(
+    TIP_PX,
+    Float32Array.from(picture, (value) => value / 255),
+  ),
+);
 
 function tipImage(): TipImage | null {
   const { tip, picture } = engine.value;
   if (tip !== "picture") return builtInTip(tip);
-  if (!picture) return null;
-  if (pictureTip?.data !== picture) {
-    const cover = Float32Array.from(picture, (v) => v / 255);
-    pictureTip = { data: picture, tip: withHalves(TIP_PX, cover) };
-  }
-  return pictureTip.tip;
+  return picture && tipOfPicture(picture);
 }
 
 /** Depth of the asset under a pixel where no table of the surface is at hand: of the ray, else of the asset's middle. */
 function depthAt(x: number, y: number): number {
   const [now, eye] = [camera.value!, pose.value!];
   const direction = rayOf(eye, (2 * x) / now.width - 1, (2 * y) / now.height - 1, now.width / now.height);
-  const hit = viewer.hit(eye.eye, direction);
+  const hit = editor.viewer.hit(eye.eye, direction);
   const row = now.world_to_camera[2];
   return hit ? row[0] * hit[0] + row[1] * hit[1] + row[2] * hit[2] + row[3] : eye.distance;
 }
@@ -55,19 +54,20 @@ function frameAt(x: number, y: number, depth: () => number): Frame {
   return at && follow ? frameOnSurface(now, at, radius) : facingFrame(now, z, radius);
 }
 
-let lastDepth: { view: unknown; z: number } | null = null;
+/** Of the first place where the cursor was on a view: it is looked up once, where the surface is not known. */
+const depthOnView = rememberLatest((_view: CameraJson | null) => {
+  let depth: number | null = null;
+  return (x: number, y: number): number => (depth ??= depthAt(x, y));
+});
 
-/** The ring of the cursor; the depth is looked up at most once per view where the surface is not known. */
+/** The ring of the cursor. */
 export function cursorFrame(x: number, y: number): Frame {
-  const view = camera.value;
   const { angle, roundness } = engine.value;
-  const frame = frameAt(x, y, () => {
-    if (lastDepth?.view !== view) lastDepth = { view, z: depthAt(x, y) };
-    return lastDepth!.z;
-  });
+  const frame = frameAt(x, y, () => depthOnView(camera.value)(x, y));
   return shaped(frame, 1, angle, roundness);
 }
 
+/** Strokes so far: each has jitter of its own. */
 let strokes = 0;
 
 /** The brush for one stroke that begins at a pixel. plain: a round tip without jitter (clone, heal). */
@@ -103,14 +103,10 @@ export function grainOf(): Grain | null {
   return tile && ((x, y) => grainAt(tile, x, y, scale, textureDepth));
 }
 
-/** Whether paint of the tool in hand may keep the shading below it. */
-export const shadingApplies = (): boolean =>
-  ["brush", "line", "fill"].includes(tool.value) && paintMode.value !== "color";
-
 /** The chosen colour in the chosen mode, with the shading of what it covers as far as that is kept. */
 export function colorSource(stroke: Stroke): Source {
   const paint = rgb(color.value).map((c) => c * 255) as Rgb;
-  const [mode, keep] = [paintMode.value, shadingApplies() ? keepShading.value : 0];
+  const [mode, keep] = [paintMode.value, keptShading.value];
   const background = camera.value!.background.map((c) => c * 255) as Rgb;
   let mean: Float32Array | null = null;
   return (x, y, out) => {

@@ -2,9 +2,9 @@
 
 import { camera, state } from "../state/store";
 import { add, dot, project, scale, sub, unit, type CameraJson, type Vec3 } from "../view/camera";
+import { nothing, type Pen, type ToolGesture } from "../tools/tool";
 import { viewScale } from "./brush-settings";
-import { cropBox } from "./selection";
-import type { Pen, ToolHandler } from "./tool";
+import { cropBox } from "./selected";
 
 export interface Box {
   low: Vec3;
@@ -74,33 +74,21 @@ export function withFace(box: Box, { axis, side }: Pick<BoxHandle, "axis" | "sid
   return next;
 }
 
-let held: { handle: BoxHandle; before: Box; start: number } | null = null;
-
-const dragger: ToolHandler = {
-  down() {},
-  move(pen) {
-    const view = camera.value;
-    if (!held || !view) return;
-    const { handle, before, start } = held;
-    const now = alongAxis(view, handle.at, axisOf(handle), pen.x, pen.y);
-    if (now !== null) cropBox.value = withFace(before, handle, handle.at[handle.axis] + now - start);
-  },
-  up() {
-    held = null;
-  },
-  cancel() {
-    if (held) cropBox.value = held.before;
-    held = null;
-  },
-};
-
 const axisOf = ({ axis }: BoxHandle): Vec3 => [0, 1, 2].map((k) => Number(k === axis)) as Vec3;
 
 /** What takes the pen where it comes down on a handle; null: the tool does. */
-export function boxTool(pen: Pen): ToolHandler | null {
-  const [box, view] = [cropBox.value, camera.value];
-  const handle = box && view && handleAt(box, view, pen.x, pen.y);
-  if (!box || !view || !handle) return null;
-  held = { handle, before: box, start: alongAxis(view, handle.at, axisOf(handle), pen.x, pen.y) ?? 0 };
-  return dragger;
+export function boxGesture(pen: Pen): ToolGesture | null {
+  const [before, view] = [cropBox.value, camera.value];
+  const handle = before && view && handleAt(before, view, pen.x, pen.y);
+  if (!before || !view || !handle) return null;
+  const start = alongAxis(view, handle.at, axisOf(handle), pen.x, pen.y) ?? 0;
+  return {
+    down: nothing,
+    move({ x, y }) {
+      const now = camera.value && alongAxis(camera.value, handle.at, axisOf(handle), x, y);
+      if (now !== null) cropBox.value = withFace(before, handle, handle.at[handle.axis] + now - start);
+    },
+    up: nothing,
+    cancel: () => (cropBox.value = before),
+  };
 }

@@ -4,8 +4,6 @@ import type { PaintLimits } from "../messages";
 
 export const MAX_ANGLE_DEGREES = 90;
 export const MAX_DEPTH_EDGE_PX = 16;
-/** Tools whose paint the limits hold for; an eraser has none. */
-export const LIMITED_TOOLS: readonly string[] = ["brush", "line", "clone", "heal", "fill", "text", "stamp"];
 
 /** Whole numbers in their ranges, which sliders and typed numbers may leave. */
 export function limitsToSend(limits: { angle: number; depthEdge: number }): PaintLimits {

@@ -1,45 +1,23 @@
-/**
- * What is selected. The server keeps it, on the asset's Gaussians and the same for all windows; here is what of the
- * present view that is, fetched anew when the view or the selection has changed. It limits every tool on the server;
- * here it is shown, and strokes are drawn as they will be.
- */
+/** Changing the selection, and fetching what of it the present view shows when that, or the selection, has changed. */
 
-import { computed, effect, signal } from "@preact/signals";
+import { effect } from "@preact/signals";
 
+import { editor, report, run } from "../editor/editor";
 import type { SelectChange } from "../messages";
 import { blobUrl, pixelsOf, sendBlob } from "../net/blobs";
 import { camera, readOnly, selectedLayer, state, toast } from "../state/store";
-import { link, report, run } from "../state/studio";
-import { sameView, type CameraJson, type Vec3 } from "../view/camera";
+import { sameView, type CameraJson } from "../view/camera";
 import { maskPng } from "./picture";
 import type { Mask } from "./raster";
+import { faintPoints, removesBody, selectedCount, selection, selectionSent, selectionWaits, sent } from "./selected";
 import { combine, isEmpty, type Combine } from "./selection-masks";
 
-/** What of the present view is selected, 0..1; null: nothing is, or it is not known yet. */
-export const selection = signal<Mask | null>(null);
-/** x, y, x, y, ... view pixels of what is selected and too faint to be seen; they belong to `selection`. */
-export const faintPoints = signal<number[]>([]);
-export const selectedCount = computed(() => state.value?.selection.gaussians ?? 0);
-/** Whether the selected area is tinted. */
-export const tinted = signal(true);
-/** A box along the world's axes that is being set; null: none. */
-export const cropBox = signal<{ low: Vec3; high: Vec3 } | null>(null);
-
-/** Whether *Remove and fill* takes the whole thing that is selected, or only what is. */
-export const removesBody = signal(true);
-
+/** The camera rests so long before what it shows of the selection is fetched. */
 const REST_MS = 120;
-/** What was sent and has no answer yet: strokes wait for it. */
-let sending: Promise<unknown> = Promise.resolve();
-let waiting = 0;
-let newestRequest = 0;
-
-/** Resolves when the server knows the selection that is seen here. */
-export const selectionSent = (): Promise<void> => sending.then(() => {});
 
 /** Act on what is selected, once that is known: a key right after a lasso means the lasso. */
 export async function withSelection(act: (selected: number) => unknown): Promise<void> {
-  if (waiting > 0) await selectionSent();
+  if (selectionWaits()) await selectionSent();
   await act(selectedCount.value);
 }
 
@@ -51,7 +29,7 @@ export function selectArea(mask: Mask, how: Combine, through: boolean): void {
   if (isEmpty(mask) && how !== "replace") return;
   if (isEmpty(next)) return void changeSelection("none");
   selection.value = next;
-  newestRequest++; // what was fetched before is out of date
+  shown.dropRequests(); // what was fetched before is out of date
   void sent(async () => {
     const blob = await sendBlob(await maskPng(mask), "selection.png");
     await run("selection.area", { camera: now, mask: blob, how, through }, "Selecting");
@@ -84,59 +62,59 @@ export async function fillSelected(remove: boolean): Promise<void> {
   if (answer.note) toast("info", answer.note);
 }
 
-/** Run what changes the selection, one after the other. */
-export function sent<T>(work: () => Promise<T>): Promise<T> {
-  const result = sending.then(work);
-  waiting++;
-  sending = result.catch(() => {}).finally(() => waiting--);
-  return result;
-}
+/** Keeps `selection` what the present view shows of it. */
+class ShownSelection {
+  private newestRequest = 0;
+  private timer: ReturnType<typeof setTimeout> | undefined;
+  private seen = { camera: null as CameraJson | null, revision: 0, session: "" };
 
-/** Fetch what is selected of the present view. */
-async function refresh(): Promise<void> {
-  const [now, number] = [camera.value, ++newestRequest];
-  if (!now || !state.value) return;
-  if (selectedCount.value === 0) return void (selection.value = null);
-  try {
-    const answer = await link.do("selection.view", { camera: now });
-    const mask = answer.mask && (await pixelsOf(blobUrl(answer.mask), now.width, now.height));
-    if (number !== newestRequest || camera.value !== now) return;
-    if (!mask) return void (selection.value = null);
-    const data = new Float32Array(now.width * now.height);
-    for (let k = 0; k < data.length; k++) data[k] = mask.data[k * 4] / 255;
-    selection.value = { width: now.width, height: now.height, data };
-    faintPoints.value = answer.points;
-  } catch (error) {
-    report(error);
+  /** Answers that are on their way count no more. */
+  dropRequests(): void {
+    this.newestRequest++;
   }
-}
 
-let timer: ReturnType<typeof setTimeout> | undefined;
-let seen: { camera: CameraJson | null; revision: number; session: string } = { camera: null, revision: 0, session: "" };
-
-/** The camera moved, or the selection may have changed. */
-function look(): void {
-  const [now, present] = [camera.value, state.value];
-  if (!now || !present) return;
-  const { revision } = present.selection;
-  const moved = !seen.camera || !sameFrame(seen.camera, now);
-  const changed = revision !== seen.revision || present.session !== seen.session;
-  seen = { camera: now, revision, session: present.session };
-  if (!moved && !changed) return;
-  if (present.selection.gaussians === 0) {
-    newestRequest++;
-    selection.value = null;
-    return;
+  /** The camera moved, or the selection may have changed. */
+  look(): void {
+    const [now, present] = [camera.value, state.value];
+    if (!now || !present) return;
+    const { revision } = present.selection;
+    const { seen } = this;
+    const moved = !seen.camera || !sameFrame(seen.camera, now);
+    const changed = revision !== seen.revision || present.session !== seen.session;
+    this.seen = { camera: now, revision, session: present.session };
+    if (!moved && !changed) return;
+    if (present.selection.gaussians === 0) {
+      this.dropRequests();
+      selection.value = null;
+      return;
+    }
+    if (moved) selection.value = null;
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => selectionWaits() || void this.fetch(), moved ? REST_MS : 0);
+    if (selectionWaits()) void selectionSent().then(() => this.fetch());
   }
-  if (moved) selection.value = null;
-  clearTimeout(timer);
-  timer = setTimeout(() => waiting === 0 && void refresh(), moved ? REST_MS : 0);
-  if (waiting > 0) void selectionSent().then(refresh);
+
+  private async fetch(): Promise<void> {
+    const [now, number] = [camera.value, ++this.newestRequest];
+    if (!now || !state.value) return;
+    if (selectedCount.value === 0) return void (selection.value = null);
+    try {
+      const answer = await editor.link.do("selection.view", { camera: now });
+      const mask = answer.mask && (await pixelsOf(blobUrl(answer.mask), now.width, now.height));
+      if (number !== this.newestRequest || camera.value !== now) return;
+      if (!mask) return void (selection.value = null);
+      const data = new Float32Array(now.width * now.height);
+      for (let k = 0; k < data.length; k++) data[k] = mask.data[k * 4] / 255;
+      selection.value = { width: now.width, height: now.height, data };
+      faintPoints.value = answer.points;
+    } catch (error) {
+      report(error);
+    }
+  }
 }
 
 /** The same pixels see the same places, whatever the background is. */
 const sameFrame = (a: CameraJson, b: CameraJson): boolean => sameView({ ...a, background: b.background }, b);
 
-effect(look);
-selection.subscribe(() => (faintPoints.value = []));
-computed(() => state.value?.session).subscribe(() => (cropBox.value = null));
+const shown = new ShownSelection();
+effect(() => shown.look());

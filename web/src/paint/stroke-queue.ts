@@ -1,17 +1,20 @@
 /**
- * What all tools share: the view's pixels and the strokes under way. One stroke after the other is
- * committed, but the next may be drawn meanwhile.
+ * Strokes under way: one after the other is committed, but the next may be drawn meanwhile. Those whose project is away,
+ * or for which the disk has no room, stay on the overlay and are committed later.
  */
 
-import { signal } from "@preact/signals";
+import { effect, signal } from "@preact/signals";
 
-import { blobUrl, pixelsOf } from "../net/blobs";
+import type { LayerInfo } from "../messages";
+import { CommandError, type Fields, type Link, type Name, type Result } from "../net/connection";
+import { storageAnswered, storageProblem } from "../state/storage";
 import {
   brush,
   camera,
+  graphicsLost,
   limits,
-  maskedLayer,
   method,
+  painting,
   pendingStrokes,
   readOnly,
   selectedLayer,
@@ -20,223 +23,368 @@ import {
   status,
   swapped,
   toast,
-  tool,
 } from "../state/store";
-import { painting } from "../state/pending-layers";
-import { storageAnswered } from "../state/storage";
-import { giveUpWaiting, isShown, projectIsBack } from "../state/waiting";
-import { link, report, run, track, viewer } from "../state/studio";
-import { CommandError } from "../net/connection";
-import type { LayerInfo } from "../messages";
-import { rewindowed, sameView, type CameraJson } from "../view/camera";
-import type { Pixels } from "./flood";
+import { giveUpWaiting, isShown, noteLeft, projectIsBack, projectOf } from "../state/waiting";
+import { sameView, type CameraJson } from "../view/camera";
+import type { Viewer } from "../view/viewer";
+import { KeptStrokes, type KeptStroke } from "./kept-strokes";
 import { limitsToSend } from "./limits";
-import { selection, selectionSent } from "./selection";
+import { selection, selectionSent } from "./selected";
+import { emptyMask, type Mask } from "./raster";
 import { Stroke, type StrokeTarget } from "./stroke";
+import { chosenPaintLayer, FirstPaintLayer } from "./stroke-target";
 import { mirrorOfStroke } from "./symmetry";
+import type { ViewPixels } from "./view-pixels";
 
-/** Tools whose paint can go on over the material that it lies on. */
-export const SPREADING_TOOLS: readonly string[] = ["brush", "line", "fill"];
+/** What strokes need of the editor. */
+export interface StrokeHost {
+  viewer: Viewer;
+  link: Link;
+  pixels: ViewPixels;
+  track: <N extends Name>(name: N, fields: Fields<N>, label: string) => Promise<Result<N>>;
+  report: (error: unknown, what?: string) => void;
+}
+
+export interface StrokeChoice {
+  opacity?: number;
+  /** What it becomes; by default it goes into the chosen paint layer. */
+  target?: StrokeTarget;
+  /** Its colours are those of their place: on the other side of a symmetric asset they would be wrong. */
+  oneSided?: boolean;
+  /** Its paint goes on over the material that it lies on where that is switched on; it is a layer of its own then. */
+  spreads?: boolean;
+}
+
 /** Above 0 while the camera must stay: a stroke still reads the view. */
 export const frozen = signal(0);
-/** Where clone and heal read from, in view pixels, and the stroke's offset once it began. */
-export const cloneFrom = signal<{ x: number; y: number; offset: [number, number] | null } | null>(null);
 
-export const overlayCanvas = document.createElement("canvas");
-const overlay = overlayCanvas.getContext("2d", { willReadFrequently: true })!;
-const active = new Set<Stroke>();
-/** The commit that runs last; strokes wait for it before they read the view. */
-let lastCommit: Promise<void> = Promise.resolve();
-let cached: { camera: CameraJson; revision: number; pixels: Promise<ImageData> } | null = null;
-let original: { camera: CameraJson; below: string | null; pixels: Promise<Pixels> } | null = null;
+export class StrokeQueue {
+  /** Lies over the view; strokes are seen on it until their Gaussians are on the screen. */
+  readonly overlayCanvas = document.createElement("canvas");
+  private readonly overlay = this.overlayCanvas.getContext("2d", { willReadFrequently: true })!;
+  private readonly active = new Set<Stroke>();
+  private readonly firstLayer = new FirstPaintLayer();
+  /** The commit that runs last; strokes wait for it before they read the view. */
+  private lastCommit: Promise<void> = Promise.resolve();
+  /** Strokes whose pen is up, with the names of their records where they are kept over a reload. */
+  private readonly drawn = new Map<Stroke, { record: string; time: number; kept: boolean }>();
 
-/** The view as it is seen now, 8 bit. Drawn anew only when something changed. */
-export function viewPixels(): Promise<ImageData> {
-  const now = camera.value!;
-  if (!cached || cached.camera !== now || cached.revision !== viewer.revision) {
-    cached = { camera: now, revision: viewer.revision, pixels: viewer.read() };
-    cached.pixels.catch(() => (cached = null));
-  }
-  return cached.pixels;
-}
-
-/** The view of the original asset, or of what is below a layer, rendered by the server. */
-export function originalPixels(below: string | null = null): Promise<Pixels> {
-  const now = camera.value!;
-  if (below !== null || original?.camera !== now || original.below !== below) {
-    const pixels = run("view.render", { camera: now, which: "original", below }).then((answer) => {
-      if (!answer) throw new Error("the original could not be rendered");
-      return pixelsOf(blobUrl(answer.picture), now.width, now.height);
+  constructor(
+    private readonly host: StrokeHost,
+    private readonly shelf = new KeptStrokes(),
+  ) {
+    effect(() => {
+      if (isAway()) for (const stroke of this.drawn.keys()) void this.keep(stroke);
     });
-    original = { camera: now, below, pixels };
-    pixels.catch(() => (original = null));
   }
-  return original.pixels;
-}
 
-/** The paint layer that strokes made while no paint layer was chosen: those that follow go there too. */
-let firstOf: { chosen: string | null; session: string; layer: string } | null = null;
-
-/** The chosen layer, if it takes strokes. */
-export function chosenPaintLayer(): LayerInfo | null {
-  const layer = state.value?.layers.find((one) => one.id === selectedLayer.value);
-  return layer && layer.strokes !== null ? layer : null;
-}
-
-/** The chosen layer, if strokes back to the original can go on in it; from another view they make a new one. */
-export function chosenEraser(): LayerInfo | null {
-  const layer = state.value?.layers.find((one) => one.id === selectedLayer.value);
-  const fits = layer?.kind === "erase" && layer.visible && layer.opacity === brush.value.opacity;
-  return fits ? layer : null;
-}
-
-/** The layer whose mask is being painted, while it is the chosen one. */
-export function chosenMask(): LayerInfo | null {
-  const layer = state.value?.layers.find((one) => one.id === maskedLayer.value);
-  return layer?.mask && layer.id === selectedLayer.value ? layer : null;
-}
-
-/** Where a stroke that begins now will go: into the chosen paint layer, else into a new one. */
-function paintTarget(): () => StrokeTarget {
-  const chosen = chosenPaintLayer();
-  if (chosen) return () => ({ layer: chosen.id });
-  const [before, session] = [selectedLayer.value, state.value!.session];
-  return () => {
-    const first = firstOf;
-    const there = first && state.value?.layers.some((one) => one.id === first.layer);
-    if (there && first.session === session && first.chosen === before) return { layer: first.layer };
-    return { into_new: unused("Paint") };
-  };
-}
-
-/**
- * Begin a stroke on the present view; null (with a toast) when nothing can be painted. `given`: what it becomes; by
- * default it goes into the chosen paint layer, or becomes a layer of its own that spreads.
- */
-export function beginStroke(
-  kind: "paint" | "clone" | "erase" | "mask",
-  name: string,
-  opacity = brush.value.opacity,
-  given?: StrokeTarget,
-): Stroke | null {
-  const spreads = !given && kind === "paint" && spreading.value.on && SPREADING_TOOLS.includes(tool.value);
-  const target = spreads ? { spread: spreading.value.threshold } : given;
-  const now = camera.value;
-  if (!now || viewer.count === 0) return null;
-  if (swapped.value) {
-    toast("warning", "Painting waits for your answer above.", `Go back to ${swapped.value.name}, or stay here.`);
-    return null;
-  }
-  if (readOnly.value) {
-    toast(
-      "warning",
-      "This project is open elsewhere and is read-only here.",
-      "Close it there, or save a copy under another name.",
-    );
-    return null;
-  }
-  const chosen = chosenPaintLayer();
-  if (!target && chosen && (!chosen.visible || chosen.opacity === 0)) {
-    toast("warning", `${chosen.name} is hidden.`, "Show it, or choose another layer to paint into.");
-    return null;
-  }
-  const single = target !== undefined;
-  const [before, session, home] = [selectedLayer.value, state.value!.session, state.value!.project.id];
-  fitOverlay(now);
-  const base = asSeen();
-  const stroke = new Stroke({
-    link,
-    camera: now,
-    overlay,
-    base,
-    after: Promise.all([lastCommit, selectionSent()]).then(() => {}),
-    onScreen: () => camera.value !== null && sameView(camera.value, now),
-    kind,
-    layer: kind === "erase" && !single ? (chosen?.id ?? null) : null,
-    name: single && !target.replaces && !target.layer ? unused(name) : name,
-    project: home,
-    isHome: () => status.value !== "open" || isShown(home),
-    newestStep,
-    target: single ? () => target : paintTarget(),
-    commit: async (fields) => {
-      const { layer: id, into_new, replaces } = fields;
-      const goal = id ?? replaces;
-      const there = state.value?.layers.find((one) => one.id === goal)?.name ?? into_new;
-      if (goal) painting.value = [...painting.value, goal];
-      try {
-        const { layer } = await track("paint.end", fields, there ? `${name} in ${there}` : fields.name!);
-        if (into_new) firstOf = { chosen: before, session, layer: layer.id };
-        return layer;
-      } finally {
-        if (goal) painting.value = painting.value.filter((_, k) => k !== painting.value.indexOf(goal));
-      }
-    },
-    method: method.value,
-    limits: limitsToSend(limits.value),
-    opacity,
-    mirror: target?.placed ? null : mirrorOfStroke(kind, name),
-    selection: selection.value,
-  });
-  frozen.value++;
-  stroke.ready.catch(() => {}).finally(() => frozen.value--);
-  active.add(stroke);
-  pendingStrokes.value = active.size;
-  return stroke;
-}
-
-/** Pen up: commit and show what it did. The overlay stays until the new Gaussians are on the screen. */
-export function endStroke(stroke: Stroke, finish: (stroke: Stroke) => void = () => {}): Promise<void> {
-  const before = lastCommit;
-  lastCommit = (async () => {
-    await before;
-    try {
-      await stroke.ready;
-      if (!stroke.withdrawn) finish(stroke);
-      const layer = await committed(stroke);
-      if (layer) selectedLayer.value = layer.id;
-      await viewer.settle();
-    } catch (error) {
-      if (!stroke.withdrawn) {
-        report(error, stroke.name);
-        await stroke.cancel();
-      }
-    } finally {
-      forget(stroke);
-      warmUp();
+  /** Begin a stroke on the present view; null (with a toast) when nothing can be painted. */
+  begin(kind: "paint" | "clone" | "erase" | "mask", name: string, choice: StrokeChoice = {}): Stroke | null {
+    const { opacity = brush.value.opacity, target: given, spreads, oneSided } = choice;
+    const { link, track } = this.host;
+    const target = spreads && !given && spreading.value.on ? { spread: spreading.value.threshold } : given;
+    const now = camera.value;
+    if (!now || this.host.viewer.count === 0) return null;
+    const chosen = chosenPaintLayer();
+    const [refused, hint] = whyNot(target ? null : chosen) ?? [];
+    if (refused) {
+      toast("warning", refused, hint);
+      return null;
     }
-  })();
-  return lastCommit;
-}
+    const single = target !== undefined;
+    const home = state.value!.project.id;
+    const first = this.firstLayer.target((free) => this.unused(free));
+    this.fitOverlay(now);
+    const stroke = new Stroke({
+      link,
+      camera: now,
+      overlay: this.overlay,
+      base: this.asSeen(),
+      after: Promise.all([this.lastCommit, selectionSent()]).then(() => {}),
+      onScreen: () => camera.value !== null && sameView(camera.value, now),
+      kind,
+      layer: kind === "erase" && !single ? (chosen?.id ?? null) : null,
+      name: single && !target.replaces && !target.layer ? this.unused(name) : name,
+      project: home,
+      isHome: () => status.value !== "open" || isShown(home),
+      newestStep,
+      target: single ? () => target : first.ask,
+      commit: async (fields) => {
+        await this.noteCommitting(stroke);
+        const { layer: id, into_new, replaces } = fields;
+        const goal = id ?? replaces;
+        const there = state.value?.layers.find((one) => one.id === goal)?.name ?? into_new;
+        if (goal) painting.value = [...painting.value, goal];
+        try {
+          const { layer } = await track("paint.end", fields, there ? `${name} in ${there}` : fields.name!);
+          if (into_new) first.note(layer.id);
+          return layer;
+        } finally {
+          if (goal) painting.value = painting.value.filter((_, k) => k !== painting.value.indexOf(goal));
+        }
+      },
+      method: method.value,
+      limits: limitsToSend(limits.value),
+      opacity,
+      mirror: target?.placed || oneSided ? null : mirrorOfStroke(kind),
+      selection: selection.value,
+    });
+    frozen.value++;
+    stroke.ready.catch(() => {}).finally(() => frozen.value--);
+    this.active.add(stroke);
+    pendingStrokes.value = this.active.size;
+    return stroke;
+  }
 
-/** The stroke's layer; null where there is nothing of it. Where its project is away it waits for it. */
-async function committed(stroke: Stroke): Promise<LayerInfo | null> {
-  for (;;) {
-    if (stroke.withdrawn) return null;
-    try {
-      return await stroke.end();
-    } catch (error) {
-      const { project, committing } = stroke;
-      if (error instanceof CommandError && error.kind === "storage" && !stroke.withdrawn) {
-        stroke.committing = null; // nothing of it was saved
-        report(error, stroke.name);
-        if (!(await storageAnswered())) {
+  /** Pen up: commit and show what it did. The overlay stays until the new Gaussians are on the screen. */
+  end(stroke: Stroke, finish: (stroke: Stroke) => void = () => {}): Promise<void> {
+    const before = this.lastCommit;
+    const finished = stroke.ready.then(() => {
+      if (stroke.withdrawn) return;
+      finish(stroke);
+      if (!this.drawn.has(stroke)) this.drawn.set(stroke, { record: randomName(), time: Date.now(), kept: false });
+      if (isAway()) void this.keep(stroke);
+    });
+    finished.catch(() => {}); // said below
+    this.lastCommit = (async () => {
+      await before;
+      try {
+        await finished;
+        const layer = await this.committed(stroke);
+        if (layer) selectedLayer.value = layer.id;
+        await this.host.viewer.settle();
+      } catch (error) {
+        if (!stroke.withdrawn) {
+          this.host.report(error, stroke.name);
+          await stroke.cancel();
+        }
+      } finally {
+        this.forget(stroke);
+        this.warmUp();
+      }
+    })();
+    return this.lastCommit;
+  }
+
+  async cancel(stroke: Stroke): Promise<void> {
+    const sent = stroke.cancel();
+    this.forget(stroke);
+    await sent;
+  }
+
+  /** Resolves when every stroke that was drawn is a layer, or is given up. */
+  get committedAll(): Promise<void> {
+    return this.lastCommit;
+  }
+
+  /** Take back the newest stroke that is not being saved yet; false: there is none. */
+  takeBackNewest(): boolean {
+    const newest = [...this.active].filter((one) => one.committing === null && !one.withdrawn).at(-1);
+    if (newest) void this.cancel(newest);
+    return newest !== undefined;
+  }
+
+  /** Stay in the project that is shown: what waits for another one goes. */
+  giveUp(): void {
+    const count = this.active.size;
+    giveUpWaiting();
+    swapped.value = null;
+    if (count > 0) toast("info", count === 1 ? "One stroke was given up." : `${count} strokes were given up.`);
+  }
+
+  /** Whether a reload of the page would lose nothing of what is drawn. */
+  get allKept(): boolean {
+    return [...this.active].every((stroke) => this.drawn.get(stroke)?.kept);
+  }
+
+  /** Paint what was kept by pages that are gone, into the projects that it belongs to. Once a project is shown. */
+  async restore(): Promise<void> {
+    await this.shelf.takeOver((strokes) => {
+      const made = new Map<string, string>();
+      for (const one of strokes) this.replay(one, made);
+    });
+  }
+
+  /** Another camera: what lies on the old view goes, and comes back with it. */
+  viewMoved(): void {
+    if (camera.value) this.fitOverlay(camera.value);
+    this.repaint();
+  }
+
+  /** Read the view before a stroke needs it. */
+  warmUp(): void {
+    if (this.active.size === 0) this.host.pixels.warmUp();
+  }
+
+  /** The stroke's layer; null where there is nothing of it. Where its project is away it waits for it. */
+  private async committed(stroke: Stroke): Promise<LayerInfo | null> {
+    for (;;) {
+      if (stroke.withdrawn) return null;
+      try {
+        return await stroke.end();
+      } catch (error) {
+        const { project, committing } = stroke;
+        if (error instanceof CommandError && error.kind === "storage" && !stroke.withdrawn) {
+          stroke.committing = null; // nothing of it was saved
+          this.host.report(error, stroke.name);
+          void this.keep(stroke);
+          if (!(await storageAnswered())) {
+            await stroke.cancel();
+            return null;
+          }
+          stroke.again();
+          continue;
+        }
+        const away = error instanceof CommandError && error.kind === "lost";
+        if (stroke.withdrawn || !(away || state.value?.project.id !== project)) throw error;
+        void this.keep(stroke);
+        if (!(await projectIsBack(project))) {
           await stroke.cancel();
           return null;
         }
+        if (committing !== null && wasCommitted(stroke.name, committing)) return null;
         stroke.again();
-        continue;
       }
-      const away = error instanceof CommandError && error.kind === "lost";
-      if (stroke.withdrawn || !(away || state.value?.project.id !== project)) throw error;
-      if (!(await projectIsBack(project))) {
-        await stroke.cancel();
-        return null;
-      }
-      if (committing !== null && wasCommitted(stroke.name, committing)) return null;
-      stroke.again();
     }
   }
+
+  /** Keep a stroke over a reload. */
+  private async keep(stroke: Stroke): Promise<void> {
+    const drawn = this.drawn.get(stroke);
+    const project = projectOf(stroke.project);
+    if (!drawn || drawn.kept || !project || stroke.withdrawn || stroke.extent.width === 0) return;
+    drawn.kept = true; // asked for; it counts once the browser has it
+    const { record: id, time } = drawn;
+    drawn.kept = await this.shelf.keep({ id, drawn: time, project, ...stroke.record() });
+    if (drawn.kept && !this.drawn.has(stroke)) await this.shelf.drop(id); // it was saved meanwhile
+  }
+
+  /** Its commit is sent now: a page that is loaded again looks for it in the history before it paints the stroke again. */
+  private async noteCommitting(stroke: Stroke): Promise<void> {
+    const drawn = this.drawn.get(stroke);
+    if (!drawn?.kept) return;
+    drawn.kept = false;
+    await this.keep(stroke);
+  }
+
+  /** `made`: names of new paint layers of the strokes before it -> the layers. */
+  private replay(one: KeptStroke, made: Map<string, string>): void {
+    const { camera: view, kind, layer, name, project, rect, rgba, method, limits, mirror } = one;
+    if (state.value && state.value.project.id !== project.id) noteLeft(project, state.value);
+    const into = one.target.into_new ?? null;
+    const stroke: Stroke = new Stroke({
+      ...{ link: this.host.link, camera: view, overlay: this.overlay, kind, layer, name, method, limits, mirror },
+      base: Promise.resolve(null),
+      after: Promise.all([this.lastCommit]).then(() => {}),
+      onScreen: () => camera.value !== null && sameView(camera.value, view),
+      project: project.id,
+      isHome: () => isShown(project.id),
+      newestStep,
+      target: () => {
+        const there = into === null ? undefined : made.get(into);
+        return there && state.value?.layers.some((other) => other.id === there) ? { layer: there } : one.target;
+      },
+      commit: async (fields) => {
+        await this.noteCommitting(stroke);
+        const answer = await this.host.track("paint.end", fields, fields.name!);
+        if (fields.into_new) made.set(fields.into_new, answer.layer.id);
+        return answer.layer;
+      },
+      opacity: 1,
+      selection: null,
+    });
+    stroke.committing = one.committing;
+    stroke.mask.data.set(coverOf(one).data);
+    stroke.setSource((x, y, out) => {
+      const at = ((y - rect.y) * rect.width + x - rect.x) * 4;
+      [out[0], out[1], out[2]] = [rgba[at], rgba[at + 1], rgba[at + 2]];
+    });
+    stroke.touch(rect);
+    this.active.add(stroke);
+    pendingStrokes.value = this.active.size;
+    this.commitKept(stroke, one);
+  }
+
+  private commitKept(stroke: Stroke, { id, drawn, name, committing, project }: KeptStroke): void {
+    const saved = committing !== null && isShown(project.id) && wasCommitted(name, committing);
+    if (saved) void stroke.cancel();
+    void this.end(stroke);
+    this.drawn.set(stroke, { record: id, time: drawn, kept: true });
+  }
+
+  /** The view with the strokes that lie over it. */
+  private async asSeen(): Promise<ImageData> {
+    const { width, height } = this.overlayCanvas;
+    const painted = this.overlay.getImageData(0, 0, width, height).data;
+    const pixels = await this.host.pixels.now();
+    if (this.active.size < 2) return pixels;
+    const data = new Uint8ClampedArray(pixels.data);
+    for (let at = 0; at < data.length; at += 4) {
+      const alpha = painted[at + 3] / 255;
+      if (alpha > 0) for (let c = 0; c < 3; c++) data[at + c] = painted[at + c] * alpha + data[at + c] * (1 - alpha);
+    }
+    return new ImageData(data, pixels.width, pixels.height);
+  }
+
+  /** A name that no layer and no stroke under way has: conflicts and the history speak of layers by name. */
+  private unused(name: string): string {
+    const taken = new Set([...(state.value?.layers ?? []), ...this.active].map((one) => one.name));
+    for (let k = 1; ; k++) {
+      const next = k === 1 ? name : `${name} ${k}`;
+      if (!taken.has(next)) return next;
+    }
+  }
+
+  private fitOverlay({ width, height }: CameraJson): void {
+    const { overlayCanvas } = this;
+    if (overlayCanvas.width !== width) overlayCanvas.width = width;
+    if (overlayCanvas.height !== height) overlayCanvas.height = height;
+  }
+
+  private repaint(): void {
+    this.overlay.clearRect(0, 0, this.overlayCanvas.width, this.overlayCanvas.height);
+    for (const stroke of this.active) stroke.paint(); // each on its own view only
+  }
+
+  private forget(stroke: Stroke): void {
+    this.active.delete(stroke);
+    const drawn = this.drawn.get(stroke);
+    this.drawn.delete(stroke);
+    if (drawn?.kept) void this.shelf.drop(drawn.record);
+    stroke.erase();
+    pendingStrokes.value = this.active.size;
+    this.repaint();
+  }
 }
+
+/** Whether what is drawn has to wait: for the connection, an answer of the user, room on the disk; or the page goes. */
+const isAway = (): boolean =>
+  status.value !== "open" || swapped.value !== null || storageProblem.value !== null || graphicsLost.value !== null;
+
+/** Coverage of a stroke that was kept: its alpha. */
+function coverOf({ camera: view, rect, rgba }: KeptStroke): Mask {
+  const mask = emptyMask(view.width, view.height);
+  for (let y = 0; y < rect.height; y++)
+    for (let x = 0; x < rect.width; x++)
+      mask.data[(rect.y + y) * mask.width + rect.x + x] = rgba[(y * rect.width + x) * 4 + 3] / 255;
+  return mask;
+}
+
+/** Why nothing can be painted, and what to do; null: it can. `into`: the layer that the stroke would go into, if any. */
+function whyNot(into: LayerInfo | null): [string, string] | null {
+  if (swapped.value)
+    return ["Painting waits for your answer above.", `Go back to ${swapped.value.name}, or stay here.`];
+  if (readOnly.value)
+    return [
+      "This project is open elsewhere and is read-only here.",
+      "Close it there, or save a copy under another name.",
+    ];
+  if (into && (!into.visible || into.opacity === 0))
+    return [`${into.name} is hidden.`, "Show it, or choose another layer to paint into."];
+  return null;
+}
+
+const randomName = (): string => Math.random().toString(36).slice(2) + Date.now().toString(36);
 
 /** Number of the step in effect. */
 const newestStep = (): number => state.value?.history[state.value.cursor]?.id ?? 0;
@@ -245,89 +393,4 @@ const newestStep = (): number => state.value?.history[state.value.cursor]?.id ??
 function wasCommitted(name: string, newest: number): boolean {
   const { history, cursor } = state.value!;
   return history.slice(0, cursor + 1).some((step) => step.id > newest && step.label.includes(name));
-}
-
-/** Resolves when every stroke that was drawn is a layer, or is given up. */
-export const strokesCommitted = (): Promise<void> => lastCommit;
-
-/** Take back the newest stroke that is not being saved yet; false: there is none. */
-export function takeBackPending(): boolean {
-  const newest = [...active].filter((one) => one.committing === null && !one.withdrawn).at(-1);
-  if (newest) void cancelStroke(newest);
-  return newest !== undefined;
-}
-
-/** Stay in the project that is shown: what waits for another one goes. */
-export function stayHere(): void {
-  const count = active.size;
-  giveUpWaiting();
-  swapped.value = null;
-  if (count > 0) toast("info", count === 1 ? "One stroke was given up." : `${count} strokes were given up.`);
-}
-
-export async function cancelStroke(stroke: Stroke): Promise<void> {
-  const told = stroke.cancel();
-  forget(stroke);
-  await told;
-}
-
-let seen: CameraJson | null = null;
-
-/** Another camera: what lies on the old view goes. The source of clone and heal stays where only the window changed. */
-export function viewMoved(): void {
-  const now = camera.value;
-  if (now) fitOverlay(now);
-  overlay.clearRect(0, 0, overlayCanvas.width, overlayCanvas.height);
-  for (const stroke of active) stroke.paint(); // back on their view, those that wait are seen again
-  const same = seen && now && rewindowed(seen, now);
-  seen = now;
-  const from = cloneFrom.value;
-  if (!from) return;
-  if (!same) return void (cloneFrom.value = null);
-  const [x, y] = same.at(from.x, from.y);
-  const offset: [number, number] | null = from.offset && [from.offset[0] * same.scale, from.offset[1] * same.scale];
-  cloneFrom.value = { x, y, offset };
-}
-
-/** Read the view before a stroke needs it. */
-export function warmUp(): void {
-  if (camera.value && viewer.count > 0 && active.size === 0) void viewPixels().catch(() => {});
-}
-
-/** The view with the strokes that lie over it. */
-async function asSeen(): Promise<ImageData> {
-  const painted = overlay.getImageData(0, 0, overlayCanvas.width, overlayCanvas.height).data;
-  const pixels = await viewPixels();
-  if (active.size < 2) return pixels;
-  const data = new Uint8ClampedArray(pixels.data);
-  for (let at = 0; at < data.length; at += 4) {
-    const alpha = painted[at + 3] / 255;
-    if (alpha > 0) for (let c = 0; c < 3; c++) data[at + c] = painted[at + c] * alpha + data[at + c] * (1 - alpha);
-  }
-  return new ImageData(data, pixels.width, pixels.height);
-}
-
-/** A name that no layer and no stroke under way has: conflicts and the history speak of layers by name. */
-function unused(name: string): string {
-  const taken = new Set([
-    ...(state.value?.layers ?? []).map((layer) => layer.name),
-    ...[...active].map((one) => one.name),
-  ]);
-  for (let k = 1; ; k++) {
-    const next = k === 1 ? name : `${name} ${k}`;
-    if (!taken.has(next)) return next;
-  }
-}
-
-function fitOverlay(now: CameraJson): void {
-  if (overlayCanvas.width !== now.width) overlayCanvas.width = now.width;
-  if (overlayCanvas.height !== now.height) overlayCanvas.height = now.height;
-}
-
-function forget(stroke: Stroke): void {
-  active.delete(stroke);
-  stroke.erase();
-  pendingStrokes.value = active.size;
-  overlay.clearRect(0, 0, overlayCanvas.width, overlayCanvas.height);
-  for (const other of active) other.paint();
 }

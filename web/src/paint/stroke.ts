@@ -15,8 +15,8 @@ export interface StrokeOptions {
   camera: CameraJson;
   /** 2D context of the overlay, of the view's size. */
   overlay: CanvasRenderingContext2D;
-  /** The view before the stroke, as seen. */
-  base: Promise<Pixels>;
+  /** The view before the stroke, as seen; null: it is not needed, as of strokes that were kept. */
+  base: Promise<Pixels | null>;
   /** The commit of the stroke before: the server keeps one stroke at a time. */
   after: Promise<void>;
   /** Whether the view is still on the screen. */
@@ -33,7 +33,7 @@ export interface StrokeOptions {
   newestStep: () => number;
   /** Where it goes, asked when the strokes before it are committed. */
   target: () => StrokeTarget;
-  /** Send the commit. */
+  /** Send the commit; `committing` is set. */
   commit: (fields: PaintEnd) => Promise<LayerInfo>;
   method: "auto" | "ttt" | "lift" | "fit";
   limits: PaintLimits;
@@ -104,6 +104,14 @@ export class Stroke {
     this.id.catch(() => {});
   }
 
+  /** What of it can be kept: its pixels, and what it becomes. */
+  record() {
+    const { camera, kind, layer, name, method, limits, mirror, selection, target } = this.options;
+    const rgba = this.patch(this.touched, selection);
+    const { touched: rect, committing } = this;
+    return { camera, kind, layer, name, method, limits, mirror, target: target(), committing, rect, rgba };
+  }
+
   /** Rectangle of everything painted. */
   get extent(): Rect {
     return this.touched;
@@ -148,7 +156,7 @@ export class Stroke {
       await this.discard(stroke);
       return null;
     }
-    while (this.dirty.width || this.pumping) await (this.pumping ??= this.pump());
+    while (this.dirty.width || this.pumping !== null) await (this.pumping ??= this.pump());
     this.done = true;
     if (this.failure) throw this.failure;
     if (this.withdrawn) return null;

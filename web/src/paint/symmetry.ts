@@ -4,12 +4,10 @@ import { computed, signal } from "@preact/signals";
 
 import type { Symmetry } from "../messages";
 import { paintMode, state } from "../state/store";
-import { run } from "../state/studio";
 import { add, project, scale, sub, type CameraJson, type Vec3 } from "../view/camera";
-import { shadingApplies } from "./brush";
-import { keepShading } from "./brush-settings";
+import { keptShading } from "./brush-settings";
 import { adjusted, mirrored, planeAt, type Plane } from "./mirror";
-import { mirroring, surfaceOf } from "./view-surface";
+import { surfaceOf } from "./view-surface";
 
 export type PlaneChoice = "found" | "x" | "y" | "z";
 
@@ -36,27 +34,11 @@ export const mirrorPlane = computed<Plane | null>(() => {
   return start && adjusted(start, center as Vec3, up as Vec3, shift * radius, angle, lean);
 });
 
-/** Switch it on or off; the plane is looked for when it is first needed. */
-export async function toggleSymmetry(on: boolean): Promise<void> {
-  symmetry.value = { ...symmetry.value, on };
-  mirroring.value = on;
-  const now = state.value;
-  if (!on || !now || symmetry.value.plane !== "found" || assetPlane.value?.session === now.session) return;
-  const answer = await run("symmetry.find", {}, "Plane of symmetry");
-  if (!answer) return void (symmetry.value = { ...symmetry.value, plane: "x" });
-  const { normal, offset, agreement } = answer;
-  assetPlane.value = { session: now.session, plane: { normal: normal as Vec3, offset }, agreement };
-}
-
-/** Steps whose colours are those of their place: on the other side they would be wrong. */
-const ONE_SIDED: readonly string[] = ["Heal", "Heal from around"];
-
 /** What a stroke that begins now is told about it. */
-export function mirrorOfStroke(kind: "paint" | "clone" | "erase" | "mask", name: string): Symmetry | null {
+export function mirrorOfStroke(kind: "paint" | "clone" | "erase" | "mask"): Symmetry | null {
   const plane = mirrorPlane.value;
-  if (!plane || kind === "mask" || ONE_SIDED.includes(name)) return null;
-  const shading = shadingApplies() ? keepShading.value : 0;
-  const keep = kind === "paint" ? (paintMode.value === "color" ? 1 : shading) : 0;
+  if (!plane || kind === "mask") return null;
+  const keep = kind === "paint" ? (paintMode.value === "color" ? 1 : keptShading.value) : 0;
   return { normal: plane.normal, offset: plane.offset, keep };
 }
 

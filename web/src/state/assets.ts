@@ -5,7 +5,7 @@ import { computed, signal } from "@preact/signals";
 import type { AssetSet, SceneAssetInfo } from "../messages";
 import { add, dot, scale, sub, type Vec3 } from "../view/camera";
 import { state } from "./store";
-import { run } from "./studio";
+import { run } from "../editor/editor";
 
 export const selectedAsset = signal<string | null>(null);
 

@@ -8,7 +8,7 @@ import { CommandError } from "../net/connection";
 import { limitsToSend } from "../paint/limits";
 import { type CameraJson } from "../view/camera";
 import { camera, limits, selectedLayer, state, tab, toast } from "./store";
-import { link, report, run, watched } from "./studio";
+import { editor, report, run } from "../editor/editor";
 
 export const MAX_IMAGES = 4;
 
@@ -28,7 +28,7 @@ export const editMode = signal<"local" | "global" | "spread">("local");
 let nextId = 1;
 
 computed(() => state.value?.session).subscribe(() => (droppedImages.value = [])); // they were pictures of another asset
-watched.onPicture = (blob, name) => void add(blob, name);
+editor.onPicture = (blob, name) => void add(blob, name);
 
 /** A picture that was dropped or chosen. */
 export async function addPicture(file: File): Promise<void> {
@@ -68,7 +68,7 @@ export async function check(id: number, given: { camera?: CameraJson; threshold?
   const at =
     given.camera ?? (image.checked?.camera_source === "given" ? (image.checked.camera as CameraJson) : undefined);
   try {
-    const checked = await link.do("picture.check", {
+    const checked = await editor.link.do("picture.check", {
       picture: image.blob,
       name: image.name,
       camera: at ?? null,

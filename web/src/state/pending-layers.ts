@@ -6,15 +6,14 @@
 import { computed, signal } from "@preact/signals";
 
 import type { LayerInfo, LayerSet } from "../messages";
-import { state } from "./store";
-import { run } from "./studio";
+import { NewestOnly } from "./newest-only";
+import { painting, state } from "./store";
+import { run } from "../editor/editor";
 
 type Fields = Omit<LayerSet, "layer">;
 type Change = { layer: string; fields: Fields } | { layer: string; to: number };
 
 const changes = signal<readonly Change[]>([]);
-/** Layers that strokes are on their way to. */
-export const painting = signal<readonly string[]>([]);
 
 /** From bottom to top, with what is under way. */
 export const shownLayers = computed<LayerInfo[]>(() => {
@@ -49,23 +48,13 @@ export const moveLayer = (layer: string, to: number, what: string) =>
 /** A slider that is dragged: one command at a time, the latest value last, one step of the history. */
 export function dragged(layer: string, what: string): (fields: Fields) => Promise<void> {
   const gesture = `${what} ${Math.random().toString(36).slice(2)}`;
-  let next: Fields | null = null;
   let sent = "";
-  let busy: Promise<void> | null = null;
-  const work = async () => {
-    while (next) {
-      const fields: Fields = next;
-      next = null;
-      if (JSON.stringify(fields) === sent) continue; // let go where it was
-      sent = JSON.stringify(fields);
-      await setLayer(layer, { ...fields, gesture }, what);
-    }
-    busy = null;
-  };
-  return (fields) => {
-    next = fields;
-    return (busy ??= work());
-  };
+  const changes = new NewestOnly<Fields>(async (fields) => {
+    if (JSON.stringify(fields) === sent) return; // let go where it was
+    sent = JSON.stringify(fields);
+    await setLayer(layer, { ...fields, gesture }, what);
+  });
+  return (fields) => changes.add(fields);
 }
 
 function moved(layers: LayerInfo[], layer: string, to: number): LayerInfo[] {

@@ -3,7 +3,7 @@
 import { effect, signal } from "@preact/signals";
 
 import { jobs, state, working } from "./store";
-import { link } from "./studio";
+import { editor } from "../editor/editor";
 
 /** Of one layer and version; psnr: dB, null: nothing to compare. */
 export const aside = signal<{ layer: string; version: number; psnr: number | null; low: boolean } | null>(null);
@@ -20,7 +20,7 @@ export function followAside(): void {
     const { version } = now;
     if (aside.peek()?.layer === layer && aside.peek()?.version === version) return;
     timer = setTimeout(() => {
-      link.do("aside", { layer }).then(
+      editor.link.do("aside", { layer }).then(
         ({ psnr, low }) => (aside.value = { layer, version, psnr, low }),
         () => {}, // the layer is gone, or the connection: there is nothing to say of it
       );

@@ -9,6 +9,22 @@ export const storageProblem = signal<{ message: string; hint: string } | null>(n
 /** Folders in which it could go on; null: not known yet. */
 export const roomyFolders = signal<readonly FolderInfo[] | null>(null);
 
+/** What a server says of a disk without room. */
+const FULL = /disk is full|no space|no room|quota/i;
+
+/**
+ * What has happened, and what becomes of the strokes that wait: room can come back by itself; a project that was deleted,
+ * replaced or made read-only has to be saved elsewhere, or given back first.
+ */
+export function storageWords(message: string, drawn: number): string {
+  const reason = message.replace(/,? and nothing was changed\.?$|; nothing was changed\.?$|\.$/, "");
+  const first = `The project cannot be saved where it is: ${reason}.`;
+  if (drawn === 0) return `${first} Nothing was changed.`;
+  const kept = drawn === 1 ? "The stroke is kept" : `${drawn} strokes are kept`;
+  const until = FULL.test(message) ? "there is room" : "the project can be written again, or is saved elsewhere";
+  return `${first} ${kept}, and saved as soon as ${until}.`;
+}
+
 let waiting: ((again: boolean) => void)[] = [];
 
 /** Say that it cannot be written. */

@@ -6,8 +6,6 @@ import type { State } from "../messages";
 import type { Status } from "../net/connection";
 import type { CameraJson, Pose } from "../view/camera";
 
-export type Tool =
-  "orbit" | "brush" | "erase" | "fill" | "line" | "text" | "stamp" | "clone" | "heal" | "pick" | "select";
 export type PaintMode = "normal" | "color" | "darken" | "lighten";
 export type Tab = "brush" | "colors" | "adjust" | "select" | "history" | "views" | "pictures" | "receipt";
 export type SelectKind = "rectangle" | "lasso" | "color" | "brush";
@@ -16,7 +14,6 @@ export const status = signal<Status>("connecting");
 export const stopped = signal("");
 export const state = signal<State | null>(null);
 
-export const tool = signal<Tool>("brush");
 export const pose = signal<Pose | null>(null);
 /** The exact camera that is shown: the pose in the window's size. */
 export const camera = signal<CameraJson | null>(null);
@@ -27,6 +24,12 @@ export const color = signal("#c8442e");
 export const secondColor = signal("#ffffff");
 /** Last colours used, newest first. */
 export const recentColors = signal<string[]>([]);
+const MAX_RECENT_COLORS = 24;
+/** Paint with this colour from now on; it is one of the latest. */
+export function setColor(next: string): void {
+  color.value = next;
+  recentColors.value = [next, ...recentColors.value.filter((one) => one !== next)].slice(0, MAX_RECENT_COLORS);
+}
 export const paintMode = signal<PaintMode>("normal");
 export const method = signal<"auto" | "ttt" | "lift" | "fit">("auto");
 /** What one view may paint, and whether the view shows what it may not. */
@@ -66,6 +69,8 @@ export const view = signal({
 });
 /** Pixels of the view per pixel of the page (CSS), as it is drawn now. */
 export const density = signal(1);
+/** The view's camera moves: still pictures of the old one are out of date. */
+export const moving = signal(false);
 /** Where the before/after line is, 0..1 of the width. */
 export const compareAt = signal(0.5);
 
@@ -96,6 +101,8 @@ export interface Job {
   cancel: () => void;
 }
 export const jobs = signal<Job[]>([]);
+/** Layers that strokes are on their way to. */
+export const painting = signal<readonly string[]>([]);
 /** Strokes that are not layers yet. */
 export const pendingStrokes = signal(0);
 /** Commands under way that change the project: nothing is "Saved" before they are answered. */
@@ -113,16 +120,22 @@ export const graphicsLost = signal<{ again: boolean } | null>(null);
 /** Why the latest command was refused; it stays until another one works or it is closed. */
 export const refusal = signal<{ what: string; message: string; hint: string } | null>(null);
 
-/** The project that this page was in when another one was opened without it asking: in another window, or while it had
- * no connection. */
-export const swapped = signal<{
+/** A project as this page left it. */
+export interface LeftProject {
   id: string;
   name: string;
   file: string | null;
   layers: number;
   /** When something was last done in it, as far as this page knows; seconds since 1970. */
   changed: number;
-} | null>(null);
+  /** Of its history: one is the asset as it was opened. */
+  steps: number;
+  /** Of its asset. */
+  sha256: string;
+}
+/** The project that this page was in when another one was opened without it asking: in another window, or while it had
+ * no connection. */
+export const swapped = signal<LeftProject | null>(null);
 
 export const readOnly = computed(() => state.value?.project.read_only ?? false);
 export const canUndo = computed(() => (state.value ? state.value.cursor + state.value.selection.undo > 0 : false));

@@ -6,7 +6,7 @@
 import { computed, effect, signal } from "@preact/signals";
 
 import type { State } from "../messages";
-import { state, status } from "./store";
+import { state, status, type LeftProject } from "./store";
 
 interface Waiting {
   project: string;
@@ -20,11 +20,34 @@ const successors = new Map<string, string>();
 /** Projects whose strokes were given up, until they are shown again. */
 const givenUp = new Set<string>();
 
-/** A project as it was left, and the one that the studio shows instead. */
-export function noteSuccessor(before: State, next: State): void {
-  if (before.history.length < 2 && before.asset.sha256 === next.asset.sha256)
-    successors.set(before.project.id, next.project.id);
+/** Projects that this page was in, as they were left, by their ids. */
+const leftProjects = new Map<string, LeftProject>();
+/** When the layers of the project that is shown were last changed: seconds since 1970. */
+const lastChange = { seconds: 0 };
+
+export const noteChange = (): void => void (lastChange.seconds = Date.now() / 1000);
+
+/** The project of a state, as it is left now. */
+export function leftNow({ project, asset, layers, history }: State): LeftProject {
+  const { id, name, file } = project;
+  const [changed, steps] = [lastChange.seconds, history.length];
+  const title = file ?? asset.name ?? name;
+  return { id, name: title, file, layers: layers.length, changed, steps, sha256: asset.sha256 };
 }
+
+/** A project with its id, as it is or as it was left; null: this page does not know it. */
+export function projectOf(id: string): LeftProject | null {
+  const shown = state.value;
+  return shown?.project.id === id ? leftNow(shown) : (leftProjects.get(id) ?? null);
+}
+
+/** A project as it was left, and the one that the studio shows instead. */
+export function noteLeft(left: LeftProject, shown: State): void {
+  leftProjects.set(left.id, left);
+  if (nothingDone(left) && left.sha256 === shown.asset.sha256) successors.set(left.id, shown.project.id);
+}
+
+export const nothingDone = ({ steps }: LeftProject): boolean => steps < 2;
 
 /** Whether a project is the one that is open, as far as this page knows. */
 export function isShown(project: string): boolean {

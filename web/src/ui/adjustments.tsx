@@ -8,9 +8,10 @@ import { useEffect } from "preact/hooks";
 
 import type { ColorTransfer, GradeSliders } from "../messages";
 import { sendBlob } from "../net/blobs";
-import { selectedCount } from "../paint/selection";
+import { selectedCount } from "../paint/selected";
 import { readOnly, selectedLayer, state } from "../state/store";
-import { link, report, run } from "../state/studio";
+import { editor, report, run } from "../editor/editor";
+import { NewestOnly } from "../state/newest-only";
 import { Curve } from "./curve";
 import { Button, FileButton, Percent, Slider } from "./parts";
 
@@ -41,47 +42,42 @@ const sliders = signal<Full>(NEUTRAL);
 /** Colours from elsewhere, in place of the sliders, and what they are called. */
 const transfer = signal<{ colors: ColorTransfer; name: string } | null>(null);
 const hue = signal(0);
-let pending: { values: Full; colors: ColorTransfer | null } | null = null;
-let busy = false;
 const plain = (values: Full) => JSON.stringify(values) === JSON.stringify(NEUTRAL);
 
-/** Show the newest values; while the server works on one, those in between are skipped. */
-async function preview(): Promise<void> {
+interface Previewed {
+  values: Full;
+  colors: ColorTransfer | null;
+}
+/** While the server works on one, those in between are skipped. */
+const previews = new NewestOnly<Previewed>(async ({ values, colors }) => {
+  const fields = colors ? { transfer: colors } : { look: plain(values) ? null : values };
+  await editor.link.do("look.preview", fields).catch(report);
+});
+
+/** Show the newest values. */
+function preview(): void {
   const { strength } = sliders.value;
-  pending = { values: sliders.value, colors: transfer.value && { ...transfer.value.colors, strength } };
-  if (busy) return;
-  busy = true;
-  try {
-    while (pending) {
-      const next: NonNullable<typeof pending> = pending;
-      pending = null;
-      if (next.colors) await link.do("look.preview", { transfer: next.colors });
-      else await link.do("look.preview", { look: plain(next.values) ? null : next.values });
-    }
-  } catch (error) {
-    report(error);
-  } finally {
-    busy = false;
-  }
+  const colors = transfer.value && { ...transfer.value.colors, strength };
+  void previews.add({ values: sliders.value, colors });
 }
 
 function change(part: Partial<Full>): void {
   sliders.value = { ...sliders.value, ...part };
-  void preview();
+  preview();
 }
 
 export function resetSliders(): void {
   if (plain(sliders.value) && !transfer.value) return;
   sliders.value = NEUTRAL;
   transfer.value = null;
-  void preview();
+  preview();
 }
 
 /** Colours from elsewhere take the place of the sliders. */
 function take(colors: ColorTransfer, name: string): void {
   sliders.value = { ...NEUTRAL, strength: sliders.value.strength };
   transfer.value = { colors, name };
-  void preview();
+  preview();
 }
 
 async function takeFile(kind: "lut" | "match", file: File | undefined): Promise<void> {
@@ -89,7 +85,7 @@ async function takeFile(kind: "lut" | "match", file: File | undefined): Promise<
 }
 
 async function commit(): Promise<void> {
-  pending = null;
+  previews.skip();
   const { strength } = sliders.value;
   const given = transfer.value;
   const look = given ? { transfer: { ...given.colors, strength } } : { look: sliders.value };

@@ -3,10 +3,10 @@
 import { signal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
 
-import { startStamp } from "../paint/placement";
 import { addPicture } from "../state/dropped-images";
-import { camera, panelsFolded, state, tab, tool, type Tab } from "../state/store";
-import { report } from "../state/studio";
+import { camera, panelsFolded, state, tab, type Tab } from "../state/store";
+import { inHand } from "../tools";
+import { placePicture } from "../tools/stamp";
 import { BatchDialog } from "./batch";
 import { AssetHandles } from "./asset-handles";
 import { Assets } from "./assets";
@@ -46,8 +46,7 @@ const isPicture = (file: File) => /^image\/(png|jpeg|webp)$/.test(file.type);
 
 function take(files: File[]): void {
   for (const file of files) {
-    const now = camera.value;
-    if (isPicture(file) && tool.value === "stamp" && now) void startStamp(file, file.name, now).catch(report);
+    if (isPicture(file) && inHand().takesPictures && camera.value) void placePicture(file, file.name);
     else if (isPicture(file)) void addPicture(file);
     else void openFile(file);
   }

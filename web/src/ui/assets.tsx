@@ -6,7 +6,7 @@ import type { RecentProjects, SceneAssetInfo } from "../messages";
 import { sendBlob } from "../net/blobs";
 import { assets, chosenAsset, draggedAsset, selectedAsset } from "../state/assets";
 import { readOnly, selectedLayer } from "../state/store";
-import { report, run } from "../state/studio";
+import { report, run } from "../editor/editor";
 import { frameAll } from "./header";
 import { Button, Dialog, FileButton, NumberField } from "./parts";
 

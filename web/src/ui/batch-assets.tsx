@@ -6,7 +6,7 @@ import { useEffect } from "preact/hooks";
 import type { BatchAsset, RecentProjects } from "../messages";
 import { sendBlob } from "../net/blobs";
 import { state } from "../state/store";
-import { run } from "../state/studio";
+import { run } from "../editor/editor";
 import { timeOf } from "./files";
 import { Button, Check, FileButton } from "./parts";
 
@@ -28,8 +28,8 @@ const sent = signal<Sent[]>([]);
 const recents = signal<readonly string[]>([]);
 const folderFiles = signal<readonly string[]>([]);
 const lists = signal<RecentProjects | null>(null);
-let nextId = 1;
-let sending: Promise<void> = Promise.resolve();
+/** Files are sent one after the other. */
+const queue = { nextId: 1, sending: Promise.resolve() as Promise<void> };
 
 /** Those that can be planned with. */
 export const chosenAssets = (): BatchAsset[] => [
@@ -41,7 +41,7 @@ export const chosenAssets = (): BatchAsset[] => [
 /** Send files, one after the other. */
 function add(files: readonly File[]): void {
   for (const file of files.slice(0, MAX_ASSETS - sent.value.length)) {
-    const id = nextId++;
+    const id = queue.nextId++;
     const controller = new AbortController();
     const set = (part: Partial<Sent>) =>
       (sent.value = sent.value.map((one) => (one.id === id ? { ...one, ...part } : one)));
@@ -50,7 +50,7 @@ function add(files: readonly File[]): void {
       sent.value = sent.value.filter((one) => one.id !== id);
     };
     sent.value = [...sent.value, { id, name: file.name, blob: null, problem: "", stop }];
-    sending = sending.then(async () => {
+    queue.sending = queue.sending.then(async () => {
       if (controller.signal.aborted) return;
       try {
         set({ blob: await sendBlob(file, file.name, controller.signal) });

@@ -2,7 +2,7 @@
 
 import { signal } from "@preact/signals";
 
-import { selectedCount } from "../paint/selection";
+import { selectedCount } from "../paint/selected";
 import { sendBlob } from "../net/blobs";
 import { batchAsset } from "../state/assets";
 import { newRow, rowsFromCsv, type VariantKind, type VariantRow } from "../state/batch";

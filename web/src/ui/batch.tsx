@@ -12,7 +12,7 @@ import { download } from "../net/blobs";
 import { applyBatch, atWork, batch, batchOpen, countOf, variantOf } from "../state/batch";
 import { assets as sceneAssets, batchAsset, selectedAsset } from "../state/assets";
 import { camera, state } from "../state/store";
-import { link } from "../state/studio";
+import { editor } from "../editor/editor";
 import { BatchAssets, chosenAssets } from "./batch-assets";
 import { BatchVariants, rows } from "./batch-variants";
 import { sizeOf } from "./export-asset";
@@ -64,13 +64,13 @@ const plan = () =>
   ask("Planning", async () => {
     const scope = what.value === "assets" ? { assets: chosenAssets() } : { variants: rows.value.map(variantOf) };
     const asset = batchAsset.value?.id;
-    return link.do("batch.plan", { ...scope, asset, format: format.value, camera: camera.value });
+    return editor.link.do("batch.plan", { ...scope, asset, format: format.value, camera: camera.value });
   });
-const start = (id: string) => ask("Starting", () => link.do("batch.start", { batch: id }));
-const cancel = (id: string) => ask("Cancelling", () => link.do("batch.cancel", { batch: id }));
+const start = (id: string) => ask("Starting", () => editor.link.do("batch.start", { batch: id }));
+const cancel = (id: string) => ask("Cancelling", () => editor.link.do("batch.cancel", { batch: id }));
 const discard = (id: string) =>
   ask("Removing", async () => {
-    await link.do("batch.discard", { batch: id });
+    await editor.link.do("batch.discard", { batch: id });
     batch.value = null;
   });
 

@@ -11,7 +11,7 @@ import {
   parsePresets,
   presetsText,
   setEngine,
-  usePreset,
+  takePreset,
   type Engine,
   type Preset,
 } from "../paint/brush-settings";
@@ -31,7 +31,7 @@ import {
 } from "../paint/tips";
 import { presets } from "../state/remembered";
 import { brush, toast } from "../state/store";
-import { report } from "../state/studio";
+import { report } from "../editor/editor";
 import { SymmetryPanel } from "./symmetry";
 import { Button, Check, Choice, FileButton, Percent, Slider } from "./parts";
 
@@ -175,7 +175,7 @@ export function BrushPanel() {
       <ul class="presets" aria-label="Brushes">
         {[...BUILT_IN_PRESETS, ...presets.value].map((one, k) => (
           <li key={one.name + k}>
-            <button type="button" title={one.name} onClick={() => usePreset(one)}>
+            <button type="button" title={one.name} onClick={() => takePreset(one)}>
               <Sample preset={one} />
               <span>{one.name}</span>
             </button>

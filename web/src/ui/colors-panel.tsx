@@ -2,10 +2,9 @@
 
 import { signal } from "@preact/signals";
 
-import { setColor } from "../paint/point-tools";
 import { MAX_SWATCHES, swatches } from "../state/remembered";
-import { color, hex, recentColors, secondColor, state } from "../state/store";
-import { run } from "../state/studio";
+import { color, hex, recentColors, secondColor, state, setColor } from "../state/store";
+import { run } from "../editor/editor";
 import { Button } from "./parts";
 
 /** The asset's colours, and of which session and version. */

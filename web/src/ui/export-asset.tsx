@@ -5,8 +5,8 @@ import { useEffect, useState } from "preact/hooks";
 
 import { download } from "../net/blobs";
 import { camera, state, toast } from "../state/store";
-import { run } from "../state/studio";
-import type { ExportOptions } from "../messages";
+import { run } from "../editor/editor";
+import type { AssetExport, ExportOptions } from "../messages";
 import { Button, Check, Choice } from "./parts";
 
 const HTML = ".html";
@@ -25,6 +25,14 @@ const chosen = signal("");
 const removing = signal(false);
 /** Format -> what of it was chosen; nothing: as the asset has it, or as the format is usually written. */
 const choices = signal<Record<string, ExportOptions>>({});
+/** Which way the numbers of the file point. */
+type Axes = NonNullable<AssetExport["axes"]>;
+const axes = signal<Axes>("auto");
+const AXES: readonly (readonly [Axes, string])[] = [
+  ["auto", "as the format usually has them"],
+  ["rdf", "y down, z forward (3DGS, as trained)"],
+  ["rub", "y up, z back (OpenGL, three.js)"],
+];
 const turning = signal(true);
 /** Of several assets the one that is exported alone; ALL: every visible one, in its own range of rows. */
 const ALL = "all";
@@ -140,18 +148,20 @@ export function ExportAsset() {
   const degree = Math.sqrt(now?.asset.sh_coefficients ?? 1) - 1;
   const alone = now && now.assets.length > 1 ? now.assets.find((one) => one.id === which.value) : undefined;
   const single = alone !== undefined || now?.assets.length === 1;
-  const request = { remove_hidden: removing.value && single, asset: alone?.id ?? null };
+  const [remove_hidden, asset] = [removing.value && single, alone?.id ?? null];
+  const request = { remove_hidden, asset };
   useEffect(() => {
     let stale = false;
-    void run("export.sizes", request).then((answer) => {
+    void run("export.sizes", { remove_hidden, asset }).then((answer) => {
       if (stale || !answer) return;
       setHolds(answer.choices);
       setSizes(answer.sizes);
     });
     return () => void (stale = true);
-  }, [version, request.remove_hidden, request.asset]);
+  }, [version, remove_hidden, asset]);
   const keyOf = (one: string) => JSON.stringify([version, request, one, optionsOf(one, degree, single)]);
   const options = optionsOf(ending, degree, single);
+  // biome-ignore lint/correctness/useExhaustiveDependencies: the key names everything that it depends on
   useEffect(() => {
     if (!Object.keys(options).length || chosenSizes[keyOf(ending)] !== undefined) return;
     const key = keyOf(ending);
@@ -171,7 +181,7 @@ export function ExportAsset() {
     if (page && !view) return;
     const answer = page
       ? await run("export.html", { file: `${stem}${ending}`, camera: view!, turning: turning.value, options }, label)
-      : await run("export", { file, options, ...request }, label);
+      : await run("export", { file, options, axes: single ? axes.value : "auto", ...request }, label);
     if (!answer) return;
     download(answer.url, answer.file);
     const lost = answer.lost && `This format rounds: ${answer.lost}. `;
@@ -214,6 +224,12 @@ export function ExportAsset() {
           value={choices.value[ending] ?? {}}
           onChange={(value) => (choices.value = { ...choices.value, [ending]: value })}
         />
+      )}
+      {single && ending !== HTML && (
+        <p class="format-options">
+          <Choice label="Axes" value={axes.value} options={AXES} onChange={(value) => (axes.value = value)} />
+          {axes.value !== "auto" && <span class="quiet">To verify the file later, say --axes {axes.value}.</span>}
+        </p>
       )}
       {ending === HTML ? (
         <p class="row">

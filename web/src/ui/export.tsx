@@ -5,7 +5,7 @@ import { signal } from "@preact/signals";
 import type { ViewExport } from "../messages";
 import { download } from "../net/blobs";
 import { camera, state, toast } from "../state/store";
-import { run } from "../state/studio";
+import { run } from "../editor/editor";
 import type { CameraJson } from "../view/camera";
 import { chosenCamera, FrameSize, frameChoice } from "./frame-size";
 import { Button, Check, Choice, Dialog } from "./parts";

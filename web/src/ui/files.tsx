@@ -4,9 +4,8 @@ import { useEffect, useRef, useState } from "preact/hooks";
 
 import type { RecentInfo, RecentProjects } from "../messages";
 import { blobUrl, download, sendBlob } from "../net/blobs";
-import { stayHere } from "../paint/stroke-queue";
 import { pendingStrokes, readOnly, selectedLayer, state, swapped } from "../state/store";
-import { report, run } from "../state/studio";
+import { editor, report, run } from "../editor/editor";
 import { ExportAsset } from "./export-asset";
 import { Button, Dialog, FileButton } from "./parts";
 
@@ -187,7 +186,7 @@ export function Swapped() {
       <Button
         label="Stay here"
         text={drawn > 0 ? `Stay here without the ${strokesOf(drawn)}` : "Stay here"}
-        onClick={stayHere}
+        onClick={() => editor.strokes.giveUp()}
       />
     </div>
   );

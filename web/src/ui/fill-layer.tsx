@@ -5,7 +5,7 @@ import { useEffect } from "preact/hooks";
 
 import type { LayerInfo, SourceInfo } from "../messages";
 import { camera, readOnly } from "../state/store";
-import { run } from "../state/studio";
+import { run } from "../editor/editor";
 import { Button, Choice } from "./parts";
 
 /** null: not asked for yet. */

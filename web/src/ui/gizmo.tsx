@@ -3,11 +3,12 @@
 import { keyOf, labelOf } from "../keys/bindings";
 import { spoken } from "../keys/chord";
 import { camera, pose, readOnly, state, toast } from "../state/store";
-import { run } from "../state/studio";
+import { run } from "../editor/editor";
 import { dot, type Vec3 } from "../view/camera";
 import { goHome, viewFrom } from "./keys";
+import { CommandButton } from "./command-button";
 import { Button } from "./parts";
-import { turnBy } from "./stage";
+import { turnBy } from "../tools/pen-input";
 
 const onButton = (event: PointerEvent) => (event.target as HTMLElement).closest("button") !== null;
 const confirmFront = (answer: unknown) =>
@@ -72,7 +73,7 @@ export function Gizmo() {
         </button>
       ))}
       <span class="gizmo-actions">
-        <Button icon="home" command="view.home" onClick={goHome} />
+        <CommandButton icon="home" command="view.home" onClick={goHome} />
         <Button
           icon="front"
           label="This side is the front (saved in the project)"

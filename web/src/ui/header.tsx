@@ -2,7 +2,6 @@
 
 import { signal } from "@preact/signals";
 
-import { strokesCommitted, takeBackPending } from "../paint/stroke-queue";
 import { batchOpen } from "../state/batch";
 import { activity } from "../state/activity";
 import {
@@ -17,12 +16,14 @@ import {
   status,
   view,
 } from "../state/store";
-import { go, run } from "../state/studio";
+import { go } from "../editor/camera-moves";
+import { editor, run } from "../editor/editor";
 import { axisName, OPPOSITE } from "../state/up-axis";
 import { frame, zoomLens, type Vec3 } from "../view/camera";
+import { penInput } from "../tools/pen-input";
 import { OverflowBar } from "./overflow-bar";
+import { CommandButton } from "./command-button";
 import { Button, Choice, Slider } from "./parts";
-import { takeBackDrawing } from "./stage";
 
 export const filesOpen = signal<"open" | "save" | null>(null);
 
@@ -47,8 +48,8 @@ const PROFILES: readonly (readonly [string, string])[] = [
 const stepAt = (at: number): string => state.value?.history[state.value.cursor + at]?.label ?? "";
 /** The stroke under the pen first, then one that is not being saved yet, then the newest step. */
 export async function undo(): Promise<void> {
-  if (takeBackDrawing() || takeBackPending()) return;
-  await strokesCommitted(); // one that is being saved is the newest step then
+  if (penInput.takeBack() || editor.strokes.takeBackNewest()) return;
+  await editor.strokes.committedAll; // one that is being saved is the newest step then
   await run("undo", {}, `Undo: ${state.value?.selection.undo ? "selection" : stepAt(0)}`);
 }
 export const redo = () => void run("redo", {}, `Redo: ${state.value?.selection.redo ? "selection" : stepAt(1)}`);
@@ -76,14 +77,14 @@ export function Header() {
       <span class="brand" aria-hidden="true">
         <img src="/favicon.svg" width="20" height="20" alt="" />
       </span>
-      <Button
+      <CommandButton
         icon="open"
         label="Open an asset or a project"
         command="file.open"
         text="Open"
         onClick={() => (filesOpen.value = "open")}
       />
-      <Button
+      <CommandButton
         icon="share"
         label="Save and export"
         command="file.save"
@@ -91,7 +92,7 @@ export function Header() {
         disabled={!now}
         onClick={() => (filesOpen.value = "save")}
       />
-      <Button
+      <CommandButton
         icon="batch"
         label="Batch: these layers on other assets, or variants of this one"
         command="file.batch"
@@ -107,13 +108,13 @@ export function Header() {
           </em>
         )}
       </span>
-      <Button
+      <CommandButton
         icon="undo"
         command="edit.undo"
         disabled={!canUndo.value && pendingStrokes.value === 0}
         onClick={() => void undo()}
       />
-      <Button icon="redo" command="edit.redo" disabled={!canRedo.value} onClick={redo} />
+      <CommandButton icon="redo" command="edit.redo" disabled={!canRedo.value} onClick={redo} />
       <OverflowBar class="view-settings" label="View settings" more="More settings of the view" of="view">
         <Slider
           label="Lens"
@@ -136,15 +137,20 @@ export function Header() {
           options={RESOLUTIONS}
           onChange={(value) => set({ resolution: Number(value) })}
         />
-        <Button icon="frame" command="view.all" onClick={frameAll} />
+        <CommandButton icon="frame" command="view.all" onClick={frameAll} />
         <Button
           icon="turn"
           label="Upside down? Turn the asset over on the screen (saved in the project; the asset does not change)"
           disabled={!now || readOnly.value}
           onClick={turnOver}
         />
-        <Button icon="grid" command="view.grid" pressed={options.grid} onClick={() => set({ grid: !options.grid })} />
-        <Button
+        <CommandButton
+          icon="grid"
+          command="view.grid"
+          pressed={options.grid}
+          onClick={() => set({ grid: !options.grid })}
+        />
+        <CommandButton
           icon="lens"
           command="view.truecolor"
           pressed={options.trueColor}
@@ -158,19 +164,19 @@ export function Header() {
             onChange={(profile) => set({ profile: profile as typeof options.profile })}
           />
         )}
-        <Button
+        <CommandButton
           icon="compare"
           command="view.compare"
           pressed={options.compare}
           onClick={() => set({ compare: !options.compare })}
         />
-        <Button
+        <CommandButton
           icon="coverage"
           command="view.coverage"
           pressed={options.coverage}
           onClick={() => set({ coverage: !options.coverage })}
         />
-        <Button icon="help" command="help" onClick={() => (help.value = true)} />
+        <CommandButton icon="help" command="help" onClick={() => (help.value = true)} />
       </OverflowBar>
       <Connection />
       <Button

@@ -3,7 +3,7 @@
 import { useLayoutEffect, useRef } from "preact/hooks";
 
 import { pythonLog, state } from "../state/store";
-import { run } from "../state/studio";
+import { run } from "../editor/editor";
 import { copy } from "./feedback";
 import { Button } from "./parts";
 

@@ -4,50 +4,44 @@ import { chordOf } from "../keys/chord";
 import { commandFor } from "../keys/bindings";
 import type { CommandId } from "../keys/table";
 import { resizeBrush } from "../paint/brush-settings";
-import { commitPlacement, laying, placement, words } from "../paint/placement";
-import { setColor } from "../paint/point-tools";
-import { changeSelection, deselect, fillSelected, hideSelected, tinted, withSelection } from "../paint/selection";
-import { transformLayer } from "../paint/transform";
-import {
-  brush,
-  color,
-  help,
-  pose,
-  readOnly,
-  secondColor,
-  selectedLayer,
-  selecting,
-  state,
-  tool,
-  view,
-  type SelectKind,
-  type Tool,
-} from "../state/store";
+import { commitPlacement } from "../paint/lay-placement";
+import { laying, placement } from "../paint/placement";
+import { tinted } from "../paint/selected";
+import { changeSelection, deselect, fillSelected, hideSelected, withSelection } from "../paint/selection";
+import { words } from "../paint/text-image";
+import { brush, help, pose, readOnly, secondColor, selectedLayer, setColor, state, view } from "../state/store";
 import { batchOpen } from "../state/batch";
-import { glide, homePose, report, run } from "../state/studio";
+import { glide, homePose } from "../editor/camera-moves";
+import { report, run } from "../editor/editor";
+import { ALL_TOOLS, chooseTool, inHand } from "../tools";
+import { focusAtCursor, gestures, penInput, spaceHeld, turnBy } from "../tools/pen-input";
+import { transformLayer } from "../tools/replacing";
+import type { ToolCommand } from "../tools/tool";
 import { lookAlong, type Vec3 } from "../view/camera";
 import { FLY_KEYS } from "../view/gestures";
 import { axesOf, type Side } from "../view/sides";
 import { filesOpen, frameAll, redo, undo } from "./header";
-import { cameraFree, cancelDrawing, focusAtCursor, gestures, spaceHeld, turnBy } from "./stage";
 import { toStage } from "./parts";
-import { chooseTool } from "./toolbar";
+import { swapColors } from "./toolbar";
 
 const RESIZE_FACTOR = 1.12;
 const TURN_RADIANS = Math.PI / 24;
 const ZOOM_FACTOR = 1.25;
 /** Two digits within so much time are one number. */
 const DIGITS_MS = 600;
-/** Tools that a project which can only be looked at allows. */
-const LOOKING: readonly Tool[] = ["orbit", "pick", "select"];
 
-const choose = (tool: Tool) => () => {
-  if (!readOnly.value || LOOKING.includes(tool)) chooseTool(tool);
-};
-const select = (kind: SelectKind) => () => {
-  selecting.value = { ...selecting.value, kind };
-  chooseTool("select");
-};
+const TOOL_ACTIONS = Object.fromEntries(
+  ALL_TOOLS.flatMap((spec) =>
+    spec.commands.map(({ id, before }) => [
+      id,
+      () => {
+        if (readOnly.value && !spec.onlyLooks) return;
+        before?.();
+        chooseTool(spec);
+      },
+    ]),
+  ),
+) as Record<ToolCommand["id"], () => void>;
 const toggle = (key: "grid" | "trueColor" | "compare" | "coverage") => () =>
   (view.value = { ...view.value, [key]: !view.value[key] });
 const resize = (factor: number) => () => resizeBrush(factor);
@@ -58,7 +52,7 @@ const harden = (by: number) => () =>
 export function viewFrom(side: Side | Vec3): void {
   const now = pose.value;
   const asset = state.value?.asset;
-  if (!now || !asset || !cameraFree()) return;
+  if (!now || !asset || !penInput.cameraFree) return;
   const { forward, up, ahead } = axesOf(asset, side);
   glide(lookAlong(now, forward, up, ahead));
 }
@@ -66,7 +60,7 @@ export function viewFrom(side: Side | Vec3): void {
 /** The view with which the asset was opened. */
 export function goHome(): void {
   const asset = state.value?.asset;
-  if (asset && cameraFree()) glide(homePose(asset));
+  if (asset && penInput.cameraFree) glide(homePose(asset));
 }
 
 function layerAt(by: number): { index: number; id: string | undefined; count: number } {
@@ -97,25 +91,8 @@ function shift(by: number): () => void {
 const deleteLayer = onLayer((layer) => run("layer.delete", { layer }, "Deleting"));
 
 const ACTIONS: Record<CommandId, () => unknown> = {
-  "tool.orbit": choose("orbit"),
-  "tool.brush": choose("brush"),
-  "tool.erase": choose("erase"),
-  "tool.fill": choose("fill"),
-  "tool.line": choose("line"),
-  "tool.text": choose("text"),
-  "tool.stamp": choose("stamp"),
-  "tool.clone": choose("clone"),
-  "tool.heal": choose("heal"),
-  "tool.pick": choose("pick"),
-  "tool.rectangle": select("rectangle"),
-  "tool.lasso": select("lasso"),
-  "tool.wand": select("color"),
-  "tool.selectbrush": select("brush"),
-  "color.swap": () => {
-    const second = secondColor.value;
-    secondColor.value = color.value;
-    setColor(second);
-  },
+  ...TOOL_ACTIONS,
+  "color.swap": swapColors,
   "color.default": () => {
     setColor("#000000");
     secondColor.value = "#ffffff";
@@ -133,8 +110,8 @@ const ACTIONS: Record<CommandId, () => unknown> = {
   "view.left": () => viewFrom("left"),
   "view.top": () => viewFrom("top"),
   "view.bottom": () => viewFrom("bottom"),
-  "view.nearer": () => cameraFree() && gestures.zoom(1 / ZOOM_FACTOR),
-  "view.farther": () => cameraFree() && gestures.zoom(ZOOM_FACTOR),
+  "view.nearer": () => penInput.cameraFree && gestures.zoom(1 / ZOOM_FACTOR),
+  "view.farther": () => penInput.cameraFree && gestures.zoom(ZOOM_FACTOR),
   "view.turnleft": () => turnBy(TURN_RADIANS, 0),
   "view.turnright": () => turnBy(-TURN_RADIANS, 0),
   "view.turnup": () => turnBy(0, TURN_RADIANS),
@@ -169,7 +146,7 @@ const ACTIONS: Record<CommandId, () => unknown> = {
   "edit.delete": () => void withSelection((count) => (count > 0 ? hideSelected(false, "Hide") : deleteLayer())),
   "edit.transform": () => void transformLayer().catch(report),
   "edit.apply": () => placement.value && void commitPlacement(),
-  "edit.cancel": cancelDrawing,
+  "edit.cancel": () => penInput.cancel(),
   "file.open": () => (filesOpen.value = "open"),
   "file.save": () => (filesOpen.value = "save"),
   "file.batch": () => (batchOpen.value = state.value !== null),
@@ -179,19 +156,21 @@ const ACTIONS: Record<CommandId, () => unknown> = {
 /** What has keys itself: rows of layers and assets (F2, Alt-arrows), and what opens a field or a menu. */
 const KEEPS_KEYS = ".layer-list, .asset-list, [role=tab], .more";
 
-let digits = { time: -Infinity, value: 0, flow: false };
-
 /** Opacity (of the layer where the tool has none) or flow by digits: 4 is 40 %, 4 5 is 45 %, 0 is 100 %, 0 0 is 0 or 1 %. */
-function setByDigit(digit: number, flow: boolean, time: number): void {
-  const second = time - digits.time < DIGITS_MS && digits.flow === flow;
-  const percent = second ? digits.value * 10 + digit : digit === 0 ? 100 : digit * 10;
-  digits = { time: second ? -Infinity : time, value: digit, flow };
-  const value = Math.max(0.01, percent / 100);
-  if (flow) brush.value = { ...brush.value, flow: value };
-  else if (!LOOKING.includes(tool.value)) brush.value = { ...brush.value, opacity: value };
-  else if (selectedLayer.value && !readOnly.value && layerAt(0).id)
-    void run("layer.set", { layer: selectedLayer.value, opacity: percent / 100, gesture: "digits" }, "Layer");
+function digitEntry(): (digit: number, flow: boolean, time: number) => void {
+  let first = { time: -Infinity, value: 0, flow: false };
+  return (digit, flow, time) => {
+    const second = time - first.time < DIGITS_MS && first.flow === flow;
+    const percent = second ? first.value * 10 + digit : digit === 0 ? 100 : digit * 10;
+    first = { time: second ? -Infinity : time, value: digit, flow };
+    const value = Math.max(0.01, percent / 100);
+    if (flow) brush.value = { ...brush.value, flow: value };
+    else if (!inHand().onlyLooks) brush.value = { ...brush.value, opacity: value };
+    else if (selectedLayer.value && !readOnly.value && layerAt(0).id)
+      void run("layer.set", { layer: selectedLayer.value, opacity: percent / 100, gesture: "digits" }, "Layer");
+  };
 }
+const setByDigit = digitEntry();
 
 /** Whether the key belongs to a field that is being written in. */
 function writing(target: EventTarget | null): boolean {

@@ -3,9 +3,10 @@
 import { signal } from "@preact/signals";
 
 import type { LayerInfo, MaskSet } from "../messages";
-import { selectedCount, selectionSent } from "../paint/selection";
-import { maskedLayer, maskShows, readOnly, selectedLayer, tool } from "../state/store";
-import { run } from "../state/studio";
+import { selectedCount, selectionSent } from "../paint/selected";
+import { maskedLayer, maskShows, readOnly, selectedLayer } from "../state/store";
+import { run } from "../editor/editor";
+import { takeMaskTool } from "../tools";
 import { Button, Choice, Slider } from "./parts";
 
 /** Whether the settings of masks are open. */
@@ -23,15 +24,24 @@ const SHOWS = [
   ["hide", "Hide"],
   ["show", "Show"],
 ] as const;
-/** What coverage can be (session/layer_mask.py), as ranges "low high". */
+/** What coverage can be (session/document/layer_mask.py), as ranges "low high". */
 const COVERAGES = [
   ["0 0", "As in the original"],
   ["1 1", "Seen by an edited view"],
   ["2 2", "Predicted"],
   ["1 2", "Seen or predicted"],
 ] as const;
+interface ChosenRule {
+  layer: string;
+  name: RuleName;
+  low: number;
+  high: number;
+  soft: number;
+  /** Changes of its sliders are one step of the history. */
+  gesture: string;
+}
 /** The rule in hand, and of which layer: its sliders are there then. */
-const rule = signal<{ layer: string; name: RuleName; low: number; high: number; soft: number } | null>(null);
+const rule = signal<ChosenRule | null>(null);
 
 const set = (layer: LayerInfo, fields: Omit<MaskSet, "layer">) =>
   run("layer.mask", { layer: layer.id, ...fields }, `Mask of ${layer.name}`);
@@ -45,7 +55,7 @@ export async function paintMask(layer: LayerInfo): Promise<void> {
   if (!layer.mask && !(await set(layer, { mask: "reveal" }))) return;
   selectedLayer.value = layer.id;
   maskedLayer.value = layer.id;
-  if (tool.value !== "erase") tool.value = "brush";
+  takeMaskTool();
 }
 
 async function fromSelection(layer: LayerInfo): Promise<void> {
@@ -53,12 +63,15 @@ async function fromSelection(layer: LayerInfo): Promise<void> {
   await set(layer, { mask: "selection" });
 }
 
-let gesture = "";
-function byRule(layer: LayerInfo, part: Partial<NonNullable<typeof rule.value>>, end: boolean): void {
-  const next = { layer: layer.id, name: "height" as RuleName, low: 0, high: 1, soft: 0, ...rule.value, ...part };
+const newGesture = (): string => `rule ${Math.random().toString(36).slice(2)}`;
+
+/** Set the rule, and apply it when its sliders are let go. */
+function byRule(layer: LayerInfo, part: Partial<ChosenRule>, end: boolean): void {
+  const first: ChosenRule = { layer: layer.id, name: "height", low: 0, high: 1, soft: 0, gesture: newGesture() };
+  const next = { ...first, ...rule.value, ...part };
   rule.value = next;
   if (!end) return;
-  const { name, low, high, soft } = next;
+  const { name, low, high, soft, gesture } = next;
   const { scale } = RULES[name];
   const values = { low: Math.min(low, high) * scale, high: Math.max(low, high) * scale, soft: soft * scale };
   if (name === "curvature") {
@@ -66,7 +79,6 @@ function byRule(layer: LayerInfo, part: Partial<NonNullable<typeof rule.value>>,
     if (values.low === RULES.curvature.min) values.low = -180;
     if (values.high === RULES.curvature.max) values.high = 180;
   }
-  gesture ||= `rule ${Math.random().toString(36).slice(2)}`;
   void set(layer, { mask: name, ...values, gesture });
 }
 
@@ -127,13 +139,13 @@ export function LayerMask({ layer }: { layer: LayerInfo | null }) {
           disabled={off}
           onChange={(name) => {
             if (!name) return;
-            gesture = "";
+            const gesture = newGesture();
             const { max } = RULES[name];
             // edges: what bends outwards
             if (name === "curvature")
-              return byRule(layer, { layer: layer.id, name, low: 12, high: max, soft: 8 }, true);
+              return byRule(layer, { layer: layer.id, name, low: 12, high: max, soft: 8, gesture }, true);
             const high = name === "coverage" ? 0 : max / 2;
-            byRule(layer, { layer: layer.id, name, low: 0, high, soft: 0 }, true);
+            byRule(layer, { layer: layer.id, name, low: 0, high, soft: 0, gesture }, true);
           }}
         />
         {mask && (

@@ -7,13 +7,14 @@ import type { LayerInfo } from "../messages";
 import { blobUrl, download } from "../net/blobs";
 import { dragged, isPending, moveLayer, setLayer, shownLayers } from "../state/pending-layers";
 import { maskedLayer, readOnly, selectedLayer, spreading, state, tab } from "../state/store";
-import { report, run } from "../state/studio";
+import { report, run } from "../editor/editor";
 import { nameOfAsset, selectedAsset } from "../state/assets";
 import { openFile } from "./files";
-import { changePlaced } from "../paint/placement";
+import { changePlaced } from "../tools/replacing";
 import { FillSettings } from "./fill-layer";
 import { Icon } from "./icons";
 import { LayerMask, maskOpen, paintMask } from "./layer-mask";
+import { CommandButton } from "./command-button";
 import { Button, Check, Choice, FileButton, Slider } from "./parts";
 
 const BLENDS = [
@@ -257,7 +258,7 @@ function LayerActions({ layer, layers, range }: ActionProps) {
           )
         }
       />
-      <Button
+      <CommandButton
         icon="copy"
         command="layer.duplicate"
         disabled={off}
@@ -298,7 +299,7 @@ function LayerActions({ layer, layers, range }: ActionProps) {
         disabled={readOnly.value || !state.value}
         onFiles={([file]) => file && void openFile(file)}
       />
-      <Button
+      <CommandButton
         icon="bin"
         label="Delete the layer"
         command="edit.delete"

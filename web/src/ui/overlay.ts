@@ -1,25 +1,26 @@
 /** What is drawn over the view but is not part of any picture: cursor, selection, handles, the clone source. */
 
-import { effect, signal } from "@preact/signals";
+import { effect } from "@preact/signals";
 
-import { BRUSH_TOOLS, cursorFrame } from "../paint/brush";
+import { cursorFrame } from "../paint/brush";
 import { viewScale } from "../paint/brush-settings";
 import { meanRadius, type Frame } from "../paint/dabs";
 import { outlineOf } from "../paint/mirror";
 import { mirroredPixel, mirrorPlane } from "../paint/symmetry";
-import { pulled } from "../paint/freehand";
-import { cloneFrom } from "../paint/stroke-queue";
 import { boxHandles, handleAt } from "../paint/crop-box";
-import { caretLine, drawPlacement, handles, laying, placement } from "../paint/placement";
-import { draft } from "../paint/point-tools";
+import { drawPlacement } from "../paint/decal-preview";
+import { handles, laying, placement } from "../paint/placement";
+import { caretLine } from "../paint/text-image";
 import { outline } from "../paint/selection-masks";
 import type { Mask } from "../paint/raster";
-import { cropBox, faintPoints, selection, tinted } from "../paint/selection";
-import { brush, camera, selecting, state, tool } from "../state/store";
+import { cropBox, faintPoints, selection, tinted } from "../paint/selected";
+import { brush, camera, state } from "../state/store";
+import { inHand } from "../tools";
+import { copySource } from "../tools/copy-source";
+import { pulled } from "../tools/freehand";
+import { hover } from "../tools/pen-input";
+import { draft } from "../tools/select";
 import { project, type CameraJson, type Vec3 } from "../view/camera";
-
-/** Pen over the view, view pixels; null: elsewhere. */
-export const hover = signal<{ x: number; y: number } | null>(null);
 
 /** Alpha of the tint, 0..255. */
 const TINT = 70;
@@ -104,15 +105,16 @@ export function drawOverlay(canvas: HTMLCanvasElement, ratio: () => number): () 
         two(dot);
       }
     }
-    const from = cloneFrom.value;
+    const from = copySource.value;
     const at = hover.value;
-    const current = tool.value;
-    if (from && (current === "clone" || current === "heal")) {
+    const spec = inHand();
+    const cursor = placed && spec.cursor() === "ring" ? "none" : spec.cursor();
+    if (from && spec.copies) {
       const [x, y] = from.offset && at ? [at.x - from.offset[0], at.y - from.offset[1]] : [from.x, from.y];
       two(cross(x, y, 7 * px));
     }
     const plane = mirrorPlane.value;
-    if (plane && now && BRUSH_TOOLS.includes(current) && !placed) {
+    if (plane && now && cursor === "ring") {
       const { center, radius } = state.value!.asset;
       const points = outlineOf(plane, center as Vec3, 1.05 * radius).map((point) => project(now, point));
       if (points.every(([, , depth]) => depth > 0)) {
@@ -126,13 +128,13 @@ export function drawOverlay(canvas: HTMLCanvasElement, ratio: () => number): () 
     }
     const string = pulled.value;
     if (string && at) two(segments([string.x, string.y, at.x, at.y]));
-    if (at && now && BRUSH_TOOLS.includes(current) && !placed) {
+    if (at && now && cursor === "ring") {
       two(ellipse(string?.x ?? at.x, string?.y ?? at.y, cursorFrame(string?.x ?? at.x, string?.y ?? at.y)));
-    } else if (at && current === "select" && selecting.value.kind === "brush") {
+    } else if (at && cursor === "disc") {
       const ring = new Path2D();
       ring.arc(at.x, at.y, Math.max((brush.value.size / 2) * viewScale.value, 1), 0, 7);
       two(ring);
-    } else if (at && (current === "pick" || current === "fill" || current === "select")) two(cross(at.x, at.y, 7 * px));
+    } else if (at && cursor === "cross") two(cross(at.x, at.y, 7 * px));
     canvas.style.visibility = empty ? "hidden" : "visible"; // Chromium goes on showing what was on a canvas that is only cleared
   });
 }

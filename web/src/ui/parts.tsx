@@ -3,9 +3,6 @@
 import type { ComponentChildren } from "preact";
 import { useEffect, useRef, useState } from "preact/hooks";
 
-import { keyOf, labelOf } from "../keys/bindings";
-import { spoken } from "../keys/chord";
-import type { CommandId } from "../keys/table";
 import { Icon, type IconName } from "./icons";
 
 /** The keys go to the view again after a field was written in, or something was clicked on; dialogs keep them. */
@@ -13,13 +10,11 @@ export function toStage(from: Element): void {
   if (!from.closest("dialog")) document.getElementById("stage")?.focus({ preventScroll: true });
 }
 
-interface ButtonProps {
+export interface ButtonProps {
   icon?: IconName;
-  /** What it does; may be left out where a command says it. */
-  label?: string;
-  /** The command that does the same: its name and its key go into the tooltip. */
-  command?: CommandId;
-  /** Key shown in the tooltip where there is no command. */
+  /** What it does. */
+  label: string;
+  /** Keys that do the same, for the tooltip. */
   keys?: string;
   text?: ComponentChildren;
   pressed?: boolean;
@@ -28,9 +23,7 @@ interface ButtonProps {
   onClick: () => void;
 }
 
-export function Button({ icon, command, text, pressed, disabled, primary, onClick, ...given }: ButtonProps) {
-  const label = given.label ?? (command ? labelOf(command) : "");
-  const keys = command ? spoken(keyOf(command)) : given.keys;
+export function Button({ icon, label, keys, text, pressed, disabled, primary, onClick }: ButtonProps) {
   const title = keys ? `${label} (${keys})` : label;
   return (
     <button

@@ -2,9 +2,8 @@
 
 import { useEffect, useRef } from "preact/hooks";
 
-import { selectedCount } from "../paint/selection";
+import { selectedCount } from "../paint/selected";
 import { blobUrl } from "../net/blobs";
-import { startStamp } from "../paint/placement";
 import {
   addPicture,
   applyImages,
@@ -18,10 +17,11 @@ import {
   type DroppedImage,
 } from "../state/dropped-images";
 import { camera, method, readOnly } from "../state/store";
-import { report } from "../state/studio";
+import { report } from "../editor/editor";
+import { chooseTool } from "../tools";
+import { placePicture, stamp } from "../tools/stamp";
 import { Button, Choice, FileButton, Slider } from "./parts";
 import { SourceDialog, sourcesOpen } from "./sources";
-import { chooseTool } from "./toolbar";
 import { goTo } from "./views";
 
 const MODES = [
@@ -98,13 +98,11 @@ function Entry({ one }: { one: DroppedImage }) {
   useEffect(() => entry.current?.scrollIntoView({ block: "nearest" }), [ready]); // scrolled to when its camera is there
   const timer = useRef<ReturnType<typeof setTimeout> | undefined>(undefined);
   const { checked } = one;
-  const stamp = async () => {
-    const now = camera.value;
-    if (!now) return;
-    chooseTool("stamp");
+  const place = async () => {
+    if (!camera.value) return;
+    chooseTool(stamp);
     const pixels = await (await fetch(blobUrl(one.blob))).blob();
-    await startStamp(pixels, one.name, now);
-    discard(one.id);
+    if (await placePicture(pixels, one.name)) discard(one.id);
   };
   const recheck = (percent: number) => {
     clearTimeout(timer.current);
@@ -173,7 +171,7 @@ function Entry({ one }: { one: DroppedImage }) {
             <Button
               label="Place it on the view and move it"
               text="Use as stamp"
-              onClick={() => void stamp().catch(report)}
+              onClick={() => void place().catch(report)}
             />
           </p>
         </div>

@@ -5,7 +5,7 @@ import { signal } from "@preact/signals";
 import type { Verified } from "../messages";
 import { download } from "../net/blobs";
 import { state } from "../state/store";
-import { run } from "../state/studio";
+import { run } from "../editor/editor";
 import { Button } from "./parts";
 
 const proof = signal<{ version: number; session: string; answer: Verified } | null>(null);

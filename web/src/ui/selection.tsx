@@ -3,22 +3,13 @@
 import { signal } from "@preact/signals";
 
 import type { SelectByAttribute } from "../messages";
-import { healFromAround } from "../paint/freehand";
-import {
-  changeSelection,
-  cropBox,
-  deselect,
-  fillSelected,
-  hideSelected,
-  removesBody,
-  selectedCount,
-  selection,
-  sent,
-  tinted,
-} from "../paint/selection";
+import { healFromAround } from "../paint/mending";
+import { cropBox, removesBody, selectedCount, selection, sent, tinted } from "../paint/selected";
+import { changeSelection, deselect, fillSelected, hideSelected } from "../paint/selection";
 import { camera, readOnly, selecting, state } from "../state/store";
-import { report, run, viewer } from "../state/studio";
+import { editor, report, run } from "../editor/editor";
 import type { Vec3 } from "../view/camera";
+import { CommandButton } from "./command-button";
 import { Button, Check, Choice, Percent, Slider } from "./parts";
 
 const ATTRIBUTES: readonly (readonly [SelectByAttribute["attribute"], string])[] = [
@@ -44,8 +35,13 @@ export function SelectionChip() {
   return (
     <div class="selection-chip" role="status">
       <span>{count.toLocaleString()} selected</span>
-      <Button icon="eye" command="select.tint" pressed={tinted.value} onClick={() => (tinted.value = !tinted.value)} />
-      <Button icon="close" command="select.none" onClick={deselect} />
+      <CommandButton
+        icon="eye"
+        command="select.tint"
+        pressed={tinted.value}
+        onClick={() => (tinted.value = !tinted.value)}
+      />
+      <CommandButton icon="close" command="select.none" onClick={deselect} />
     </div>
   );
 }
@@ -59,14 +55,19 @@ export function SelectionPanel() {
   return (
     <div class="selection-panel">
       <p class="row">
-        <Button command="select.invert" text="Invert" disabled={none} onClick={() => changeSelection("invert")} />
+        <CommandButton
+          command="select.invert"
+          text="Invert"
+          disabled={none}
+          onClick={() => changeSelection("invert")}
+        />
         <Button
           label="Everything connected to the selection"
           text="Connected"
           disabled={none}
           onClick={() => changeSelection("connected")}
         />
-        <Button
+        <CommandButton
           label="Hide the selection, as a layer; the Gaussians stay in the file"
           command="edit.delete"
           text="Hide"
@@ -81,7 +82,7 @@ export function SelectionPanel() {
         />
       </p>
       <p class="row">
-        <Button
+        <CommandButton
           label="Hide what is selected, and continue the surface behind it with new Gaussians"
           command="select.fill"
           text="Remove and fill"
@@ -186,7 +187,8 @@ function CropBox() {
   const start = () => {
     // what reaches farthest along the axis is left out if it is one Gaussian in a hundred; a little room is added
     const reach = (axis: number, sign: number) =>
-      BOX_ROOM * (viewer.depthBelow(center as Vec3, [0, 1, 2].map((k) => (k === axis ? -sign : 0)) as Vec3) ?? radius);
+      BOX_ROOM *
+      (editor.viewer.depthBelow(center as Vec3, [0, 1, 2].map((k) => (k === axis ? -sign : 0)) as Vec3) ?? radius);
     const side = (sign: number) => center.map((v, axis) => v + sign * reach(axis, sign)) as Vec3;
     cropBox.value = box ? null : { low: side(-1), high: side(1) };
   };

@@ -7,11 +7,11 @@ import { signal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
 
 import { blobUrl } from "../net/blobs";
-import { LIMITED_TOOLS, limitsToSend } from "../paint/limits";
-import { camera, compareAt, limits, selectedLayer, spreading, state, tool, view } from "../state/store";
-import { run } from "../state/studio";
+import { limitsToSend } from "../paint/limits";
+import { run } from "../editor/editor";
+import { camera, compareAt, limits, moving, selectedLayer, spreading, state, view } from "../state/store";
+import { inHand } from "../tools";
 import type { CameraJson } from "../view/camera";
-import { moving } from "./stage";
 
 type Kind = "true" | "before" | "coverage" | "limits" | "confidence";
 type Profile = "inria" | "playcanvas";
@@ -80,7 +80,7 @@ function usePicture(kind: Kind, enabled: boolean, settings = ""): string | null 
     void ask(kind, now, profile).then((url) => {
       if (url) pictures[kind].value = { url, camera: now, version, profile, settings };
     });
-  }, [enabled, still, now, version, profile, settings]);
+  }, [enabled, still, fresh, now, version, kind, profile, settings]);
   return enabled && current && current.camera === now && current.profile === profile ? current.url : null;
 }
 
@@ -90,7 +90,7 @@ export function Overlays() {
   const before = usePicture("before", compare);
   const seen = usePicture("coverage", coverage);
   const { angle, depthEdge, show } = limits.value;
-  const leftOut = usePicture("limits", show && LIMITED_TOOLS.includes(tool.value), `${angle} ${depthEdge}`);
+  const leftOut = usePicture("limits", show && inHand().limited === true, `${angle} ${depthEdge}`);
   const spread = spreadLayer();
   const confidence = usePicture("confidence", spreading.value.show && spread !== null, spread?.id ?? "");
   const at = compareAt.value;

@@ -9,10 +9,10 @@ import { useEffect } from "preact/hooks";
 import type { CameraInfo, SourceInfo, SourcePlanned } from "../messages";
 import { sendBlob } from "../net/blobs";
 import { maskPng } from "../paint/picture";
-import { selectedCount, selection } from "../paint/selection";
+import { selectedCount, selection } from "../paint/selected";
 import { addChecked } from "../state/dropped-images";
 import { camera, method, readOnly, selectedLayer, toast } from "../state/store";
-import { link, report, run } from "../state/studio";
+import { editor, report, run } from "../editor/editor";
 import { Button, Check, Choice, Dialog, Slider } from "./parts";
 
 type What = "view" | "around" | "refine";
@@ -162,7 +162,7 @@ function Around({ source }: { source: SourceInfo }) {
     plan.value = null;
     const wait = setTimeout(() => {
       const fields = { source: source.name, camera: begin ? camera.value : null, max_views: limit };
-      const running = link.do("source.plan", fields);
+      const running = editor.link.do("source.plan", fields);
       stop = running.cancel;
       running.then((answer) => stop && (plan.value = answer), report);
     }, 200);

@@ -1,10 +1,10 @@
-/** The disk is full: the strokes that wait for it, and where the project could go on. */
+/** The project cannot be written: the strokes that wait for it, and where the project could go on. */
 
 import { useEffect } from "preact/hooks";
 
 import { pendingStrokes, toast } from "../state/store";
-import { run } from "../state/studio";
-import { answerStorage, roomyFolders, storageProblem } from "../state/storage";
+import { run } from "../editor/editor";
+import { answerStorage, roomyFolders, storageProblem, storageWords } from "../state/storage";
 import { Button } from "./parts";
 
 const gigabytes = (bytes: number): string => `${(bytes / 1e9).toFixed(bytes < 1e10 ? 1 : 0)} GB free`;
@@ -24,13 +24,9 @@ export function StorageProblem() {
   }, [problem]);
   if (!problem) return null;
   const drawn = pendingStrokes.value;
-  const kept = drawn === 1 ? "The stroke is kept" : `${drawn} strokes are kept`;
   return (
     <div class="elsewhere swapped" role="alert">
-      <span>
-        The project cannot be saved where it is: {problem.message}.{" "}
-        {drawn > 0 ? `${kept} and saved as soon as there is room.` : "Nothing was changed."}
-      </span>
+      <span>{storageWords(problem.message, drawn)}</span>
       <Button label="Try again" text="Try again" primary onClick={() => answerStorage(true)} />
       {(roomyFolders.value ?? []).map((folder) => (
         <Button

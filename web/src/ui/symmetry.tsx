@@ -1,7 +1,10 @@
 /** Settings of mirrored strokes. */
 
-import { assetPlane, symmetry, toggleSymmetry, type PlaneChoice } from "../paint/symmetry";
+import { run } from "../editor/editor";
+import { assetPlane, symmetry, type PlaneChoice } from "../paint/symmetry";
+import { mirroring } from "../paint/view-surface";
 import { readOnly, state } from "../state/store";
+import type { Vec3 } from "../view/camera";
 import { Button, Check, Choice, Slider } from "./parts";
 
 const PLANES: readonly (readonly [PlaneChoice, string])[] = [
@@ -11,6 +14,18 @@ const PLANES: readonly (readonly [PlaneChoice, string])[] = [
   ["z", "Z"],
 ];
 const POOR = 0.6;
+
+/** Switch it on or off; the plane is looked for when it is first needed. */
+async function toggleSymmetry(on: boolean): Promise<void> {
+  symmetry.value = { ...symmetry.value, on };
+  mirroring.value = on;
+  const now = state.value;
+  if (!on || !now || symmetry.value.plane !== "found" || assetPlane.value?.session === now.session) return;
+  const answer = await run("symmetry.find", {}, "Plane of symmetry");
+  if (!answer) return void (symmetry.value = { ...symmetry.value, plane: "x" });
+  const { normal, offset, agreement } = answer;
+  assetPlane.value = { session: now.session, plane: { normal: normal as Vec3, offset }, agreement };
+}
 
 export function SymmetryButton() {
   const { on } = symmetry.value;

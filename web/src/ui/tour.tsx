@@ -6,6 +6,7 @@ import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
 import { keyOf } from "../keys/bindings";
 import { spoken } from "../keys/chord";
 import { state } from "../state/store";
+import { brush } from "../tools/brush";
 import { Button } from "./parts";
 
 const STORE = "splatpainter.tour";
@@ -28,7 +29,7 @@ const STEPS: readonly Step[] = [
     about: ".toolbar",
     title: "Paint",
     text: () =>
-      `Pick the brush (${spoken(keyOf("tool.brush"))}) and paint on the asset. The paint stays on its surface from every side; text, stickers, clone and heal are here too.`,
+      `Pick the brush (${spoken(keyOf(brush.commands[0].id))}) and paint on the asset. The paint stays on its surface from every side; text, stickers, clone and heal are here too.`,
   },
   {
     about: ".panel.layers",

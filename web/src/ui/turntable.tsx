@@ -4,7 +4,7 @@ import { signal } from "@preact/signals";
 
 import { download } from "../net/blobs";
 import { camera, toast } from "../state/store";
-import { run } from "../state/studio";
+import { run } from "../editor/editor";
 import { chosenCamera, FrameSize, frameChoice } from "./frame-size";
 import { Button, Choice, Dialog, Slider } from "./parts";
 

@@ -4,7 +4,8 @@ import { signal } from "@preact/signals";
 
 import type { BookmarkInfo, ConflictInfo } from "../messages";
 import { camera, readOnly, state, toast, view } from "../state/store";
-import { go, run } from "../state/studio";
+import { go } from "../editor/camera-moves";
+import { run } from "../editor/editor";
 import { AXES, axisName } from "../state/up-axis";
 import { fromCamera, type CameraJson, type Vec3 } from "../view/camera";
 import { exportView, ViewExportDialog } from "./export";

@@ -234,7 +234,7 @@ class _locked:
     """Holds the folder of results, so that two batches do not write into each other."""
 
     def __init__(self, folder: Path) -> None:
-        from splatpainter.session.lock import ProjectLock
+        from splatpainter.session.project.lock import ProjectLock
 
         lock = ProjectLock.take(folder / LOCK)
         if lock is None:

@@ -38,8 +38,8 @@ from splatpainter.pictures.edit_files import camera_from
 from splatpainter.receipts import Receipt, prove, read_receipt, receipt_of
 from splatpainter.rendering import render
 from splatpainter.session import Session
-from splatpainter.session.asset_files import receipt_between
-from splatpainter.session.lock import ProjectLock
+from splatpainter.session.project.asset_files import receipt_between
+from splatpainter.session.project.lock import ProjectLock
 from splatpainter.splats import Frame, Splats
 
 if TYPE_CHECKING:
@@ -221,17 +221,17 @@ def replay_layers(step: LayersEdit, asset: Path, target: Path, frame: Frame) -> 
         chosen = [layer for layer in layers if layer.visible and (not step.only or layer.name in step.only)]
         if missing or not chosen:
             raise ValueError(f"{step.project}: expected visible layers, got none called {', '.join(missing) or 'so'}")
-        if not step.only and _is_original(source.asset_original(asset_id), asset, frame):
+        if not step.only and _is_original(source.scene.original_of(asset_id), asset, frame):
             # What the layers make of it is in the project.
-            source.export(target, overwrite=True, asset=asset_id if len(source.assets) > 1 else None)
+            source.files.export(target, overwrite=True, asset=asset_id if len(source.scene.assets) > 1 else None)
             return
         with Session(asset, frame=frame) as session:
             ids: dict[str, str] = {}
             for k, layer in enumerate(chosen):
                 path = Path(folder) / f"{k}.splatlayer"
-                source.export_layer(layer.id, path)
+                source.files.export_layer(layer.id, path)
                 try:
-                    new = session.import_layer(path)
+                    new = session.files.import_layer(path)
                 except ValueError as error:
                     reason = str(error).removeprefix(f"{path}: ")
                     raise ValueError(f"{step.project}: layer {layer.name!r}: {reason}") from None
@@ -239,16 +239,16 @@ def replay_layers(step: LayersEdit, asset: Path, target: Path, frame: Frame) -> 
                 ids |= {old.id: copy.id for old, copy in pairs}
             for lower, upper, policy in source.snapshot.document.policies:
                 if lower in ids and upper in ids:
-                    session.resolve_conflict(ids[lower], ids[upper], policy)
-            session.export(target, overwrite=True)
+                    session.layers.resolve_conflict(ids[lower], ids[upper], policy)
+            session.files.export(target, overwrite=True)
 
 
 def _asset_of(source: Session, step: LayersEdit) -> str:
     """The id of the asset of a project whose layers are meant. Raises ValueError: several, and none of them named."""
-    for number, one in enumerate(source.assets, 1):
-        if step.asset in (one.name, str(number)) or (not step.asset and len(source.assets) == 1):
+    for number, one in enumerate(source.scene.assets, 1):
+        if step.asset in (one.name, str(number)) or (not step.asset and len(source.scene.assets) == 1):
             return one.id
-    names = ", ".join(repr(one.name) for one in source.assets)
+    names = ", ".join(repr(one.name) for one in source.scene.assets)
     raise ValueError(f"{step.project}: expected asset to be one of {names}, got {step.asset!r:.80}")
 
 

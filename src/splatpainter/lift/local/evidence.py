@@ -40,6 +40,7 @@ class Evidence:
     def of(view: ProjectedView, change: np.ndarray, mask: np.ndarray) -> Evidence:
         """change: [H, W, 3], 0 outside mask [H, W] bool."""
         everywhere = view.backproject(change, np.ones(mask.shape, np.float32))
+        # Energy goes through the same back-projection as a grey picture.
         energy = np.repeat((change**2).mean(-1, keepdims=True), 3, 2)
         within = view.backproject(energy, mask.astype(np.float32))
         return Evidence(everywhere.weight, within.weight, within.peak, everywhere.values, within.values[:, 0])
@@ -47,6 +48,7 @@ class Evidence:
     @property
     def spread(self) -> np.ndarray:
         """[M] variance of the change over each Gaussian's footprint, mean over channels."""
+        # Variance over the footprint, by the weights with which the pixels show the Gaussian.
         total = np.maximum(self.visible, 1e-6)
         return self.energy / total - ((self.change / total[:, None]) ** 2).mean(1)
 
@@ -67,6 +69,7 @@ class Evidence:
     def hold(self, view: ProjectedView) -> np.ndarray:
         """[M] pixels' worth of pull towards the old colour: what the view does not show of each Gaussian (behind
         others, out of the picture), by how much the edit is to be doubted."""
+        # What this view does not show of a Gaussian is what other views may show of it.
         hidden = np.maximum(footprints(view) - self.visible, 0)
         return HOLD_PER_PIXEL * min(self.doubt, MAX_DOUBT) ** 2 * hidden
 

@@ -19,32 +19,44 @@ from splatpainter.rendering.profiles import EPS2D, MIN_ALPHA
 from splatpainter.splats import Splats
 from splatpainter.transforms import matrix_to_quat, principal_axes, quat_to_matrix, turned
 
-MAX_MERGE_ROUNDS = 12
-"""Rounds of pairs, at most; ..."""
-MIN_MERGED_SHARE = 0.01
-"""... none after one that joined fewer than this share."""
-FIRST_CELL_PX, CELL_GROWTH = 2.0, 1.15
-"""Edge of the cells in which partners are looked for in the first round, pixels, and how it grows: what is joined is
-larger and farther apart."""
-DEPTH_SHARE = 0.5
-"""Pixels across the line of sight that a pixel along it counts as in those cells."""
-BLUR_PX = 0.5
-"""Shapes that differ by less than this (standard deviation) do not differ. With 2 along the line of sight a tenth fewer
-Gaussians remain, and what is not painted loses 0.4 dB from other sides."""
-MAX_LOSS = 0.3
-"""Loss of shape of a pair that is joined, nats per Gaussian; two round ones of equal size at most 1.8 widths apart."""
-MAX_COST = 0.1
-"""Variance of the wanted colour (0..1) that joining a pair loses, summed over the pixels that show it."""
-SHAPE_COST = 0.02
-"""Cost of a nat of lost shape, per pixel that shows it, in the same units."""
-UNSEEN_PX = 0.02
-"""Pixels as which hidden Gaussians count."""
-PEAK_OVERLAP_LOSS = 0.15
-"""What overlap costs: of a sum A of peaks at one place, A - PEAK_OVERLAP_LOSS A^2 is left: between what Gaussians
-beside one another (split.py: 0.1) and what those behind one another (0.25) would want. Of 0.15, 0.1 and 0.25 none was
-better by more than 0.1 dB."""
-MIN_FLATNESS = 1e-4
-"""Thickness over length, at least."""
+
+@dataclass(frozen=True)
+class MergingThresholds:
+    """When two Gaussians are joined into one. Measured where an entry says so, else taste."""
+
+    max_rounds: int = 12
+    """Rounds of pairs, at most."""
+    min_merged_share: float = 0.01
+    """There is no further round after one that joined less than this share of the Gaussians."""
+    first_cell_px: float = 2.0
+    """Edge of the cells in which partners are looked for in the first round, pixels."""
+    cell_growth: float = 1.15
+    """Factor by which that edge grows from round to round: what is joined is larger and farther apart."""
+    depth_share: float = 0.5
+    """Pixels across the line of sight that a pixel along it counts as in those cells."""
+    blur_px: float = 0.5
+    """Shapes that differ by less than this (standard deviation) do not differ. With 2 along the line of sight a tenth
+    fewer Gaussians remain, and what is not painted loses 0.4 dB from other sides."""
+    max_loss: float = 0.3
+    """Loss of shape of a pair that is joined, nats per Gaussian; two round ones of equal size at most 1.8 widths
+    apart."""
+    max_cost: float = 0.1
+    """Variance of the wanted colour (0..1) that joining a pair loses, summed over the pixels that show it."""
+    shape_cost: float = 0.02
+    """Cost of a nat of lost shape, per pixel that shows it, in the same units."""
+    unseen_px: float = 0.02
+    """Pixels as which hidden Gaussians count."""
+    peak_overlap_loss: float = 0.15
+    """What overlap costs: of a sum A of peaks at one place, A - peak_overlap_loss A^2 is left: between what Gaussians
+    beside one another (split.py: 0.1) and what those behind one another (0.25) would want. Of 0.15, 0.1 and 0.25 none
+    was better by more than 0.1 dB."""
+    min_flatness: float = 1e-4
+    """Thickness over length, at least."""
+
+
+MERGING = MergingThresholds()
+
+
 _CELLS = 1 << 20
 """Cells along an axis run from -_CELLS to _CELLS."""
 
@@ -76,19 +88,25 @@ class _Mixture:
 
     def partners(self, cell: float) -> np.ndarray:
         """[M] the one with which each is joined at the least cost, among those within about `cell` pixels; -1: none."""
-        index = np.clip(np.floor(self.points * (1, 1, DEPTH_SHARE) / cell), 1 - _CELLS, _CELLS - 2).astype(np.int64)
+        # Partners are looked for in the same and neighbouring cells, so a cell's edge is about the largest distance.
+        index = np.clip(np.floor(self.points * (1, 1, MERGING.depth_share) / cell), 1 - _CELLS, _CELLS - 2).astype(
+            np.int64
+        )
         index += _CELLS
         keys = (index[:, 0] * 2 * _CELLS + index[:, 1]) * 2 * _CELLS + index[:, 2]
         order = np.argsort(keys, kind="stable")
-        blurred = self.covariances + BLUR_PX**2 * np.eye(3)
+        blurred = self.covariances + MERGING.blur_px**2 * np.eye(3)
+        # Mass is what a Gaussian adds to the picture: peak times projected area.
         masses = self.peaks * self.areas()
         log_volumes = portable.log(_determinants(blurred))
         out = np.full(len(self), -1, np.int64)
         points, colors, pixels, slots = self.points[order], self.colors[order], self.pixels[order], self.slots[order]
         shapes = (points, blurred[order], log_volumes[order], masses[order])
-        costs, limit = np.full(len(self), MAX_COST), portable.exp(2 * MAX_LOSS) - 1
+        # Pairs farther apart than `limit` surely lose more than max_loss: turned down before their determinant.
+        costs, limit = np.full(len(self), MERGING.max_cost), portable.exp(2 * MERGING.max_loss) - 1
         kernels.find_partners(keys[order], *shapes, colors, pixels, slots, limit, costs, out, 0, 1)
         partners = np.full(len(self), -1, np.int64)
+        # Back from the order of keys to that of the mixture.
         partners[order] = np.where(out >= 0, order[out], -1)
         return partners
 
@@ -101,18 +119,21 @@ class _Mixture:
         points, apart = self.points.copy(), self.points[second] - self.points[first]
         points[first] += (1 - share)[:, None] * apart
         covariances, peaks, colors = self.covariances.copy(), self.peaks.copy(), self.colors.copy()
+        # Moments of a mixture of two: mean covariance, plus how far their means lie apart.
         spread = (share * (1 - share))[:, None, None] * apart[:, :, None] * apart[:, None, :]
         one, other = share[:, None, None], (1 - share)[:, None, None]
         covariances[first] = one * self.covariances[first] + other * self.covariances[second] + spread
         pixels, slots = self.pixels.copy(), self.slots.copy()
         pixels[first] += self.pixels[second]
+        # Colours are averaged by how many pixels show each, not by mass: a hidden one must not tint a visible one.
         weight = (self.pixels[second] / pixels[first])[:, None]
         colors[first] = (1 - weight) * self.colors[first] + weight * self.colors[second]
         slots[first] |= self.slots[second]
         new = _Mixture(points, covariances, peaks, colors, pixels, slots)
+        # The peak that keeps the mass, less what overlap costs in alpha compositing, which is not additive.
         height = total / new.areas()[first]
         peaks[first] = np.clip(
-            height - PEAK_OVERLAP_LOSS * np.minimum(height, 1 / (2 * PEAK_OVERLAP_LOSS)) ** 2, 0, 0.999
+            height - MERGING.peak_overlap_loss * np.minimum(height, 1 / (2 * MERGING.peak_overlap_loss)) ** 2, 0, 0.999
         )
         left = np.ones(len(self), bool)
         left[second] = False
@@ -138,33 +159,38 @@ def merge(
     Gaussian's: all stay, and no two are joined; colors: [S, 3] that the edited view wants of each, 0..1; pixels: [S] >=
     0 how many pixels show it."""
     count = len(splats)
+    # What is never drawn and is no slot can go without a trace.
     drawn = splats.opacities >= MIN_ALPHA
     chosen = may & (drawn | slots) & (camera.to_camera(splats.means)[:, 2] > 0)
     ids = np.flatnonzero(chosen)
     group = np.arange(count)
     group[may & ~drawn & ~slots] = -1
-    mixture = _picture_space(splats.take(ids), camera, colors[ids], pixels[ids] + UNSEEN_PX, slots[ids])
+    mixture = _picture_space(splats.take(ids), camera, colors[ids], pixels[ids] + MERGING.unseen_px, slots[ids])
     label = np.arange(len(ids))  # [C] which of the mixture each went into
     source = ids.copy()  # [M] of the mixture
-    cell = FIRST_CELL_PX
-    for _ in range(MAX_MERGE_ROUNDS):
+    cell = MERGING.first_cell_px
+    for _ in range(MERGING.max_rounds):
         if len(mixture) < 2:
             break
+        # Only mutual best partners are joined, so a round's result does not depend on the order of pairs.
         partner = mixture.partners(cell)
         first = np.flatnonzero((partner >= 0) & (partner[partner] == np.arange(len(mixture))))
         first = first[first < partner[first]]
         second = partner[first]
+        # Renumber: the second of each pair goes, and its label becomes the first's.
         number = np.ones(len(mixture), bool)
         number[second] = False
         number = np.cumsum(number) - 1
         number[second] = number[first]
+        # A slot's index belongs to an old Gaussian and has to survive as the source.
         source[first] = np.where(mixture.slots[second], source[second], source[first])
         left = np.ones(len(mixture), bool)
         left[second] = False
         mixture, label, source = mixture.joined(first, second), number[label], source[left]
-        if len(first) < MIN_MERGED_SHARE * len(number):
+        if len(first) < MERGING.min_merged_share * len(number):
             break
-        cell *= CELL_GROWTH
+        # What was joined is larger: the next partners are farther away.
+        cell *= MERGING.cell_growth
     return _put_together(splats, camera, mixture, ids, label, source, group, pixels)
 
 
@@ -180,6 +206,7 @@ def _put_together(
 ) -> Merged:
     """ids: [C] those that might be joined, into the M of the mixture by label [C]; source: [M]; group: [S], of those
     that are none of these their index, or -1."""
+    # Everything in the order of the old Gaussians, so that equal input gives equal rows.
     rest = group >= 0
     rest[ids] = False
     unjoined = np.flatnonzero(rest)
@@ -192,9 +219,11 @@ def _put_together(
     out = splats.take(chosen[order])
     members = np.bincount(label, minlength=len(mixture))
     new = np.flatnonzero(members > 1)
+    # Only joined ones are written; the rest keep their bits from `take`.
     at = number_of[len(unjoined) :][new]
     means, quats, scales = _world_space(mixture, new, camera)
-    weight = pixels[ids] + UNSEEN_PX
+    # SH is averaged as colours are, by how many pixels show each member.
+    weight = pixels[ids] + MERGING.unseen_px
     total = np.bincount(label, weight, len(mixture))[new]
     bands = splats.sh[ids].reshape(len(ids), splats.sh.shape[1] * 3)
     sh = np.stack([np.bincount(label, weight * band, len(mixture))[new] / total for band in bands.T], 1)
@@ -214,6 +243,7 @@ def _picture_space(
     turn = camera.world_to_camera[:3, :3]
     axes = turned(turn, quat_to_matrix(splats.quats.astype(np.float64)) * splats.scales[:, None, :])
     x, y, z = camera.to_camera(splats.means.astype(np.float64)).T
+    # Depth as fx ln z: a step along the line of sight measures as many pixels as one across it.
     points = np.stack([x / z * camera.fx, y / z * camera.fy, camera.fx * portable.log(z)], 1)
     axes = portable.matmul(_jacobians(points, z, camera), axes)
     peaks = np.maximum(splats.opacities.astype(np.float64), 1e-6)
@@ -252,6 +282,7 @@ def _world_space(mixture: _Mixture, ids: np.ndarray, camera: Camera) -> tuple[np
     back = _inverse_jacobians(points, z, camera)
     back = portable.matmul(camera.world_to_camera[:3, :3].T, back)
     covariances = portable.matmul(portable.matmul(back, mixture.covariances[ids]), back.transpose(0, 2, 1))
+    # Numerical flatness below 0 would make no Gaussian; thinner than min_flatness says nothing in float32.
     squares, axes = principal_axes(covariances)
-    scales = np.sqrt(np.maximum(squares, MIN_FLATNESS**2 * squares[:, -1:]))
+    scales = np.sqrt(np.maximum(squares, MERGING.min_flatness**2 * squares[:, -1:]))
     return camera.to_world(before_camera), matrix_to_quat(axes), scales

@@ -84,19 +84,23 @@ def recolored_together(
     for picture in pictures:
         visible[picture.ids] += picture.weight
         hidden[picture.ids] += np.maximum(picture.footprints - picture.weight, 0)
+        # Without direction the bands above 0 are averaged over the edited views, as `recolor` does for one.
         flat = 0.5 + SH_C0 * splats.sh[picture.ids, 0]
         varying[picture.ids] += picture.weight[:, None] * (picture.before - flat)
     if not (visible > 0).any():
         raise ValueError(NOTHING_THERE)
+    # One small matrix a Gaussian: how its bands are told apart by the directions that see it.
     divisor = np.zeros((count, bands, bands), np.float32)
     every = [(picture, picture.basis(splats, degree)) for picture in (*pictures, *around)]
     for picture, basis in every:
         run(kernels.add_squares, picture.ids, basis, picture.weight, divisor)
         weight[picture.ids] += picture.weight
+    # A larger divisor is a slower step: what the views do not show of a Gaussian holds it back.
     slow = UNSEEN_DAMPING * hidden
     divisor[:, 0, 0] += SH_C0**2 * np.maximum(slow, MIN_DIVISOR)
     for k in range(1, bands):
         divisor[:, k, k] += SH_C0**2 * np.maximum(DIRECTION_RIDGE * (weight + slow), MIN_DIVISOR)
+    # Views around alone move nothing: only what an edited view shows may change.
     rows = np.flatnonzero(visible > MIN_SEEN_PX)
     steps = inverses(divisor[rows])
     change = np.zeros((count, bands, 3), np.float32)
@@ -104,6 +108,7 @@ def recolored_together(
         gain = np.zeros_like(change)
         for picture, basis in every:
             picture.add_gain(basis, change, gain)
+        # Bounded after every round, as colours are in `lift_colors`, or bands of little weight run away.
         limit = MAX_COLOR / SH_C0
         change[rows] = np.clip(change.take(rows, 0) + portable.matmul(steps, gain.take(rows, 0)), -limit, limit)
     size = SH_C0 * np.abs(change).max((1, 2))

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.lift.local.patch import LARGE_WIDTH_GOALS, MIN_INSIDE_LARGE, MIN_PIXEL_SHARE, Patch
+from splatpainter.lift.local.patch import MIN_PIXEL_SHARE, PATCHING, Patch
 from splatpainter.lift.local.split import Lattice, projected_sizes
 from splatpainter.lift.options import LOCAL_DEFAULTS, LocalOptions
 from splatpainter.rendering.cpu.projected_view import Backprojection, ProjectedView, project, tiles_of_mask
@@ -63,11 +63,14 @@ def lift_local(
     target: [H, W, 3] float32 0..1; mask: [H, W] bool; allowed: [N] bool Gaussians that may change (default: all);
     within: [TH, TW] bool tiles of which nothing beyond is looked at.
     Raises NothingPaintableError when no Gaussian contributes to the masked pixels."""
+    # The Gaussians in work are few; they are taken out, edited as a patch, and put back at the end.
     ids, before, patch = _split_patch(splats, camera, target, mask, options, allowed, within)
+    # Detail finer than the asset in a whole picture is right in this view alone: the split is taken back.
     wide = is_wide(mask)
     if wide and patch.evidence.doubt > MAX_DOUBT_WIDE:
         patch = before
     detailed = options.rounds > 0 and options.max_error < 1 and not (wide and patch.evidence.doubt > MAX_DOUBT_WIDE)
+    # Joining only where a detail layer follows, which mends what it costs.
     patch = patch.merged() if detailed else patch
     painted = patch.painted(options)
     detail = patch.detail(painted, options) if detailed else None
@@ -93,6 +96,7 @@ def _split_patch(
     within: np.ndarray | None = None,
 ) -> tuple[np.ndarray, Patch, Patch]:
     """([S] int64 the Gaussians in work, them as they are, them split)."""
+    # First the mask's own tiles say who makes its pixels, then all tiles that those touch are in work.
     view = project(splats, camera, tiles=tiles_of_mask(mask))
     reached = gaussians_in_mask(splats, camera, mask, allowed, view)
     editable = reached & ~_hopeless(splats, view, mask, reached, options)
@@ -101,6 +105,7 @@ def _split_patch(
     ids = np.sort(project(splats, camera, tiles=tiles).gaussian_ids)
     patch = before = Patch.of(splats.take(ids), camera, tiles, target, mask, editable[ids])
     for _ in range(options.max_halvings):
+        # Halve until nobody's change varies over its footprint; a round sees what the last one left.
         coarse = patch.too_coarse(options)
         if not coarse.any():
             break
@@ -121,6 +126,7 @@ def gaussians_in_mask(
     view = view or project(splats, camera, tiles=tiles_of_mask(mask))
     sums = _sums(view, mask)
     reached = np.zeros(view.num_gaussians, bool)
+    # Both are needed: one bright pixel (peak), and not only a shimmer through the surface (visible share).
     reached[view.gaussian_ids[(sums.peak > MIN_PIXEL_SHARE) & (sums.weight > MIN_VISIBLE_SHARE * sums.alpha)]] = True
     if allowed is not None:
         reached &= allowed
@@ -141,15 +147,17 @@ def _hopeless(
     mask), as far as the mask's tiles can say. Without them less of the picture is in work."""
     ids, inside = view.gaussian_ids, _sums(view, mask)
     everywhere = _sums(view, np.ones(mask.shape, bool)).weight
+    # The large faint ones at the rim would pull the whole rest of the picture into work.
     faint = (
         reached[view.gaussian_ids]
         & (inside.peak <= options.min_share)
-        & (inside.weight < MIN_INSIDE_LARGE * everywhere)
+        & (inside.weight < PATCHING.min_inside_large * everywhere)
     )
     sizes = projected_sizes(splats.geometry(ids[faint]), view.camera)
-    faint[faint] = row_max(sizes) > LARGE_WIDTH_GOALS * options.goal_px
+    faint[faint] = row_max(sizes) > PATCHING.large_width_goals * options.goal_px
     out = np.zeros(len(splats), bool)
     out[ids[faint]] = True
+    # If that leaves nobody, the edit is theirs.
     return out if (reached & ~out).any() else np.zeros(len(splats), bool)
 
 
@@ -158,8 +166,10 @@ def _assemble(
 ) -> LocalLift:
     """Put a patch of the Gaussians `ids` back: `new`, as the lattice has it, slots at the indices of their parents, the
     others appended, then the detail layer."""
+    # Slots first: each old index keeps a child of its own Gaussian.
     targets = ids[lattice.parent[lattice.slot]]  # [B] what the slots replace
     slots = new.take(np.flatnonzero(lattice.slot))
+    # A slot whose values are equal is not written: the receipt counts it as untouched.
     changed = np.zeros(len(targets), bool)
     for name in ATTRIBUTES:
         differs = getattr(slots, name) != getattr(splats, name)[targets]
@@ -169,10 +179,12 @@ def _assemble(
         values = getattr(slots, name)[changed]
         if np.array_equal(values, getattr(splats, name)[targets[changed]]):
             continue
+        # Only attributes that differ are copied; the others stay shared with the asset before.
         full = getattr(splats, name).copy()
         full[targets[changed]] = values
         written[name] = full
     result = replace(splats, **written)
+    # New ones go last, in the order of the patch, then the detail layer.
     appended = np.flatnonzero(~lattice.slot)
     parents = ids[lattice.parent[appended]]
     if len(appended):

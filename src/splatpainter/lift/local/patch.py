@@ -13,7 +13,7 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.color import base_color
 from splatpainter.lift.colors import lift_colors, painted_sh, recolor
-from splatpainter.lift.local.detail import REACHES_PX, SMALLEST_PX, detail_layer
+from splatpainter.lift.local.detail import DETAIL, detail_layer
 from splatpainter.lift.local.evidence import Evidence
 from splatpainter.lift.local.gaussian_merging import merge
 from splatpainter.lift.local.split import Lattice, projected_sizes
@@ -25,30 +25,45 @@ from splatpainter.transforms import row_max
 
 MIN_PIXEL_SHARE = 0.004
 """A Gaussian whose largest share of any masked pixel is below this is not written (1/255)."""
-MAX_WIDTH_GOALS = 1.4
-"""Gaussians up to this many goals wide are not halved any more: they end between 0.7 and 1.4 goals."""
-LARGE_WIDTH_GOALS = 3.0
-"""Gaussians wider than this many goals drag paint over the mask's edge when they are too faint to be split, ..."""
-MIN_INSIDE_LARGE = 0.6
-"""... so they are written only if this share of their weight lies inside the mask."""
+
+
+@dataclass(frozen=True)
+class PatchThresholds:
+    """What of a view's Gaussians is halved, written and given detail. Measured where an entry says on what, else
+    taste."""
+
+    max_width_goals: float = 1.4
+    """Gaussians up to this many goals wide are not halved any more: they end between 0.7 and 1.4 goals."""
+    large_width_goals: float = 3.0
+    """Gaussians wider than this many goals drag paint over the mask's edge when they are too faint to be split."""
+    min_inside_large: float = 0.6
+    """Such large Gaussians are written only if this share of their weight lies inside the mask."""
+    added_per_split: int = 6
+    """About how many Gaussians a split adds."""
+    min_detail_alpha: float = 0.9
+    """Detail Gaussians are nearly opaque: less covered pixels, such as a silhouette's, would gain alpha from one."""
+    silhouette_margin_px: int = 3
+    """Pixels from what lies beside the asset within which there is no detail: what is wrong there is mostly the
+    outline, and Gaussians that mend it stand off the surface, in the background's colour, for views from other sides.
+    On 29 painted training meshes, near them: 24.3 dB with such Gaussians, 26.2 without; in the edited views 32.4 and
+    32.6."""
+    first_detail_rounds: int = 4
+    """Colour rounds of the detail layer."""
+    last_detail_rounds: int = 6
+    """Colour rounds of what is added to the detail layer for pixels that are still wrong."""
+    max_errors_left: float = 4.0
+    """Pixels are still wrong by more than so many times the error from which on the detail layer mends them."""
+    unmended_cost: float = 5.0
+    """What joining Gaussians costs in pixels that no detail layer may cover, over what it costs in others."""
+    min_seen_px: float = 1e-3
+    """Pixels of weight from which a Gaussian's part in the wanted change is known."""
+
+
+PATCHING = PatchThresholds()
+
+
 MIN_INSIDE_SMALL = 0.05
-"""As MIN_INSIDE_LARGE, for small Gaussians: those at the mask's edge settle between both sides."""
-ADDED_PER_SPLIT = 6
-"""About how many Gaussians a split adds."""
-MIN_DETAIL_ALPHA = 0.9
-"""Detail Gaussians are nearly opaque: less covered pixels, such as a silhouette's, would gain alpha from one."""
-SILHOUETTE_MARGIN_PX = 3
-"""Pixels from what lies beside the asset within which there is no detail: what is wrong there is mostly the outline,
-and Gaussians that mend it stand off the surface, in the background's colour, for views from other sides. On 29 painted
-training meshes, near them: 24.3 dB with such Gaussians, 26.2 without; in the edited views 32.4 and 32.6."""
-FIRST_DETAIL_ROUNDS, LAST_DETAIL_ROUNDS = 4, 6
-"""Colour rounds of the detail layer, and of what is added to it ..."""
-MAX_ERRORS_LEFT = 4.0
-"""... for pixels that are still wrong by more than so many times the error from which on it mends them."""
-UNMENDED_COST = 5.0
-"""What joining Gaussians costs in pixels that no detail layer may cover, over what it costs in others."""
-MIN_SEEN_PX = 1e-3
-"""Pixels of weight from which a Gaussian's part in the wanted change is known."""
+"""As PATCHING.min_inside_large, for small Gaussians: those at the mask's edge settle between both sides."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +99,7 @@ class Patch:
         view = project(splats, camera, tiles=tiles)
         image, alpha, _ = view.rasterize()
         inside = mask & (alpha > 0.02)  # tiles that are not drawn have none
+        # Beyond the mask the target is what is there: Gaussians across its edge are held by those pixels.
         change = np.where(inside[..., None], target - image, 0).astype(np.float32)
         evidence = Evidence.of(view, change, inside)
         share = np.zeros(len(splats), np.float32)
@@ -97,9 +113,10 @@ class Patch:
         ids, evidence = self.view.gaussian_ids, self.evidence
         coarse = self.editable[ids] & (evidence.peak > MIN_PIXEL_SHARE) & (evidence.spread > options.tolerance**2)
         coarse &= self.share[ids] > options.min_share
-        coarse &= self.widths[ids] > MAX_WIDTH_GOALS * options.goal_px
+        coarse &= self.widths[ids] > PATCHING.max_width_goals * options.goal_px
+        # A bound on new Gaussians: when it binds, those with most to gain are split.
         left = options.max_appended - int((~self.lattice.slot).sum())
-        count = max(left // ADDED_PER_SPLIT, 0)
+        count = max(left // PATCHING.added_per_split, 0)
         if coarse.sum() > count:  # those with most to gain
             gain = np.where(coarse, evidence.spread * evidence.visible, 0)
             coarse &= gain >= (np.partition(gain, -count)[-count] if count else np.inf)
@@ -110,7 +127,7 @@ class Patch:
     def split(self, coarse: np.ndarray, options: LocalOptions) -> Patch:
         """The patch with the coarse Gaussians ([S] bool) halved; children without a share of the mask are no longer
         editable."""
-        lattice, source = self.lattice.halved(coarse, MAX_WIDTH_GOALS * options.goal_px)
+        lattice, source = self.lattice.halved(coarse, PATCHING.max_width_goals * options.goal_px)
         splats = lattice.splats()
         view = project(splats, self.view.camera, tiles=self.view.tiles)
         evidence = Evidence.of(view, self.change, self.mask)
@@ -118,6 +135,7 @@ class Patch:
         in_mask[view.gaussian_ids] = evidence.peak > MIN_PIXEL_SHARE
         editable = self.editable[source] & in_mask
         tiles = view.tiles_of(editable)
+        # Children are small: fewer tiles are in work. Projecting anew pays only if the gain is large.
         if tiles.sum() < 0.8 * view.tiles.sum():
             view = project(splats, self.view.camera, tiles=tiles)
             evidence = Evidence.of(view, self.change, self.mask)
@@ -141,13 +159,16 @@ class Patch:
             return self
         ids, visible, count = self.view.gaussian_ids, self.evidence.visible, len(self.splats)
         pixels, colors = np.zeros(count), np.clip(base_color(self.splats.sh[:, :1].astype(np.float64)), 0, None)
+        # Where no detail layer may mend, joining costs more.
         solid = _is_solid(self.view, self.view.rasterize()[1])
-        pixels[ids] = visible + (UNMENDED_COST - 1) * (visible - self.view.mask_sums(solid, solid)[0].weight)
-        mean_change = self.evidence.change / np.maximum(visible, MIN_SEEN_PX)[:, None]
-        colors[ids] = self.view.colors + np.where(visible[:, None] > MIN_SEEN_PX, mean_change, 0)
+        pixels[ids] = visible + (PATCHING.unmended_cost - 1) * (visible - self.view.mask_sums(solid, solid)[0].weight)
+        # The colour that each wants by itself decides who is alike.
+        mean_change = self.evidence.change / np.maximum(visible, PATCHING.min_seen_px)[:, None]
+        colors[ids] = self.view.colors + np.where(visible[:, None] > PATCHING.min_seen_px, mean_change, 0)
         result = merge(self.splats, self.view.camera, halved, self.lattice.slot, colors, pixels)
         splats, joined = result.splats, np.bincount(result.group[result.group >= 0]) > 1
         widths = self.widths[result.source]
+        # Joined ones have new shapes; the others' widths are known.
         widths[joined] = row_max(projected_sizes(splats.geometry(np.flatnonzero(joined)), self.view.camera))
         view = project(splats, self.view.camera, tiles=self.view.tiles)
         evidence = Evidence.of(view, self.change, self.mask)
@@ -170,8 +191,11 @@ class Patch:
         ids, evidence = self.view.gaussian_ids, self.evidence
         movable = self.editable[ids] & (evidence.peak > MIN_PIXEL_SHARE)
         large = np.zeros(len(ids), bool)
-        large[movable] = self.widths[ids[movable]] > LARGE_WIDTH_GOALS * options.goal_px
-        return movable & (evidence.inside > np.where(large, MIN_INSIDE_LARGE, MIN_INSIDE_SMALL) * evidence.visible)
+        # Large ones would drag paint over the mask's edge, so more of them has to lie inside.
+        large[movable] = self.widths[ids[movable]] > PATCHING.large_width_goals * options.goal_px
+        return movable & (
+            evidence.inside > np.where(large, PATCHING.min_inside_large, MIN_INSIDE_SMALL) * evidence.visible
+        )
 
     def painted(self, options: LocalOptions) -> Splats:
         """The S Gaussians after the colour rounds; those that did not move keep their bits."""
@@ -186,9 +210,13 @@ class Patch:
         view = project(painted, self.view.camera, tiles=self.view.tiles)
         image, alpha, _ = view.rasterize()
         mendable = dilated(self.mask, options.rim_px) & _is_solid(view, alpha)
-        steps = ((REACHES_PX, 1.0, FIRST_DETAIL_ROUNDS), (SMALLEST_PX, MAX_ERRORS_LEFT, LAST_DETAIL_ROUNDS))
+        steps = (
+            (DETAIL.reaches_px, 1.0, PATCHING.first_detail_rounds),
+            (DETAIL.smallest_px, PATCHING.max_errors_left, PATCHING.last_detail_rounds),
+        )
         both, count, parent_ids = painted, len(painted), np.arange(len(painted))
         for reaches, errors, rounds in steps:
+            # Only pixels that are wrong after painting get a Gaussian of their own.
             wrong = row_max(np.abs(self.target - np.clip(image, 0, 1)).reshape(-1, 3)).reshape(alpha.shape)
             layer = detail_layer(both, view, mendable & (wrong > errors * options.max_error), self.target, reaches)
             if layer is None:
@@ -196,11 +224,13 @@ class Patch:
             parent_ids = np.append(parent_ids, parent_ids[view.gaussian_ids[layer.parent_entries]])
             both = both.append(layer.splats)
             view = project(both, self.view.camera, tiles=self.view.tiles)
+            # Colours of the layer alone move: what lies under it was painted for all sides.
             added = view.gaussian_ids >= count
             colors = lift_colors(view, self.target, np.ones(self.mask.shape, np.float32), added, rounds)
             both.sh[view.gaussian_ids[added]] = recolor(
                 both.sh[view.gaussian_ids[added]], view.unclamped_colors[added], colors[added], 1.0
             )
+            # The second, finer step sees what the first one left.
             image = view.rasterize(colors)[0]
         return None if len(both) == count else (both.take(np.arange(count, len(both))), parent_ids[count:])
 
@@ -208,4 +238,4 @@ class Patch:
 def _is_solid(view: ProjectedView, alpha: np.ndarray) -> np.ndarray:
     """[H, W] bool: drawn pixels of alpha [H, W] that a detail layer may cover."""
     drawn = np.kron(view.tiles, np.ones((TILE, TILE), bool))[: alpha.shape[0], : alpha.shape[1]]
-    return (alpha > MIN_DETAIL_ALPHA) & ~dilated((alpha < 0.5) & drawn, SILHOUETTE_MARGIN_PX)
+    return (alpha > PATCHING.min_detail_alpha) & ~dilated((alpha < 0.5) & drawn, PATCHING.silhouette_margin_px)

@@ -44,6 +44,7 @@ def table() -> tuple[np.ndarray, np.ndarray]:
 def child_peaks(opacities: np.ndarray) -> np.ndarray:
     """[N] parent peak alphas -> [N, 2 CHILD_REACH_SITES + 1] peaks of the children, in the order of their sites."""
     parents, peaks = table()
+    # The table ends where alpha is as good as additive (below) or opaque (above).
     inner = np.clip(opacities, parents[0], parents[-1])
     half = np.stack([portable.interp(inner, parents, column) for column in peaks.T], 1)
     half *= np.minimum(opacities / inner, 1)[:, None]  # below the table alpha is additive
@@ -102,6 +103,7 @@ class Lattice:
             axes = np.argsort(-sizes, 1, kind="stable")[:, :2]
             sizes = np.take_along_axis(sizes, axes, 1)
         else:
+            # Sizes of the few that may be halved: finding them for all would take most of the time of an edit.
             lengths = projected_sizes(base.geometry(sized), camera)
             order = np.argsort(-lengths, 1, kind="stable")[:, :2]
             axes, sizes = np.zeros((n, 2), np.int64), np.zeros((n, 2), lengths.dtype)
@@ -132,6 +134,7 @@ class Lattice:
         rotation = quat_to_matrix(self.base.quats[parent])
         means, scales, opacities = out.means.copy(), out.scales.copy(), out.opacities.copy()
         part, center = scales[halved], means[halved].astype(np.float64)
+        # A child's centre: its site times the spacing, along the parent's own axes.
         for k in range(2):
             axis = self.axes[parent, k]
             width = self.base.scales[parent, axis] * np.ldexp(1.0, -self.level[halved, k])
@@ -147,6 +150,7 @@ class Lattice:
         new, source = self, np.arange(len(self))
         for k in range(2):
             wide = coarse[source] & (new.widths[:, k] > goal_px) & (new.level[:, k] < MAX_LEVEL)
+            # One axis after the other: five children an axis, twenty-five for both.
             new, index = new._halved_along(np.flatnonzero(wide), k)
             source = source[index]
         return new, source
@@ -165,6 +169,7 @@ class Lattice:
         site[len(rest) :, k] = 2 * site[len(rest) :, k] + step
         peak = np.concatenate([self.peak[rest], child_peaks(self.peak[ids]).ravel()])
         slot = self.slot[source]
+        # Of the children the central one takes the parent's index.
         slot[len(rest) :] &= step == 0
         return _merged(replace(self, parent=self.parent[source], level=level, site=site, peak=peak, slot=slot), source)
 
@@ -172,6 +177,7 @@ class Lattice:
 def _merged(lattice: Lattice, source: np.ndarray) -> tuple[Lattice, np.ndarray]:
     """One Gaussian per (parent, level, site), in this order; of several the first one's source stays. Those that were
     never halved are alone at theirs."""
+    # Equal parent, level and site are the same place: what several halvings put there becomes one.
     key = lattice.parent
     for level, site in zip(lattice.level.T, lattice.site.T, strict=True):
         key = (key * (MAX_LEVEL + 1) + level) * 2 * _MAX_SITE + (site + _MAX_SITE)
@@ -183,6 +189,7 @@ def _merged(lattice: Lattice, source: np.ndarray) -> tuple[Lattice, np.ndarray]:
     slot[index[lattice.slot[ids]]] = True
     first = ids[first]
     chosen = np.concatenate([alone, first])
+    # A lone child keeps its fitted peak; only sums are corrected for overlap.
     peak = np.concatenate([lattice.peak[alone], np.where(number > 1, merged_peak(total), lattice.peak[first])])
     slot = np.concatenate([lattice.slot[alone], slot])
     order = np.argsort(key[chosen], kind="stable")  # two ascending rows

@@ -39,26 +39,37 @@ from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.splats import Splats, changed_rows
 
 GEOMETRY = ("means", "scales", "quats", "opacities")
-RATE_SCALES = (1.5e-2, 5e-2)
-"""Per step of those that move Gaussians, at least and at most, by how far the change tells that Gaussians are badly
-sized (`_rate_of_scales`); 3DGS's 5e-3 is for 30,000 steps. Novel close-ups with the one and the other: fitted (8
-meshes) 21.69, 21.83 dB, clean (4) 33.7, 34.0; beside sharpened views of four captures 34.0, 33.4, beside graded ones of
-three 33.0, 32.3."""
-COARSE_SHARES = (0.08, 0.16, 0.75, 0.9)
-"""Share of the change that is coarser than the Gaussians' spacing. Below the first only detail is added to what is
-right (sharpened captures 0.01 to 0.06), above the last colours change (graded views 0.92 to 0.99): the lowest rate.
-From the second to the third the asset is wrong at its own scale (close-ups of the truth 0.12 to 0.68): the highest."""
-MAX_ERROR_LEFT = 0.75
-"""Squared error in the edited views that moving Gaussians may leave, against before, else they stay. Close-ups of the
-truth: 0.05 to 0.57; noise of one pixel 0.97, of four pixels 0.79; exchanged colours 0.84."""
-WIDTH_GOAL_PX = 1.4
-"""Gaussians are halved until they are about this wide (standard deviation, pixels of the edited view)."""
-MAX_CHANGE_STD = 0.05
-"""Standard deviation of the change over a Gaussian's footprint (0..1) above which it is halved."""
-MAX_APPENDED = 40_000
-"""About how many Gaussians splitting may append for each view."""
-MIN_ALPHA = 0.02
-"""Pixels that the asset covers by less are not its."""
+
+
+@dataclass(frozen=True)
+class WideEditThresholds:
+    """How far Gaussians may move and split in edits of most of a view. Measured where an entry says on what, else
+    taste."""
+
+    rate_scales: tuple[float, float] = (1.5e-2, 5e-2)
+    """Per step of those that move Gaussians, at least and at most, by how far the change tells that Gaussians are badly
+    sized (`_rate_of_scales`); 3DGS's 5e-3 is for 30,000 steps. Novel close-ups with the one and the other: fitted (8
+    meshes) 21.69, 21.83 dB, clean (4) 33.7, 34.0; beside sharpened views of four captures 34.0, 33.4, beside graded
+    ones of three 33.0, 32.3."""
+    coarse_shares: tuple[float, ...] = (0.08, 0.16, 0.75, 0.9)
+    """Share of the change that is coarser than the Gaussians' spacing. Below the first only detail is added to what is
+    right (sharpened captures 0.01 to 0.06), above the last colours change (graded views 0.92 to 0.99): the lowest rate.
+    From the second to the third the asset is wrong at its own scale (close-ups of the truth 0.12 to 0.68): the
+    highest."""
+    max_error_left: float = 0.75
+    """Squared error in the edited views that moving Gaussians may leave, against before, else they stay. Close-ups of
+    the truth: 0.05 to 0.57; noise of one pixel 0.97, of four pixels 0.79; exchanged colours 0.84."""
+    width_goal_px: float = 1.4
+    """Gaussians are halved until they are about this wide (standard deviation, pixels of the edited view)."""
+    max_change_std: float = 0.05
+    """Standard deviation of the change over a Gaussian's footprint (0..1) above which it is halved."""
+    max_appended: int = 40_000
+    """About how many Gaussians splitting may append for each view."""
+    min_alpha: float = 0.02
+    """Pixels that the asset covers by less are not its."""
+
+
+WIDE_EDITS = WideEditThresholds()
 
 
 @dataclass(frozen=True)
@@ -77,8 +88,10 @@ def lift_wide(splats: Splats, views: Sequence[EditView], options: LocalOptions) 
     """Write the masked pixels of all views onto the splats together. options: `rounds` and `damping` count.
 
     Raises ValueError, naming the view, where no Gaussian contributes to its masked pixels."""
+    # Geometry first: badly placed Gaussians cannot be mended by colours.
     moved = _moved(splats, views)
     degree = min(splats.sh_degree, 1) if moved is not splats else 0
+    # Views around hold what the close-ups do not show, drawn from the asset as it was.
     around = views_around(splats, views, directional=degree > 0)
     split = _split(moved, views)
     projected = [project(split.splats, view.camera) for view in views]
@@ -86,6 +99,7 @@ def lift_wide(splats: Splats, views: Sequence[EditView], options: LocalOptions) 
     pictures = [
         TargetPicture.of(p, view.target, _solid(view), movable) for p, view in zip(projected, views, strict=True)
     ]
+    # Both kinds of pictures go into one solve, each with its weight.
     further = [TargetPicture.of(project(split.splats, camera), image, use, movable) for camera, image, use in around]
     result = replace(split.splats, sh=recolored_together(split.splats, pictures, further, options, degree))
     return replace(split, splats=result, touched=changed_rows(splats, result))
@@ -93,7 +107,7 @@ def lift_wide(splats: Splats, views: Sequence[EditView], options: LocalOptions) 
 
 def _moved(splats: Splats, views: Sequence[EditView]) -> Splats:
     """The Gaussians that the views show, where steps of 3DGS towards all of them put them; the same colours. They stay
-    where that leaves more than MAX_ERROR_LEFT."""
+    where that leaves more than WIDE_EDITS.max_error_left."""
     from splatpainter.fit.edited import EditFitOptions, fit_edited
 
     projected, pictures, before = [project(splats, view.camera) for view in views], [], 0.0
@@ -102,14 +116,17 @@ def _moved(splats: Splats, views: Sequence[EditView]) -> Splats:
         raise ValueError(NOTHING_THERE)
     coarse = 0.0
     for view, projection in zip(views, projected, strict=True):
+        # Unedited pixels ask for what is there, so that moving Gaussians does not spoil them.
         image = projection.rasterize()[0]  # `view.before` may show the tiles of its mask alone
         pictures.append((view.camera, np.where(view.mask[..., None], view.edited, image)))
         before += _error(image, view)
         coarse += _coarse_error(image, view, int(visible[projection.gaussian_ids].sum()))
+    # Colours stay: they are solved afterwards, when everything is in its place.
     how = EditFitOptions(attributes=GEOMETRY, rate_scales=_rate_of_scales(coarse / max(before, 1e-12)))
     moved = fit_edited(splats, splats, pictures, np.flatnonzero(visible), how)
+    # Kept only if the views say that it helped; noise or another light does not.
     after = sum(_error(project(moved, view.camera).rasterize()[0], view) for view in views)
-    return moved if after < MAX_ERROR_LEFT * before else splats
+    return moved if after < WIDE_EDITS.max_error_left * before else splats
 
 
 def _error(image: np.ndarray, view: EditView) -> float:
@@ -130,8 +147,8 @@ def _coarse_error(image: np.ndarray, view: EditView, count: int) -> float:
 
 def _rate_of_scales(coarse: float) -> float:
     """coarse: share of the change that is coarser than the Gaussians' spacing."""
-    low, high = RATE_SCALES
-    return float(portable.interp(coarse, COARSE_SHARES, (low, high, high, low)))
+    low, high = WIDE_EDITS.rate_scales
+    return float(portable.interp(coarse, WIDE_EDITS.coarse_shares, (low, high, high, low)))
 
 
 def _visible(splats: Splats, views: Sequence[EditView], projected: Sequence[ProjectedView]) -> np.ndarray:
@@ -147,17 +164,20 @@ def _solid(view: EditView) -> np.ndarray:
     """[H, W] float32: 1 where the picture is the asset's."""
     if view.alpha is None:
         return np.ones(view.mask.shape, np.float32)
-    return (np.asarray(view.alpha) > MIN_ALPHA).astype(np.float32)
+    return (np.asarray(view.alpha) > WIDE_EDITS.min_alpha).astype(np.float32)
 
 
 def _split(splats: Splats, views: Sequence[EditView]) -> WideLift:
     """The Gaussians over which the change of any view varies, split; colours are as they were."""
-    options = LocalOptions(goal_px=WIDTH_GOAL_PX, tolerance=MAX_CHANGE_STD, max_appended=MAX_APPENDED)
+    options = LocalOptions(
+        goal_px=WIDE_EDITS.width_goal_px, tolerance=WIDE_EDITS.max_change_std, max_appended=WIDE_EDITS.max_appended
+    )
     count = len(splats)
     ancestry, touched = np.arange(count), np.zeros(count, bool)
     for view in views:
         with errors_name(view.name):
             part = split_local(splats, view.camera, view.target, view.mask, options)
+        # Gaussians split twice name the asset's Gaussian, not the piece in between.
         old = ancestry[part.touched]
         touched[old[part.touched < count]] = True
         ancestry = np.append(ancestry, ancestry[part.parents])

@@ -15,14 +15,22 @@ from splatpainter.lift.masks import dilated
 from splatpainter.lift.nearest import nearest_pixels
 from splatpainter.surface.visible import PixelSurface, VisibleSurface
 
-FRINGE_PX = 2
-"""Pixels that a fringe is wide, at most."""
-MIN_FRINGE_ALPHA = 0.5
-"""Alpha of a pixel below which it has no fringe."""
-MAX_BEND_PX = 2.0
-"""Most by which the depth of a fringe may differ from that of the nearest covered pixel, pixels."""
-MAX_MIX_ERROR = 0.1
-"""Distance of a fringe pixel's colour, 0..1, from the mixtures of paint and background up to which it is one."""
+
+@dataclass(frozen=True)
+class FringeThresholds:
+    """The strip of an outline that shows too little of a surface to be trusted. Source: taste."""
+
+    width_px: int = 2
+    """Pixels that a fringe is wide, at most."""
+    min_alpha: float = 0.5
+    """Alpha of a pixel below which it has no fringe."""
+    max_bend_px: float = 2.0
+    """Most by which the depth of a fringe may differ from that of the nearest covered pixel, pixels."""
+    max_mix_error: float = 0.1
+    """Distance of a fringe pixel's colour, 0..1, from the mixtures of paint and background up to which it is one."""
+
+
+FRINGE = FringeThresholds()
 
 
 @dataclass(frozen=True)
@@ -55,12 +63,15 @@ class FringedSurface:
         if not len(chosen):
             return out
         covered_pixels = np.stack(np.divmod(source[chosen], camera.width)[::-1], 1) + 0.5
+        # The surface of the nearest covered pixel goes on as its plane.
         near = self.visible.at(covered_pixels)
         points = camera.to_camera(camera.unproject(near.depth, covered_pixels))
         rays = camera.to_camera(camera.unproject(np.ones(len(chosen)), pixels[chosen]))
         slope = (rays * near.normals).sum(1)
+        # Where the plane is seen edge-on it would run off; the slope is bounded.
         depth = (points * near.normals).sum(1) / np.where(slope < -0.05, slope, -0.05)
-        reach = MAX_BEND_PX * near.depth / camera.fx
+        reach = FRINGE.max_bend_px * near.depth / camera.fx
+        # A fringe is two pixels wide: it may bend by little, whatever the plane says.
         depth = np.clip(depth, near.depth - reach, near.depth + reach)
         full = [out.depth.copy(), out.normals.copy(), out.windows.copy(), out.residuals.copy()]
         for values, new in zip(full, (depth, near.normals, near.windows, near.residuals), strict=True):
@@ -69,9 +80,9 @@ class FringedSurface:
 
 
 def fringe_of(painted: np.ndarray, covered: np.ndarray, trusted: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """[H, W] bool: painted pixels within FRINGE_PX of covered ones that have no surface of their own. trusted: [H, W]
-    bool pixels that have one; alpha: [H, W] of the asset."""
-    return painted & ~trusted & ~covered & (alpha > MIN_FRINGE_ALPHA) & dilated(covered, FRINGE_PX)
+    """[H, W] bool: painted pixels within FRINGE.width_px of covered ones that have no surface of their own. trusted:
+    [H, W] bool pixels that have one; alpha: [H, W] of the asset."""
+    return painted & ~trusted & ~covered & (alpha > FRINGE.min_alpha) & dilated(covered, FRINGE.width_px)
 
 
 def fringe_paint(target: np.ndarray, fringe: FringedSurface, background: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -81,9 +92,10 @@ def fringe_paint(target: np.ndarray, fringe: FringedSurface, background: np.ndar
     ys, xs = np.nonzero(fringe.source >= 0)
     paint = target.reshape(-1, 3)[fringe.source[ys, xs]]
     way, seen = paint - background, target[ys, xs] - background
+    # The share of paint in a pixel that is paint over background, by least squares along the line between both.
     share = np.clip((way * seen).sum(1) / np.maximum((way * way).sum(1), 1e-6), 0, 1)
     error = np.abs(seen - share[:, None] * way).max(1)
-    mixed = error < MAX_MIX_ERROR
+    mixed = error < FRINGE.max_mix_error
     colors[ys[mixed], xs[mixed]] = paint[mixed]
     cover[ys[mixed], xs[mixed]] = share[mixed]
     return colors, cover

@@ -18,12 +18,22 @@ from splatpainter.lift.sheets.fringe import FringedSurface
 from splatpainter.splats import Splats
 from splatpainter.surface.visible import PixelSurface, VisibleSurface
 
-NORMAL_SIGMAS = 2.0
-"""Standard deviations along the surface's normal within which a Gaussian touches the surface, ..."""
-SURFACE_WINDOWS = 0.35
-"""... beside this share of the window in which the surface was estimated."""
-FAR_WINDOWS = 3.0
-"""Windows behind the surface from which a Gaussian is no part of a thick or foggy one."""
+
+@dataclass(frozen=True)
+class NearSurfaceThresholds:
+    """Which Gaussians are part of a surface. Source: taste."""
+
+    normal_sigmas: float = 2.0
+    """Standard deviations along the surface's normal within which a Gaussian touches the surface."""
+    surface_windows: float = 0.35
+    """Distance within which it touches as well, as a share of the window in which the surface was estimated."""
+    far_windows: float = 3.0
+    """Windows behind the surface from which a Gaussian is no part of a thick or foggy one."""
+
+
+NEAR_SURFACE = NearSurfaceThresholds()
+
+
 BESIDE, TOUCHES, FAR_BEHIND = 0, 1, 2
 """What `NearSurface.sides` says of a Gaussian."""
 
@@ -44,6 +54,7 @@ class NearSurface:
         """covered: [H, W] bool, some."""
         ys, xs = np.nonzero(covered)
         entry = np.full(covered.shape, -1, np.int64)
+        # Surface values are stored for covered pixels alone; others look them up through `nearest`.
         entry[ys, xs] = np.arange(len(ys))
         return NearSurface(nearest_pixels(covered), entry, visible.at(np.stack([xs, ys], 1) + 0.5), visible.camera)
 

@@ -20,7 +20,7 @@ from splatpainter.lift.local.local_edit import (
 )
 from splatpainter.lift.masks import dilated
 from splatpainter.lift.options import LOCAL_DEFAULTS, LocalOptions
-from splatpainter.lift.sheets.resurface import MIN_COVER, RING_PX, resurface
+from splatpainter.lift.sheets.resurface import RESURFACING, RING_PX, resurface
 from splatpainter.lift.sheets.rounding import rounded
 from splatpainter.lift.sheets.sparse_edit import SparseEdit
 from splatpainter.lift.sheets.view_limits import paintable
@@ -30,16 +30,24 @@ from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import SightEstimates, visible_surface
 
-MIN_ALPHA = 0.1
-"""Least alpha of a pixel that is painted at all: up to this it shows the faint rims of what lies beside it."""
-MIN_PAINT = 1 / 64
-"""Share of a pixel's paint below which the limits leave it out."""
-MIN_FINE_SHARE = 0.15
-"""Share of the original's Gaussians that make the painted pixels from which these are most of what a view shows: about
-a third of the side that it sees."""
-MAX_APPENDED_SHARE = 0.2
-"""Gaussians that earlier edits appended there, over these, up to which they are split: painted again and again, pieces
-of pieces would pile up; a sheet takes their place."""
+
+@dataclass(frozen=True)
+class PaintThresholds:
+    """What of a view is painted, and whether by a sheet or by splitting. Source: taste."""
+
+    min_alpha: float = 0.1
+    """Least alpha of a pixel that is painted at all: up to this it shows the faint rims of what lies beside it."""
+    min_paint: float = 1 / 64
+    """Share of a pixel's paint below which the limits leave it out."""
+    min_fine_share: float = 0.15
+    """Share of the original's Gaussians that make the painted pixels from which these are most of what a view shows:
+    about a third of the side that it sees."""
+    max_appended_share: float = 0.2
+    """Gaussians that earlier edits appended there, over these, up to which they are split: painted again and again,
+    pieces of pieces would pile up; a sheet takes their place."""
+
+
+PAINTING = PaintThresholds()
 
 
 @dataclass(frozen=True)
@@ -84,9 +92,11 @@ def paint_view(
     already of the surface along lines of sight of this camera.
     Raises NothingPaintableError when no Gaussian contributes to the masked pixels."""
     none = np.zeros(0, np.int64)
+    # Edits of most of a picture get no sheet: they are detail on what is there.
     if surface is None or is_wide(mask):
         lifted = lift_local(splats, camera, edited, mask, options, allowed)
         return PaintedView(lifted.splats, lifted.touched, lifted.parents, none, none, 0.0, np.zeros_like(mask))
+    # All that the edit reads lies in these tiles; the rest of the asset is not looked at.
     reach = dilated(mask, RING_PX)
     needed = tiles_of_mask(reach)
     if view is None or (needed & ~view.tiles).any():
@@ -98,6 +108,7 @@ def paint_view(
     if (tiles & ~needed).any():
         around = project(splats, camera, tiles=tiles) if view is None else view.part(tiles=tiles)
         around = around.part() if around.tiles.all() else around  # without those that only might touch a tile
+    # Renumber the Gaussians in work, so that the steps below cost what they touch, not what the asset has.
     present, number = np.zeros(len(splats), bool), np.empty(len(splats), np.int64)
     present[around.gaussian_ids] = True
     ids = np.flatnonzero(present)
@@ -105,6 +116,7 @@ def paint_view(
     view = replace(local, gaussian_ids=number[local.gaussian_ids], num_gaussians=len(ids))
     around = replace(around, gaussian_ids=number[around.gaussian_ids], num_gaussians=len(ids))
     originals = len(splats) if first_appended is None else first_appended
+    # Where the original's Gaussians end among those in work.
     first = int(np.searchsorted(ids, originals))
     part = _paint_part(take(splats, ids), surface, view, around, edited, mask, options, first, originals, sight)
     return _put_back(splats, ids, part, options.resurface)
@@ -139,14 +151,17 @@ def _paint_part(
     """`paint_view` on the Gaussians that it depends on. view: of them, the tiles of the mask and its ring; around: the
     tiles of `read_by_edit`; originals: how many the whole asset has; sight: as of `paint_view`."""
     camera, reach = view.camera, dilated(mask, RING_PX)
+    # The surface under the mask and its ring, as far as the asset covers the pixels.
     before, alpha, _ = view.rasterize()
-    solid = alpha > MIN_COVER
+    solid = alpha > RESURFACING.min_cover
     visible = visible_surface(surface, splats, view, reach & solid, earlier=sight)
+    # Limits fade paint by degrees; what they leave out is told to the user.
     share = paintable(visible, mask & solid, options.angle_limit, options.depth_edge_limit)
     limited = float((mask & solid).sum() - share.sum())
-    share[mask & ~solid & (alpha > MIN_ALPHA)] = 1
+    # Outlines have no surface to limit by, but paint reaches them.
+    share[mask & ~solid & (alpha > PAINTING.min_alpha)] = 1
     target = (before + share[..., None] * (edited - before)).astype(np.float32)
-    painted = share > MIN_PAINT
+    painted = share > PAINTING.min_paint
     if not painted.any():
         if not limited:
             raise NothingPaintableError(NOTHING_THERE)
@@ -154,20 +169,24 @@ def _paint_part(
             "edit: every edited pixel lies beyond the limits of this view; paint it from the front, or pass "
             "angle_limit 0 and depth_edge_limit 0"
         )
+    # The ring is covered too, with what it shows: the paint's edge then lies within the sheet.
     pixels = dilated(painted, RING_PX) & solid
     target = np.where(painted[..., None], target, before)
     may, none = gaussians_in_mask(splats, camera, mask, None, view), np.zeros(0, np.int64)
     sheet, on_surface = None, np.zeros_like(mask)
+    # Gaussians nearly as fine as the pixels are split: a sheet would only bring its own errors.
     if is_fine(painted, may, first_appended, originals, options):
         ys, xs = np.nonzero(painted & solid)
         on_surface[ys, xs] = visible.at(np.stack([xs, ys], 1) + 0.5).depth > 0
     else:
         sheet = resurface(splats, view, around, visible, before, alpha, target, pixels, options, first_appended)
+    # No trusted surface anywhere: split, as captures' fog needs.
     if sheet is None:
         lifted = lift_local(splats, camera, target, painted, options, may)
         edit = SparseEdit.of(lifted.splats, lifted.touched, lifted.parents)
         return _PaintedPart(edit, none, none, limited, on_surface)
     result = _PaintedPart(sheet.edit, sheet.replaced, sheet.edit.emptied, limited, sheet.covered)
+    # The sheet covers what it can; the rest is split after it, on top of the result.
     left = painted & ~sheet.covered
     if left.sum() <= options.max_left_px:
         return result
@@ -179,6 +198,7 @@ def _put_back(splats: Splats, ids: np.ndarray, part: _PaintedPart, rounds: bool)
     (those after the first S and those in the place of others) are rounded (rounding.py)."""
     edit, replaced = part.edit, part.replaced
     if rounds:
+        # New Gaussians are rounded so that project files compress; old ones keep every bit.
         at = np.flatnonzero(np.isin(edit.ids, replaced, assume_unique=True))
         values = rounded(edit.values.take(at))
         for name in ATTRIBUTES:
@@ -200,7 +220,11 @@ def is_fine(painted: np.ndarray, reached: np.ndarray, first: int, originals: int
     to 3), -0.8 to 2.2 and nothing in the mean on objects fitted by 3DGS (4 to 12; edited views 1.6, LPIPS -0.003);
     from 14 on strokes may lose up to 3 dB."""
     count, old = int(reached.sum()), int(reached[:first].sum())
-    if not options.fine_px or old < MIN_FINE_SHARE * originals or len(reached) - first > MAX_APPENDED_SHARE * old:
+    if (
+        not options.fine_px
+        or old < PAINTING.min_fine_share * originals
+        or len(reached) - first > PAINTING.max_appended_share * old
+    ):
         return False
     return int(painted.sum()) <= options.fine_px * count
 
@@ -241,6 +265,7 @@ def _then_split(
         lifted = lift_local(edit.apply(splats), camera, target, mask, options, may, tiles)
     except NothingPaintableError:
         return first
+    # Splitting may have written an index that the sheet had emptied, or one of the sheet's own.
     touched = lifted.touched[lifted.touched < count]
     # A Gaussian that the sheet appended has its own parent among the asset's.
     ancestry = np.append(np.arange(count), edit.parents)

@@ -28,6 +28,7 @@ class Pieces:
     @staticmethod
     def of(lattice: Lattice, gone: np.ndarray) -> Pieces:
         """lattice: of some of the Gaussians that are its base; gone: [S] bool, which the sheet replaces."""
+        # Halved ones are replaced by their pieces; those that go leave nothing.
         halved = (lattice.level[:, 0] | lattice.level[:, 1]) > 0
         left = np.ones(len(lattice.base), bool)
         left[lattice.parent[halved | gone]] = False
@@ -49,4 +50,5 @@ def joined_view(pieces: Pieces, sheet: Splats, around: ProjectedView, tiles: np.
     order = np.concatenate([pieces.parent_ids, count + np.arange(len(sheet))])  # of Gaussians at equal depths
     ties = order[fresh.gaussian_ids]
     fresh = replace(fresh, gaussian_ids=count + fresh.gaussian_ids, num_gaussians=count + len(order))
+    # Only what is new is projected; the lists of the rest are cut out of the view at hand.
     return around.merged(fresh, tiles=tiles, gaussian_mask=pieces.left, ties=ties)

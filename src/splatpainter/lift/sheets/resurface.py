@@ -23,7 +23,7 @@ from splatpainter.lift.options import LocalOptions
 from splatpainter.lift.sheets.fringe import FringedSurface, fringe_of, fringe_paint
 from splatpainter.lift.sheets.near_surface import FAR_BEHIND, TOUCHES, NearSurface
 from splatpainter.lift.sheets.pieces import Pieces, joined_view
-from splatpainter.lift.sheets.sheet import SHEET_OPACITY, Cells, SheetGeometry, flat_cells, sheet_geometry
+from splatpainter.lift.sheets.sheet import SHEET, Cells, SheetGeometry, flat_cells, sheet_geometry
 from splatpainter.lift.sheets.sparse_edit import SparseEdit
 from splatpainter.rendering.cpu.geometry import TILE
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
@@ -31,49 +31,61 @@ from splatpainter.splats import ATTRIBUTES, Splats, float_bits
 from splatpainter.surface.visible import VisibleSurface, depths_along
 from splatpainter.transforms import quat_to_matrix, row_max
 
-MIN_COVER = 0.6
-"""Alpha of a pixel below which no sheet lies there."""
+
+@dataclass(frozen=True)
+class ResurfacingThresholds:
+    """Where a sheet takes the place of old Gaussians. Source: taste, tried on painted training meshes and captures,
+    where an entry names no measurement."""
+
+    min_cover: float = 0.6
+    """Alpha of a pixel below which no sheet lies there."""
+    min_replaced_share: float = 0.85
+    """Share of a Gaussian's footprint under the sheet from which all of it goes."""
+    max_untouched_share: float = 0.08
+    """Share of its footprint under the sheet up to which all of it stays."""
+    rim_goal_px: float = 2.2
+    """Gaussians across the sheet's edge are halved until they are no wider than this (standard deviation)."""
+    max_rim_halvings: int = 8
+    """Halvings of one Gaussian across the edge, at most: a bound on what one long Gaussian may cost."""
+    max_cut_px: float = 8.0
+    """Gaussians longer than this (standard deviation) are not cut at the sheet's edge."""
+    min_handled: float = 0.85
+    """Where less than this share of a pixel's light comes from Gaussians that a sheet replaces, there is none."""
+    min_touching: float = 0.5
+    """What lies far behind the surface, seen through cracks, does not count against a sheet as long as this share of
+    the light comes from the surface."""
+    clear_radius_px: int = 2
+    """Whether a pixel gets a sheet is decided by the majority of the pixels in this radius."""
+    min_clear: float = 0.5
+    """If that leaves less than this share of the pixels, the edit gets no sheet at all."""
+    unedited_weight: float = 0.35
+    """Weight of an unedited pixel in colour rounds, beside an edited one."""
+    color_step_fraction: float = 0.75
+    """Share of a colour round's step that sheets take."""
+    min_peak: float = 0.02
+    """Old Gaussians that remain before the sheet take part in the colour rounds if they give some pixel of it more than
+    this share of its light."""
+    min_sheet_share: float = 0.6
+    """They must have this share of their weight before the sheet."""
+    min_visible: float = 0.5
+    """They must have this share of their alpha visible; behind the sheet they have not."""
+    max_host_sigmas: float = 2.5
+    """A sheet Gaussian farther than this from the Gaussian whose pixel it takes, in standard deviations of that, lies
+    past the horizon of a round surface, on a plane that touches it before: it would hang beside the object from other
+    sides."""
+    min_host_flatness: float = 0.3
+    """Thickness of a Gaussian over its length, at least, in that distance."""
+    host_reach_px: int = 2
+    """Pixels around whose Gaussians count as well."""
+    horizon_degrees: float = 65.0
+    """Degrees between line of sight and normal, from which a surface is near its horizon."""
+
+
+RESURFACING = ResurfacingThresholds()
+
+
 RING_PX = 2
 """Unedited pixels around the edited ones that the sheet covers too."""
-MIN_REPLACED_SHARE = 0.85
-"""Share of a Gaussian's footprint under the sheet from which all of it goes, ..."""
-MAX_UNTOUCHED_SHARE = 0.08
-"""... and up to which all of it stays."""
-RIM_GOAL_PX = 2.2
-"""Gaussians across the sheet's edge are halved until they are no wider than this (standard deviation)."""
-MAX_RIM_HALVINGS = 8
-MAX_CUT_PX = 8.0
-"""Gaussians longer than this (standard deviation) are not cut at the sheet's edge, ..."""
-MIN_HANDLED = 0.85
-"""... and where less than this share of the light comes from those that a sheet replaces there is none, ..."""
-MIN_TOUCHING = 0.5
-"""... (what lies far behind the surface, seen through cracks, does not count as long as this share of the light comes
-from the surface), ..."""
-CLEAR_RADIUS_PX = 2
-"""... by the majority of the pixels around; ..."""
-MIN_CLEAR = 0.5
-"""... if that leaves less than this share of the pixels, the edit gets no sheet at all."""
-UNEDITED_WEIGHT = 0.35
-"""Weight of an unedited pixel in colour rounds, beside an edited one."""
-COLOR_STEP_FRACTION = 0.75
-"""Share of a colour round's step that sheets take."""
-MIN_PEAK = 0.02
-"""Old Gaussians that remain before the sheet, and give some pixel of it more than this share, ..."""
-MIN_SHEET_SHARE = 0.6
-"""... with this share of their weight before it, ..."""
-MIN_VISIBLE = 0.5
-"""... and this share of their alpha visible (behind the sheet they are not), take part in the colour rounds."""
-
-
-MAX_HOST_SIGMAS = 2.5
-"""A sheet Gaussian farther than this from the Gaussian whose pixel it takes, in standard deviations of that, lies past
-the horizon of a round surface, on a plane that touches it before: it would hang beside the object from other sides."""
-MIN_HOST_FLATNESS = 0.3
-"""Thickness of a Gaussian over its length, at least, in that distance."""
-HOST_REACH_PX = 2
-"""Pixels around whose Gaussians count as well."""
-HORIZON_DEGREES = 65.0
-"""Degrees between line of sight and normal, from which a surface is near its horizon."""
 
 
 @dataclass(frozen=True)
@@ -105,6 +117,7 @@ def resurface(
     visible: the surface at these; before: [H, W, 3] its picture; target: [H, W, 3] float32 the picture to reach
     (equal to `before` in the ring); pixels: [H, W] bool; first_appended: Gaussians from this index on are no part of
     the original, and their indices may take any sheet Gaussian."""
+    # Which pixels get a sheet: those with a trusted surface ...
     camera = view.camera
     ys, xs = np.nonzero(pixels)
     depth = np.zeros(pixels.shape)
@@ -112,15 +125,17 @@ def resurface(
     covered = without_islands(depth > 0)
     if not covered.any():
         return None
+    # ... whose light comes from Gaussians that the sheet can replace.
     near = NearSurface.of(visible, covered)
     clear, footprints = clear_pixels(splats, view, near, covered)
     clear &= covered
-    if clear.sum() < MIN_CLEAR * covered.sum():
+    if clear.sum() < RESURFACING.min_clear * covered.sum():
         return None
     remaining = without_islands(clear)
     if not remaining.any():
         return None
     covered, near = remaining, near if np.array_equal(remaining, covered) else None
+    # The fringe: painted pixels beside the sheet that show too little of a surface go on with that of their neighbours.
     differs = target != before
     painted = differs[..., 0] | differs[..., 1] | differs[..., 2]
     fringe, surface = fringe_of(painted, covered, depth > 0, alpha), visible
@@ -132,30 +147,37 @@ def resurface(
         ys, xs = np.nonzero(fringe)
         depth[ys, xs] = surface.at(np.stack([xs, ys], 1) + 0.5).depth
     near = near or NearSurface.of(surface, covered)
+    # Which Gaussians lie under it, and by which share of their footprint.
     sums = view.backproject(np.zeros_like(before), covered.astype(np.float32))
     (inside, total), (candidates, seen) = np.zeros((2, len(splats)), sums.alpha.dtype), np.zeros((2, len(splats)), bool)
     inside[view.gaussian_ids], total[view.gaussian_ids] = sums.alpha, footprints
     candidates[view.gaussian_ids[sums.alpha > 0]] = True
     seen[view.gaussian_ids[sums.peak > options.min_share]] = True
     tiles = view.touched_tiles(sums.alpha > 0) | tiles_of_mask(pixels)
+    # Footprints reach out of the tiles at hand: their sums need the tiles around.
     if (tiles & ~view.tiles).any():
         total = _footprints(around, tiles)
     ids = np.flatnonzero(candidates)
     share = (inside[ids] / np.maximum(total[ids], 1e-9)).astype(np.float64)
+    # Those across the edge are halved; each piece is then clearly under the sheet or beside it.
     lattice, gone = _cut(splats, ids, share, camera, tiles, seen, near, covered, options)
     pieces = Pieces.of(lattice, gone)
+    # The sheet's own Gaussians, as large as flat paint allows.
     cells = flat_cells(target, covered, depth, camera.fx)
     geometry, index = sheet_geometry(surface, cells, target)
     cells = Cells(cells.centers[index], cells.sizes[index])
+    # What the sheet hides lends it SH bands, origin and index; where nothing goes, what is nearest.
     replaced = np.flatnonzero(gone)
     if len(replaced):
         hidden, parent_ids = lattice.take(replaced).splats(), lattice.parent[replaced]
     else:
         hidden, parent_ids = pieces.remaining_gaussians(splats)
     sheet, hidden_ids = _sheet(hidden, geometry, cells, colors, cover, tiles, camera)
+    # Colour rounds: the pixels beside the sheet ask for what they showed before.
     goal = np.where(covered[..., None], target, _picture(view, around, before, tiles))
-    weights = np.where(painted, covered, UNEDITED_WEIGHT).astype(np.float32)
+    weights = np.where(painted, covered, RESURFACING.unedited_weight).astype(np.float32)
     result = _recolored(splats, pieces, sheet, around, tiles, goal, covered, weights, options)
+    # Indices whose Gaussian went: the sheet may take them, else they are empty.
     emptied = lattice.parent[gone & lattice.slot]
     return _assemble(splats, pieces, result, emptied, parent_ids[hidden_ids], covered, first_appended)
 
@@ -176,9 +198,10 @@ def clear_pixels(
     sums, everywhere = view.mask_sums(covered, np.ones(covered.shape, bool))
     share = sums.alpha / np.maximum(everywhere.alpha, 1e-9)
     handled = sums.weight > 0
-    unsure = np.flatnonzero(handled & (share <= MIN_REPLACED_SHARE))
+    # Long Gaussians that are only partly under the sheet cannot be cut, and would stay as a veil.
+    unsure = np.flatnonzero(handled & (share <= RESURFACING.min_replaced_share))
     reached = np.flatnonzero(handled)
-    handled[unsure] = row_max(projected_sizes(splats.geometry(ids[unsure]), view.camera)) < MAX_CUT_PX
+    handled[unsure] = row_max(projected_sizes(splats.geometry(ids[unsure]), view.camera)) < RESURFACING.max_cut_px
     sides = near.sides(splats, ids[reached])
     # One channel for their light, one for that of what the sheet will hide, one for what nothing stops.
     red = view.camera.background[0]
@@ -187,8 +210,8 @@ def clear_pixels(
     colors[reached, 0], colors[reached, 1] = handled[reached] & (sides == TOUCHES), sides == FAR_BEHIND
     image, alpha, _ = view.rasterize(colors)
     weight, hidden = image[..., 0] - image[..., 2], image[..., 1] - image[..., 2]  # over black
-    clear = (weight > MIN_HANDLED * (alpha - hidden)) & (weight > MIN_TOUCHING * alpha)
-    return box_mean(clear.astype(np.float32), CLEAR_RADIUS_PX) > 0.5, everywhere.alpha
+    clear = (weight > RESURFACING.min_handled * (alpha - hidden)) & (weight > RESURFACING.min_touching * alpha)
+    return box_mean(clear.astype(np.float32), RESURFACING.clear_radius_px) > 0.5, everywhere.alpha
 
 
 def _footprints(around: ProjectedView, tiles: np.ndarray) -> np.ndarray:
@@ -227,28 +250,32 @@ def _cut(
     those of `splats` that make covered pixels; share: [C] of each one's footprint under the sheet; tiles: [TH, TW] bool
     all that they touch; seen: [N] bool, those that make the picture: what is hidden behind them goes or stays as
     one."""
-    chosen = np.flatnonzero(share > MAX_UNTOUCHED_SHARE)
+    # Touching the surface is asked only of those that reach far enough under the sheet.
+    chosen = np.flatnonzero(share > RESURFACING.max_untouched_share)
     touching = np.zeros(len(ids), bool)
     touching[chosen] = near.touches(splats, ids[chosen])
-    across = touching & (share < MIN_REPLACED_SHARE)
+    across = touching & (share < RESURFACING.min_replaced_share)
+    # Hidden ones behind the surface are not cut: nobody sees where they end.
     wide = across & seen[ids]
     lattice = Lattice.of(splats, camera, ids, ids[wide])
-    for turn in range(MAX_RIM_HALVINGS + 1):
-        wide[wide] = row_max(lattice.take(np.flatnonzero(wide)).widths) > RIM_GOAL_PX
-        if turn == MAX_RIM_HALVINGS or not wide.any() or (~lattice.slot).sum() > options.max_pieces:
+    for turn in range(RESURFACING.max_rim_halvings + 1):
+        wide[wide] = row_max(lattice.take(np.flatnonzero(wide)).widths) > RESURFACING.rim_goal_px
+        if turn == RESURFACING.max_rim_halvings or not wide.any() or (~lattice.slot).sum() > options.max_pieces:
             break
-        lattice, source = lattice.halved(wide, RIM_GOAL_PX)
+        lattice, source = lattice.halved(wide, RESURFACING.rim_goal_px)
         ids = np.flatnonzero(touching[source])
         pieces = lattice.take(ids).splats()
+        # Pieces are judged by their own footprints, again and again, until they are narrow enough.
         view = project(pieces, camera, tiles=tiles)
         under, everywhere = view.mask_sums(covered, np.ones(covered.shape, bool))
         share, touching = np.zeros(len(lattice)), np.zeros(len(lattice), bool)
         share[ids[view.gaussian_ids]] = under.alpha / np.maximum(everywhere.alpha, 1e-9)
-        chosen = np.flatnonzero(share[ids] > MAX_UNTOUCHED_SHARE)
+        chosen = np.flatnonzero(share[ids] > RESURFACING.max_untouched_share)
         touching[ids[chosen]] = near.touches(pieces, chosen)
-        across = touching & (share < MIN_REPLACED_SHARE)
+        across = touching & (share < RESURFACING.min_replaced_share)
         wide = across & seen[lattice.parent]
-    return lattice, touching & (share > np.where(across, 0.5, MIN_REPLACED_SHARE))
+    # A piece that still lies across goes with the side that holds more of it.
+    return lattice, touching & (share > np.where(across, 0.5, RESURFACING.min_replaced_share))
 
 
 def _sheet(
@@ -267,6 +294,7 @@ def _sheet(
     heaviest = view.heaviest_gaussians()
     hidden_ids = heaviest[ys, xs]
     if (hidden_ids < 0).any():
+        # A cell over a crack takes the nearest host.
         nearest = nearest_pixels(heaviest >= 0)
         hidden_ids = heaviest.ravel()[nearest[ys, xs]]
     toward = np.zeros((len(hidden), 3), np.float32)
@@ -276,7 +304,7 @@ def _sheet(
         _within_horizon(hidden, hidden_ids, heaviest, geometry, cells.centers, camera).astype(dtype),
         geometry.quats.astype(dtype),
         geometry.scales.astype(dtype),
-        (SHEET_OPACITY * cover[ys, xs]).astype(dtype),
+        (SHEET.opacity * cover[ys, xs]).astype(dtype),
         recolor(parents.sh, toward[hidden_ids], colors[ys, xs]),
         hidden.antialiased,
         hidden.color_space,
@@ -295,23 +323,27 @@ def _within_horizon(
     pixels: np.ndarray,
     camera: Camera,
 ) -> np.ndarray:
-    """[C, 3] float64 the means of sheet Gaussians. Those near the horizon and beyond MAX_HOST_SIGMAS of all Gaussians
-    that make the pixels around are moved along the lines of sight of their pixels ([C, 2]) to where their host ([C],
-    ids of `hidden`) is densest: the edited view stays as it is. heaviest: [H, W] ids of `hidden`, -1: none."""
+    """[C, 3] float64 the means of sheet Gaussians. Those near the horizon and beyond RESURFACING.max_host_sigmas of all
+    Gaussians that make the pixels around are moved along the lines of sight of their pixels ([C, 2]) to where their
+    host ([C], ids of `hidden`) is densest: the edited view stays as it is. heaviest: [H, W] ids of `hidden`, -1:
+    none."""
     means = geometry.means
     normals = quat_to_matrix(geometry.quats)[:, :, 2]
     sight = means - camera.position
     facing = np.abs((normals * sight).sum(1)) / np.maximum(np.linalg.norm(sight, axis=1), 1e-30)
-    far = np.flatnonzero(facing < portable.cos(math.radians(HORIZON_DEGREES)))
-    far = far[_sigmas(hidden, hidden_ids[far], means[far]) > MAX_HOST_SIGMAS]
+    # Only near the horizon can a plane leave a round surface behind.
+    far = np.flatnonzero(facing < portable.cos(math.radians(RESURFACING.horizon_degrees)))
+    far = far[_sigmas(hidden, hidden_ids[far], means[far]) > RESURFACING.max_host_sigmas]
     height, width = heaviest.shape
     xs, ys = pixels[far].astype(np.int64).T
-    for dy in range(-HOST_REACH_PX, HOST_REACH_PX + 1):
-        for dx in range(-HOST_REACH_PX, HOST_REACH_PX + 1):
+    for dy in range(-RESURFACING.host_reach_px, RESURFACING.host_reach_px + 1):
+        for dx in range(-RESURFACING.host_reach_px, RESURFACING.host_reach_px + 1):
+            # Any Gaussian of the surroundings may be the surface here, not only the pixel's own.
             beside = heaviest[np.clip(ys + dy, 0, height - 1), np.clip(xs + dx, 0, width - 1)]
-            outside = (beside < 0) | (_sigmas(hidden, np.maximum(beside, 0), means[far]) > MAX_HOST_SIGMAS)
+            outside = (beside < 0) | (_sigmas(hidden, np.maximum(beside, 0), means[far]) > RESURFACING.max_host_sigmas)
             far, xs, ys = far[outside], xs[outside], ys[outside]
     depth, _ = depths_along(hidden.geometry(hidden_ids[far]), camera, camera.sight_lines(pixels[far]))
+    # Moved along the line of sight: the edited view stays as it is, side views no longer see it hang in the air.
     ahead = depth > 0
     out = means.copy()
     out[far[ahead]] = camera.unproject(depth[ahead], pixels[far[ahead]])
@@ -322,7 +354,7 @@ def _sigmas(splats: Splats, ids: np.ndarray, points: np.ndarray) -> np.ndarray:
     """[Q] distance of points [Q, 3] from Gaussians ids [Q], in standard deviations of these."""
     turn = quat_to_matrix(splats.quats[ids].astype(np.float64))
     scales = splats.scales[ids].astype(np.float64)
-    scales = np.maximum(scales, MIN_HOST_FLATNESS * scales.max(1, keepdims=True))
+    scales = np.maximum(scales, RESURFACING.min_host_flatness * scales.max(1, keepdims=True))
     apart = (points - splats.means[ids])[:, None]
     offset = portable.matmul(apart, turn)[:, 0] / scales
     return np.sqrt((offset**2).sum(1))
@@ -335,9 +367,9 @@ class _Recolored:
     fresh: Splats
     """P + C Gaussians: the pieces, then the sheet."""
     ids: np.ndarray = field(repr=False)
-    """[Q] int64: those that are as they were but for their colour, ..."""
+    """[Q] int64: those that are as they were but for their colour."""
     sh: np.ndarray = field(repr=False)
-    """[Q, K, 3] ... and their SH."""
+    """[Q, K, 3] SH of those."""
 
 
 def _recolored(
@@ -357,16 +389,19 @@ def _recolored(
     ids = view.gaussian_ids
     added, piece = ids >= first, (ids >= count) & (ids < first)
     inside, everywhere = view.mask_sums(covered, np.ones(covered.shape, bool))
-    hanging = (inside.peak > MIN_PEAK) & (inside.weight > MIN_SHEET_SHARE * everywhere.weight)
-    hanging &= inside.weight > MIN_VISIBLE * inside.alpha
+    # What hangs before the sheet and gives its pixels light has to take part, or the sheet would compensate for it.
+    hanging = (inside.peak > RESURFACING.min_peak) & (inside.weight > RESURFACING.min_sheet_share * everywhere.weight)
+    hanging &= inside.weight > RESURFACING.min_visible * inside.alpha
     editable = np.flatnonzero(added | piece | hanging)
     lifted = lift_colors(
-        view, goal, weights, added | piece | hanging, options.sheet_rounds, relaxation=COLOR_STEP_FRACTION
+        view, goal, weights, added | piece | hanging, options.sheet_rounds, relaxation=RESURFACING.color_step_fraction
     )
     before, lifted, ids = view.unclamped_colors[editable], lifted[editable], ids[editable]
     moved = row_max(np.abs(lifted - np.maximum(before, 0))) > MIN_CHANGE
     fresh = pieces.splats.append(sheet)
     sh = fresh.sh.copy()
+    # The sheet keeps its parents' bands whole: `_sheet` has damped them already; pieces are damped as old Gaussians
+    # are.
     for chosen, damping in ((ids >= first, 1.0), ((ids >= count) & (ids < first), options.damping)):
         chosen &= moved
         rows = ids[chosen] - count
@@ -392,10 +427,12 @@ def _assemble(
     emptied = np.zeros(len(splats), bool)
     emptied[emptied_ids] = True
     index = np.full(len(parent_ids), -1, np.int64)
+    # One sheet Gaussian takes the index of each host that went, so that files grow as little as possible.
     fitting = np.flatnonzero(emptied[parent_ids])
     _, chosen = np.unique(parent_ids[fitting], return_index=True)
     index[fitting[chosen]] = parent_ids[fitting[chosen]]
     emptied[parent_ids[fitting[chosen]]] = False
+    # Indices of earlier edits may take any of the rest; those of the original only their own.
     free = np.flatnonzero(emptied[first_appended:]) + first_appended
     unplaced = np.flatnonzero(index < 0)[: len(free)]
     index[unplaced] = free[: len(unplaced)]
@@ -409,6 +446,7 @@ def _assemble(
     written = np.concatenate([painted.ids, pieces.parent_ids[slots], index[placed]])
     order = np.argsort(written, kind="stable")
     written, values = written[order], recolored.append(written_gaussians).take(order)
+    # Bits, not values: -0.0 and NaN count as what they are in the file.
     differs = np.zeros(len(written), bool)
     for name in ATTRIBUTES:
         bits, old = float_bits(getattr(values, name)), float_bits(getattr(splats, name)[written])

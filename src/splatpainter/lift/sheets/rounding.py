@@ -24,6 +24,7 @@ MEAN_STEPS = 16
 def rounded(splats: Splats) -> Splats:
     """The same Gaussians (S of them, finite, scales > 0), rounded; doing it twice changes nothing more."""
     smallest = -row_max(-splats.scales)
+    # A power of two below the Gaussian's own thickness: rounding moves it by less than it can show.
     step = np.ldexp(np.ones(len(splats)), np.frexp(smallest)[1] - 1 - (MEAN_STEPS.bit_length() - 1))[:, None]
     means = np.rint(splats.means.astype(np.float64) / step) * step
     arrays = {name: _significant(getattr(splats, name)) for name in ("quats", "scales", "opacities")}

@@ -13,30 +13,41 @@ from splatpainter.lift.sheets.fringe import FringedSurface
 from splatpainter.surface.visible import PixelSurface, VisibleSurface
 from splatpainter.transforms import matrix_to_quat, turned
 
-MAX_CELL_PX = 8
-"""Edge of the largest cell of flat paint, pixels."""
-FLAT_RANGE = 0.03
-"""Colours within and around a cell that differ by less than this, 0..1, are one colour."""
-FLAT_DEPTH_CELLS = 0.08
-"""The surface may leave a cell's plane by this share of the cell's edge."""
-PIXEL_WIDTH, CELL_WIDTH = 0.55, 0.65
-"""Standard deviation of a sheet Gaussian, in edges of its cell, of one pixel (which the renderer widens by half a
-pixel) and of larger ones: four of the latter stop 95 % of the light at the corner between them."""
-EDGE_CONTRAST = 0.15
-"""Range of the colours around a pixel from which it lies on an edge of the picture, ..."""
-EDGE_WIDTH = 0.6
-"""... where its Gaussian is narrower by this factor."""
-SHEET_THICKNESS_RATIO = 0.1
-"""Thickness of a sheet Gaussian over its width."""
-SHEET_OPACITY = 0.97
-MAX_STRETCH = 2.0
-"""A sheet Gaussian is stretched along a slanted surface at most this much; where the surface is steeper ..."""
-MAX_GAUSSIANS_PER_CELL = 4
-"""... up to so many of them share the cell, one behind the other."""
-MAX_LENGTH_APART = 1.2
-"""Length of the surface under a cell over its distance to that under the next one along the slant, at most."""
-MAX_OPEN_STRETCH = 2.0
-"""Stretch beside a place without a surface, at most."""
+
+@dataclass(frozen=True)
+class SheetShape:
+    """Cells of a sheet and the Gaussians in them. Measured where an entry says so, else taste."""
+
+    max_cell_px: int = 8
+    """Edge of the largest cell of flat paint, pixels."""
+    flat_range: float = 0.03
+    """Colours within and around a cell that differ by less than this, 0..1, are one colour."""
+    flat_depth_cells: float = 0.08
+    """The surface may leave a cell's plane by this share of the cell's edge."""
+    pixel_width: float = 0.55
+    """Standard deviation of a sheet Gaussian of one pixel, in edges of its cell; the renderer widens it by half a
+    pixel."""
+    cell_width: float = 0.65
+    """The same of larger cells: four Gaussians stop 95 % of the light at the corner between them."""
+    edge_contrast: float = 0.15
+    """Range of the colours around a pixel, 0..1, from which it lies on an edge of the picture."""
+    edge_width: float = 0.6
+    """Factor by which the Gaussian of such a pixel is narrower."""
+    thickness_ratio: float = 0.1
+    """Thickness of a sheet Gaussian over its width."""
+    opacity: float = 0.97
+    """Opaque enough to hide what was there, and below the renderer's largest alpha."""
+    max_stretch: float = 2.0
+    """A sheet Gaussian is stretched along a slanted surface at most this much."""
+    max_gaussians_per_cell: int = 4
+    """Where the surface is steeper, up to so many Gaussians share the cell, one behind the other."""
+    max_length_apart: float = 1.2
+    """Length of the surface under a cell over its distance to that under the next one along the slant, at most."""
+    max_open_stretch: float = 2.0
+    """Stretch beside a place without a surface, at most."""
+
+
+SHEET = SheetShape()
 
 
 @dataclass(frozen=True)
@@ -62,11 +73,11 @@ class SheetGeometry:
 
 
 def flat_cells(target: np.ndarray, covered: np.ndarray, depth: np.ndarray, fx: float) -> Cells:
-    """Pixels of `covered` ([H, W] bool) in cells of 1, 2, 4 ... MAX_CELL_PX pixels: large ones where the picture
+    """Pixels of `covered` ([H, W] bool) in cells of 1, 2, 4 ... SHEET.max_cell_px pixels: large ones where the picture
     (target [H, W, 3]) has one colour in them and around them and the inverse of the depth ([H, W], > 0 where covered)
     is linear, as it is on a plane."""
     rows, columns = np.flatnonzero(covered.any(1)), np.flatnonzero(covered.any(0))
-    top, x_first = (int(lines[0]) // MAX_CELL_PX * MAX_CELL_PX for lines in (rows, columns))
+    top, x_first = (int(lines[0]) // SHEET.max_cell_px * SHEET.max_cell_px for lines in (rows, columns))
     window = (slice(top, int(rows[-1]) + 1), slice(x_first, int(columns[-1]) + 1))
     cells = _cells_of_window(target[window], covered[window], depth[window], fx)
     return Cells(cells.centers + (x_first, top), cells.sizes)
@@ -74,30 +85,34 @@ def flat_cells(target: np.ndarray, covered: np.ndarray, depth: np.ndarray, fx: f
 
 def _cells_of_window(target: np.ndarray, covered: np.ndarray, depth: np.ndarray, fx: float) -> Cells:
     height, width = covered.shape
-    pad = [(0, -height % MAX_CELL_PX), (0, -width % MAX_CELL_PX)]
+    pad = [(0, -height % SHEET.max_cell_px), (0, -width % SHEET.max_cell_px)]
+    # Cells of the largest size first; what they do not take goes to the next smaller ones.
     left = np.pad(covered, pad)
     colors = np.pad(target, [*pad, (0, 0)], mode="edge").astype(np.float32)
     inverse = np.pad(np.where(covered, 1 / np.where(covered, depth, 1), 0), pad)
     solid = left.copy()
     centers, sizes = [], []
-    size = MAX_CELL_PX
+    size = SHEET.max_cell_px
     ranges = {1: (colors, colors)}
-    for half in (1 << k for k in range(1, MAX_CELL_PX.bit_length() - 1)):
+    # Ranges of colours in blocks of every size, each from the one before.
+    for half in (1 << k for k in range(1, SHEET.max_cell_px.bit_length() - 1)):
         low, high = ranges[half // 2]
         ranges[half] = _halved(low, np.minimum), _halved(high, np.maximum)
     while size > 1:
         half = size // 2
         low, high = ranges[half]
+        # Flat in the cell and one block around: a cell that ends at an edge would show a soft rim there.
         difference = _around(high, np.maximum) - _around(low, np.minimum)
         span = np.maximum(np.maximum(difference[..., 0], difference[..., 1]), difference[..., 2])
         full = _around(_block(solid, half, np.all)[..., None], np.minimum)[..., 0]
         unused = _block(left, size, np.all)
-        flat = unused & full & (span < FLAT_RANGE) & _is_plane(inverse, size, fx)
+        flat = unused & full & (span < SHEET.flat_range) & _is_plane(inverse, size, fx)
         ys, xs = np.nonzero(flat)
         centers.append(np.stack([xs * size + half, ys * size + half], 1).astype(np.float64))
         sizes.append(np.full(len(ys), float(size)))
         left &= ~np.kron(flat, np.ones((size, size), bool))
         size = half
+    # Pixels that no cell took are cells by themselves.
     ys, xs = np.nonzero(left)
     centers.append(np.stack([xs, ys], 1) + 0.5)
     sizes.append(np.ones(len(ys)))
@@ -138,7 +153,7 @@ def _is_plane(inverse: np.ndarray, size: int, fx: float) -> np.ndarray:
     middle = blocks[:, size // 2 - 1 : size // 2 + 1, :, size // 2 - 1 : size // 2 + 1].mean((1, 3))
     bend = np.abs(np.stack(corners).mean(0) - middle) + np.abs(corners[0] + corners[3] - corners[1] - corners[2]) / 2
     # 1 / z bends by b where z bends by b z^2; a cell is size z / fx wide.
-    return bend < FLAT_DEPTH_CELLS * size / fx * np.maximum(middle, 1e-30)
+    return bend < SHEET.flat_depth_cells * size / fx * np.maximum(middle, 1e-30)
 
 
 def sheet_geometry(
@@ -149,15 +164,18 @@ def sheet_geometry(
     at = surface.at(cells.centers)
     xs, ys = cells.centers.astype(np.int64).T
     single = cells.sizes == 1
-    sharp = single & (_contrast(target, ys, xs) > EDGE_CONTRAST)
-    width = cells.sizes * np.where(single, PIXEL_WIDTH, CELL_WIDTH) * np.where(sharp, EDGE_WIDTH, 1)
+    # Narrower at edges of the picture, which the renderer's own blur would soften.
+    sharp = single & (_contrast(target, ys, xs) > SHEET.edge_contrast)
+    width = cells.sizes * np.where(single, SHEET.pixel_width, SHEET.cell_width) * np.where(sharp, SHEET.edge_width, 1)
     chosen = np.flatnonzero(at.depth > 0)
     stretch = _stretch(surface, cells, at, chosen)
-    count = np.clip(np.ceil(stretch / MAX_STRETCH), 1, MAX_GAUSSIANS_PER_CELL).astype(np.int64)
+    # On steep surfaces several share a cell, one behind the other: one alone would be too long to bend.
+    count = np.clip(np.ceil(stretch / SHEET.max_stretch), 1, SHEET.max_gaussians_per_cell).astype(np.int64)
     source = np.repeat(np.arange(len(chosen)), count)
     step = np.arange(len(source)) - np.repeat(np.cumsum(count) - count, count)
     shift = (step + 0.5) / count[source] - 0.5
     index = chosen[source]
+    # Each of several is moved along the slant by its part of the cell.
     geometry = pixel_gaussians(
         surface.camera,
         cells.centers[index],
@@ -165,7 +183,7 @@ def sheet_geometry(
         at.normals[index],
         width[index],
         cells.sizes[index],
-        np.minimum(stretch, MAX_STRETCH * count)[source],
+        np.minimum(stretch, SHEET.max_stretch * count)[source],
         count[source],
         shift,
     )
@@ -181,6 +199,7 @@ def _stretch(
     camera, centers, sizes = surface.camera, cells.centers[chosen], cells.sizes[chosen]
     points = camera.to_camera(camera.unproject(at.depth[chosen], centers))
     facing = -(points * at.normals[chosen]).sum(1) / np.maximum(np.linalg.norm(points, axis=1), 1e-30)
+    # By its normal alone a plane seen edge-on would be endless.
     length = 1 / np.maximum(facing, 1e-3)
     across = at.normals[chosen, :2]
     way = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12) * sizes[:, None]
@@ -188,9 +207,10 @@ def _stretch(
     limits = []
     for sign in (-1, 1):
         pixels = centers + sign * way
+        # The neighbours along the slant say how far the surface really goes on.
         beside = surface.at(pixels)
         apart = np.linalg.norm(camera.to_camera(camera.unproject(beside.depth, pixels)) - points, axis=1)
-        limits.append(np.where(beside.depth > 0, MAX_LENGTH_APART * apart / unit, MAX_OPEN_STRETCH))
+        limits.append(np.where(beside.depth > 0, SHEET.max_length_apart * apart / unit, SHEET.max_open_stretch))
     return np.clip(np.minimum(length, np.minimum(*limits)), 1, None)
 
 
@@ -237,10 +257,11 @@ def pixel_gaussians(
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
     along = np.cross(normals, across)
     rotation = turned(camera.world_to_camera[:3, :3].T, np.stack([across, along, normals], 2))
+    # A rotation, not a reflection: quaternions have no left-handed frames.
     flip = (np.cross(across, along) * normals).sum(1) < 0
     rotation[flip, :, 0] *= -1
     width = width_px * depth / camera.fx
-    scales = np.stack([width, width * stretch / count, width * SHEET_THICKNESS_RATIO], 1)
+    scales = np.stack([width, width * stretch / count, width * SHEET.thickness_ratio], 1)
     world_along = portable.matmul(along, camera.world_to_camera[:3, :3])
     means = camera.unproject(depth, pixels)
     means += (shift * cell_px * depth / camera.fx * stretch)[:, None] * world_along

@@ -46,6 +46,7 @@ class SparseEdit:
         for name in ATTRIBUTES:
             old, new, tail = (getattr(splats, name) for splats in (before, self.values, self.appended))
             emptied = self.emptied if name == "opacities" else self.emptied[:0]
+            # Attributes that nothing changes stay the same array, so that undo and memory cost nothing.
             if not len(tail) and not len(emptied) and np.array_equal(old[self.ids], new):
                 continue
             arrays[name] = np.concatenate([old, tail])

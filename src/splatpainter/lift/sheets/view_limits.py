@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,20 +16,27 @@ from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import VisibleSurface, visible_surface
 
-SOFT_DEGREES = 10.0
-"""Degrees from the angle limit on, over which paint fades."""
-EDGE_WINDOWS = 1.5
-"""A step in depth between neighbouring pixels by more than this, in windows of the surface, is an edge."""
 
-COARSE_BLOCKS = 128
-"""Blocks along the longer side of a view for which `left_out` says whether they are painted."""
-MIN_SHARE = 0.5
-"""Share of its paint below which a block counts as left out."""
+@dataclass(frozen=True)
+class ViewLimitThresholds:
+    """What fades at a view's limits. Source: taste."""
+
+    soft_degrees: float = 10.0
+    """Degrees from the angle limit on, over which paint fades."""
+    edge_windows: float = 1.5
+    """A step in depth between neighbouring pixels by more than this, in windows of the surface, is an edge."""
+    coarse_blocks: int = 128
+    """Blocks along the longer side of a view for which `left_out` says whether they are painted."""
+    min_share: float = 0.5
+    """Share of its paint below which a block counts as left out."""
+
+
+VIEW_LIMITS = ViewLimitThresholds()
 
 
 def coarse_surface(surface: Surface, splats: Splats, camera: Camera) -> VisibleSurface:
-    """All that a view sees, on a lattice of at most COARSE_BLOCKS blocks a side: quick, and enough to show limits by.
-    Its camera has one pixel per block, and the full camera's pixels are `blocks_px` times smaller."""
+    """All that a view sees, on a lattice of at most VIEW_LIMITS.coarse_blocks blocks a side: quick, and enough to show
+    limits by. Its camera has one pixel per block, and the full camera's pixels are `blocks_px` times smaller."""
     view = project(splats, camera)
     size = blocks_px(camera)
     centers = np.zeros((camera.height, camera.width), bool)
@@ -42,7 +49,7 @@ def coarse_surface(surface: Surface, splats: Splats, camera: Camera) -> VisibleS
 
 def blocks_px(camera: Camera) -> int:
     """Pixels along a side of the blocks of `coarse_surface`."""
-    return -(-max(camera.width, camera.height) // COARSE_BLOCKS)
+    return -(-max(camera.width, camera.height) // VIEW_LIMITS.coarse_blocks)
 
 
 def left_out(coarse: VisibleSurface, camera: Camera, angle_limit: float, depth_edge_limit: float) -> np.ndarray:
@@ -50,7 +57,7 @@ def left_out(coarse: VisibleSurface, camera: Camera, angle_limit: float, depth_e
     `coarse_surface`, for this camera; limits: as `paintable`'s."""
     size = blocks_px(camera)
     seen = coarse.index >= 0
-    out = seen & (paintable(coarse, seen, angle_limit, depth_edge_limit / size) < MIN_SHARE)
+    out = seen & (paintable(coarse, seen, angle_limit, depth_edge_limit / size) < VIEW_LIMITS.min_share)
     return out.repeat(size, 0).repeat(size, 1)[: camera.height, : camera.width]
 
 
@@ -58,8 +65,9 @@ def paintable(visible: VisibleSurface, pixels: np.ndarray, angle_limit: float, d
     """[H, W] float32 0..1: how much of a pixel's paint this view lays down.
 
     pixels: [H, W] bool, those that are asked for (others are 0). angle_limit: degrees between line of sight and normal
-    from which paint fades, over SOFT_DEGREES; 0: no limit. depth_edge_limit: pixels beside an edge in depth that are
-    left out, fading over as many again; 0: none. Where the surface is not trusted there is nothing to limit by: 1."""
+    from which paint fades, over VIEW_LIMITS.soft_degrees; 0: no limit. depth_edge_limit: pixels beside an edge in depth
+    that are left out, fading over as many again; 0: none. Where the surface is not trusted there is nothing to limit
+    by: 1."""
     out = pixels.astype(np.float32)
     ys, xs = np.nonzero(pixels)
     centers = np.stack([xs, ys], 1) + 0.5
@@ -69,7 +77,8 @@ def paintable(visible: VisibleSurface, pixels: np.ndarray, angle_limit: float, d
         rays = visible.camera.sight_lines(centers)
         facing = -(rays * at.normals).sum(1) / np.linalg.norm(rays, axis=1)
         angle = np.degrees(portable.arccos(np.clip(facing, 0, 1)))
-        soft = min(SOFT_DEGREES, max(90.0 - angle_limit, 1e-3))
+        # The fade has to end at 90 degrees, also for a limit close to it.
+        soft = min(VIEW_LIMITS.soft_degrees, max(90.0 - angle_limit, 1e-3))
         share = np.clip(1 - (angle - angle_limit) / soft, 0, 1)
         out[ys, xs] *= np.where(seen, share, 1).astype(np.float32)
     if depth_edge_limit > 0:
@@ -90,7 +99,7 @@ def _distance_to_edges(pixels: np.ndarray, depth: np.ndarray, windows: np.ndarra
         high = [slice(None), slice(None)]
         low[axis], high[axis] = slice(None, -1), slice(1, None)
         a, b = full[tuple(low)], full[tuple(high)]
-        limit = EDGE_WINDOWS * np.maximum(window[tuple(low)], window[tuple(high)])
+        limit = VIEW_LIMITS.edge_windows * np.maximum(window[tuple(low)], window[tuple(high)])
         # A plane that is seen from the side is steep, not broken: what counts is the step against the slope beside it.
         step = np.abs(b - a)
         slope = np.zeros_like(step)
@@ -105,6 +114,7 @@ def _distance_to_edges(pixels: np.ndarray, depth: np.ndarray, windows: np.ndarra
     out = np.full(pixels.shape, math.inf)
     if not edge.any():
         return out
+    # Distances by growing the edge pixel by pixel: the largest limit is 16 px, so few rounds are needed.
     reached = edge
     out[edge] = 0.5
     for distance in range(1, 2 * int(MAX_DEPTH_EDGE_LIMIT_PX) + 1):

@@ -6,17 +6,36 @@ from __future__ import annotations
 
 import weakref
 from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.rendering.cpu.projected_view import ProjectedView
+from splatpainter.rendering import check_views
+from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.splats import ATTRIBUTES, Splats
 
 MAX_RECENT = 8
 """Views that are looked through."""
 _recent: deque[tuple[weakref.ref[ProjectedView], tuple[weakref.ref[np.ndarray], ...], bool]] = deque(maxlen=MAX_RECENT)
 """(view, attributes of the Gaussians that were projected, whether antialiased), the latest last."""
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnView:
+    """All tiles of a view and the pictures that they make, not to be written."""
+
+    view: ProjectedView
+    colors: np.ndarray
+    """[H, W, 3]"""
+    alphas: np.ndarray
+    """[H, W]"""
+    depths: np.ndarray
+    """[H, W] expected z-depth."""
+
+
+_drawn: deque[weakref.ref[DrawnView]] = deque(maxlen=MAX_RECENT)
+"""The latest last."""
 
 
 def note_view(splats: Splats, view: ProjectedView) -> None:
@@ -37,3 +56,24 @@ def recent_view(splats: Splats, camera: Camera) -> ProjectedView | None:
         if same and np.array_equal(view.camera.world_to_camera, camera.world_to_camera):
             return view
     return None
+
+
+def drawn_view(splats: Splats, camera: Camera) -> DrawnView:
+    """A whole view of numpy `splats`, drawn as `render` draws it: the one that somebody holds, or a new one, which
+    serves others for as long as the caller holds it. Raises ValueError for sizes that `render` does not draw."""
+    check_views([camera])
+    camera = camera.within(splats.offset)
+    view = recent_view(splats, camera)
+    for reference in reversed(tuple(_drawn)):
+        drawn = reference()
+        if drawn is not None and drawn.view is view:
+            return drawn
+    if view is None:
+        view = project(splats, camera)
+        note_view(splats, view)
+    pictures = view.rasterize()
+    for picture in pictures:
+        picture.flags.writeable = False
+    drawn = DrawnView(view, *pictures)
+    _drawn.append(weakref.ref(drawn))
+    return drawn

@@ -23,9 +23,9 @@ from splatpainter.server.protocol import Answer, BatchInfo, Blob, CameraInfo, Co
 from splatpainter.server.studio import Studio
 from splatpainter.server.uploads.storage import PROJECT
 from splatpainter.session import Session
-from splatpainter.session.annotations import keep_selection
-from splatpainter.session.asset_files import write_original
-from splatpainter.session.scene_asset import MAIN_ASSET_ID, SceneAsset
+from splatpainter.session.commands.session_selections import keep_selection
+from splatpainter.session.document.scene_asset import MAIN_ASSET_ID, SceneAsset
+from splatpainter.session.project.asset_files import write_original
 
 MAX_ASSETS, MAX_VARIANTS = 500, 200
 MAX_LISTED_LAYERS = 5
@@ -122,7 +122,7 @@ def plan_batch(context: CommandContext, request: BatchPlan) -> BatchAnswer:
         session = studio.session
         present, number = _present_asset(session, request.asset)
         name = present.name if number else studio.state.asset.name
-        session.save_copy(batch.project)
+        session.files.save_copy(batch.project)
         visible = [layer.name for layer in session.layers if layer.visible and layer.asset == present.id]
         replay = [{"layers": {"project": batch.project.name, "asset": number}}] if visible else []
         names = f"{', '.join(visible[:MAX_LISTED_LAYERS])}{', ...' if len(visible) > MAX_LISTED_LAYERS else ''}"
@@ -139,7 +139,7 @@ def plan_batch(context: CommandContext, request: BatchPlan) -> BatchAnswer:
         else:
             added = present if present.id != MAIN_ASSET_ID else None
             format = studio.state.asset.format if added is None else format_of_name(Path(added.file))
-            original = session.asset_original(present.id)
+            original = session.scene.original_of(present.id)
             asset, batch.frame = write_original(batch.project, batch.stem(name, f".{format}"), original, added)
             batch.assets.append(asset)
             batch.variants, words = _variants(context, batch, request.variants, replay)
@@ -180,13 +180,13 @@ def _answer(studio: Studio, batch: StudioBatch) -> BatchAnswer:
 def _present_asset(session: Session, asset: str | None) -> tuple[SceneAsset, str]:
     """The asset whose layers or variants are meant, and its number among several, or "". Raises ValueError: none of
     several is chosen; unknown."""
-    if len(session.assets) == 1:
-        return session.assets[0], ""
+    if len(session.scene.assets) == 1:
+        return session.scene.assets[0], ""
     if asset is None:
-        names = ", ".join(one.name for one in session.assets)
+        names = ", ".join(one.name for one in session.scene.assets)
         raise ValueError(f"batch: several assets are open ({names}); choose the one that is meant")
-    present = session.asset(asset)
-    return present, str(1 + session.assets.index(present))
+    present = session.scene.asset(asset)
+    return present, str(1 + session.scene.assets.index(present))
 
 
 def _add_asset(context: CommandContext, batch: BatchFolder, asset: BatchAsset) -> None:
@@ -238,7 +238,7 @@ def _region(context: CommandContext, batch: BatchFolder, variant: BatchVariant, 
     if variant.on == "everything":
         return [], "everything"
     if variant.on == "layer":
-        layer = studio.session.layer(variant.of)
+        layer = studio.session.layers.by_id(variant.of)
         return [f"layer={layer.id}@{batch.project.name}"], layer.name
     if variant.on == "selected":
         stored = studio.selection.stored()

@@ -38,8 +38,8 @@ from splatpainter.server.current_selection import limited
 from splatpainter.server.protocol import Blob, CameraInfo, Command, LayerMade, Message, Name, Previewed, Unit
 from splatpainter.server.studio import Studio
 from splatpainter.session import Session
-from splatpainter.session.document import SELECTION
-from splatpainter.session.layer_blending import ADJUSTMENTS, adjust_sh
+from splatpainter.session.document.document import SELECTION
+from splatpainter.session.replay.layer_blending import ADJUSTMENTS, adjust_sh
 from splatpainter.splats import Splats, changed_rows
 
 
@@ -152,9 +152,9 @@ def commit_grade(context: CommandContext, request: GradeCommit) -> LayerMade:
     if stored is not None:
         settings, attached = {**settings, SELECTION: stored[0]}, [*attached, stored[1]]
     with progress(context, "look"):
-        layer = session.add("look", edits, name=request.name, parameters=settings, attached=attached)
+        layer = session.layers.add("look", edits, name=request.name, parameters=settings, attached=attached)
     words = [RawExpr("sp.Edit(picture, camera, mask)")] * len(edits)
-    line = python_line("session.add", "look", words, name=request.name, parameters=settings)
+    line = python_line("session.layers.add", "look", words, name=request.name, parameters=settings)
     return layer_made(context, layer.id, line)
 
 

@@ -142,7 +142,7 @@ def progress(context: CommandContext, stage: str) -> Iterator[None]:
 def layer_made(context: CommandContext, layer: str, python: str) -> LayerMade:
     """The answer with a layer as it now is."""
     session = context.studio.session
-    return LayerMade(layer=layer_info(session, session.layer(layer)), python=python)
+    return LayerMade(layer=layer_info(session, session.layers.by_id(layer)), python=python)
 
 
 def mask_from_upload(context: CommandContext, blob: str, camera: Camera) -> np.ndarray:

@@ -33,7 +33,7 @@ from splatpainter.server.protocol import (
     Placed,
     Unit,
 )
-from splatpainter.session.document import PLACED
+from splatpainter.session.document.document import PLACED
 
 
 class DecalLaid(LayerMade):
@@ -91,22 +91,23 @@ def lay_decal(context: CommandContext, request: DecalLay) -> DecalLaid:
         if request.placed.image is not None:
             attached = [studio.picture_bytes(request.placed.image)[0]]
     with progress(context, "laying it on the surface"):
-        laid = session.laid(decal, replaces=request.replaces)
+        laid = session.surface.laid(decal, replaces=request.replaces)
         edits = [part for edit in laid.edits if (part := within_selection(studio, edit, required=False)) is not None]
         if not edits:
             raise ValueError(f"{request.name}: nothing of it lies on what is selected; deselect first")
         options: dict[str, Any] = {"name": request.name, "parameters": parameters}
         if request.replaces is not None:
-            layer = session.replace_views(
+            layer = session.layers.replace_views(
                 request.replaces, edits, **options, gesture=request.gesture, attached=attached
             )
         else:
-            layer = session.add("paint", edits, **options, method=request.method, attached=attached)
+            layer = session.layers.add("paint", edits, **options, method=request.method, attached=attached)
     context.clear_preview = True
     decal_line = python_line(
         "sp.Decal", RawExpr("picture"), at, RawExpr("camera"), request.width, request.angle, request.wrap, level=level
     )
-    line = python_line("session.add", "paint", RawExpr(f"session.laid({decal_line}).edits"), name=request.name)
+    edits_line = RawExpr(f"session.surface.laid({decal_line}).edits")
+    line = python_line("session.layers.add", "paint", edits_line, name=request.name)
     return DecalLaid(
         layer=layer_info(session, layer),
         python=line,
@@ -156,7 +157,7 @@ def show_decal(context: CommandContext, request: DecalShow) -> DecalMap:
     at, width = (request.x, request.y), request.width
     decal = Decal(np.ones((*shape, 3), np.float32), at, camera, width, request.angle, request.wrap, level=level)
     view, block = blocks_of(request.view.to_camera())
-    table = session.decal_map(decal, view, replaces=request.replaces)
+    table = session.surface.decal_map(decal, view, replaces=request.replaces)
     rows, columns = table.shape[:2]
     data = base64.b64encode(table.astype("<f4").tobytes()).decode()
     return DecalMap(block=block, columns=columns, rows=rows, data=data)

@@ -17,6 +17,7 @@ from splatpainter.server.commands.context import CommandContext, RawExpr, comman
 from splatpainter.server.describe import endings, up_axis
 from splatpainter.server.html_viewer import HTML_OPTIONS, estimated_html_bytes, html_viewer
 from splatpainter.server.protocol import Answer, CameraInfo, Command, Exported, FileName, Message
+from splatpainter.splats import Frame
 
 HTML = ".html"
 
@@ -57,7 +58,7 @@ class ExportEstimate(Command):
 
 @command(ExportEstimate, background=True)
 def estimate(context: CommandContext, request: ExportEstimate) -> ExportSizes:
-    splats = context.studio.session.exported(remove_hidden=request.remove_hidden, asset=request.asset)
+    splats = context.studio.session.files.exported(remove_hidden=request.remove_hidden, asset=request.asset)
     options, sizes = request.options.chosen(), {}
     for ending in [*endings(), HTML] if request.ending is None else [request.ending]:
         if ending == HTML:
@@ -81,6 +82,9 @@ class AssetExport(Command):
     """One of several assets alone, in its own space; None: all that are visible, each in its own range of rows."""
     options: ExportOptions = ExportOptions()
     """Options of the file; for one asset at a time."""
+    axes: Frame = "auto"
+    """Axes of the file's numbers, of one asset at a time: "rub" is y up, "rdf" y down; "auto": as its format usually
+    has them, or as the asset's own file if that is of the same format."""
 
 
 @command(AssetExport, background=True)
@@ -89,7 +93,9 @@ def export_asset(context: CommandContext, request: AssetExport) -> Exported:
     context.ticket.report(0, "writing and verifying")
     path = studio.downloads.folder() / Path(request.file).name
     options = request.options.chosen()
-    _, proof = studio.session.export(path, remove_hidden=request.remove_hidden, asset=request.asset, options=options)
+    _, proof = studio.session.files.export(
+        path, remove_hidden=request.remove_hidden, asset=request.asset, options=options, axes=request.axes
+    )
     receipt = receipt_of(path)
     return Exported(
         url=studio.downloads.add(path),
@@ -98,10 +104,11 @@ def export_asset(context: CommandContext, request: AssetExport) -> Exported:
         receipt_url=studio.downloads.add(receipt),
         lost=proof.lost,
         python=python_line(
-            "session.export",
+            "session.files.export",
             path.name,
             remove_hidden=request.remove_hidden or None,
             asset=request.asset,
+            axes=None if request.axes == "auto" else request.axes,
             options=RawExpr(python_line("sp.WriteOptions", **options.chosen)) if options.chosen else None,
         ),
     )

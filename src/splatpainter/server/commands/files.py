@@ -27,8 +27,8 @@ from splatpainter.server.protocol import (
 from splatpainter.server.studio import Studio
 from splatpainter.server.uploads.storage import PROJECT, StoredBlob, demo
 from splatpainter.session import Session
-from splatpainter.session.disk_probe import locks_refused
-from splatpainter.session.scratch import scratch_folder
+from splatpainter.session.project.disk_probe import locks_refused
+from splatpainter.session.project.scratch import scratch_folder
 
 MIN_FREE_BYTES = 64 << 20
 """That a disk has to have beside the project's own size: room for some hours of strokes."""
@@ -52,9 +52,9 @@ class BookmarkAdd(Command):
 @command(BookmarkAdd, writes=True)
 def add_bookmark(context: CommandContext, request: BookmarkAdd) -> BookmarkMade:
     camera = request.camera.to_camera()
-    id = context.studio.session.add_bookmark(request.name, camera)
+    id = context.studio.session.bookmarks.add(request.name, camera)
     info = BookmarkInfo(id=id, name=request.name, camera=CameraInfo.of(camera))
-    line = python_line("session.add_bookmark", request.name)[:-1] + ", camera)"
+    line = python_line("session.bookmarks.add", request.name)[:-1] + ", camera)"
     return BookmarkMade(bookmark=info, python=line)
 
 
@@ -65,8 +65,8 @@ class BookmarkDelete(Command):
 
 @command(BookmarkDelete, writes=True)
 def delete_bookmark(context: CommandContext, request: BookmarkDelete) -> Answer:
-    context.studio.session.delete_bookmark(request.bookmark)
-    return Answer(python=python_line("session.delete_bookmark", request.bookmark))
+    context.studio.session.bookmarks.delete(request.bookmark)
+    return Answer(python=python_line("session.bookmarks.delete", request.bookmark))
 
 
 class AssetOpen(Command):
@@ -105,8 +105,8 @@ class AssetUp(Command):
 
 @command(AssetUp, writes=True)
 def set_up_axis(context: CommandContext, request: AssetUp) -> Answer:
-    context.studio.session.set_up(request.up)
-    return Answer(python=python_line("session.set_up", request.up))
+    context.studio.session.scene.set_up(request.up)
+    return Answer(python=python_line("session.scene.set_up", request.up))
 
 
 class AssetFront(Command):
@@ -118,8 +118,8 @@ class AssetFront(Command):
 
 @command(AssetFront, writes=True)
 def set_front(context: CommandContext, request: AssetFront) -> Answer:
-    context.studio.session.set_front(request.camera.to_camera())
-    return Answer(python=python_line("session.set_front", RawExpr("camera")))
+    context.studio.session.scene.set_front(request.camera.to_camera())
+    return Answer(python=python_line("session.scene.set_front", RawExpr("camera")))
 
 
 class ProjectOpen(Command):
@@ -168,7 +168,7 @@ def _open_upload(studio: Studio, blob: StoredBlob, name: str) -> Session:
         with naming_errors(copy, title):
             session = Session.load(copy, embedded=True, readonly=False)
             try:
-                session.save_as(studio.projects.fresh(name))
+                session.files.save_as(studio.projects.fresh(name))
             except BaseException:
                 session.close()
                 raise
@@ -190,12 +190,12 @@ def save_as(context: CommandContext, request: ProjectSaveAs) -> Answer:
         raise ValueError("project: the studio was started without a folder; export it as a download instead")
     name = request.file if request.file.lower().endswith(PROJECT) else request.file + PROJECT
     path = studio.folder.file(name, new=True)
-    before, is_there = studio.session.path, studio.session.has_its_file
-    studio.session.save_as(path, overwrite=request.overwrite)
+    before, is_there = studio.session.path, studio.session.files.is_in_place
+    studio.session.files.save_as(path, overwrite=request.overwrite)
     if before is not None and before.parent == studio.projects.root and is_there:
         files.remove(before)  # it moved
     studio.name = path.stem
-    return Answer(python=python_line("session.save_as", name))
+    return Answer(python=python_line("session.files.save_as", name))
 
 
 class ProjectMoved(Answer):
@@ -248,13 +248,13 @@ def move_project(context: CommandContext, request: ProjectMove) -> ProjectMoved:
     if request.folder not in roomy:
         raise ValueError("project: that folder has no room for it any more; choose another one")
     name, folder, _ = roomy[request.folder]
-    before, is_there = studio.session.path, studio.session.has_its_file
+    before, is_there = studio.session.path, studio.session.files.is_in_place
     file = before.name if before is not None else studio.projects.fresh(studio.name).name
-    studio.session.save_as(folder / file)
+    studio.session.files.save_as(folder / file)
     if before is not None and before.parent == studio.projects.root and is_there:
         with contextlib.suppress(OSError):  # the disk that refuses to be written
             files.remove(before)
-    return ProjectMoved(folder=name, file=file, python=python_line("session.save_as", file))
+    return ProjectMoved(folder=name, file=file, python=python_line("session.files.save_as", file))
 
 
 def _roomy_folders(studio: Studio) -> dict[FolderKey, tuple[str, Path, int]]:
@@ -290,10 +290,10 @@ class ProjectDownload(Command):
 def download_project(context: CommandContext, request: ProjectDownload) -> Exported:
     studio = context.studio
     path = studio.downloads.folder() / f"{Path(studio.state.project.name).stem or 'project'}{PROJECT}"
-    studio.session.save_copy(path)
+    studio.session.files.save_copy(path)
     url = studio.downloads.add(path)
     return Exported(
-        url=url, file=path.name, bytes=path.stat().st_size, python=python_line("session.save_copy", path.name)
+        url=url, file=path.name, bytes=path.stat().st_size, python=python_line("session.files.save_copy", path.name)
     )
 
 
@@ -331,10 +331,10 @@ class ReceiptShow(Command):
 
 @command(ReceiptShow, background=True)
 def show_receipt(context: CommandContext, request: ReceiptShow) -> ReceiptMade:
-    receipt = context.studio.session.receipt()
+    receipt = context.studio.session.files.receipt()
     appended = f", {receipt.appended_rows:,} appended" if receipt.appended_rows else ""
     text = f"{receipt.untouched_rows:,} of {receipt.asset_rows:,} Gaussians byte-identical{appended}"
-    return ReceiptMade(receipt=json.loads(receipt.to_json()), text=text, python="session.receipt()")
+    return ReceiptMade(receipt=json.loads(receipt.to_json()), text=text, python="session.files.receipt()")
 
 
 class Verified(Answer):
@@ -363,7 +363,7 @@ def verify_asset(context: CommandContext, request: AssetVerify) -> Verified:
     ending = ".ply" if entry is None or entry.write is None or not entry.suffixes else entry.suffixes[0]
     context.ticket.report(0, "writing and reading again")
     with scratch_folder("verify") as folder:
-        _, proof = session.export(folder / f"asset{ending}")
+        _, proof = session.files.export(folder / f"asset{ending}")
     context.ticket.report(0.5, "replaying the layers")
     problems = [*proof.problems, *session.verify()]
     return Verified(

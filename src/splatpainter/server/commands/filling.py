@@ -41,11 +41,11 @@ def fill_selection(context: CommandContext, request: FillSelection) -> FillMade:
     if weights is None:
         raise ValueError("selection: nothing is selected; select something first")
     with progress(context, request.name):
-        layer = session.fill(weights, remove=request.remove, body=request.body, name=request.name)
+        layer = session.layers.fill(weights, remove=request.remove, body=request.body, name=request.name)
     current.choose(None)
     remove = True if request.remove else None
     body = True if request.remove and request.body else None
-    line = python_line("session.fill", RawExpr("weights"), remove=remove, body=body)
+    line = python_line("session.layers.fill", RawExpr("weights"), remove=remove, body=body)
     info = layer_info(session, layer)
     return FillMade(layer=info, python=line, note=info.note if request.remove else "")
 
@@ -61,9 +61,9 @@ class FillSurroundings(Command):
 @command(FillSurroundings, writes=True)
 def fill_from_surroundings(context: CommandContext, request: FillSurroundings) -> LayerMade:
     session = context.studio.session
-    with progress(context, session.layer(request.layer).name):
-        session.fill_from(request.layer, [])
-    return layer_made(context, request.layer, python_line("session.fill_from", request.layer, []))
+    with progress(context, session.layers.by_id(request.layer).name):
+        session.layers.fill_from(request.layer, [])
+    return layer_made(context, request.layer, python_line("session.layers.fill_from", request.layer, []))
 
 
 class FillSource(Command):
@@ -83,7 +83,7 @@ def fill_from_source(context: CommandContext, request: FillSource) -> LayerMade:
     studio, source, flag = context.studio, open_source(request.source), TicketFlag(context)
     session, brief = studio.session, SourceBrief(request.prompt, seed=request.seed)
     camera = within_limits(request.camera.to_camera(), source.capabilities.max_side_px)
-    new, splats = session.filled_by(request.layer), session.splats.numpy()
+    new, splats = session.layers.filled_by(request.layer), session.splats.numpy()
     if session.read_only:
         raise ValueError(f"{studio.name}: {session.read_only}")
     try:
@@ -94,8 +94,8 @@ def fill_from_source(context: CommandContext, request: FillSource) -> LayerMade:
     def paint() -> LayerMade:
         if studio.session is not session:
             raise Cancelled  # another project was opened
-        session.fill_from(request.layer, [sourced.edit], source=source_record(source, brief, [sourced]))
-        line = f"session.fill_from({request.layer!r}, [edit])  # of {source.name!r}"
+        session.layers.fill_from(request.layer, [sourced.edit], source=source_record(source, brief, [sourced]))
+        line = f"session.layers.fill_from({request.layer!r}, [edit])  # of {source.name!r}"
         return layer_made(context, request.layer, line)
 
     return context.write(paint)

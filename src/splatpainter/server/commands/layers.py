@@ -32,9 +32,9 @@ from splatpainter.server.protocol import (
     Name,
     Unit,
 )
-from splatpainter.session.delta import GEOMETRY
-from splatpainter.session.document import SELECTION, Blend
-from splatpainter.session.layer_mask import LayerMask, by_rule
+from splatpainter.session.document.document import SELECTION, Blend
+from splatpainter.session.document.layer_mask import LayerMask, by_rule
+from splatpainter.session.replay.delta import GEOMETRY
 
 
 class LayerNew(Command):
@@ -53,10 +53,10 @@ def new_layer(context: CommandContext, request: LayerNew) -> LayerMade:
     session = context.studio.session
     at, asset = None, request.asset
     if request.above is not None:
-        asset = session.layer(request.above).asset
+        asset = session.layers.by_id(request.above).asset
         at = 1 + [layer.id for layer in session.layers].index(request.above)
-    layer = session.new_layer(request.name, index=at, asset=asset)
-    line = python_line("session.new_layer", request.name, index=at, asset=asset or None)
+    layer = session.layers.new(request.name, index=at, asset=asset)
+    line = python_line("session.layers.new", request.name, index=at, asset=asset or None)
     return layer_made(context, layer.id, line)
 
 
@@ -84,7 +84,7 @@ def set_layer(context: CommandContext, request: LayerSet) -> LayerMade:
         if getattr(request, name) is not None
     }
     session = context.studio.session
-    layer = session.layer(request.layer)
+    layer = session.layers.by_id(request.layer)
     if "parameters" in values and layer.parameters.get("look") == GRADE:
         space = session.original.color_space
         carried = {SELECTION: layer.parameters[SELECTION]} if SELECTION in layer.parameters else {}
@@ -92,8 +92,8 @@ def set_layer(context: CommandContext, request: LayerSet) -> LayerMade:
         values["parameters"] = GradeSettings.from_dict({**sliders, "space": space}).to_dict() | carried
     with progress(context, "layers"):
         _preview_blend(context, request)
-        session.set(request.layer, gesture=request.gesture, **values)
-    return layer_made(context, request.layer, python_line("session.set", request.layer, **values))
+        session.layers.set(request.layer, gesture=request.gesture, **values)
+    return layer_made(context, request.layer, python_line("session.layers.set", request.layer, **values))
 
 
 def _preview_blend(context: CommandContext, request: LayerSet) -> None:
@@ -101,7 +101,7 @@ def _preview_blend(context: CommandContext, request: LayerSet) -> None:
     if request.opacity is None and request.blend is None and request.visible is None:
         return
     snapshot = context.studio.session.snapshot
-    preview = context.studio.session.blend_preview(
+    preview = context.studio.session.layers.blend_preview(
         request.layer, opacity=request.opacity, blend=request.blend, visible=request.visible
     )
     if preview is None or not len(preview[0]):
@@ -142,21 +142,21 @@ class MaskSet(Command):
 @command(MaskSet, writes=True)
 def set_mask(context: CommandContext, request: MaskSet) -> LayerMade:
     session = context.studio.session
-    before = session.layer(request.layer).mask
+    before = session.layers.by_id(request.layer).mask
     with progress(context, "mask"):
         if request.mask == "area":
             if request.camera is None or request.area is None:
                 raise ValueError("mask: expected a camera and an area; select something on a view")
             camera = request.camera.to_camera()
             shows = mask_from_upload(context, request.area, camera).astype(np.float32)
-            session.mask_area(request.layer, camera, shows)
+            session.masks.set_area(request.layer, camera, shows)
         elif request.mask == "selection":
             weights = context.studio.selection.weights()
             if weights is None:
                 raise ValueError("mask: nothing is selected; select something first")
-            session.mask_selection(request.layer, weights)
+            session.masks.set_selection(request.layer, weights)
             return layer_made(
-                context, request.layer, python_line("session.mask_selection", request.layer, RawExpr("weights"))
+                context, request.layer, python_line("session.masks.set_selection", request.layer, RawExpr("weights"))
             )
         else:
             mask: LayerMask | None = LayerMask(shows=request.mask != "hide")
@@ -167,8 +167,8 @@ def set_mask(context: CommandContext, request: MaskSet) -> LayerMade:
             elif request.mask in ("height", "slope", "coverage", "curvature"):
                 axis = up_axis(session)
                 mask = LayerMask(parts=(by_rule(request.mask, request.low, request.high, request.soft, axis),))
-            session.set_mask(request.layer, mask, what=f"mask ({request.mask})", gesture=request.gesture)
-    return layer_made(context, request.layer, python_line("session.set_mask", request.layer, RawExpr("mask")))
+            session.masks.set(request.layer, mask, what=f"mask ({request.mask})", gesture=request.gesture)
+    return layer_made(context, request.layer, python_line("session.masks.set", request.layer, RawExpr("mask")))
 
 
 class LayerMove(Command):
@@ -182,8 +182,8 @@ class LayerMove(Command):
 @command(LayerMove, writes=True)
 def move_layer(context: CommandContext, request: LayerMove) -> Answer:
     with progress(context, "layers"):
-        context.studio.session.move(request.layer, request.to)
-    return Answer(python=python_line("session.move", request.layer, request.to))
+        context.studio.session.layers.move(request.layer, request.to)
+    return Answer(python=python_line("session.layers.move", request.layer, request.to))
 
 
 class LayerDuplicate(Command):
@@ -195,8 +195,8 @@ class LayerDuplicate(Command):
 @command(LayerDuplicate, writes=True)
 def duplicate_layer(context: CommandContext, request: LayerDuplicate) -> LayerMade:
     with progress(context, "layers"):
-        layer = context.studio.session.duplicate(request.layer)
-    return layer_made(context, layer.id, python_line("session.duplicate", request.layer))
+        layer = context.studio.session.layers.duplicate(request.layer)
+    return layer_made(context, layer.id, python_line("session.layers.duplicate", request.layer))
 
 
 class LayerDelete(Command):
@@ -207,8 +207,8 @@ class LayerDelete(Command):
 @command(LayerDelete, writes=True)
 def delete_layer(context: CommandContext, request: LayerDelete) -> Answer:
     with progress(context, "layers"):
-        context.studio.session.delete(request.layer)
-    return Answer(python=python_line("session.delete", request.layer))
+        context.studio.session.layers.delete(request.layer)
+    return Answer(python=python_line("session.layers.delete", request.layer))
 
 
 class LayerMerge(Command):
@@ -223,8 +223,8 @@ class LayerMerge(Command):
 @command(LayerMerge, writes=True)
 def merge_layers(context: CommandContext, request: LayerMerge) -> LayerMade:
     with progress(context, "layers"):
-        layer = context.studio.session.merge(request.layers, request.name)
-    return layer_made(context, layer.id, python_line("session.merge", request.layers, name=request.name))
+        layer = context.studio.session.layers.merge(request.layers, request.name)
+    return layer_made(context, layer.id, python_line("session.layers.merge", request.layers, name=request.name))
 
 
 class LayerExport(Command):
@@ -238,10 +238,10 @@ class LayerExport(Command):
 @command(LayerExport)
 def export_layer(context: CommandContext, request: LayerExport) -> Exported:
     studio = context.studio
-    name = "".join(c if c.isalnum() or c in "-_ " else "_" for c in studio.session.layer(request.layer).name)
+    name = "".join(c if c.isalnum() or c in "-_ " else "_" for c in studio.session.layers.by_id(request.layer).name)
     path = studio.downloads.folder() / f"{name.strip()[:60] or 'layer'}.splatlayer"
-    studio.session.export_layer(request.layer, path)
-    line = python_line("session.export_layer", request.layer, path.name)
+    studio.session.files.export_layer(request.layer, path)
+    line = python_line("session.files.export_layer", request.layer, path.name)
     return Exported(url=studio.downloads.add(path), file=path.name, bytes=path.stat().st_size, python=line)
 
 
@@ -257,8 +257,8 @@ class LayerImport(Command):
 def import_layer(context: CommandContext, request: LayerImport) -> LayerMade:
     blob = context.studio.blobs.get(request.blob, "layer")
     with progress(context, "layers"), naming_errors(blob.path, blob.name or "layer"):
-        layer = context.studio.session.import_layer(blob.path)
-    return layer_made(context, layer.id, python_line("session.import_layer", blob.name or "layer.splatlayer"))
+        layer = context.studio.session.files.import_layer(blob.path)
+    return layer_made(context, layer.id, python_line("session.files.import_layer", blob.name or "layer.splatlayer"))
 
 
 class Undo(Command):
@@ -272,7 +272,7 @@ def undo(context: CommandContext, request: Undo) -> Answer:
     if context.studio.selection.undo():
         return Answer()
     session = context.studio.session
-    label = session.history[session.cursor].label
+    label = session.history[session.history.cursor].label
     with progress(context, "undo"):
         if session.undo():
             context.notice = f"Another window undid: {label}."
@@ -293,7 +293,7 @@ def redo(context: CommandContext, request: Redo) -> Answer:
     session = context.studio.session
     with progress(context, "redo"):
         if session.redo():
-            context.notice = f"Another window redid: {session.history[session.cursor].label}."
+            context.notice = f"Another window redid: {session.history[session.history.cursor].label}."
     context.studio.selection.follow()
     return Answer(python="session.redo()")
 
@@ -309,10 +309,10 @@ class Jump(Command):
 def jump_in_history(context: CommandContext, request: Jump) -> Answer:
     session = context.studio.session
     with progress(context, "history"):
-        session.jump(request.cursor)
-    context.notice = f"Another window jumped in the history to: {session.history[session.cursor].label}."
+        session.history.jump(request.cursor)
+    context.notice = f"Another window jumped in the history to: {session.history[session.history.cursor].label}."
     context.studio.selection.follow()
-    return Answer(python=python_line("session.jump", request.cursor))
+    return Answer(python=python_line("session.history.jump", request.cursor))
 
 
 class ConflictsListed(Answer):
@@ -326,7 +326,7 @@ class ConflictsList(Command):
 
 @command(ConflictsList)
 def list_conflicts(context: CommandContext, request: ConflictsList) -> ConflictsListed:
-    return ConflictsListed(conflicts=conflict_infos(context.studio.session), python="session.conflicts()")
+    return ConflictsListed(conflicts=conflict_infos(context.studio.session), python="session.layers.conflicts()")
 
 
 class ConflictSet(Command):
@@ -342,5 +342,5 @@ class ConflictSet(Command):
 def set_conflict(context: CommandContext, request: ConflictSet) -> Answer:
     args = (request.lower, request.upper, request.policy)
     with progress(context, "layers"):
-        context.studio.session.resolve_conflict(*args)
-    return Answer(python=python_line("session.resolve_conflict", *args))
+        context.studio.session.layers.resolve_conflict(*args)
+    return Answer(python=python_line("session.layers.resolve_conflict", *args))

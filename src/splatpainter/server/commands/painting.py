@@ -53,9 +53,9 @@ from splatpainter.server.protocol import (
 from splatpainter.server.stroke import Stroke
 from splatpainter.server.studio import Studio
 from splatpainter.session import Session
-from splatpainter.session.compose import WITHIN
-from splatpainter.session.document import PLACED, SELECTION, SOURCE, SPREAD_THRESHOLD, Blend, Kind
-from splatpainter.session.mirror_plane import mirrored_camera, parsed_plane
+from splatpainter.session.document.document import PLACED, SELECTION, SOURCE, SPREAD_THRESHOLD, Blend, Kind
+from splatpainter.session.measures.mirror_plane import mirrored_camera, parsed_plane
+from splatpainter.session.replay.compose import WITHIN
 
 MIN_MIRRORED_ALPHA = 0.5
 """The asset's, somewhere under the mirrored half of a stroke; else there is nothing to paint on."""
@@ -96,7 +96,7 @@ class PaintBegin(Command):
 @command(PaintBegin)
 def begin(context: CommandContext, request: PaintBegin) -> StrokeStarted:
     session = context.studio.session
-    beneath = None if request.layer is None or request.kind != "erase" else session.below(request.layer)
+    beneath = None if request.layer is None or request.kind != "erase" else session.layers.below(request.layer)
     camera = request.camera.to_camera()
     selected = context.studio.selection.view(camera)
     stroke = Stroke(camera, request.kind == "erase", session, beneath, selected)
@@ -205,10 +205,10 @@ def end(context: CommandContext, request: PaintEnd) -> LayerMade:
     kind = "erase" if stroke.erase else "paint"
     parameters: dict[str, Any] = {} if stroke.erase else dict(request.limits.parameters())
     with progress(context, "painting"):
-        if request.layer is not None and session.layer(request.layer).kind != "erase":
-            splats = session.painted_on(request.layer)
+        if request.layer is not None and session.layers.by_id(request.layer).kind != "erase":
+            splats = session.strokes.painted_on(request.layer)
         elif request.replaces is not None:
-            splats = session.below(request.replaces)
+            splats = session.layers.below(request.replaces)
         else:
             splats = session.splats
         snapshot = session.snapshot
@@ -222,8 +222,8 @@ def end(context: CommandContext, request: PaintEnd) -> LayerMade:
         if half is not None and (half.mask & (render_alpha(splats, half.camera) > MIN_MIRRORED_ALPHA)).any():
             image = half.over(render_display(splats, half.camera)).astype(np.float32)
             edits.append(Edit(from_display(image, splats.color_space), half.camera, half.mask, request.name))
-        if request.layer is not None and session.layer(request.layer).kind == "erase":
-            if not session.erases_on(request.layer, [edit.camera for edit in edits]):
+        if request.layer is not None and session.layers.by_id(request.layer).kind == "erase":
+            if not session.strokes.erases_on(request.layer, [edit.camera for edit in edits]):
                 taken = {layer.name for layer in session.layers}
                 names = (f"{request.name} {k}" if k > 1 else request.name for k in count(1))
                 name = next(name for name in names if name not in taken)
@@ -253,10 +253,10 @@ def _masked(context: CommandContext, request: PaintEnd, stroke: Stroke) -> Layer
         raise ValueError("mask: expected the layer whose mask is painted")
     shows, share = stroke.rgba[..., 0].astype(np.float32) / 255, stroke.rgba[..., 3].astype(np.float32) / 255
     with progress(context, "mask"):
-        layer = context.studio.session.paint_mask(request.layer, stroke.camera, shows, share, name=request.name)
+        layer = context.studio.session.masks.paint(request.layer, stroke.camera, shows, share, name=request.name)
     context.page.strokes.pop(request.stroke, None)
     context.clear_preview = True
-    line = python_line("session.paint_mask", layer.id, *map(RawExpr, ("camera", "shows", "share")))
+    line = python_line("session.masks.paint", layer.id, *map(RawExpr, ("camera", "shows", "share")))
     return layer_made(context, layer.id, line)
 
 
@@ -273,21 +273,23 @@ def _committed(
         parameters = {**parameters, PLACED: request.placed.model_dump()}
     if request.replaces is not None:
         options: dict[str, Any] = {"name": request.name, "parameters": parameters}
-        layer = session.replace_views(request.replaces, edits, **options, gesture=request.gesture, attached=attached).id
-        return layer, python_line("session.replace_views", layer, words, **options)
-    if request.layer is not None and kind == session.layer(request.layer).kind == "erase":
-        layer = session.erase_more(request.layer, edits, name=request.name).id
-        return layer, python_line("session.erase_more", layer, words, name=request.name)
+        layer = session.layers.replace_views(
+            request.replaces, edits, **options, gesture=request.gesture, attached=attached
+        ).id
+        return layer, python_line("session.layers.replace_views", layer, words, **options)
+    if request.layer is not None and kind == session.layers.by_id(request.layer).kind == "erase":
+        layer = session.strokes.erase_more(request.layer, edits, name=request.name).id
+        return layer, python_line("session.strokes.erase_more", layer, words, name=request.name)
     if request.layer is not None or request.into_new is not None:
         options = {"name": request.name, "kind": kind, "method": request.method}
         options |= {"parameters": parameters} if parameters else {}
         layer, line = request.layer, ""
         if layer is None:
-            layer = session.first_stroke(request.into_new, edits, **options).id
-            line = f"layer = session.new_layer({request.into_new!r}); "
+            layer = session.strokes.paint_new(request.into_new, edits, **options).id
+            line = f"layer = session.layers.new({request.into_new!r}); "
         else:
-            session.paint(layer, edits, **options)
-        return layer, line + python_line("session.paint", layer, words, **options)
+            session.strokes.paint(layer, edits, **options)
+        return layer, line + python_line("session.strokes.paint", layer, words, **options)
     options = {"name": request.name, "method": request.method, "opacity": request.opacity, "blend": request.blend}
     if request.spread is not None:
         options |= {"mode": "spread", "method": "auto"}
@@ -296,7 +298,9 @@ def _committed(
             parameters[SELECTION] = stored[0]
             attached.append(stored[1])
     options |= {"parameters": parameters} if parameters else {}
-    return session.add(kind, edits, **options, attached=attached).id, python_line("session.add", kind, words, **options)
+    return session.layers.add(kind, edits, **options, attached=attached).id, python_line(
+        "session.layers.add", kind, words, **options
+    )
 
 
 class PaintCancel(Command):
@@ -380,19 +384,19 @@ def add_edit(context: CommandContext, request: EditAdd) -> LayerMade:
         if request.spread is not None:
             options["parameters"] = {**options.get("parameters", {}), SPREAD_THRESHOLD: request.spread}
     if request.replaces is not None:
-        name = session.layer(request.replaces).name
+        name = session.layers.by_id(request.replaces).name
         with progress(context, name):
-            layer = session.replace_views(request.replaces, edits, parameters=options.get("parameters", {}))
-        line = python_line("session.replace_views", layer.id, [RawExpr("sp.Edit(picture, camera, mask)")])
+            layer = session.layers.replace_views(request.replaces, edits, parameters=options.get("parameters", {}))
+        line = python_line("session.layers.replace_views", layer.id, [RawExpr("sp.Edit(picture, camera, mask)")])
         context.clear_preview = True
         return layer_made(context, layer.id, line)
     with progress(context, "editing"):
-        layer = session.add(request.kind, edits, **options)
+        layer = session.layers.add(request.kind, edits, **options)
     if request.stroke is not None:
         context.page.strokes.pop(request.stroke, None)
     context.clear_preview = True
     words = [RawExpr(f"sp.Edit(picture{k or ''}, camera{k or ''}, mask{k or ''})") for k in range(len(edits))]
-    return layer_made(context, layer.id, python_line("session.add", request.kind, words, **options))
+    return layer_made(context, layer.id, python_line("session.layers.add", request.kind, words, **options))
 
 
 def within_selection(studio: Studio, edit: Edit, required: bool = True) -> Edit | None:

@@ -10,7 +10,7 @@ from splatpainter.server import picking
 from splatpainter.server.commands.context import CommandContext, RawExpr, command, layer_made, progress, python_line
 from splatpainter.server.protocol import CameraInfo, Command, LayerMade, Name
 from splatpainter.session import Session
-from splatpainter.session.relief import CopyAnchor, Relief
+from splatpainter.session.replay.relief import CopyAnchor, Relief
 
 
 class ReliefStamp(Command):
@@ -38,8 +38,9 @@ def stamp(context: CommandContext, request: ReliefStamp) -> LayerMade:
     target, depth = surface_point(session, camera, request.x, request.y, "target")
     relief = Relief(source, target, request.radius * depth / camera.fx)
     with progress(context, request.name):
-        layer = session.copy(relief, request.name)
-    line = python_line("session.copy", RawExpr(f"Relief(source, target, {relief.radius:.4g})"), request.name)
+        layer = session.layers.copy_relief(relief, request.name)
+    relief_line = RawExpr(f"Relief(source, target, {relief.radius:.4g})")
+    line = python_line("session.layers.copy_relief", relief_line, request.name)
     return layer_made(context, layer.id, line)
 
 
@@ -51,7 +52,7 @@ def surface_point(session: Session, camera: Camera, x: float, y: float, what: st
     _, hit = picking.pick(splats, camera, x, y)
     if hit is None:
         raise ValueError(f"copy: there is nothing of the asset at the {what}; click on the asset")
-    table, block = session.surface_blocks(camera)
+    table, block = session.surface.blocks(camera)
     seen = table[min(int(y / block), len(table) - 1), min(int(x / block), table.shape[1] - 1)]
     ray = camera.sight_lines(np.array([x, y]))
     trusted = seen[0] > 0

@@ -20,8 +20,8 @@ from splatpainter.server.commands.context import (
 from splatpainter.server.commands.files import folder_file
 from splatpainter.server.protocol import Answer, Blob, Command, FileName, LayerMade, Name, Point
 from splatpainter.server.uploads.storage import demo
-from splatpainter.session.asset_files import write_original
-from splatpainter.session.scratch import scratch_folder
+from splatpainter.session.project.asset_files import write_original
+from splatpainter.session.project.scratch import scratch_folder
 
 
 class AssetAdded(Answer):
@@ -61,8 +61,8 @@ def add_asset(context: CommandContext, request: AssetAdd) -> AssetAdded:
             asset, name, frame = demo(), "demo", "auto"
         if not request.demo:
             stack.enter_context(naming_errors(asset, name))  # type: ignore[arg-type]
-        added = studio.session.add_asset(asset, name=name, frame=frame)
-    return AssetAdded(asset=added.id, python=python_line("session.add_asset", name))
+        added = studio.session.scene.add(asset, name=name, frame=frame)
+    return AssetAdded(asset=added.id, python=python_line("session.scene.add", name))
 
 
 class AssetSet(Command):
@@ -83,7 +83,8 @@ class AssetSet(Command):
 @command(AssetSet, writes=True)
 def set_asset(context: CommandContext, request: AssetSet) -> Answer:
     session = context.studio.session
-    before = session.asset(request.asset).placement
+    offsets = session.scene.original_of(request.asset).offset, session.original.offset  # the page works beside them
+    before = session.scene.asset(request.asset).placement.between(*offsets)
     values: dict[str, Any] = {}
     if request.move is not None or request.turn is not None or request.scale is not None:
         (x, y, z), (a, b, c) = request.move or before.move, request.turn or before.turn
@@ -91,12 +92,12 @@ def set_asset(context: CommandContext, request: AssetSet) -> Answer:
         placement = Placement.of((x, y, z), (a, b, c), scale)
         if request.turn is None:
             placement = Placement((x, y, z), before.quat, scale)
-        values["placement"] = placement
+        values["placement"] = placement.in_world(*offsets)
     values |= {key: value for key in ("name", "visible") if (value := getattr(request, key)) is not None}
     with progress(context, "moving"):
-        session.set_asset(request.asset, gesture=request.gesture, **values)
+        session.scene.set(request.asset, gesture=request.gesture, **values)
     words = {key: RawExpr(f"sp.{value!r}") if key == "placement" else value for key, value in values.items()}
-    return Answer(python=python_line("session.set_asset", request.asset, **words))
+    return Answer(python=python_line("session.scene.set", request.asset, **words))
 
 
 class AssetRemove(Command):
@@ -108,8 +109,8 @@ class AssetRemove(Command):
 
 @command(AssetRemove, writes=True)
 def remove_asset(context: CommandContext, request: AssetRemove) -> Answer:
-    context.studio.session.remove_asset(request.asset)
-    return Answer(python=python_line("session.remove_asset", request.asset))
+    context.studio.session.scene.remove(request.asset)
+    return Answer(python=python_line("session.scene.remove", request.asset))
 
 
 class AssetMatchSeam(Command):
@@ -125,5 +126,6 @@ class AssetMatchSeam(Command):
 @command(AssetMatchSeam, writes=True)
 def match_colors(context: CommandContext, request: AssetMatchSeam) -> LayerMade:
     with progress(context, "matching colours"):
-        layer = context.studio.session.match_seam(request.asset, falloff=request.falloff)
-    return layer_made(context, layer.id, python_line("session.match_seam", request.asset, falloff=request.falloff))
+        layer = context.studio.session.scene.match_seam(request.asset, falloff=request.falloff)
+    line = python_line("session.scene.match_seam", request.asset, falloff=request.falloff)
+    return layer_made(context, layer.id, line)

@@ -23,9 +23,9 @@ from splatpainter.server.commands.context import (
 )
 from splatpainter.server.protocol import Answer, Blob, CameraInfo, Command, LayerMade, Name, Point, Unit
 from splatpainter.server.uploads.image_registration import png_bytes
-from splatpainter.session import selection as tools
-from splatpainter.session import selection_space as space
-from splatpainter.session.selection import Attribute, Combine
+from splatpainter.session.selection import selection as tools
+from splatpainter.session.selection import selection_space as space
+from splatpainter.session.selection.selection import Attribute, Combine
 
 MAX_RADIUS_SHARE = 1.0
 """Largest share of the asset's radius by which a selection may grow, shrink or be feathered at a time."""
@@ -101,7 +101,7 @@ class SelectByAttribute(Command):
 @command(SelectByAttribute, writes=True)
 def select_by_attribute(context: CommandContext, request: SelectByAttribute) -> Selected:
     session, camera = context.studio.session, request.camera.to_camera()
-    up = np.array(UPS[session.up], float)
+    up = np.array(UPS[session.scene.up], float)
     weights = tools.by_attribute(session.splats, request.attribute, request.low, request.high, camera, up)
     _apply(context, weights, request.how)
     args = f"{request.attribute!r}, {request.low:g}, {request.high:g}"
@@ -183,8 +183,8 @@ def save_selection(context: CommandContext, request: SelectionSave) -> Answer:
     weights = context.studio.selection.weights()
     if weights is None:
         raise ValueError("selection: nothing is selected; select something first")
-    context.studio.session.save_selection(request.name, weights)
-    return Answer(python=python_line("session.save_selection", request.name, RawExpr("weights")))
+    context.studio.session.selections.save(request.name, weights)
+    return Answer(python=python_line("session.selections.save", request.name, RawExpr("weights")))
 
 
 class SelectionRecall(Command):
@@ -198,8 +198,8 @@ class SelectionRecall(Command):
 
 @command(SelectionRecall, writes=True)
 def recall_selection(context: CommandContext, request: SelectionRecall) -> Selected:
-    _apply(context, context.studio.session.selection(request.name), request.how)
-    return _selected(context, python_line("weights = session.selection", request.name))
+    _apply(context, context.studio.session.selections.load(request.name), request.how)
+    return _selected(context, python_line("weights = session.selections.load", request.name))
 
 
 class SelectionDelete(Command):
@@ -211,8 +211,8 @@ class SelectionDelete(Command):
 
 @command(SelectionDelete, writes=True)
 def delete_selection(context: CommandContext, request: SelectionDelete) -> Answer:
-    context.studio.session.delete_selection(request.name)
-    return Answer(python=python_line("session.delete_selection", request.name))
+    context.studio.session.selections.delete(request.name)
+    return Answer(python=python_line("session.selections.delete", request.name))
 
 
 class SelectionViewed(Answer):
@@ -265,9 +265,9 @@ def hide_selection(context: CommandContext, request: SelectionHide) -> LayerMade
     if request.rest:
         weights = tools.inverted(session.splats, weights)
     with progress(context, request.name):
-        layer = session.hide(weights, request.name)
+        layer = session.layers.hide_selected(weights, request.name)
     current.choose(None)
-    return layer_made(context, layer.id, python_line("session.hide", RawExpr("weights"), request.name))
+    return layer_made(context, layer.id, python_line("session.layers.hide_selected", RawExpr("weights"), request.name))
 
 
 def _apply(context: CommandContext, weights: np.ndarray, how: Combine) -> None:

@@ -35,8 +35,8 @@ from splatpainter.server.protocol import (
 )
 from splatpainter.server.uploads import image_registration as registration
 from splatpainter.server.work_queue import Cancelled
-from splatpainter.session.document import Layer
-from splatpainter.session.source_layers import add_source_views
+from splatpainter.session.commands.source_layers import add_source_views
+from splatpainter.session.document.document import Layer
 from splatpainter.source_edits.coverage import ViewPlan, plan_views
 from splatpainter.source_edits.edit import BACKGROUND, source_record
 from splatpainter.source_edits.view_edit import MAX_PROMPT_CHARACTERS, SourceBrief, ask_for_edit
@@ -325,7 +325,7 @@ def cover_by_source(context: CommandContext, request: SourceCover) -> SourceCove
         notes.append("another project was opened meanwhile; the painted layers are in the previous one")
     brief_line = f"SourceBrief({request.prompt!r})" if request.prompt else "SourceBrief()"
     return SourceCovered(
-        layers=[layer_info(session, session.layer(layer.id)) for layer in added.layers],
+        layers=[layer_info(session, session.layers.by_id(layer.id)) for layer in added.layers],
         painted=len(added.sourced_views.edits),
         cancelled=added.sourced_views.cancelled,
         refused=[

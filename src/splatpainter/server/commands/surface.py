@@ -6,12 +6,12 @@ import base64
 
 from pydantic import Field
 
-from splatpainter.painter import LOW_ASIDE_DB, MIN_ASIDE_COVERED
+from splatpainter.painting.edit_receipt import LOW_ASIDE_DB, MIN_ASIDE_COVERED
 from splatpainter.server.commands.context import CommandContext, command
 from splatpainter.server.describe import up_axis
 from splatpainter.server.palette import MAX_COLORS, main_colors
 from splatpainter.server.protocol import Answer, CameraInfo, Command, Point, Rgb, Unit
-from splatpainter.session.mirror_plane import find_mirror_plane
+from splatpainter.session.measures.mirror_plane import find_mirror_plane
 
 
 class SurfaceSeen(Answer):
@@ -34,7 +34,7 @@ class ViewSurface(Command):
 
 @command(ViewSurface)
 def view_surface(context: CommandContext, request: ViewSurface) -> SurfaceSeen:
-    table, block = context.studio.session.surface_blocks(request.camera.to_camera())
+    table, block = context.studio.session.surface.blocks(request.camera.to_camera())
     rows, columns = table.shape[:2]
     data = base64.b64encode(table.astype("<f4").tobytes()).decode()
     return SurfaceSeen(block=block, columns=columns, rows=rows, data=data)
@@ -99,7 +99,7 @@ class AsideScored(Command):
 
 @command(AsideScored, background=True)
 def score_aside(context: CommandContext, request: AsideScored) -> AsideSeen:
-    scores = context.studio.session.aside(request.layer)
+    scores = context.studio.session.strokes.side_scores(request.layer)
     values = [score.psnr for score in scores if score.psnr is not None and score.covered > MIN_ASIDE_COVERED]
     worst = min(values, default=None)
     return AsideSeen(psnr=worst, low=worst is not None and worst < LOW_ASIDE_DB)

@@ -29,10 +29,10 @@ from splatpainter.server.protocol import (
     Rgb,
 )
 from splatpainter.server.uploads.image_registration import png_bytes
-from splatpainter.session.asset_files import view_files_of
-from splatpainter.session.conflicts import PREDICTED, SEEN
-from splatpainter.session.conflicts import coverage as covered
-from splatpainter.session.layer_factory import spread_options_of
+from splatpainter.session.document.layer_factory import spread_options_of
+from splatpainter.session.project.asset_files import view_files_of
+from splatpainter.session.replay.conflicts import PREDICTED, SEEN
+from splatpainter.session.replay.conflicts import coverage as covered
 from splatpainter.view_files import Aov, PictureOptions
 
 MAX_EXPORT_PIXELS = 1 << 24
@@ -68,7 +68,7 @@ def render_view(context: CommandContext, request: ViewRender) -> PictureMade:
     studio, camera = context.studio, request.camera.to_camera()
     splats = studio.session.splats if request.which == "now" else studio.original
     if request.below is not None:
-        splats = studio.session.below(request.below)
+        splats = studio.session.layers.below(request.below)
     blob = studio.blobs.put(png_bytes(render_display(splats, camera, request.profile), camera), "render.png")
     keyword = "" if request.profile == "inria" else f", profile={request.profile!r}"
     return PictureMade(picture=blob.sha256, python=f"sp.render(session.splats, camera{keyword})")
@@ -136,7 +136,7 @@ def export_view(context: CommandContext, request: ViewExport) -> ViewExported:
     studio.exports.append(NamedView(first, sized, thumbnail(image)))
     keywords = {"bits": bits, "transparent": request.transparent, "aovs": list(aovs) or None}
     keywords["profile"] = None if request.profile == "inria" else request.profile
-    line = python_line("session.export_view", first, RawExpr("camera"), **keywords)
+    line = python_line("session.files.export_view", first, RawExpr("camera"), **keywords)
     return ViewExported(picture=blob.sha256, file=file, url=url, name=download, python=line)
 
 
@@ -225,7 +225,7 @@ def coverage(context: CommandContext, request: CoverageShow) -> Covered:
         predicted=int((kinds == PREDICTED).sum()),
         picture=studio.blobs.put(png_bytes(picture), "coverage.png").sha256,
         next_view=None if view is None else CameraInfo.of(view),
-        python="session.coverage()",
+        python="session.layers.coverage()",
     )
 
 
@@ -248,13 +248,13 @@ def show_spread(context: CommandContext, request: SpreadShow) -> ConfidencePictu
     from splatpainter.spread.overlay import confidence_overlay
 
     studio, session = context.studio, context.studio.session
-    confidence, splats = session.confidence(request.layer), session.splats
+    confidence, splats = session.layers.confidence(request.layer), session.splats
     if len(confidence) != len(splats):
         raise ValueError("spread: the asset has changed meanwhile; ask again")
-    threshold = spread_options_of(session.layer(request.layer).parameters, "spread").threshold
+    threshold = spread_options_of(session.layers.by_id(request.layer).parameters, "spread").threshold
     picture = confidence_overlay(splats, confidence, threshold, request.camera.to_camera())
     blob = studio.blobs.put(png_bytes(picture), "confidence.png")
-    return ConfidencePicture(picture=blob.sha256, python=python_line("session.confidence", request.layer))
+    return ConfidencePicture(picture=blob.sha256, python=python_line("session.layers.confidence", request.layer))
 
 
 class LeftOut(Answer):
@@ -277,8 +277,8 @@ class LimitsShow(Command):
 @command(LimitsShow)
 def show_limits(context: CommandContext, request: LimitsShow) -> LeftOut:
     studio, limits = context.studio, request.limits.parameters()
-    mask = studio.session.left_out(request.camera.to_camera(), **limits)
+    mask = studio.session.surface.left_out(request.camera.to_camera(), **limits)
     picture = np.where(mask[..., None], np.uint8(255), np.uint8(0)).repeat(4, 2)
     blob = studio.blobs.put(png_bytes(picture), "limits.png")
-    line = python_line("session.left_out", RawExpr("camera"), **limits)
+    line = python_line("session.surface.left_out", RawExpr("camera"), **limits)
     return LeftOut(picture=blob.sha256, pixels=int(mask.sum()), python=line)

@@ -26,9 +26,9 @@ from splatpainter.io import files, format_of_name, read, write
 from splatpainter.io.axes import flip
 from splatpainter.jsonio import brief
 from splatpainter.server.uploads.upload_sniffing import UploadInfo, sniff
-from splatpainter.session.disk_probe import NO_LOCKS, locks_refused
-from splatpainter.session.project_summary import ProjectSummary, summarize
-from splatpainter.session.scratch import ScratchFolder
+from splatpainter.session.project.disk_probe import NO_LOCKS, locks_refused
+from splatpainter.session.project.project_summary import ProjectSummary, summarize
+from splatpainter.session.project.scratch import ScratchFolder
 from splatpainter.splats import Splats
 from splatpainter.user_folders import PROJECTS_VARIABLE, cache_folder, projects_folder
 

@@ -1,0 +1,284 @@
+"""The ways in which an edit is made, one class each: what it starts from, what it makes of that, what receipts say.
+
+All of them start from the analytic lift. `method_for` is the only place that knows which mode, method and networks make
+which class.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import numpy as np
+
+from splatpainter.nn.precision import Arithmetic
+from splatpainter.painting.asset import Asset
+from splatpainter.painting.edit_settings import EditSettings
+from splatpainter.painting.edited_picture import Edit, Method, Mode
+from splatpainter.painting.networks import Networks
+from splatpainter.receipts import StageClock
+from splatpainter.splats import Splats
+
+if TYPE_CHECKING:
+    from splatpainter.lift.edit_views import EditView
+    from splatpainter.lift.edits import LiftedEdit
+    from splatpainter.lift.global_edit import Predict
+    from splatpainter.lift.options import ResidualBase
+
+PREDICTOR = "predictor"
+"""What receipts call global edits that networks make without test-time training."""
+
+
+@dataclass(frozen=True)
+class EditMethod:
+    """The analytic lift, local or global; others are made of it."""
+
+    mode: Mode
+    settings: EditSettings
+    encodes: ClassVar[bool] = False
+    """Whether it works on an encoded asset."""
+
+    @property
+    def ran(self) -> str:
+        """What receipts say made the edit."""
+        return "lift"
+
+    @property
+    def names_its_gaussians(self) -> bool:
+        """Whether nothing changes but the Gaussians that the lift names, all of them near the edits' masks."""
+        return self.mode == "local"
+
+    @property
+    def arithmetic(self) -> Arithmetic | Literal[""]:
+        """The arithmetic of the networks; "" where none runs."""
+        return ""
+
+    def notes(self, asset: Asset) -> list[str]:
+        """Lines for the receipt."""
+        return []
+
+    def start(self, asset: Asset, edits: Sequence[Edit]) -> Asset:
+        """The asset as this method needs it. Raises ValueError for edits that it cannot be made with."""
+        return asset
+
+    def lift(self, asset: Asset, views: Sequence[EditView]) -> LiftedEdit:
+        """What the lift makes of the views; or, for networks, what they start from."""
+        return lift_locally(asset, views, self.settings) if self.mode == "local" else lift_globally(asset, views, self)
+
+    def finish(self, asset: Asset, lifted: LiftedEdit, views: Sequence[EditView], clock: StageClock) -> Asset:
+        """The edited asset, without a receipt."""
+        result = asset.child(lifted.splats, lifted.parent_ids(len(asset.splats)))
+        return replace(result, confidence=lifted.confidence)
+
+    def predict(self, asset: Asset) -> Predict | None:
+        """Who answers for Gaussians that no view of a global edit shows; None: the lift."""
+        return None
+
+
+@dataclass(frozen=True)
+class FitMethod(EditMethod):
+    """The lift, then steps of 3DGS on the Gaussians that it painted."""
+
+    @property
+    def ran(self) -> str:
+        return "fit"
+
+    @property
+    def names_its_gaussians(self) -> bool:
+        return False
+
+    def finish(self, asset: Asset, lifted: LiftedEdit, views: Sequence[EditView], clock: StageClock) -> Asset:
+        from splatpainter.fit.edited import fit_edited
+
+        result = super().finish(asset, lifted, views, clock)
+        targets = [(view.camera, view.target) for view in views]
+        result = replace(result, splats=fit_edited(asset.splats, lifted.splats, targets, lifted.ids))
+        clock.record_time("fit")
+        return result
+
+
+@dataclass(frozen=True)
+class SpreadMethod(EditMethod):
+    """The painted material in its new colour all around, and the local lift on that."""
+
+    def lift(self, asset: Asset, views: Sequence[EditView]) -> LiftedEdit:
+        from splatpainter.rendering import render
+        from splatpainter.spread.spread import SPREAD_DEFAULTS, spread
+
+        result = spread(asset.splats, views, self.settings.spread_options or SPREAD_DEFAULTS)
+        # Places have not changed, so surface and voxels are those of the asset.
+        below = replace(
+            asset, splats=result.splats, original=asset.original or asset.splats, make_grid=lambda _: asset.grid
+        )
+        vars(below)["surface"] = asset.surface
+        again = [replace(view, before=render(result.splats, view.camera).colors[0]) for view in views]
+        return result.with_lift(lift_locally(below, again, self.settings))
+
+
+@dataclass(frozen=True)
+class PredictorMethod(EditMethod):
+    """A global edit whose unseen Gaussians the predictor answers for; no test-time training."""
+
+    networks: Networks
+
+    @property
+    def ran(self) -> str:
+        return "lift" if self.networks.predictor_is_untrained else PREDICTOR
+
+    @property
+    def names_its_gaussians(self) -> bool:
+        return False
+
+    @property
+    def arithmetic(self) -> Arithmetic | Literal[""]:
+        # It solves for its weights, which are never rounded.
+        return "" if self.networks.predictor_is_untrained else "float32"
+
+    def notes(self, asset: Asset) -> list[str]:
+        polished = "polished: two rounds of the lift after the network, where they help" if self.settings.polish else ""
+        copies = self.networks.model.config.representation == "copy"
+        return [polished, f"the asset is a copy of {len(asset.splats)} Gaussians that the model made" if copies else ""]
+
+    def predict(self, asset: Asset) -> Predict | None:
+        return self.networks.predict(asset)
+
+    def finish(self, asset: Asset, lifted: LiftedEdit, views: Sequence[EditView], clock: StageClock) -> Asset:
+        result = self.network_result(asset, lifted, views, clock)
+        if self.settings.polish:
+            result = replace(result, splats=_recolored(asset.splats, result.splats, lifted, views, self.mode))
+            clock.record_time("polish")
+        return result
+
+    def network_result(self, asset: Asset, lifted: LiftedEdit, views: Sequence[EditView], clock: StageClock) -> Asset:
+        """What `finish` polishes."""
+        return super().finish(asset, lifted, views, clock)
+
+
+@dataclass(frozen=True)
+class EncodingMethod(PredictorMethod):
+    """Stage II, on an asset that the LRM and Stage I have encoded."""
+
+    encodes: ClassVar[bool] = True
+
+    @property
+    def ran(self) -> str:
+        return "ttt"
+
+    @property
+    def arithmetic(self) -> Arithmetic | Literal[""]:
+        return self.networks.arithmetic
+
+    def start(self, asset: Asset, edits: Sequence[Edit]) -> Asset:
+        from splatpainter.models.image_tokens import one_size
+
+        one_size([edit.camera for edit in edits])
+        return self.networks.encode(asset)
+
+
+@dataclass(frozen=True)
+class CarryMethod(EncodingMethod):
+    """A global edit that Stage II makes by what it says of Gaussians that no view shows, within the lift."""
+
+    def predict(self, asset: Asset) -> Predict | None:
+        return self.networks.carry(asset)
+
+
+@dataclass(frozen=True)
+class RefineMethod(EncodingMethod):
+    """Stage II and the decoder change what the lift made, local or global."""
+
+    def lift(self, asset: Asset, views: Sequence[EditView]) -> LiftedEdit:
+        config = self.networks.model.config.refine
+        if self.mode == "local":
+            # Networks have learnt on split Gaussians: no surface, no sheets.
+            return lift_locally(asset, views, self.settings, config.base, config.lift_features, sheets=False)
+        return lift_globally(asset, views, self, config.base, config.lift_features)
+
+    def network_result(self, asset: Asset, lifted: LiftedEdit, views: Sequence[EditView], clock: StageClock) -> Asset:
+        result = self.networks.refine(asset, lifted, views)
+        clock.record_time("ttt")
+        return result
+
+
+def method_for(chosen: Method, mode: Mode, networks: Networks | None, settings: EditSettings) -> EditMethod:
+    """The class that makes an edit. chosen: not "auto" (Painter.choose). Raises ValueError for a method that makes no
+    edits of that mode."""
+    if mode == "spread":
+        return SpreadMethod(mode, settings)
+    if chosen == "lift":
+        return EditMethod(mode, settings)
+    if chosen == "fit":
+        if mode == "global":
+            raise ValueError("edit: method 'fit' is for local edits; use 'lift' with mode 'global'")
+        return FitMethod(mode, settings)
+    assert networks is not None
+    config = networks.model.config
+    if mode == "global" and config.predictor_only:
+        return PredictorMethod(mode, settings, networks)
+    if mode == "global" and config.carries:
+        return CarryMethod(mode, settings, networks)
+    return RefineMethod(mode, settings, networks)
+
+
+def lift_locally(
+    asset: Asset,
+    views: Sequence[EditView],
+    settings: EditSettings,
+    base: ResidualBase = "lift",
+    features: bool = False,
+    sheets: bool = True,
+) -> LiftedEdit:
+    """The lift of local views. base, features: what a network starts from (RefineConfig); sheets: lay them on the
+    asset's surface where that is sound."""
+    from splatpainter.lift.edits import lift_local_views
+    from splatpainter.lift.options import LOCAL_DEFAULTS
+
+    options = settings.local_options or LOCAL_DEFAULTS
+    surface = asset.surface if sheets else None
+    originals = len(asset.splats if asset.original is None else asset.original)
+    # One view on a surface needs no voxels.
+    grid = None if surface is not None and options.resurface and len(views) == 1 else asset.grid
+    return lift_local_views(
+        asset.splats, grid, views, base, options, features=features, surface=surface, originals=originals
+    )
+
+
+def lift_globally(
+    asset: Asset,
+    views: Sequence[EditView],
+    method: EditMethod,
+    base: ResidualBase = "lift",
+    features: bool = False,
+) -> LiftedEdit:
+    """The lift of global views, which asks the method about Gaussians that none of them shows."""
+    from splatpainter.lift.edits import lift_global_views
+    from splatpainter.lift.options import GLOBAL_DEFAULTS
+
+    options = method.settings.global_options or GLOBAL_DEFAULTS
+    return lift_global_views(
+        asset.splats, views, base, options, features=features, normals=asset.normals, predict=method.predict(asset)
+    )
+
+
+def _recolored(before: Splats, after: Splats, lifted: LiftedEdit, views: Sequence[EditView], mode: Mode) -> Splats:
+    """Two rounds of the lift's colours on the Gaussians that the edit may change; `after`, where these bring the
+    pictures no nearer."""
+    from splatpainter.lift.colors import refine_colors_global, refine_colors_local
+
+    if mode == "global":
+        recolored = refine_colors_global(after, [(v.camera, v.edited, v.mask) for v in views])
+    else:
+        editable = np.ones(len(after), bool)
+        editable[: len(before)] = False
+        editable[lifted.ids] = True
+        recolored = refine_colors_local(after, [(v.camera, v.target) for v in views], editable)
+    return recolored if _squared_error(recolored, views) < _squared_error(after, views) else after
+
+
+def _squared_error(splats: Splats, views: Sequence[EditView]) -> float:
+    """Sum over the edited pixels of all views."""
+    from splatpainter.rendering import render
+
+    errors = (np.clip(render(splats, v.camera).colors[0], 0, 1)[v.mask] - v.edited[v.mask] for v in views)
+    return sum(float(np.square(error).sum(dtype=np.float64)) for error in errors)

@@ -1,0 +1,128 @@
+"""A painter's networks: what each of them does with an asset, without gradients and in the arithmetic asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from splatpainter.nn.precision import Arithmetic, Precision, autocast, resolve
+from splatpainter.painting.asset import Asset, EncodedAsset
+
+if TYPE_CHECKING:
+    from splatpainter.lift.edit_views import EditView
+    from splatpainter.lift.edits import LiftedEdit
+    from splatpainter.lift.global_edit import Predict
+    from splatpainter.models.model import SplatPainterModel
+
+
+@dataclass(frozen=True)
+class Networks:
+    """The trained networks of a preset."""
+
+    model: SplatPainterModel = field(repr=False)
+    precision: Precision
+    """Arithmetic (nn.precision)."""
+    cache: bool
+    """Whether encoded assets are kept on disk."""
+
+    def encode(self, asset: Asset) -> Asset:
+        """The asset with its encoding for the model; the same one where it has that already. In `copy` representation
+        its Gaussians are then Stage I's."""
+        model = self.model
+        if asset.encoding is not None and asset.encoding.model is model:
+            return asset
+        from splatpainter.models.cache import encode_cached, encode_half
+
+        with self._inference():
+            if self.cache:
+                encoded = encode_cached(model, asset.splats, asset.grid, weights=self._digest)
+            else:
+                encoded = encode_half(model, asset.splats, asset.grid)
+        if model.config.representation == "copy":
+            asset = Asset(encoded.gaussians.numpy())
+        return replace(asset, encoding=EncodedAsset(model, encoded, np.arange(len(asset.splats))))
+
+    def predict(self, asset: Asset) -> Predict | None:
+        """The predictor's answer for Gaussians that no view shows; None where it leaves that to the lift."""
+        from splatpainter.models.stored_predictor import predicting
+
+        return predicting(self.model.stored_predictor, asset.splats, asset.normals, lambda: asset.transfer)
+
+    def carry(self, asset: Asset) -> Predict:
+        """Stage II's answer for them; the asset is encoded."""
+        from splatpainter.models.edit_propagation import carrying
+
+        encoding = asset.encoding
+        assert encoding is not None
+        latents, ids = encoding.encoded.latents, encoding.encoded.latent_ids[encoding.parent_ids]
+        with self._inference():
+            predict = carrying(self.model, latents, ids, asset.splats, asset.normals, lambda: asset.transfer)
+
+        def answer(change: np.ndarray, weight: np.ndarray) -> np.ndarray:
+            with self._inference():
+                return predict(change, weight)
+
+        return answer
+
+    def refine(self, asset: Asset, lifted: LiftedEdit, views: Sequence[EditView]) -> Asset:
+        """The encoded asset after Stage II and the decoder have changed a lifted edit of it."""
+        from splatpainter.models.apply_edit import assemble, refine_edit
+
+        encoding = asset.encoding
+        assert encoding is not None
+        start = replace(lifted, parents=encoding.parent_ids[lifted.parents])
+        with self._inference():
+            state = encoding.state or self.model.initial_state()
+            facts = self._facts(asset, lifted.parents)
+            state, gaussians, children = refine_edit(self.model, state, encoding.encoded, start, views, facts)
+            splats = assemble(lifted, gaussians, children)
+        parents = lifted.parent_ids(len(asset.splats))
+        parents = parents if children is None else np.append(parents, lifted.parents)
+        after = replace(asset.child(splats, parents), confidence=lifted.confidence)
+        assert after.encoding is not None
+        return replace(after, encoding=replace(after.encoding, state=state))
+
+    @property
+    def arithmetic(self) -> Arithmetic:
+        """What Stage I and II compute in."""
+        return resolve(self.precision, next(self.model.parameters()).device)
+
+    @property
+    def predictor_is_untrained(self) -> bool:
+        """Whether global edits without Stage II are the lift's."""
+        predictor = self.model.stored_predictor
+        return predictor is None or predictor.is_untrained
+
+    def _facts(self, asset: Asset, ids: np.ndarray) -> np.ndarray | None:
+        """[J, 21] of `gaussian_facts` of these Gaussians, for a Stage II that reads them."""
+        from splatpainter.models.gaussian_facts import gaussian_facts
+
+        if not self.model.config.refine.facts:
+            return None
+        return gaussian_facts(asset.splats, asset.normals, asset.transfer)[ids]
+
+    @contextmanager
+    def _inference(self) -> Iterator[None]:
+        """No gradients, arithmetic of this precision, and eval mode; the model's own mode comes back."""
+        import torch
+
+        model = self.model
+        training = model.training
+        model.eval()
+        try:
+            with torch.inference_mode(), autocast(next(model.parameters()).device, self.precision):
+                yield
+        finally:
+            if training:
+                model.train()
+
+    @cached_property
+    def _digest(self) -> str:
+        from splatpainter.models.cache import digest
+
+        return digest(self.model)

@@ -1,0 +1,413 @@
+"""session.layers: the layers of a session, lowest first, and what can be done to them.
+
+    stroke = session.layers.add("paint", [Edit(picture, camera, mask)])
+    session.layers.set(stroke.id, opacity=0.5)
+    [layer.name for layer in session.layers]
+
+Each command is one step of the history, and on disk when it returns. Painting into a layer: session.strokes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import count
+from typing import Any, overload
+
+import numpy as np
+
+from splatpainter.holes.body import body_of
+from splatpainter.io import files
+from splatpainter.jsonio import brief
+from splatpainter.painter import Edit, Method, Mode
+from splatpainter.session.commands.scene_edits import add_to_scene, relief_on_asset
+from splatpainter.session.commands.session_core import SessionCore
+from splatpainter.session.commands.session_selections import SessionSelections
+from splatpainter.session.document.document import (
+    SELECTION,
+    SOURCE,
+    Blend,
+    Kind,
+    Layer,
+    Policy,
+    View,
+    add_layer,
+    change_layer,
+    delete_layer,
+    duplicate_layer,
+    merge_layers,
+    move_layer,
+    resolve_conflict,
+)
+from splatpainter.session.document.layer_factory import (
+    encode_mask,
+    encode_picture,
+    limits_of,
+    new_layer,
+    spread_options_of,
+    thumbnail,
+)
+from splatpainter.session.document.scene_asset import MAIN_ASSET_ID
+from splatpainter.session.replay import conflicts
+from splatpainter.session.replay.fill_layers import FILL, SELECTED, FillWhere
+from splatpainter.session.replay.fingerprint import fingerprint
+from splatpainter.session.replay.relief import Relief
+from splatpainter.session.selection.selection import Selection
+from splatpainter.splats import Splats
+
+SETTABLE = ("name", "visible", "opacity", "blend", "parameters", "method")
+"""What `set` can change."""
+
+
+class SessionLayers(Sequence[Layer]):
+    """The layers as they are now, lowest first. To hold on to those of one moment: Session.snapshot."""
+
+    def __init__(self, core: SessionCore, selections: SessionSelections) -> None:
+        self._core, self._selections = core, selections
+
+    # ---- what there is: changes nothing
+
+    def __len__(self) -> int:
+        return len(self._core.document.layers)
+
+    def __iter__(self) -> Iterator[Layer]:
+        return iter(self._core.document.layers)
+
+    @overload
+    def __getitem__(self, index: int) -> Layer: ...
+    @overload
+    def __getitem__(self, index: slice) -> tuple[Layer, ...]: ...
+    def __getitem__(self, index: int | slice) -> Layer | tuple[Layer, ...]:
+        return self._core.document.layers[index]
+
+    def by_id(self, layer: str) -> Layer:
+        """A layer by its id. Raises ValueError for an unknown one."""
+        return self._core.layer(layer)
+
+    def facts(self, layer: str) -> dict[str, Any]:
+        """What is known of a layer's last computation: rows_touched, rows_appended, seconds, method, note, views with
+        psnr_before, psnr_after, psnr_outside; "problem" where it cannot be applied. Empty for a hidden layer."""
+        return dict(self._core.snapshot.state.facts).get(layer, {})
+
+    def below(self, layer: str) -> Splats:
+        """The Gaussians below a layer."""
+        with self._core.lock:
+            return self._core.replay.compose(self._core.document.below(layer)).splats
+
+    def painted(self, name: str) -> np.ndarray:
+        """[N] float32 per Gaussian of the session: 1 where the visible layers of this name paint. Raises ValueError
+        where none does."""
+        snapshot = self._core.snapshot
+        layers = [layer for layer in snapshot.document.layers if name in (layer.name, layer.id)]
+        ids = {layer.id for layer in layers} | {leaf.id for layer in layers for leaf in layer.leaves()}
+        out = np.zeros(len(snapshot.splats), np.float32)
+        for entry in snapshot.state.edited:
+            if entry.layer.id in ids:
+                out[entry.changed] = 1
+                out[slice(*entry.appended)] = 1
+        if not out.any():
+            raise ValueError(f"layer: expected the name of a visible layer that paints, got {brief(name)}")
+        return out
+
+    def filled_by(self, layer: str) -> np.ndarray:
+        """[N] bool per Gaussian of the session: those of a fill layer. Raises ValueError for another layer, and where
+        it is hidden or changes nothing."""
+        snapshot = self._core.snapshot
+        out = np.zeros(len(snapshot.splats), bool)
+        for entry in snapshot.state.edited:
+            if entry.layer.id == layer and entry.layer.kind == "fill":
+                out[slice(*entry.appended)] = True
+        if not out.any():
+            raise ValueError(f"{self.by_id(layer).title}: expected a visible layer that fills a hole")
+        return out
+
+    def confidence(self, layer: str) -> np.ndarray:
+        """[N] float32 0..1 per Gaussian of the session: how sure a layer of mode spread is that it is of the painted
+        material (1: painted). Raises ValueError for another layer, and for one that is hidden."""
+        snapshot = self._core.snapshot
+        for entry in snapshot.state.edited:
+            if entry.layer.id == layer and entry.layer.mode == "spread" and entry.confidence is not None:
+                out = np.zeros(len(snapshot.splats), np.float32)
+                out[: len(entry.confidence)] = entry.confidence / np.float32(255)
+                return out
+        raise ValueError(f"{self.by_id(layer).title}: expected a visible layer of mode spread")
+
+    def coverage(self) -> np.ndarray:
+        """[N] uint8 per Gaussian of the session: conflicts.ORIGINAL, SEEN or PREDICTED."""
+        snapshot = self._core.snapshot
+        return conflicts.coverage(snapshot.state.edited, len(snapshot.splats))
+
+    def conflicts(self) -> list[conflicts.Conflict]:
+        """Gaussians that several layers changed from different views, and who wins."""
+        snapshot = self._core.snapshot
+        return conflicts.find_conflicts(snapshot.state.edited, snapshot.document)
+
+    def blend_preview(
+        self, layer: str, *, opacity: float | None = None, blend: Blend | None = None, visible: bool | None = None
+    ) -> tuple[np.ndarray, Splats] | None:
+        """([C] int64 ascending ids, C Gaussians): what `set` will show of a layer, where nothing has to be painted anew
+        for it, to be seen until all is done; None where that is as quick, or where it cannot be said. Ids beyond
+        `Session.splats` are of Gaussians that follow them."""
+        core = self._core
+        with core.lock:
+            document = core.document
+            values = {"opacity": opacity, "blend": blend, "visible": visible}
+            fields = {name: value for name, value in values.items() if value is not None}
+            return core.replay.blend_preview(change_layer(document, layer, **fields), layer, document)
+
+    # ---- new layers
+
+    def add(
+        self,
+        kind: Kind,
+        edits: Sequence[Edit] = (),
+        *,
+        name: str | None = None,
+        mode: Mode | None = None,
+        method: Method = "auto",
+        parameters: Mapping[str, Any] | None = None,
+        opacity: float = 1.0,
+        blend: Blend = "normal",
+        index: int | None = None,
+        attached: Sequence[bytes] = (),
+        asset: str | None = None,
+    ) -> Layer:
+        """A new layer (on top, or at an index, 0 the lowest) and its result.
+
+        kind paint, picture, clone: edits with pictures, mode local unless said; look (an adjustment layer): pictures
+        that grade everything (mode global), or parameters {"look": name, ...} with edits whose masks limit it; erase:
+        edits of which only cameras and masks count. Pictures are kept with 8 bits. A local edit without a mask gets the
+        one of what differs from the asset now. parameters {"angle_limit": degrees, "depth_edge_limit": pixels} of local
+        edits: what one view may paint, where that is not to be as the painter's LocalOptions say; {"spread_threshold":
+        confidence 0..1} of edits of mode spread: how far their material reaches (lower: further). attached: PNG bytes
+        that the parameter "placed" names as its image, kept with the layer. asset: of several, the one that it is for;
+        None: a layer for each that it reaches (that with the most pixels is returned). Raises ValueError as
+        Painter.apply does, with nothing changed."""
+        core = self._core
+        with core.command():
+            if kind == "look" and "look" in (parameters or {}):
+                method = "lift"  # no painter is asked, whose weights would be read for its name
+            method = core.painter.choose(method, mode or ("global" if kind == "look" else "local"))[0]
+            settings = {"mode": mode, "method": method, "opacity": opacity, "blend": blend}
+            settings["painter"] = fingerprint(core.painter, method)
+            if core.document.assets:
+                return add_to_scene(core, kind, edits, name, dict(parameters or {}), settings, index, attached, asset)
+            layer, blobs = new_layer(core.splats, kind, edits, name, dict(parameters or {}), settings)
+            core.transaction.blobs = blobs | {files.sha256(data): data for data in attached}
+            document, layer = add_layer(core.document, layer, index)
+            core.commit(f"add {layer.name}", document, strict=layer.id)
+            return layer
+
+    def new(self, name: str | None = None, *, index: int | None = None, asset: str = MAIN_ASSET_ID) -> Layer:
+        """An empty layer that strokes can be painted into (on top, or at an index, 0 the lowest). asset: where there
+        are several, the one that it belongs to."""
+        core = self._core
+        with core.command():
+            empty = replace(self.empty(name), asset=core.asset(asset).id)
+            document, layer = add_layer(core.document, empty, index)
+            core.commit(f"new layer {layer.name}", document)
+            return layer
+
+    def empty(self, name: str | None) -> Layer:
+        """A paint layer without an id, which is in no document yet. name: None: the next free one."""
+        taken = {layer.name for layer in self}
+        numbered = (f"Paint {k}" if k > 1 else "Paint" for k in count(1))
+        name = name or next(name for name in numbered if name not in taken)
+        return Layer("", name, "paint", method="lift", painter=fingerprint(self._core.painter, "lift"))
+
+    def hide_selected(self, weights: np.ndarray, name: str = "Hide", *, index: int | None = None) -> Layer:
+        """A layer that hides what is selected: opacities are multiplied by 1 - weight, and 0 where that is all. The
+        Gaussians stay; hiding the layer brings them back bit for bit. weights: [N] 0..1 of `Session.splats`. Raises
+        ValueError where nothing is selected."""
+        core = self._core
+        weights = core.checked_weights(weights)
+        if not weights.any():
+            raise ValueError("hide: nothing is selected")
+        with core.command():
+            document, added = core.document, []
+            for hiding in self._hiding(weights, name):
+                document, layer = add_layer(document, hiding, index)
+                added.append(layer)
+            core.commit(f"add {name}", document, strict=[layer.id for layer in added])
+            return added[0]
+
+    def copy_relief(self, relief: Relief, name: str = "Copy", *, index: int | None = None) -> Layer:
+        """A layer of Gaussians that are copied with their relief from one place of the surface to another (relief.py).
+        Raises ValueError where there is nothing to copy, or too much."""
+        core = self._core
+        with core.command():
+            asset, relief = relief_on_asset(core, relief)
+            parameters = relief.parameters()
+            clone = Layer("", name, "clone", mode="global", parameters=parameters, method="lift", asset=asset)
+            document, layer = add_layer(core.document, clone, index)
+            core.commit(f"add {layer.name}", document, strict=layer.id)
+            return layer
+
+    def fill(self, weights: np.ndarray, *, remove: bool = False, body: bool = False, name: str = "Fill") -> Layer:
+        """A layer of new Gaussians that continue the surface over a hole, in colours of what surrounds it
+        (holes/fill.py); nothing else changes. weights: [N] 0..1 of `Session.splats`: Gaussians around the hole, as
+        circling it selects them; or (remove) those that go first, by a layer below that hides them. Both layers are one
+        step of the history; where the surface behind is closed the upper one is empty, and its note says so. body: what
+        goes is the whole connected body that they are of, as far as there is one (holes/body.py). Of several assets a
+        hole is in that which most of the weights are of; what is removed goes from all, and every one is filled. Raises
+        ValueError where nothing is selected, and where there is no hole that can be filled."""
+        core = self._core
+        weights = core.checked_weights(weights)
+        if not weights.any():
+            raise ValueError("fill: nothing is selected; select what is to be removed, or circle a hole")
+        where: FillWhere = "removed" if remove else "around"
+        if remove and body:
+            chosen = body_of(core.splats.numpy(), weights >= SELECTED)
+            weights = weights if chosen is None else chosen.astype(np.float32)
+        with core.command():
+            document, added = core.document, []
+            for hiding in self._hiding(weights, f"{name}: removed")[: None if remove else 1]:
+                if remove:
+                    document, _ = add_layer(document, hiding)
+                parameters = {FILL: where, SELECTION: hiding.parameters[SELECTION]}
+                words = {"mode": "global", "parameters": parameters, "method": "lift", "asset": hiding.asset}
+                document, layer = add_layer(document, Layer("", name, "fill", **words))
+                added.append(layer)
+            core.commit("remove and fill" if remove else f"add {name}", document, strict=added[0].id)
+            return added[0]
+
+    # ---- layers changed
+
+    def set(self, layer: str, *, gesture: str | None = None, **values: Any) -> Layer:
+        """Change a layer's name, visible, opacity, blend, parameters or method (it is then painted anew, by the painter
+        of now). gesture: steps of one gesture (a slider that is dragged) in a row are one step of the history."""
+        unknown = set(values) - set(SETTABLE)
+        if unknown or not values:
+            raise ValueError(
+                f"layer: expected one of {', '.join(SETTABLE)} to set, got {', '.join(unknown) or 'nothing'}"
+            )
+        core = self._core
+        with core.command():
+            limits_of(values.get("parameters") or {}, "layer")
+            spread_options_of(values.get("parameters") or {}, "layer")
+            if "method" in values:
+                values["method"] = core.painter.choose(values["method"], core.layer(layer).mode)[0]
+                values["painter"] = fingerprint(core.painter, values["method"])
+                again = {"method": values["method"], "painter": values["painter"]}
+                values["strokes"] = tuple(replace(stroke, **again) for stroke in core.layer(layer).strokes)
+            document = change_layer(core.document, layer, **values)
+            verb = {"visible": "show" if values.get("visible") else "hide", "name": "rename"}
+            first = next(iter(values))
+            label = f"{verb.get(first, 'set ' + first)} {core.layer(layer).name}"
+            core.commit(label, document, gesture=gesture)
+            return core.layer(layer)
+
+    def move(self, layer: str, index: int) -> None:
+        """Move a layer: 0 is the lowest index."""
+        core = self._core
+        with core.command():
+            core.commit(f"move {core.layer(layer).name}", move_layer(core.document, layer, index))
+
+    def duplicate(self, layer: str) -> Layer:
+        """Add a copy of a layer right above it."""
+        core = self._core
+        with core.command():
+            document, copy = duplicate_layer(core.document, layer)
+            core.commit(f"duplicate {core.layer(layer).name}", document)
+            return copy
+
+    def delete(self, layer: str) -> None:
+        """Remove a layer from the document."""
+        core = self._core
+        with core.command():
+            core.commit(f"delete {core.layer(layer).name}", delete_layer(core.document, layer))
+
+    def merge(self, layers: Sequence[str], name: str | None = None) -> Layer:
+        """Neighbouring layers become one, which shows the same, bit for bit."""
+        core = self._core
+        with core.command():
+            document, one = merge_layers(core.document, layers, name)
+            core.commit(f"merge {len(one.layers)} layers", document)
+            return one
+
+    def resolve_conflict(self, lower: str, upper: str, policy: Policy) -> None:
+        """Who wins where two layers changed the same Gaussians: "latest" (the upper one), "first" (the lower), "blend"
+        (half of each)."""
+        core = self._core
+        with core.command():
+            core.commit(f"conflict: {policy}", resolve_conflict(core.document, lower, upper, policy))
+
+    def replace_views(
+        self,
+        layer: str,
+        edits: Sequence[Edit],
+        *,
+        name: str | None = None,
+        parameters: Mapping[str, Any] | None = None,
+        gesture: str | None = None,
+        attached: Sequence[bytes] = (),
+    ) -> Layer:
+        """Other pictures in a layer that stays where it is, with its opacity and blend: other words of a text, another
+        state of a picture. It is visible then. name, parameters: None: as they are; gesture: as of `set`; attached: as
+        of `add`. Raises ValueError as `add`, and for a layer without pictures."""
+        core = self._core
+        with core.command():
+            before = core.layer(layer)
+            if before.kind not in ("paint", "picture", "clone") or before.holds_strokes:
+                raise ValueError(f"{before.title}: expected a layer of edited pictures")
+            settings = {
+                "mode": before.mode,
+                "method": before.method,
+                "painter": fingerprint(core.painter, before.method),
+            }
+            values = dict(before.parameters if parameters is None else parameters)
+            edits = core.edits_of(before, edits)
+            fresh, blobs = new_layer(self.below(layer), before.kind, edits, name or before.name, values, settings)
+            core.transaction.blobs = blobs | {files.sha256(data): data for data in attached}
+            fields = {"views": fresh.views, "thumbnail": fresh.thumbnail, "painter": fresh.painter, "visible": True}
+            fields |= {"name": fresh.name, "parameters": fresh.parameters}
+            document = change_layer(core.document, layer, **fields)
+            core.commit(f"change {before.name}", document, strict=layer, gesture=gesture)
+            return core.layer(layer)
+
+    def fill_from(
+        self, layer: str, edits: Sequence[Edit], *, source: Mapping[str, Any] | None = None, name: str | None = None
+    ) -> Layer:
+        """Other colours of a fill layer: those of pictures with masks, such as a source makes of views that show it
+        filled; none: of the surroundings again. source: what receipts say of who made them. Only the layer's own
+        Gaussians take them. Raises ValueError for another layer, and a picture without a mask."""
+        core = self._core
+        with core.command():
+            before = core.layer(layer)
+            if before.kind != "fill":
+                raise ValueError(f"{before.title}: expected a layer that fills a hole")
+            blobs: dict[str, bytes] = {}
+
+            def put(data: bytes) -> str:
+                blobs[files.sha256(data)] = data
+                return files.sha256(data)
+
+            views, small = [], None
+            for edit in edits:
+                if edit.mask is None:
+                    raise ValueError(f"{edit.name}: expected a mask with a picture that colours a fill")
+            for edit in core.edits_of(before, edits) if edits else ():
+                picture = put(encode_picture(edit.image, core.splats.color_space))
+                mask = np.ones(edit.image.shape[:2], bool) if edit.mask is None else edit.mask
+                views.append(View(edit.camera, picture, put(encode_mask(mask))))
+                small = small or put(thumbnail(edit.image, mask))
+            parameters = {key: value for key, value in before.parameters.items() if key != SOURCE}
+            if source is not None:
+                parameters[SOURCE] = dict(source)
+            core.transaction.blobs = blobs
+            fields = {"views": tuple(views), "thumbnail": small, "parameters": parameters, "visible": True}
+            document = change_layer(core.document, layer, name=name or before.name, **fields)
+            core.commit(f"change {before.name}", document, strict=layer)
+            return core.layer(layer)
+
+    def _hiding(self, weights: np.ndarray, name: str) -> list[Layer]:
+        """Layers without ids, one for each asset, that with the most weight first; their selections are among the blobs
+        of the transaction."""
+        layers, blobs = [], {}
+        for part in self._selections.by_asset(weights):
+            data = Selection.of(part.weights, part.splats, part.original).to_png()
+            blobs[files.sha256(data)] = data
+            parameters = {SELECTION: files.sha256(data)}
+            layers.append(Layer("", name, "hide", parameters=parameters, method="lift", asset=part.asset))
+        self._core.transaction.blobs = blobs
+        return layers

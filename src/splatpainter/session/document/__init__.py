@@ -1,0 +1,1 @@
+"""What a session is as values: layers, the document that orders them, masks, pictures as PNG bytes. Knows no file."""

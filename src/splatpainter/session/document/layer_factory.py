@@ -1,0 +1,242 @@
+"""Edited pictures become a new layer: judged, brought to 8 bits, and given a mask that stays what it is; and the PNG
+bytes in which layers keep pictures and masks. What comes back is what went in at 8 bits; sizes are judged first. Pure.
+"""
+
+from __future__ import annotations
+
+import io
+import warnings
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, get_args
+
+import numpy as np
+
+from splatpainter.cameras import Camera
+from splatpainter.color import from_display, to_display
+from splatpainter.image_files import MAX_PICTURE_PIXELS, to_uint8
+from splatpainter.io import files
+from splatpainter.lift.masks import edited_mask
+from splatpainter.painter import MAX_VIEWS, Edit
+from splatpainter.session.document.document import SPREAD_THRESHOLD, Kind, Layer, View
+from splatpainter.splats import ColorSpace, Splats
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+    from splatpainter.spread.options import SpreadOptions
+
+MAX_RECENT_BYTES = 1 << 22
+"""Most bytes of pixels that were encoded lately and are at hand when they are asked for, each; ..."""
+_recent: deque[tuple[bytes, np.ndarray]] = deque(maxlen=3)
+"""... (bytes, pixels) of the latest picture, its mask, and a third one."""
+THUMBNAIL_PX = 96
+"""Longer side of a thumbnail."""
+THUMBNAIL_COLORS = 64
+"""Colours of the thumbnails of strokes, of which a project may hold hundreds."""
+LIMITS = ("angle_limit", "depth_edge_limit")
+"""Names of the parameters of layers of modes local and spread that stand in for the painter's LocalOptions of the same
+names."""
+SPLIT_ONLY = "split_only"
+"""Name of the parameter {"split_only": true} of layers of mode local: their Gaussians are split and recoloured, not
+replaced by sheets (source_edits.view_sequence.WITHOUT_SHEETS), for views that are painted one after the other."""
+
+
+def new_layer(
+    splats: Splats,
+    kind: Kind,
+    edits: Sequence[Edit],
+    name: str | None,
+    parameters: dict[str, Any],
+    settings: Mapping[str, Any],
+    cut_out: bool = False,
+) -> tuple[Layer, dict[str, bytes]]:
+    """(a layer without an id, its pictures by hash). splats: the asset that is edited; settings: mode (None: what the
+    kind suggests), method, opacity, blend; cut_out: pictures are kept inside their masks only (strokes: what lies
+    beside them is most of the view). Raises ValueError: no view or too many, no mask where one is needed, nothing
+    edited, unknown settings."""
+    if kind not in get_args(Kind):
+        raise ValueError(f"layer: expected a kind of {', '.join(get_args(Kind))}, got {str(kind)[:40]}")
+    if not 0 <= len(edits) <= MAX_VIEWS or kind == "merged":
+        raise ValueError(f"layer: expected at most {MAX_VIEWS} views, and layers that exist to be merged with merge")
+    mode = settings["mode"] or ("global" if kind == "look" else "local")
+    if limits_of(parameters, "layer") and (mode == "global" or kind == "erase"):
+        raise ValueError(f"layer: expected {' and '.join(LIMITS)} with pictures in modes local and spread only")
+    if mode == "spread":
+        if kind not in ("paint", "picture"):
+            raise ValueError(f"layer: expected kind paint or picture with mode spread, got {kind}")
+        parameters = {**parameters, SPREAD_THRESHOLD: spread_options_of(parameters, "layer").threshold}
+    by_name = kind == "look" and "look" in parameters
+    if not edits and not by_name:
+        raise ValueError(f"layer: expected at least one edited view for kind {kind}, got none")
+    pictured = kind != "erase" and not by_name
+    blobs: dict[str, bytes] = {}
+
+    def put(data: bytes) -> str:
+        sha = files.sha256(data)
+        blobs[sha] = data
+        return sha
+
+    views, small = [], None
+    for edit in (edit.relative_to(splats.offset) for edit in edits):
+        mask = edit.mask
+        if mask is None and pictured and mode != "global":
+            # Judged once: on replay over other layers everything would differ.
+            mask = changed_pixels(splats, edit)
+        if mask is None and not pictured:
+            raise ValueError(f"{edit.name}: expected a mask for a view of kind {kind}")
+        inside = mask if cut_out else None
+        picture = put(encode_picture(edit.image, splats.color_space, inside)) if pictured else None
+        views.append(View(edit.camera, picture, None if mask is None else put(encode_mask(mask))))
+        if small is None:
+            image = to_display(edit.image, splats.color_space)
+            if not pictured:
+                image = np.repeat(np.asarray(mask, np.float32)[..., None], 3, -1)
+            small = put(thumbnail(image, mask, few_colors=cut_out))
+    fields = {**settings, "mode": mode, "thumbnail": small}
+    return Layer("", name or str(kind).capitalize(), kind, tuple(views), parameters, **fields), blobs
+
+
+def limits_of(parameters: Mapping[str, Any], where: str) -> dict[str, float]:
+    """What a layer's parameters say of what one view may paint: angle_limit (degrees, 0..90) and depth_edge_limit
+    (pixels), those that are there. Raises ValueError naming `where`: no number, out of range."""
+    from splatpainter.lift.options import LOCAL_DEFAULTS
+
+    limits = {name: parameters[name] for name in LIMITS if name in parameters}
+    for name, value in limits.items():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ValueError(f"{where}: expected {name} as a number, got {value!r:.40}")
+    try:
+        limits = {name: float(value) for name, value in limits.items()}
+        replace(LOCAL_DEFAULTS, **limits)  # judges them
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"{where}: {error}") from None
+    return limits
+
+
+def spread_options_of(parameters: Mapping[str, Any], where: str) -> SpreadOptions:
+    """How far a layer of mode spread reaches. Raises ValueError naming `where`: no number, out of range."""
+    from splatpainter.spread.options import SPREAD_DEFAULTS, SpreadOptions
+
+    value = parameters.get(SPREAD_THRESHOLD, SPREAD_DEFAULTS.threshold)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"{where}: expected {SPREAD_THRESHOLD} as a number, got {value!r:.40}")
+    try:
+        return SpreadOptions(float(value))
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"{where}: {error}") from None
+
+
+def encode_picture(image: np.ndarray, space: ColorSpace = "srgb", mask: np.ndarray | None = None) -> bytes:
+    """[H, W, 3] floats 0..1 in the asset's colour space -> PNG of display colours. Encoded fast rather than small.
+    mask: [H, W] bool, what is beside it is transparent and black."""
+    pixels = to_uint8(to_display(image, space))
+    if mask is None:
+        return _png(pixels)
+    alpha = np.where(mask, 255, 0).astype(np.uint8)[..., None]
+    return _png(np.concatenate([np.where(mask[..., None], pixels, 0), alpha], 2))
+
+
+def is_cut_out(data: bytes, camera: Camera, where: str) -> bool:
+    """Whether a picture is kept inside its mask only. Raises ValueError as `decode_picture`."""
+    return bool((_pixels(data, camera, where, "RGBA")[..., 3] == 0).any())
+
+
+def encode_mask(mask: np.ndarray) -> bytes:
+    """[H, W] bool -> PNG of 0 and 255."""
+    return _png(np.where(mask, 255, 0).astype(np.uint8))
+
+
+def decode_picture(data: bytes, camera: Camera, where: str, space: ColorSpace = "srgb") -> np.ndarray:
+    """[H, W, 3] float32 0..1 in the asset's colour space. Raises ValueError naming `where`: no PNG, damaged, not of the
+    camera's size."""
+    levels = from_display(np.arange(256, dtype=np.float32) / 255, space)
+    return levels[_pixels(data, camera, where, "RGB")]
+
+
+def encode_mask_part(shows: np.ndarray, share: np.ndarray) -> bytes:
+    """[H, W] 0..1 each -> PNG of two channels: what a mask shows, and how far it goes there."""
+    return _png(to_uint8(np.stack([np.where(share > 0, shows, 0), share], 2)))
+
+
+def decode_mask_part(data: bytes, camera: Camera, where: str) -> np.ndarray:
+    """[H, W, 2] float32 0..1. Raises ValueError as `decode_picture`."""
+    return _pixels(data, camera, where, "LA").astype(np.float32) / 255
+
+
+def decode_mask(data: bytes, camera: Camera, where: str) -> np.ndarray:
+    """[H, W] bool. Raises ValueError as `decode_picture`."""
+    return _pixels(data, camera, where, "L") > 127
+
+
+def thumbnail(image: np.ndarray, mask: np.ndarray | None, few_colors: bool = False) -> bytes:
+    """PNG of the part of a picture that was edited, THUMBNAIL_PX pixels on its longer side at most. few_colors: of
+    THUMBNAIL_COLORS, a third of the bytes."""
+    from PIL import Image
+
+    if mask is not None and mask.any():
+        ys, xs = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+        margin = 4 + max(np.ptp(ys), np.ptp(xs)) // 4
+        top, left = max(ys[0] - margin, 0), max(xs[0] - margin, 0)
+        image = image[top : ys[-1] + margin + 1, left : xs[-1] + margin + 1]
+    small = Image.fromarray(to_uint8(image))
+    small.thumbnail((THUMBNAIL_PX, THUMBNAIL_PX))
+    return _png(small.convert("RGB").quantize(THUMBNAIL_COLORS) if few_colors else small)
+
+
+def changed_pixels(splats: Splats, edit: Edit) -> np.ndarray:
+    """[H, W] bool: where an edited picture differs from the render. Raises ValueError where it does not."""
+    from splatpainter.rendering import render
+
+    drawn = render(splats, edit.camera)
+    mask = edited_mask(edit.image, drawn.colors[0], drawn.alphas[0, ..., 0])
+    if not mask.any():
+        raise ValueError(f"{edit.name}: nothing to do, the picture does not differ from the render")
+    return mask
+
+
+def _png(pixels: np.ndarray | Image.Image) -> bytes:
+    from PIL import Image
+
+    file = io.BytesIO()
+    image = Image.fromarray(pixels) if isinstance(pixels, np.ndarray) else pixels
+    image.save(file, "PNG", compress_level=1)
+    data = file.getvalue()
+    if isinstance(pixels, np.ndarray) and pixels.nbytes <= MAX_RECENT_BYTES:
+        copy = pixels.copy()
+        copy.flags.writeable = False
+        _recent.append((data, copy))
+    return data
+
+
+def _recently_encoded(data: bytes, camera: Camera, mode: str) -> np.ndarray | None:
+    """What `_pixels` would read of bytes that `_png` has just made of an array; None where it has not."""
+    for png, pixels in tuple(_recent):
+        if png is data and pixels.shape[:2] == (camera.height, camera.width):
+            channels = 1 if pixels.ndim == 2 else pixels.shape[2]
+            if (mode, channels) in (("L", 1), ("LA", 2), ("RGB", 3), ("RGBA", 4)):
+                return pixels
+            if (mode, channels) == ("RGB", 4):
+                return pixels[..., :3]
+    return None
+
+
+def _pixels(data: bytes, camera: Camera, where: str, mode: str) -> np.ndarray:
+    from PIL import Image
+
+    recent = _recently_encoded(data, camera, mode)
+    if recent is not None:
+        return recent
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Pillow's own size warning: judged here
+        try:
+            with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
+                if image.width * image.height > MAX_PICTURE_PIXELS:
+                    raise ValueError(f"more than {MAX_PICTURE_PIXELS // 10**6} megapixels")
+                if image.size != (camera.width, camera.height):
+                    expected = f"{camera.width}x{camera.height}"
+                    raise ValueError(f"is {image.width}x{image.height}, its camera {expected}")
+                return np.asarray(image.convert(mode))
+        except Exception as error:  # decoders of damaged files raise anything
+            raise ValueError(f"{where}: expected a PNG of its camera's size ({error})") from None

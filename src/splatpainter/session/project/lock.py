@@ -1,0 +1,85 @@
+"""One writer per project file: a lock that dies with its process.
+
+The lock is an exclusive SQLite transaction on an empty database beside the project (NAME.splatproj-lock). SQLite takes
+the operating system's own file locks (fcntl, LockFileEx), so a killed process frees them at once, and two openers in
+one process exclude each other too, which plain fcntl locks do not. The package filelock (data/shards.py) would do as
+well; a session has SQLite at hand and needs no further package. A lock row with a heartbeat would need clocks, a time
+to wait after a crash, and would trust a stopped process to be dead; locking the project database itself would keep
+readers out as well. On network folders it is as good as the locks of that file system; where that refuses all locks,
+no project is written (disk_probe.py tells such a refusal from a lock that somebody holds).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sqlite3
+from pathlib import Path
+
+from splatpainter.io import files
+from splatpainter.session.project.database import is_unwritable
+from splatpainter.session.project.disk_probe import LOCAL_DISK, NO_LOCKS, locks_refused, speaks_of_locks
+
+LOCK_ENDING = "-lock"
+"""Ending of the lock's file name, after the project's."""
+
+
+class ProjectLock:
+    """Held from `take` until `release`."""
+
+    def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
+        self._connection, self._path = connection, path
+
+    @staticmethod
+    def take(project: Path) -> ProjectLock | None:
+        """The lock of a project file, or None: somebody holds it. Raises ValueError naming the project where none can
+        be made: its folder allows no new files or no locks, or something else has the lock's name."""
+        path = project.with_name(project.name + LOCK_ENDING)
+        for _ in range(100):
+            connection = _locked(path, project)
+            if connection is None:
+                return None
+            # The file may have been removed by a holder who left between our opening it and our locking it: then what
+            # we hold is a file without a name. If the name stands for another file, that can be locked again.
+            with contextlib.suppress(ValueError):
+                again = _locked(path, project, is_tried=True)
+                if again is None:
+                    return ProjectLock(connection, path)
+                again.close()
+            connection.close()
+        raise ValueError(f"{project}: cannot be locked")
+
+    def release(self) -> None:
+        """Remove the file and let go. In this order: whoever locks the file in between finds that its name is gone."""
+        removed = False
+        with contextlib.suppress(OSError):
+            self._path.unlink(missing_ok=True)
+            removed = True
+        self._connection.close()
+        if not removed:  # Windows removes no open file: neither ours before, nor by now that of the next holder
+            files.remove(self._path)
+
+
+def _locked(path: Path, project: Path, is_tried: bool = False) -> sqlite3.Connection | None:
+    """None: somebody holds it. is_tried: it is known that files can be locked there."""
+    connection, is_new = None, False
+    try:
+        is_new = not path.exists()
+        if not is_new and (not path.is_file() or path.stat().st_size):  # ours are empty; `release` removes them
+            raise ValueError(f"{project}: cannot be locked ({path.name} is in the way)")
+        connection = sqlite3.connect(path, timeout=0, isolation_level=None, check_same_thread=False)
+        connection.execute("PRAGMA journal_mode=OFF")
+        connection.execute("BEGIN EXCLUSIVE")
+        return connection
+    except FileNotFoundError:  # removed between the two looks
+        return None
+    except sqlite3.Error as error:
+        if connection is not None:
+            connection.close()
+        if speaks_of_locks(error):
+            if is_tried or not locks_refused(path.parent):
+                return None
+            if is_new:
+                files.remove(path)
+            raise ValueError(f"{project}: cannot be locked ({NO_LOCKS}); {LOCAL_DISK}") from None
+        reason = "its folder allows no new files" if is_unwritable(error) else " ".join(str(error).split())
+        raise ValueError(f"{project}: cannot be locked ({reason})") from None

@@ -1,0 +1,106 @@
+"""Results of layers as rows of a project file: written and read."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from splatpainter.session.replay.delta import Delta, encode
+from splatpainter.session.replay.layer_state import LayerResult
+
+if TYPE_CHECKING:
+    from splatpainter.models.refine import RefineState
+
+FACT_KINDS: dict[str, type | tuple[type, ...]] = {
+    "rows_touched": int,
+    "rows_appended": int,
+    "seconds": (int, float),
+    "method": str,
+    "note": str,
+    "problem": str,
+    "preset": str,
+    "views": list,
+}
+"""Facts of a result that others read, and what they are."""
+
+
+def store_result(db: sqlite3.Connection, key: str, result: LayerResult, previous: str | None) -> None:
+    """Write a result, in place of the one that the key may have. previous: key of the result that it goes on from."""
+    state = None if result.painter_state is None else _pack_state(result.painter_state)
+    confidence = None if result.confidence is None else result.confidence.tobytes()
+    if previous is None:  # stored again: what it needs is what it needed
+        row = db.execute("SELECT previous FROM results WHERE key = ?", (key,)).fetchone()
+        previous = None if row is None else row[0]
+    db.execute("DELETE FROM results WHERE key = ?", (key,))
+    values = (key, json.dumps(result.facts), confidence, state, previous)
+    db.execute("INSERT INTO results (key, facts, confidence, state, previous) VALUES (?, ?, ?, ?, ?)", values)
+    for part, data in enumerate(encode(result.delta)):
+        db.execute("INSERT INTO deltas VALUES (?, ?, ?)", (key, part, data))
+
+
+def loaded_result(delta: Delta, facts: str, confidence: bytes | None, state: bytes | None) -> LayerResult:
+    """The result of which these are the columns. Raises ValueError, TypeError, RecursionError: damaged."""
+    values = None if confidence is None else np.frombuffer(confidence, np.uint8)
+    count = delta.count + len(delta.appended)
+    if values is not None and len(values) != count:
+        raise ValueError(f"{len(values)} values of confidence for {count} Gaussians")
+    return LayerResult(delta, _facts(facts), values, None if state is None else _unpack_state(state))
+
+
+def _pack_state(state: RefineState) -> bytes:
+    """What a painter has learnt as safetensors, never pickle: tensors named block.K.w0, .w1, .w2 (fast weights) or
+    block.K (tokens); detail likewise."""
+    from safetensors.torch import save
+
+    named = {}
+    blocks = [(f"block.{k}", block) for k, block in enumerate(state.blocks)]
+    for name, block in [*blocks, ("detail", state.detail)]:
+        if block is None:
+            continue
+        parts = {f"{name}.{k}": v for k, v in block._asdict().items()} if hasattr(block, "_asdict") else {name: block}
+        named |= {key: value.detach().cpu().contiguous().clone() for key, value in parts.items()}
+    return save(named)
+
+
+def _unpack_state(data: bytes) -> RefineState:
+    """The inverse of `_pack_state`, on the CPU. Raises ValueError for other bytes."""
+    from safetensors import SafetensorError
+    from safetensors.torch import load
+
+    from splatpainter.models.refine import RefineState
+    from splatpainter.nn.fast_weights import FastWeights
+
+    try:
+        named = load(data)
+
+        def block(name: str):
+            if name in named:
+                return named[name]
+            return FastWeights(*(named[f"{name}.{part}"] for part in FastWeights._fields))
+
+        count = len({key.split(".")[1] for key in named if key.startswith("block.")})
+        detail = block("detail") if any(key.split(".")[0] == "detail" for key in named) else None
+        return RefineState(tuple(block(f"block.{k}") for k in range(count)), detail)
+    except (SafetensorError, KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+        raise ValueError(f"project: the painter's state is damaged ({error!r})") from None
+
+
+def _facts(text: str) -> dict[str, Any]:
+    """Facts of a result. Raises ValueError where one that others read is not what it should be."""
+    facts = json.loads(text)
+    if not isinstance(facts, dict):
+        raise ValueError("its facts are not a JSON object")
+    for name, kind in FACT_KINDS.items():
+        value = facts.get(name, kind() if isinstance(kind, type) else 0)
+        if not isinstance(value, kind) or (isinstance(value, (int, float)) and not 0 <= value < 1e15):
+            raise ValueError(f"unexpected {name} {value!r:.40}")
+    for view in facts.get("views", ()):
+        if not isinstance(view, dict):
+            raise ValueError(f"unexpected view {view!r:.40}")
+        scores = [view.get(name) for name in ("psnr_before", "psnr_after", "psnr_outside")]
+        if not all(score is None or (isinstance(score, (int, float)) and abs(score) < 1e15) for score in scores):
+            raise ValueError(f"unexpected scores {scores!r:.80}")
+    return facts

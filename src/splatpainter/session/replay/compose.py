@@ -1,0 +1,662 @@
+"""The asset as a pure function of its original and its layers. Knows no file and no history.
+
+Results of layers are cached under what they depend on: the original, everything below, and the layer's content, which
+names the painter that it was made with.
+
+    state = replay.compose(document)        # from the nearest state that is still cached
+
+Where something below a layer changed, and nothing of what the layer read there, its result is renumbered, not painted
+again (read_set.py).
+
+A layer that cannot be applied where it now stands (hidden, reordered or reshaped layers below it took its Gaussians
+away) changes nothing and says why; it is kept, and works again when they return.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from splatpainter.cameras import Camera
+from splatpainter.grading.color_transfer import with_table
+from splatpainter.lift.masked_gaussians import reached_gaussians
+from splatpainter.lift.options import LOCAL_DEFAULTS
+from splatpainter.lift.sheets.view_limits import coarse_surface, left_out
+from splatpainter.painter import Edit, Painter
+from splatpainter.session.document.document import SELECTION, Document, Layer, View, digest
+from splatpainter.session.document.layer_factory import (
+    SPLIT_ONLY,
+    decode_mask,
+    decode_picture,
+    is_cut_out,
+    limits_of,
+    spread_options_of,
+)
+from splatpainter.session.replay.appearance import base_of_parents, picture_of, with_base
+from splatpainter.session.replay.conflicts import EditedIds, policy_strength
+from splatpainter.session.replay.covered_preview import (
+    Preview,
+    changed_layer,
+    hidden_layer,
+    revealed_layer,
+    where_uncovered,
+)
+from splatpainter.session.replay.delta import Delta, between, no_delta
+from splatpainter.session.replay.eraser import erase_delta, fade_delta
+from splatpainter.session.replay.fill_layers import fading, fill_delta
+from splatpainter.session.replay.fingerprint import fingerprint
+from splatpainter.session.replay.layer_blending import (
+    AdjustmentFunction,
+    adjust_sh,
+    blend_delta,
+    mixed,
+    within,
+)
+from splatpainter.session.replay.layer_state import (
+    LayerResult,
+    LayerState,
+    Progress,
+    ResultStore,
+    ancestors,
+    lineage,
+)
+from splatpainter.session.replay.mask_weights import MaskWeights
+from splatpainter.session.replay.painter_adapter import NO_OPTIONS, PainterAdapter
+from splatpainter.session.replay.read_set import ReadSet, read_set_of, renumber
+from splatpainter.session.replay.relief import COPY, Relief
+from splatpainter.session.replay.strokes import (
+    MIN_LATEST,
+    FoldedStrokes,
+    StrokeChains,
+    StrokeKeys,
+    StrokesState,
+    folded,
+    folded_key,
+    strokes_to_fold,
+)
+from splatpainter.session.selection.selection import Selection
+from splatpainter.source_edits import view_sequence
+from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.voxels.raycast import is_inside
+
+if TYPE_CHECKING:
+    from splatpainter.surface.estimate import Surface
+    from splatpainter.surface.visible import VisibleSurface
+
+CACHED_STATE_BYTES = 1 << 28
+"""Bytes of composed assets that are cached to start from, ..."""
+MAX_CACHED_STATES = 64
+"""... and how many at most."""
+WITHIN = "within"
+"""Name of the parameter {"within": true} of layers of mode global: only Gaussians that
+their views' masks reach change."""
+STROKE_OPTIONS: Mapping[str, Any] = {"fine_px": 0.0}
+"""Options of what is painted by hand here, however large: erasing takes a sheet away and brings the original's bits
+back, which split Gaussians cannot."""
+MAX_PLACEMENTS = 4
+"""Arrangements that are cached of each layer, ..."""
+MAX_PLACED_LAYERS = 1024
+"""... of so many layers, ..."""
+MAX_READ_IDS = 1 << 23
+"""... and the Gaussians that they read, in all."""
+MAX_SEEN = 4
+"""Coarse surfaces that are cached: limits ask for that of the present state, decals for that of the original."""
+
+
+class Replay:
+    """Composes documents over one original."""
+
+    def __init__(
+        self,
+        original: Splats,
+        painter: Painter,
+        store: ResultStore,
+        adjustments: Mapping[str, AdjustmentFunction],
+    ) -> None:
+        """original: with `origin`; adjustments: functions by name."""
+        self.original, self.painter, self.adjustments = original, painter, adjustments
+        self._store = store
+        self._adapter = PainterAdapter(original, painter)
+        self._states: OrderedDict[str, LayerState] = OrderedDict()
+        self._placements: OrderedDict[str, dict[str, str]] = OrderedDict()
+        """Key of a layer -> {key of the state below: key of its result}, the latest last."""
+        self._read_sets: OrderedDict[tuple[str, str], ReadSet | None] = OrderedDict()
+        """(key of the state below, key of a layer) -> what it reads there."""
+        self._merged: tuple[tuple[str, str], Delta] | None = None
+        self._strokes = StrokeChains(store, self._painted_stroke)
+        self._masks = MaskWeights(store, original)
+        self._seen: OrderedDict[str, VisibleSurface] = OrderedDict()
+        """What views see of states, coarsely: of the latest MAX_SEEN of both."""
+        self.base_state = LayerState(digest(f"original {original.sha256}"), original)
+
+    def compose(self, document: Document, progress: Progress | None = None, strict: str | None = None) -> LayerState:
+        """The asset of a document. strict: id of the layer whose problem is an error (one that is being added).
+        Raises ValueError for it, and whatever `progress` raises."""
+        count = sum(len(list(layer.leaves())) for layer in document.layers if _is_visible(layer))
+        state = self.base_state
+        for k, layer in enumerate(document.layers):
+            if _is_visible(layer):
+                state = self._over(state, layer, document, strict, progress, (k, count))
+        return state
+
+    def _over(self, below: LayerState, layer: Layer, document: Document, strict, progress, step) -> LayerState:
+        """The state with one more layer. step: (layers done, layers in all)."""
+        if layer.kind == "merged":
+            return self._over_merged(below, layer, document, strict, progress, step)
+        if layer.holds_strokes:
+            return self._over_strokes(below, layer, document, strict, progress, step)
+        strength, depends = policy_strength(below.edited, layer, document, len(below.splats))
+        result_key = _result_key(below, layer)
+        key = digest(f"{result_key} {layer.opacity!r} {layer.blend} {json.dumps(depends)}{_mask_text(layer)}")
+        cached = self._cached(key, below, layer)
+        if cached is not None:
+            return cached
+        if progress is not None:
+            progress(*step, layer.name)
+        stored = _is_stored(layer)
+        result = self._store.get(result_key) if stored else None
+        if result is None or result.delta.count != len(below.splats):  # the latter: of a damaged file
+            result = self._renumbered(below, layer) or self._try(below, layer)
+            if result.problem and layer.id == strict:
+                raise ValueError(result.problem)
+            if stored:
+                self._store.put(result_key, result)
+        self._note_placement(below, layer, result_key)
+        if result.delta.base is None and _mixes(layer, strength) and _has_base(layer):
+            based = with_base(below.splats, result.delta, [view.camera for view in layer.views])
+            if based is not result.delta:
+                result = replace(result, delta=based)
+                self._store.put(result_key, result)
+        mask = self._masks.weights(below, result.delta, layer, result_key)
+        if layer.kind == "fill":
+            delta = result.delta if layer.opacity == 1 and mask is None else fading(result.delta, layer.opacity, mask)
+        else:
+            delta = blend_delta(below.splats, result.delta, layer.opacity, layer.blend, strength, mask)
+        splats = (result if delta is result.delta else delta).apply(below.splats)
+        span = (len(below.splats), len(splats))
+        confidence = None if result.confidence is None else _fit(result.confidence, len(splats))
+        state = LayerState(
+            key,
+            splats,
+            np.concatenate([below.parent_ids, delta.parent_ids]),
+            (*below.edited, EditedIds(layer, result_key, result.delta.gaussian_ids, span, confidence)),
+            (*below.facts, (layer.id, result.facts)),
+            (*below.results, result_key) if stored else below.results,
+            below.painter_state if result.painter_state is None else result.painter_state,
+        )
+        return self._remembered(state)
+
+    def _remembered(self, state: LayerState) -> LayerState:
+        """The state, cached."""
+        self._states[state.key] = state
+        size = max(sum(getattr(state.splats, name).nbytes for name in ATTRIBUTES), 1)
+        while len(self._states) > max(min(CACHED_STATE_BYTES // size, MAX_CACHED_STATES), 1):
+            self._states.popitem(last=False)
+        return state
+
+    def _over_strokes(self, below: LayerState, layer: Layer, document: Document, strict, progress, step) -> LayerState:
+        """The strokes of a layer, then its opacity and blend over all they did."""
+        if not layer.strokes:
+            return replace(below, facts=(*below.facts, (layer.id, {})))
+        strength, depends = policy_strength(below.edited, layer, document, len(below.splats))
+        chain = StrokeKeys.of(below.key, layer.strokes)
+        result_key = chain.results[-1]
+        key = digest(f"{result_key} {layer.opacity!r} {layer.blend} {json.dumps(depends)}{_mask_text(layer)}")
+        cached = self._cached(key, below, layer)
+        if cached is not None:
+            return cached
+        count = len(layer.strokes)
+
+        def report(k: int) -> None:
+            if progress is not None:
+                progress(*step, layer.name if k == count - 1 else f"{layer.name}: stroke {k + 1} of {count}")
+
+        painted = self._strokes.compose(below, layer, chain, strict, report)
+        splats, parent_ids, changed = painted.state.splats, painted.state.parent_ids, painted.changed
+        if strength is not None or _mixes(layer, None):
+            delta = self._strokes_delta(below, painted, layer)
+            mask = self._masks.weights(below, delta, layer, result_key)
+            delta = blend_delta(below.splats, delta, layer.opacity, layer.blend, strength, mask)
+            splats, parent_ids = delta.apply(below.splats), np.concatenate([below.parent_ids, delta.parent_ids])
+        span = (len(below.splats), len(splats))
+        facts = painted.layer_facts(layer, below)
+        if "problem" in facts and layer.id == strict:
+            raise ValueError(facts["problem"])
+        state = LayerState(
+            key,
+            splats,
+            parent_ids,
+            (*below.edited, EditedIds(layer, result_key, changed, span)),
+            (*below.facts, (layer.id, facts)),
+            (*below.results, result_key),
+            painted.state.painter_state,
+        )
+        return self._remembered(state)
+
+    def _strokes_delta(self, below: LayerState, painted: StrokesState, layer: Layer) -> Delta:
+        """What all strokes of a layer did, for an opacity, a blend or a policy; the latest one is cached."""
+        key = (below.key, painted.state.key)
+        if self._merged is None or self._merged[0] != key:
+            self._merged = (key, with_base(below.splats, painted.delta(below), layer.cameras))
+        return self._merged[1]
+
+    def blend_preview(self, document: Document, layer_id: str, now: Document) -> Preview | None:
+        """As a layer of a document will be shown, or hidden, from what is at hand, where composing that takes longer;
+        None else. Of a layer that others cover: where these leave it (covered_preview.py). now: the document that is
+        shown, which differs in that layer's opacity, blend and visibility alone."""
+        at = document.index(layer_id)
+        layer, covered = document.layers[at], any(map(_is_visible, document.layers[at + 1 :]))
+        seen = _is_visible(now.layers[at])
+        if not (covered or (seen and _is_visible(layer))):
+            return None
+        below = self.compose(replace(document, layers=document.layers[:at]))
+        composed = self.compose(now).splats
+        before = self.compose(replace(now, layers=now.layers[: at + 1])).splats if seen else below.splats
+        if not _is_visible(layer):
+            return where_uncovered(hidden_layer(below.splats, before), before, composed) if seen else None
+        delta = self._delta_at_hand(document, layer, below, covered)
+        if delta is None:
+            return None
+        if not seen:
+            return revealed_layer(below.splats, delta, composed)
+        preview = changed_layer(below.splats, delta)
+        return where_uncovered(preview, before, composed) if covered else preview
+
+    def _delta_at_hand(self, document: Document, layer: Layer, below: LayerState, covered: bool) -> Delta | None:
+        """What a layer does, with opacity, blend, mask and policies, from results that are stored or cached; None where
+        they are not, or where composing takes no time either. Where colours below would have to be fitted, those of
+        parents stand for them."""
+        try:
+            delta, key, fitted = self._stored_delta(document, layer, below)
+        except _NotAtHand:
+            return None
+        strength = policy_strength(below.edited, layer, document, len(below.splats))[0]
+        unfitted = not fitted and _mixes(layer, strength) and any(map(_has_base, layer.leaves()))
+        if delta.count != len(below.splats) or not (covered or unfitted):
+            return None
+        mask = None
+        if _mask_text(layer) and (mask := self._masks.cached(delta, layer, key)) is None:
+            return None
+        if layer.kind == "fill":
+            return fading(delta, layer.opacity, mask)
+        if unfitted:
+            delta = replace(delta, base=base_of_parents(below.splats, delta))
+        return blend_delta(below.splats, delta, layer.opacity, layer.blend, strength, mask).complete(below.splats)
+
+    def _stored_delta(self, document: Document, layer: Layer, below: LayerState) -> tuple[Delta, str, bool]:
+        """(what a layer does in full, the name of that and the state below, whether colours below were fitted to it).
+        Raises _NotAtHand."""
+        if layer.kind == "merged":
+            state = below
+            for inner in filter(_is_visible, layer.layers):
+                simple = inner.kind != "merged" and not inner.holds_strokes
+                if simple and _is_stored(inner) and not self._store.has(_result_key(state, inner)):
+                    raise _NotAtHand
+                state = self._over(state, inner, document, None, None if simple else _refuse, (0, 1))
+            if self._merged is not None and self._merged[0] == (below.key, state.key):
+                return self._merged[1], state.key, True
+            return between(below.splats, state.splats, ancestors(state, len(below.splats))), state.key, False
+        if layer.holds_strokes:
+            chain = StrokeKeys.of(below.key, layer.strokes)
+            painted = self._strokes.compose(below, layer, chain, None, _refuse) if layer.strokes else None
+            if painted is None:
+                raise _NotAtHand
+            if self._merged is not None and self._merged[0] == (below.key, painted.state.key):
+                return self._merged[1], chain.results[-1], True
+            return painted.delta(below), chain.results[-1], False
+        key = _result_key(below, layer)
+        result = self._store.get(key) if _is_stored(layer) else self._try(below, layer)
+        if result is None or result.problem:
+            raise _NotAtHand
+        return result.delta, key, result.delta.base is not None
+
+    def _painted_stroke(self, state: LayerState, stroke: Layer, below: LayerState) -> LayerResult:
+        """What a stroke makes of the state after those before it. below: the state below its layer."""
+        if stroke.kind == "erase":
+            return self._try(state, stroke, below)
+        result = self._renumbered(state, stroke) or self._try(state, stroke)
+        self._note_placement(state, stroke, StrokeKeys.of(state.key, (stroke,)).results[0])
+        return result
+
+    def fold(self, document: Document, layer: str, sizes: Callable[[str], int]) -> FoldedStrokes | None:
+        """What is to be stored in place of the results of a layer's first strokes; None: nothing. sizes: bytes that a
+        result takes, by its key."""
+        at = document.index(layer)
+        target = document.layers[at]
+        if len(target.strokes) <= MIN_LATEST:
+            return None
+        below = self.compose(replace(document, layers=document.layers[:at]))
+        chain = StrokeKeys.of(below.key, target.strokes)
+        count = strokes_to_fold(chain.results, sizes)
+        if not count:
+            return None
+        first = replace(target, strokes=target.strokes[:count])
+        painted = self._strokes.compose(below, first, StrokeKeys.of(below.key, first.strokes), None, lambda _: None)
+        return FoldedStrokes(
+            chain.results[:count], folded_key(chain, count), folded(painted, below), next_key=chain.results[count]
+        )
+
+    def painted_on(self, document: Document, layer: str) -> Splats:
+        """The Gaussians that the next stroke of a layer is painted on."""
+        at = document.index(layer)
+        target = document.layers[at]
+        if target.kind == "merged":  # on all that it is made of, in full
+            full = replace(target, opacity=1.0, blend="normal", mask=None, visible=True)
+            return self.compose(replace(document, layers=(*document.layers[:at], full))).splats
+        below = self.compose(replace(document, layers=document.layers[:at]))
+        if not target.strokes:
+            return below.splats
+        chain = StrokeKeys.of(below.key, target.strokes)
+        return self._strokes.compose(below, target, chain, None, lambda _: None).state.splats
+
+    def _over_merged(self, below: LayerState, layer: Layer, document: Document, strict, progress, step) -> LayerState:
+        """The layers of a merged one, then its opacity and blend over all they did."""
+        state = below
+        for inner in layer.layers:
+            if _is_visible(inner):
+                state = self._over(state, inner, document, strict, progress, step)
+        inner_facts = state.facts[len(below.facts) :]
+        names = ("rows_touched", "rows_appended", "seconds")
+        total = {name: sum(facts.get(name, 0) for _, facts in inner_facts) for name in names}
+        facts = (*below.facts, (layer.id, total), *inner_facts)
+        if not _mixes(layer, None):
+            return replace(state, facts=facts)
+        delta = self._merged_delta(below, state, layer)
+        mask = self._masks.weights(below, delta, layer, state.key)
+        splats = blend_delta(below.splats, delta, layer.opacity, layer.blend, mask=mask).apply(below.splats)
+        key = digest(f"{below.key} merged {state.key} {layer.opacity!r} {layer.blend}{_mask_text(layer)}")
+        return replace(state, key=key, splats=splats, facts=facts)
+
+    def _merged_delta(self, below: LayerState, state: LayerState, layer: Layer) -> Delta:
+        """What a merged layer did, for another opacity or blend; the latest one is cached, for sliders."""
+        key = (below.key, state.key)
+        if self._merged is None or self._merged[0] != key:
+            delta = between(below.splats, state.splats, ancestors(state, len(below.splats)))
+            leaves = [leaf for leaf in layer.leaves() if _is_visible(leaf)]
+            if any(map(_has_base, leaves)):
+                cameras = [camera for leaf in leaves if _has_base(leaf) for camera in leaf.cameras]
+                delta = with_base(below.splats, delta, cameras)
+            self._merged = (key, delta)
+        return self._merged[1]
+
+    def _note_placement(self, below: LayerState, layer: Layer, result_key: str) -> None:
+        """Remember where a layer's result can be had from."""
+        if not self._has_read_set(layer):
+            return
+        placements = self._placements.setdefault(layer.key, {})
+        self._placements.move_to_end(layer.key)
+        placements.pop(below.key, None)
+        placements[below.key] = result_key
+        if len(placements) > MAX_PLACEMENTS:
+            del placements[next(iter(placements))]
+        if len(self._placements) > MAX_PLACED_LAYERS:
+            self._placements.popitem(last=False)
+
+    def _renumbered(self, below: LayerState, layer: Layer) -> LayerResult | None:
+        """A layer's result of another arrangement, where it read the same there; None: it has to be painted."""
+        for key, result_key in reversed(self._placements.get(layer.key, {}).items()):
+            old = self._read_set(key, layer)
+            new = self._read_set(below.key, layer, below) if old is not None else None
+            if old is None or new is None or old.digest != new.digest:
+                continue
+            result = self._store.get(result_key)
+            if result is None or result.problem:
+                continue
+            delta = renumber(result.delta, old, new, len(below.splats))
+            if delta is not None:
+                return replace(result, delta=delta)
+        return None
+
+    def _read_set(self, key: str, layer: Layer, state: LayerState | None = None) -> ReadSet | None:
+        """What a layer reads of a state; None where that cannot be said (any more)."""
+        pair = (key, layer.key)
+        if pair not in self._read_sets:
+            state = state or (self.base_state if key == self.base_state.key else self._states.get(key))
+            state = state or self._strokes.state(key)
+            if state is None:
+                return None
+            (view,) = layer.views
+            grid, splats = self._adapter.grid, state.splats
+            self._read_sets[pair] = read_set_of(
+                splats, lambda: grid(splats), view.camera, self.mask(view), len(self.original)
+            )
+        self._read_sets.move_to_end(pair)
+        read = self._read_sets[pair]
+        while (
+            len(self._read_sets) > 1 and sum(len(r.gaussian_ids) for r in self._read_sets.values() if r) > MAX_READ_IDS
+        ):
+            self._read_sets.popitem(last=False)
+        return read
+
+    def _has_read_set(self, layer: Layer) -> bool:
+        """Whether read_set.py knows what a layer reads: one masked view, lifted locally by the analytic painter."""
+        painted = layer.mode == "local" and layer.method == "lift" and layer.kind in ("paint", "picture", "clone")
+        return painted and type(self.painter) is Painter and len(layer.views) == 1 and layer.views[0].mask is not None
+
+    def _try(self, below: LayerState, layer: Layer, erased_to: LayerState | None = None) -> LayerResult:
+        """erased_to: of an eraser inside a layer, the state below that layer."""
+        start = time.perf_counter()
+        try:
+            if erased_to is None:
+                result = self._result(below, layer)
+            else:
+                splats = replace(below.splats, origin=lineage(below, len(erased_to.splats)))
+                result = LayerResult(self._erased(splats, erased_to.splats, layer))
+        except ValueError as error:
+            return LayerResult(no_delta(below.splats), {"problem": str(error)})
+        facts: dict[str, Any] = {"rows_touched": len(result.delta.gaussian_ids)}
+        facts["rows_appended"] = len(result.delta.appended)
+        facts["seconds"] = round(time.perf_counter() - start, 4)
+        return replace(result, facts={**facts, **result.facts})
+
+    def _result(self, below: LayerState, layer: Layer) -> LayerResult:
+        """What a layer makes of a state; nothing is cached. Raises ValueError where it cannot be applied."""
+        splats = below.splats
+        if layer.kind == "erase":
+            return LayerResult(self._erased(splats, self.original, layer))
+        if layer.kind == "clone" and COPY in layer.parameters and not layer.views:
+            return LayerResult(Relief.parse(layer.parameters).delta(splats))
+        if layer.kind == "hide":
+            weights = self._selected(layer, splats)
+            faded = (splats.opacities * (1 - weights)).astype(np.float32)
+            return LayerResult(between(splats, replace(splats, opacities=faded)))
+        if layer.kind == "fill":
+            views = [view for view in layer.views if view.picture is not None]
+            pictures = [(view.camera, self._edit(view, layer).image, self.mask(view)) for view in views]
+            return LayerResult(*fill_delta(splats, self._selected(layer, splats), layer.parameters, pictures))
+        if not _is_stored(layer):
+            parameters = {name: value for name, value in layer.parameters.items() if name != SELECTION}
+            parameters = with_table(parameters, self._store.blob)
+            adjusted = replace(splats, sh=adjust_sh(splats.sh, parameters, self.adjustments))
+            if layer.views:
+                adjusted = within(self._reached(splats, layer.views), splats, adjusted)
+            if SELECTION in layer.parameters:
+                adjusted = mixed(self._selected(layer, splats), splats, adjusted)
+            return LayerResult(between(splats, adjusted))
+        return self._paint(below, layer)
+
+    def _erased(self, splats: Splats, original: Splats, layer: Layer) -> Delta:
+        """What an eraser does to `splats`, whose `origin` says which Gaussian of `original` each comes from."""
+        views = [(view.camera, self.mask(view)) for view in layer.views]
+        delta = fade_delta if _fades(layer) else erase_delta
+        return delta(splats, original, views, reached_gaussians(splats, views))
+
+    def _paint(self, below: LayerState, layer: Layer) -> LayerResult:
+        local = layer.mode != "global" and layer.method != "ttt"  # networks paint without limits
+        options = _local_options(layer) if local else NO_OPTIONS
+        spread = spread_options_of(layer.parameters, layer.title) if layer.mode == "spread" else None
+        edits = [self._edit(view, layer, below.splats) for view in layer.views]
+        numbered, asset = self._adapter.apply(
+            below.splats, below.painter_state, edits, layer.mode, layer.method, options, spread
+        )
+        parent_ids = None if asset.splats.origin is None else asset.splats.origin[len(numbered) :]
+        facts: dict[str, Any] = {}
+        if asset.receipt is not None:
+            record = asset.receipt.summary()
+            names = ("method", "preset", "note", "views", "precision")
+            facts = {name: record[name] for name in names if name in record}
+            facts["stages"] = record["seconds"]
+        now = fingerprint(self.painter, layer.method)
+        if layer.painter != now:
+            notes = (facts.get("note"), "computed by another painter than it was made with")
+            facts["note"] = "; ".join(filter(None, notes))
+        confidence = asset.confidence
+        if confidence is not None:
+            confidence = (np.clip(confidence, 0, 1) * 255 + 0.5).astype(np.uint8)
+        splats = asset.splats
+        if layer.mode == "global" and layer.parameters.get(WITHIN):
+            masked = [view for view in layer.views if view.mask is not None]
+            if not masked:
+                raise ValueError(f"{layer.title}: expected a mask in one of its views to stay within")
+            splats = within(self._reached(below.splats, masked), below.splats, splats)
+        if layer.mode != "local" and SELECTION in layer.parameters:
+            splats = mixed(self._selected(layer, below.splats), below.splats, splats)
+        painter_state = None if asset.encoding is None else asset.encoding.state
+        receipt = asset.receipt if splats is asset.splats and type(self.painter) is Painter else None
+        delta = between(numbered, splats, parent_ids, None if receipt is None else receipt.touched)
+        return LayerResult(delta, facts, confidence, painter_state).with_computed(below.splats, splats)
+
+    def _selected(self, layer: Layer, splats: Splats) -> np.ndarray:
+        """[N] float32 weights of the selection that a layer keeps to."""
+        name = layer.parameters.get(SELECTION)
+        if not isinstance(name, str):
+            raise ValueError(f"{layer.title}: expected a selection")
+        selection = Selection.from_png(self._store.blob(name), len(self.original), layer.title)
+        return selection.on(splats, self.original)
+
+    def _reached(self, splats: Splats, views: Sequence[View]) -> np.ndarray:
+        """[N] bool: Gaussians that the masks of views reach."""
+        return reached_gaussians(splats, [(view.camera, self.mask(view)) for view in views])
+
+    def _edit(self, view: View, layer: Layer, below: Splats | None = None) -> Edit:
+        """A view of a layer as an edit. Pictures that were cut out along their mask show the Gaussians below beside it
+        to painters that look there; the lift does not."""
+        assert view.picture is not None, "a painted layer has pictures"
+        data, where = self._store.blob(view.picture), layer.title
+        image = decode_picture(data, view.camera, where, self.original.color_space)
+        if (
+            below is not None
+            and layer.method != "lift"
+            and view.mask is not None
+            and is_cut_out(data, view.camera, where)
+        ):
+            image = np.where(self.mask(view)[..., None], image, picture_of(below, view.camera))
+        return Edit(image, view.camera, None if view.mask is None else self.mask(view), layer.name)
+
+    def edit_of(self, view: View, layer: Layer) -> Edit:
+        """A view of a layer, or of a stroke, as it was given."""
+        return self._edit(view, layer)
+
+    def mask(self, view: View) -> np.ndarray:
+        """[H, W] bool mask of a view; all of it where it has none."""
+        if view.mask is None:
+            return np.ones((view.camera.height, view.camera.width), bool)
+        return decode_mask(self._store.blob(view.mask), view.camera, "mask")
+
+    def left_out(self, state: LayerState, camera: Camera, limits: Mapping[str, Any]) -> np.ndarray:
+        """[H, W] bool: pixels of a view whose paint the limits (a layer's parameters) leave out (lift.view_limits)."""
+        options = replace(self.painter.settings.local_options or LOCAL_DEFAULTS, **limits_of(limits, "limits"))
+        return left_out(self.coarse_surface(state, camera), camera, options.angle_limit, options.depth_edge_limit)
+
+    def coarse_surface(self, state: LayerState, camera: Camera) -> VisibleSurface:
+        """What a view sees of a state's surface, on blocks of pixels (lift.view_limits); the latest ones are cached."""
+        key = f"{state.key} {camera.to_json()}"
+        seen = self._seen.pop(key, None) or coarse_surface(self.surface, state.splats, camera)
+        self._seen[key] = seen
+        while len(self._seen) > MAX_SEEN:
+            self._seen.popitem(last=False)
+        return seen
+
+    @property
+    def surface(self) -> Surface:
+        """Surface of the original."""
+        return self._adapter.surface
+
+    def prepare(self, state: LayerState, camera: Camera | None) -> None:
+        """Make what a local edit of a state in a view (None: any) needs before anything else."""
+        if camera is None:
+            self._adapter.grid(state.splats)
+        else:
+            is_inside(state.splats, lambda: self._adapter.grid(state.splats), camera.position)
+        _ = self._adapter.surface.typical_width  # of the samples, which are cached with it
+
+    def forget(self, results: set[str]) -> None:
+        """Drop states that were made of results which are no longer stored."""
+        for key in [key for key, state in self._states.items() if results.intersection(state.results)]:
+            del self._states[key]
+        self._strokes.forget(results)
+
+    def _cached(self, key: str, below: LayerState, layer: Layer) -> LayerState | None:
+        """A state that is still cached. Its edited ids and facts name layers by id, which its key does not hold."""
+        state = self._states.get(key)
+        if state is None:
+            return None
+        self._states.move_to_end(key)
+        edited = (*below.edited, replace(state.edited[-1], layer=layer))
+        return replace(state, edited=edited, facts=(*below.facts, (layer.id, state.facts[-1][1])))
+
+
+class _NotAtHand(Exception):
+    """Something would have to be painted."""
+
+
+def _refuse(*_: Any) -> None:
+    raise _NotAtHand
+
+
+def _local_options(layer: Layer) -> dict[str, Any]:
+    """What a layer's parameters say of the painter's LocalOptions. Raises ValueError naming the layer."""
+    options: dict[str, Any] = dict(limits_of(layer.parameters, f"layer {layer.name!r}"))
+    if layer.kind != "picture":
+        options |= STROKE_OPTIONS
+    if layer.parameters.get(SPLIT_ONLY) is True:
+        options |= view_sequence.WITHOUT_SHEETS
+    return options
+
+
+def _is_visible(layer: Layer) -> bool:
+    return layer.visible and layer.opacity > 0
+
+
+def _is_stored(layer: Layer) -> bool:
+    """Whether the result of a layer is stored: that of a look without pictures is made anew as quickly."""
+    return layer.kind != "look" or any(view.picture for view in layer.views)
+
+
+def _result_key(below: LayerState, layer: Layer) -> str:
+    """Name of what a layer that is neither merged nor holds strokes makes of a state."""
+    return digest(f"{below.key} {layer.key}{' fade' if _fades(layer) else ''}")
+
+
+def _mixes(layer: Layer, strength: np.ndarray | None) -> bool:
+    """Whether a layer's opacity and blend, or a policy's factors of the former, mix colours with those below."""
+    partial = strength is not None and bool(((strength > 0) & (strength < 1)).any())
+    return layer.opacity < 1 or layer.blend != "normal" or partial or bool(_mask_text(layer))
+
+
+def _mask_text(layer: Layer) -> str:
+    """What of a mask decides the result; "" without one."""
+    if layer.mask is None or not layer.mask.enabled:
+        return ""
+    return f" mask {json.dumps(layer.mask.record(), sort_keys=True)}"
+
+
+def _has_base(layer: Layer) -> bool:
+    """Whether a layer's opacity starts from colours fitted to what its views saw before."""
+    return layer.kind in ("paint", "picture", "clone")
+
+
+def _fades(layer: Layer) -> bool:
+    """Whether a layer is an eraser that only fades (eraser.fade_delta)."""
+    partial = layer.opacity < 1 or layer.blend != "normal"
+    return layer.kind == "erase" and partial
+
+
+def _fit(confidence: np.ndarray, count: int) -> np.ndarray:
+    return np.pad(confidence, (0, max(count - len(confidence), 0)), constant_values=255)[:count]

@@ -1,0 +1,119 @@
+"""Which layer edited which Gaussians: conflicts, and what of the asset was seen and what predicted. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from splatpainter.session.document.document import Document, Layer, Policy
+
+ORIGINAL, SEEN, PREDICTED = 0, 1, 2
+"""Values of a coverage."""
+POLICY_STRENGTH: dict[Policy, float] = {"latest": 1.0, "first": 0.0, "blend": 0.5}
+"""What is left of the upper layer's opacity on Gaussians in conflict."""
+
+
+@dataclass(frozen=True)
+class EditedIds:
+    """Which Gaussians one layer edited."""
+
+    layer: Layer
+    key: str
+    """Key of the layer's result."""
+    changed: np.ndarray = field(repr=False)
+    """[T] int64 ascending: those that were there and that it wants to change (a policy may give them to another)."""
+    appended: tuple[int, int] = (0, 0)
+    """First of those that it appended, and the one after the last."""
+    confidence: np.ndarray | None = field(default=None, repr=False)
+    """[N + A] uint8 of a global layer: 255 was seen, towards 0 predicted; of a spread one: 255 was painted, else
+    how sure it is that it is of the painted material; None: its views showed what it changed."""
+
+    @property
+    def local(self) -> bool:
+        """Whether it paints a part of the surface, and so can be in conflict."""
+        return self.layer.mode == "local" and self.layer.kind in ("paint", "picture", "clone")
+
+
+@dataclass(frozen=True)
+class Conflict:
+    """Gaussians that two local layers changed from different views."""
+
+    lower: str
+    upper: str
+    """Layer ids."""
+    gaussian_ids: np.ndarray = field(repr=False)
+    """[C] int64 ascending."""
+    share: float
+    """Share of the Gaussians that the lower layer changed or appended, 0..1."""
+    policy: Policy
+
+    @property
+    def winner(self) -> str | None:
+        """Id of the layer that is visible there; None: a blend of both."""
+        return {"latest": self.upper, "first": self.lower, "blend": None}[self.policy]
+
+
+def find_conflicts(edited: Sequence[EditedIds], document: Document) -> list[Conflict]:
+    """All pairs of layers, lower ones first, that changed the same Gaussians from different views. Adjustment layers,
+    global layers and the eraser are in no conflict: they mean to change what is below them."""
+    chosen: dict[tuple[str, str], Policy] = {(low, high): policy for low, high, policy in document.policies}
+    out = []
+    for k, upper in enumerate(edited):
+        for lower in edited[:k]:
+            if not (upper.local and lower.local) or same_views(upper.layer, lower.layer):
+                continue
+            common = overlap(lower, upper.changed)
+            if len(common):
+                total = len(lower.changed) + lower.appended[1] - lower.appended[0]
+                pair = (lower.layer.id, upper.layer.id)
+                out.append(Conflict(*pair, common, len(common) / total, chosen.get(pair, "latest")))
+    return out
+
+
+def policy_strength(
+    edited: Sequence[EditedIds], layer: Layer, document: Document, count: int
+) -> tuple[np.ndarray | None, list]:
+    """([N] factor of a layer's opacity per Gaussian where policies say so, else None; what that depends on, for its
+    key). edited: of the layers below."""
+    factor, depends = None, []
+    below = {entry.layer.id: entry for entry in edited}
+    for lower, upper, policy in document.policies:
+        if upper == layer.id and lower in below and not same_views(below[lower].layer, layer):
+            factor = np.ones(count, np.float32) if factor is None else factor
+            common = overlap(below[lower], np.arange(count))
+            factor[common] = np.minimum(factor[common], POLICY_STRENGTH[policy])
+            depends.append([below[lower].key, policy])
+    return factor, depends
+
+
+def overlap(lower: EditedIds, ids: np.ndarray) -> np.ndarray:
+    """[C] int64 ascending: those of `ids` (ascending) that a layer changed or appended."""
+    first, end = lower.appended
+    return ids[np.isin(ids, lower.changed, assume_unique=True) | ((ids >= first) & (ids < end))]
+
+
+def same_views(a: Layer, b: Layer) -> bool:
+    """Whether every view of `a` looks from where one of `b` does."""
+    if not a.cameras or not b.cameras:
+        return not a.cameras
+    first, second = (np.stack([camera.world_to_camera for camera in layer.cameras]) for layer in (a, b))
+    return all(np.isclose(one, second, atol=1e-6).all((1, 2)).any() for one in first)
+
+
+def coverage(edited: Sequence[EditedIds], count: int) -> np.ndarray:
+    """[N] uint8 per Gaussian: ORIGINAL, SEEN (an edited view showed it) or PREDICTED (a global or spread layer changed
+    it without having seen it). Adjustments and the eraser invent nothing: what they change stays as it was, or is the
+    original again."""
+    out = np.zeros(count, np.uint8)
+    for entry in edited:
+        ids = np.concatenate([entry.changed, np.arange(*entry.appended)])
+        if entry.layer.kind == "erase":
+            out[entry.changed] = ORIGINAL
+        elif entry.confidence is not None:
+            certain = entry.confidence[ids] > (254 if entry.layer.mode == "spread" else 127)
+            out[ids] = np.where(certain | (out[ids] == SEEN), SEEN, PREDICTED)
+        elif entry.layer.kind not in ("look", "hide"):
+            out[ids] = SEEN
+    return out

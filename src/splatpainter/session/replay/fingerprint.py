@@ -1,0 +1,35 @@
+"""What of a painter decides the results of layers, as text: it stands in their keys."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
+
+from splatpainter.nn.precision import resolve
+from splatpainter.painter import Method, Painter
+
+if TYPE_CHECKING:
+    from splatpainter.models.model import SplatPainterModel
+
+LIFT = "lift-1"
+"""Which lift it is: another number with every change that gives other Gaussians. Results that are stored stay as they
+are; where one has to be computed anew it is lifted as now, and the layer's note says so."""
+
+
+def fingerprint(painter: Painter, method: Method) -> str:
+    """What of a painter decides the results of a method, as text: its settings, the hash of its weights, and bf16 where
+    its networks are rounded to that. method: not "auto"."""
+    settings = f"{painter.settings.local_options!r} {painter.settings.global_options!r} {LIFT}"
+    if method != "ttt" or painter.model is None:
+        return f"{method} {settings}"
+    if painter.model not in _DIGESTS:
+        from splatpainter.models.cache import digest
+
+        _DIGESTS[painter.model] = digest(painter.model)
+    device = next(painter.model.parameters()).device
+    rounded = " bfloat16" if resolve(painter.settings.precision, device) == "bfloat16" else ""
+    return f"ttt {settings} polish={painter.settings.polish} {_DIGESTS[painter.model]}{rounded}"
+
+
+_DIGESTS: WeakKeyDictionary[SplatPainterModel, str] = WeakKeyDictionary()
+"""Digests of the models in use, whose weights do not change meanwhile; hashing one takes longer than a small edit."""

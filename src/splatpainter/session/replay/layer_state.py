@@ -1,0 +1,110 @@
+"""What composing an asset hands from layer to layer: the Gaussians so far, what a layer made of them, and where results
+are stored."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from splatpainter.session.replay.conflicts import EditedIds
+from splatpainter.session.replay.delta import Delta
+from splatpainter.session.replay.recent_changes import note_changes
+from splatpainter.splats import Splats
+
+if TYPE_CHECKING:
+    from splatpainter.models.refine import RefineState
+
+
+@dataclass(frozen=True)
+class LayerResult:
+    """What a layer makes of the Gaussians below it, before opacity and blend."""
+
+    delta: Delta = field(repr=False)
+    facts: dict[str, Any] = field(default_factory=dict)
+    """JSON for people: rows_touched, rows_appended, seconds, method, note, views [{psnr_...}], problem."""
+    confidence: np.ndarray | None = field(default=None, repr=False)
+    """[N + A] uint8, of a global edit."""
+    painter_state: Any = field(default=None, repr=False)
+    """What the painter has learnt so far (fast weights), where it learns."""
+    computed: tuple[Splats, Splats] | None = field(default=None, repr=False, compare=False)
+    """(Gaussians below, what the delta makes of them), where the painter has just made these. Never stored."""
+
+    def with_computed(self, below: Splats, after: Splats) -> LayerResult:
+        """The result, where `after` has the values of what the delta makes of `below`."""
+        if not len(self.delta.appended) or after.means.dtype != np.float32:  # arrays that did not change are shared
+            return self
+        note_changes(below, after, self.delta.gaussian_ids)
+        return replace(self, computed=(below, self.delta.numbered(after, below)))
+
+    def apply(self, below: Splats) -> Splats:
+        """What the delta makes of the Gaussians below."""
+        if self.computed is not None and self.computed[0] is below:
+            return self.computed[1]
+        return self.delta.apply(below)
+
+    @property
+    def problem(self) -> str:
+        """Why the layer changes nothing; "" where it works."""
+        return self.facts.get("problem", "")
+
+
+class ResultStore(Protocol):
+    """Where pictures and results of layers are stored."""
+
+    def blob(self, sha256: str) -> bytes: ...
+    def has(self, key: str) -> bool: ...
+    def get(self, key: str) -> LayerResult | None: ...
+    def put(self, key: str, result: LayerResult, previous: str | None = None) -> None:
+        """previous: key of the result that this one needs to be there too (of the stroke before)."""
+        ...
+
+
+@dataclass(frozen=True)
+class LayerState:
+    """The asset after some layers."""
+
+    key: str
+    """Hash of everything it depends on."""
+    splats: Splats
+    """`origin`: the original's Gaussian that each comes from."""
+    parent_ids: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64), repr=False)
+    """For the Gaussians appended to the original: the Gaussian that each was split from, -1: none."""
+    edited: tuple[EditedIds, ...] = ()
+    facts: tuple[tuple[str, dict[str, Any]], ...] = ()
+    """(layer id, LayerResult.facts) of the visible layers."""
+    results: tuple[str, ...] = ()
+    """Keys of the cached results it was made of."""
+    painter_state: Any = field(default=None, repr=False)
+
+
+Progress = Callable[[int, int, str], None]
+"""(layers done, layers in all, name of the one in work); what it raises ends the work, and nothing has changed."""
+
+
+def ancestors(state: LayerState, count: int) -> np.ndarray:
+    """[A] the Gaussian among the first `count` that each later one was split from, over any number of splits; -1:
+    none."""
+    first = len(state.splats) - len(state.parent_ids)
+    out = state.parent_ids[count - first :].copy()
+    while (late := out >= count).any():
+        out[late] = state.parent_ids[out[late] - first]
+    return out
+
+
+def lineage(state: LayerState, count: int) -> np.ndarray:
+    """[N] the Gaussian among the first `count` that each is, or was split from; -1: none."""
+    return np.concatenate([np.arange(count), ancestors(state, count)])
+
+
+def on_device(state: RefineState, device: object) -> RefineState:
+    """The same state on a torch device."""
+
+    def moved(block):
+        if block is None:
+            return None
+        return type(block)(*(part.to(device) for part in block)) if isinstance(block, tuple) else block.to(device)
+
+    return replace(state, blocks=tuple(moved(block) for block in state.blocks), detail=moved(state.detail))

@@ -1,0 +1,326 @@
+"""Layers that hold strokes: each stroke is painted on those before it, and only the newest is new.
+
+What a stroke makes of the Gaussians below is a result of its own, stored under the hash of all that it depends on, so a
+further stroke computes itself alone, and undo takes the last one away. Stored results in a row are written into one
+copy of the Gaussians, not one copy each: a layer of hundreds of strokes is soon there again after its project was
+opened. Where results take much room, those of all but the latest strokes become one (`strokes_to_fold`); going back
+before these computes strokes anew, from their pictures. The layer's opacity, blend and conflicts are those of all its
+strokes together, as of one layer (compose.py). Knows no painter and no file.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from splatpainter.session.document.document import Layer, digest
+from splatpainter.session.replay.delta import Delta, changed_values, without_source
+from splatpainter.session.replay.layer_state import LayerResult, LayerState, ResultStore, ancestors
+from splatpainter.splats import ATTRIBUTES
+
+CACHED_BYTES = 1 << 27
+"""Bytes of Gaussians after strokes that are cached to go on from, or back to."""
+MAX_CACHED = 64
+"""Most states that are cached."""
+CHECKPOINT_STROKES = 8
+"""Strokes before the last one at which the Gaussians are cached too where many are written in a row: the next undos
+start from there."""
+SPARE_ROOM = 0.25
+"""Share of the Gaussians by which arrays grow when appended ones do not fit."""
+
+MAX_LINKS = 1 << 13
+"""Names of strokes that are cached."""
+
+MAX_RESULT_BYTES = 8 << 20
+"""Bytes that the results of a layer's strokes may take, each by itself; ..."""
+LATEST_BYTES = 5 << 20
+"""... beyond that those of the latest strokes go on to take so many, and all before become one result."""
+MIN_LATEST = 4
+"""Strokes that keep results of their own in any case."""
+PROBLEMS = "problems"
+"""Name of the fact of a folded result: why some of its strokes change nothing."""
+
+Paint = Callable[[LayerState, Layer, LayerState], LayerResult]
+"""(the Gaussians below a stroke, the stroke, those below its layer) -> what it makes of them."""
+
+
+@dataclass(frozen=True)
+class StrokeKeys:
+    """Names of what comes of a layer's strokes on a given state; nothing is computed yet."""
+
+    keys: tuple[str, ...]
+    """Keys of the states: below the layer, after the first stroke, ..."""
+    results: tuple[str, ...]
+    """Result keys of the strokes."""
+
+    @staticmethod
+    def of(below_key: str, strokes: tuple[Layer, ...]) -> StrokeKeys:
+        keys, results = [below_key], []
+        for stroke in strokes:
+            result, key = _linked(keys[-1], stroke.key, f" {below_key}" if stroke.kind == "erase" else "")
+            results.append(result)
+            keys.append(key)
+        return StrokeKeys(tuple(keys), tuple(results))
+
+
+@lru_cache(maxsize=MAX_LINKS)
+def _linked(key: str, stroke_key: str, base: str) -> tuple[str, str]:
+    """(name of a stroke's result on a state, name of the state after it); cached, as commands share most strokes."""
+    result = digest(f"{key} {stroke_key}{base}")
+    return result, digest(f"{result} 1.0 normal []")
+
+
+@dataclass(frozen=True)
+class StrokesState:
+    """The Gaussians after some strokes of a layer."""
+
+    state: LayerState
+    changed: np.ndarray = field(repr=False)
+    """[T] int64 ascending: Gaussians from below the layer that any stroke changed."""
+    facts: dict[str, Any] = field(default_factory=dict)
+    """Facts of the latest stroke."""
+    problems: tuple[str, ...] = ()
+    """Why strokes change nothing, for those that do not."""
+    results: tuple[str, ...] = field(default=(), repr=False)
+    """Keys of the strokes' results."""
+
+    def delta(self, below: LayerState) -> Delta:
+        """What all strokes did to the state below the layer."""
+        count, splats = len(below.splats), self.state.splats
+        appended = splats.take(np.arange(count, len(splats)))
+        parent_ids = ancestors(self.state, count)
+        values, faded = changed_values(below.splats, splats, self.changed)
+        return Delta(count, self.changed, values, without_source(appended), parent_ids, faded=faded)
+
+    def layer_facts(self, layer: Layer, below: LayerState) -> dict[str, Any]:
+        """Facts of the layer: the latest stroke's, and the counts of all."""
+        facts = {**self.facts, "rows_touched": len(self.changed)}
+        facts["rows_appended"] = len(self.state.splats) - len(below.splats)
+        facts["stroke"] = {name: self.facts.get(name, 0) for name in ("rows_touched", "rows_appended", "seconds")}
+        facts.pop("problem", None)
+        if self.problems:
+            which = f"{len(self.problems)} of {len(layer.strokes)} strokes cannot be painted here"
+            facts["problem" if len(self.problems) == len(layer.strokes) else "note"] = f"{which}: {self.problems[0]}"
+        return facts
+
+
+@dataclass(frozen=True)
+class FoldedStrokes:
+    """One result in place of those of the first strokes."""
+
+    keys: tuple[str, ...]
+    """Keys of these strokes' states."""
+    key: str
+    result: LayerResult
+    next_key: str
+    """Key of the result of the stroke after them."""
+
+
+class StrokeChains:
+    """Composes layers that hold strokes."""
+
+    def __init__(self, store: ResultStore, paint: Paint) -> None:
+        self._store, self._paint = store, paint
+        self._cache: OrderedDict[str, StrokesState] = OrderedDict()
+
+    def state(self, key: str) -> LayerState | None:
+        """A cached state after some stroke."""
+        painted = self._cache.get(key)
+        return None if painted is None else painted.state
+
+    def painted(self, key: str) -> StrokesState | None:
+        """What is cached of the strokes up to a state."""
+        return self._cache.get(key)
+
+    def compose(
+        self,
+        below: LayerState,
+        layer: Layer,
+        chain: StrokeKeys,
+        strict: str | None,
+        progress: Callable[[int], None],
+    ) -> StrokesState:
+        """The Gaussians after all strokes. strict: id of the stroke whose problem is an error; progress: called with
+        the index of each stroke that has to be painted. Raises ValueError for the former, and what `progress` does."""
+        count = len(layer.strokes)
+        start = next((k for k in range(count, 0, -1) if chain.keys[k] in self._cache), 0)
+        if start:
+            painted = self._cache[chain.keys[start]]
+            self._cache.move_to_end(chain.keys[start])
+            # The layers below may be described otherwise than when it was cached.
+            state = replace(painted.state, edited=below.edited, facts=below.facts, results=below.results)
+            painted = replace(painted, state=state)
+        else:
+            start, painted = self._from_folded(below, chain)
+        writer: _Writer | None = None
+        for k in range(start, count):
+            stroke = layer.strokes[k]
+            result = self._store.get(chain.results[k])
+            at = len(painted.state.splats) if writer is None else writer.count
+            if result is not None and result.delta.count == at:
+                if k == count - 1 and writer is None:
+                    painted = _after(painted, below, result, chain, k + 1)
+                    continue
+                writer = writer or _Writer(painted, below)
+                writer.write(result)
+                if k == count - 1 - CHECKPOINT_STROKES:
+                    self._keep(writer.painted(chain, k + 1))
+                continue
+            if writer is not None:
+                painted, writer = writer.painted(chain, k), None
+            progress(k)
+            result = self._paint(painted.state, stroke, below)
+            if result.problem and stroke.id == strict:
+                raise ValueError(result.problem)
+            self._store.put(chain.results[k], result, chain.results[k - 1] if k else None)
+            painted = _after(painted, below, result, chain, k + 1)
+            self._keep(painted)
+        if writer is not None:
+            painted = writer.painted(chain, count)
+        self._keep(painted)
+        return painted
+
+    def _from_folded(self, below: LayerState, chain: StrokeKeys) -> tuple[int, StrokesState]:
+        """(strokes that one stored result stands for, the Gaussians after them), where the results of all others are
+        stored; else none."""
+        count = len(chain.results)
+        while count and self._store.has(chain.results[count - 1]):
+            count -= 1
+        result = self._store.get(folded_key(chain, count)) if count else None
+        if result is None or result.delta.count != len(below.splats):
+            return 0, StrokesState(below, np.zeros(0, np.int64))
+        delta = result.delta
+        parent_ids = np.concatenate([below.parent_ids, delta.parent_ids])
+        splats = delta.apply(below.splats)
+        state = replace(below, key=chain.keys[count], splats=splats, parent_ids=parent_ids)
+        if result.painter_state is not None:
+            state = replace(state, painter_state=result.painter_state)
+        facts = {name: value for name, value in result.facts.items() if name != PROBLEMS}
+        problems = tuple(str(problem) for problem in result.facts.get(PROBLEMS, ()))
+        return count, StrokesState(state, delta.gaussian_ids, facts, problems, (folded_key(chain, count),))
+
+    def forget(self, results: set[str]) -> None:
+        """Drop states that were made of results which are no longer stored."""
+        for key in [key for key, painted in self._cache.items() if results.intersection(painted.results)]:
+            del self._cache[key]
+
+    def _keep(self, painted: StrokesState) -> None:
+        self._cache[painted.state.key] = painted
+        self._cache.move_to_end(painted.state.key)
+        size = max(sum(getattr(painted.state.splats, name).nbytes for name in ATTRIBUTES), 1)
+        while len(self._cache) > max(min(CACHED_BYTES // size, MAX_CACHED), 3):
+            self._cache.popitem(last=False)
+
+
+def folded_key(chain: StrokeKeys, count: int) -> str:
+    """Name of the one result of the first `count` strokes."""
+    return digest(f"{chain.keys[count]} folded")
+
+
+def folded(painted: StrokesState, below: LayerState) -> LayerResult:
+    """One result of all strokes so far."""
+    facts = {**painted.facts, PROBLEMS: list(painted.problems)}
+    return LayerResult(painted.delta(below), facts, painter_state=painted.state.painter_state)
+
+
+def strokes_to_fold(results: Sequence[str], size_of: Callable[[str], int]) -> int:
+    """How many of the first strokes are to become one result. results: their keys; size_of: bytes that one takes, 0
+    where it is part of one already, as all before it are then."""
+    total, count = 0, 0
+    for latest, key in enumerate(reversed(results)):
+        size = size_of(key)
+        total += size
+        if not count and total > LATEST_BYTES and latest >= MIN_LATEST:
+            count = len(results) - latest
+        if not size or (count and total > MAX_RESULT_BYTES):
+            break
+    return count if total > MAX_RESULT_BYTES else 0
+
+
+def _after(
+    painted: StrokesState, below: LayerState, result: LayerResult, chain: StrokeKeys, count: int
+) -> StrokesState:
+    """The state with one more stroke, number `count` of the chain."""
+    delta, before = result.delta, painted.state
+    splats = result.apply(before.splats)
+    state = replace(
+        before,
+        key=chain.keys[count],
+        splats=splats,
+        parent_ids=np.concatenate([before.parent_ids, delta.parent_ids]),
+        painter_state=before.painter_state if result.painter_state is None else result.painter_state,
+    )
+    ids = delta.gaussian_ids[: np.searchsorted(delta.gaussian_ids, len(below.splats))]
+    changed = np.union1d(painted.changed, ids) if len(ids) else painted.changed
+    problems = (*painted.problems, result.problem) if result.problem else painted.problems
+    return StrokesState(state, changed, result.facts, problems, chain.results[:count])
+
+
+class _Writer:
+    """Writes stored results, one after the other, into one copy of the Gaussians."""
+
+    def __init__(self, painted: StrokesState, below: LayerState) -> None:
+        self._painted, self._below = painted, below
+        splats = painted.state.splats
+        self.count = len(splats)
+        self._arrays = {name: getattr(splats, name).copy() for name in ATTRIBUTES}
+        self._origin = None if splats.origin is None else splats.origin.copy()
+        self._parents = [painted.state.parent_ids]
+        self._changed = np.zeros(len(below.splats), bool)
+        self._changed[painted.changed] = True
+        self._problems = list(painted.problems)
+        self._facts, self._painter_state = painted.facts, painted.state.painter_state
+
+    def write(self, result: LayerResult) -> None:
+        """Go on with a result whose count is `count`."""
+        delta, count = result.delta, self.count
+        end = count + len(delta.appended)
+        self._grow(end)
+        for name, array in self._arrays.items():
+            ids, values = delta.written(name)
+            array[ids] = values
+            array[count:end] = getattr(delta.appended, name)
+        if self._origin is not None:
+            parents = delta.parent_ids
+            self._origin[count:end] = np.where(parents >= 0, self._origin[np.maximum(parents, 0)], -1)
+        ids = delta.gaussian_ids
+        self._changed[ids[: np.searchsorted(ids, len(self._changed))]] = True
+        self._parents.append(delta.parent_ids)
+        if result.problem:
+            self._problems.append(result.problem)
+        if result.painter_state is not None:
+            self._painter_state = result.painter_state
+        self.count, self._facts = end, result.facts
+
+    def _grow(self, end: int) -> None:
+        room = len(self._arrays["opacities"])
+        if end <= room:
+            return
+        extra = max(end, int(room * (1 + SPARE_ROOM))) - room
+
+        def longer(array: np.ndarray) -> np.ndarray:
+            return np.concatenate([array, np.zeros((extra, *array.shape[1:]), array.dtype)])
+
+        self._arrays = {name: longer(array) for name, array in self._arrays.items()}
+        self._origin = None if self._origin is None else longer(self._origin)
+
+    def painted(self, chain: StrokeKeys, count: int) -> StrokesState:
+        """What was written so far, `count` strokes of the chain; it shares nothing with what is written later."""
+        before = self._painted.state
+        arrays = {name: array[: self.count].copy() for name, array in self._arrays.items()}
+        origin = None if self._origin is None else self._origin[: self.count].copy()
+        splats = replace(before.splats, **arrays, origin=origin)
+        state = replace(
+            before,
+            key=chain.keys[count],
+            splats=splats,
+            parent_ids=np.concatenate(self._parents),
+            painter_state=self._painter_state,
+        )
+        changed = np.flatnonzero(self._changed)
+        return StrokesState(state, changed, self._facts, tuple(self._problems), chain.results[:count])

@@ -1,0 +1,1 @@
+"""Which Gaussians are chosen: weights, by masks, colours, attributes and places."""
