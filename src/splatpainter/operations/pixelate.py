@@ -23,7 +23,7 @@ import numpy as np
 from splatpainter.cameras import Camera, bounding_sphere, spherical_cameras
 from splatpainter.color import base_color, from_display, from_hex, sh_from_color
 from splatpainter.decals.decals import parse_width
-from splatpainter.grading.color_match import VIEW_COUNT, VIEW_PX
+from splatpainter.grading.color_match import MATCHING
 from splatpainter.kernels import portable
 from splatpainter.operations.operation import AS_PYTHON, Operation, ReadyOperation, Report, Tools, Wording, parameter
 from splatpainter.operations.region import Region, check_terms
@@ -224,8 +224,11 @@ def _is_visible(splats: Splats) -> np.ndarray:
     """[N] bool: whether some view from all around shows more than MIN_VISIBLE of what a Gaussian covers."""
     center, radius = bounding_sphere(splats)
     out = np.zeros(len(splats), bool)
-    black, everywhere = np.zeros((VIEW_PX, VIEW_PX, 3), np.float32), np.ones((VIEW_PX, VIEW_PX), np.float32)
-    for camera in spherical_cameras(center, VIEW_DISTANCE_RADII * radius, VIEW_COUNT, size=VIEW_PX):
+    black, everywhere = (
+        np.zeros((MATCHING.view_px, MATCHING.view_px, 3), np.float32),
+        np.ones((MATCHING.view_px, MATCHING.view_px), np.float32),
+    )
+    for camera in spherical_cameras(center, VIEW_DISTANCE_RADII * radius, MATCHING.views, size=MATCHING.view_px):
         view = project(splats, camera.local)
         sums = view.backproject(black, everywhere)
         out[view.gaussian_ids[sums.weight > MIN_VISIBLE * sums.alpha]] = True
