@@ -112,7 +112,8 @@ class SpreadMethod(EditMethod):
             asset, splats=result.splats, original=asset.original or asset.splats, make_grid=lambda _: asset.grid
         )
         vars(below)["surface"] = asset.surface
-        again = [replace(view, before=render(result.splats, view.camera).colors[0]) for view in views]
+        # A view at hand holds the colours of the asset before.
+        again = [replace(view, before=render(result.splats, view.camera).colors[0], projected=None) for view in views]
         return result.with_lift(lift_locally(below, again, self.settings))
 
 
