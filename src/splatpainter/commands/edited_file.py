@@ -6,7 +6,7 @@ import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from tyro.conf import arg
 
@@ -14,18 +14,11 @@ import splatpainter.session  # noqa: F401 - whose files regions and looks may na
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import AssetFile, AxesOption, FrameOption, OutFile, option_name
 from splatpainter.commands.terminal import SourceBar, complain, count, decibels, seconds, stages, warn
-from splatpainter.io import read
-from splatpainter.operations.operation import Operation, Report, ReportedView, Tools, Wording
-from splatpainter.operations.to_file import (
-    EditedFile,
-    FileOptions,
-    Worder,
-    apply_to_asset,
-    apply_to_file,
-    check_to_file,
-    proved_record,
-)
-from splatpainter.receipts import Receipt, receipt_of
+from splatpainter.operations.operation import Operation, Report, ReportedView, Tools, Wording, check_operations
+
+if TYPE_CHECKING:
+    from splatpainter.operations.to_file import EditedFile, Worder
+    from splatpainter.receipts import Receipt
 
 _Operation = TypeVar("_Operation", bound=Operation)
 
@@ -80,6 +73,9 @@ def run_operation(config: Any, kind: type[Operation], command: str) -> Outcome:
 
 def run_operations(config: Any, operations: Sequence[Operation], wording: Worder) -> Outcome:
     """Check, read, apply, write, verify. config: has AssetArguments and FileArguments."""
+    check_operations(operations, wording)
+    from splatpainter.operations.to_file import FileOptions, apply_to_file  # which a refusal need not load
+
     options = FileOptions(config.frame, config.axes, config.lenient, config.receipt, config.overwrite)
     with stages(3 + len(operations)) as bar:
         done = apply_to_file(
@@ -98,8 +94,11 @@ def run_operations(config: Any, operations: Sequence[Operation], wording: Worder
 
 def plan_operations(config: Any, operations: Sequence[Operation], wording: Worder) -> Outcome:
     """What --dry-run prints: which views a source would be sent, or how far an edit of mode spread reaches."""
+    check_operations(operations, wording)
+    from splatpainter.io import read
     from splatpainter.operations.generate import Generate
     from splatpainter.operations.paint import Paint
+    from splatpainter.operations.to_file import FileOptions, apply_to_asset, check_to_file
 
     options = FileOptions(config.frame, config.axes, config.lenient, config.receipt, config.overwrite)
     check_to_file(config.asset, operations, config.out, options, wording)
@@ -137,6 +136,9 @@ def spoken(kind: type[Operation], where: str, names: Mapping[str, str] | None = 
 
 
 def _record(config: Any, done: EditedFile) -> dict[str, Any]:
+    from splatpainter.operations.to_file import proved_record
+    from splatpainter.receipts import receipt_of
+
     record = proved_record(config.out, config.receipt or receipt_of(config.out), done.receipt, done.verification)
     notes = [f"{view.name}: {note}" for step in done.steps for view in step.views for note in view.notes]
     return record | {"notes": notes, "doubts": list(done.doubts)}

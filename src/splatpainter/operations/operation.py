@@ -16,16 +16,17 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
-import importlib.metadata
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import MISSING, dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 from splatpainter import jsonio
-from splatpainter.painter import Asset, Painter
-from splatpainter.sources.picture_source import CancelFlag, PictureAnswer, PictureSource, Progress
+
+if TYPE_CHECKING:
+    from splatpainter.painter import Asset, Painter
+    from splatpainter.sources.picture_source import CancelFlag, PictureAnswer, PictureSource, Progress
 
 ENTRY_POINTS = "splatpainter.operations"
 """Group by which other distributions add operations."""
@@ -144,7 +145,7 @@ class Report:
     """Of sources, those that were painted."""
 
 
-ReadyOperation = Callable[[Asset, Report], Asset]
+ReadyOperation: TypeAlias = "Callable[[Asset, Report], Asset]"
 """An operation with its files read and its source opened."""
 
 
@@ -241,6 +242,14 @@ def option_texts(kind: type) -> dict[str, str]:
     return texts
 
 
+def check_operations(operations: Sequence[Operation], wording: Callable[[Operation], Wording]) -> None:
+    """Raises ValueError: none, or one whose options cannot be."""
+    if not operations:
+        raise ValueError("expected at least one operation, got none")
+    for operation in operations:
+        operation.check(wording(operation))
+
+
 def kinds() -> list[str]:
     """All kinds: those of this package, then others by their names."""
     return [*KINDS, *sorted({point.name for point in _entry_points()} - {*KINDS})]
@@ -267,5 +276,7 @@ def operation_of(record: Any, where: str) -> Operation:
     return operation
 
 
-def _entry_points() -> list[importlib.metadata.EntryPoint]:
+def _entry_points() -> list[Any]:
+    import importlib.metadata  # a twentieth of a second, which few need
+
     return list(importlib.metadata.entry_points(group=ENTRY_POINTS))

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, ClassVar
 from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.operations.operation import AS_PYTHON, ReadyOperation, Report, ReportedView, Tools, Wording, parameter
 from splatpainter.operations.painting_options import PaintingOptions
-from splatpainter.painter import MAX_VIEWS, Asset, Mode, Painter
+from splatpainter.painting.edited_picture import MAX_VIEWS, Mode
 
 if TYPE_CHECKING:
+    from splatpainter.painter import Asset, Painter
     from splatpainter.pictures import FileEdit
     from splatpainter.splats import Splats
 

@@ -6,13 +6,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.nn.precision import Precision
 from splatpainter.operations.operation import Operation, Tools, Wording, parameter
-from splatpainter.painter import Method, Mode, Painter
-from splatpainter.sources.picture_source import PictureSource
+from splatpainter.painting.edited_picture import Method, Mode
+
+if TYPE_CHECKING:
+    from splatpainter.painter import Painter
+    from splatpainter.sources.picture_source import PictureSource
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +57,8 @@ class PaintingOptions(ViewLimits):
         edit to the lift."""
         if tools.painter is not None:
             return tools.painter
+        from splatpainter.painter import Painter
+
         self._refuse_idle_networks(mode, tools.wording)
         painter = Painter.load(self.preset, modes=[mode], polish=self.polish, precision=self.precision)
         painter = self.limited(painter).with_settings(aside=tools.aside)

@@ -7,13 +7,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
-import numpy as np
+if TYPE_CHECKING:
+    import numpy as np
 
-from splatpainter.splats import Splats
+    from splatpainter.splats import Splats
 
-Weigh = Callable[[Splats], np.ndarray]
+Weigh: TypeAlias = "Callable[[Splats], np.ndarray]"
 """An asset -> [N] 0..1: how much of each Gaussian belongs to something."""
 
 

@@ -21,7 +21,15 @@ from typing import Any
 from splatpainter.atomic import clash
 from splatpainter.doubts import doubts
 from splatpainter.io import files, read, write
-from splatpainter.operations.operation import AS_PYTHON, Operation, Report, ReportedView, Tools, Wording
+from splatpainter.operations.operation import (
+    AS_PYTHON,
+    Operation,
+    Report,
+    ReportedView,
+    Tools,
+    Wording,
+    check_operations,
+)
 from splatpainter.operations.source_answers import answers_line, interruptible, keeping_answers
 from splatpainter.output_paths import check_target, placed, splat_format
 from splatpainter.painter import Asset
@@ -168,14 +176,6 @@ def check_to_file(
     for path in (path for operation in operations for path in operation.outputs()):
         check_target(path, options.overwrite, [asset], inputs)
     check_outputs(out, options.receipt or receipt_of(out), options.overwrite, asset, inputs)
-
-
-def check_operations(operations: Sequence[Operation], wording: Worder) -> None:
-    """Raises ValueError: none, or one whose options cannot be."""
-    if not operations:
-        raise ValueError("expected at least one operation, got none")
-    for operation in operations:
-        operation.check(wording(operation))
 
 
 def doubts_of(splats: Splats) -> list[str]:
