@@ -53,7 +53,8 @@ def _node(kind: str) -> Node:
 def _fields(operation: type[Operation]) -> list[dataclasses.Field]:
     """The options that a node has."""
     hidden = OF_SOURCES if issubclass(operation, PictureSourceOptions) else set()
-    fields = [field for field in dataclasses.fields(operation) if field.name not in hidden]
+    fields = dataclasses.fields(operation)
+    fields = [field for field in fields if field.name not in hidden and not field.metadata.get("output")]
     return sorted(fields, key=lambda field: bool(field.kw_only))
 
 

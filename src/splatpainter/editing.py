@@ -43,12 +43,14 @@ def edit(
         if isinstance(step, Operation):
             kind, result = step, step.apply(asset, Tools(), Report())
         else:
-            how: Mode = "local" if isinstance(step, Decal) else mode
+            is_decal = isinstance(step, Decal)
+            how: Mode = "local" if is_decal else mode
+            by: Method = "lift" if is_decal and method == "auto" else method
             painter = Painter.load(preset, modes=[how])
-            asset = painter.encode(asset.splats, method, [how]) if asset is start and start is not splats else asset
+            asset = painter.encode(asset.splats, by, [how]) if asset is start and start is not splats else asset
             edits = step.views(asset) if isinstance(step, Decal) else step
-            kind = LayDecal(method=method) if isinstance(step, Decal) else Paint(mode=mode, method=method)
-            result = painter.apply(asset, edits, how, method)
+            kind = LayDecal(method=method) if is_decal else Paint(mode=mode, method=method)
+            result = painter.apply(asset, edits, how, by)
         assert result.receipt is not None
         asset = result
         steps.append(AppliedOperation(kind, result.receipt))

@@ -7,7 +7,7 @@ import hashlib
 import json
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -207,6 +207,9 @@ def _step(edit: Any, path: str, folder: Path, lines: Lines, asset: str, variant:
         for k, (entry, target) in enumerate(zip(given, full, strict=True)):
             index = f"[{k}]" if isinstance(original, tuple) else ""
             files.append((target, _checked(entry, target, lines.at(f"{path}.{kind}.{name}{index}"))))
+    for entry in fields(step):
+        if entry.metadata.get("output") and values[entry.name]:
+            values[entry.name] = folder / values[entry.name]
     if "options" in values:
         given_options = values["options"] = dict(values["options"])
         for key, value in given_options.items():
