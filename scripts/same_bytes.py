@@ -250,9 +250,11 @@ def make_inputs() -> None:
     Path("tool.py").write_text(TOOL, encoding="utf-8")
     Path("jobs.yaml").write_text(JOBS.replace("RUN", _tool()), encoding="utf-8")
     Path("wrong.yaml").write_text(JOBS.replace("exposure: 0.2", "exposition: 0.2"), encoding="utf-8")
-    Path("look.json").write_text(json.dumps({"exposure": 0.3, "hues": [{"hue": 30, "width": 60, "shift": 40}]}))
+    Path("look.json").write_text(
+        json.dumps({"exposure": 0.3, "hues": [{"hue": 30, "width": 60, "shift": 40}]}), encoding="utf-8"
+    )
     table = [f"{r} {g} {b}" for b in (0, 1) for g in (0, 0.9) for r in (0.1, 1)]
-    Path("film.cube").write_text("LUT_3D_SIZE 2\n" + "\n".join(table) + "\n")
+    Path("film.cube").write_text("LUT_3D_SIZE 2\n" + "\n".join(table) + "\n", encoding="utf-8")
     Image.new("RGBA", (24, 12), (200, 30, 40, 255)).save("label.png")
     mask = np.zeros((96, 96), np.uint8)
     mask[30:70, 30:70] = 255
