@@ -39,6 +39,8 @@ check: .venv/installed-dev
 	.venv/bin/ruff format --check .
 	.venv/bin/ruff check .
 	.venv/bin/typos
+	$(PY) scripts/words.py
+	$(PY) scripts/wrap_docs.py --check
 	$(MAKE) --no-print-directory --jobs 2 check-types check-systems check-web check-docs
 
 # Each on one core, two at a time.

@@ -1,8 +1,9 @@
 // The table that Python reads: names, signatures, entries.
 //
 // SP_KERNELS(subject, ONE(name), BOTH(name), ...) at the end of native/SUBJECT.cpp lists its kernels. A kernel is an
-// ordinary function over arrays and numbers that ends in (i64 thread, i64 threads); BOTH and FLOAT_FIRST are templates
-// over float and double. The parameter list is the only declaration: it becomes text at compile time, against which Python checks.
+// ordinary function over arrays and numbers that ends in (i64 thread, i64 threads); BOTH and FLOAT_FIRST are
+// templates over float and double. The parameter list is the only declaration: it becomes text at compile time,
+// against which Python checks.
 #pragma once
 #include "arrays.h"
 #include "lanes.h"

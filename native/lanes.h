@@ -52,8 +52,8 @@ template <class F> struct LanesOf {
 // fused(a, b, c): a b + c, rounded once, with the same bits everywhere. One instruction on x86-64-v3, v4 and arm64;
 // elsewhere the product's error and the sum's are found exactly and rounded to odd, so that the last rounding is right
 // (S. Boldo and G. Melquiond, "Emulation of FMA and correctly rounded sums: proved algorithms using rounding to odd",
-// IEEE Transactions on Computers 57, 2008); no part of their callers, which would take as long again to compile. Not for
-// products beyond 2^995 of doubles.
+// IEEE Transactions on Computers 57, 2008); no part of their callers, which would take twice as long to compile. Not
+// for products beyond 2^995 of doubles.
 #if defined(__FMA__) || defined(__aarch64__)
 SP_INLINE float fused(float a, float b, float c) { return __builtin_fmaf(a, b, c); }
 SP_INLINE double fused(double a, double b, double c) { return __builtin_fma(a, b, c); }

@@ -35,7 +35,7 @@ DOCUMENTS = [
 ]
 FOLDERS = ("src/", "tests/", "benchmarks/", "train/", "scripts/", "examples/", "docs/", "web/")
 MAX_README_LINES = 120
-NOT_WRAPPED = {"CHANGELOG.md", "docs/guide/studio.md", "web/README.md"}
+NOT_WRAPPED = {"docs/guide/studio.md", "web/README.md"}
 """To be wrapped when what is being written there is done."""
 OTHER_PROGRAMS = {"ADAPTERS.md"}
 """Documents that speak of programs of other systems."""
@@ -44,7 +44,18 @@ OTHER_PROGRAMS = {"ADAPTERS.md"}
 @cache
 def programs() -> tuple[str, ...]:
     """Every Python and TypeScript file of the repository."""
-    folders = ("src", "tests", "train", "benchmarks", "scripts", "native", "examples", "integrations", "web/src")
+    folders = (
+        "src",
+        "tests",
+        "train",
+        "benchmarks",
+        "scripts",
+        "native",
+        "examples",
+        "integrations",
+        "web/src",
+        "web/test",
+    )
     roots = (ROOT / name for name in folders)
     files = [path for root in roots for ending in ("py", "ts", "tsx") for path in root.rglob(f"*.{ending}")]
     return tuple("/" + path.relative_to(ROOT).as_posix() for path in files)
@@ -129,6 +140,47 @@ def test_prose_is_in_lines_that_a_diff_can_show() -> None:
     texts = {path: path.read_text(encoding="utf-8") for path in script["documents"]()}
     long = {path.relative_to(ROOT).as_posix() for path, text in texts.items() if script["wrapped"](text) != text}
     assert long <= NOT_WRAPPED
+
+
+def figures(pattern: str, document: str) -> list[float]:
+    """Of the last column, in the first table that has such a line."""
+    line, *_ = re.findall(rf"^\| {pattern}.*$", (ROOT / document).read_text(encoding="utf-8"), re.MULTILINE)
+    return [float(figure) for figure in re.findall(r"\d+\.?\d*", line.split("|")[-2])]
+
+
+@pytest.mark.parametrize(
+    ("readme", "rows", "unit"),
+    [
+        (r"render, 512 px", ("render \\|", "render and gradients of every attribute \\|"), 1),
+        (r"a dab of 64 px", ("local edit, dab of 64 px",), 1000),
+        (r"one regraded view", ("global edit from one view \\|",), 1000),
+        (r"`splatpainter edit` above", ("the demo's `splatpainter edit`",), 1),
+    ],
+)
+def test_the_readmes_figures_are_those_of_the_page_of_numbers(readme: str, rows: tuple[str, ...], unit: int) -> None:
+    """Rounded."""
+    stated = figures(readme, "README.md")
+    measured = [figures(row, "docs/numbers.md")[0] / unit for row in rows]
+    assert len(stated) == len(measured)
+    for short, exact in zip(stated, measured, strict=True):
+        assert abs(short - exact) <= 0.06 * exact + 0.005
+
+
+def test_the_readme_and_the_first_page_say_the_same() -> None:
+    readme, index = (
+        " ".join((ROOT / name).read_text(encoding="utf-8").split()) for name in ("README.md", "docs/index.md")
+    )
+    for sentence in ("in one to two seconds", "two CPU cores open a capture"):
+        assert sentence in readme and sentence in index
+
+
+def test_the_readmes_extras_are_the_packages() -> None:
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    extras = set(
+        re.findall(r"^(\w+) = \[", text.split("[project.optional-dependencies]")[1].split("\n\n")[0], re.MULTILINE)
+    )
+    install = (ROOT / "README.md").read_text(encoding="utf-8").split("## Install")[1].split("Nothing is on")[0]
+    assert len(extras) > 8 and set(re.findall(r"`(\w+)`", install)) <= extras
 
 
 def test_the_readme_is_short() -> None:

@@ -152,6 +152,7 @@ def test_negative_scales_of_other_programs_name_the_suspicion(tmp_path: Path) ->
     with_one = replace(splats, scales=np.vstack([np.abs(splats.scales[:1]), splats.scales[1:]]))
     (doubt,) = doubts(with_one)
     assert "probably logarithms" in doubt.line
+    assert ["probably logarithms" in one.line for one in doubts(splats)] == [True, False], "also where all are"
 
 
 def test_lossy_planes_of_a_sog(tmp_path: Path) -> None:
@@ -252,6 +253,9 @@ FILM = struct.pack(">I", 24) + b"ftypisom" + bytes(64)
 KINDS = [
     (PAGE, "a web page"),
     (b"\xef\xbb\xbf<html>" + bytes(90), "a web page"),
+    (b'{"message": "Not Found", "status": "404"}' + b" " * 64, "a text "),
+    (b"Access denied. Sign in to download this file, please." + b"\n" * 64, "a text "),
+    (b"\x28\xb5\x2f\xfd" + bytes(60), "packed by zstd"),
     (POINTER, "a git-LFS pointer"),
     (FILM, "a film"),
     (b"\x1a\x45\xdf\xa3" + bytes(60), "a film"),
@@ -271,6 +275,13 @@ def test_files_that_are_no_splats(data: bytes, what: str, ending: str, tmp_path:
     with pytest.raises(ValueError, match=rf"chair\.{ending}: is {what}.*, not a splat file; ") as error:
         io.read(path)
     assert "\n" not in str(error.value)
+
+
+def test_a_ply_packed_by_gzip_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "chair.ply"
+    path.write_bytes(b"\x1f\x8b\x08" + bytes(61))
+    with pytest.raises(ValueError, match="is packed by gzip; unpack it first"):
+        io.read(path)
 
 
 def test_a_splat_file_of_any_positions_is_read(tmp_path: Path) -> None:

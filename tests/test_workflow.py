@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import re
 import tomllib
 from pathlib import Path
@@ -19,6 +20,14 @@ def jobs() -> dict[str, Any]:
     data = yaml.safe_load((ROOT / ".github" / "workflows" / "tests.yml").read_text(encoding="utf-8"))
     assert data["permissions"] == {"contents": "read"} and {"push", "pull_request"} <= set(data[True])  # YAML's "on"
     return data["jobs"]
+
+
+def script(name: str) -> Any:
+    spec = importlib.util.spec_from_file_location(name, ROOT / "scripts" / f"{name}.py")
+    assert spec and spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def commands(job: dict[str, Any]) -> list[str]:
@@ -79,11 +88,7 @@ def test_one_action_is_pinned_at_one_version() -> None:
 
 
 def test_a_release_is_refused_where_tag_version_and_changelog_differ() -> None:
-    path = ROOT / "scripts" / "release_check.py"
-    spec = importlib.util.spec_from_file_location("release_check", path)
-    assert spec and spec.loader
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = script("release_check")
     released = "# Changelog\n\n## Unreleased\n\n## 1.2.0 (2030-01-01)\n\n- a\n"
     assert module.faults("v1.2.0", "1.2.0", released) == []
     assert "got v1.3.0" in module.faults("v1.3.0", "1.2.0", released)[0]
@@ -92,3 +97,16 @@ def test_a_release_is_refused_where_tag_version_and_changelog_differ() -> None:
     assert module.faults("v1.2.0", "1.2.0", left) == [
         "CHANGELOG.md: 1 lines stand under Unreleased: move them below 1.2.0"
     ]
+
+
+def test_a_line_is_slower_by_a_factor_and_a_slack_and_only_where_it_is_stored() -> None:
+    check = script("speed_check")
+    stored = {"render": 10.0, "quick": 0.01}
+    bound = check.MAX_FACTOR * 10 + check.SLACK
+    assert check.slower({"render": bound, "quick": 0.4, "new": 1e6}, stored) == {}
+    assert check.slower({"render": bound + 1, "quick": 5.0}, stored) == {
+        "render": pytest.approx((bound + 1) / 10),
+        "quick": pytest.approx(500),
+    }
+    ratios = json.loads(check.STORED.read_text(encoding="utf-8"))
+    assert "render" in ratios and all(value >= 0 for value in ratios.values())

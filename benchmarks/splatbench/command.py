@@ -21,10 +21,12 @@ from splatpainter.output_paths import check_folder
 
 MEASUREMENTS = {
     "speed": "time and peak memory of every stage, on scenes of several sizes",
+    "peers": "ours beside gsply, Mitsuba and splat-transform on the same files",
     "lift": "quality of local edits on given assets, with a contact sheet",
     "painted": "quality of paint on held-out meshes, in novel views, against the painted surface",
     "adapt": "what carries an edit to Gaussians that no picture shows: test-time training and others, at equal cost",
     "spread": "how well mode spread carries a recoloured material on to where the edited view does not look",
+    "light": "quality of new light on held-out meshes, in novel views, against path-traced truth",
     "studio": "what an artist waits for in the studio, and its server's memory",
 }
 TABLES = {
@@ -201,15 +203,17 @@ class JsonOption:
 
 
 def measure(name: str, words: Sequence[str]) -> Outcome:
-    """speed, lift, painted, adapt, spread or studio. Raises ValueError for words and files that make no sense."""
+    """One of MEASUREMENTS. Raises ValueError for words and files that make no sense."""
     from splatpainter.text_tables import markdown
 
     module_name, options_name = {
         "speed": ("speed", "SpeedBench"),
+        "peers": ("peers", "PeersBench"),
         "lift": ("local_edits", "LiftBench"),
         "painted": ("painted", "PaintedBench"),
         "adapt": ("adapt", "AdaptBench"),
         "spread": ("spread", "SpreadBench"),
+        "light": ("light", "LightBench"),
         "studio": ("studio", "StudioBench"),
     }[name]
     try:

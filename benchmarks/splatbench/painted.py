@@ -85,7 +85,7 @@ class PaintedBench:
     assets: AssetKind = "coarse"
     """coarse: as in training data; fitted: by 3DGS on views of the truth (a minute or two per object, kept on disk)."""
     methods: tuple[str, ...] = ("nothing", "rounds", "split", "lift")
-    """Methods: nothing, rounds (five colour rounds), split (2 x 2, then rounds), lift, fit, auto."""
+    """Methods: nothing, rounds (five colour rounds), split (2 x 2, then rounds), lift, fit, auto, network."""
     objects: int = 12
     """How many objects to measure."""
     size: int = 256
@@ -103,7 +103,7 @@ class PaintedBench:
     seed: int = 0
     """Seed of objects, light and paint."""
     preset: str = "auto"
-    """The painter of the methods lift, fit and auto."""
+    """The painter of the methods lift, fit, auto and network."""
     perceptual_weights: Path | None = None
     """Folder of the LPIPS weights; default: that of SPLATPAINTER_PERCEPTUAL; without them no LPIPS."""
     out: Path = Path("out/bench-painted")
@@ -174,6 +174,7 @@ def methods(preset: str) -> dict[str, EditFunction]:
         "lift": painted_by("lift"),
         "fit": painted_by("fit"),
         "auto": painted_by("auto"),
+        "network": painted_by("ttt"),
     }
 
 

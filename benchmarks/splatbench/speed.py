@@ -16,7 +16,7 @@ from typing import Any
 from splatbench.process import in_fresh_process
 from splatbench.scenes import SavedScene, resampled, save_scene
 from splatbench.speed_cases import OPERATIONS
-from splatbench.timing import Timing, machine, measure
+from splatbench.timing import Timing, calibration, machine, measure
 from splatpainter import text_tables as tables
 from splatpainter.image_files import write_png
 
@@ -38,7 +38,8 @@ NOTES = (
     "weights (they cost what trained ones do), a painted disc of 67 pixels at 256; `encode` is once per asset.",
     "`small scene`: our kernels and the plain-torch reference (the specification, not a competitor) in turn in "
     "one process; `reference ratio` is the reference's seconds divided by the line's. `from start to end`: a fresh "
-    "process, imports included, until it has ended; `within it` are its parts.",
+    "process, imports included, until it has ended; `within it` are its parts. `calibrated`: the fastest repeat "
+    "divided by the seconds of a fixed piece of numpy's work on one core in the same run.",
 )
 
 
@@ -88,6 +89,9 @@ class Speed:
     repeats: int
     reference_ratio: float | None = None
     """Time of the torch reference / ours."""
+    calibrated: float | None = None
+    """Fastest repeat in parts of a fixed piece of numpy's work, timed before and after the lines of the same run:
+    compares between machines and days."""
 
 
 def run(config: SpeedBench, report: Report | None = None) -> list[Speed]:
@@ -98,6 +102,7 @@ def run(config: SpeedBench, report: Report | None = None) -> list[Speed]:
     report = report or (lambda _: None)
     where = machine()
     results: list[Speed] = []
+    yardstick = calibration()
 
     def add(lines: Iterator[Speed]) -> None:
         for line in lines:
@@ -113,6 +118,9 @@ def run(config: SpeedBench, report: Report | None = None) -> list[Speed]:
             add(_stages(config, gaussians, scene))
         add(_against_reference(config, folder))
         add(_programs(config, max(scenes), scenes[max(scenes)], folder))
+    yardstick = min(yardstick, calibration())
+    results = [replace(line, calibrated=line.fastest / (1000 * yardstick)) for line in results]
+    where += f"; calibration {1000 * yardstick:.2f} ms"
     config.out.mkdir(parents=True, exist_ok=True)
     tables.write_csv(config.out / "speed.csv", results, where)
     tables.write_markdown(config.out / "speed.md", results, where, NOTES)

@@ -14,6 +14,9 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+CALIBRATION_NUMBERS = 500_000
 SIMD = ("avx512f", "avx2", "fma", "avx", "sse4_2", "asimd", "neon")
 """Flags worth naming, widest first."""
 
@@ -41,6 +44,17 @@ def measure(work: Callable[[], Any], *, warmups: int = 1, repeats: int = 9, budg
     return Timing(statistics.median(times), min(times), len(times))
 
 
+def calibration() -> float:
+    """Seconds of a fixed piece of numpy's work on one core (sums, products, a sort, roots of half a million numbers),
+    the fastest of several: what lines of a run are divided by, so that machines and days compare."""
+    values = np.random.default_rng(0).random(CALIBRATION_NUMBERS, np.float32)
+
+    def work() -> float:
+        return float(np.sqrt(np.sort(values) * values + values).cumsum(dtype=np.float64)[-1])
+
+    return measure(work, repeats=9, budget=2).fastest
+
+
 def machine() -> str:
     """One line: CPU, cores, SIMD, memory, versions, and how busy the machine was. Names no host and no path."""
     from splatpainter.kernels.parallel import threads
@@ -56,7 +70,7 @@ def machine() -> str:
         with contextlib.suppress(ValueError, OSError):
             parts.append(f"{os.sysconf('SC_PAGE_SIZE') * os.sysconf('SC_PHYS_PAGES') / 2**30:.0f} GiB")
     parts.append(f"{platform.system()} {platform.machine()}")
-    versions = [f"{name} {_version(name)}" for name in ("numpy", "torch", "splatpainter")]
+    versions = [f"{name} {installed_version(name)}" for name in ("numpy", "torch", "splatpainter")]
     parts.append(f"Python {platform.python_version()}, " + ", ".join(versions))
     if sys.platform != "win32":
         parts.append(f"load {os.getloadavg()[0]:.1f} at the start")
@@ -73,7 +87,8 @@ def _cpuinfo() -> dict[str, str]:
     return {name.strip(): value.strip() for name, _, value in pairs}
 
 
-def _version(package: str) -> str:
+def installed_version(package: str) -> str:
+    """Of a distribution; "absent" where it is not installed."""
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:

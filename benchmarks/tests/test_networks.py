@@ -16,6 +16,7 @@ from splatbench.methods.weights import SHIPPED, Weights
 
 from splatpainter.cameras import Camera, orbit
 from splatpainter.lift.options import LocalOptions
+from splatpainter.models.local_network import LocalNetwork
 from splatpainter.models.lrm import DEPTH_REACH, AssetViews, patchify
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.nn.precision import autocast
@@ -24,6 +25,7 @@ from splatpainter.rendering import render
 from splatpainter.splats import ATTRIBUTES, Splats, changed_rows
 from splatpainter.voxels.grid import bounding_cube
 from splattrain.commands import train
+from tests.models.test_local_network import CONFIG as LOCAL_CONFIG
 from tests.support.lift_scenes import db
 from tests.support.model_scenes import TINY, with_compress, with_refine
 from tests.support.painter_scenes import BLUE, CAMERA, GREEN, LIFT, REAR, RED, built, dab, grade, thing
@@ -122,6 +124,28 @@ def test_fast_weights_go_on_to_the_next_step_and_polish_comes_after_the_network(
     plain, polished = (row_of(name).edit(task, far) for name in ("ttt", "ttt-polish"))
     errors = [db(render(d.splats, CAMERA).colors[0], task.step.edited.colors[0]) for d in (plain, polished)]
     assert errors[1] > errors[0] and "polished" in polished.note
+
+
+def test_rows_of_the_networks_apart(tmp_path: Path) -> None:
+    """Global edits by test-time training go on from the state of those before; local ones by the local network; what
+    either does not make the lift does, and says so."""
+    config = with_refine(LIFT, answers="teachers", picture_tokens=False, row_tokens=64, base="own")
+    LocalNetwork(LOCAL_CONFIG).save(tmp_path / "local")
+    weights = {"rows": saved(built(config), tmp_path / "rows"), "local": str(tmp_path / "local")}
+    budget, globally, locally = Budget(weights=weights), row_of("ttt-global"), row_of("network")
+    assert globally.missing(budget) == locally.missing(budget) == ""
+    first = globally.edit(work(grade(thing()), "global"), budget)
+    paint = globally.edit(work(dab(first.splats, GREEN), state=first.state), budget)
+    assert "the lift alone" in paint.note
+    second = globally.edit(work(grade(paint.splats), "global", state=paint.state), budget)
+    shown = [result.state.encoding.state.shown[:, 3].sum() for result in (first, paint, second)]
+    assert shown[0] == shown[1] < shown[2]
+    done = locally.edit(work(dab(thing(), RED)), budget)
+    assert done.keeps_gaussians and "seconds_ttt" in done.numbers
+    assert "the lift alone" in locally.edit(work(grade(thing()), "global"), budget).note
+    assert "of no model whose Stage II carries" in globally.missing(
+        Budget(weights={"rows": saved(built(LIFT), tmp_path / "lift")})
+    )
 
 
 def test_cross_attention_wants_a_model_of_its_kind(tmp_path: Path) -> None:

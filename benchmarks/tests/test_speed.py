@@ -237,6 +237,8 @@ def test_bench_speed_writes_its_table(tmp_path: Path, monkeypatch: pytest.Monkey
     small = [line for line in lines if line.operation.startswith("small scene")]
     assert len(small) == 4 and all(line.reference_ratio is not None and line.reference_ratio > 0 for line in small)
     assert (lines[0].rows, lines[0].size, lines[1].size) == (2000, 64, None)
+    parts = {round(line.fastest / line.calibrated, 6) for line in lines if line.calibrated}
+    assert len(parts) == 1 and parts.pop() > 0.1, "one calibration for all, in milliseconds"
     assert all(line.peak_mib is None or line.peak_mib > 4 for line in lines)
     heading, *table = (tmp_path / "out" / "speed.csv").read_text().splitlines()
     assert "cores" in heading and [row["operation"] for row in csv.DictReader(table)] == names

@@ -15,10 +15,14 @@ from typing import Any
 from read_package import ply_columns
 
 HERE = Path(__file__).resolve().parent
-PYTHON_PACKAGES = ("gsply", "zstandard", "gaussforge", "usd-convert-gsplat", "usd-core")
+PYTHON_PACKAGES = ("gsply", "zstandard", "gaussforge", "usd-convert-gsplat", "usd-core", "bpy")
+"""bpy, Blender as a module, is 350 MB."""
+BLENDER = "Blender (points)"
 NODE_PACKAGES = (
     "@playcanvas/splat-transform",
     "splat-transform-2=@playcanvas/splat-transform@2",
+    "@playcanvas/supersplat-viewer",
+    "playcanvas",  # which it runs on
     "three",
     "@sparkjsdev/spark",
     "@mkkellogg/gaussian-splats-3d",
@@ -28,9 +32,10 @@ NODE_PACKAGES = (
     "fflate",
 )
 ABSENT = {
-    "SuperSplat": "an application, no package; it reads and writes through splat-transform",
-    "ComfyUI core": "no package of it on the index",
-    "Blender, Houdini, Unreal, Scaniverse": "no packages of npm or pip",
+    "SuperSplat's editor": "npm view @playcanvas/supersplat: 404; its viewer is tried, and it reads and writes through "
+    "splat-transform",
+    "ComfyUI core": "pip: no matching distribution found for comfyui; comfyui-... are its clients and nodes",
+    "Houdini, Unreal, Scaniverse": "no packages of npm or pip",
 }
 """Programs that this script cannot try -> why."""
 PATIENCE_SECONDS = 60
@@ -60,8 +65,9 @@ def python_programs(work: Path, versions: dict[str, str]) -> list[Program]:
             raise RuntimeError(done.stderr.strip()[-300:])
         return json.loads(done.stdout.strip().splitlines()[-1])
 
-    titles = {"gsply": "gsply", "gaussforge": "GaussForge", "usd-convert-gsplat": "usd-convert-gsplat"}
-    return [Program(f"{title} {versions[name]}", partial(read, name)) for name, title in titles.items()]
+    titles = {"gsply": "gsply", "gaussforge": "GaussForge", "usd-convert-gsplat": "usd-convert-gsplat", "bpy": BLENDER}
+    named = [(name, title) for name, title in titles.items() if name in versions]
+    return [Program(f"{title} {versions[name]}", partial(read, name)) for name, title in named]
 
 
 def node_programs(work: Path, versions: dict[str, str]) -> list[Program]:
@@ -103,6 +109,7 @@ def viewers(work: Path, _: dict[str, str]) -> list[Program]:
         "spark": ("@sparkjsdev/spark", "Spark"),
         "gaussian-splats-3d": ("@mkkellogg/gaussian-splats-3d", "GaussianSplats3D"),
         "babylon": ("@babylonjs/core", "Babylon.js"),
+        "supersplat": ("@playcanvas/supersplat-viewer", "SuperSplat's viewer"),
     }
     out = []
     for name, (package, title) in packages.items():

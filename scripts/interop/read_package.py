@@ -104,6 +104,36 @@ def usd_convert_gsplat(path: Path) -> dict:
     return {name: np.asarray(array).tolist() for name, array in out.items()}
 
 
+def bpy(path: Path) -> dict:
+    """Blender has no splats: a mesh of points, with a PLY's properties as attributes of its vertices."""
+    bpy = import_module("bpy")
+
+    if path.suffix not in (".ply", ".glb"):
+        raise ValueError("is not a format of it")
+    with quiet(), contextlib.redirect_stdout(sys.stderr):
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        if path.suffix == ".ply":
+            bpy.ops.wm.ply_import(filepath=str(path))
+        else:
+            bpy.ops.import_scene.gltf(filepath=str(path))
+    mesh = max((one for one in bpy.context.scene.objects if one.type == "MESH"), key=lambda one: len(one.data.vertices))
+    points = mesh.data.vertices
+    if not points:
+        raise ValueError("no points")
+    out = {"positions": [list(mesh.matrix_world @ one.co) for one in points]}
+    attributes = mesh.data.attributes
+
+    def values(name: str) -> list[float]:
+        return [one.value for one in attributes[name].data]
+
+    if "opacity" in attributes:
+        out["opacities"] = (1 / (1 + np.exp(-np.array(values("opacity"))))).tolist()
+        out["base"] = np.stack([values(f"f_dc_{k}") for k in range(3)], 1).tolist()
+        out["scales"] = np.exp(np.stack([values(f"scale_{k}") for k in range(3)], 1)).tolist()
+        out["quats"] = np.stack([values(f"rot_{k}") for k in range(4)], 1).tolist()
+    return out
+
+
 @contextlib.contextmanager
 def quiet():
     """Without what C++ writes to stderr."""
@@ -117,7 +147,7 @@ def quiet():
         os.close(before)
 
 
-PROGRAMS = {"gsply": gsply, "gaussforge": gaussforge, "usd-convert-gsplat": usd_convert_gsplat}
+PROGRAMS = {"gsply": gsply, "gaussforge": gaussforge, "usd-convert-gsplat": usd_convert_gsplat, "bpy": bpy}
 
 
 def main(program: str, folder: str, *names: str) -> None:

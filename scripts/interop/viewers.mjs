@@ -182,6 +182,44 @@ async function babylon() {
   return { answer, draw };
 }
 
+async function supersplat() {
+  if (!/\.(ply|sog)$/.test(file)) throw new Error("is not a format of it");
+  const { createViewer } = await import("@playcanvas/supersplat-viewer/viewer");
+  const initial = { position: EYE, target: [0, 0, 0], fov: 40 };
+  const effects = Object.fromEntries(
+    ["sharpness", "bloom", "grading", "vignette", "fringing"].map((name) => [name, { enabled: false }]),
+  );
+  const settings = {
+    version: 2,
+    tonemapping: "none",
+    highPrecisionRendering: false,
+    background: { color: [0.13, 0.13, 0.13] },
+    postEffectSettings: effects,
+    animTracks: [],
+    cameras: [{ initial }],
+    annotations: [],
+    startMode: "default",
+  };
+  const viewer = await createViewer({ container: view, settings, contentUrl: url, renderer: "webgl", ui: false, nofx: true });
+  for (let k = 0; k < 200 && !viewer.state.loaded; k++) await frames(1);
+  const [component] = viewer.app.root.findComponents("gsplat");
+  const resource = component.resource ?? component.asset.resource ?? viewer.app.assets.get(component.asset).resource;
+  const world = component.entity.getWorldTransform();
+  const centers = Array.from(resource.centers ?? resource.gsplatData.getCenters());
+  const positions = [];
+  const { Vec3 } = await import("playcanvas");
+  for (let k = 0; k + 2 < centers.length; k += 3)
+    positions.push(...world.transformPoint(new Vec3(centers[k], centers[k + 1], centers[k + 2])).toArray());
+  const answer = { positions };
+  const data = resource.gsplatData;
+  const columnsOf = (names) => names.map((name) => data?.getProp?.(name));
+  const [alpha] = columnsOf(["opacity"]);
+  const dc = columnsOf(["f_dc_0", "f_dc_1", "f_dc_2"]);
+  if (alpha) answer.opacities = Array.from(alpha, (value) => 1 / (1 + Math.exp(-value)));
+  if (dc.every(Boolean)) answer.base = Array.from(dc[0], (_, k) => dc.map((one) => one[k])).flat();
+  return { answer, draw: () => frames(30) };
+}
+
 // What fails in a worker or behind an event reaches no promise of ours.
 const giveUp = (reason) => {
   window.answer ??= { error: String(reason?.message ?? reason).slice(0, 160) };
@@ -189,7 +227,7 @@ const giveUp = (reason) => {
 };
 window.addEventListener("error", (event) => giveUp(event.error ?? event.message));
 window.addEventListener("unhandledrejection", (event) => giveUp(event.reason));
-const programs = { three, spark, "gaussian-splats-3d": gaussianSplats3d, babylon };
+const programs = { three, spark, "gaussian-splats-3d": gaussianSplats3d, babylon, supersplat };
 try {
   const { answer, draw } = await programs[program]();
   window.answer = answer;

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from splatpainter.io.write_options import WriteOptions as WriteOptions
     from splatpainter.lights.lamps import Lamp as Lamp
     from splatpainter.lights.lamps import Sun as Sun
-    from splatpainter.lights.relight import Lights as Lights
+    from splatpainter.lights.light_set import Lights as Lights
     from splatpainter.lights.relight import delight as delight
     from splatpainter.lights.relight import light as light
     from splatpainter.lights.skies import sky as sky
@@ -99,7 +99,7 @@ _HOME = {
     "read_cube": "grading.cube_lut",
     "light": "lights.relight",
     "delight": "lights.relight",
-    "Lights": "lights.relight",
+    "Lights": "lights.light_set",
     "Sun": "lights.lamps",
     "Lamp": "lights.lamps",
     "sky": "lights.skies",

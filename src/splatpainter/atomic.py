@@ -51,6 +51,7 @@ def writing(path: Path) -> Iterator[BinaryIO]:
     An existing file keeps its permissions; a symbolic link keeps pointing where it points. OSError becomes ValueError.
     """
     check_name(path)
+    # Beside its target, as a rename is one step only within a file system.
     target = Path(os.path.realpath(path))
     partial = target.with_name(f".{brief_name(target.name)}.{secrets.token_hex(4)}.part")
     try:
@@ -58,6 +59,7 @@ def writing(path: Path) -> Iterator[BinaryIO]:
             yield file
             file.flush()
             os.fsync(file.fileno())
+        # A new file has the rights of a temporary one; one that is replaced keeps those that somebody gave it.
         if target.exists():
             copy_mode(target, partial)
         replace(partial, target)
@@ -106,6 +108,7 @@ def remove(path: Path) -> None:
 def sync_folder(folder: Path) -> None:
     """Make a rename inside `folder` durable, where the system can do that (Windows opens no folders)."""
     with contextlib.suppress(OSError):
+        # The name is an entry of the folder: until that is on the disk, a power cut takes the file away.
         handle = os.open(folder, os.O_RDONLY)
         try:
             os.fsync(handle)
@@ -131,6 +134,7 @@ def check_name(path: Path) -> None:
 
 def windows_refuses(name: str) -> str:
     """Why Windows has no ordinary file of this name (without folders), or ""."""
+    # Said of Windows on every system: names are made on one and opened on another.
     if RESERVED_NAMES.match(name):
         return "is the name of a device on Windows"
     if match := RESERVED_CHARACTERS.search(name):

@@ -277,11 +277,13 @@ def look_at(
     """A camera at `eye` facing `target`. up: the world direction that points up in the picture (any length, not along
     the view). fov: vertical field of view in degrees, above 0 and below 180. Raises ValueError where these give no
     camera."""
+    # Judged first: a camera of NaN would be noticed far from here.
     position, aim, upward = (np.asarray(point, np.float64) for point in (eye, target, up))
     if not np.isfinite([position, aim, upward]).all() or (position == aim).all() or not upward.any():
         raise ValueError(f"look_at: expected two different points and an up direction, got {eye}, {target}, {up}")
     if not 0 < fov < 180:
         raise ValueError(f"look_at: expected a fov between 0 and 180 degrees, got {fov}")
+    # OpenCV's axes: z into the picture, x to the right, y down, so that y is z cross x.
     z = aim - position
     z /= portable.length(z)
     x = np.cross(z, upward)
@@ -312,6 +314,7 @@ def orbit(
 ) -> list[Camera]:
     """`count` cameras evenly around `center` at `radius` (world units), looking at it. elevation and start: degrees,
     above the horizon and of the first camera around `up`."""
+    # Two directions across the axis; which ones is of no matter but must be the same on every run.
     axis = np.asarray(up, np.float64)
     axis = axis / portable.length(axis)
     side = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
@@ -319,6 +322,7 @@ def orbit(
     front = np.cross(side, axis)
     tilt = math.radians(elevation)
     cameras = []
+    # Evenly over the circle without its end, which is its beginning.
     for angle in np.radians(start + 360.0 * np.arange(count) / max(count, 1)):
         flat = portable.cos(angle) * front + portable.sin(angle) * side
         eye = np.asarray(center) + radius * (portable.cos(tilt) * flat + portable.sin(tilt) * axis)
@@ -332,12 +336,14 @@ def bounding_sphere(splats: Splats) -> tuple[np.ndarray, float]:
 
     (0, 0, 0) and 1 where none can be drawn. Those beyond three median distances from the median centre are left out;
     of the others the middle of the central 98 % per axis is the centre, and 98 % lie within the radius."""
+    # Faint Gaussians say nothing about where the object is, and are often far from it.
     arrays = splats.numpy()
     drawable = splats.drawable
     opaque = drawable & (arrays.opacities > MIN_FRAMED_OPACITY)
     means = arrays.means[opaque if opaque.any() else drawable].astype(np.float64)
     if not len(means):
         return np.zeros(3), 1.0
+    # The median stands where most Gaussians are, wherever floaters pull the mean.
     distances = np.linalg.norm(means - np.median(means, axis=0), axis=1)
     core = means[distances <= 3 * np.median(distances)] if np.median(distances) > 0 else means
     low, high = np.quantile(core, [0.01, 0.99], axis=0)
@@ -362,6 +368,7 @@ def orbit_cameras(
     """`count` square views around the asset, relative to its offset. up: "auto" or a key of UPS; elevation and
     azimuth: degrees, above the horizon and of the first view around `up`; fov: vertical, degrees; distance: of the eye
     from the centre, world units, by default so that the asset fills the picture."""
+    # The cone of the field of view touches the ball, with a margin.
     center, radius = bounding_sphere(splats)
     if distance is None:
         distance = FRAME_MARGIN * radius / float(portable.sin(math.radians(fov / 2)))
@@ -394,6 +401,8 @@ def spherical_cameras(
     front = np.cross(axis, side)
     cameras = []
     for k in range(count):
+        # Heights in equal steps cut the sphere into bands of equal area (Archimedes); the golden angle spreads them
+        # around.
         height = 1 - (2 * k + 1) / count
         angle = GOLDEN_ANGLE * (k + 0.5 * between)
         flat = portable.cos(angle) * side + portable.sin(angle) * front

@@ -34,6 +34,7 @@ GARBAGE_OBJECTS = 10_000
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command line (default: the process's own) and return its exit code. Raises nothing for users, unless
     SPLATPAINTER_DEBUG is set."""
+    # A process of its own may be tuned; a caller in Python keeps its settings.
     words = list(sys.argv[1:] if argv is None else argv)
     if argv is None:
         _collect_garbage_seldom()
@@ -74,6 +75,7 @@ def _run(words: list[str]) -> Outcome:
         return Outcome({"commands": SUMMARIES}, [_help()])
     if words[0] in ("-V", "--version"):
         return Outcome({"version": __version__}, [f"{PROGRAM} {__version__}"])
+    # `help edit` is `edit --help`. Commands are imported when they are called: each needs its own libraries.
     name, rest = (words[1], ["--help"]) if words[0] == "help" else (words[0], words[1:])
     if name not in SUMMARIES:
         import difflib  # wanted once in a while

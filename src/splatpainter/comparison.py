@@ -63,6 +63,7 @@ def compare(original: Splats, edited: Splats, options: WriteOptions = AS_IT_IS) 
         or options != AS_IT_IS
     ):
         return _compare_converted(original, edited, options)
+    # Bytes of rows can be compared where both are stored in the same layout, else decoded values.
     old, new = contents(original.source), contents(edited.source)
     exact, stored = VALUES, old is not None and new is not None and same_layout(old, new)
     unexpected: dict[str, np.ndarray] = {}
@@ -74,11 +75,13 @@ def compare(original: Splats, edited: Splats, options: WriteOptions = AS_IT_IS) 
         rows, names, unexpected = _stored_rows(old, new, by_value)
     else:
         rows = changed_rows(original, edited)
+    # Besides rows: whatever the two files hold that no edit changes.
     missing = len(edited) < len(original)
     problems, compared = _other_parts(original.source, edited.source, old, new, rows)
     unseen = tuple(filter(None, [new.unseen if new is not None else "header, sections and padding"]))
     if not stored and new is not None and new.tables:
         unseen += ("the stored bytes of the rows, whose layout differs",)
+    # Equal in all that was compared, and still other files: something lies where nobody looked, and that must be said.
     nothing = not (problems or unexpected or len(rows) or missing) and len(edited) == len(original)
     if nothing and original.source.sha256 != edited.source.sha256:
         problems.append(f"the files differ in bytes that are not compared: {'; '.join(unseen) or 'unknown'}")
@@ -109,6 +112,7 @@ def _compare_converted(original: Splats, edited: Splats, options: WriteOptions) 
     """Rows alone: another format, a copy turned to other axes, or one with options has other headers and elements."""
     assert edited.source is not None
     key, source = edited.source.format, original.source
+    # The original is written as the edited one is, so that what the format rounds is rounded on both sides.
     before = _converted(original, edited, options)
     turned = source is not None and source.format == key and source.frame != edited.source.frame
     words = [f"the original converted to {key}", "of the same axes" if turned else ""]
@@ -156,6 +160,7 @@ def _stored_rows(
     """(rows that differ as stored or by value, names of the properties of Gaussians in which they do, other properties
     that differ with their rows)."""
     rows, names, unexpected = by_value, [], {}
+    # Several tables: a SOG or glTF file keeps the attributes of a row in different places.
     for one, two in zip(old.tables, new.tables, strict=True):
         if one.first != two.first:  # of another row: values tell
             continue
@@ -231,6 +236,7 @@ def _chunk_problems(
     count = min(len(old), len(new))
     if old.shape[1] != new.shape[1]:
         return [f"{name}: {old.shape[1]} bytes a row became {new.shape[1]}"]
+    # Extremes of a chunk follow its rows. They may change where one of its rows did, or where rows were appended to it.
     differing = np.flatnonzero((old[:count] != new[:count]).any(1))
     moved = np.append(np.unique(rows // CHUNK_ROWS), [before // CHUNK_ROWS] if after != before else [])
     unexpected = np.setdiff1d(differing, moved)
@@ -253,6 +259,7 @@ def _without(lines: tuple[str, ...], excluded: tuple[str, ...]) -> list[str]:
 def _json_path(before: Any, after: Any, where: str = "") -> str:
     """The first place at which two trees differ, and how."""
     if isinstance(before, dict) and isinstance(after, dict):
+        # In order of names, as writers of JSON may shuffle keys; the first place alone is told.
         for key in sorted({*before, *after}):
             if key not in before or key not in after:
                 return f"{where}.{_quoted(key)[1:-1]} ({'new' if key not in before else 'missing'})"[:200]

@@ -33,10 +33,12 @@ def sheet(strips: Sequence[Strip], cell: int, title: str = "") -> np.ndarray:
     does."""
     from PIL import Image, ImageDraw, ImageFont
 
+    # Letters grow with the cells, and stay readable in small ones.
     small, large = max(cell // 18, 9), max(cell // 14, 11)
     width = max(len(strip.cells) for strip in strips) * (cell + GAP_PX) + GAP_PX
     body, fine = ImageFont.load_default(large), ImageFont.load_default(small)
     head = _title_size(title, width - 2 * GAP_PX, small, round(large * 1.4))
+    # All sizes first, as the page has to be made before anything is drawn on it.
     heights = [round(large * 1.7) if strip.caption else 0 for strip in strips]
     label, top = round(small * 1.5), round(head * 1.8) if title else 0
     inner = [max(_fitted(np.asarray(picture), cell) for _, picture in strip.cells) for strip in strips]
@@ -50,6 +52,7 @@ def sheet(strips: Sequence[Strip], cell: int, title: str = "") -> np.ndarray:
         for column, (name, picture) in enumerate(strip.cells):
             x = GAP_PX + column * (cell + GAP_PX)
             pen.text((x, y + line), _shortened(name, fine, cell), CAPTION_COLOR, fine)
+            # Scaled down smoothly, up in whole squares: a small picture's pixels are meant to be seen.
             image = Image.fromarray(to_uint8(np.asarray(picture)))
             image.thumbnail((cell, cell), Image.Resampling.LANCZOS)
             if image.width < cell and image.height < cell:

@@ -70,9 +70,11 @@ class Doubt:
 def doubts(splats: Splats) -> tuple[Doubt, ...]:
     """Everything doubtful about an asset as it was read (with its source), the gravest first. Reads no file."""
     with np.errstate(all="ignore"):  # of extreme or damaged Gaussians
+        # Where nothing is drawn, every other doubt is about numbers that nobody sees.
         nothing = _nothing_drawn(splats)
-        if nothing is not None:
-            return (nothing,)
+        if nothing is not None:  # and why, where a file says it
+            reason = _log_scales_in_glb(splats, splats)
+            return (nothing,) if reason is None else (reason, nothing)
         few = _sample(splats)
         looks = (_activated, _log_scales_in_glb, _lossy_planes, _coarse_positions, _color_scale, _colors)
         return tuple(doubt for look in looks if (doubt := look(splats, few)) is not None)
@@ -80,6 +82,7 @@ def doubts(splats: Splats) -> tuple[Doubt, ...]:
 
 def doubts_of_view(splats: Splats, camera: Camera, name: str = "the view") -> tuple[Doubt, ...]:
     """Whether a camera sees any Gaussian; name: of the view, for the line."""
+    # Only what could be seen from anywhere: an asset of invisible Gaussians has its own doubt.
     drawn = _drawn(splats)
     if not drawn.any():
         return ()
@@ -139,8 +142,10 @@ def _activated(splats: Splats, few: Splats) -> Doubt | None:
     """Scales and opacities stored as they are, where logarithms and logits are expected; and colours for f_dc."""
     if splats.source is None or splats.source.format not in LOG_FORMATS or len(few) < DOUBTS.min_rows:
         return None
+    # The reader took exp and the sigmoid already: undone here, as the doubt is about what the file holds.
     logs, opacities = np.log(few.scales.astype(np.float64)), few.opacities.astype(np.float64)
     logits, base = np.log(opacities) - np.log1p(-opacities), few.sh[:, 0]
+    # Each of three signs alone is enough; told in one doubt, as one mistake of an exporter makes them all.
     parts: list[tuple[str, str, str, str]] = []
     if (logs > 0).mean() >= DOUBTS.nearly_all and _fits_better_without_exp(few):
         seen = f"scale_0..2 are all above 0 ({logs.min():.2g} to {logs.max():.2g})"
@@ -164,6 +169,7 @@ def _activated(splats: Splats, few: Splats) -> Doubt | None:
 def _fits_better_without_exp(few: Splats) -> bool:
     """Whether sizes taken as stored fit the distance between Gaussians better than their exp does, as if they lay
     evenly on a sphere of the asset's extent."""
+    # Medians, as floaters and background Gaussians are few and extreme.
     points = few.means.astype(np.float64)
     radius = float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
     spacing = radius * np.sqrt(4 * np.pi / len(few))
@@ -183,6 +189,7 @@ def _log_scales_in_glb(splats: Splats, few: Splats) -> Doubt | None:
     source = splats.source
     if source is None or source.format != "glb":
         return None
+    # The reader knows the programs that did so and has undone it; that other programs will not is what is told.
     generator = getattr(source.detail, "log_scales", "")
     if generator:
         return Doubt(
@@ -216,6 +223,7 @@ def _lossy_planes(splats: Splats, few: Splats) -> Doubt | None:
 
 
 def _coarse_positions(splats: Splats, few: Splats) -> Doubt | None:
+    # In sizes of a Gaussian, as the same step is harmless for a landscape and ruins a cup.
     step = positions.steps_in_sizes(few.world_means, few.scales)
     if step < DOUBTS.coarse_step or _holds_doubles(splats):
         return None
@@ -257,6 +265,7 @@ def _color_scale(splats: Splats, few: Splats) -> Doubt | None:
 def _colors(splats: Splats, few: Splats) -> Doubt | None:
     if len(few) < DOUBTS.min_rows:
         return None
+    # By median and nearly all, so that a few damaged rows raise no doubt about the asset.
     base = np.asarray(base_color(few.sh))
     middle, most = float(np.median(base)), float(np.quantile(base, DOUBTS.nearly_all))
     if middle > DOUBTS.bright:

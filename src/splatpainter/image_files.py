@@ -83,6 +83,7 @@ def encode_png(pixels: np.ndarray, text: Mapping[str, str] | None = None, level:
     """PNG of uint8 or uint16 levels [H, W] or [H, W, 2, 3 or 4] (grey, grey and alpha, RGB, RGBA; alpha straight).
     text: keyword -> ASCII, as tEXt chunks. level: of zlib, 1 is fast. data: the samples are no display colours, so the
     file does not say that they are sRGB. Raises ValueError: 16-bit colour without OpenImageIO."""
+    # Pillow writes 16 bits of grey alone.
     if pixels.dtype == np.uint16 and pixels.ndim == 3:
         return _encode("png", pixels, text or {}, {"png:compressionLevel": level})
     from PIL import Image, PngImagePlugin
@@ -99,6 +100,7 @@ def encode_png(pixels: np.ndarray, text: Mapping[str, str] | None = None, level:
 
 def bytes_to_png(data: bytes) -> bytes:
     """A grey PNG whose pixels are these bytes, row by row, and zeros after them."""
+    # A picture is what project files and the page carry anyway; it is packed by zlib on the way.
     rows = -(-len(data) // PACKED_WIDTH)
     return encode_png(
         np.frombuffer(data.ljust(rows * PACKED_WIDTH, b"\0"), np.uint8).reshape(rows, PACKED_WIDTH), data=True
@@ -128,6 +130,7 @@ def encode_exr(
         raise ValueError(f"EXR: expected [H, W, {len(channels)}] samples, got {list(pixels.shape)}")
     if pixels.dtype.kind == "f" and np.isnan(pixels).any():
         raise ValueError(f"EXR: {int(np.isnan(pixels).sum())} samples are NaN")
+    # Marked as Rec. 709 light, or as data, which programs must not convert.
     attributes = {"compression": "zip", "oiio:ColorSpace": "lin_rec709" if linear else "data"}
     return _encode("exr", pixels, text or {}, attributes, channels)
 
@@ -207,6 +210,7 @@ def read_deep(path: Path, max_pixels: int) -> PixelSamples:
     outside its data window). Raises ValueError naming the file: no OpenImageIO, damaged, more than `max_pixels`,
     channels that are no colour."""
     with _opened(path, max_pixels) as (source, spec):
+        # Names, not places, say what a channel is: OpenEXR sorts them by the alphabet.
         names = [str(name).upper() for name in spec.channelnames]
         if spec.deep:
             raise ValueError(f"{path}: expected a flat picture, got deep samples; flatten it first")
@@ -215,6 +219,7 @@ def read_deep(path: Path, max_pixels: int) -> PixelSamples:
         if channels is None:
             listed = ", ".join(map(str, spec.channelnames[:8]))
             raise ValueError(f"{path}: expected channels R, G, B or Y, got {listed}")
+        # One read of all that lies between the first and the last, as OpenImageIO takes a range.
         positions = [names.index(name) for name in channels]
         first, last = min(positions), max(positions) + 1
         if last - first > 16:
@@ -227,6 +232,7 @@ def read_deep(path: Path, max_pixels: int) -> PixelSamples:
         ]
         associated = spec.getattribute("oiio:UnassociatedAlpha") in (None, 0) and source.format_name() != "png"
         values = _windowed(np.nan_to_num(pixels), spec)
+        # A header may hold anything: an orientation that EXIF does not know is taken for none.
         turned = spec.getattribute("Orientation")
         orientation = turned if isinstance(turned, int) and 1 <= turned <= 8 else 1
         if source.seek_subimage(1, 0) and source.format_name() == "tiff":
@@ -264,6 +270,7 @@ def _primaries(spec: Any) -> tuple[float, ...] | None:
 
 def _windowed(pixels: np.ndarray, spec: Any) -> np.ndarray:
     """The display window of a picture that may hold more or less of it."""
+    # Programs crop OpenEXR pictures to what is not empty; the display window says where that belongs.
     full_window = (spec.x, spec.y, spec.width, spec.height) == (
         spec.full_x,
         spec.full_y,
@@ -291,6 +298,7 @@ def exr_text(path: Path, keyword: str, max_pixels: int) -> str | None:
 @contextlib.contextmanager
 def _opened(path: Path, max_pixels: int) -> Iterator[tuple[Any, Any]]:
     """(input, spec) of a file whose claims were judged: nothing was decoded yet."""
+    # Limits are set before the file is opened: a header can claim any number of channels and pixels.
     exr = is_exr(path)
     oiio = require_deep(f"{path}: {'OpenEXR' if exr else '16-bit colour'}")
     oiio.attribute("limits:channels", MAX_CHANNELS)
@@ -382,6 +390,8 @@ def _camera_text(picture: Path, explicit: Path | None) -> tuple[str | None, str]
     """(the JSON of a camera or None, where it was found)."""
     from PIL import Image, UnidentifiedImageError
 
+    # Whoever names a file means it; then what travels inside of the picture, which cannot be left behind; the sidecar
+    # last.
     if explicit is not None:
         return _read_text(explicit), str(explicit)
     if is_exr(picture):

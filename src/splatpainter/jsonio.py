@@ -57,6 +57,7 @@ def load_document(
     data: bytes | memoryview | str, where: Path | str, what: str, max_bytes: int = MAX_JSON_BYTES
 ) -> dict[str, Any] | list[Any]:
     """The JSON object or list in `data`. Raises ValueError: as `load_object`, and for a single value."""
+    # The length before the parser, which would make memory of it.
     if len(data) > max_bytes:
         raise ValueError(f"{where}: {what} has {len(data)} bytes; expected at most {max_bytes}")
     try:
@@ -83,6 +84,7 @@ def object_at(item: dict[str, Any], key: str, where: Path | str) -> dict[str, An
 
 def objects_at(item: dict[str, Any], key: str, where: Path | str) -> list[dict[str, Any]]:
     """item[key] where it is a list of objects, [] where there is none. Raises ValueError otherwise."""
+    # A missing list is an empty one; one of another kind is somebody's mistake.
     value = item.get(key, [])
     if not isinstance(value, list) or not all(isinstance(entry, dict) for entry in value):
         raise ValueError(f"{where}: expected a list of objects as {key!r}, found {brief(value)}")
@@ -173,6 +175,7 @@ class _Builder:
     def build(self, kind: type, values: Any, path: str, base: Any = None) -> Any:
         if not isinstance(values, Mapping):
             raise self._wrong("an object", path, values)
+        # Keys of the file first: unknown ones are refused, as a misspelt option would else be ignored in silence.
         types_of_fields, prefix = field_types(kind), f"{path}." if path else ""
         present: dict[str, Any] = {}
         for key, value in values.items():
@@ -183,6 +186,7 @@ class _Builder:
             if name in present:
                 raise FieldError(self.where, prefix + name, f"two values for '{prefix}{name}'")
             present[name] = value
+        # Then keys that are not there: from the base, from what older files meant, or from the default.
         for field in dataclasses.fields(kind):
             if field.name in present or base is not None:
                 continue
@@ -194,6 +198,7 @@ class _Builder:
             name: self.value(types_of_fields[name], value, prefix + name, getattr(base, name, None))
             for name, value in present.items()
         }
+        # The dataclass judges its own values; its complaint gets the place in the file.
         try:
             return kind(**fields) if base is None else dataclasses.replace(base, **fields)
         except ValueError as error:
@@ -201,9 +206,11 @@ class _Builder:
 
     def value(self, hint: Any, value: Any, path: str, base: Any = None) -> Any:
         """`value` from JSON as what the annotation `hint` says. base: the value to start from, of a dataclass."""
+        # One case for each kind of annotation that a document may hold.
         origin, arguments = get_origin(hint), get_args(hint)
         if hint is Any:
             return value
+        # Containers go down into their parts, so that an error can name its whole path.
         if dataclasses.is_dataclass(hint):
             assert isinstance(hint, type)
             return self.build(hint, value, path, base)
@@ -216,6 +223,7 @@ class _Builder:
                 raise self._wrong(f"{len(arguments)} values", path, value)
             items = enumerate(zip(arguments, value, strict=True))
             return tuple(self.value(part, item, f"{path}[{i}]") for i, (part, item) in items)
+        # A Literal may have been spelt otherwise by older files.
         if origin is Literal:
             if isinstance(value, str):
                 value = self.aliases.get(f"{path}={value}", value)
@@ -227,6 +235,7 @@ class _Builder:
             if not isinstance(value, Mapping):
                 raise self._wrong("an object", path, value)
             return {str(key): self.value(arguments[1], item, f"{path}.{key}") for key, item in value.items()}
+        # Of unions only `| None` is read: of others a value would not say which it is.
         if origin in (Union, types.UnionType):
             (part,) = (argument for argument in arguments if argument is not type(None))
             return None if value is None else self.value(part, value, path, base)
@@ -261,6 +270,7 @@ def _line(text: str) -> str:
 
 
 def _check_values(document: dict[str, Any] | list[Any], where: Path | str, what: str) -> None:
+    # Level by level, in a loop of its own: recursion into a hostile document would end in a crash.
     level: list[Any] = [document]
     for _ in range(MAX_JSON_DEPTH):
         deeper: list[Any] = []

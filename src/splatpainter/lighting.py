@@ -53,6 +53,7 @@ def prt_transfer(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
     out = np.zeros((len(points), 10), np.float32)
     if not has_normal.any():
         return out
+    # Gaussians that are not drawn neither see nor hide anything.
     points = np.ascontiguousarray(points[has_normal], np.float32)
     normals = np.ascontiguousarray(normals[has_normal], np.float32)
     visible = visibility(points, normals, point_spacing(points))
@@ -63,6 +64,7 @@ def prt_transfer(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
 
 def point_spacing(points: np.ndarray) -> float:
     """A little less than the distance of a point to its SPACING_NEIGHBOR-th neighbour: closed for the shadow maps."""
+    # A sample, as the median of a few hundred is as good as that of all.
     picks = np.linspace(0, len(points) - 1, min(SPACING_SAMPLES, len(points))).astype(np.int64)
     squares = np.empty(len(picks))
     near = min(SPACING_NEIGHBOR, len(points) - 1)
@@ -103,7 +105,9 @@ def blocked_light(
     float64 their solid angles, or their irradiances. One shadow map per direction."""
     count = len(towards)
     towards = towards.astype(np.float32)
+    # What a blocked direction takes from each coefficient: kernels then only add.
     folded = (sh_basis(towards.astype(np.float64), 2) * weights[:, None]).astype(np.float32)
+    # Two axes across each direction, for the pixels of its map.
     helper = np.where(np.abs(towards[:, 1:2]) < 0.9, [[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]])
     side = np.cross(helper, towards)
     side = (side / np.linalg.norm(side, axis=1, keepdims=True)).astype(np.float32)
@@ -111,6 +115,7 @@ def blocked_light(
     span = portable.length(np.ptp(blockers, axis=0))
     if not np.isfinite(span):
         raise ValueError("visibility: expected finite points whose squares are finite in float32, got others")
+    # As coarse as the points are apart, or light would fall through between them.
     pixel = np.float32(max(1.25 * spacing, span / 900))  # a map of at most 900 pixels a side
     center = ((blockers.min(0) + blockers.max(0)) / 2).astype(np.float32)
     size = int(np.ceil(span / pixel)) + 8

@@ -35,6 +35,7 @@ def check_target(path: Path, overwrite: bool, inputs: Sequence[Path] = (), untou
 
     Raises ValueError: it exists (or is an input) and overwrite is False, is untouchable, is no plain file, its name is
     none on this system, its folder is missing or cannot be written to."""
+    # What can fail is asked before the work: an hour of fitting should not end at a name.
     check_name(path)
     for source in untouchable:
         if _same(path, source):
@@ -61,6 +62,7 @@ def check_folder(path: Path) -> None:
     check_name(path.absolute())
     if path.exists() and not path.is_dir():
         raise ValueError(f"{path}: is a file; expected a folder")
+    # Folders on the way may be missing too; the nearest that is there decides.
     above = path
     while not above.exists() and above != above.parent:
         above = above.parent
@@ -82,6 +84,7 @@ def make_folder(path: Path) -> None:
 def placed(path: Path) -> Iterator[Path]:
     """A name beside `path` of the same format, to write and to check; it becomes `path` when the block ends well and
     is removed otherwise. An existing file keeps its permissions, a link keeps pointing where it points."""
+    # Beside the target, as a rename is one step within a file system; of a SOG folder the folder itself is moved.
     target = Path(os.path.realpath(path))
     is_folder = target.name.lower() == META
     final = target.parent if is_folder else target
@@ -91,6 +94,7 @@ def placed(path: Path) -> Iterator[Path]:
             make_folder(partial)
         yield partial / target.name if is_folder else partial
         try:
+            # A folder cannot replace one that has files in it: they are moved in one by one.
             if is_folder and final.exists():
                 _move_into(partial, final)
             else:

@@ -8,7 +8,7 @@ edited.splats, edited.receipt
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, get_args
@@ -32,6 +32,7 @@ from splatpainter.receipts import StageClock
 from splatpainter.splats import Splats
 
 if TYPE_CHECKING:
+    from splatpainter.models.local_network import LocalNetwork
     from splatpainter.models.model import SplatPainterModel
 
 NOT_LOCAL = "Stage II of these weights is for global edits only: the analytic lift"
@@ -46,6 +47,8 @@ class Painter:
 
     model: SplatPainterModel | None = field(default=None, repr=False)
     """The networks for method "ttt", on any device; None: the lift alone."""
+    local: LocalNetwork | None = field(default=None, repr=False)
+    """The network that reads pictures, for local edits by "ttt" where `model` makes none; on the CPU."""
     settings: EditSettings = field(default_factory=EditSettings)
     """How it paints."""
     preset: str = ""
@@ -55,7 +58,8 @@ class Painter:
 
     def __post_init__(self) -> None:
         if not self.preset:
-            object.__setattr__(self, "preset", "lift" if self.model is None else self.model.config.preset)
+            network = self.model or self.local
+            object.__setattr__(self, "preset", "lift" if network is None else network.config.preset)
 
     @staticmethod
     def load(
@@ -66,17 +70,19 @@ class Painter:
         cache: bool = True,
         precision: Precision = "auto",
     ) -> Painter:
-        """The painter of a preset: "lift", "compact", "rows", "paper", or a folder of weights; "auto" is "compact"
-        where its weights are there, else "lift". Its weights are read when an edit first needs them: with method "ttt",
-        or "auto" where they beat the lift (`choose`) in one of the modes that will be asked for. polish, cache,
+        """The painter of a preset: "lift", "compact", "rows", "paper", "local", or a folder of weights; "auto" is
+        "compact" where its weights are there, else "lift". Weights are read when an edit first needs them: with method
+        "ttt", or "auto" where they beat the lift (`choose`) in one of the modes that will be asked for. polish, cache,
         precision: as of EditSettings.
 
         Raises ValueError for a preset that is not known, or has no weights or wrong ones, and for a precision that is
         not known, here or in SPLATPAINTER_PRECISION."""
+        # Only here: whoever makes a painter without networks does not import their code.
         from splatpainter.models import weights
 
         settings = EditSettings(polish=polish, cache=cache, precision=precision)
         alone = EditSettings(precision=precision)
+        # The gain was measured and lies beside the weights, so they need not be read to know whether they are of use.
         if preset == "auto":
             model = weights.deferred("compact")
             if model is None:
@@ -86,15 +92,16 @@ class Painter:
                 # Reading and running them would be for nothing, unless method "ttt" asks for it.
                 where = "" if set(modes) >= set(gain) else f" in {' and '.join(modes)} edits"
                 why = f"made by the analytic lift: the network of preset 'compact' measured no better{where}"
-            return Painter(model, settings, why=why)
+            return Painter(model, weights.deferred_local(), settings, why=why)
         if preset == "lift":
             return Painter(settings=alone, why="preset 'lift': the analytic lift")
-        return Painter(weights.load(preset), settings)
+        return Painter(*weights.load_all(preset), settings)
 
     def encode(self, splats: Splats, method: Method = "auto", modes: Sequence[Mode] = DEFAULT_MODES) -> Asset:
         """Prepare an asset for edits by `method` in these modes: for "ttt", run the LRM and Stage I where they are
         needed (`encodes`). In `copy` representation its Gaussians are then Stage I's. Raises ValueError when it has
         no Gaussian that can be drawn."""
+        # Refused before anything is computed, as every way to edit would fail on it later.
         asset = Asset(splats.numpy())
         if not asset.splats.drawable.any():
             raise ValueError(
@@ -136,7 +143,7 @@ class Painter:
 
         # Who makes it, and on what.
         chosen, note = self.choose(method, mode)
-        how = method_for(chosen, mode, self._networks, self.settings)
+        how = method_for(chosen, mode, self._networks, self.local, self.settings)
         edits = [edit.relative_to(asset.splats.offset) for edit in edits]
         clock = StageClock()
         asset = how.start(asset, edits)
@@ -146,9 +153,7 @@ class Painter:
         # Where pictures and asset differ decides what may change.
         views = prepared_views(asset, edits, mode, partly=how.names_its_gaussians)
         clock.record_time("prepare")
-        lifted = how.lift(asset, views)
-        clock.record_time("lift")
-        result = how.finish(asset, lifted, views, clock)
+        lifted, result = how.make(asset, views, clock)
 
         # The proof, before anybody sees the result.
         receipt = edit_receipt(asset, result, lifted, views, mode, how, self.preset, self.settings, note)
@@ -160,17 +165,25 @@ class Painter:
         hold `gain`, {mode: dB over the lift on objects kept out of training}, are used by "auto" only where that is
         above 0; a Stage II that has learnt global edits alone makes no local ones. Raises ValueError for a method that
         is not known, or needs a model that is not there."""
-        if method == "ttt" and self.model is None:
+        # Two networks can make a local edit. The one that reads pictures is taken where the other never learnt to.
+        reads_pictures = mode == "local" and self.local is not None
+        reads_pictures &= self.model is None or not self.model.config.edits_locally
+        if method == "ttt" and self.model is None and not reads_pictures:
             raise ValueError(
                 "method 'ttt' needs a preset with trained weights; use method 'lift' or 'auto' without them"
             )
+        # What was asked for outright is refused where it cannot be done; "auto" falls back and says why.
         if mode == "spread":
             if method not in ("auto", "lift"):
                 raise ValueError(f"method: mode spread is made by the lift alone, got {method!r}")
             return "lift", "mode spread: the analytic lift"
         networks = method == "ttt" or (method == "auto" and not self.why)
+        if reads_pictures and networks:
+            assert self.local is not None
+            return _local_choice(method, self.local.notes)
         if mode == "local" and networks and self.model is not None and not self.model.config.edits_locally:
             return "lift", NOT_LOCAL
+        # A network paints only where it measured better than the lift on objects that it had not seen.
         if method == "auto":
             if self.model is not None and not self.why:
                 gain = self.model.notes.get("gain", {}).get(mode)
@@ -190,3 +203,17 @@ class Painter:
         if self.model is None:
             return None
         return Networks(self.model, self.settings.precision, self.settings.cache)
+
+
+def _local_choice(method: Method, notes: Mapping[str, Any]) -> tuple[Method, str]:
+    """What makes a local edit where the network that reads pictures is at hand, and the line that says why. method:
+    "ttt" or "auto", which takes that network only where its notes hold a measured gain, {"gain": {"local": dB over the
+    lift}}, above 0."""
+    if method == "ttt":
+        return "ttt", ""
+    gain = notes.get("gain", {}).get("local")
+    measured = "not measured on captures" if gain is None else f"{gain:+.2f} dB over the lift on held-out objects"
+    why = f"weights of preset 'local' ({measured})"
+    if gain is not None and gain > 0:
+        return "ttt", f"{why}: the local network"
+    return "lift", f"{why}: the analytic lift"

@@ -30,6 +30,7 @@ WATCH_WINDOWS = (
 def begin(command: Sequence[str], **options: Any) -> subprocess.Popen[Any]:
     """`subprocess.Popen` in a group of its own: Ctrl-C reaches this process alone, which then ends its children."""
     if sys.platform == "win32":
+        # A group of its own can be ended as a whole, with whatever the child started.
         flags = subprocess.CREATE_NEW_PROCESS_GROUP | options.pop("creationflags", 0)
         return subprocess.Popen(command, creationflags=flags, **options)
     return subprocess.Popen(command, start_new_session=True, **options)
@@ -77,6 +78,7 @@ def end(child: subprocess.Popen[Any]) -> None:
                 child.wait(GRACE_SECONDS)
         kill(child)
     else:
+        # Asked first, so that it can remove files in the making.
         for sign, patience in ((signal.SIGTERM, GRACE_SECONDS), (signal.SIGKILL, 1.0)):
             try:
                 os.killpg(child.pid, sign)

@@ -186,6 +186,8 @@ class Receipt:
             "seconds": {k: round(v, 4) for k, v in self.seconds.items()},
             "note": self.note,
         }
+        # What an edit has nothing to say of is left out: receipts of the same edit stay the same text while fields are
+        # added for others.
         if self.aside:
             record["aside"] = [{"psnr": _finite(psnr), "covered": round(share, 3)} for psnr, share in self.aside]
         if any(self.limited_px):
@@ -213,6 +215,7 @@ class Receipt:
     def to_json(self) -> str:
         """Indented JSON; `touched_runs` are [first, count] runs of touched rows."""
         record = self.summary()
+        # Rows go in by hand, in one line each: indented, every number of a million rows would have a line of its own.
         text = json.dumps(record, indent=2).removesuffix("\n}")
         for name in ("touched", "replaced", "removed", "merge_touched"):
             rows = getattr(self, name)
@@ -229,6 +232,8 @@ class Receipt:
         """Parse `to_json`. Raises ValueError naming `where` and what is wrong."""
         try:
             data: dict[str, Any] = json.loads(text)
+            # Nothing here is believed: a receipt may come from anybody, and its texts are printed, its rows become
+            # memory.
             touched, replaced, removed = (_rows(data, name) for name in ("touched", "replaced", "removed"))
             if not (np.isin(replaced, touched).all() and np.isin(removed, touched).all()):
                 raise ValueError("replaced or removed rows are not among the touched ones")
@@ -276,6 +281,7 @@ def _rows(data: dict[str, Any], name: str) -> np.ndarray:
     """[T] int64 the rows of a receipt's list; none where an older receipt has no such list. Raises ValueError."""
     count = int(data.get(f"{name}_rows", 0))
     runs = data["touched_runs"] if name == "touched" else data.get(f"{name}_runs", [])
+    # Rows of earlier edits of a merged asset may be appended ones, which the asset itself does not have.
     total = data["output" if name == "merge_touched" else "asset"]["rows"]
     rows = from_runs(np.array(runs, np.int64).reshape(-1, 2), int(total))
     if len(rows) != count:
@@ -342,6 +348,7 @@ def to_runs(rows: np.ndarray) -> np.ndarray:
     """[T] ascending row indices -> [R, 2] (first, count) of consecutive runs."""
     if not len(rows):
         return np.zeros((0, 2), np.int64)
+    # A run ends where the next row is not the next number.
     breaks = np.flatnonzero(np.diff(rows) != 1) + 1
     first = np.concatenate([[0], breaks])
     return np.stack([rows[first], np.diff(np.append(first, len(rows)))], 1)
@@ -361,6 +368,7 @@ def from_runs(runs: np.ndarray, rows: int) -> np.ndarray:
 
 def untouched_hashes(before: Splats, after: Splats, touched: np.ndarray) -> tuple[str, str]:
     """Hashes of all rows but `touched`, before and after; from the arrays themselves, nothing is assumed."""
+    # All rows that are not listed, so that a row which was forgotten in the list shows in the hash.
     keep = np.ones(len(before), bool)
     keep[touched] = False
     rows = np.flatnonzero(keep)
@@ -372,12 +380,14 @@ def untouched_hashes(before: Splats, after: Splats, touched: np.ndarray) -> tupl
 
 def _same_bits(before: np.ndarray, after: np.ndarray, rows: np.ndarray) -> bool:
     """Whether two arrays hold the same bytes in these rows."""
+    # Edits share the arrays that they do not change: most comparisons end here.
     if before is after:
         return True
     if before.dtype != after.dtype or before.shape[1:] != after.shape[1:]:
         return False
 
     def taken(values: np.ndarray, ids: np.ndarray) -> np.ndarray:
+        # As bytes, as a NaN equals itself and -0 is not 0 there.
         return np.ascontiguousarray(values[ids]).reshape(-1).view(np.uint8)
 
     return all(np.array_equal(taken(before, ids), taken(after, ids)) for ids in row_blocks(rows))
@@ -436,12 +446,16 @@ def verify(
     files of one format says them (or is told), they are those of the other too, unless more rows are the same where it
     is taken for what it would be taken for alone: then the one is a copy of the other in other axes.
     Raises ValueError when a file cannot be read."""
+    # Both relative to one offset, so that equal positions are equal numbers.
     before = read(original, frame=frame, lenient=True)
     after = read(edited, frame=out_frame, lenient=True, offset=before.offset)
     assert before.source is not None and after.source is not None
     options = AS_IT_IS if receipt is None else receipt.options
+    # Where axes cannot be in doubt, there is one way to compare.
     if before.source.format != after.source.format or before.source.frame == after.source.frame:
         return check(compare(before, after, options), receipt)
+    # One of the two says its axes and the other only has its format's default: taken for those of the first, they would
+    # be alike if the one was made from the other.
     if out_frame == "auto" and after.source.frame_from == "format":
         alike = compare(
             before, read(edited, frame=option(before.source.frame), lenient=True, offset=before.offset), options
@@ -453,6 +467,7 @@ def verify(
     else:
         return check(compare(before, after, options), receipt)
     if len(alike.differs):
+        # Not alike so: perhaps the default was right. Whichever leaves fewer rows different is believed.
         with contextlib.suppress(ValueError):  # rows that the other axes' words cannot hold
             apart = compare(before, after, options)
             alike = apart if len(apart.differs) < len(alike.differs) else alike
@@ -463,12 +478,14 @@ def check(comparison: Comparison, receipt: Receipt | None = None) -> Verificatio
     """Judge a comparison, against the receipt of the edit where there is one."""
     before, after, differs = comparison.before, comparison.after, comparison.differs
     frame = "" if after.source is None else frame_line(after.source)
+    # First whether the receipt speaks of these files at all, then rows, then what no edit may change.
     problems = _wrong_files(receipt, comparison.original_sha256, after) if receipt is not None else []
     if before.sh.shape[1] != after.sh.shape[1]:
         problems.append(f"SH degree {before.sh_degree} became {after.sh_degree}")
     missing = len(before) - len(after)
     if missing > 0:
         problems.append(f"{missing} rows are missing")
+    # A row that differs is no fault; that the receipt does not list it is.
     elif receipt is not None:
         unlisted = np.setdiff1d(differs, receipt.touched)
         if len(unlisted):
@@ -528,6 +545,7 @@ def prove(
     file was written with. intended: what was written into it, to be measured against what the file holds; the receipt's
     note says what is lost.
     Raises RuntimeError where the file does not prove the receipt."""
+    # The file is read anew from the disk: what was meant to be written proves nothing.
     key = format_of_name(written)
     taken = frame if key is None else frame_of_target(original, key, frame)
     # Lenient: what a lenient original had cut off is kept. Of one offset, so that equal positions have equal means.

@@ -81,6 +81,7 @@ class Splats:
     def append(self, more: Splats) -> Splats:
         """These followed by `more` (of the same SH degree); indices of self stay what they are."""
         assert more.sh.shape[1] == self.sh.shape[1], "append: SH degrees differ"
+        # A row that came from another file carries no bytes of this one: it is encoded when it is written.
         origin = None
         if self.origin is not None:
             tail = more.origin if more.source is self.source else None
@@ -105,6 +106,7 @@ class Splats:
         import torch
 
         dtype = torch.float32 if dtype is None else dtype
+        # Shared memory, but for arrays that are locked.
         values = {k: getattr(self, k) for k in ATTRIBUTES}
         for k, array in values.items():
             if isinstance(array, np.ndarray) and not array.flags.writeable:  # a tensor would offer to write to it
@@ -120,6 +122,7 @@ class Splats:
     def relative_to(self, offset: tuple[float, float, float]) -> Splats:
         """The same Gaussians with `means` (numpy) relative to another offset, computed in float64; these themselves
         where it is theirs already. What float32 cannot hold of the new `means` is rounded."""
+        # Most assets have no offset, and then nothing is copied.
         if self.offset == offset:
             return self
         with np.errstate(all="ignore"):  # rows may hold NaN
@@ -197,6 +200,7 @@ class Source:
 def rows_sha256(splats: Splats, ids: Array | None = None) -> str:
     """SHA-256 over the float32 little-endian attributes of the given Gaussians (default: all), one after the other."""
     arrays = splats.numpy()
+    # Of the arrays as they lie, so that the hash of an asset does not depend on its file format.
     blocks = [slice(None)] if ids is None else row_blocks(ids)
     digest = hashlib.sha256()
     for name in ATTRIBUTES:
@@ -216,6 +220,8 @@ def changed_rows(before: Splats, after: Splats, among: np.ndarray | None = None)
     """[T] int64 ascending: rows that both have and of which any bit differs (NaN equals itself). among: [C] int64
     ascending, rows that both have, where no other can differ."""
     n = min(len(before), len(after))
+    # An edit knows which rows it may have changed; the others need no look, and a row that differs in one attribute
+    # needs none at the next.
     if among is not None and before.sh.shape[1:] == after.sh.shape[1:]:
         changed = np.zeros(len(among), bool)
         for name in ("opacities", *(name for name in ATTRIBUTES if name != "opacities")):  # the cheapest first

@@ -56,6 +56,7 @@ def matrix_to_quat(matrices: np.ndarray) -> np.ndarray:
 
     4 q q^T is linear in the matrix; its row with the largest diagonal gives q without cancellation (Shepperd 1978).
     """
+    # All four rows of 4 q q^T are made and one is chosen for each matrix: cheaper for many than a branch for each.
     m = matrices
     d0, d1, d2 = m[:, 0, 0], m[:, 1, 1], m[:, 2, 2]
     squares = np.stack([1 + d0 + d1 + d2, 1 + d0 - d1 - d2, 1 - d0 + d1 - d2, 1 - d0 - d1 + d2], 1)
@@ -77,6 +78,8 @@ def principal_axes(covariances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     axes = np.broadcast_to(np.eye(3), values.shape).copy()
     for _ in range(JACOBI_SWEEPS):
         for p, q in ((0, 1), (0, 2), (1, 2)):
+            # The smaller of the two angles that clear this entry: the larger would exchange eigenvalues that are sorted
+            # already.
             off, half = values[:, p, q], (values[:, q, q] - values[:, p, p]) / 2
             reach = np.abs(half) + np.sqrt(half * half + off * off)
             tangent = np.where(half < 0, -off, off) / np.where(reach > 0, reach, 1)
@@ -85,6 +88,7 @@ def principal_axes(covariances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             for matrix in (values, values.transpose(0, 2, 1), axes):
                 one, other = matrix[:, :, p].copy(), matrix[:, :, q].copy()
                 matrix[:, :, p], matrix[:, :, q] = cosine * one - sine * other, sine * one + cosine * other
+    # Sorted, and the first axis made from the other two: exchanging columns may have left a mirrored frame.
     squares = values[:, range(3), range(3)]
     order = np.argsort(squares, 1, kind="stable")
     axes = np.take_along_axis(axes, order[:, None, :], 2)
@@ -95,6 +99,7 @@ def principal_axes(covariances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def inverses(matrices: np.ndarray) -> np.ndarray:
     """[N, B, B] of symmetric positive definite matrices [N, B, B], in their dtype: Gauss-Jordan elimination in float64,
     for all of them at once, with the same bits on every machine."""
+    # Without pivoting, which positive definite matrices do not need, and which would make each take its own path.
     left = np.array(matrices, np.float64)
     count = left.shape[1]
     out = np.broadcast_to(np.eye(count), left.shape).copy()
@@ -123,6 +128,7 @@ def fibonacci_sphere(count: int, offset: float = 0.5) -> np.ndarray:
 def sh_basis(directions: Array, degree: int) -> Array:
     """[..., (degree + 1)^2] of unit directions [..., 3], in their dtype. degree: 0 to 4."""
     x, y, z = directions[..., 0], directions[..., 1], directions[..., 2]
+    # Constants of real spherical harmonics in the order and signs of INRIA's rasteriser, which files follow.
     basis = [np.full_like(x, SH_C0) if isinstance(x, np.ndarray) else x.new_full(x.shape, SH_C0)]
     if degree >= 1:
         basis += [-0.4886025119029199 * y, 0.4886025119029199 * z, -0.4886025119029199 * x]
@@ -165,6 +171,7 @@ def sh_rotations(matrix: np.ndarray, degree: int) -> list[np.ndarray]:
 
     Solved from the basis functions at more directions than unknowns; exact to float64 rounding.
     """
+    # What the turned function shows in a direction is what the old one showed in the direction turned back.
     directions = fibonacci_sphere(64, 0)
     turned_back = portable.matmul(directions, np.asarray(matrix, np.float64))
     before, after = sh_basis(turned_back, degree), sh_basis(directions, degree)

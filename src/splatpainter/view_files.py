@@ -92,12 +92,15 @@ def draw_passes(
         raise ValueError(
             "coverage: only a session records which Gaussians its edits saw; export the view from a session"
         )
+    # One picture gives the first three; most exports want no more.
     drawn = render(splats, camera, profile=profile)
     colors, alpha, depth = drawn.colors[0], drawn.alphas[0, ..., 0], drawn.depths[0, ..., 0]
     on_surface = surface is not None and bool({"normal", "depth"} & {*aovs})
     if not {"normal", "gaussian-ids", "coverage"} & {*aovs} and not on_surface:
         return Passes(colors, alpha, depth)
     normal = gaussian_ids = parts = None
+    # Other passes are blends of other values with the same weights, so geometry is projected once. Black behind them,
+    # as a background is no part of a sum.
     frame = project(splats, replace(camera, background=(0.0, 0.0, 0.0)))
 
     def blend(values: np.ndarray) -> np.ndarray:
@@ -107,10 +110,12 @@ def draw_passes(
         return image
 
     if "normal" in aovs:
+        # Blended normals are shorter where surfaces of different directions show through one another.
         summed = blend(normals_of(splats) if normals is None else normals)
         length = np.linalg.norm(summed, axis=-1, keepdims=True)
         normal = np.where(length > 1e-6, summed / np.maximum(length, 1e-6), 0).astype(np.float32)
     if surface is not None and on_surface:
+        # Where the estimated surface is trusted, it takes the place of blends, whose depth lies between layers.
         ys, xs = np.nonzero(alpha > MIN_SURFACE_ALPHA)
         lattice = visible_surface(surface, splats, frame, alpha > MIN_SURFACE_ALPHA)
         seen = lattice.at(np.stack([xs, ys], 1) + 0.5)
@@ -144,6 +149,7 @@ class PictureOptions:
     """Level of PNG compression; 1 is fast."""
 
     def __post_init__(self) -> None:
+        # Refused when the options are made: before a minute of rendering, not after it.
         if self.format not in BITS:
             raise ValueError(f"picture: expected the format png or exr, got {self.format!r}")
         if self.bits is not None and self.bits not in BITS[self.format]:
@@ -199,6 +205,7 @@ def view_files(
         raise ValueError(
             f"gaussian-ids: a PNG numbers {MAX_PNG_IDS:,} Gaussians, got {len(splats):,}; use --format exr"
         )
+    # The camera travels inside of every picture, so that it can be edited and read back without a sidecar.
     camera = camera.relative_to(splats.offset)  # which the picture carries
     passes = draw_passes(
         splats, camera, options.aovs, profile=options.profile, normals=normals, coverage=coverage, surface=surface
@@ -218,6 +225,7 @@ def view_files(
         else:
             channels = {1: ("id" if name == "gaussian-ids" else "Y",), 3: ("R", "G", "B")}[samples.shape[2]]
             files[file] = encode_exr(samples, channels, linear=False)
+    # The sidecar says in words what each file's numbers mean, with the range of a depth that only it knows.
     if notes:
         record["aov"] = notes
     files[f"{stem}.json"] = json.dumps(record).encode() + b"\n"
@@ -226,6 +234,7 @@ def view_files(
 
 def _picture(passes: Passes, camera: Camera, options: PictureOptions, space: ColorSpace, text: dict[str, str]) -> bytes:
     colors, alpha = passes.colors, passes.alpha[..., None]
+    # The background was blended in; what is left without it is divided by alpha, as files keep colours straight.
     if options.transparent:
         colors = unpremultiplied(colors - (1 - alpha) * np.asarray(camera.background, colors.dtype), passes.alpha)
     if options.format == "exr":
@@ -251,6 +260,7 @@ def _aov(name: Aov, passes: Passes, options: PictureOptions) -> tuple[np.ndarray
         packed = np.concatenate([numbers, numbers >> 8, numbers >> 16], -1) & 255
         return packed.astype(np.uint8), {"meaning": "R + 256 G + 65536 B = row + 1, 0 where nothing is drawn"}
     if name == "depth":
+        # 16 bits spread over the range that is drawn, 0 kept for nothing.
         drawn = passes.alpha > 0
         span = passes.depth[drawn] if drawn.any() else np.zeros(1, np.float32)
         near, far = float(span.min()), float(span.max())

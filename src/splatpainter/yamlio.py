@@ -70,11 +70,13 @@ def _comment_hint(path: Path) -> str:
 
 
 def _load(path: Path, lines: Lines) -> Any:
+    # PyYAML is not among what every installation has.
     try:
         import yaml
     except ImportError:
         raise ValueError(f"{path}: reading YAML needs PyYAML; pip install 'splatpainter[batch]'") from None
     try:
+        # One byte more than is allowed tells a file that is too long without reading it whole.
         with open(path, "rb") as file:
             data = file.read(MAX_YAML_BYTES + 1)
     except FileNotFoundError:
@@ -84,6 +86,7 @@ def _load(path: Path, lines: Lines) -> Any:
     if len(data) > MAX_YAML_BYTES:
         raise ValueError(f"{path}: expected at most {MAX_YAML_BYTES >> 20} MiB of YAML, got more")
     try:
+        # Nodes, not objects: they know their lines, and no tag can make anything of Python's.
         root = yaml.compose(data.decode("utf-8-sig"), Loader=yaml.SafeLoader)
     except UnicodeDecodeError:
         raise ValueError(f"{path}: expected YAML (UTF-8 text), got other bytes") from None
@@ -108,6 +111,7 @@ class _Reader:
     def value(self, node: Any, path: str, depth: int) -> Any:
         import yaml
 
+        # Anchors can make a short file mean billions of values: what is counted is what they stand for.
         self._count += 1
         line = node.start_mark.line + 1
         self._lines.of.setdefault(path, line)
@@ -127,6 +131,7 @@ class _Reader:
         for key_node, value_node in node.value:
             line = key_node.start_mark.line + 1
             key = key_node.value if isinstance(key_node.value, str) else None
+            # Merge keys hide which line a value comes from, and errors name lines.
             if key is None or key_node.tag == _TAG + "merge":
                 expected = "the keys themselves in place of <<" if key == "<<" else "text as a key"
                 raise ValueError(f"{self._path}:{line}: expected {expected}")
@@ -139,6 +144,7 @@ class _Reader:
 
     def _scalar(self, node: Any) -> Any:
         text, kind = node.value, node.tag.removeprefix(_TAG)
+        # Quotes make a text of anything; bare words mean what people expect, not all that YAML 1.1 sees in them.
         if node.style is not None or kind == "str" and not _NUMBER.fullmatch(text):
             return text
         if kind == "null":

@@ -155,7 +155,7 @@ def test_convert_has_the_options_of_the_formats(tmp_path: Path, capfd: pytest.Ca
     opacities[:1000] = 0
     write(tmp_path / "hidden.ply", replace(splats, opacities=opacities))
     made = run(capfd, "convert", tmp_path / "hidden.ply", tmp_path / "seen.ply", "--remove-hidden", "--json").json
-    assert made["lost"] == ["3,000 rows became 2,000"]
+    assert made["lost"] == ["3,000 Gaussians became 2,000"]
     run(capfd, "convert", asset, tmp_path / "page.html", "--sh-degree", "0", "--turning")
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert '"coefficients": 1,' in page and '"turning": true' in page
@@ -169,7 +169,7 @@ def test_convert_says_what_is_lost(tmp_path: Path, capfd: pytest.CaptureFixture[
     assert "SH degree 1 became 0" in lossy["lost"]
     assert lossy["output"]["bytes"] == 32 * 3000 == (tmp_path / "ball.splat").stat().st_size
     text = run(capfd, "convert", asset, tmp_path / "ball.spz").out
-    assert "3,000 rows" in text and "lost: " in text
+    assert "3,000 Gaussians" in text and "lost: " in text
     folder = run(capfd, "convert", asset, tmp_path / "planes" / "meta.json")
     assert folder.code == 0 and (tmp_path / "planes" / "means_l.webp").exists()
     assert not [name for name in listing(tmp_path) if "part" in name]

@@ -93,14 +93,14 @@ def test_a_look_file_names_what_is_wrong_in_it(asset: Path, tmp_path: Path, capf
 
 
 def test_a_layer_of_the_studio_is_a_look(asset: Path, tmp_path: Path, capfd: Capture) -> None:
-    settings = {"look": "grade", "exposure": 0.4, "curve": [[0.3, 0.4]], "hues": [{"hue": 0.0, "shift": 40.0}]}
+    settings = {"exposure": 0.4, "curve": [[0.3, 0.4]], "hues": [{"hue": 0.0, "shift": 40.0}]}
     with sp.Session(asset, painter=Painter()) as session:
-        layer = session.layers.add("look", parameters=settings)
+        layer = session.layers.add("look", look="grade", settings=settings)
         session.files.export_layer(layer.id, tmp_path / "a.splatlayer")
         session.files.export(tmp_path / "session.ply")
         session.layers.set(layer.id, blend="color")
         session.files.export_layer(layer.id, tmp_path / "b.splatlayer")
-        gain = session.layers.add("look", parameters={"look": "gain", "gain": [2, 1, 1]})
+        gain = session.layers.add("look", look="gain", settings={"gain": [2, 1, 1]})
         session.files.export_layer(gain.id, tmp_path / "c.splatlayer")
     assert run(capfd, "grade", asset, "--look", tmp_path / "a.splatlayer", "--out", tmp_path / "o.ply").code == 0
     assert (tmp_path / "o.ply").read_bytes() == (tmp_path / "session.ply").read_bytes()

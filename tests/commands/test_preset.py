@@ -47,7 +47,7 @@ def test_auto_takes_compact_once_its_weights_are_there(view: Path, tmp_path: Pat
     painter = Painter(settings=EditSettings(local_options=LocalOptions(resurface=False)))
     write(
         here / "split.ply",
-        Paint([view], method="lift").apply(Asset(read(here / "ball.ply")), Tools(painter)).splats,
+        Paint((view,), method="lift").apply(Asset(read(here / "ball.ply")), Tools(painter)).splats,
     )
     assert (here / "ttt.ply").read_bytes() == (here / "split.ply").read_bytes()
     assert list((tmp_path / "cache").glob("*.safetensors"))
@@ -105,7 +105,8 @@ def test_networks_that_make_no_local_edits_are_refused_before_they_are_read(
     for shard in folder.glob("weights-*"):
         shard.unlink()
     words = ["--preset", folder if preset == "folder" else preset, "--method", "ttt"]
-    assert "make global edits alone, so that the lift would make this one" in refused(capfd, view.parent, view, *words)
+    line = refused(capfd, view.parent, view, *words)
+    assert "make global edits alone, and those of preset 'local' are not there" in line
 
 
 def test_weights_that_cannot_be_used_are_refused(view: Path, tmp_path: Path, capfd: Capture) -> None:

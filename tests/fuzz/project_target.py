@@ -86,7 +86,7 @@ class ProjectTarget(Target):
         with Session(source, path, painter=self.painter, overwrite=True) as session:
             first = session.layers.add("paint", [dab(0.9)])
             session.layers.set(first.id, opacity=0.5)
-            session.layers.add("look", parameters={"look": "gain", "gain": [1.1, 1, 0.9]})
+            session.layers.add("look", look="gain", settings={"gain": [1.1, 1, 0.9]})
             session.layers.add("paint", [dab(0.2)], blend="color")
             if not asset:
                 session.layers.add("erase", [dab(0.5)])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageFilter
 
-from splatpainter.gatekeeper.mistaken_pictures import explain
+from splatpainter.gatekeeper.mistaken_pictures import explain, filtered
 from tests.support.distorted_pictures import drawn_scene, jpeg, moved
 
 VIEW, ALPHA = drawn_scene(240)
@@ -53,6 +53,7 @@ MISTAKES: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
     "warmer": ("graded as a whole (exposure", lambda p: encoded(decoded(p) * np.array([1.25, 1, 0.7]))),
     "moved": ("moved, scaled or turned", lambda p: moved(p, right=15, down=-9)[0]),
     "shrunk": ("moved, scaled or turned", lambda p: moved(p, scale=0.85)[0]),
+    "posterised": ("posterised: it has", lambda p: np.floor(4 * p) / 4),
     "another": ("of another asset, another view", lambda p: OTHER_VIEW),
     "mirrored JPEG": ("mirrored from left to right", lambda p: jpeg(np.ascontiguousarray(p[:, ::-1]), 50)),
     "linear JPEG": ("linear light without a profile", lambda p: jpeg(decoded(p).astype(np.float32), 80)),
@@ -119,6 +120,7 @@ PAINT: dict[str, Callable[[], np.ndarray]] = {
     "inverted 60 %": lambda: VIEW + top(0.6) * (1 - 2 * VIEW),
     "cloned": lambda: np.where(top(0.4) > 0, np.roll(VIEW, 30, 1), VIEW),
     "blurred half": lambda: np.where(top(0.5) > 0, blurred(VIEW), VIEW),
+    "a grade of 80 % with a soft edge": lambda: VIEW * (1 + blurred(top(0.8).repeat(3, -1)) * np.array([0.2, 0, -0.2])),
     "a gradient on half": lambda: VIEW + top(0.5) * 0.4 * (np.linspace(0, 1, 240)[:, None] - VIEW),
     "a big brush, JPEG": lambda: jpeg(over(top(0.6), (0.2, 0.5, 0.3)), 70),
     "a dab, poor JPEG": lambda: jpeg(
@@ -143,6 +145,50 @@ def test_a_look_of_the_asset_alone_may_be_meant() -> None:
     warmer = np.where(ALPHA[..., None] > 0, VIEW * np.array([1.15, 1, 0.75]), VIEW)
     explanation = explain(eight_bits(warmer), VIEW, ALPHA)
     assert explanation is not None and explanation.cause == "look"
+
+
+def test_a_contrast_curve_that_spares_the_background_is_named() -> None:
+    curve = 0.5 + 0.5 * np.tanh(3 * (VIEW - 0.5)) / np.tanh(1.5)
+    explanation = explain(eight_bits(np.where(ALPHA[..., None] > 0, curve, VIEW)), VIEW, ALPHA)
+    assert explanation is not None and explanation.cause == "look" and "graded as a whole" in explanation.words
+
+
+def test_another_asset_of_the_very_outline_is_named() -> None:
+    other = eight_bits(VIEW + ALPHA[..., None] * (OTHER_VIEW - VIEW))
+    explanation = explain(other, VIEW, ALPHA)
+    assert explanation is not None and "another" in explanation.words
+
+
+def pillow(colors: np.ndarray, filter: ImageFilter.Filter) -> np.ndarray:
+    picture = Image.fromarray((np.clip(colors, 0, 1) * 255).round().astype(np.uint8)).filter(filter)
+    return np.asarray(picture, np.float32) / 255
+
+
+def pixels(colors: np.ndarray) -> np.ndarray:
+    return colors.reshape(40, 6, 40, 6, 3).mean((1, 3)).repeat(6, 0).repeat(6, 1)
+
+
+@pytest.mark.parametrize(
+    ("cause", "made"),
+    [
+        ("filter", lambda p: pillow(p, ImageFilter.GaussianBlur(4))),
+        ("filter", lambda p: pillow(p, ImageFilter.MedianFilter(9))),
+        ("filter", pixels),
+        ("detail", lambda p: pillow(p, ImageFilter.UnsharpMask(2, 200, 0))),
+        ("detail", lambda p: eight_bits(p + RNG.normal(size=p.shape) * 0.08)),
+    ],
+)
+@pytest.mark.parametrize("dabbed", [False, True])
+def test_filters_over_all_of_it_are_named(cause: str, made: Callable[[np.ndarray], np.ndarray], dabbed: bool) -> None:
+    picture = made(PAINT["a dab"]() if dabbed else VIEW)
+    explanation = filtered(picture, VIEW, ALPHA)
+    assert explanation is not None and explanation.cause == cause
+
+
+@pytest.mark.parametrize("name", PAINT)
+def test_paint_is_no_filter(name: str) -> None:
+    if "JPEG" not in name:  # compared with what JPEG makes of the render
+        assert filtered(eight_bits(PAINT[name]()), VIEW, ALPHA) is None
 
 
 def test_other_axes_are_asked_for_last() -> None:

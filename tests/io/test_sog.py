@@ -370,6 +370,25 @@ def test_zipped_by_hand(folder: str, shadows: bool, tmp_path: Path) -> None:
     assert verify(path, tmp_path / "d.sog").ok
 
 
+@pytest.mark.parametrize("begin", ["./", "scene\\", "scene\\export\\"])
+def test_names_as_other_packers_write_them(begin: str, tmp_path: Path) -> None:
+    """Backslashes of some programs for Windows, and names that begin in the folder itself."""
+    io.write(tmp_path / "a.sog", random_splats(200, 1))
+    with zipfile.ZipFile(tmp_path / "a.sog") as archive:
+        planes = {f"{begin}{name}": archive.read(name) for name in archive.namelist()}
+    (tmp_path / "b.sog").write_bytes(zipped(planes))
+    splats = io.read(tmp_path / "b.sog")
+    assert same_bits(splats, io.read(tmp_path / "a.sog")) and sog_container.declared_rows(tmp_path / "b.sog") == 200
+    io.write(tmp_path / "c.sog", replace(splats, opacities=splats.opacities[::-1].copy()))
+    assert len(io.read(tmp_path / "c.sog")) == 200
+
+
+def test_a_zipped_ply_is_named(tmp_path: Path) -> None:
+    (tmp_path / "b.zip").write_bytes(zipped({"scene/point_cloud.ply": b"ply"}))
+    with pytest.raises(ValueError, match="unpack it, then open scene/point_cloud.ply"):
+        io.read(tmp_path / "b.zip")
+
+
 @pytest.mark.parametrize("name", ["lod-meta.json", "LOD-meta.json", "lod", "lod.sog", "nested.sog"])
 def test_streamed_sog_is_refused_with_the_reason(name: str, tmp_path: Path) -> None:
     record = b'{"lodLevels":3,"filenames":["0_0/meta.json"],"tree":{}}'

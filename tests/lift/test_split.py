@@ -14,7 +14,7 @@ from splatpainter.lift.local.split import Lattice, child_peaks, merged_peak, pro
 from splatpainter.splats import ATTRIBUTES, Splats
 from tests.support.lift_scenes import bits, db, front, row, same_bits, sheet
 
-# What scripts/fit_split_table.py prints: relative rms error of alpha by the parent's opacity.
+# What scripts/calibrate/split_table.py prints: relative rms error of alpha by the parent's opacity.
 PROMISED = {0.01: 0.014, 0.1: 0.016, 0.3: 0.023, 0.5: 0.033, 0.7: 0.045, 0.87: 0.056, 0.97: 0.064, 0.999: 0.067}
 CAMERA = front(256)
 PIXELS = 128 / np.tan(np.radians(21)) / 3  # of one world unit at the sheet

@@ -12,7 +12,8 @@ from splatpainter.color import base_color, linear_to_srgb, sh_from_color, srgb_t
 from splatpainter.lights.facing import facing
 from splatpainter.lights.irradiance import LitSurface, sun_light
 from splatpainter.lights.lamps import Lamp, Sun, kelvin_color
-from splatpainter.lights.relight import Lights, axes_of, delight, mirrored_light, relight, turned_sky
+from splatpainter.lights.light_set import Lights, axes_of, turned_sky
+from splatpainter.lights.relight import delight, mirrored_light, relight
 from splatpainter.lights.skies import SKIES, direction, sky
 from splatpainter.lights.sky_maps import SkyMap, lat_long
 from splatpainter.lights.source_light import estimate_source
@@ -43,12 +44,12 @@ def slow_sky() -> SkyMap:
 
 
 def integral(picture: SkyMap, normal: np.ndarray) -> np.ndarray:
-    """[3] irradiance over pi by summing the pixels of an environment of mean luminance 1."""
+    """[3] irradiance over pi by summing the pixels of an environment of mean 1 over all channels."""
     towards, areas = lat_long(*picture.radiance.shape[:2])
     radiance = picture.radiance.astype(np.float64)
     mean = (radiance * areas[..., None]).sum((0, 1)) / (4 * np.pi)
     cosine = np.maximum(towards @ normal, 0) * areas
-    return (radiance * cosine[..., None]).sum((0, 1)) / np.pi / (mean @ [0.2126, 0.7152, 0.0722])
+    return (radiance * cosine[..., None]).sum((0, 1)) / np.pi / mean.mean()
 
 
 def test_irradiance_is_the_integral_of_the_environment() -> None:

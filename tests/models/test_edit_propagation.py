@@ -10,18 +10,19 @@ import pytest
 import torch
 from torch import Tensor
 
+from splatpainter.cameras import Camera
 from splatpainter.lift.depth_normals import outward_normals
 from splatpainter.lighting import prt_transfer
 from splatpainter.models import weights
 from splatpainter.models.compress import LatentScale
 from splatpainter.models.config import ModelConfig, RefineConfig
 from splatpainter.models.decode import color_change
-from splatpainter.models.edit_propagation import EncodedGaussians, carry, carrying
+from splatpainter.models.edit_propagation import CarriedEdit, EncodedGaussians, carry
 from splatpainter.models.encode import Encoded, encode_asset
 from splatpainter.models.model import GaussianInputs, SplatPainterModel
 from splatpainter.models.refine import position_waves, unit_rms
-from splatpainter.painter import NOT_LOCAL, Edit, Painter
-from splatpainter.splats import Splats
+from splatpainter.painter import NOT_LOCAL, Asset, Edit, Painter
+from splatpainter.splats import SH_C0, Splats
 from tests.lift.test_global import FRONT, SIDE, ball, draw, regraded
 from tests.support.model_scenes import with_refine
 from tests.support.train_scenes import SMALL
@@ -62,7 +63,7 @@ def answers_to(
     """What the second half of the Gaussians is told by the first."""
     first, _, _, rows = scene()
     with torch.no_grad():
-        return carry(made or first, rows, change, weight, torch.arange(150), torch.arange(150, 300), strength)
+        return carry(made or first, rows, change, weight, torch.arange(150), torch.arange(150, 300), strength)[1]
 
 
 def edit(seed: int = 0) -> tuple[Tensor, Tensor]:
@@ -103,7 +104,7 @@ def test_the_number_of_teachers_does_not_set_the_step() -> None:
     change, weight = edit()
     once, readers = torch.arange(150), torch.arange(150, 300)
     with torch.no_grad():
-        answers = [carry(plain, rows, change, weight, ids, readers) for ids in (once, once.repeat(3))]
+        answers = [carry(plain, rows, change, weight, ids, readers)[1] for ids in (once, once.repeat(3))]
     torch.testing.assert_close(*answers, atol=1e-5, rtol=1e-4)
 
 
@@ -112,7 +113,7 @@ def test_gaussians_are_asked_one_by_one() -> None:
     change, weight = edit()
     readers = torch.tensor([280, 151, 200])
     with torch.no_grad():
-        few = carry(made, rows, change, weight, torch.arange(150), readers)
+        few = carry(made, rows, change, weight, torch.arange(150), readers)[1]
     torch.testing.assert_close(few, answers_to(change, weight)[readers - 150], atol=1e-5, rtol=1e-4)
 
 
@@ -123,13 +124,13 @@ def test_what_cannot_be_drawn_is_left_out_and_what_was_not_encoded_is_named() ->
     transfer = np.append(prt_transfer(splats.means, normals[:300]), np.zeros((1, 10), np.float32), 0)
     change, weight = (x.numpy() for x in edit())
     change, weight = np.append(change, np.zeros((1, 3), np.float32), 0), np.append(weight, np.float32(0))
-    predict = carrying(made, encoded.latents, np.append(encoded.latent_ids, -1), odd, normals, lambda: transfer)
+    predict = CarriedEdit(made, encoded.latents, np.append(encoded.latent_ids, -1), odd, normals, lambda: transfer)
     answer = predict(change, weight)
     assert answer.shape == (301, 3) and not answer[300].any() and np.abs(answer[:300]).max() > 1e-4
     assert not predict(change, np.zeros(301, np.float32)).any()
     with pytest.raises(ValueError, match="1 of the 300 Gaussians were not encoded"):
         ids = np.where(np.arange(300) == 7, -1, encoded.latent_ids)
-        carrying(made, encoded.latents, ids, splats, normals[:300], lambda: transfer[:300])
+        CarriedEdit(made, encoded.latents, ids, splats, normals[:300], lambda: transfer[:300])
 
 
 def test_a_painter_predicts_what_no_view_shows_by_stage_two() -> None:
@@ -151,6 +152,44 @@ def test_a_painter_predicts_what_no_view_shows_by_stage_two() -> None:
     for name in ("means", "quats", "scales", "opacities"):
         np.testing.assert_array_equal(getattr(adapted.splats, name), getattr(splats, name))
     assert adapted.receipt is not None and adapted.receipt.method == "ttt"
+
+
+def relit(splats: Splats, light: tuple[float, float, float]) -> Splats:
+    """The ball under a lamp."""
+    normals = splats.means / np.linalg.norm(splats.means, axis=1, keepdims=True)
+    lit = np.clip(normals @ np.array(light), 0, None)[:, None]
+    colors = np.clip((0.5 + SH_C0 * splats.sh[:, 0]) * (0.3 + lit * np.array([1.2, 1.0, 0.8])), 0, 1)
+    sh = splats.sh.copy()
+    sh[:, 0] = (colors - 0.5) / SH_C0
+    return replace(splats, sh=sh)
+
+
+def decibels(splats: Splats, truth: Splats) -> float:
+    """PSNR of base colours."""
+    return float(-10 * np.log10(np.square(SH_C0 * (splats.sh[:, 0] - truth.sh[:, 0])).mean()))
+
+
+def test_relit_views_in_turn_make_what_they_make_together_and_the_latest_light_wins(float32: None) -> None:
+    splats, painter = ball(400), Painter(model=weights.load("rows"))
+    lights = {name: relit(splats, light) for name, light in (("a", (0.3, 0.9, 0.3)), ("b", (0.9, -0.3, 0.3)))}
+    start = painter.encode(splats, "ttt", ("global",))
+
+    def view(light: str, camera: Camera) -> Edit:
+        return Edit(draw(lights[light], camera), camera)
+
+    def after(asset: Asset, *views: Edit) -> Asset:
+        return painter.apply(asset, views, "global", "ttt")
+
+    first, second = view("a", FRONT), view("a", SIDE)
+    once = after(start, first)
+    both, turns = after(start, first, second), after(once, second)
+    assert decibels(once.splats, lights["a"]) + 1 < decibels(both.splats, lights["a"])
+    assert abs(decibels(turns.splats, lights["a"]) - decibels(both.splats, lights["a"])) <= 0.3
+    assert turns.encoding is not None and turns.encoding.state is not None and turns.encoding.state.shown is not None
+    again = after(start, first)  # undo: the old asset has the old state
+    np.testing.assert_array_equal(again.splats.sh, once.splats.sh)
+    other = after(once, view("b", FRONT))
+    assert decibels(other.splats, lights["b"]) > decibels(other.splats, lights["a"]) + 1
 
 
 def test_terms_have_rms_one() -> None:
@@ -236,7 +275,7 @@ def test_adaptation_of_the_shipped_stage_two_moves_what_it_adds(float32: None) -
         lit = (gaussians.normals @ torch.tensor(light)).clamp_min(0)[:, None]
         change = gaussians.colors * (0.3 + lit * torch.tensor([1.2, 1.0, 0.8])) - gaussians.colors
         with torch.no_grad():
-            answers.append(carry(made, gaussians, change, pixels, seen, hidden, strength))
+            answers.append(carry(made, gaussians, change, pixels, seen, hidden, strength)[1])
     for other in answers[1:]:
         share = float((other - answers[0]).square().mean().sqrt() / answers[0].square().mean().sqrt())
         assert share >= MIN_MOVED, share

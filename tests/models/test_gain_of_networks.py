@@ -57,7 +57,7 @@ def stage_two(name: str, strength: float | None = None) -> Tensor:
     made, gaussians = shipped()
     weight = torch.full((len(gaussians.colors),), PIXELS)
     with torch.no_grad():
-        return carry(made, gaussians, relit(name), weight, *facing(), strength)
+        return carry(made, gaussians, relit(name), weight, *facing(), strength)[1]
 
 
 def predictor(name: str) -> Tensor:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import struct
 import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -112,6 +113,24 @@ def test_grey_and_profiles(tmp_path: Path) -> None:
     assert np.abs(linear.colors - srgb_coded(LEVELS / 255)).max() < 1e-3 and "to sRGB" in linear.notes[0]
 
 
+def psd_by_zip(levels: np.ndarray, predicted: bool, height: int = 0) -> bytes:
+    """A PSD whose composite is one zlib stream (Adobe's compression 2; 3: by differences along rows)."""
+    planes = np.stack(planes_of(levels))
+    if predicted:
+        planes = np.diff(planes, axis=2, prepend=np.zeros((*planes.shape[:2], 1), planes.dtype))
+    raw = psd([np.zeros((height or levels.shape[0], levels.shape[1]), levels.dtype)] * 3, rle=False, kind=2 + predicted)
+    head = raw[: raw.rindex(struct.pack(">H", 2 + predicted)) + 2]
+    return head + zlib.compress(planes.astype(planes.dtype.newbyteorder(">")).tobytes())
+
+
+@pytest.mark.parametrize("predicted", [False, True])
+@pytest.mark.parametrize("bits", [8, 16])
+def test_a_composite_packed_by_zip_is_read(predicted: bool, bits: int, tmp_path: Path) -> None:
+    levels = LEVELS if bits == 8 else LEVELS.astype(np.uint16) * 257 + 3
+    (tmp_path / "a.psd").write_bytes(psd_by_zip(levels, predicted))
+    assert np.abs(read_picture(tmp_path / "a.psd").colors - levels / (2**bits - 1)).max() < 1e-6
+
+
 GOOD = psd(planes_of(LEVELS))
 REFUSED = {
     "cut in its header": (GOOD[:20], "its header is cut off"),
@@ -124,7 +143,9 @@ REFUSED = {
     "CMYK": (psd(planes_of(LEVELS, LEVELS[..., 0]), mode=4), "expected RGB colours, got CMYK; save it as RGB"),
     "of 32 bits": (GOOD[:22] + b"\0\x20" + GOOD[24:], "8 or 16 bits, got 32"),
     "without its composite": (psd(planes_of(LEVELS), composite=False), "maximum compatibility"),
-    "packed by ZIP": (psd(planes_of(LEVELS), kind=2), "packed by ZIP"),
+    "packed by nothing known": (psd(planes_of(LEVELS), kind=4), "packed by method 4"),
+    "of no zlib": (psd(planes_of(LEVELS), kind=2), "its flattened picture: Error -3"),
+    "of too little zlib": (psd_by_zip(LEVELS[:-1], False, LEVELS.shape[0]), "bytes of 351"),
     "of empty rows": (psd(planes_of(LEVELS), rle=False, kind=1)[:-300] + bytes(300), "damaged PSD"),
 }
 

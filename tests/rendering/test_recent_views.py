@@ -61,10 +61,10 @@ def test_a_drawn_view_is_what_render_shows_and_is_drawn_once_while_it_is_held():
         assert not one.flags.writeable
     assert drawn_view(replace(splats), replace(camera)) is held
     assert drawn_view(replace(splats, sh=splats.sh.copy()), camera) is not held
-    whole = PartialRender.of(splats, camera)
-    assert whole.view is held.view and whole.colors is held.colors
+    partial = PartialRender.of(splats, camera)
+    assert partial.view is held.view and partial.colors is held.colors
     view = held.view
-    del held, whole
+    del held, partial
     gc.collect()
     assert drawn_view(splats, camera).view is view
     del view

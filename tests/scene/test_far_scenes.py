@@ -50,8 +50,8 @@ def test_it_looks_as_the_same_assets_near_zero(tiles: tuple[Path, Path, np.ndarr
     merge([tmp_path / "near_west.ply", tmp_path / "near_east.ply"], tmp_path / "near.ply", transforms=near)
     camera = sp.look_at((1.5, -0.8, -6.0), (1.5, 0.0, 0.0), (0.0, -1.0, 0.0), width=96, height=64)
     expected = sp.render(sp.read(tmp_path / "near.ply"), camera).colors[0]
-    shown = sp.render(sp.read(tmp_path / "far.ply"), moved_camera(camera, UTM)).colors[0]
-    assert expected.std() > 0.05 and abs(shown - expected).max() < 2 / 255
+    image = sp.render(sp.read(tmp_path / "far.ply"), moved_camera(camera, UTM)).colors[0]
+    assert expected.std() > 0.05 and abs(image - expected).max() < 2 / 255
 
 
 @pytest.mark.parametrize(("suffix", "exact"), [("glb", True), ("ply", True), ("spz", False), ("sog", False)])
@@ -137,6 +137,6 @@ def test_a_placement_is_of_world_coordinates(turn: tuple[float, float, float], s
     inside = placement.camera(camera, splats.offset)
     assert inside.offset == splats.offset
     pixels, depth = camera.project(placed.means)
-    own_pixels, own_depth = inside.project(splats.means)
-    np.testing.assert_allclose(own_pixels, pixels, atol=1e-3)
-    np.testing.assert_allclose(own_depth * scale, depth, rtol=1e-5)
+    inside_pixels, inside_depth = inside.project(splats.means)
+    np.testing.assert_allclose(inside_pixels, pixels, atol=1e-3)
+    np.testing.assert_allclose(inside_depth * scale, depth, rtol=1e-5)

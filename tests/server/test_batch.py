@@ -215,7 +215,7 @@ def test_assets_of_recent_projects_stand_as_they_do_there(tmp_path: Path) -> Non
     turned = read(tmp_path / "y-up.ply", frame="rub")
     for name, splats in (("up_1", turned), ("rows_1", ball(50, 3))):
         with Session(splats, studio.projects.root / f"{name}.splatproj") as session:
-            session.layers.add("look", parameters={"look": "grade", "exposure": 0.5})
+            session.layers.add("look", look="grade", settings={"exposure": 0.5})
     with live(studio) as served:
         paint(served)
         recents = {entry["name"]: entry["id"] for entry in served.post("project.recent")["recent"]}
@@ -238,8 +238,8 @@ def test_of_several_assets_the_chosen_one_makes_batches(studio: Live, tmp_path: 
     session, data = studio.studio.session, splat_bytes(tmp_path, 3)
     rug = studio.post("scene.add", blob=studio.send(data, "rug.ply"))["asset"]
     session.scene.set(rug, placement=Placement.of(move=(0, 9, 0), scale=2))
-    bright = session.layers.add("look", parameters={"look": "grade", "exposure": 1.0}, name="bright", asset=rug)
-    session.layers.add("look", parameters={"look": "grade", "saturation": -1.0}, name="grey", asset="")
+    bright = session.layers.add("look", look="grade", settings={"exposure": 1.0}, name="bright", asset=rug)
+    session.layers.add("look", look="grade", settings={"saturation": -1.0}, name="grey", asset="")
     other = [{"blob": studio.send(splat_bytes(tmp_path, 4), "mat.ply")}]
     line = refusal(studio, "batch.plan", assets=other)
     assert line == "batch: several assets are open (asset, rug.ply); choose the one that is meant"
@@ -254,7 +254,7 @@ def test_of_several_assets_the_chosen_one_makes_batches(studio: Live, tmp_path: 
 
     (mat,) = made(assets=other)
     with Session(tmp_path / "asset4.ply") as alone:
-        alone.layers.add("look", parameters={"look": "grade", "exposure": 1.0})
+        alone.layers.add("look", look="grade", settings={"exposure": 1.0})
         assert np.array_equal(read(mat).sh, alone.splats.sh)
     unnamed = mat.parents[1] / "unnamed.yaml"
     text = (mat.parents[1] / "batch.yaml").read_text().replace('"asset": "2"', '"asset": ""')

@@ -100,11 +100,11 @@ def test_strokes_drawn_after_the_server_died_go_into_their_project(killed: tuple
 
 def reload(server: Server, page: Page) -> None:
     """Load the page again, without a question whether to leave it."""
-    asked: list[str] = []
-    page.tab.on("dialog", lambda dialog: (asked.append(dialog.type), dialog.accept()))
+    dialogs: list[str] = []
+    page.tab.on("dialog", lambda dialog: (dialogs.append(dialog.type), dialog.accept()))
     page.tab.goto(server.url)
     page.wait("the page", lambda: page.ask("!!window.studio?.state.value"))
-    assert asked == [], "what is drawn outlives the reload"
+    assert dialogs == [], "what is drawn outlives the reload"
 
 
 @posix_only
@@ -116,7 +116,7 @@ def test_strokes_that_wait_survive_a_reload_of_the_page(killed: tuple[Server, Pa
     kill(server, page)
     page.drag((0.42, 0.55), (0.5, 0.55))
     page.drag((0.42, 0.65), (0.5, 0.65))
-    page.wait("them in the browser", lambda: page.ask(KEPT) == [["Brush", "Paint"], ["Brush", "Paint"]])
+    page.wait("them in the browser", lambda: page.ask(STORED_STROKES) == [["Brush", "Paint"], ["Brush", "Paint"]])
     server.start()
     reload(server, page)
     question = page.tab.get_by_role("alert").filter(has_text="The studio was started again")
@@ -127,13 +127,13 @@ def test_strokes_that_wait_survive_a_reload_of_the_page(killed: tuple[Server, Pa
     question.get_by_role("button", name="Continue").click()
     page.wait("both strokes", lambda: page.state()["project"]["id"] == project and strokes(page) == [3])
     page.settled()
-    page.wait("nothing kept any more", lambda: page.ask(KEPT) == [])
+    page.wait("nothing kept any more", lambda: page.ask(STORED_STROKES) == [])
     reload(server, page)
     page.settled()
     assert strokes(page) == [3] and page.tab.get_by_role("alert").count() == 0
 
 
-KEPT = """async () => {
+STORED_STROKES = """async () => {
   const opened = indexedDB.open("splatpainter", 1);
   const store = () => opened.result.transaction("strokes").objectStore("strokes").getAll();
   const waited = (request) => new Promise((resolve) => (request.onsuccess = () => resolve(request.result)));
@@ -172,7 +172,7 @@ def test_a_stroke_whose_answer_was_lost_is_painted_once(killed: tuple[Server, Pa
     page.wait("it in the file", saved)
     kill(server, page)
     if reloaded:
-        page.wait("it in the browser", lambda: page.ask(KEPT) == [["Brush", "Paint"]])
+        page.wait("it in the browser", lambda: page.ask(STORED_STROKES) == [["Brush", "Paint"]])
     server.start()
     if reloaded:
         reload(server, page)

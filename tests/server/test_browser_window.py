@@ -109,6 +109,8 @@ def test_a_lost_view_leaves_a_card_and_comes_back(opened: tuple[studio_scenes.Li
     page.drag((0.45, 0.5), (0.55, 0.5))
     page.wait("a stroke", lambda: page.names() == ["Paint"])
     page.settled()
+    page.pointer("down", 9, "pen", 0.45, 0.6)
+    page.pointer("move", 9, "pen", 0.55, 0.6)
     page.ask("""() => {
       window.before = true;
       window.studio.viewer.renderer.getContext().getExtension("WEBGL_lose_context").loseContext();
@@ -119,7 +121,9 @@ def test_a_lost_view_leaves_a_card_and_comes_back(opened: tuple[studio_scenes.Li
     page.tab.wait_for_timeout(1000)
     assert card.count() == 1 and page.ask("window.before"), "it stays until then"
     page.wait("another page", lambda: page.ask("!window.before && (window.studio?.viewer.count ?? 0) > 0"))
-    page.wait("the layer", lambda: page.names() == ["Paint"])
+    page.wait(
+        "the stroke that was under the pen, too", lambda: [one["strokes"] for one in page.state()["layers"]] == [2]
+    )
     page.settled()
     assert card.count() == 0
     page.problems = [one for one in page.problems if "Context Lost" not in one and "CONTEXT_LOST" not in one]

@@ -19,7 +19,7 @@ def test_a_stamp_copies_gaussians_from_one_view_to_another(tmp_path: Path) -> No
         source = {"source_camera": wire(view()), "source_x": 48, "source_y": 48}
         target = {"camera": wire(view(96, 120)), "x": 48, "y": 48, "radius": 18}
         layer = live.post("clone.relief", **source, **target)["layer"]
-        assert (layer["kind"], layer["views"]) == ("clone", []) and layer["gaussians_appended"] > 5
+        assert (layer["kind"], layer["views"]) == ("relief", []) and layer["gaussians_appended"] > 5
         after = session.splats
         appended = after.means[len(before) :]
         assert np.allclose(np.linalg.norm(appended, axis=1), 1, atol=0.12), "on the ball"

@@ -97,7 +97,7 @@ def test_assets_of_recent_projects_are_added_as_they_were_read(tmp_path: Path) -
     turned = read(write_sheet(tmp_path), frame="rub")
     for name, splats in (("up_1", turned), ("rows_1", ball(50, 3))):
         with Session(splats, studio.projects.root / f"{name}.splatproj") as session:
-            session.layers.add("look", parameters={"look": "grade", "exposure": 0.5})
+            session.layers.add("look", look="grade", settings={"exposure": 0.5})
     with live(studio) as served:
         recents = {entry["name"]: entry["id"] for entry in served.post("project.recent")["recent"]}
         for name in ("up", "rows"):

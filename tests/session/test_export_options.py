@@ -38,7 +38,7 @@ def test_a_session_exports_with_options_and_its_receipt_proves_it(
         write(tmp_path / f"a{ending(start)}", original)
         original = read(tmp_path / f"a{ending(start)}")
     with Session(original) as session:
-        session.layers.add("look", parameters={"look": "gain", "gain": [0.9, 1, 1]})
+        session.layers.add("look", look="gain", settings={"gain": [0.9, 1, 1]})
         out = tmp_path / f"out{ending(key)}"
         receipt, proof = session.files.export(out, options=options)
         assert proof.ok and receipt.options == options

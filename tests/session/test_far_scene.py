@@ -26,8 +26,8 @@ def scenes(folder: Path) -> tuple[Session, Session]:
     far_ply(folder / "west.ply", asset(10, degree=0))
     far_ply(folder / "east.ply", asset(8, degree=0), EAST)
     far, near = flat(folder / "west.ply", folder / "far.splatproj"), flat(folder / "near_west.ply")
-    far.add_asset(folder / "east.ply", placement=Placement())
-    near.add_asset(folder / "near_east.ply", placement=Placement.of((1.5, 0.0, 0.0)))
+    far.scene.add(folder / "east.ply", placement=Placement())
+    near.scene.add(folder / "near_east.ply", placement=Placement.of((1.5, 0.0, 0.0)))
     return far, near
 
 
@@ -36,27 +36,27 @@ def test_tiles_are_seen_and_painted_where_they_are(tmp_path: Path) -> None:
     with far, near:
         for x, color in ((32, RED), (20, GREEN), (46, GREEN)):
             edit = wide(color, x)
-            near.add("paint", [edit])
-            far.add("paint", [replace(edit, camera=moved_camera(edit.camera, UTM))])
+            near.layers.add("paint", [edit])
+            far.layers.add("paint", [replace(edit, camera=moved_camera(edit.camera, UTM))])
         assert [layer.asset for layer in far.layers] == [layer.asset for layer in near.layers]
-        assert {layer.asset for layer in far.layers} == {one.id for one in far.assets}
+        assert {layer.asset for layer in far.layers} == {one.id for one in far.scene.assets}
         seen = render(far.splats, moved_camera(WIDE, UTM)).colors[0]
         assert abs(seen - render(near.splats, WIDE).colors[0]).max() < 2 / 255
         for color in (RED, GREEN):
             assert (has_color(far.splats, color) == has_color(near.splats, color)).all()
             assert has_color(far.splats, color).any()
-        made = far.set_asset(far.assets[1].id, placement=Placement.of((0.5, 0.0, 0.0)))
+        made = far.scene.set(far.scene.assets[1].id, placement=Placement.of((0.5, 0.0, 0.0)))
         assert abs(far.splats.world_means[100:164] - read(tmp_path / "east.ply").world_means - (0.5, 0, 0)).max() < 1e-6
         with pytest.raises(ValueError, match="east.ply: lies"):
-            far.set_asset(made.id, placement=Placement.of((4e6, 0.0, 0.0)))
+            far.scene.set(made.id, placement=Placement.of((4e6, 0.0, 0.0)))
 
 
 def test_exports_keep_the_doubles_of_every_tile(tmp_path: Path) -> None:
     far, near = scenes(tmp_path)
     with far, near:
-        far.add("paint", [replace(wide(RED), camera=moved_camera(WIDE, UTM))])
-        receipt, _ = far.export(tmp_path / "scene.ply")
-        lost = far.export(tmp_path / "scene.spz")[1].lost
+        far.layers.add("paint", [replace(wide(RED), camera=moved_camera(WIDE, UTM))])
+        receipt, _ = far.files.export(tmp_path / "scene.ply")
+        lost = far.files.export(tmp_path / "scene.spz")[1].lost
     assert "sizes of a Gaussian" in lost
     stored = doubles_of(tmp_path / "scene.ply", 164)
     files = np.concatenate(
@@ -70,11 +70,11 @@ def test_exports_keep_the_doubles_of_every_tile(tmp_path: Path) -> None:
 def test_a_project_of_them_opens_as_it_was(tmp_path: Path) -> None:
     far, near = scenes(tmp_path)
     with far, near:
-        before, offset = far.splats, far.asset_original(far.assets[1].id).offset
+        before, offset = far.splats, far.scene.original_of(far.scene.assets[1].id).offset
         assert any(offset)
     with flat(tmp_path / "far.splatproj") as again:
         assert again.splats.offset == before.offset and (again.splats.means == before.means).all()
-        assert again.asset_original(again.assets[1].id).offset == offset
+        assert again.scene.original_of(again.scene.assets[1].id).offset == offset
 
 
 @pytest.mark.parametrize("far_first", [True, False])

@@ -14,7 +14,9 @@ from pathlib import Path
 import pytest
 
 import splatpainter as sp
-from splatpainter.session.document.document import Document, Layer, View, move_layer, resolve_conflict
+from splatpainter.session.document.document import Document, Layer, move_layer, resolve_conflict
+from splatpainter.session.document.layer_view import View
+from splatpainter.session.kinds.painted_layers import PaintLayer
 from splatpainter.session.project import database
 from splatpainter.session.project.asset_files import is_local_path, is_plain_name
 from splatpainter.session.project.lock import ProjectLock
@@ -70,7 +72,9 @@ def test_a_view_has_as_many_pixels_as_a_picture_that_can_be_read() -> None:
         LAYER.format("'$.views[0].camera.width', 2000000000, '$.views[0].mask', null"),
         LAYER.format("'$.views', json('[' || substr(replace(hex(zeroblob(40)), '00', ',{}'), 2) || ']')"),
         LAYER.format("'$.thumbnail', 7"),
-        LAYER.format("'$.parameters', json('[1]')"),
+        LAYER.format("'$.operation', json('[1]')"),
+        LAYER.format("'$.operation.kind', 'brush'"),
+        LAYER.format("'$.operation.angle_limit', json('[1]')"),
         "UPDATE layers SET content = replace(content, '\"red\"', '\"\\ud800\"') WHERE id = 1",
         "UPDATE original SET file = '..'",
         "UPDATE original SET file = '../../escaped'",
@@ -157,14 +161,16 @@ NESTED: list = []
 for _ in range(200):
     NESTED = [{"children": NESTED}]
 LONG = {
-    "method": NESTED,
-    "kind": "x" * 5000,
+    "operation.method": NESTED,
+    "operation.kind": "x" * 5000,
     "blend": ["x"] * 2000,
-    "mode": {"x" * 5000: 1},
+    "operation.mode": {"x" * 5000: 1},
     "name": "x" * 5000,
     "opacity": "x" * 5000,
     "thumbnail": "x" * 5000,
-    "parameters": ["x" * 5000],
+    "operation": ["x" * 5000],
+    "operation.placed": ["x" * 5000],
+    "operation.brush": "x" * 5000,
 }
 
 
@@ -202,7 +208,7 @@ def test_a_packed_original_is_refused_in_a_line_that_quotes_little_of_it(path: P
 
 
 def test_unknown_layers_are_refused_in_a_short_line(path: Path) -> None:
-    document = Document(tuple(Layer(f"{k}" + "x" * 100, "red", "paint") for k in range(200)))
+    document = Document(tuple(Layer(f"{k}" + "x" * 100, "red", PaintLayer()) for k in range(200)))
     for change in (
         lambda: document.index("y" * 5000),
         lambda: document.index(str(NESTED)),

@@ -64,7 +64,7 @@ def test_layers_of_every_kind_have_masks(kind: str) -> None:
             session.layers.add("paint", [dab(BLUE, radius=9)])
         below = session.splats
         if kind == "look":
-            layer = session.layers.add("look", parameters={"look": "gain", "gain": [0.5, 1, 1]})
+            layer = session.layers.add("look", look="gain", settings={"gain": [0.5, 1, 1]})
         elif kind == "merged":
             layers = [session.layers.add("picture", [dab(RED, x)]) for x in (12, 20)]
             layer = session.layers.merge([one.id for one in layers])
@@ -84,7 +84,7 @@ def test_rules_show_by_height_slope_and_coverage() -> None:
     with flat() as session:
         session.layers.add("paint", [dab(BLUE, 12, radius=4)])
         below = session.splats
-        layer = session.layers.add("look", parameters={"look": "gain", "gain": [0.5, 1, 1]})
+        layer = session.layers.add("look", look="gain", settings={"gain": [0.5, 1, 1]})
 
         def changed(mask: LayerMask) -> np.ndarray:
             session.masks.set(layer.id, mask)
@@ -148,7 +148,7 @@ def test_one_part_over_another_is_both_in_turn() -> None:
 def test_a_selection_is_a_mask_from_every_side(path: Path) -> None:
     with flat(project=path) as session:
         original = session.splats
-        layer = session.layers.add("look", parameters={"look": "gain", "gain": [0.5, 1, 1]})
+        layer = session.layers.add("look", look="gain", settings={"gain": [0.5, 1, 1]})
         painted = session.layers.new()
         session.strokes.paint(painted.id, [dab(RED, radius=9)])
         full = print_of(session)

@@ -52,7 +52,7 @@ def merged(session: Session) -> str:
 
 
 def look(session: Session) -> str:
-    return session.layers.add("look", parameters={"look": "gain", "gain": [0.5, 1, 1]}).id
+    return session.layers.add("look", look="gain", settings={"gain": [0.5, 1, 1]}).id
 
 
 def hide(session: Session) -> str:
@@ -113,7 +113,7 @@ def test_a_layer_whose_result_is_not_there_has_no_preview() -> None:
         layer = session.layers.add("paint", [dab(RED)])
         covered(session, layer.id)
         session.layers.set(layer.id, visible=False)
-        session.layers.add("look", parameters={"look": "gain", "gain": [1, 1, 0.5]})
+        session.layers.add("look", look="gain", settings={"gain": [1, 1, 0.5]})
         session.layers.move(session.layers[-1].id, 0)
         made = calls(session)
         assert session.layers.blend_preview(layer.id, visible=True) is None and calls(session) == made
@@ -126,7 +126,7 @@ def test_of_several_assets_each_layer_where_its_asset_stands(change: dict[str, A
         write(tmp_path / name, asset(side))
     with flat(tmp_path / "one.ply", tmp_path / "scene.splatproj") as session:
         second = session.scene.add(tmp_path / "two.ply", placement=RIGHT)
-        lower = session.layers.add("look", parameters={"look": "gain", "gain": [0.5, 1, 1]}, asset=second.id)
+        lower = session.layers.add("look", look="gain", settings={"gain": [0.5, 1, 1]}, asset=second.id)
         first = covered(session, paint(session))
         assert same_as_committed(session, first, **change) >= 10
         assert session.layers.blend_preview(lower.id, **change) is None, "nothing of its asset lies above"
@@ -145,7 +145,7 @@ from splatpainter.session import Session
 from splatpainter.splats import Splats
 one = np.ones((1, 3), np.float32)
 session = Session(Splats(one, np.ones((1, 4), np.float32), one, one[:, 0], one[:, None]))
-layer = session.layers.add("look", parameters={"look": "gain", "gain": [1, 1, 0.5]})
+layer = session.layers.add("look", look="gain", settings={"gain": [1, 1, 0.5]})
 before = set(sys.modules)
 session.layers.set(layer.id, opacity=0.5)
 print(*(set(sys.modules) - before))

@@ -62,9 +62,9 @@ def commands_of(session: Session, a: str, b: str, c: str) -> list[tuple[str, Any
         ("show", lambda: session.layers.set(b, visible=True)),
         ("move", lambda: session.layers.move(c, 0)),
         ("rename", lambda: session.layers.set(a, name="first")),
-        ("parameters", lambda: session.layers.set(a, parameters={"brush": 3})),
+        ("options", lambda: session.layers.set(a, angle_limit=40)),
         ("duplicate", lambda: session.layers.duplicate(b)),
-        ("look", lambda: session.layers.add("look", parameters={"look": "gain", "gain": [1.1, 1, 0.9]})),
+        ("look", lambda: session.layers.add("look", look="gain", settings={"gain": [1.1, 1, 0.9]})),
         ("regrade", lambda: session.layers.add("look", [Edit(np.full((SIZE, SIZE, 3), 0.8, np.float32), CAMERA)])),
         ("merge", lambda: session.layers.merge([c, a])),
         ("resolve", lambda: session.layers.resolve_conflict(a, b, "blend")),
@@ -357,6 +357,6 @@ def test_linear_assets_keep_their_darks():
     image[:, 16:] = 0.005
     with flat(splats) as session:
         layer = session.layers.add("paint", [Edit(image, CAMERA, np.ones((SIZE, SIZE), bool))])
-        again = session._core.replay.main._edit(layer.views[0], layer).image
+        again = session._core.replay.main.edit_of(layer.views[0], layer).image
         np.testing.assert_allclose(again, image, atol=2e-4)
         assert session.splats.color_space == "linear"

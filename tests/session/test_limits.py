@@ -44,7 +44,7 @@ def off_centre(splats: Splats) -> Edit:
 def painted(parameters: dict[str, Any] | None, painter: Painter | None = None) -> Splats:
     splats = ball()
     with Session(splats, painter=painter or Painter.load("lift")) as session:
-        session.layers.add("paint", [off_centre(splats)], parameters=parameters)
+        session.layers.add("paint", [off_centre(splats)], **(parameters or {}))
         assert session.verify(repaint=True) == []
         return session.splats
 
@@ -61,15 +61,15 @@ def test_a_layer_carries_its_limits():
 def test_without_parameters_the_painters_limits_hold():
     strict = Painter(settings=EditSettings(local_options=LocalOptions(angle_limit=40)))
     assert same_bits(painted(None, strict), painted({"angle_limit": 40, "depth_edge_limit": 0}))
-    assert same_bits(painted({"angle_limit": 80.0}, strict), painted({"brush": 3}))
+    assert same_bits(painted({"angle_limit": 80.0}, strict), painted({}))
 
 
 def test_limits_are_set_anew_and_undone():
     splats = ball()
     with Session(splats, painter=Painter.load("lift")) as session:
-        layer = session.layers.add("paint", [off_centre(splats)], parameters={"angle_limit": 0}).id
+        layer = session.layers.add("paint", [off_centre(splats)], angle_limit=0).id
         free = session.splats
-        session.layers.set(layer, parameters={"angle_limit": 40})
+        session.layers.set(layer, angle_limit=40)
         assert (
             same_bits(session.splats, painted({"angle_limit": 40})) and "angle" in session.layers.facts(layer)["note"]
         )
@@ -81,11 +81,11 @@ def test_limits_are_set_anew_and_undone():
     ("parameters", "reason"),
     [
         ({"angle_limit": 91}, "angle limit: expected 0"),
-        ({"angle_limit": "60"}, "expected angle_limit as a number, got '60'"),
-        ({"angle_limit": True}, "as a number"),
+        ({"angle_limit": "60"}, "layer: expected float as 'angle_limit', got '60'"),
+        ({"angle_limit": True}, "expected float as 'angle_limit', got True"),
         ({"depth_edge_limit": -1}, "depth-edge limit: expected 0"),
         ({"depth_edge_limit": 10**400}, "layer: "),
-        ({"depth_edge_limit": None}, "as a number, got None"),
+        ({"depth_edge_limit": [3]}, "expected float as 'depth_edge_limit', got a list of 1"),
     ],
 )
 def test_bad_limits_are_refused(parameters: dict[str, Any], reason: str):
@@ -93,15 +93,15 @@ def test_bad_limits_are_refused(parameters: dict[str, Any], reason: str):
     with Session(splats, painter=Painter.load("lift")) as session:
         edit = off_centre(splats)
         with pytest.raises(ValueError, match=reason):
-            session.layers.add("paint", [edit], parameters=parameters)
+            session.layers.add("paint", [edit], **parameters)
         layer = session.layers.add("paint", [edit]).id
         with pytest.raises(ValueError, match=reason):
-            session.layers.set(layer, parameters=parameters)
-        assert session.layers.by_id(layer).parameters == {} and len(session.history) == 2
+            session.layers.set(layer, **parameters)
+        assert session.layers.by_id(layer).operation.limits() == {} and len(session.history) == 2
         with pytest.raises(ValueError, match="with pictures in modes local and spread only"):
-            session.layers.add("picture", [edit], mode="global", parameters={"angle_limit": 60})
-        with pytest.raises(ValueError, match="with pictures in modes local and spread only"):
-            session.layers.add("erase", [edit], parameters={"angle_limit": 60})
+            session.layers.add("picture", [edit], mode="global", angle_limit=60)
+        with pytest.raises(ValueError, match="layer: unknown key 'angle_limit'"):
+            session.layers.add("erase", [edit], angle_limit=60)
 
 
 def test_what_will_not_be_painted_is_the_rim_of_a_ball():

@@ -12,6 +12,8 @@ import torch
 
 from splatpainter.painter import Asset, Edit, EditSettings, Painter
 from splatpainter.session import Session
+from tests.lift.test_global import FRONT, SIDE, ball, draw, regraded
+from tests.models.test_edit_propagation import model as carrying_model
 from tests.support.lift_scenes import same_bits
 from tests.support.painter_scenes import ASSET_BASE, BLUE, COPY, GREEN, LIFT, RED, built, dab, thing
 
@@ -49,7 +51,7 @@ def test_layers_are_the_painter_applied_again_and_again(config, tmp_path: Path):
         for edit in EDITS[:2]:
             layer = session.layers.add("paint", [edit])
         expected = straight(painter, EDITS[:2])
-        assert layer.method == "ttt" and session.layers.facts(layer.id)["method"] == "ttt"
+        assert layer.operation.method == "ttt" and session.layers.facts(layer.id)["method"] == "ttt"
         assert same_bits(session.splats, expected.splats)
         assert same_state(session.snapshot.state.painter_state, expected)
     with Session.load(path, painter=painter) as session:
@@ -64,6 +66,37 @@ def test_layers_are_the_painter_applied_again_and_again(config, tmp_path: Path):
         assert session.verify(repaint=True) == []
 
 
+def test_a_session_keeps_what_global_edits_have_taught(tmp_path: Path) -> None:
+    """Two relit views as layers are two edits one after the other; a hidden one has taught nothing; undo brings all of
+    it back, and the file too."""
+    splats, painter = ball(300), Painter(model=carrying_model())
+    edits = [eight_bits(Edit(draw(regraded(splats), camera), camera)) for camera in (FRONT, SIDE)]
+
+    def shown(edits: list[Edit]) -> tuple[np.ndarray, torch.Tensor]:
+        asset = painter.encode(splats, "ttt", ("global",))
+        for edit in edits:
+            asset = painter.apply(asset, [edit], "global", "ttt")
+        assert asset.encoding is not None and asset.encoding.state is not None
+        return asset.splats.sh, asset.encoding.state.shown  # type: ignore[return-value]
+
+    def same(session: Session, edits: list[Edit]) -> None:
+        colors, expected = shown(edits)
+        np.testing.assert_array_equal(session.splats.sh, colors)
+        torch.testing.assert_close(session.snapshot.state.painter_state.shown, expected, atol=0, rtol=0)
+
+    path = tmp_path / "a.splatproj"
+    with Session(splats, path, painter=painter) as session:
+        for edit in edits:
+            session.add("picture", [edit], mode="global", method="ttt")
+        same(session, edits)
+        session.set("1", visible=False)
+        same(session, edits[1:])
+        session.undo()
+        same(session, edits)
+    with Session.load(path, painter=painter) as session:
+        same(session, edits)
+
+
 def test_without_the_weights_results_stay_and_only_new_ones_are_missing(tmp_path: Path):
     path = tmp_path / "a.splatproj"
     with Session(SPLATS, path, painter=Painter(model=built(awake=0.02))) as session:
@@ -76,7 +109,7 @@ def test_without_the_weights_results_stay_and_only_new_ones_are_missing(tmp_path
         assert "needs a preset with trained weights" in session.layers.facts("2")["problem"]
         session.undo()
         assert same_bits(session.splats, composed)
-        assert session.layers.set("2", method="lift").method == "lift"
+        assert session.layers.set("2", method="lift").operation.method == "lift"
         assert session.layers.facts("2")["method"] == "lift" and "note" in session.layers.facts("2")
         assert "another painter" not in session.layers.facts("2")["note"]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import sqlite3
 import subprocess
@@ -178,7 +177,7 @@ def test_rows_that_are_no_file_any_more_are_kept_as_rows(tmp_path, path):
 def test_real_files_come_back_byte_for_byte(shared, tmp_path, path, name):
     source = shared / "data" / "splats" / name
     with flat(source, path) as session:
-        session.layers.add("look", parameters={"look": "gain", "gain": [1.2, 1, 1]})
+        session.layers.add("look", look="gain", settings={"gain": [1.2, 1, 1]})
         session.undo()
     with load(path) as session:
         session.files.export(tmp_path / name)
@@ -372,7 +371,7 @@ def test_history_is_bounded(path, monkeypatch):
     monkeypatch.setattr("splatpainter.session.project.project_file.MAX_STEPS", 5)
     with flat(project=path) as session:
         for k in range(12):
-            session.layers.add("look", parameters={"look": "gain", "gain": [1, 1, 1 + k / 100]})
+            session.layers.add("look", look="gain", settings={"gain": [1, 1, 1 + k / 100]})
         assert len(session.history) <= 6 and session.history.cursor == len(session.history) - 1
         session.undo()
         session.redo()
@@ -392,15 +391,20 @@ def test_undone_work_does_not_pile_up(path):
     assert path.stat().st_size < 200_000
 
 
-def test_parameters_of_layers_are_json(path):
+def test_options_of_layers_are_json(path):
+    placed = {"size": 3.5, "seeds": [1, 2]}
     with flat(project=path) as session:
-        layer = session.layers.add("paint", [dab()], parameters={"brush": {"size": 3.5}, "seeds": [1, 2]})
-        assert json.loads(json.dumps(layer.parameters)) == {"brush": {"size": 3.5}, "seeds": [1, 2]}
+        layer = session.layers.add("paint", [dab()], placed=placed)
+        placed["size"] = 4  # of the caller, and nobody else's
         for wrong in ({"when": {1, 2}}, {"size": float("nan")}):
-            with pytest.raises(ValueError, match="^layer 'Paint': expected parameters that JSON can hold"):
-                session.layers.set(layer.id, parameters=wrong)
+            with pytest.raises(ValueError, match="^layer: expected placed that JSON can hold"):
+                session.layers.set(layer.id, placed=wrong)
+        with pytest.raises(
+            ValueError, match="^layer: expected one of name, visible, opacity, blend, mode, .* to set, got brush$"
+        ):
+            session.layers.set(layer.id, brush=3)
     with load(path) as session:
-        assert session.layers[0].parameters == {"brush": {"size": 3.5}, "seeds": [1, 2]}
+        assert session.layers[0].operation.changes()["placed"] == {"size": 3.5, "seeds": [1, 2]}
 
 
 @pytest.mark.parametrize("ending", [".glb", ".spz"])

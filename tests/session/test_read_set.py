@@ -39,9 +39,9 @@ def counted(session: Session) -> list[str]:
     names: list[str] = []
     compute = session._core.replay.main._result
 
-    def noted(below, layer):
+    def noted(below, layer, *rest):
         names.append(layer.name)
-        return compute(below, layer)
+        return compute(below, layer, *rest)
 
     session._core.replay.main._result = noted  # type: ignore[method-assign]
     return names
@@ -51,15 +51,9 @@ def painted_anew(session: Session) -> Splats:
     """What another session, which has no results, makes of the same original and layers."""
     with Session(session.original, painter=Painter.load("lift")) as other:
         for layer in session.layers:
-            edits = [
-                Edit(
-                    session._core.replay.main._edit(view, layer).image,
-                    view.camera,
-                    session._core.replay.main.mask(view),
-                )
-                for view in layer.views
-            ]
-            made = other.layers.add(layer.kind, edits, parameters=layer.parameters)
+            replay = session._core.replay.main
+            edits = [replace(replay.edit_of(view, layer), mask=replay.mask(view)) for view in layer.views]
+            made = other.layers.add(layer.operation, edits)
             other.layers.set(made.id, opacity=layer.opacity, blend=layer.blend)
             other.layers.set(made.id, visible=layer.visible)
         names = [layer.id for layer in other.layers]
@@ -110,7 +104,7 @@ def test_only_what_read_something_else_is_painted_again(change, again, project, 
         names = counted(session)
         change(session, ids)
         assert names == again
-        if not any(layer.kind == "merged" for layer in session.layers):
+        if not any(layer.layers for layer in session.layers):
             assert same_bits(session.splats, painted_anew(session))
         assert session.verify(repaint=True) == []
 

@@ -11,7 +11,8 @@ import pytest
 from splatpainter.cameras import look_at
 from splatpainter.rendering import render
 from splatpainter.session import Session
-from splatpainter.session.replay.relief import COPY, CopyAnchor, Relief
+from splatpainter.session.document.layer_operation import operation_of_layer
+from splatpainter.session.kinds.relief_layers import CopyAnchor, ReliefLayer
 from splatpainter.splats import Splats
 from splatpainter.transforms import quat_to_matrix
 
@@ -38,9 +39,11 @@ FRONT = np.array([0.0, 0, -1])
 RIVET = slice(861, 921)
 
 
-def relief(to: tuple[float, float, float] = (1.0, 0.0, 0.0), normal: np.ndarray = FRONT, radius: float = 0.4) -> Relief:
+def relief(
+    to: tuple[float, float, float] = (1.0, 0.0, 0.0), normal: np.ndarray = FRONT, radius: float = 0.4
+) -> ReliefLayer:
     source = CopyAnchor.of(np.array([-1.0, 0, 0]), FRONT, np.array([1.0, 0, 0]))
-    return Relief(source, CopyAnchor.of(np.array(to), normal, np.array([1.0, 0, 0])), radius)
+    return ReliefLayer(source, CopyAnchor.of(np.array(to), normal, np.array([1.0, 0, 0])), radius)
 
 
 def test_a_copy_is_the_rivet_elsewhere_and_can_be_taken_back(tmp_path: Path) -> None:
@@ -107,16 +110,16 @@ def test_what_cannot_be_copied_is_one_line(tmp_path: Path) -> None:
         with pytest.raises(ValueError, match="nothing within the brush"):
             session.layers.copy_relief(far)
         assert not session.layers
+    record = relief().record()
     for damaged in (
-        {},
-        {COPY: 3},
-        {COPY: {"radius": True}},
-        {COPY: {**relief().parameters()[COPY], "radius": -1}},
-        {COPY: {**relief().parameters()[COPY], "source": {"point": [0, 0], "axes": []}}},
-        {COPY: {**relief().parameters()[COPY], "target": {"point": [0, 0, "x"], "axes": [[1]]}}},
-        {COPY: {**relief().parameters()[COPY], "target": {"point": [0, 0, 0], "axes": np.zeros((3, 3)).tolist()}}},
+        {"kind": "relief"},
+        {"kind": "relief", "radius": True},
+        {**record, "radius": -1},
+        {**record, "source": {"point": [0, 0], "axes": []}},
+        {**record, "target": {"point": [0, 0, "x"], "axes": [[1]]}},
+        {**record, "target": {"point": [0, 0, 0], "axes": np.zeros((3, 3)).tolist()}},
     ):
-        with pytest.raises(ValueError, match="^copy: expected") as error:
-            Relief.parse(damaged)
+        with pytest.raises(ValueError, match="^layer: copy: expected") as error:
+            operation_of_layer(damaged, "layer")
         assert "\n" not in str(error.value)
-    assert Relief.parse(relief().parameters()).parameters() == relief().parameters()
+    assert operation_of_layer(record, "layer").record() == record

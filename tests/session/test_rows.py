@@ -122,20 +122,20 @@ def test_looks_are_functions_of_each_row():
     y0 = 0.28209479177387814
     with flat(adjustments={"grey": lambda sh, parameters: sh.mean(2, keepdims=True).repeat(3, 2)}) as session:
         old = session.splats
-        layer = session.layers.add("look", parameters={"look": "gain", "gain": [2, 1, 0.5], "offset": [0, 0.1, 0]})
+        layer = session.layers.add("look", look="gain", settings={"gain": [2, 1, 0.5], "offset": [0, 0.1, 0]})
         expected_colors = (0.5 + y0 * old.sh[:, 0].astype(np.float64)) * [2, 1, 0.5] + [0, 0.1, 0]
         np.testing.assert_allclose(0.5 + y0 * session.splats.sh[:, 0], expected_colors, atol=1e-6)
         np.testing.assert_allclose(session.splats.sh[:, 1:], old.sh[:, 1:] * [2, 1, 0.5], atol=1e-6)
-        session.layers.set(layer.id, parameters={"look": "grey"})
+        session.layers.set(layer.id, look="grey", settings={})
         np.testing.assert_allclose(session.splats.sh.std(2), 0, atol=1e-6)
         assert session._core.project.rows("SELECT count(*) FROM results") == [(0,)]
-        for wrong in ({"look": "sepia"}, {"look": "gain", "gain": [1, 2]}):
+        for wrong in ({"look": "sepia"}, {"look": "gain", "settings": {"gain": [1, 2]}}):
             with pytest.raises(ValueError, match="^look: expected "):
-                session.layers.add("look", parameters=wrong)
+                session.layers.add("look", **wrong)
         half = disk(CAMERA, 16, 16, 40)
         half[:, :16] = False
         session.layers.delete(layer.id)
-        session.layers.add("look", [Edit(np.zeros((SIZE, SIZE, 3)), CAMERA, half)], parameters={"look": "grey"})
+        session.layers.add("look", [Edit(np.zeros((SIZE, SIZE, 3)), CAMERA, half)], look="grey")
         changed = differing(old, session.splats)
         assert changed[old.means[:, 0] > 0.2].all() and not changed[old.means[:, 0] < -0.2].any()
 
@@ -150,14 +150,14 @@ def test_regraded_pictures_can_stay_within_masks():
         everywhere = session.splats
         assert differing(old, everywhere).mean() > 0.9
         session.layers.set(look.id, visible=False)
-        within = session.layers.add("look", [redder], parameters={"within": True})
+        within = session.layers.add("look", [redder], within=True)
         changed = differing(old, session.splats)
         assert changed[old.means[:, 0] > 0.2].all() and not changed[old.means[:, 0] < -0.2].any()
         assert same_bits(session.splats.take(np.flatnonzero(changed)), everywhere.take(np.flatnonzero(changed)))
-        assert within.mode == "global" and session.layers.coverage()[~changed].max() == 0
+        assert within.operation.needs_masks is False and session.layers.coverage()[~changed].max() == 0
         assert session.verify(repaint=True) == []
         with pytest.raises(ValueError, match="expected a mask in one of its views to stay within"):
-            session.layers.add("look", [replace(redder, mask=None)], parameters={"within": True})
+            session.layers.add("look", [replace(redder, mask=None)], within=True)
 
 
 def conflicting(policy: Any) -> tuple[Session, str, str]:
@@ -182,7 +182,7 @@ def test_conflicts_are_reported():
         assert conflict.share == pytest.approx(len(expected) / (len(first) + 1))
         session.layers.add("paint", [dab(GREEN, 17)])  # from where the first one was painted, not the second
         assert {(conflict.lower, conflict.upper) for conflict in session.layers.conflicts()} == {(a, b), (b, "3")}
-        session.layers.add("look", parameters={"look": "gain"})
+        session.layers.add("look", look="gain")
         assert len(session.layers.conflicts()) == 2
 
 

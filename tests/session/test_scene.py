@@ -21,7 +21,6 @@ from splatpainter.rendering import render
 from splatpainter.scene.merge import verify_merge
 from splatpainter.scene.placement import Placement
 from splatpainter.session import Session
-from splatpainter.session.document.document import SELECTION
 from splatpainter.session.document.scene_asset import MAIN_ASSET_ID, SceneAsset, parse_assets
 from splatpainter.splats import Splats
 from tests.support.lift_scenes import disk, same_bits
@@ -161,7 +160,7 @@ def test_selections_looks_and_hiding_reach_every_asset(session: Session, paths) 
     assert [layer.asset for layer in session.layers] == [MAIN_ASSET_ID, made.id]
     np.testing.assert_array_equal(session.splats.opacities == 0, weights == 1)
     session.undo()
-    session.layers.add("look", parameters={"look": "gain", "gain": [0.5, 0.5, 0.5]}, asset=made.id)
+    session.layers.add("look", look="gain", settings={"gain": [0.5, 0.5, 0.5]}, asset=made.id)
     assert same_bits(session.splats.take(np.arange(100)), before.take(np.arange(100)))
     assert np.abs(session.splats.sh[100:] - before.sh[100:]).max() > 0.1
     session.selections.save("upper", weights)
@@ -180,8 +179,8 @@ def test_a_look_within_a_selection_is_split(session: Session, paths) -> None:
     before = session.splats
     weights = (before.means[:, 1] > 0.2).astype(np.float32)
     data = Selection.of(weights, before, session.original).to_png()
-    look = {"look": "gain", "gain": [0.5, 0.5, 0.5], SELECTION: files.sha256(data)}
-    session.layers.add("look", parameters=look, attached=[data])
+    look = {"look": "gain", "settings": {"gain": [0.5, 0.5, 0.5]}, "selection": files.sha256(data)}
+    session.layers.add("look", **look, attached=[data])
     changed = (session.splats.sh != before.sh).any((1, 2))
     np.testing.assert_array_equal(changed, weights > 0)
     assert len(session.layers) == 2 and session.verify() == []
@@ -263,7 +262,7 @@ def test_colours_are_matched_at_the_seam_by_a_layer(tmp_path: Path) -> None:
         faded = session.scene.match_seam(made.id, to=MAIN_ASSET_ID, falloff=0.3)
         far = session.splats.means[:, 0] > 1.6
         assert far.any() and same_bits(session.splats.take(far), replace(before, means=session.splats.means).take(far))
-        assert SELECTION in faded.parameters and session.verify() == []
+        assert faded.operation.blobs() and session.verify() == []
         session.scene.set(made.id, placement=Placement.of(move=(90, 0, 0)))
         with pytest.raises(ValueError, match="not near to each other"):
             session.scene.match_seam(made.id)

@@ -293,8 +293,8 @@ def test_a_look_keeps_to_a_selection_and_selections_have_names(tmp_path: Path) -
         session.selections.save("Upper part", weights)
         data = Selection.of(weights, session.splats, session.original).to_png()
         before = session.splats.sh
-        gain = {"look": "gain", "gain": [0, 0, 0]}
-        session.layers.add("look", name="Dark", parameters={**gain, "selection": sha256(data)}, attached=[data])
+        gain = {"look": "gain", "settings": {"gain": [0, 0, 0]}}
+        session.layers.add("look", name="Dark", **gain, selection=sha256(data), attached=[data])
         after = session.splats.sh
         full = -0.5 / 0.28209479177387814
         assert np.allclose(after[:100, 0], full) and np.array_equal(after[200:], before[200:])

@@ -9,7 +9,6 @@ import pytest
 
 from splatpainter.painter import Edit, Painter
 from splatpainter.session import Session
-from splatpainter.session.document.document import SPREAD_THRESHOLD
 from splatpainter.session.replay.conflicts import ORIGINAL, PREDICTED, SEEN
 from splatpainter.splats import rows_sha256
 from tests.support.lift_scenes import differing
@@ -31,23 +30,21 @@ def changed_behind(session: Session) -> int:
 def test_another_threshold_solves_the_layer_again_and_undo_is_exact(tmp_path: Path) -> None:
     with Session(SPLATS, tmp_path / "one.splatproj", painter=Painter()) as session:
         layer = session.layers.add("paint", [edit()], mode="spread")
-        assert layer.parameters == {SPREAD_THRESHOLD: 0.5} and session.layers.facts(layer.id)["method"] == "lift"
+        assert layer.operation.spread_threshold == 0.5 and session.layers.facts(layer.id)["method"] == "lift"
         counts, prints = [changed_behind(session)], [rows_sha256(session.splats)]
         assert counts[0] > 0.95 * (LEFT & BACK).sum()
-        session.layers.set(layer.id, parameters={SPREAD_THRESHOLD: 1.0})
+        session.layers.set(layer.id, spread_threshold=1.0)
         assert changed_behind(session) == 0
         session.undo()
         assert rows_sha256(session.splats) == prints[0]
         session.redo()
-        session.layers.set(layer.id, parameters={SPREAD_THRESHOLD: 0.02})
+        session.layers.set(layer.id, spread_threshold=0.02)
         assert changed_behind(session) > counts[0]
         session.layers.set(layer.id, visible=False)
         assert not differing(SPLATS, session.splats).any()
         assert session.verify(repaint=True) == []
     with Session.load(tmp_path / "one.splatproj", painter=Painter()) as session:
-        assert (
-            session.layers.by_id(layer.id).parameters == {SPREAD_THRESHOLD: 0.02} and session.verify(repaint=True) == []
-        )
+        assert session.layers.by_id(layer.id).operation.spread_threshold == 0.02 and session.verify(repaint=True) == []
 
 
 def test_coverage_tells_painted_from_predicted() -> None:
@@ -73,11 +70,14 @@ def test_what_a_spread_layer_cannot_be() -> None:
     with Session(SPLATS, painter=Painter()) as session:
         with pytest.raises(ValueError, match="expected kind paint or picture with mode spread, got clone"):
             session.layers.add("clone", [edit()], mode="spread")
-        for bad, reason in (("x", "expected spread_threshold as a number"), (2, "expected 0 .reaches more. to 1")):
+        for bad, reason in (
+            ("x", "expected float as 'spread_threshold', got 'x'"),
+            (2, "expected 0 .reaches more. to 1"),
+        ):
             with pytest.raises(ValueError, match=reason):
-                session.layers.add("paint", [edit()], mode="spread", parameters={SPREAD_THRESHOLD: bad})
-        layer = session.layers.add("paint", [edit()], mode="spread", parameters={"angle_limit": 40})
+                session.layers.add("paint", [edit()], mode="spread", spread_threshold=bad)
+        layer = session.layers.add("paint", [edit()], mode="spread", angle_limit=40)
         with pytest.raises(ValueError, match="spread threshold"):
-            session.layers.set(layer.id, parameters={SPREAD_THRESHOLD: -1})
+            session.layers.set(layer.id, spread_threshold=-1)
         with pytest.raises(ValueError, match="takes no strokes"):
             session.strokes.paint(layer.id, [edit()])

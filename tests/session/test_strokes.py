@@ -14,6 +14,7 @@ from splatpainter.cameras import look_at
 from splatpainter.rendering import render
 from splatpainter.session import Session
 from splatpainter.session.document.document import MAX_STROKES, Layer
+from splatpainter.session.kinds.painted_layers import PaintLayer
 from splatpainter.splats import ATTRIBUTES, Splats, rows_sha256
 from tests.support.session_scenes import BLUE, CAMERA, GREEN, RED, FlatPainter, asset, dab, flat, load, print_of
 
@@ -253,8 +254,8 @@ def test_pictures_are_kept_inside_their_masks_only(path: Path) -> None:
 
 def test_what_takes_no_strokes_says_so() -> None:
     with flat() as session:
-        look = session.layers.add("look", parameters={"look": "gain", "gain": [1, 1, 1]})
-        words = session.layers.add("paint", [dab()], parameters={"placed": {"kind": "text", "text": "TEA"}})
+        look = session.layers.add("look", look="gain", settings={"gain": [1, 1, 1]})
+        words = session.layers.add("paint", [dab()], placed={"kind": "text", "text": "TEA"})
         layer = session.layers.new()
         with pytest.raises(ValueError, match="takes no strokes"):
             session.strokes.paint(look.id, [dab()])
@@ -265,31 +266,29 @@ def test_what_takes_no_strokes_says_so() -> None:
         with pytest.raises(ValueError, match="no Gaussian contributes"):
             session.strokes.paint(layer.id, [dab(x=0, y=0, radius=1)])
         assert session.layers.by_id(layer.id).strokes == ()
-        record = Layer("1", "a", "paint", views=session.layers.by_id(words.id).views).record()
+        record = Layer("1", "a", PaintLayer(), views=session.layers.by_id(words.id).views).record()
         with pytest.raises(ValueError, match="expected a list of at most"):
             Layer.parse({**record, "strokes": [record] * (MAX_STROKES + 1)})
         with pytest.raises(ValueError, match="without views"):
             Layer.parse({**record, "strokes": [record]})
         with pytest.raises(ValueError, match="expected a stroke"):
-            Layer.parse({**record, "views": [], "strokes": [{**record, "kind": "look"}]})
+            Layer.parse({**record, "views": [], "strokes": [{**record, "operation": {"kind": "look"}}]})
 
 
 def test_words_are_changed_in_place() -> None:
     with flat() as session:
-        words = session.layers.add(
-            "paint", [dab(RED)], name="Text: tea", parameters={"placed": {"text": "tea"}}, opacity=0.5
-        )
+        words = session.layers.add("paint", [dab(RED)], name="Text: tea", placed={"text": "tea"}, opacity=0.5)
         session.layers.add("paint", [dab(GREEN, 24)])
         before = print_of(session)
         session.layers.set(words.id, visible=False, gesture="words")
         changed = session.layers.replace_views(
-            words.id, [dab(BLUE)], name="Text: milk", parameters={"placed": {"text": "milk"}}, gesture="words"
+            words.id, [dab(BLUE)], name="Text: milk", placed={"text": "milk"}, gesture="words"
         )
         assert (changed.id, changed.opacity, changed.name, changed.visible) == (words.id, 0.5, "Text: milk", True)
         assert [one.name for one in session.layers] == ["Text: milk", "Paint"]
         assert len(session.history) == 4  # hidden and changed are one step
         session.undo()
-        assert print_of(session) == before and session.layers.by_id(words.id).parameters["placed"]["text"] == "tea"
+        assert print_of(session) == before and session.layers.by_id(words.id).operation.placed["text"] == "tea"
         with pytest.raises(ValueError, match="expected a layer of edited pictures"):
             session.layers.replace_views(session.layers.new().id, [dab(BLUE)])
 
@@ -318,10 +317,9 @@ def test_a_project_whose_strokes_are_gone_is_damaged_in_one_line(path: Path) -> 
 
 
 def test_only_the_placed_picture_of_a_sticker_is_kept_with_it(path: Path) -> None:
-    """A blob that parameters name stays in the project as long as the layer."""
-    layer = Layer("1", "a", "paint", parameters={"placed": {"image": "a" * 64}})
-    assert layer.blobs() == {"a" * 64}
-    assert replace(layer, parameters={"placed": {"image": "../x"}}).blobs() == set()
+    """A blob that options name stays in the project as long as the layer."""
+    assert Layer("1", "a", PaintLayer(placed={"image": "a" * 64})).blobs() == {"a" * 64}
+    assert Layer("1", "a", PaintLayer(placed={"image": "../x"})).blobs() == set()
 
 
 def test_the_eraser_takes_away_what_its_layer_painted(path: Path) -> None:

@@ -7,6 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from splatpainter.models import checkpoint
+from splatpainter.models.local_config import LocalConfig
+from splatpainter.models.local_network import LocalNetwork
 from splatpainter.models.model import SplatPainterModel
 from splattrain import state
 from splattrain.data.samples import GLOBAL
@@ -16,6 +18,7 @@ from splattrain.report import alex_or_none
 from splattrain.stages.compress import CopyTask, HiddenColors
 from splattrain.stages.gaussian_edit_task import GaussianEditOptions, GaussianEditTask
 from splattrain.stages.lrm import LrmTask
+from splattrain.stages.painted_gaussians_task import PaintedGaussiansTask
 from splattrain.stages.predict import PredictTask
 from splattrain.stages.refine import RefineOptions, RefineTask
 from splattrain.stages.task import Task
@@ -92,6 +95,21 @@ def _stage_two_hint(stage: Stage, differing: Sequence[str]) -> str:
     words = [line.split("'") for line in differing if line.startswith("refine.inputs ")]
     same = f"--model.refine.inputs {words[0][1]}" if words and len(differing) == 1 else "the same settings"
     return f"; go on with {same}, or train a new Stage II on its encoder with --from-stage compress"
+
+
+def make_painted_task(recipe: Recipe, weights: Path | None, report: Say = print) -> PaintedGaussiansTask:
+    """The task of stage rows with pictures as the carrier: a local network, new (seed torch before) or that of a
+    checkpoint. Raises ValueError naming what differs where the checkpoint is of another one."""
+    network = LocalNetwork(recipe.local)
+    if weights is not None:
+        saved = checkpoint.load(weights, kind=LocalConfig)
+        free = ("preset", "refine.edit_strength")
+        if differing := state.differing_config(saved.config, recipe.local, lambda key: key in free):
+            raise ValueError(f"{weights}: weights of another model: {'; '.join(differing[:3])}")
+        checkpoint.fill(network, saved.tensors, str(weights))
+        network.notes = {"history": state.history(weights, saved.notes)}
+        report(f"starting from {weights}")
+    return PaintedGaussiansTask(network, recipe.readers)
 
 
 def make_task(recipe: Recipe, model: SplatPainterModel, perceptual_weights: Path | None, report: Say = print) -> Task:

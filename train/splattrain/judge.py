@@ -15,7 +15,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -34,6 +34,10 @@ from splattrain.stages.compress import HiddenColors
 from splattrain.stages.lrm import LrmTask
 from splattrain.stages.task import Task
 from splattrain.training_data import DataSettings, is_shards
+
+if TYPE_CHECKING:
+    from splattrain.data.painted_gaussians import PaintedGaussianStream
+    from splattrain.stages.painted_gaussians_task import PaintedGaussiansTask
 
 COPY, LRM, HIDDEN = "Stage I (copy)", "LRM", "Stage I (hidden colours)"
 MANY_VIEWS = "relight"
@@ -175,6 +179,12 @@ class EditRow:
     nothing_lpips: float | None
     lift_lpips: float | None
     ours_lpips: float | None
+    strength_zero: float | None = None
+    """Ours without adaptation (edit strength 0), dB."""
+    another_edit: float | None = None
+    """Ours with a memory that has learnt another edit, dB."""
+    between_gaussians: float | None = None
+    """Of the power of what Stage II reads, the share that differs between Gaussians, 0..1."""
 
 
 @dataclass(frozen=True)
@@ -222,6 +232,34 @@ def judge_edits(task: Task, samples: Iterable[JudgedSample], views: Sequence[int
             if count is not None:
                 strip = ((f"first of {count} edited", strip[0][1]), *strip[1:])
             yield SampleScore(judged.number, sample.name, sample.mode, sample.kind, count, score.numbers, strip)
+
+
+def judge_painted(task: PaintedGaussiansTask, stream: PaintedGaussianStream, count: int) -> Iterator[SampleScore | str]:
+    """Findings of a local network on `count` painted close-ups of held-out objects: novel views near the edit, where it
+    changes the object. `ours` is held against the picture (models/local_edit_colors.py); strength 0 and another edit
+    are of the network alone, in the paint of the edited view."""
+    task.eval()
+    for number in range(count):
+        try:
+            sample = stream.whole(number)
+            score = task.judge(sample)
+        except ValueError as error:
+            yield f"sample {number}: {error}"
+            continue
+        of = score.numbers
+        if "gain" not in of:
+            yield f"sample {number} ({sample.kind}, {sample.name}): no novel view shows the edit"
+            continue
+        numbers = {
+            "lift": of["novel lift"],
+            "ours": of["novel held"],
+            "gain": of["gain"],
+            "nothing": of["novel nothing"],
+        }
+        numbers |= {"strength 0": of["edited strength 0"], "another edit": of["edited another picture"]}
+        numbers |= {"between Gaussians": of["between Gaussians"], "network alone": of["edited ours"]}
+        kind = sample.kind.split(" ")[0]
+        yield SampleScore(number, sample.name, "local", kind, None, numbers, score.strip)
 
 
 def judge_copies(tasks: Mapping[str, Task], samples: Iterable[JudgedSample]) -> Iterator[SampleScore | str]:
@@ -328,6 +366,7 @@ def _edit_row(kind: str, views: int | None, group: Sequence[SampleScore], seed: 
     gain = float(np.mean([f.numbers["gain"] for f in group]))
     low, high = interval([f.numbers["gain"] for f in group], [f.name for f in group], seed) or (None, None)
     figures: list[Any] = [*means(""), gain, low, high, *means(" SSIM"), *means(" LPIPS-Alex")]
+    figures += [mean(name) for name in ("strength 0", "another edit", "between Gaussians")]
     return EditRow(kind, views, *counts, *figures)
 
 
@@ -421,7 +460,14 @@ def _cells(row: EditRow | CopyRow) -> dict[str, object]:
         "interval": _range(row.gain_low, row.gain_high),
         "SSIM": _trio(row.nothing_ssim, row.lift_ssim, row.ours_ssim),
         "LPIPS": _trio(row.nothing_lpips, row.lift_lpips, row.ours_lpips),
+        "strength 0 dB": _number(row.strength_zero),
+        "another edit dB": _number(row.another_edit),
+        "between Gaussians": _number(row.between_gaussians),
     }
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2f}"
 
 
 def _range(low: float | None, high: float | None) -> str:

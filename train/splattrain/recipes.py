@@ -16,6 +16,7 @@ from typing import Any, ClassVar, Literal, get_args
 from splatpainter import jsonio
 from splatpainter.io.files import read_all
 from splatpainter.models.config import COMPACT, PRESETS, ModelConfig
+from splatpainter.models.local_config import LocalConfig
 from splattrain.data.object_sources import HELD_OUT_SHARE
 from splattrain.data.samples import KINDS, SampleRecipe
 
@@ -23,7 +24,7 @@ Stage = Literal["lrm", "compress", "predict", "rows", "refine", "densify"]
 STAGES: tuple[Stage, ...] = get_args(Stage)
 Encoder = Literal["nothing", "compress", "all"]
 Parallel = Literal["ddp", "fsdp"]
-Carrier = Literal["stage2", "predictor"]
+Carrier = Literal["stage2", "predictor", "pictures"]
 FOLDER = Path(__file__).with_name("recipes")
 ENTRY_POINTS = "splatpainter.training_stages"
 """Group of entry points by which other distributions add stages: modules with RECIPE_CLASS, a subclass of
@@ -45,7 +46,9 @@ class Recipe:
     predictor without pictures, on edits that are known exactly where they are shown; refine: Stage II; densify: a model
     of its own, a baseline."""
     model: ModelConfig = COMPACT
-    """The model; not of stage densify."""
+    """The model; not of stage densify, and not where pictures are the carrier of stage rows."""
+    local: LocalConfig = field(default_factory=LocalConfig)
+    """rows with carrier pictures only: the local network."""
     samples: SampleRecipe = field(default_factory=SampleRecipe)
     """What samples look like."""
     steps: int = 20_000
@@ -85,13 +88,15 @@ class Recipe:
     train_encoder: Encoder = "nothing"
     """Stage II only: what else is trained. nothing (the paper), compress (Stage I), all (Stage I and the LRM)."""
     carrier: Carrier = "stage2"
-    """rows only: what learns, Stage II or the predictor."""
+    """rows only: what learns, Stage II, the predictor, or from edited pictures the local network."""
     teachers: int = 256
     """rows only: Gaussians per edit that are shown, a random choice."""
     readers: int = 256
     """rows only: Gaussians per edit that are not shown and count in the loss, a random choice."""
     fitted: bool = True
     """rows only: train on assets fitted by 3DGS, too, not on coarse ones alone."""
+    edits: int = 4096
+    """rows with carrier pictures only: edits that are drawn, and kept in --assets; then they come again."""
     pull_steps: int = 1000
     """LRM without known geometry only: first steps that pull points into place."""
     seed: int = 0
@@ -115,7 +120,7 @@ class Recipe:
     def __post_init__(self) -> None:
         zero_up = "warmup validate_every pull_steps workers perceptual_views seed loss_views gradient_rows"
         for names_of_rule, holds, rule in (
-            ("steps batch report_every validation_samples teachers readers", lambda v: v >= 1, "of at least 1"),
+            ("steps batch report_every validation_samples teachers readers edits", lambda v: v >= 1, "of at least 1"),
             (f"{zero_up} weight_decay spike perceptual keep", lambda v: v >= 0, "of 0 or more"),
             ("learning_rate clip save_minutes", lambda v: v > 0, "above 0"),
             ("final_rate average sequence validation_share", lambda v: 0 <= v <= 1, "0..1"),

@@ -18,6 +18,7 @@ from splattrain.prefetch import PrefetchedSamples
 
 if TYPE_CHECKING:
     from splattrain.data.gaussian_edits import GaussianEditStream
+    from splattrain.data.painted_gaussians import PaintedEdit, PaintedGaussianStream
     from splattrain.data.samples import Sample
 
 VALIDATION_SEED = 0x5EED
@@ -156,6 +157,51 @@ def gaussian_edit_streams(
             GaussianEditStream(assets, kinds, ("coarse", "fitted") if fitted else ("coarse",), seed, samples_per_object)
         )
     return streams[0], streams[1] if len(streams) > 1 else None
+
+
+def open_painted_gaussians(settings: DataSettings, count: int, folder: Path | None, edits: int) -> TrainingData:
+    """As `open_training_data`, for stage rows with pictures as the carrier (data/painted_gaussians.py). folder: where
+    edits are kept; edits: how many are drawn of the training objects; of the others, whole ones. Raises ValueError as
+    DataSettings.stream and PaintedGaussianStream, and for splat assets."""
+    training, held_out = painted_gaussian_streams(settings, folder, edits)
+    samples = list(_first(WholeEdits(held_out), count)) if count and held_out is not None else []
+    return TrainingData(training, samples, settings.counts())
+
+
+def painted_gaussian_streams(
+    settings: DataSettings, folder: Path | None, edits: int
+) -> tuple[PaintedGaussianStream, PaintedGaussianStream | None]:
+    """(edits of training objects, of those held back, None where there are none). Raises ValueError as
+    `open_painted_gaussians`."""
+    from splattrain.data.edits.content import EditResources
+    from splattrain.data.painted_gaussians import PaintedGaussianStream
+
+    if is_shards(settings.data):
+        raise ValueError(f"--data {settings.data}: expected meshes or procedural:N for stage rows, got shards")
+    sources = _sources(settings.data, settings.seed, settings.held_out, settings.resources)
+    files = _files(settings.resources)
+    lights = files.pop("environments")
+    resources = EditResources(**{name: tuple(part) for name, part in files.items()})
+    streams: list[PaintedGaussianStream] = []
+    for source, seed in zip(sources, (settings.seed, settings.seed + VALIDATION_SEED), strict=True):
+        if source is None:
+            continue
+        if not hasattr(source, "mesh"):
+            raise ValueError(f"--data {settings.data}: expected meshes, whose truth is known, got splat assets")
+        recipe = dataclasses.replace(settings.recipe, steps_per_object=1) if streams else settings.recipe
+        kept = None if streams else folder
+        streams.append(PaintedGaussianStream(source, recipe, seed, lights, resources, kept, edits))
+    return streams[0], streams[1] if len(streams) > 1 else None
+
+
+class WholeEdits:
+    """The edits of a stream with everything around them."""
+
+    def __init__(self, stream: PaintedGaussianStream) -> None:
+        self.stream = stream
+
+    def __getitem__(self, i: int) -> PaintedEdit:
+        return self.stream.whole(i)
 
 
 def open_training_data(settings: DataSettings, *, batch: int, count: int, workers: int = 0) -> TrainingData:

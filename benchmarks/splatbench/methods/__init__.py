@@ -18,6 +18,7 @@ from splatpainter.splats import Splats
 MODULES = (
     "unedited",
     "lift",
+    "lights",
     "ttt",
     "reconstruction",
     "color_fit",

@@ -38,7 +38,7 @@ def painted(painter: Painter, method: PainterMethod, task: EditTask, note: str =
         raise ValueError(reason)
     start = time.perf_counter()
     if task.state is None:
-        asset = painter.encode(task.asset, method)
+        asset = painter.encode(task.asset, method, (task.step.mode,))
         _ = asset.grid
         setup = time.perf_counter() - start
     else:

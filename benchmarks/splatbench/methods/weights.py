@@ -15,6 +15,7 @@ from splatbench.densification.densify_config import DensifyConfig
 from splatpainter.models import weights as packaged
 from splatpainter.models.checkpoint import INDEX
 from splatpainter.models.config import ModelConfig
+from splatpainter.models.local_config import LocalConfig
 
 COMPACT = "compact"
 """The name under which the package's model is replaced."""
@@ -38,7 +39,7 @@ class Weights:
     """Whether a config is that of such a model."""
     train: str = ""
     """Arguments of `splatpainter train` that make one."""
-    config_class: type[ModelConfig] | type[DensifyConfig] = ModelConfig
+    config_class: type[ModelConfig] | type[DensifyConfig] | type[LocalConfig] = ModelConfig
 
     def folder(self, budget: Budget) -> Path | None:
         """Folder of the weights, or None."""
@@ -80,7 +81,7 @@ class Weights:
         """The network on the budget's device, read once per process. Raises ValueError where there is none that
         fits."""
         folder = self._existing(budget)
-        return _loaded(str(folder), self._described(folder)[1], budget.device, self.config_class is DensifyConfig)
+        return _loaded(str(folder), self._described(folder)[1], budget.device, self.config_class.format)
 
     def _existing(self, budget: Budget) -> Path:
         folder, problem = self.folder(budget), self.missing(budget)
@@ -106,10 +107,14 @@ class Weights:
 
 
 @cache
-def _loaded(folder: str, digest: str, device: str, densifier: bool) -> Any:
-    """digest: so that other weights in the same folder are read."""
-    if densifier:
+def _loaded(folder: str, digest: str, device: str, kind: str) -> Any:
+    """digest: so that other weights in the same folder are read; kind: format of the config."""
+    if kind == DensifyConfig.format:
         from splatbench.densification.densifier import Densifier as Network
+    elif kind == LocalConfig.format:
+        from splatpainter.models.local_network import LocalNetwork
+
+        return LocalNetwork.load(folder)  # on the CPU, as edits by it are
     else:
         from splatpainter.models.model import SplatPainterModel as Network
     return Network.load(folder).to(device)

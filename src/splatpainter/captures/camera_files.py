@@ -26,6 +26,7 @@ def split_selector(path: Path) -> tuple[Path, str]:
     if os.path.exists(path):  # Path.exists raises where a folder above may not be searched
         return path, ""
     text = str(path)
+    # From the end: a folder's own name may hold colons.
     for at in range(len(text) - 1, 1, -1):  # a drive's letter and its colon are no file
         if text[at] == ":" and os.path.exists(text[:at]):
             return Path(text[:at]), text[at + 1 :]
@@ -45,6 +46,7 @@ def capture_of(asset: Path) -> Path | None:
     """The capture that lies with an asset: its folder's, or that of the trainer's folder in which the file is."""
     if os.path.isdir(asset):
         return asset if is_capture(asset) else None
+    # INRIA's trainer puts its assets two folders below the run.
     folder = asset.absolute().parents[2] if len(asset.absolute().parents) > 2 else asset.parent
     return folder if os.path.isdir(folder / POINT_CLOUD) and is_capture(folder) else None
 
@@ -58,6 +60,7 @@ def captured_views(path: Path, asset: Path | None = None) -> list[CapturedView]:
         raise ValueError(
             f"{path}: expected a capture: cameras.json, transforms.json, camera_path.json, or COLMAP's sparse/0"
         )
+    # A folder is COLMAP's; a file says by its keys whose it is.
     if os.path.isdir(capture):
         frame = splat_frame(*_frame_folders(asset))
         views = [view if frame is None else frame.moved(view) for view in colmap.read_model(capture)]
@@ -83,6 +86,7 @@ def named_views(path: Path, asset: Path | None = None, picture: Path | None = No
     if selector:
         return [views[_chosen(views, selector, capture)]]
     if picture is not None:
+        # A picture that is called as one photograph of the capture is that photograph.
         named = [view for view in views if view.is_called(picture.name)]
         exact = [view for view in named if Path(view.name.replace("\\", "/")).name == picture.name]
         if len(exact or named) == 1:
@@ -95,6 +99,7 @@ def _chosen(views: list[CapturedView], selector: str, capture: Path) -> int:
         if int(selector) < len(views):
             return int(selector)
         raise ValueError(f"{capture}: expected a view from 0 to {len(views) - 1}, got {selector[:40]}")
+    # Exact names first: with 1.jpg and 01.jpg both in a capture neither may stand for the other.
     name = selector.replace("\\", "/")
     exact = [k for k, view in enumerate(views) if view.name.replace("\\", "/") == name]
     named = exact or [k for k, view in enumerate(views) if view.is_called(name)]
@@ -132,6 +137,7 @@ def _capture_file(path: Path) -> Path | None:
         return None
     if path.name in ("cameras.bin", "images.bin", "points3D.bin", "cameras.txt", "images.txt", "points3D.txt"):
         return colmap.model_folder(path)
+    # The first bytes tell JSON from anything else before a large file is read whole.
     if files.read_head(path, 64).lstrip(b"\xef\xbb\xbf \t\r\n")[:1] not in (b"{", b"["):
         return None
     record = load_document(files.read_all(path), path, "the list of cameras", MAX_TABLE_BYTES)

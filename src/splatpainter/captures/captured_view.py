@@ -52,6 +52,7 @@ class CapturedView:
         for folder in self.folders:
             for ending in ENDINGS:
                 yield folder / (str(name) + ending)
+        # Then smaller copies beside: trainers keep them, and originals are often gone.
         for folder in self.folders:
             data = folder.parent if folder.name in (*PICTURE_FOLDERS, "input") else folder
             for copies in PICTURE_FOLDERS:
@@ -74,6 +75,7 @@ def rigid(pose: np.ndarray, where: str) -> np.ndarray:
         matrix = np.vstack([matrix, [0, 0, 0, 1]])
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise ValueError(f"{where}: expected a 4x4 matrix of a camera, got shape {list(matrix.shape)}")
+    # Some programs put the scene's scale into the pose: it is divided out, a mirror is refused.
     size = float(np.linalg.det(matrix[:3, :3]))
     if not size > 1e-12:
         raise ValueError(f"{where}: expected a rotation in a camera's matrix, got a flat or mirrored one")

@@ -121,6 +121,7 @@ def read_model(folder: Path) -> list[CapturedView]:
     cameras, images = _file(folder, "cameras"), _file(folder, "images")
     optics = dict(_binary_cameras(cameras) if cameras.suffix == ".bin" else _text_cameras(cameras))
     rows = _binary_images(images) if images.suffix == ".bin" else _text_images(images)
+    # Distorted models belong to the photographs as they were taken, others to the straightened ones.
     names = ("input", "images", "") if "distorted" in folder.parts else ("images", "input", "")  # as INRIA's convert.py
     folders = tuple(data / name for data in _data_folders(folder) for name in names)
     folders += tuple(folder.absolute().parent / name for name in names if name)  # colmap_text beside images
@@ -128,6 +129,7 @@ def read_model(folder: Path) -> list[CapturedView]:
     for name, camera_id, quaternion, translation in rows:
         if camera_id not in optics:
             raise ValueError(f"{images}: {_brief(name)} has camera {camera_id}, which {cameras.name} does not list")
+        # COLMAP stores world to camera, as Camera has it.
         matrix = np.eye(4)
         with np.errstate(over="ignore"):  # infinite, and refused
             norm = float(np.linalg.norm(quaternion))
@@ -156,6 +158,7 @@ def read_points(folder: Path) -> tuple[np.ndarray, np.ndarray]:
 def _data_folders(folder: Path) -> list[Path]:
     """The folders in which the photographs of a model may be, nearest first: `sparse/0` has them beside `sparse`. No
     others: a picture of the same name elsewhere may be a painted one."""
+    # From sparse/0 up to where the photographs are.
     here = folder.absolute()
     if here.name.isdigit():
         here = here.parent
@@ -174,6 +177,7 @@ def _file(folder: Path, name: str) -> Path:
 def _optics(where: str, model: ColmapModel, width: int, height: int, parameters: tuple[float, ...]) -> _Optics:
     if model.lens is None:
         raise ValueError(f"{where}: model {model.name}, which no pinhole camera replaces; expected pictures of one")
+    # Every model begins with one or two focals and the principal point; what follows is its lens.
     focal, rest = parameters[: model.focals], parameters[model.focals :]
     camera = posed_camera(where, (width, height), (focal[0], focal[-1]), (rest[0], rest[1]), np.eye(4))
     if not all(map(np.isfinite, parameters)):
@@ -201,10 +205,12 @@ def _binary_images(path: Path) -> Iterator[tuple[str, int, np.ndarray, np.ndarra
         for _ in range(_count(file, path)):
             _, *pose, camera_id = _POSE.unpack(_bytes(file, path, _POSE.size))
             name = bytearray()
+            # Names end with a zero byte and say no length: bounded by hand.
             while (byte := _bytes(file, path, 1)) != b"\0":
                 name += byte
                 if len(name) > MAX_NAME_BYTES:
                     raise ValueError(f"{path}: expected a picture's name, got more than {MAX_NAME_BYTES} bytes")
+            # Its observations are not needed: skipped without being read, their count held against the file's size.
             (points,) = struct.unpack("<Q", _bytes(file, path, 8))
             _skip(file, path, 24 * points)
             yield name.decode("utf-8", "replace"), camera_id, np.array(pose[:4]), np.array(pose[4:])
@@ -287,6 +293,7 @@ def _text_images(path: Path) -> Iterator[tuple[str, int, np.ndarray, np.ndarray]
         if len(words) < 10:
             raise ValueError(f"{path}: line {number}: expected ID, QW ... TZ, CAMERA_ID, NAME, got {_brief(line)}")
         values = _numbers(path, number, words[:9])
+        # Every image has a second line, of its points.
         next(lines, None)
         yield words[9], _camera_id(values[8]), np.array(values[1:5]), np.array(values[5:8])
 

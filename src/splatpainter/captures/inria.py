@@ -37,6 +37,7 @@ def training_arguments(folder: Path) -> TrainingArguments:
     text, `Namespace(name=value, ...)`, of which literals are taken and nothing is run."""
     try:
         text = files.read_head(folder / ARGUMENTS, MAX_ARGUMENT_BYTES).decode("utf-8")
+        # The repr of a Namespace: parsed as syntax, never evaluated.
         call = ast.parse(text.strip(), mode="eval").body
         keywords = call.keywords if isinstance(call, ast.Call) else []
         values = {word.arg: word.value.value for word in keywords if isinstance(word.value, ast.Constant)}
@@ -56,6 +57,7 @@ def read_cameras(path: Path, entries: list[Any]) -> list[CapturedView]:
     arguments = training_arguments(path.parent)
     folders = [path.parent]
     if arguments.source is not None:
+        # The path of the machine that trained, and the same folder nearer by.
         sources = [arguments.source, path.parent / arguments.source]
         sources += [
             above / arguments.source.name for above in path.absolute().parents[:3]
@@ -80,6 +82,7 @@ def _view(where: str, entry: Any, folders: tuple[Path, ...], background: tuple[f
     position = finite_numbers(entry["position"], where, "position")
     if {len(row) for row in rows} != {3} or len(position) != 3:
         raise ValueError(f"{where}: expected a 3x3 rotation and a position of 3 numbers")
+    # cameras.json holds camera to world: rotation's columns are the camera's axes.
     pose = np.concatenate([np.array(rows), position[:, None]], 1)
     size = int(width), int(height)
     camera = posed_camera(where, size, (fx, fy), (size[0] / 2, size[1] / 2), rigid(pose, where), background)

@@ -45,6 +45,7 @@ class Lens:
         fitted to a photograph turn back on themselves outside it, and would show it again there."""
         slopes = np.tan(np.linspace(0, math.radians(89.5), SLOPE_STEPS + 1))
         out = float(slopes[-1])
+        # Eight directions: tangential and prism terms are not the same all around.
         for angle in np.arange(8) * (math.pi / 4):
             line = slopes[:, None] * np.array([math.cos(angle), math.sin(angle)])
             with np.errstate(all="ignore"):  # what overflows or has no root is beyond reach
@@ -74,6 +75,7 @@ class PolynomialLens(Lens):
     """Whether the other terms see what the polynomial made (Project Aria's lenses)."""
 
     def distorted(self, slopes: np.ndarray) -> np.ndarray:
+        # Fisheye models are polynomials of the angle, others of its tangent.
         points = _angles(slopes) if self.fisheye else slopes
         square = (points**2).sum(-1)
         factor = _polynomial(self.radial, square) / _polynomial(self.divisor, square)
@@ -150,6 +152,7 @@ def pinhole_window(camera: Camera, lens: Lens, *, all_of_it: bool) -> Camera:
 
     all_of_it: the least that shows the whole photograph (its corners may be empty), else the most of which every pixel
     is in the photograph; within MAX_HALF_FIELD_DEGREES and MAX_ENLARGEMENT. Raises ValueError: nothing can be seen."""
+    # Bisection over the window's size: whether its border is seen is monotone in it.
     low, high = 0.0, _largest_window(camera)
     for _ in range(WINDOW_STEPS):
         middle = (low + high) / 2
@@ -157,6 +160,7 @@ def pinhole_window(camera: Camera, lens: Lens, *, all_of_it: bool) -> Camera:
         inner = seen.any() if all_of_it else seen.all()
         low, high = (middle, high) if inner else (low, middle)
     factor = high if all_of_it else low
+    # Whole pixels, inwards, so that the window's border is within what was found.
     left, top = (math.ceil(center * (1 - factor) - 1e-6) for center in (camera.cx, camera.cy))
     right = math.floor(camera.cx + (camera.width - camera.cx) * factor + 1e-6)
     bottom = math.floor(camera.cy + (camera.height - camera.cy) * factor + 1e-6)
@@ -206,9 +210,11 @@ def straightened(values: np.ndarray, camera: Camera, lens: Lens, window: Camera)
     """([H, W, C] float32 what a photograph [h, w, C] shows at each pixel of the pinhole camera `window`, [H, W] bool
     where it shows anything). camera: of the photograph, of its size. Bicubic (Catmull and Rom); edges are repeated."""
     assert values.shape[:2] == (camera.height, camera.width)
+    # A repeated rim, so that the cubic kernel needs no branches at the border.
     padded = np.pad(values.astype(np.float32), [(EDGE_PX, EDGE_PX)] * 2 + [(0, 0)], mode="edge")
     out = np.empty((window.height, window.width, values.shape[2]), np.float32)
     inside = np.empty((window.height, window.width), bool)
+    # A few rows at a time: slopes of a whole photograph would take gigabytes.
     for top in range(0, window.height, ROWS_AT_A_TIME):
         rows = slice(top, min(top + ROWS_AT_A_TIME, window.height))
         y, x = np.mgrid[rows, : window.width] + 0.5
@@ -232,6 +238,7 @@ def _sampled(padded: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     first = (top.astype(np.int64) + EDGE_PX - 1) * width + left.astype(np.int64) + EDGE_PX - 1
     flat = padded.reshape(-1, channels)
     out = np.zeros((*first.shape, channels), np.float32)
+    # Catmull and Rom over 4 x 4 pixels; gathers of whole pixels are what takes time.
     for j in range(4):
         for i in range(4):
             out += (across[i] * along[j])[..., None] * flat.take(first + (j * width + i), axis=0)

@@ -42,6 +42,7 @@ class ParserFrame:
     def moved(self, view: CapturedView) -> CapturedView:
         """A view of the capture's world, in the asset's."""
         rotation, shift = self.transform[:3, :3], self.transform[:3, 3]
+        # The asset lies in the data parser's frame, cameras in the capture's: cameras are moved, not Gaussians.
         matrix = view.camera.world_to_camera.copy()
         # x = R p + t of p = rotation^T (p' / scale - shift), times scale: depths grow with the world
         matrix[:3, :3] = matrix[:3, :3] @ rotation.T
@@ -72,6 +73,7 @@ def read_table(path: Path, record: dict[str, Any], frame: ParserFrame | None = N
     """The views of a transforms.json, in its order. frame: in which its asset lies; None: the table's own world. Raises
     ValueError naming the frame and the key: missing, not finite, a camera model that no pinhole camera replaces."""
     if frame is not None:
+        # The table may have been moved already; only what the parser did beyond that is left to do.
         applied, scale = np.eye(4), 1.0
         if "applied_transform" in record:
             applied = _matrix(record["applied_transform"], f"{path}: applied_transform")
@@ -83,6 +85,7 @@ def read_table(path: Path, record: dict[str, Any], frame: ParserFrame | None = N
     if "frames" not in record:
         raise ValueError(f"{path}: expected a NeRF-style table of cameras, it has no 'frames'")
     frames = objects_at(record, "frames", path)
+    # Intrinsics stand at the top or in a frame; the frame's own win.
     shared = {key: value for key, value in record.items() if key != "frames"}
     views = [_view(f"{path}: frame {k}", {**shared, **entry}, path.parent) for k, entry in enumerate(frames)]
     return views if frame is None else [frame.moved(view) for view in views]
@@ -95,6 +98,7 @@ def _view(where: str, record: dict[str, Any], folder: Path) -> CapturedView:
     where = f"{where} ({files.printable(name, 60)})"
     if "transform_matrix" not in record:
         raise ValueError(f"{where}: has no transform_matrix")
+    # The size may only be known from the picture, so the lens and the picture's place come first.
     pose = _matrix(record["transform_matrix"], f"{where}: transform_matrix", rotation=False)
     view = CapturedView(name, UNKNOWN_SIZE, _lens(where, record), (folder,))
     width, height = _size(where, record, view)
@@ -124,6 +128,7 @@ def _size(where: str, record: dict[str, Any], view: CapturedView) -> tuple[int, 
 
 
 def _focals(where: str, record: dict[str, Any], width: int, height: int) -> tuple[float, float]:
+    # Focals or fields of view, for one axis or both; one stands for the other where it is missing.
     angles = {"fl_x": ("camera_angle_x", width), "fl_y": ("camera_angle_y", height)}
     focals: dict[str, float] = {}
     for key, (angle, side) in angles.items():
@@ -144,6 +149,7 @@ def _lens(where: str, record: dict[str, Any]) -> Lens | None:
     model = record.get("camera_model") or "OPENCV"
     if not isinstance(model, str):
         raise ValueError(f"{where}: expected a name as camera_model, got {brief(model)}")
+    # instant-ngp marks other lenses by keys of their own; anything that no pinhole replaces is refused by name.
     ngp = next((key for key in OTHER_LENSES if record.get(key)), "")
     fisheye = model.upper() in FISHEYE or ngp == "is_fisheye"
     if (ngp and ngp != "is_fisheye") or not (fisheye or model.upper() in PERSPECTIVE):

@@ -14,6 +14,7 @@ SUMMARIES = {
     "demo": "paint on the bundled asset: before, edited picture, after, turntable, receipt",
     "info": "what a splat file holds, and what is odd about it",
     "convert": "convert from one splat format to another",
+    "mesh": "a closed triangle mesh of an asset, for shadows and collisions",
     "merge": "merge several assets into one file, each in its own range of rows",
     "render": "pictures of an asset that carry their camera",
     "turntable": "a video of a turn around an asset: MP4 or animated WebP",

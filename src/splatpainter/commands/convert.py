@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 from tyro.conf import Positional, arg
 
 from splatpainter.cameras import AUTO_UP, UPS, orbit_cameras
@@ -15,11 +16,15 @@ from splatpainter.commands.info import file_size
 from splatpainter.commands.option_parsing import AssetFile, AxesOption, FrameOption
 from splatpainter.commands.terminal import count, size, stages
 from splatpainter.io import files, frame_is_news, frame_line, frame_of_target, read, write
+from splatpainter.io.axes import AXES
 from splatpainter.io.formats.packing import morton_order
 from splatpainter.io.losses import MIN_DRAWN_OPACITY, Losses, loss_line, measure, measured_as
+from splatpainter.io.ply_columns import add_columns
 from splatpainter.io.write_options import WriteOptions
+from splatpainter.lights.prepared import lit_surface
 from splatpainter.output_paths import check_target, placed, splat_format
 from splatpainter.splats import Splats
+from splatpainter.surface.proxy_mesh import thickness
 
 HTML = ".html"
 SEEN_IN_THE_FILE = {"sh_degree": None, "antialiased": None, "spz_version": None, "mark_axes": None}
@@ -68,6 +73,12 @@ class Config:
     becomes far finer, other files a little smaller. Row numbers are then others, so that no receipt of ASSET fits."""
     remove_hidden: bool = False
     """Leave out Gaussians that no renderer draws: those of an opacity below 1/255."""
+    normals: bool = False
+    """In a .ply: write nx, ny, nz, outwards, for programs that light splats; usually zeros or nothing."""
+    thickness: bool = False
+    """In a .ply: a column `thickness`, from each row through the solid to its other side, world units."""
+    occlusion: bool = False
+    """In a .ply: a column `occlusion`, 0 (open) to 1: what the asset itself hides of the sky above each row."""
     turning: bool = False
     """In an .html: the asset turns until the user touches it."""
     lenient: bool = False
@@ -87,6 +98,9 @@ def run(config: Config) -> Outcome:
     options.check(entry.write_options, str(config.out))
     if config.turning:
         raise ValueError(f"{config.out}: --turning is for OUT.html")
+    columns = [name for name in ("normals", "thickness", "occlusion") if getattr(config, name)]
+    if columns and entry.key != "ply":
+        raise ValueError(f"{config.out}: --{columns[0]} is for OUT.ply")
     check_target(config.out, config.overwrite, [config.asset])
     with stages(3) as bar:
         bar.enter("reading")
@@ -98,6 +112,10 @@ def run(config: Config) -> Outcome:
             write(partial, chosen, frame=config.axes, options=options)
             bar.enter("checking")
             taken = frame_of_target(before, entry.key, config.axes)
+            if columns:
+                written = read(partial, frame=taken, lenient=True, offset=before.offset).source
+                assert written is not None
+                add_columns(partial, surface_columns(chosen, columns, AXES[written.frame]))
             after = read(partial, frame=taken, lenient=True, offset=before.offset)
             measured = measure(options.applied(chosen), after)
     doubtful = warn_of_doubts(before, config.asset)
@@ -125,7 +143,7 @@ def run(config: Config) -> Outcome:
     show_frame = frame_is_news(before.source) or frame_is_news(after.source)
     lines = [
         f"{config.asset} -> {config.out}",
-        f"{count(len(after), 'row')}; {size(before_size)} -> {size(record['output']['bytes'])}",
+        f"{count(len(after), 'Gaussian')}; {size(before_size)} -> {size(record['output']['bytes'])}",
         *([f"frame: {frame_line(before.source)} -> {frame_line(after.source)}"] if show_frame else []),
         *(f"lost: {line}" for line in record["lost"] or ["nothing"]),
     ]
@@ -150,9 +168,22 @@ def chosen_rows(splats: Splats, config: Config) -> Splats:
     visible = splats.opacities >= MIN_DRAWN_OPACITY
     if config.remove_hidden and not visible.all():
         if not visible.any():
-            raise ValueError(f"{config.asset}: all of its rows are hidden, nothing is left to write")
+            raise ValueError(f"{config.asset}: all of its Gaussians are hidden, nothing is left to write")
         splats = splats.take(visible)
     return splats.take(morton_order(splats.means)) if config.sort else splats
+
+
+def surface_columns(splats: Splats, names: list[str], signs: tuple[int, int, int]) -> dict[str, np.ndarray]:
+    """Columns of a PLY: normals (nx, ny, nz, in the axes of the file: `signs`), thickness, occlusion."""
+    surface = lit_surface(splats, shadows="occlusion" in names)
+    out: dict[str, np.ndarray] = {}
+    if "normals" in names:
+        out |= {f"n{axis}": surface.facing.normals[:, k] * np.float32(signs[k]) for k, axis in enumerate("xyz")}
+    if "thickness" in names:
+        out["thickness"] = thickness(splats, surface.facing.normals)
+    if "occlusion" in names:
+        out["occlusion"] = surface.closed.clip(0, 1).astype(np.float32)
+    return out
 
 
 def _page(config: Config, options: WriteOptions) -> Outcome:
@@ -176,7 +207,7 @@ def _page(config: Config, options: WriteOptions) -> Outcome:
         "input": {"file": config.asset, "bytes": file_size(config.asset), "rows": len(asset)},
         "output": {"file": config.out, "format": "html", "bytes": len(data), "rows": len(splats)},
     }
-    return Outcome(record, [f"{config.asset} -> {config.out}", f"{count(len(splats), 'row')}; {size(len(data))}"])
+    return Outcome(record, [f"{config.asset} -> {config.out}", f"{count(len(splats), 'Gaussian')}; {size(len(data))}"])
 
 
 def losses(before: Splats, after: Splats, measured: Losses, in_other_order: bool = False) -> list[str]:
@@ -191,7 +222,7 @@ def losses(before: Splats, after: Splats, measured: Losses, in_other_order: bool
     if in_other_order:
         lines.append("the order of the rows")
     if len(after) != len(before):
-        lines.append(f"{len(before):,} rows became {len(after):,}")
+        lines.append(f"{len(before):,} Gaussians became {len(after):,}")
     if after.sh_degree != before.sh_degree:
         lines.append(f"SH degree {before.sh_degree} became {after.sh_degree}")
     if before.antialiased and not after.antialiased:
@@ -200,5 +231,5 @@ def losses(before: Splats, after: Splats, measured: Losses, in_other_order: bool
         lines.append(f"colour space {before.color_space} became {after.color_space}")
     hidden = int((~before.drawable).sum()) - int((~after.drawable).sum())
     if hidden > 0:
-        lines.append(f"{count(hidden, 'row')} with NaN or zero scale became transparent")
+        lines.append(f"{count(hidden, 'Gaussian')} with NaN or zero scale became transparent")
     return lines

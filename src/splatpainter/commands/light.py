@@ -22,6 +22,7 @@ class Config(FileArguments, Relight, AssetArguments):
       splatpainter light vase.ply --hdri sunset --rotate 40 --out evening.ply
       splatpainter light vase.ply --hdri sky.hdr --source-light studio.hdr --out outside.ply
       splatpainter light room.ply --point 0,-1.2,0.5,#ffe0b0,2 --add --out lamp_on.ply
+      splatpainter light vase.ply --rig three-point --save-rig lights.usda --out lit.ply
     """
 
 

@@ -95,7 +95,7 @@ def run(config: Config) -> Outcome:
         "receipt": json.loads(receipt.to_json()),
     }
     lines = [
-        f"{config.out}: {count(receipt.output_rows, 'row')} of {len(parts)} assets",
+        f"{config.out}: {count(receipt.output_rows, 'Gaussian')} of {len(parts)} assets",
         *part_lines(parts, verification),
         *(line for path, asset in zip(config.assets, assets, strict=True) for line in frame_news(asset, str(path))),
         *([f"note: {receipt.note}"] if receipt.note else []),

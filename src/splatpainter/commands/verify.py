@@ -67,9 +67,9 @@ def run(config: Config) -> Outcome:
         verification = verify(config.original, edited, receipt, frame=config.frame, out_frame=config.axes)
     record = {"original": config.original, "edited": edited, "receipt": path, **asdict(verification)}
     lines = [
-        f"{verification.same:,} of {count(verification.rows, 'row')} {verification.how_same}; "
+        f"{verification.same:,} of {count(verification.rows, 'Gaussian')} {verification.how_same}; "
         f"{verification.changed:,} changed, {verification.appended:,} appended",
-        f"receipt: {path}" if path is not None else "no receipt: changed rows are counted, not judged",
+        f"receipt: {path}" if path is not None else "no receipt: changed Gaussians are counted, not judged",
         *verification.differences,
         f"compared: {'; '.join((verification.exact, *verification.compared))}",
         *(f"not compared: {part}" for part in verification.not_compared),
@@ -102,7 +102,7 @@ def _against(config: Config) -> Outcome:
             f"{RANGE_WORDS[one.how]}; {one.changed:,} changed by edits"
             for one in verification.ranges
         ),
-        *([f"{verification.appended:,} rows appended by edits"] if verification.appended else []),
+        *([f"{verification.appended:,} Gaussians appended by edits"] if verification.appended else []),
         f"receipt: {path}",
         *(f"wrong: {problem}" for problem in verification.problems),
         "verified" if verification.ok else "NOT verified",

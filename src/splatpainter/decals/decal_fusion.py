@@ -21,7 +21,7 @@ from splatpainter.surface.visible import visible_surface
 
 
 @dataclass(frozen=True)
-class FusionSettings:
+class FusionThresholds:
     """Views of rough surface, averaged as signed distances in a grid (Curless and Levoy 1996). Source: taste, tried on
     captures."""
 
@@ -60,7 +60,7 @@ class FusionSettings:
     """Least alpha of pixels that show a surface."""
 
 
-FUSION = FusionSettings()
+FUSION = FusionThresholds()
 
 
 def fused_surface(

@@ -20,7 +20,7 @@ MAX_DECAL_PX = 384
 
 
 @dataclass(frozen=True)
-class DecalPlacementSettings:
+class DecalPlacementThresholds:
     """Where a decal lies and how finely. Source: taste."""
 
     min_decal_px: int = 96
@@ -41,7 +41,7 @@ class DecalPlacementSettings:
     """Longer side of a view on which a decal is shown before it is laid."""
 
 
-PLACEMENT = DecalPlacementSettings()
+PLACEMENT = DecalPlacementThresholds()
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from splatpainter.surface.estimate import Surface
 
 
 @dataclass(frozen=True)
-class DecalLimits:
+class DecalThresholds:
     """Limits of one decal. Measured where an entry says on what, else taste."""
 
     max_decal_views: int = 6
@@ -44,7 +44,7 @@ class DecalLimits:
     """Largest aspect ratio of a decal."""
 
 
-DECALS = DecalLimits()
+DECALS = DecalThresholds()
 
 
 LITTLE_COVERAGE = 0.5

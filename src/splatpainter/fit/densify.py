@@ -58,6 +58,7 @@ class Schedule:
         """The original schedule in proportion for a run of `steps`. Between two rounds every view is seen about once,
         or means would be of one side of the object, and Gaussians have MIN_ROUND_STEPS to use the room that they were
         given; resets closer than RESET_RECOVERY_STEPS are left out, for Gaussians would not get over them."""
+        # In proportion, but with room for Gaussians to use what they were given.
         part = steps / ORIGINAL_STEPS
         every = max(round(100 * part), min(views, steps // 10, 100), MIN_ROUND_STEPS)
         reset = round(3000 * part)
@@ -87,6 +88,7 @@ class Pulls:
         self.total, self.count = np.zeros(gaussians, np.float32), np.zeros(gaussians, np.float32)
 
     def add(self, pull: Pull, camera: Camera) -> None:
+        # In units of the picture, as the threshold of 3DGS is meant.
         half = np.array([camera.width / 2, camera.height / 2], np.float32)
         self.total[pull.gaussian_ids] += np.linalg.norm(pull.pixels * half, axis=1)
         self.count[pull.gaussian_ids] += 1
@@ -123,16 +125,20 @@ def densify(
     scales = exp(parameters.scales)
     size = scales.max(1) if device == "cpu" else scales.amax(1)
     opacity = sigmoid(parameters.opacities)
+    # Pulled hard: there is more to show than the Gaussians there can.
     chosen = (on_device(pulls, device) >= options.threshold) & (opacity >= options.faintest)
     chosen &= abs(size) < math.inf
+    # Near the bound the hardest pulled go first.
     free = max(most_gaussians - len(parameters), 0)
     if int(chosen.sum()) > free:
         hardest = np.argsort(-np.where(as_numpy(chosen), pulls, -1), kind="stable")[:free]
         chosen = zeros_like(chosen)
         chosen[on_device(hardest, device)] = True
+    # Small ones leave a gap beside them: cloned. Large ones cover too much: split.
     large = size > options.dense * extent
     cloned = indices(chosen & ~large)
     split = joined([indices(chosen & large)] * options.children)
+    # Split parents go, and with them what became transparent.
     removed = (chosen & large) | (opacity < options.faintest)
     if prune_large:
         removed |= size > options.largest * extent
@@ -150,6 +156,7 @@ def reset_opacities(parameters: RawGaussians, value: float) -> None:
 
 def _children(parents: RawGaussians, shrink: float, rng: np.random.Generator, device: str) -> RawGaussians:
     """One smaller Gaussian per parent, with its centre drawn from the parent's own density."""
+    # Children are drawn from the parent's own distribution, smaller than it.
     drawn = on_device(rng.standard_normal(tuple(parents.means.shape), np.float32), device)
     offset = drawn * exp(parents.scales)
     parents.means = parents.means + (quat_to_matrix(parents.quats) @ offset[..., None])[..., 0]

@@ -73,6 +73,7 @@ def sigmoid(values: Array) -> Array:
 def _elementwise(name: str, values: Array) -> Array:
     if not isinstance(values, np.ndarray):
         return getattr(values, name)()
+    # The core's own functions: numpy's differ in the last bit from machine to machine.
     flat = np.ascontiguousarray(values).reshape(-1)
     out = np.empty_like(flat)
     run(getattr(kernels, f"{name}_each"), flat, out)

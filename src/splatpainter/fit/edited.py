@@ -61,10 +61,12 @@ def fit_edited(
     """`lifted` with the given Gaussians ([M] int64) moved so that its renders match the edited views (camera, [H, W, 3]
     the whole picture wanted) while it looks from around as it did. before: the asset before the lift; both numpy. All
     other Gaussians keep their bits."""
+    # Views from around say how the rest is to stay; without them the edit would eat into it.
     anchors = _anchors(before, lifted, views[0][0], options)
     edited = [
         view for camera, picture in views if (view := _cropped(lifted, camera, picture, gaussian_ids)) is not None
     ]
+    # One view a step: edited views are listed so often that they are every second one.
     often = max(round(len(anchors) / max(len(edited), 1)), 1)  # so that half of the steps are of edited views
     how = FitOptions(steps=options.steps, densify=False, attributes=options.attributes, rate_scales=options.rate_scales)
     return optimize(lifted, edited * often + anchors, how, gaussian_ids=gaussian_ids).splats
@@ -75,6 +77,7 @@ def _cropped(splats: Splats, camera: Camera, picture: np.ndarray, gaussian_ids: 
     where they draw nothing."""
     chosen = np.zeros(len(splats), bool)
     chosen[gaussian_ids] = True
+    # Only the part of the picture that the moving Gaussians can change is compared.
     ys, xs = np.nonzero(project(splats, camera, gaussian_mask=chosen).tiles_of(chosen))
     if not len(ys):
         return None
@@ -92,6 +95,7 @@ def _anchors(before: Splats, lifted: Splats, like: Camera, options: EditFitOptio
     anchors = []
     for elevation, background in ELEVATIONS.items():
         cameras = orbit_cameras(before, options.views, size=size, elevation=elevation, background=background)
+        # Where the lift changed little the old picture is to stay; where it changed much, its own.
         pictures = was = render(before, cameras).colors
         if lifted is not before:
             now = render(lifted, cameras).colors

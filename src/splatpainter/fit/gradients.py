@@ -85,13 +85,16 @@ class CpuPasses:
         self, splats: Splats, target: Target, custom_loss: CustomLoss | None, pull: bool, absolute: bool = False
     ) -> Pass:
         """splats: numpy, float32. pull: find it. absolute: see `_pull`."""
+        # A custom loss may look at any pixel, so all tiles are drawn for it.
         frame = project(splats, target.camera, tiles=target.tiles if custom_loss is None else None)
         shape = (target.camera.height, target.camera.width)
         image, alpha, depth = (np.empty((*shape, *rest), np.float32) for rest in ((3,), (), ()))
         ends = frame.rasterize_into(image, alpha, depth)
+        # Loss and its slope by the picture; from there on kernels go back by themselves.
         loss, slope = _image_loss(image, target, custom_loss)
         nothing = np.zeros(shape, np.float32)
         sums = frame.rasterize_backward(ends, image, alpha, depth, slope, nothing, nothing)
+        # Gradients are written into the same arrays again: density control is rare, allocation of 100 MB is not cheap.
         if not self._out or self._out[0].shape != splats.means.shape or self._out[4].shape[1:] != splats.sh.shape[1:]:
             values = [getattr(splats, name) for name in ATTRIBUTES]
             self._out = tuple(np.empty_like(v if self._colors or v is not splats.sh else v[:0]) for v in values)
@@ -110,6 +113,7 @@ def torch_pass(
 
     from splatpainter.fit.torch_loss import torch_loss
 
+    # New leaves each step: the optimiser works on raw values, outside of autograd.
     leaves = {name: getattr(splats, name).detach().requires_grad_() for name in ATTRIBUTES}
     image = render(replace(splats, **leaves), target.camera).colors[0]
     if custom_loss is None:
@@ -130,6 +134,7 @@ def screen_pull(splats: Splats, gradients: dict[str, Tensor], camera: Camera) ->
 
     turn = torch.as_tensor(camera.world_to_camera[:3, :3], dtype=torch.float32, device=splats.means.device)
     shift = torch.as_tensor(camera.world_to_camera[:3, 3], dtype=torch.float32, device=splats.means.device)
+    # The centre's gradient in camera axes, times z / f: pixels on the screen.
     z = splats.means @ turn[2] + shift[2]
     focal = turn.new_tensor([camera.fx, camera.fy])
     pixels = (gradients["means"] @ turn.T)[:, :2] * z[:, None] / focal
@@ -159,6 +164,7 @@ def _pull(frame: ProjectedView, sums: np.ndarray, absolute: bool) -> Pull:
     if not len(frame):
         return Pull(frame.gaussian_ids, np.zeros((0, 2), np.float32), extent)
     a, b, c = frame.conics.T
+    # Sums per pair of Gaussian and tile; absolute values are taken per tile before they are summed.
     pairs = sums[:, 1:3]
     counts = np.diff(frame.pair_offsets)
     if absolute:

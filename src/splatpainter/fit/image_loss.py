@@ -41,6 +41,7 @@ def picture_loss(
         each, total = np.ones((height, 3 * width), np.float32), 1.0
     else:
         heavy = np.ascontiguousarray(weights, np.float32)
+        # Pixels of weight 0 are made equal, so that windows beside them see no difference.
         image = np.where(heavy[..., None] > 0, image, target)
         each, total = np.repeat(heavy, 3, 1), float(heavy[RADIUS:-RADIUS, RADIUS:-RADIUS].mean(dtype=np.float64))
     image = np.ascontiguousarray(image, np.float32)
@@ -49,6 +50,7 @@ def picture_loss(
     sums = np.zeros((2, height), np.float64)
     a, b, gradient = image.reshape(rows), target.reshape(rows), np.empty(rows, np.float32)
     if share > 0:
+        # Scratch of a few lines for each thread: windows are summed line by line, not in whole pictures.
         lines = np.empty((threads(), 10, 3 * width), np.float32)
         run(kernels.ssim_maps, a, b, each, SSIM_KERNEL, share / maps[0].size, maps, sums[0], lines)
     lines = np.zeros((threads(), 6, 3 * (width + WINDOW - 1)), np.float32)

@@ -117,6 +117,7 @@ def optimize(
     Raises ValueError for options that do not fit together, no views, and pictures of another size than their camera's.
     """
     _check(start, views, options, gaussian_ids, loss is not None)
+    # One view a step, every view once a round, in a shuffled order.
     run = _Run(start.numpy(), options, gaussian_ids, len(views))
     targets = [Target.of(view.camera, view.color, view.mask, options.ssim, view.weight) for view in views]
     order = _order(len(views), options)
@@ -138,6 +139,7 @@ class _Run:
         self.start = with_degree(start, options.sh_degree)
         device = options.device
         self.gaussian_ids = None if gaussian_ids is None else on_device(np.asarray(gaussian_ids, np.int64), device)
+        # What does not move is drawn from the start itself, and shares its memory.
         self.fixed = self.start if device == "cpu" else self.start.torch(device)
         self.full = None if gaussian_ids is None else _unshared(self.fixed, options.attributes)
         self.raw = RawGaussians.of(
@@ -156,9 +158,11 @@ class _Run:
 
     def step(self, step: int, target: Target, loss_of_view: Callable[[Tensor], Tensor] | None) -> float:
         options = self.options
+        # Pulls are only looked at while Gaussians may still be added.
         growing = options.densify and step <= self.schedule.stop
         drawn = self._drawn()
         done = self.passes(drawn, target, loss_of_view, growing, options.density.absolute)
+        # From activated values to raw ones (logarithms, logits), then one step of Adam.
         moving = slice(None) if self.gaussian_ids is None else self.gaussian_ids
         gradients = {name: done.gradients[name][moving] for name in options.attributes}
         to_raw(gradients, drawn.scales[moving], drawn.opacities[moving])
@@ -181,6 +185,7 @@ class _Run:
         reference = self.start if self.gaussian_ids is not None else self.start.take(parents)
         gaussian_ids = slice(None) if self.gaussian_ids is None else as_numpy(self.gaussian_ids)
         before = reference if self.gaussian_ids is None else reference.take(gaussian_ids)
+        # Through logarithm and back a value may change its last bit: what is as it was gets the start's own bits.
         first = RawGaussians.of(before, self.options.device)
         moved = self.raw.splats(self.start).numpy()
         out: dict[str, np.ndarray] = {}
@@ -208,8 +213,10 @@ class _Run:
     def _rates(self, step: int) -> dict[str, np.ndarray]:
         o = self.options
         way = (step - 1) / max(o.steps - 1, 1)
+        # 3DGS's schedule: positions slow down over the run, in units of the scene.
         means = self.extent * math.exp((1 - way) * math.log(o.rate_means) + way * math.log(o.rate_means_end))
         rate_sh = short_run_rate(o.steps, way) if o.rate_sh is None else o.rate_sh
+        # Higher bands learn twenty times slower: light first, then how it changes.
         bands = np.full((self.raw.sh.shape[1], 3), rate_sh / 20, np.float32)
         bands[0] = rate_sh
         flat = {"means": means, "quats": o.rate_quats, "scales": o.rate_scales, "opacities": o.rate_opacities}
@@ -244,6 +251,7 @@ def extent(splats: Splats) -> float:
     means = arrays.means[splats.drawable]
     if not len(means):
         return 1.0
+    # Strays must not set the scale of every step.
     low, high = np.quantile(means, [0.01, 0.99], axis=0)
     return max(float((high - low).max()), float(np.median(arrays.scales[splats.drawable].max(1))), 1e-6)
 
@@ -255,6 +263,7 @@ def _unshared(splats: Splats, names: tuple[str, ...]) -> Splats:
 
 def _order(views: int, options: FitOptions) -> np.ndarray:
     """[steps] which view each step takes: all of them, shuffled, again and again."""
+    # Every view once before any comes a second time.
     rng = np.random.default_rng(options.seed)
     rounds = -(-options.steps // views)
     return np.concatenate([rng.permutation(views) for _ in range(max(rounds, 1))])[: options.steps]

@@ -48,6 +48,7 @@ class RawGaussians:
         """Copies of the Gaussians; Gaussians that cannot be drawn come out as NaN or infinite, and stay that way."""
         values = {name: np.array(getattr(splats.numpy(), name), np.float32) for name in ATTRIBUTES}
         scales, opacities = values["scales"], np.clip(values["opacities"], MIN_OPACITY, 1 - MIN_OPACITY)
+        # Negative scales become NaN on purpose: they cannot be drawn, and must not come back as something that can.
         values["scales"] = log(np.where(scales > 0, np.maximum(scales, np.float32(MIN_SCALE)), np.float32(np.nan)))
         values["opacities"] = log(opacities / (1 - opacities))
         return RawGaussians(**{name: on_device(value, device) for name, value in values.items()})
@@ -104,6 +105,7 @@ class Adam:
         """Move the values in place. rates: name -> [C] numpy for values of C numbers per Gaussian, or [1] for all of
         them."""
         self.steps += 1
+        # Bias correction, folded into rate and root so that the kernel sees two numbers.
         first, second = (1 - beta**self.steps for beta in BETAS)
         for name, (mean, square) in self.moments.items():
             value, gradient, rate = values[name], gradients[name], rates[name] / first

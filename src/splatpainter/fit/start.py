@@ -88,6 +88,7 @@ def from_depths(
             f"{count}"
         )
     rng = np.random.default_rng(seed)
+    # Silhouettes mix the object's depth with nothing's.
     solid = (np.asarray(alphas) > MIN_ALPHA) & (np.asarray(depths) > 0) & np.isfinite(depths)
     view, y, x = np.nonzero(solid)
     if not len(view):
@@ -112,6 +113,7 @@ def from_depths(
 
 def _spacing(points: np.ndarray) -> np.ndarray:
     """[M] root mean squared distance to the three nearest, world units, within reason."""
+    # Twins at one place have no distance, strays too much of it: both get the typical one or a bound.
     gap = np.sqrt(mean_neighbour_squares(points))
     finite = gap[np.isfinite(gap) & (gap > 0)]
     if not len(finite):
@@ -124,6 +126,7 @@ def mean_neighbour_squares(points: np.ndarray, count: int = 3) -> np.ndarray:
     """[M] float32 mean squared distance of each point ([M, 3]) to its `count` nearest others (fewer where there are
     fewer; infinite for a single point, and for points beyond float32's squares or not finite)."""
     points = np.ascontiguousarray(points, np.float32)
+    # Points beyond what can be drawn would stretch the grid over nothing.
     near = (np.abs(points) <= MAX_MAGNITUDE).all(1)
     if not near.all():
         out = np.full(len(points), np.inf, np.float32)
@@ -136,6 +139,7 @@ def mean_neighbour_squares(points: np.ndarray, count: int = 3) -> np.ndarray:
         np.float64
     )  # outliers share the border's cells: slower, not wrong
     size = np.maximum(high - low, 1e-6 * max(float((high - low).max()), 1e-12))
+    # About one point a cell, by volume and, for surfaces, by area; bounded so that the table stays small.
     cell = float((np.prod(size) / len(points)) ** (1 / 3))
     cell = max(cell, float((np.prod(np.sort(size)[1:]) / len(points)) ** (1 / 2)) / 4, float(size.max()) / 1024)
     shape = np.maximum(np.ceil(size / cell), 1).astype(np.int64)

@@ -17,7 +17,7 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.color import to_display
 from splatpainter.gatekeeper.gatekeeper import admit
-from splatpainter.gatekeeper.mistaken_pictures import Explanation, Size, explain
+from splatpainter.gatekeeper.mistaken_pictures import Explanation, Size, explain, filtered
 from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.image_files import find_camera
 from splatpainter.painter import Mode
@@ -106,6 +106,12 @@ def checked_picture(
     elif free and not source.is_lossy and source.original_size == (view.camera.width, view.camera.height):
         encoding = guessed_encoding(view.colors, view.render, view.cover)
         source = replace(source, picture=replace(source.picture, encoding=encoding))
+        if explanation is None and (encoding is None or encoding.kind == "blur"):
+            expected = view.render if encoding is None else encoding.applied(view.render)
+            explanation = filtered(view.colors, expected, view.cover)
+            if explanation is not None and explanation.cause == "filter":
+                raise ValueError(f"{_complaint(source, explanation)}; {_advice(explanation)}")
+            warning = f"{source.path}: it looks {explanation.words}" if explanation is not None else warning
     return CheckedPicture(source, warning)
 
 
@@ -121,7 +127,7 @@ def _advice(explanation: Explanation) -> str:
     ways = ["--mask M.png says what was painted"]
     if explanation.cause in LOOKS:
         ways.insert(0, "--mode global takes it as a look of the whole asset")
-    if explanation.cause not in ("axes", "other"):
+    if explanation.cause not in ("axes", "other", "filter"):
         ways.append("--correct puts it right and paints what is left")
     return f"nothing was painted: {', '.join(ways)}, --force paints with it as it is"
 

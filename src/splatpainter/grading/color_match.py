@@ -28,7 +28,7 @@ ColorMap = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
-class ColorMatchSettings:
+class ColorMatchThresholds:
     """How an asset's colours are matched to those of a picture. Source: taste."""
 
     noise: float = 4 / 255
@@ -46,7 +46,7 @@ class ColorMatchSettings:
     kept."""
 
 
-MATCHING = ColorMatchSettings()
+MATCHING = ColorMatchThresholds()
 
 
 @dataclass(frozen=True)

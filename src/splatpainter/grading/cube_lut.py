@@ -147,6 +147,7 @@ def parse_cube(text: str, where: Path | str) -> CubeLut:
             table = np.empty((limit, 3), np.float32)
         table[count] = _numbers(line.split(), 3, at)
         count += 1
+    # What only the end of the file tells.
     if not limit:
         raise ValueError(f"{where}: expected a .cube table with LUT_1D_SIZE or LUT_3D_SIZE, got neither")
     if count != limit:

@@ -13,7 +13,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class SmoothSurfaceSettings:
+class SmoothSurfaceThresholds:
     """Thin plates and membranes over a hole. Source: taste."""
 
     max_knots: int = 500
@@ -34,7 +34,7 @@ class SmoothSurfaceSettings:
     stay."""
 
 
-SMOOTH = SmoothSurfaceSettings()
+SMOOTH = SmoothSurfaceThresholds()
 
 
 @dataclass(frozen=True)

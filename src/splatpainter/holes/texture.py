@@ -16,7 +16,7 @@ from splatpainter.holes.smooth_surface import membrane
 
 
 @dataclass(frozen=True)
-class TextureSettings:
+class TextureThresholds:
     """Patches that continue a texture (Wexler, Shechtman and Irani 2007; PatchMatch, Barnes et al. 2009). Source:
     taste."""
 
@@ -44,7 +44,7 @@ class TextureSettings:
     """Each pixel deeper in the hole counts for so much less."""
 
 
-TEXTURE = TextureSettings()
+TEXTURE = TextureThresholds()
 
 
 TONE_VOTE = 2.0 * TEXTURE.patch_px**2
@@ -156,11 +156,11 @@ def _matched(
     position[centers] = np.arange(len(centers))
     match = sources[rng.integers(len(sources), size=len(centers))]
     source_patches = flat[sources[:, None] + offsets]  # valid pixels only: they stay
-    row = np.full(height * width, -1, np.int64)
-    row[sources] = np.arange(len(sources))
+    patch_of = np.full(height * width, -1, np.int64)
+    patch_of[sources] = np.arange(len(sources))
 
     def distance(patches: np.ndarray, candidates: np.ndarray) -> np.ndarray:
-        gap = source_patches[row[candidates]] - patches
+        gap = source_patches[patch_of[candidates]] - patches
         apart = tones[candidates] - tones[centers]
         return np.einsum("pkc,pkc,pk->p", gap, gap, covered) + TONE_VOTE * (apart * apart).sum(1)
 

@@ -53,6 +53,9 @@ class Format:
     """Axes of a file's numbers unless it says otherwise (key of axes.AXES)."""
     holds_offset: bool = False
     """Whether positions are kept that float32 cannot hold (Splats.offset); others are written rounded."""
+    names_axes: bool = False
+    """Whether a file can say which axes its numbers have: `read` and `write` take `frame` and turn what they must. One
+    that does not say may well have others, as programs differ."""
 
 
 def _lazy(module: str, name: str) -> Callable[..., Any]:
@@ -123,6 +126,7 @@ FORMATS: dict[str, Format] = {
             "The quantised values of rows that did not change.",
             "Positions are fixed-point; scales, colours, opacities, rotations and SH have 8 bits or fewer.",
             write_options=(*HOLDS_SH, "spz_version", "sh_bits", "mark_axes"),
+            names_axes=True,
         ),
         Format(
             "sog",
@@ -179,7 +183,7 @@ def read(
     options: dict[str, Any] = {"lenient": lenient} if "lenient" in entry.options else {}
     if offset is not None and "offset" in entry.options:
         options["offset"] = axes.flipped_offset(offset, entry.frame, frame)
-    if key == "spz":  # may name its frame itself
+    if entry.names_axes:
         return entry.read(location, frame=frame)
     return axes.to_memory_axes(entry.read(location, **options), frame)
 
@@ -214,7 +218,7 @@ def write(
         raise ValueError(f"{location}: already exists; choose another name or allow overwriting")
     options.check(FORMATS[key].write_options, str(location))
     rows = _at_offset(canonical(options.applied(canonical(splats))), FORMATS[key])
-    if key == "spz":
+    if FORMATS[key].names_axes:
         writer(location, rows, frame=frame, **options.keywords())
     else:
         writer(location, axes.to_file_axes(rows, key, frame, FORMATS[key].frame), **options.keywords())
@@ -268,13 +272,13 @@ def frame_line(source: Source, hint: bool = True) -> str:
 
 
 def frame_is_open(source: Source) -> bool:
-    """Whether a file may well have other axes than those that it was taken to have: an SPZ file that does not say."""
-    return source.frame_from == "format" and source.format == "spz"
+    """Whether a file may well have other axes than those that it was taken to have: it could say, and does not."""
+    return source.frame_from == "format" and FORMATS[source.format].names_axes
 
 
 def frame_is_news(source: Source) -> bool:
-    """Whether people should hear of a file's axes: programs differ about SPZ, or a frame was chosen."""
-    return source.frame_from != "format" or source.format == "spz"
+    """Whether people should hear of a file's axes: programs differ about the format, or a frame was chosen."""
+    return source.frame_from != "format" or FORMATS[source.format].names_axes
 
 
 def frame_news(splats: Splats, of: str = "") -> list[str]:

@@ -229,11 +229,14 @@ def _sog(file: Any) -> Contents:
 def _glb(file: Any) -> Contents:
     """Other JSON with what its accessors and buffer views mean in their places; our primitive's attributes as rows."""
     glb = file.glb
+    # Numbers of accessors and places in the buffer change when a file is written anew. What they point to must not: so
+    # each is replaced by what it means.
     doc = copy.deepcopy(glb.doc)
     tables = []
     for one in getattr(file, "primitives", (file,)):
         index = one.index if hasattr(one, "index") else one.primitive
         primitive, ours = doc["meshes"][one.mesh]["primitives"][index], set(one.names.values())
+        # Rows of our primitives are compared as tables, with an edit's own attributes told from others.
         packed = gltf_spz.is_packed(primitive)
         for name, number in primitive.get("attributes", {}).items():
             if packed and gltf_spz.is_of_gaussians(name):
@@ -253,6 +256,7 @@ def _glb(file: Any) -> Contents:
             rest = set(primitive.get("attributes", {})) - set(gltf_spz.drop(doc, primitive))
             primitive["attributes"] = dict.fromkeys([*rest, *map(attribute_name, unpacked)])
         primitive["attributes"] = sorted(primitive.get("attributes", {}))
+    # Everything else that belongs to the scene: other meshes, morph targets, indices.
     for mesh in doc["meshes"]:
         for other in mesh.get("primitives", []):
             for group in (other.get("attributes"), *other.get("targets", [])):
@@ -262,6 +266,7 @@ def _glb(file: Any) -> Contents:
                 other["indices"] = _meant(glb, other["indices"])
     for key in ("accessors", "bufferViews", "buffers", "extensionsUsed"):
         doc.pop(key, None)
+    # Pictures and other holders of bytes, by a digest of these.
     for holder in gltf.view_holders(doc):
         holder["bufferView"] = _view(glb, holder["bufferView"])
     settings = {"JSON": json.dumps(doc, sort_keys=True)}

@@ -6,6 +6,7 @@ without one (.splat, .ksplat) no honest file begins so: its first twelve bytes a
 
 from __future__ import annotations
 
+import string
 from pathlib import Path
 
 HEAD_BYTES = 512
@@ -20,6 +21,8 @@ _MAGIC: tuple[tuple[int, bytes, str, str], ...] = (
     (0, b"\xff\xd8\xff", "a picture (JPEG)", SPLATS),
     (0, b"GIF8", "a picture (GIF)", SPLATS),
     (0, b"%PDF-", "a PDF", SPLATS),
+    (0, b"\x28\xb5\x2f\xfd", "packed by zstd", "unpack it first"),
+    (0, b"PXR-USDC", "a USD scene", "save its splats as .ply or .spz"),
     (0, b"SQLite format 3\x00", "a database (a .splatproj project?)", "open projects with `splatpainter studio`"),
     (0, b"7z\xbc\xaf\x27\x1c", "a 7z archive", "unpack it first"),
     (0, b"Rar!\x1a\x07", "a RAR archive", "unpack it first"),
@@ -28,6 +31,10 @@ _MAGIC: tuple[tuple[int, bytes, str, str], ...] = (
     (257, b"ustar", "a tar archive", "unpack it first"),
 )
 """(offset, bytes there, what it is, what to do)."""
+GZIP = b"\x1f\x8b"
+MIN_LETTERS = 16
+"""Of a text: bytes of floats have no such run of letters and spaces alone."""
+_PRINTABLE = frozenset(range(32, 127)) | {9, 10, 13}
 _PAGE_BEGINNINGS = (b"<!doctype html", b"<html", b"<head", b"<?xml", b"<svg", b"<error")
 """Lower case; what servers send in place of a file that is missing or not public."""
 
@@ -40,3 +47,8 @@ def check_not_foreign(head: bytes, path: Path) -> None:
     for offset, magic, what, remedy in _MAGIC:
         if head[offset : offset + len(magic)] == magic and (offset != 8 or head[:4] == b"RIFF"):
             raise ValueError(f"{path}: is {what}, not a splat file; {remedy}")
+    if head.startswith(GZIP) and path.suffix.lower() == ".ply":  # SPZ has it too, and a .splat may
+        raise ValueError(f"{path}: is packed by gzip; unpack it first (gunzip), or call it .spz if it is one")
+    letters = len(text) - len(text.translate(None, string.ascii_letters.encode()))
+    if letters >= MIN_LETTERS and path.suffix.lower() != ".json" and _PRINTABLE.issuperset(text):
+        raise ValueError(f"{path}: is a text {text[:40].decode('ascii')!r}, not a splat file; {DOWNLOAD}")

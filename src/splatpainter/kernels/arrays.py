@@ -9,6 +9,7 @@ import numpy as np
 
 def aligned(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
     """np.empty on a 64-byte boundary, so that 16 float32 numbers are one cache line."""
+    # numpy promises no alignment; kernels read whole cache lines.
     size = math.prod(shape) * dtype.itemsize
     raw = np.empty(size + 64, np.uint8)
     start = -raw.ctypes.data % 64

@@ -48,6 +48,7 @@ class _Parameter:
     """What one argument must be."""
 
     def __init__(self, word: str):
+        # "f2w16": float32, two dimensions, written, 16 columns; "q0": a number.
         self.dtype, self.dimensions, self.written = np.dtype(word[0]), int(word[1]), word[2] == "w"
         self.columns = int(word[3:] or 0)
         self.number = "" if self.dimensions else _NUMBERS[word[0]]
@@ -66,6 +67,7 @@ class _Parameter:
             return 0, value, 0, 0, 0
         if value is None:
             return 0, 0, 0, 0, 0
+        # Everything a kernel trusts is checked here: a wrong stride would read somebody else's memory.
         flags, shape = value.flags, value.shape
         if (
             value.dtype != self.dtype
@@ -104,6 +106,7 @@ class Kernel:
 
     def add(self, signature: str, address: int, *, instead: bool = False) -> None:
         """instead: of none; a form of that dtype that is there stays."""
+        # float32 and float64 forms share a name; their first array of floats tells them apart.
         floats = [(at, word[0]) for at, word in enumerate(signature.split()) if word[0] in "fd" and word[1] != "0"]
         self._chooser, char = floats[0] if floats else (0, "")
         if char not in self._listed:
@@ -114,6 +117,7 @@ class Kernel:
     def bind(self, *arguments: Any) -> Callable[[int, int], None]:
         """The call of these arguments by (thread, threads). Arrays must be C-contiguous and of the kernel's dtypes and
         dimensions (None: an array without entries); nothing is converted. Raises TypeError for others."""
+        # Arguments are packed once; each thread then calls with its number alone.
         form = self._form(arguments)
         words: list[Any] = []
         for at, (value, parameter) in enumerate(zip(arguments, form.parameters, strict=True)):
@@ -139,6 +143,7 @@ class Kernel:
         self.bind(*arguments[:-2])(arguments[-2], arguments[-1])
 
     def _form(self, arguments: tuple[Any, ...]) -> _Form:
+        # All forms of a kernel have equally many arguments.
         first = self._of_dtype(next(iter(self._listed)))
         if len(arguments) != len(first.parameters):
             raise TypeError(f"{self.name}: expected {len(first.parameters)} arguments, got {len(arguments)}")
@@ -163,6 +168,7 @@ class Kernels:
     def __init__(self, path: Path, cpu: str = ""):
         """cpu: "base", "v3", "v4"; default: the best for this machine. Raises OSError where the library is missing,
         not loadable, or older than the sources of its checkout, ValueError for a kind that this machine has not."""
+        # Kinds of CPU, best first; the library itself knows which of them this machine is.
         self._library = _loaded(path)
         targets = (_TargetRow * 4)()
         self._library.splatpainter_targets(targets)
@@ -236,6 +242,7 @@ def _loaded(path: Path) -> ctypes.CDLL:
         library.splatpainter_sources.restype = ctypes.c_char_p
     except (OSError, AttributeError) as error:
         raise OSError(f"{path}: the compiled kernels cannot be loaded ({error}); in a checkout, {BUILD}") from None
+    # In a checkout a stale library would give wrong answers without a word.
     sources = Path(__file__).resolve().parents[3] / "native"
     if (sources / "build.py").exists() and library.splatpainter_sources().decode() != hash_of_sources(sources):
         raise OSError(f"{path}: the compiled kernels are older than {sources}; {BUILD}")
@@ -251,6 +258,7 @@ def version() -> str:
 def hash_of_sources(folder: Path) -> str:
     """Of all C++ files, as native/build.py puts it into the library."""
     digest = hashlib.sha256()
+    # Names and contents, as native/build.py hashes them.
     for path in sorted(path for path in folder.rglob("*") if path.suffix in (".h", ".cpp")):
         digest.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()[:32]

@@ -31,6 +31,7 @@ def cpus() -> int:
 def threads() -> int:
     """Threads per kernel: the environment variable SPLATPAINTER_THREADS, else `cpus()`; 1 inside `each`.
     Raises ValueError when the variable is not a positive integer."""
+    # Items are shared among threads already; each of them runs its kernels alone.
     if getattr(_local, "inside_each", False):
         return 1
     text = os.environ.get(THREADS_VARIABLE)
@@ -46,6 +47,7 @@ def run(kernel: Callable[..., Any], *args: Any) -> None:
     Workers never wait for other workers, so any number of callers may run at once."""
     count = threads()
     share = kernel.bind(*args) if isinstance(kernel, Kernel) else functools.partial(kernel, *args)
+    # No thread is woken for nothing.
     if count == 1:
         share(0, 1)
         return

@@ -23,6 +23,7 @@ def matmul(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """first @ second: [..., K] by [K, J], or stacks of matrices [N, I, K] by [N, K, J], either of which may be one
     matrix [K, J]. Each sum runs from the first term to the last, in the larger of the dtypes."""
     dtype = np.result_type(first, second)
+    # One matrix for all, or a stack of them; both become stacks for the kernel.
     if second.ndim == 2:
         shape = (*first.shape[:-1], second.shape[1])
         one, other = first.reshape(1, math.prod(first.shape[:-1]), first.shape[-1]), second[None]
@@ -46,6 +47,7 @@ def gram(rows: np.ndarray, weights: np.ndarray) -> np.ndarray:
     _run(
         "add_normal_equations", rows.size, _input(rows, rows.dtype), weights, np.zeros(len(rows)), upper, np.empty(size)
     )
+    # Only the upper half is summed; the lower is its mirror, bit for bit.
     below = np.tril_indices(size, -1)
     upper[below] = upper.T[below]
     return upper
@@ -73,6 +75,7 @@ def length(vector: np.ndarray) -> float:
 def hypot(x: Number, y: Number) -> Number:
     """The root of x^2 + y^2; of numbers whose squares overflow, too."""
     with np.errstate(all="ignore"):
+        # The plain formula gives equal bits everywhere; only where squares overflow it is scaled.
         out = np.sqrt(x * x + y * y)
         if not np.isinf(out).any():
             return out
@@ -84,6 +87,7 @@ def hypot(x: Number, y: Number) -> Number:
 def interp(x: Number, points: Sequence[float] | np.ndarray, values: Sequence[float] | np.ndarray) -> Any:
     """`np.interp`: piecewise linear between points [K], ascending, whose values [K] are given; constant outside."""
     points, values = np.asarray(points, np.float64), np.asarray(values, np.float64)
+    # numpy's own interp changed its rounding between versions.
     at = np.clip(np.searchsorted(points, x, side="right") - 1, 0, len(points) - 2)
     slope = (values[at + 1] - values[at]) / (points[at + 1] - points[at])
     return np.where(x >= points[-1], values[-1], slope * (np.maximum(x, points[0]) - points[at]) + values[at])

@@ -18,6 +18,7 @@ MIN_ROWS = 1 << 13
 
 def take(splats: Splats, ids: np.ndarray) -> Splats:
     """`Splats.take` of numpy Gaussians. ids: [M] int64, none of them negative."""
+    # Few rows, or float64 ones, are numpy's.
     if len(ids) < MIN_ROWS or any(getattr(splats, name).dtype != np.float32 for name in ATTRIBUTES):
         return splats.take(ids)
     ids, arrays = readonly(ids, np.int64), {}

@@ -30,7 +30,7 @@ DB_PER_NEPER = 4.342944819032518
 
 
 @dataclass(frozen=True)
-class SideViewSettings:
+class SideViewThresholds:
     """Views from the side in which an edit is compared with its picture. Source: taste."""
 
     side_degrees: float = 35.0
@@ -51,7 +51,7 @@ class SideViewSettings:
     """Highest score; renders that agree better get this."""
 
 
-SIDE_VIEWS = SideViewSettings()
+SIDE_VIEWS = SideViewThresholds()
 
 
 @dataclass(frozen=True)

@@ -80,10 +80,11 @@ def facing(splats: Splats) -> Facing:
     for camera in spherical_cameras(center, VIEW_DISTANCE * max(radius, 1e-9), VIEW_COUNT, size=VIEW_PX):
         projected = project(splats, camera.local)
         sums = projected.backproject(np.zeros((*shape, 3), np.float32), np.ones(shape, np.float32))
-        away = camera.position.astype(np.float32) - splats.means[projected.gaussian_ids]
-        weight = np.where(sums.weight > 0.1 * sums.alpha, sums.weight, 0)  # what shimmers through a wall is no witness
-        towards[projected.gaussian_ids] += weight[:, None] * away / np.linalg.norm(away, axis=1, keepdims=True)
-        seen[projected.gaussian_ids] += weight
+        witness = sums.weight > 0.1 * sums.alpha  # what shimmers through a wall is none
+        ids, weight = projected.gaussian_ids[witness], sums.weight[witness]
+        away = camera.position.astype(np.float32) - splats.means[ids]
+        towards[ids] += (weight / np.linalg.norm(away, axis=1))[:, None] * away
+        seen[ids] += weight
     cosines = (axes * towards).sum(1) / np.maximum(seen, 1e-9)
     one_sided = (seen > SEEN_PX) & (np.abs(cosines) > ONE_SIDED)
     weight = seen[one_sided].astype(np.float64)

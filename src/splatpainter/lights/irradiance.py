@@ -46,9 +46,9 @@ class LitSurface:
     shadows: bool
 
     @staticmethod
-    def of(splats: Splats, shadows: bool = True) -> LitSurface:
-        """Raises ValueError: nothing can be drawn, or light finds no surface (`Facing.flat_share`)."""
-        sides = facing(splats)
+    def of(splats: Splats, shadows: bool = True, sides: Facing | None = None) -> LitSurface:
+        """sides: which way Gaussians face; None: found by looking. Raises ValueError: nothing can be drawn."""
+        sides = facing(splats) if sides is None else sides
         drawable = splats.drawable
         points = np.where(drawable[:, None], splats.means, 0).astype(np.float32)
         solid = drawable & (splats.opacities >= MIN_BLOCKER_ALPHA)

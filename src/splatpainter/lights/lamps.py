@@ -53,7 +53,7 @@ class Sun:
         middle = direction(self.azimuth, self.elevation)
         if self.size <= SHARP_SUN:
             return middle[None]
-        side, other = _across(middle)
+        side, other = across(middle)
         x, y = _disk(AREA_SAMPLES) * math.radians(self.size / 2)
         towards = middle + x[:, None] * side + y[:, None] * other
         return towards / np.linalg.norm(towards, axis=1, keepdims=True)
@@ -80,7 +80,7 @@ class Lamp:
             return middle[None]
         if self.kind == "sphere":
             return middle + self.sizes[0] * fibonacci_sphere(AREA_SAMPLES)
-        side, other = _across(self.axis)
+        side, other = across(self.axis)
         if self.kind == "rect":
             grid = (np.arange(4) + 0.5) / 4 - 0.5
             x, y = np.repeat(grid, 4) * self.sizes[0], np.tile(grid, 4) * self.sizes[1]
@@ -135,7 +135,13 @@ def kelvin_color(kelvin: float) -> Rgb:
     return red, green, blue
 
 
-def _across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def azimuth_elevation(towards: np.ndarray) -> tuple[float, float]:
+    """(azimuth, elevation) in degrees of a unit direction [3] to a light, y up: what `direction` makes of them."""
+    x, y, z = (float(value) for value in towards)
+    return math.degrees(portable.arctan2(x, z)), math.degrees(portable.arctan2(y, portable.hypot(x, z)))
+
+
+def across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Two unit vectors across a unit axis [3], and each other."""
     side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
     side = side / portable.length(side)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ from splatpainter.color import from_hex, srgb_to_linear
 from splatpainter.lights.lamps import Lamp, LampKind, Rgb, Sun, kelvin_color
 from splatpainter.lights.skies import SKIES, sky
 from splatpainter.lights.sky_maps import SkyMap, read_sky
+from splatpainter.lights.solar import sun_at
 
 FORMS: dict[LampKind, tuple[str, int, int]] = {
     "point": ("X,Y,Z", 0, 0),
@@ -22,6 +25,7 @@ FORMS: dict[LampKind, tuple[str, int, int]] = {
 }
 """Kind -> its numbers, how many of them are where it looks to, and how many are sizes."""
 SUN_FORM = "AZIMUTH,ELEVATION"
+SUN_AT_FORM = "TIME,LATITUDE,LONGITUDE"
 WHITE: Rgb = (1.0, 1.0, 1.0)
 
 
@@ -38,6 +42,21 @@ def parse_sun(text: str, size: float, white: Rgb = WHITE) -> Sun:
     """white: linear colour where the words have none. Raises ValueError."""
     numbers, color, intensity = _split("sun", SUN_FORM, text, white)
     return Sun(numbers[0], numbers[1], size, color, intensity)
+
+
+def parse_sun_at(text: str, north: float, size: float, white: Rgb = WHITE) -> Sun:
+    """The sun of TIME,LATITUDE,LONGITUDE. Raises ValueError."""
+    moment, _, rest = text.partition(",")
+    try:
+        when = datetime.fromisoformat(moment)
+    except ValueError:
+        raise ValueError(f"--sun-at: expected a time as 2026-06-21T15:00+02:00, got {ascii(moment[:60])}") from None
+    numbers, color, intensity = _split("sun-at", SUN_AT_FORM, f"0,{rest}", white)
+    try:
+        sun = sun_at(when, numbers[1], numbers[2], north, color=color, intensity=intensity)
+    except ValueError as error:
+        raise ValueError(f"--sun-at: {error}") from None
+    return replace(sun, size=size)
 
 
 def parse_lamp(kind: LampKind, text: str, white: Rgb = WHITE) -> Lamp:

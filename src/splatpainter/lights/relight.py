@@ -12,23 +12,24 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
 
-from splatpainter.cameras import AUTO_UP, UPS, UpAxis
+from splatpainter.cameras import UpAxis
 from splatpainter.color import base_color, linear_to_srgb, luminance, sh_from_color, to_light
 from splatpainter.kernels import portable
 from splatpainter.lights.facing import MIN_FLAT_SHARE
 from splatpainter.lights.irradiance import LitSurface, sun_light
-from splatpainter.lights.lamps import Lamp, Sun
+from splatpainter.lights.light_set import Lights, axes_of, turned_sky
+from splatpainter.lights.prepared import captured_light, lit_surface
 from splatpainter.lights.sky_maps import SkyMap
-from splatpainter.lights.source_light import SourceLight, estimate_source, uniform_coefficients
+from splatpainter.lights.source_light import SourceLight, uniform_coefficients
 from splatpainter.painter import Asset
 from splatpainter.receipts import Receipt, untouched_hashes
 from splatpainter.splats import Splats, changed_rows
-from splatpainter.transforms import fibonacci_sphere, sh_basis, sh_rotations
+from splatpainter.transforms import sh_basis
 
 FLOOR = 0.02
 """Irradiance, over that of white light from all around, that counts as there before and after: no ratio is without
@@ -39,16 +40,11 @@ MAX_LEVEL = 4.0
 """Linear base colour up to which relit Gaussians go: beyond, whoever blends them makes sparks."""
 MAX_SLOPE = 4.0
 """Of a display colour by the one before, for the bands of SH."""
-LAMP_FILL = 0.15
-"""White light from all around where lamps come without an environment: shadows are not black."""
-MAX_EXPOSURE = 10.0
-"""Stops, to either side."""
 LN_2 = 0.6931471805599453
-MAX_LAMPS = 64
 MAX_NOTE = 2000
 """Characters of what a receipt says of lights."""
-MIRROR_SAMPLES = 24
-"""Directions from which mirrored light is projected; degree 2 needs 9."""
+SH_PRODUCT, SH_ZZ, SH_SQUARES = 1.0925484305920792, 0.31539156525252005, 0.5462742152960396
+"""Of the functions of band 2, as in `transforms.sh_basis`."""
 PIECE = 8192
 """Gaussians whose mirrored light is computed at a time."""
 
@@ -60,80 +56,6 @@ class Where(Protocol):
     def text(self) -> str: ...
 
     def weights(self, splats: Splats) -> np.ndarray: ...
-
-
-@dataclass(frozen=True)
-class Lights:
-    """What an asset shall stand in."""
-
-    sky: SkyMap | None = None
-    """Light from all around; its mean counts as that of the light before."""
-    suns: tuple[Sun, ...] = ()
-    lamps: tuple[Lamp, ...] = ()
-    rotate: float = 0.0
-    """Degrees by which the sky turns, counter-clockwise seen from above."""
-    exposure: float = 0.0
-    """Stops, of all of them."""
-    fill: float | None = None
-    """White light from all around, added; None: LAMP_FILL where there is no sky."""
-    add: bool = False
-    """Whether they are added to the light before, which stays."""
-    up: UpAxis = "auto"
-    """Which way of the asset is up for sky and suns."""
-
-    def check(self) -> None:
-        """Raises ValueError: no light, a number out of its range, too many."""
-        if self.sky is None and not self.suns and not self.lamps:
-            raise ValueError("light: expected a light (an environment, a sun or a lamp), got none")
-        if len(self.suns) + len(self.lamps) > MAX_LAMPS:
-            raise ValueError(f"light: expected at most {MAX_LAMPS} suns and lamps, got {len(self.suns + self.lamps)}")
-        if not -MAX_EXPOSURE <= self.exposure <= MAX_EXPOSURE:
-            raise ValueError(
-                f"light: expected an exposure of -{MAX_EXPOSURE:g} to {MAX_EXPOSURE:g} stops, got {self.exposure}"
-            )
-        if not math.isfinite(self.rotate):
-            raise ValueError(f"light: expected a rotation in degrees, got {self.rotate}")
-        if self.fill is not None and not 0 <= self.fill <= 10:
-            raise ValueError(f"light: expected a fill of 0 to 10, got {self.fill}")
-        for sun in self.suns:
-            if not (abs(sun.azimuth) <= 36000 and -90 <= sun.elevation <= 90):
-                raise ValueError(
-                    f"light: expected a sun at AZIMUTH,ELEVATION (-90 to 90), got {sun.azimuth:g},{sun.elevation:g}"
-                )
-            if not 0 <= sun.size <= 90:
-                raise ValueError(f"light: expected a sun of 0 to 90 degrees, got {sun.size:g}")
-        for light in (*self.suns, *self.lamps):
-            if not 0 < light.intensity <= 1e6:
-                raise ValueError(f"light: expected an intensity above 0, up to 1e6, got {light.intensity:g}")
-            if not any(light.color):
-                raise ValueError("light: expected a colour of a light that is not black")
-        for lamp in self.lamps:
-            numbers = (*lamp.position, *(lamp.target or ()), *lamp.sizes)
-            if not all(math.isfinite(value) and abs(value) < 1e12 for value in numbers):
-                raise ValueError(f"light: expected finite places and sizes of a {lamp.kind} light")
-            if lamp.target is not None and lamp.target == lamp.position:
-                raise ValueError(f"light: expected a {lamp.kind} light to look to another place than its own")
-            if any(size <= 0 for size in lamp.sizes) or lamp.kind == "spot" and lamp.sizes[0] > 170:
-                raise ValueError(f"light: expected sizes of a {lamp.kind} light above 0 (a spot's angle up to 170)")
-
-    def describe(self) -> str:
-        """One line for receipts."""
-        parts = []
-        if self.sky is not None:
-            parts.append(
-                f"environment {ascii(self.sky.name)[1:-1]}" + (f" turned {self.rotate:g}" if self.rotate else "")
-            )
-        parts += [f"sun {sun.azimuth:g},{sun.elevation:g} of {sun.intensity:g}" for sun in self.suns]
-        parts += [f"{lamp.kind} of {lamp.intensity:g}" for lamp in self.lamps]
-        parts += [f"exposure {self.exposure:g}"] if self.exposure else []
-        parts += [f"fill {self.fill_level:g}"] if self.fill_level else []
-        return ", ".join(parts) + (", added to the light before" if self.add else "")
-
-    @property
-    def fill_level(self) -> float:
-        if self.fill is not None:
-            return self.fill
-        return 0.0 if self.sky is not None or self.add else LAMP_FILL
 
 
 def relight(
@@ -169,22 +91,19 @@ def delight(
     return _edited(splats, Lights(up=up), region, mix, shadows, source, "delight")
 
 
-def axes_of(up: UpAxis) -> np.ndarray:
-    """[3, 3] float64 rotation from an asset's axes to those of lights: y up, azimuth 0 (as of cameras) at +z."""
-    axis = np.array(UPS[AUTO_UP if up == "auto" else up], np.float64)
-    side = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
-    return np.stack([side, axis, np.cross(side, axis)])
-
-
-def turned_sky(sky: SkyMap, axes: np.ndarray, rotate: float = 0.0) -> np.ndarray:
-    """[9, 3] SH of a sky in an asset's axes, turned by degrees counter-clockwise seen from above."""
-    c, s = portable.cos(math.radians(rotate)), portable.sin(math.radians(rotate))
-    back = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
-    turn = portable.matmul(back, axes).T
-    coefficients = sky.coefficients()
-    bands = (slice(0, 1), slice(1, 4), slice(4, 9))
-    turns = sh_rotations(turn, 2)
-    return np.concatenate([portable.matmul(m, coefficients[band]) for m, band in zip(turns, bands, strict=True)])
+def transfer(
+    splats: Splats,
+    before: SourceLight,
+    after: np.ndarray,
+    region: Where | None = None,
+    *,
+    mix: float = 1.0,
+    shadows: bool = True,
+    surface: LitSurface | None = None,
+) -> Asset:
+    """From one environment to another, both as SH [9, 3] in the asset's axes and at one level. surface: the asset's,
+    where it is known better than `lit_surface` sees it. Raises ValueError."""
+    return _edited(splats, Lights(up="+y"), region, mix, shadows, before, "light", after, surface)
 
 
 def _edited(
@@ -193,8 +112,10 @@ def _edited(
     region: Where | None,
     mix: float,
     shadows: bool,
-    source: SkyMap | None,
+    source: SkyMap | SourceLight | None,
     mode: str,
+    after: np.ndarray | None = None,
+    surface: LitSurface | None = None,
 ) -> Asset:
     if not 0 < mix <= 1:
         raise ValueError(f"{mode}: expected a mix above 0, up to 1, got {mix:g}")
@@ -203,19 +124,22 @@ def _edited(
     weights = np.ones(len(splats), np.float32) if region is None else region.weights(splats)
     weights = np.where(splats.drawable, weights, 0) * np.float32(mix)
     chosen = np.flatnonzero(weights)
-    surface = LitSurface.of(splats, shadows)
+    surface = lit_surface(splats, shadows) if surface is None else surface
     notes = []
     if surface.facing.flat_share < MIN_FLAT_SHARE:
         notes.append(f"only {surface.facing.flat_share:.0%} of the Gaussians are flat: little surface to light")
     axes = axes_of(lights.up)
-    colors = to_light(base_color(np.where(splats.drawable[:, None, None], splats.sh, 0)), splats.color_space)
     if source is None:
-        before = estimate_source(colors, surface.transfer, surface.points, surface.facing.trusted)
+        before = captured_light(splats, shadows)
+    elif isinstance(source, SourceLight):
+        before = source
     else:
         before = SourceLight(turned_sky(source, axes), 0.0, f"source light: {ascii(source.name)[1:-1]}")
     old = surface.from_sky(before.coefficients)
     if mode == "delight":
         now, new = uniform_coefficients(), np.ones((len(splats), 3))
+    elif after is not None:
+        now, new = after, surface.from_sky(after)
     else:
         now, new = _target(surface, lights, axes, chosen, splats.offset)
         if lights.add:
@@ -225,22 +149,29 @@ def _edited(
     sh = splats.sh.copy()
     sh[chosen] = _relit(splats, chosen, ratio[chosen], weights[chosen], surface, before.coefficients, now)
     edited = replace(splats, sh=sh)
-    touched = changed_rows(splats, edited)
-    if not len(touched):
-        raise ValueError(f"{mode}: nothing to do, these lights change no Gaussian")
-    before_hash, after_hash = untouched_hashes(splats, edited, touched)
     what = [
         lights.describe() if mode == "light" else "delight",
         before.note,
         lights.sky.note if lights.sky else "",
-        source.note if source else "",
+        source.note if isinstance(source, SkyMap) else "",
         *notes,
         "" if shadows else "no shadows",
         f"mix {mix:g}" if mix != 1 else "",
         f"where {region.text}" if region else "",
         "no tone mapping: what is brighter than white clips where it is drawn",
     ]
-    receipt = Receipt(
+    receipt = color_receipt(splats, edited, mode, "; ".join(filter(None, what)))
+    receipt = replace(receipt, seconds={"light": time.perf_counter() - clock})
+    return Asset(edited, receipt, original=splats)
+
+
+def color_receipt(splats: Splats, edited: Splats, mode: str, note: str) -> Receipt:
+    """Of an edit by light that changed colours alone. Raises ValueError: it changed nothing."""
+    touched = changed_rows(splats, edited)
+    if not len(touched):
+        raise ValueError(f"{mode}: nothing to do, these lights change no Gaussian")
+    before_hash, after_hash = untouched_hashes(splats, edited, touched)
+    return Receipt(
         asset_sha256=splats.sha256,
         asset_rows=len(splats),
         output_sha256="",
@@ -252,26 +183,20 @@ def _edited(
         appended_rows=0,
         untouched_sha256_before=before_hash,
         untouched_sha256_after=after_hash,
-        seconds={"light": time.perf_counter() - clock},
-        note="".join(c if c.isprintable() else "?" for c in "; ".join(filter(None, what))[:MAX_NOTE]),
+        seconds={},
+        note="".join(c if c.isprintable() else "?" for c in note[:MAX_NOTE]),
     )
-    return Asset(edited, receipt, original=splats)
 
 
 def _target(
     surface: LitSurface, lights: Lights, axes: np.ndarray, chosen: np.ndarray, offset: tuple[float, float, float]
 ) -> tuple[np.ndarray, np.ndarray]:
     """([9, 3] SH of what of the new light comes from all around or afar, for reflections, [N, 3] irradiance)."""
-    coefficients = lights.fill_level * uniform_coefficients()
-    if lights.sky is not None:
-        coefficients = coefficients + turned_sky(lights.sky, axes, lights.rotate)
+    coefficients = _from_all_around(lights, axes)
     total = surface.from_sky(coefficients)
     for sun in lights.suns:
         received = sun_light(surface, sun, axes)
-        strength = sun.intensity * np.array(sun.color)
-        total = total + received[:, None] * strength
-        towards = portable.matmul(sun.directions(), axes)
-        coefficients = coefficients + math.pi * sh_basis(towards, 2).mean(0)[:, None] * strength
+        total = total + received[:, None] * (sun.intensity * np.array(sun.color))
     for lamp in lights.lamps:
         received = surface.from_lamp(lamp, offset)
         if not received[chosen].any():
@@ -282,7 +207,24 @@ def _target(
             )
         total = total + received[:, None] * (lamp.intensity * np.array(lamp.color))
     gain = float(portable.exp(lights.exposure * LN_2))
-    return gain * coefficients, gain * total
+    return distant_light(lights, axes), gain * total
+
+
+def distant_light(lights: Lights, axes: np.ndarray) -> np.ndarray:
+    """[9, 3] SH in an asset's axes of what comes from all around or afar: all but the lamps."""
+    coefficients = _from_all_around(lights, axes)
+    for sun in lights.suns:
+        towards = portable.matmul(sun.directions(), axes)
+        strength = math.pi * sun.intensity * np.array(sun.color)
+        coefficients = coefficients + sh_basis(towards, 2).mean(0)[:, None] * strength
+    return float(portable.exp(lights.exposure * LN_2)) * coefficients
+
+
+def _from_all_around(lights: Lights, axes: np.ndarray) -> np.ndarray:
+    coefficients = lights.fill_level * uniform_coefficients()
+    if lights.sky is not None:
+        coefficients = coefficients + lights.sky_intensity * turned_sky(lights.sky, axes, lights.rotate)
+    return coefficients
 
 
 def _relit(
@@ -353,12 +295,29 @@ def _response(bands: np.ndarray, mirrored: np.ndarray) -> np.ndarray:
 
 def mirrored_light(coefficients: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """[M, 9, 3] SH of the light that a mirror with each normal [M, 3] shows along a line of sight d: that of direction
-    d - 2 (n . d) n."""
-    sights = fibonacci_sphere(MIRROR_SAMPLES)
-    basis = sh_basis(sights, 2)
-    inverse = portable.solved(portable.gram(basis, np.ones(len(sights))), np.ascontiguousarray(basis.T))
-    cosines = portable.matmul(normals, sights.T)
-    turned = sights - 2 * cosines[..., None] * normals[:, None]
-    seen = portable.matmul(sh_basis(turned, 2).reshape(-1, 9), coefficients).reshape(len(normals), -1, 3)
-    out = portable.matmul(seen.transpose(0, 2, 1).reshape(-1, MIRROR_SAMPLES), inverse.T)
-    return out.reshape(len(normals), 3, 9).transpose(0, 2, 1)
+    d - 2 (n . d) n. Band 1 is a vector v (v . d), band 2 a symmetric matrix Q (d . Q d): the mirror, its own inverse,
+    turns them to v - 2 (n . v) n and Q - 2 n (Q n)' - 2 (Q n) n' + 4 (n . Q n) n n'."""
+    out = np.empty((len(normals), 9, 3))
+    out[:, 0] = coefficients[0]
+    n = normals.T[..., None]  # its components [3, M, 1] against the channels [3]
+    v = coefficients[[3, 1, 2]] * np.array([[-1.0], [-1.0], [1.0]])
+    along = 2 * (n[0] * v[0] + n[1] * v[1] + n[2] * v[2])
+    for row, axis, sign in ((1, 1, -1), (2, 2, 1), (3, 0, -1)):
+        out[:, row] = sign * (v[axis] - along * n[axis])
+    xy, yz, zz, xz, squares = coefficients[4:]
+    # In units in which the five functions are xy, -yz, 2 zz - xx - yy, -xz and xx - yy.
+    diagonal = (SH_SQUARES * squares - SH_ZZ * zz, -SH_SQUARES * squares - SH_ZZ * zz, 2 * SH_ZZ * zz)
+    xy, yz, xz = SH_PRODUCT / 2 * xy, -SH_PRODUCT / 2 * yz, -SH_PRODUCT / 2 * xz
+    q = (
+        diagonal[0] * n[0] + xy * n[1] + xz * n[2],
+        xy * n[0] + diagonal[1] * n[1] + yz * n[2],
+        xz * n[0] + yz * n[1] + diagonal[2] * n[2],
+    )
+    twice = 2 * (n[0] * q[0] + n[1] * q[1] + n[2] * q[2])
+    bent = [2 * (q[axis] - twice * n[axis] / 2) for axis in range(3)]  # 2 Q n - 2 (n . Q n) n: half for either side
+    out[:, 4] = (xy - n[0] * bent[1] - bent[0] * n[1]) * (2 / SH_PRODUCT)
+    out[:, 5] = (yz - n[1] * bent[2] - bent[1] * n[2]) * (-2 / SH_PRODUCT)
+    out[:, 6] = (diagonal[2] - 2 * n[2] * bent[2]) / (2 * SH_ZZ)
+    out[:, 7] = (xz - n[0] * bent[2] - bent[0] * n[2]) * (-2 / SH_PRODUCT)
+    out[:, 8] = (diagonal[0] - diagonal[1] - 2 * (n[0] * bent[0] - n[1] * bent[1])) / (2 * SH_SQUARES)
+    return out

@@ -1,4 +1,4 @@
-"""Environments that need no file: three skies and a studio, as gradients and soft lamps."""
+"""Environments that need no file: skies and studios, as gradients and soft lamps."""
 
 from __future__ import annotations
 
@@ -29,6 +29,30 @@ SKIES: dict[str, tuple[Rgb, Rgb, Rgb, tuple[tuple[float, float, float, Rgb], ...
         (0.72, 0.40, 0.24),
         (0.10, 0.08, 0.07),
         ((60, 7, 11, (30.0, 13.0, 4.2)),),
+    ),
+    "dawn": (
+        (0.16, 0.22, 0.44),
+        (0.62, 0.46, 0.42),
+        (0.09, 0.08, 0.09),
+        ((-75, 3, 14, (9.0, 4.6, 2.6)),),
+    ),
+    "moonlight": (
+        (0.10, 0.14, 0.24),
+        (0.13, 0.16, 0.22),
+        (0.05, 0.05, 0.06),
+        ((-40, 45, 8, (9.0, 9.8, 11.5)),),
+    ),
+    "forest": (
+        (0.54, 0.66, 0.44),
+        (0.24, 0.27, 0.19),
+        (0.10, 0.08, 0.05),
+        ((20, 70, 14, (7.0, 6.6, 5.2)), (-110, 55, 10, (3.4, 3.3, 2.4))),
+    ),
+    "softbox": (
+        (0.22, 0.22, 0.22),
+        (0.14, 0.14, 0.14),
+        (0.10, 0.10, 0.10),
+        ((0, 80, 45, (2.6, 2.6, 2.6)), (75, 15, 30, (1.6, 1.6, 1.6)), (-75, 15, 30, (1.6, 1.6, 1.6))),
     ),
 }
 """Name -> radiance at the zenith, at the horizon and of the ground, and soft lamps: azimuth, elevation, radius

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from splatpainter import image_files
-from splatpainter.color import LUMA, srgb_to_linear
+from splatpainter.atomic import writing
+from splatpainter.color import srgb_to_linear
 from splatpainter.kernels import portable
 from splatpainter.transforms import sh_basis
 
@@ -41,16 +42,18 @@ class SkyMap:
     name: str
     note: str = ""
     """What users should know of it."""
+    path: str = ""
+    """Its file; empty where it was computed."""
 
     def coefficients(self) -> np.ndarray:
         """[9, 3] float64 projection on real SH of degree 2, in the sky's axes (y up, +z in the middle), scaled so that
-        the mean radiance has luminance 1: exposures of pictures and of environments are arbitrary. Of such light an
-        open white surface sends back 1 in the mean over its directions."""
+        the mean radiance is 1, over all channels: exposures of pictures and of environments are arbitrary. Of such
+        light an open white surface sends back 1 in the mean over its directions."""
         picture = self.radiance.astype(np.float64)
         towards, areas = lat_long(*picture.shape[:2])
         weighted = (sh_basis(towards, 2) * areas[..., None]).reshape(-1, 9)
         sums = portable.transposed_product(weighted, picture.reshape(-1, 3))
-        mean = float((sums[0] * np.array(LUMA)).sum()) / math.sqrt(4 * math.pi)
+        mean = float(sums[0].mean()) / math.sqrt(4 * math.pi)
         return sums / mean
 
 
@@ -92,7 +95,32 @@ def read_sky(path: str | Path, full_range: bool = False) -> SkyMap:
     height, width = picture.shape[:2]
     if abs(width / height - 2) > 2 * MAX_ASPECT_ERROR:
         raise ValueError(f"{path}: expected a lat-long picture, twice as wide as high, got {width}x{height}")
-    return SkyMap(picture, path.name, note)
+    return SkyMap(picture, path.name, note, str(path))
+
+
+def write_sky(path: str | Path, environment: SkyMap) -> None:
+    """Writes .hdr (Radiance, 8 bits with an exponent for each pixel) or .exr (float32, needs OpenImageIO). Raises
+    ValueError: another suffix."""
+    path = Path(path)
+    suffix, picture = path.suffix.lower(), np.maximum(environment.radiance.astype(np.float32), 0)
+    height, width = picture.shape[:2]
+    if suffix == ".exr":
+        image_files.require_deep(f"{path}: writing light")
+        data = image_files.encode_exr(picture, ("R", "G", "B"))
+        with writing(path) as file:
+            file.write(data)
+        return
+    if suffix != ".hdr":
+        raise ValueError(f"{path}: expected an environment (.hdr, .exr), got {suffix or 'no suffix'}")
+    # RGBE of G. Ward, "Real Pixels" (Graphics Gems II, 1991), pixels one after the other.
+    _, exponent = np.frexp(picture.max(2))
+    scale = np.where(picture.max(2) > 1e-32, np.ldexp(np.float32(256), -exponent), 0)
+    pixels = np.empty((height, width, 4), np.uint8)
+    pixels[..., :3] = np.minimum(picture * scale[..., None], 255)
+    pixels[..., 3] = np.where(scale > 0, exponent + 128, 0)
+    head = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n"
+    with writing(path) as file:
+        file.write(head.encode() + pixels.tobytes())
 
 
 def read_radiance(path: Path) -> np.ndarray:

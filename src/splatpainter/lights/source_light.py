@@ -4,8 +4,8 @@ Gaussians that lie near each other and are of like chromaticity are taken for on
 logarithm of linear colour is that of an unknown albedo plus that of the irradiance, which is linear in the light's SH
 of degree 2 (Ramamoorthi and Hanrahan 2001). A robust fit (iteratively reweighted Gauss-Newton, an albedo for every
 patch eliminated) with a prior from real environments gives the light; the fit without each part of the asset says how
-far to believe it, and what is not believed is uniform. Level and colour of the light in the mean cannot be told from
-the albedo: they count as white.
+far to believe it, and what is not believed is uniform. The light's colour in the mean is a guess by what hues materials
+have (`light_cast`); its level cannot be told from the albedo and counts as 1.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy as np
 from splatpainter.color import luminance
 from splatpainter.kernels import portable
 from splatpainter.lighting import unoccluded_transfer
+from splatpainter.lights.light_cast import cast
 from splatpainter.splats import SH_C0
 from splatpainter.transforms import fibonacci_sphere
 
@@ -57,7 +58,7 @@ class SourceLight:
     """Light that an asset's colours were made in."""
 
     coefficients: np.ndarray = field(repr=False)
-    """[9, 3] float64 SH in the asset's axes; the mean radiance has luminance 1."""
+    """[9, 3] float64 SH in the asset's axes; the mean radiance is 1, over all channels."""
     uncertainty: float
     """Expected rms error of irradiance over its mean; 0 where the light is given."""
     note: str
@@ -104,6 +105,9 @@ def estimate_source(light: np.ndarray, transfer: np.ndarray, points: np.ndarray,
     for channel in range(3):
         fitted = _fit(patches, patches.colors[:, channel], everything, PRIOR_STD * CHROMA_PRIOR)
         coefficients[1:, channel] = belief * fitted / SH_C0
+    # Its mean colour: from what is left of the patches' hues where the shading is divided out.
+    shading = np.maximum(portable.matmul(patches.transfer * SH_C0, coefficients), MIN_SHADING)
+    coefficients = coefficients * cast(patches.colors / shading, patches.weights)
     return SourceLight(coefficients, uncertainty, f"source light: estimated, irradiance within {uncertainty:.0%}")
 
 

@@ -203,15 +203,32 @@ def load_arrays(folder: Path | str, start: str) -> dict[str, np.ndarray]:
     return {name.removeprefix(start): array for name, array in arrays.items()}
 
 
-def config(folder: Path | str) -> ModelConfig:
+@overload
+def config(folder: Path | str) -> ModelConfig: ...
+@overload
+def config(folder: Path | str, kind: type[AnyConfig]) -> AnyConfig: ...
+def config(folder: Path | str, kind: type[Any] = ModelConfig) -> Any:
     """The config of the model in a folder, without reading its weights. Raises ValueError as `load`."""
     path = Path(folder)
-    return ModelConfig.from_json(json.dumps(_index(path, ModelConfig.format).get("config")), str(path / INDEX))
+    return kind.from_json(json.dumps(_index(path, kind.format).get("config")), str(path / INDEX))
+
+
+def format_of(folder: Path | str) -> str:
+    """Which config's checkpoint a folder holds. Raises ValueError as `load`."""
+    return str(_index(Path(folder))["format"])
 
 
 def notes(folder: Path | str) -> dict[str, Any]:
     """What the checkpoint in a folder says about its weights, without reading them. Raises ValueError as `load`."""
     return dict(_index(Path(folder)).get("notes") or {})
+
+
+def check_files(folder: Path | str) -> None:
+    """Raises ValueError where the checkpoint in a folder, or a shard of it, is not there; reads none."""
+    target = Path(folder)
+    for shard in _index(target).get("shards") or []:
+        if isinstance(shard, dict) and SHARD_NAME.fullmatch(str(shard.get("file"))):
+            _shard_path(target, shard["file"])
 
 
 def add_notes(folder: Path | str, notes: Mapping[str, Any]) -> None:

@@ -15,7 +15,7 @@ from splatpainter import jsonio
 from splatpainter.lift.options import ResidualBase
 
 Grouping = Literal["feats_query", "latent_query", "voxel_mean"]
-Mixer = Literal["ttt", "cross_attention"]
+Mixer = Literal["ttt", "cross_attention", "ridge"]
 InnerLoss = Literal["dot", "l2"]
 ImageChannels = Literal["edited", "rays", "render", "geometry", "mask", "normals"]
 Representation = Literal["native", "copy"]
@@ -118,7 +118,8 @@ class RefineConfig:
     blocks: int = 8
     """Blocks of (mixer, MLP)."""
     mixer: Mixer = "ttt"
-    """ttt: fast weights trained by the edit; cross_attention: the ablation, latents attend to the pictures' tokens."""
+    """ttt: fast weights trained by the edit. Ablations: cross_attention, latents attend to the pictures' tokens; ridge:
+    a regression on learnt features, solved exactly (Mesa), of the local network (models/local_network.py) alone."""
     fast_hidden: int = 2048
     """Hidden width of the fast SwiGLU network."""
     hidden: int = 1344

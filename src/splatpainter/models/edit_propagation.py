@@ -1,18 +1,24 @@
 """Stage II as the sole carrier of a global edit: Gaussians that a picture shows teach its memory how they changed, and
 what it then says to the others is how they change.
 
-    predict = carrying(model, encoded.latents, encoded.latent_ids, asset.splats, normals, transfer)
+    predict = CarriedEdit(model, encoded.latents, encoded.latent_ids, asset.splats, normals, transfer, state)
     lift_global(splats, views, predict=predict)
+    predict.state
 
 For a model with config.refine.answers "teachers" (`train rows`): a Gaussian that no picture shows is told nothing of
 the edit but what the memory says, so that without adaptation (edit strength 0) all edits would be one. The Gaussian's
-own colour does not enter the sum: what is read is a change. N Gaussians, R of them asked.
+own colour does not enter the sum: what is read is a change.
+
+The memory is a state: the next edit starts from it, and what it answers is the change since the first one. A Gaussian
+that an earlier edit has shown stays as that one left it where the new pictures agree with the memory, so that views
+given one after the other make what they make together; where they contradict it, the latest wins. N Gaussians, R of
+them asked, E encoded ones.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,21 +28,24 @@ from torch import Tensor
 from splatpainter.color import base_color
 from splatpainter.lift.colors import MIN_SEEN_PX
 from splatpainter.lift.features import HALF_SEEN_PX
-from splatpainter.lift.global_edit import Predict
 from splatpainter.models.decode import color_change
 from splatpainter.models.gaussian_facts import gaussian_facts
 from splatpainter.models.model import GaussianInputs
 from splatpainter.models.predictor import described_facts, spread_evenly
-from splatpainter.splats import Splats
+from splatpainter.splats import SH_C0, Splats
 
 if TYPE_CHECKING:
     from splatpainter.models.compress import Latents
     from splatpainter.models.model import SplatPainterModel
+    from splatpainter.models.refine import RefineState
 
 TEACHER_WEIGHT_SUM = 128.0
 """Sum of what the Gaussians that teach count."""
 GAUSSIANS_PER_CHUNK = 1 << 12
 """Gaussians asked at once without gradients."""
+AGREES, CONTRADICTS = 0.3, 0.6
+"""Share of the power of what new pictures show of Gaussians that the memory does not explain: up to the first they go
+on with the edits before, from the second on they are another edit."""
 
 
 @dataclass(frozen=True)
@@ -63,9 +72,15 @@ class EncodedGaussians:
         splats: Splats,
         normals: np.ndarray,
         transfer: np.ndarray | None,
+        moved: np.ndarray | None = None,
     ) -> EncodedGaussians:
         """splats: numpy, N that can be drawn; latent_ids: [N] of each; transfer: [N, 10] of `prt_transfer`, for a model
-        that reads facts. Raises ValueError for Gaussians that were not encoded."""
+        that reads facts; moved: [N, 3] by which edits have changed their colours, which are told as they were before.
+        Raises ValueError for Gaussians that were not encoded."""
+        if moved is not None:
+            sh = splats.sh.copy()
+            sh[:, 0] -= (moved / SH_C0).astype(sh.dtype)
+            splats = replace(splats, sh=sh)
         missing = int((latent_ids < 0).sum())
         if missing:
             raise ValueError(f"refine: {missing} of the {len(latent_ids)} Gaussians were not encoded; encode again")
@@ -88,10 +103,12 @@ def carry(
     teachers: Tensor,
     readers: Tensor,
     strength: float | None = None,
-) -> Tensor:
-    """[R, 3] change of base colour of the Gaussians `readers` [R], after adapting to that of the Gaussians `teachers`
-    [T] (int64 both). change: [N, 3]; weight: [N] pixels that show each, both read at teachers only; strength: overrides
-    config.refine.edit_strength. Differentiable in the weights of Stage II."""
+    state: RefineState | None = None,
+) -> tuple[RefineState, Tensor]:
+    """(the state after adapting to the change of the Gaussians `teachers` [T], [R, 3] what it then says is the change
+    of base colour of the Gaussians `readers` [R]; int64 both). change: [N, 3]; weight: [N] pixels that show each, both
+    read at teachers only; strength: overrides config.refine.edit_strength; state: that of the edits before, which these
+    changes count from the first of. Differentiable in the weights of Stage II."""
     refiner, teacher_inputs = model.refiner, _inputs(gaussians, teachers, change[teachers], weight[teachers])
     tokens = model.prepared(
         gaussians.latents, gaussians.latent_ids[teachers.cpu().numpy()], teacher_inputs, teaching=True
@@ -99,10 +116,16 @@ def carry(
     shares = _share(weight[teachers])
     # However many teach: a plain gradient's step does not grow with their number (an orthogonalised one never does).
     shares = shares * (TEACHER_WEIGHT_SUM / shares.sum().clamp_min(1e-6))
-    state = refiner.adapt(model.initial_state(), None, teacher_tokens=(tokens, shares), strength=strength)
+    before = model.initial_state() if state is None else state
+    after = refiner.adapt(before, None, teacher_tokens=(tokens, shares), strength=strength)
+    return after, remembered(model, gaussians, after, readers)
+
+
+def remembered(model: SplatPainterModel, gaussians: EncodedGaussians, state: RefineState, readers: Tensor) -> Tensor:
+    """[R, 3] the change of base colour that a state says of the Gaussians `readers` [R] int64."""
     parts = []
     for part in readers.split(max(len(readers), 1) if torch.is_grad_enabled() else GAUSSIANS_PER_CHUNK):
-        values = refiner.read(state, reader_tokens(model, gaussians, part))
+        values = model.refiner.read(state, reader_tokens(model, gaussians, part))
         parts.append(color_change(model.head(values), model.config.decoder))
     return torch.cat(parts)
 
@@ -114,34 +137,84 @@ def reader_tokens(model: SplatPainterModel, gaussians: EncodedGaussians, readers
     return model.prepared(gaussians.latents, gaussians.latent_ids[readers.cpu().numpy()], inputs)
 
 
-def carrying(
-    model: SplatPainterModel,
-    latents: Latents,
-    latent_ids: np.ndarray,
-    splats: Splats,
-    normals: np.ndarray,
-    transfer: Callable[[], np.ndarray],
-) -> Predict:
-    """Stage II's answer for Gaussians that no picture shows, in place of the lift's regression. splats: numpy, N;
-    latent_ids: [N] of each; transfer: computes [N, 10] of `prt_transfer`, called where the model reads it. Raises
-    ValueError for Gaussians that can be drawn but were not encoded."""
-    drawn = splats.drawable
-    light = transfer()[drawn] if model.config.refine.facts else None
-    gaussians = EncodedGaussians.of(model, latents, latent_ids[drawn], splats.take(drawn), normals[drawn], light)
+class CarriedEdit:
+    """Stage II's answer for Gaussians that no picture shows, in place of the lift's regression (lift.Predict), and the
+    state that it leaves."""
 
-    def predict(change: np.ndarray, weight: np.ndarray) -> np.ndarray:
-        device, answer = gaussians.colors.device, np.zeros_like(change)
+    def __init__(
+        self,
+        model: SplatPainterModel,
+        latents: Latents,
+        latent_ids: np.ndarray,
+        splats: Splats,
+        normals: np.ndarray,
+        transfer: Callable[[], np.ndarray],
+        state: RefineState | None = None,
+        parent_ids: np.ndarray | None = None,
+    ) -> None:
+        """splats: numpy, N; latent_ids: [N] of each; transfer: computes [N, 10] of `prt_transfer`, called where the
+        model reads it; state: of the edits before; parent_ids: [N] int64 the encoded Gaussian that each is or comes
+        from (default: itself). Raises ValueError for Gaussians that can be drawn but were not encoded."""
+        self.model, self._start, self._splats = model, state, splats
+        self.state = state
+        """After the last call; every call starts from the state that was given."""
+        self._parents = np.arange(len(splats)) if parent_ids is None else parent_ids
+        self._drawn = drawn = splats.drawable
+        self._weight = np.zeros(len(splats), np.float32)
+        shown = None if state is None or state.shown is None else state.shown.cpu().numpy()[self._parents[drawn]]
+        self._shown = shown
+        light = transfer()[drawn] if model.config.refine.facts else None
+        arrays = (latents, latent_ids[drawn], splats.take(drawn), normals[drawn], light)
+        self.gaussians = EncodedGaussians.of(model, *arrays, None if shown is None else shown[:, :3])
+
+    def __call__(self, change: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        """[N, 3] change of every Gaussian. change: [N, 3] of those that are shown; weight: [N] pixels that show
+        each."""
+        drawn, gaussians, answer = self._drawn, self.gaussians, np.zeros_like(change)
+        device = gaussians.colors.device
         arrays = (np.ascontiguousarray(x[drawn], np.float32) for x in (change, weight))
         moved, pixels = (torch.from_numpy(x).to(device) for x in arrays)
+        self._weight[:] = weight
         seen = torch.nonzero(pixels > MIN_SEEN_PX)[:, 0]
-        if len(seen):
-            teachers = spread_evenly(seen, model.config.refine.row_tokens)
-            with torch.no_grad():
-                everyone = torch.arange(len(moved), device=device)
-                answer[drawn] = carry(model, gaussians, moved, pixels, teachers, everyone).cpu().numpy()
+        if not len(seen):
+            return answer
+        teachers = spread_evenly(seen, self.model.config.refine.row_tokens)
+        everyone = torch.arange(len(moved), device=device)
+        with torch.no_grad():
+            if self._shown is None:
+                self.state, said = carry(self.model, gaussians, moved, pixels, teachers, everyone, state=self._start)
+            else:
+                said = self._goes_on(moved, pixels, teachers, everyone)
+        answer[drawn] = said.cpu().numpy()
         return answer
 
-    return predict
+    def _goes_on(self, moved: Tensor, pixels: Tensor, teachers: Tensor, everyone: Tensor) -> Tensor:
+        """[N, 3] the change from here, of a memory that knows the change since the first edit."""
+        assert self._shown is not None and self._start is not None
+        gaussians, shown = self.gaussians, torch.from_numpy(self._shown).to(moved.device)
+        so_far, before = shown.split([3, 1], 1)
+        total = so_far + moved
+        expected = remembered(self.model, gaussians, self._start, teachers)
+        share = _share(pixels[teachers])[:, None]
+        unlike = (share * (expected - total[teachers]).square()).sum()
+        unlike = float(unlike / (share * total[teachers].square()).sum().clamp_min(1e-9))
+        agrees = min(max((CONTRADICTS - unlike) / (CONTRADICTS - AGREES), 0.0), 1.0)
+        self.state, said = carry(self.model, gaussians, total, pixels, teachers, everyone, state=self._start)
+        return (said - so_far) * (1 - agrees * _share(before[:, 0])[:, None])
+
+    def after(self, splats: Splats) -> RefineState:
+        """The state that the next edit starts from. splats: the N Gaussians after this one."""
+        state = self.model.initial_state() if self.state is None else self.state
+        drawn, parents = self._drawn, self._parents[self._drawn]
+        change = base_color(splats.sh[drawn]) - base_color(self._splats.sh[drawn])
+        now = np.concatenate([change, self._weight[drawn, None]], 1)
+        now += 0 if self._shown is None else self._shown
+        count = int(self._parents.max()) + 1 if state.shown is None else len(state.shown)
+        total, number = np.zeros((count, 4)), np.zeros(count)
+        np.add.at(total, parents, now)
+        np.add.at(number, parents, 1)
+        mean = (total / np.maximum(number, 1)[:, None]).astype(np.float32)
+        return replace(state, shown=torch.from_numpy(mean).to(self.gaussians.colors.device))
 
 
 def _inputs(gaussians: EncodedGaussians, ids: Tensor, change: Tensor, weight: Tensor) -> GaussianInputs:

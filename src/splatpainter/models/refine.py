@@ -37,8 +37,11 @@ FADING_RMS = 0.01
 """A term whose numbers are smaller than this is not raised to rms 1: what did not drift stays nothing."""
 ANSWER_GAIN = 4.0
 """Changes of colour are told this many times larger, so that they are of the order of the other numbers."""
+FIRST_TRUST = 3.0
+"""Logarithm of the size of a ridge mixer's features at first: how much a token counts against the penalty."""
 Memory = FastWeights | Tensor
-"""What a block knows of the edits so far: fast weights, or (cross_attention) the [T, D] tokens of all of them."""
+"""What a block knows of the edits so far: fast weights, or (cross_attention) the [T, D] tokens of all of them, or
+(ridge) the sums of a regression."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,9 @@ class RefineState:
     """One per block."""
     detail: Memory | None = field(repr=False)
     """Memory of the extra layer for local detail; None where the model has none."""
+    shown: Tensor | None = field(default=None, repr=False)
+    """[E, 4] of each encoded Gaussian: the change of base colour that global edits have made of it so far, and the
+    pixels that have shown it (models/edit_propagation.py); None before the first."""
 
 
 class FastMixer(nn.Module):
@@ -132,8 +138,67 @@ class AttentionMixer(nn.Module):
         return self.rows(tokens, memory, CrossGroups.of([len(tokens)], [len(memory)], tokens.device))
 
 
-def _mixer(dim: int, config: RefineConfig, *, pictures: bool, gaussians: bool) -> FastMixer | AttentionMixer:
-    kind = FastMixer if config.mixer == "ttt" else AttentionMixer
+class RidgeMixer(nn.Module):
+    """Memory by a ridge regression on learnt features, solved exactly (a "Mesa" layer, arXiv 2309.05858); it keeps the
+    sums that the regression needs, [F, F + D] of F = config.fast_hidden features, so edits add up."""
+
+    def __init__(self, dim: int, config: RefineConfig, *, pictures: bool, gaussians: bool) -> None:
+        """gaussians: must be False."""
+        super().__init__()
+        assert not gaussians, "a ridge mixer has no Gaussians that teach"
+        self.strength = config.edit_strength
+        self.keys = linear(dim, config.fast_hidden)
+        self.values = linear(dim, dim)
+        self.queries = nn.ModuleDict(
+            {stream: linear(dim, config.fast_hidden) for stream in ("voxel", *(["image"] if pictures else []))}
+        )
+        self.rates = linear(dim, 1)
+        self.out = linear(dim, dim)
+        self.trust = nn.Parameter(torch.tensor(FIRST_TRUST))
+
+    def initial(self) -> Memory:
+        features, dim = self.keys.weight.shape
+        return self.keys.weight.new_zeros(features, features + dim)
+
+    def update(
+        self,
+        memory: Memory,
+        tokens: Tensor,
+        weights: Tensor | None,
+        strength: float | None,
+        teacher_tokens: tuple[Tensor, Tensor] | None = None,
+    ) -> Memory:
+        assert isinstance(memory, Tensor) and teacher_tokens is None
+        counts = 2 * torch.sigmoid(self.rates(tokens).float()) * (self.strength if strength is None else strength)
+        counts = counts if weights is None else counts * weights[:, None]
+        phi, values = self._features(self.keys, tokens), self.values(tokens).float()
+        with exact(memory.device):
+            return memory + (phi * counts).mT @ torch.cat([phi, values], 1)
+
+    def read_image_tokens(self, memory: Memory, tokens: Tensor) -> Tensor:
+        return self._read(memory, tokens, "image")
+
+    def read_gaussian_tokens(self, memory: Memory, tokens: Tensor) -> Tensor:
+        return self._read(memory, tokens, "voxel")
+
+    def _read(self, memory: Memory, tokens: Tensor, stream: str) -> Tensor:
+        assert isinstance(memory, Tensor)
+        features, asked = len(memory), self._features(self.queries[stream], tokens)
+        with exact(memory.device):
+            wide = memory.double()
+            gram = wide[:, :features] + torch.eye(features, dtype=wide.dtype, device=wide.device)
+            solved = torch.cholesky_solve(wide[:, features:], torch.linalg.cholesky(gram)).float()
+            answer = asked @ solved
+        return self.out(answer)
+
+    def _features(self, layer: nn.Module, tokens: Tensor) -> Tensor:
+        return functional.normalize(functional.silu(layer(tokens)).float(), dim=-1) * self.trust.exp()
+
+
+def _mixer(
+    dim: int, config: RefineConfig, *, pictures: bool, gaussians: bool
+) -> FastMixer | AttentionMixer | RidgeMixer:
+    kind = {"ttt": FastMixer, "cross_attention": AttentionMixer, "ridge": RidgeMixer}[config.mixer]
     return kind(dim, config, pictures=pictures, gaussians=gaussians)
 
 

@@ -12,13 +12,17 @@ from splatpainter.extras import require
 from splatpainter.models import checkpoint
 from splatpainter.models.checkpoint import INDEX, PACKAGED
 from splatpainter.models.config import PRESETS
+from splatpainter.models.local_config import LocalConfig
 from splatpainter.models.stored_predictor import StoredPredictor, checked
 
 if TYPE_CHECKING:
+    from splatpainter.models.local_network import LocalNetwork
     from splatpainter.models.model import SplatPainterModel
 
 VARIABLE = "SPLATPAINTER_WEIGHTS"
 """Environment variable: a folder with one folder of weights per preset, looked into before the package."""
+LOCAL = "local"
+"""Name of the weights of the local network (models/local_network.py)."""
 NAMES = (*PRESETS, "rows")
 """Names under which weights are found: the presets, and "rows": `compact` without its predictor, so that Stage II is
 the only carrier of global edits (models/edit_propagation.py), as the paper has it."""
@@ -38,6 +42,29 @@ def find(preset: str, *more_roots: Path) -> Path | None:
 
 PREDICTOR = "predictor."
 """Beginning of the names of the predictor's tensors, which have a shard of their own."""
+
+
+class _DeferredLocal:
+    """A local network of which config and notes are known, and which is read when anything else is asked for."""
+
+    def __init__(self, folder: Path) -> None:
+        self.config = checkpoint.config(folder, LocalConfig)
+        self.notes = checkpoint.notes(folder)
+        self._folder, self._reading = folder, threading.Lock()
+
+    @cached_property
+    def _network(self) -> LocalNetwork:
+        require("torch", f"preset '{LOCAL}'")
+        from splatpainter.models.local_network import LocalNetwork
+
+        return LocalNetwork.load(self._folder)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        with self._reading:
+            network = self._network
+        return getattr(network, name)
 
 
 class _Deferred:
@@ -74,6 +101,29 @@ def deferred(preset: str) -> SplatPainterModel | None:
     said when they are first needed. Raises ValueError for an index that is not that of a model."""
     folder = find(preset)
     return None if folder is None else cast("SplatPainterModel", _Deferred(folder))
+
+
+def deferred_local(folder: Path | None = None) -> LocalNetwork | None:
+    """The local network of a folder, by default the packaged one, not yet read; None where there is none. Raises
+    ValueError for an index that is not that of one."""
+    folder = find(LOCAL) if folder is None else folder
+    return None if folder is None else cast("LocalNetwork", _DeferredLocal(folder))
+
+
+def is_local(folder: Path) -> bool:
+    """Whether a folder holds a local network."""
+    return (folder / INDEX).is_file() and checkpoint.format_of(folder) == LocalConfig.format
+
+
+def load_all(preset: str) -> tuple[SplatPainterModel | None, LocalNetwork | None]:
+    """The networks of a preset or folder: the model, and the network of local edits; of "local" and of a folder that
+    holds a local network, that alone. Raises ValueError as `load`."""
+    folder = find(LOCAL) if preset == LOCAL else Path(preset)
+    if preset == LOCAL and folder is None:
+        raise ValueError(f"preset '{LOCAL}': no trained weights; train them (train rows --recipe paint), or use 'lift'")
+    if folder is not None and preset not in NAMES and is_local(folder):
+        return None, deferred_local(folder)
+    return load(preset), deferred_local()
 
 
 def load(preset: str) -> SplatPainterModel:

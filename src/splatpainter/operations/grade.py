@@ -234,7 +234,7 @@ def describe(look: Look) -> str:
     for name in names:
         value = getattr(look, name)
         if value != getattr(default, name):
-            parts.append(f"{name} {value:g}" if isinstance(value, float) else f"{name} of {len(value)}")
+            parts.append(f"{name} {value:g}" if isinstance(value, int | float) else f"{name} of {len(value)}")
     return ", ".join(parts) or "neutral sliders"
 
 

@@ -9,14 +9,22 @@ from typing import ClassVar
 import numpy as np
 
 from splatpainter.cameras import UpAxis
+from splatpainter.io import read
 from splatpainter.lights.lamps import SUN_DEGREES
-from splatpainter.lights.light_words import FORMS, parse_lamp, parse_sky, parse_sun, white_of
-from splatpainter.lights.relight import Lights, delight, relight
-from splatpainter.lights.sky_maps import SkyMap, read_sky
+from splatpainter.lights.light_set import Lights, axes_of, turned_sky
+from splatpainter.lights.light_words import FORMS, parse_lamp, parse_sky, parse_sun, parse_sun_at, white_of
+from splatpainter.lights.match import ball_sheet, match_light, sky_of
+from splatpainter.lights.prepared import captured_light
+from splatpainter.lights.relight import delight, distant_light, relight
+from splatpainter.lights.rig_files import WRITTEN_RIGS, read_rig, write_rig
+from splatpainter.lights.sky_maps import SkyMap, read_sky, write_sky
 from splatpainter.operations.operation import AS_PYTHON, Operation, ReadyOperation, Report, Tools, Wording, parameter
 from splatpainter.operations.region import Region, check_terms
-from splatpainter.painter import Asset
+from splatpainter.painter import Asset, Painter
+from splatpainter.splats import Splats
 
+SKY_FILES = (".exr", ".hdr")
+"""Endings of environments that are written."""
 ANY_SKY = SkyMap(np.ones((2, 4, 3), np.float32), "environment")
 """Stands for an environment whose file is not read yet."""
 
@@ -45,16 +53,20 @@ class LightBefore(Operation):
         if self.where:
             check_terms(self.where)
 
-    def lights(self) -> Lights | None:
-        """The new lights, their files read; None: white light from all around."""
+    def lights(self, report: Report) -> Lights | None:
+        """The new lights, their files read; None: white light from all around. report: takes what of them was passed
+        over."""
         return None
 
     def ready(self, tools: Tools) -> ReadyOperation:
-        lights = self.lights()
+        remarks: list[str] = []
+        lights = self.lights(Report(warn=remarks.append))
         source: SkyMap | None = read_sky(self.source_light, self.full_range) if self.source_light else None
         region = Region.parse(self.where) if self.where else None
 
         def lit(asset: Asset, report: Report) -> Asset:
+            for line in remarks:
+                report.warn(line)
             how = {"mix": self.mix, "shadows": self.shadows, "source": source}
             if lights is None:
                 edited = delight(asset.splats, region, up=self.up, **how)
@@ -73,8 +85,8 @@ class Relight(LightBefore):
     kind: ClassVar[str] = "light"
 
     hdri: str = parameter("", metavar="SKY")
-    """Environment: studio, noon, overcast, sunset, or a lat-long picture (.hdr, .exr; .png ends at white). Its mean
-    counts as that of the light before: brighter or darker by --exposure."""
+    """Environment: studio, softbox, noon, overcast, sunset, dawn, moonlight, forest, or a lat-long picture (.hdr, .exr;
+    .png ends at white). Its mean counts as that of the light before: brighter or darker by --exposure."""
     rotate: float = 0.0
     """Degrees by which the environment turns, counter-clockwise seen from above."""
     exposure: float = 0.0
@@ -93,6 +105,30 @@ class Relight(LightBefore):
     """Disks: X,Y,Z, where they look to, radius."""
     sphere: tuple[str, ...] = parameter((), metavar="LIGHT ...")
     """Spheres: X,Y,Z, radius."""
+    sun_at: tuple[str, ...] = parameter((), metavar="TIME,LAT,LON ...")
+    """The sun at a time (with its zone) and a place, degrees north and east: 2026-06-21T15:00+02:00,48.1,11.6."""
+    north: float = 0.0
+    """Azimuth at which north lies, for --sun-at; degrees, as of cameras."""
+    rig: str = parameter("", metavar="RIG")
+    """Lights of a rig: three-point, rembrandt, butterfly, rim, window, product, neon, or a file: .json as --save-rig
+    writes it, UsdLux as text (.usda), KHR_lights_punctual (.glb, .gltf). Other options add to it."""
+    save_rig: Path | None = parameter(None, metavar="RIG", output=True)
+    """Write the lights to a rig: .json, .usda or .glb."""
+    match: tuple[Path, ...] = parameter((), metavar="PICTURE ...", file=True)
+    """Find the new light in 1 to 4 pictures of ASSET in it: rendered views, relit in 2D. With --hdri it is that one,
+    fitted to the pictures."""
+    match_cameras: tuple[Path, ...] = parameter((), metavar="CAM.json ...", option="match_camera", file=True)
+    """Cameras of --match, where the pictures do not carry them."""
+    match_asset: Path | None = parameter(None, metavar="OTHER", file=True)
+    """Take the light that is baked into another asset."""
+    painter: bool = True
+    """Let the painter explain of --match what light does not, where that is better on a part that was held back."""
+    balls: Path | None = parameter(None, metavar="FILE.png", output=True)
+    """Write a picture of white balls in the light before and in the new one (of environments)."""
+    save_light: Path | None = parameter(None, metavar="SKY", output=True)
+    """Write the new environment, .exr or .hdr, for --hdri."""
+    save_source: Path | None = parameter(None, metavar="SKY", output=True)
+    """Write the light before, .exr or .hdr, for --source-light."""
     kelvin: float | None = parameter(None, metavar="K")
     """Colour of suns and lamps that say none, as a temperature: 1667 to 25000; 2700 a bulb, 6500 about white."""
     fill: float | None = parameter(None, metavar="LEVEL")
@@ -101,29 +137,134 @@ class Relight(LightBefore):
     """Add the lights to the one that is baked in; default: they replace it."""
 
     def check(self, wording: Wording = AS_PYTHON) -> None:
-        replace(self._lamps(), sky=ANY_SKY if self.hdri else None).check()
+        # A rig may bring everything; whether its lights go together is said once it is read.
+        lights = self._added_to(Lights(up=self.up))
+        if not (self.rig or self.match or self.match_asset):
+            replace(lights, sky=ANY_SKY if self.hdri else None).check()
+        if self.save_rig is not None and self.save_rig.suffix.lower() not in WRITTEN_RIGS:
+            raise ValueError(f"{self.save_rig}: expected a rig to write ({', '.join(WRITTEN_RIGS)})")
+        for path, suffixes in ((self.balls, (".png",)), (self.save_light, SKY_FILES), (self.save_source, SKY_FILES)):
+            if path is not None and path.suffix.lower() not in suffixes:
+                raise ValueError(f"{path}: expected a name that ends in {' or '.join(suffixes)}")
+        self._check_match(wording)
         super().check(wording)
 
-    def files(self) -> tuple[Path, ...]:
-        return (*super().files(), *([Path(self.hdri)] if Path(self.hdri).suffix else []))
+    def _check_match(self, wording: Wording) -> None:
+        name = wording.option
+        if self.hdri and self.match_asset is not None:
+            raise wording.error(self.kind, f"expected {name('hdri')} or {name('match_asset')}, got both")
+        if not self.match:
+            return
+        mixed = {
+            name("where"): self.where,
+            name("mix"): self.mix != 1,
+            name("rig"): self.rig,
+            name("match_asset"): self.match_asset,
+            "lamps": self.sun or self.sun_at or any(getattr(self, kind) for kind in FORMS),
+        }
+        if wrong := [option for option, value in mixed.items() if value]:
+            line = f"{name('match')} finds all of the light; expected it without {', '.join(wrong)}"
+            raise wording.error(self.kind, line)
+        if self.match_cameras and len(self.match_cameras) != len(self.match):
+            expected = f"{len(self.match)} {name('match_cameras')}, one for each picture"
+            raise wording.error(self.kind, f"expected {expected}, got {len(self.match_cameras)}")
 
-    def lights(self) -> Lights:
-        sky = parse_sky(self.hdri, self.full_range) if self.hdri else None
-        lights = replace(self._lamps(), sky=sky)
+    def files(self) -> tuple[Path, ...]:
+        named = (Path(name) for name in (self.hdri, self.rig))
+        return (*super().files(), *(path for path in named if path.suffix))
+
+    def lights(self, report: Report) -> Lights:
+        lights = Lights(up=self.up)
+        if self.rig:
+            lights, passed_over = read_rig(self.rig, self.up, self.full_range)
+            lights = lights if self.up == "auto" else replace(lights, up=self.up)
+            for line in passed_over:
+                report.warn(line)
+        lights = self._added_to(lights)
+        lights = replace(lights, sky=parse_sky(self.hdri, self.full_range)) if self.hdri else lights
+        if self.match_asset is not None:
+            captured = captured_light(read(self.match_asset), self.shadows)
+            lights = replace(lights, sky=sky_of(captured.coefficients, self.up, self.match_asset.name))
+            report.warn(f"{self.match_asset.name}: {captured.note}")
         lights.check()
         return lights
 
-    def _lamps(self) -> Lights:
-        """All but the environment. Raises ValueError: words that are no light."""
+    def ready(self, tools: Tools) -> ReadyOperation:
+        if self.match:
+            return self._matched(tools)
+        relit = super().ready(tools)
+
+        def lit(asset: Asset, report: Report) -> Asset:
+            edited = relit(asset, report)
+            if self.outputs():
+                self._write_lights_of(asset.splats, self.lights(Report()), report)
+            return edited
+
+        return lit
+
+    def _matched(self, tools: Tools) -> ReadyOperation:
+        """The light of --match: found in pictures, and the painter beside it where that is better."""
+        from splatpainter.pictures import edit_from_files
+
+        cameras = self.match_cameras or (None,) * len(self.match)
+        folders = () if tools.asset is None else (tools.asset.parent, tools.asset.parent / "views")
+        pictures = [edit_from_files(*files, folders=folders) for files in zip(self.match, cameras, strict=True)]
+        source = read_sky(self.source_light, self.full_range) if self.source_light else None
+        target = parse_sky(self.hdri, self.full_range) if self.hdri else None
+        axes = axes_of(self.up)
+
+        def lit(asset: Asset, report: Report) -> Asset:
+            for picture in pictures:
+                for note in picture.notes:
+                    report.warn(f"{picture.path.name}: {note}")
+            result = match_light(
+                asset.splats,
+                [picture.edit(asset.splats, "global") for picture in pictures],
+                (tools.painter or Painter.load(modes=("global",))) if self.painter else None,
+                shadows=self.shadows,
+                source=None if source is None else turned_sky(source, axes),
+                target=None if target is None else turned_sky(target, axes, self.rotate),
+            )
+            self._write_lights(result.before.coefficients, result.after)
+            return replace(result.asset, original=asset.original or asset.splats)
+
+        return lit
+
+    def _write_lights_of(self, splats: Splats, lights: Lights, report: Report) -> None:
+        if self.save_rig is not None:
+            for line in write_rig(self.save_rig, lights, splats.offset):
+                report.warn(line)
+        if self.balls or self.save_light or self.save_source:
+            axes = axes_of(lights.up)
+            if self.source_light is None:
+                before = captured_light(splats, self.shadows).coefficients
+            else:
+                before = turned_sky(read_sky(self.source_light, self.full_range), axes)
+            self._write_lights(before, distant_light(lights, axes))
+
+    def _write_lights(self, before: np.ndarray, after: np.ndarray) -> None:
+        """What was asked for of two environments, SH [9, 3] in the asset's axes."""
+        if self.balls is not None:
+            ball_sheet(self.balls, {"before": before, "new": after}, self.up)
+        if self.save_light is not None:
+            write_sky(self.save_light, sky_of(after, self.up, "new"))
+        if self.save_source is not None:
+            write_sky(self.save_source, sky_of(before, self.up, "before"))
+
+    def _added_to(self, lights: Lights) -> Lights:
+        """Other lights with the options' own, but for the environment. Raises ValueError: words that are no light."""
         white = white_of(self.kelvin)
-        return Lights(
-            suns=tuple(parse_sun(text, self.sun_size, white) for text in self.sun),
-            lamps=tuple(parse_lamp(kind, text, white) for kind in FORMS for text in getattr(self, kind)),
-            rotate=self.rotate,
-            exposure=self.exposure,
-            fill=self.fill,
-            add=self.add,
-            up=self.up,
+        suns = [parse_sun(text, self.sun_size, white) for text in self.sun]
+        suns += [parse_sun_at(text, self.north, self.sun_size, white) for text in self.sun_at]
+        lamps = [parse_lamp(kind, text, white) for kind in FORMS for text in getattr(self, kind)]
+        return replace(
+            lights,
+            suns=(*lights.suns, *suns),
+            lamps=(*lights.lamps, *lamps),
+            rotate=lights.rotate + self.rotate,
+            exposure=lights.exposure + self.exposure,
+            fill=lights.fill if self.fill is None else self.fill,
+            add=lights.add or self.add,
         )
 
 

@@ -82,12 +82,19 @@ class PaintingOptions(ViewLimits):
 
         if self.method != "ttt" or mode != "local":
             return
+        local = weights.find(weights.LOCAL)
+        if local is not None and self.preset in ("auto", weights.LOCAL, *weights.NAMES):
+            checkpoint.check_files(local)
+            return
         folder = weights.find("compact" if self.preset == "auto" else self.preset) or Path(self.preset)
-        if (folder / checkpoint.INDEX).is_file() and not checkpoint.config(folder).edits_locally:
+        if not (folder / checkpoint.INDEX).is_file() or weights.is_local(folder):
+            return
+        if not checkpoint.config(folder).edits_locally:
             method = wording.option("method")
             line = (
-                f"{method} ttt: the networks of preset '{self.preset}' make global edits alone, so that the lift would "
-                f"make this one; use {method} lift, or weights of train refine"
+                f"{method} ttt: the networks of preset '{self.preset}' make global edits alone, and those of preset "
+                f"'{weights.LOCAL}' are not there; use {method} lift, or {wording.option('preset')} FOLDER with "
+                "weights of train rows --recipe paint or train refine"
             )
             raise wording.error(self.kind, line)
 

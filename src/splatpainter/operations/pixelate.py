@@ -224,11 +224,9 @@ def _is_visible(splats: Splats) -> np.ndarray:
     """[N] bool: whether some view from all around shows more than MIN_VISIBLE of what a Gaussian covers."""
     center, radius = bounding_sphere(splats)
     out = np.zeros(len(splats), bool)
-    black, everywhere = (
-        np.zeros((MATCHING.view_px, MATCHING.view_px, 3), np.float32),
-        np.ones((MATCHING.view_px, MATCHING.view_px), np.float32),
-    )
-    for camera in spherical_cameras(center, VIEW_DISTANCE_RADII * radius, MATCHING.views, size=MATCHING.view_px):
+    size = MATCHING.view_px
+    black, everywhere = np.zeros((size, size, 3), np.float32), np.ones((size, size), np.float32)
+    for camera in spherical_cameras(center, VIEW_DISTANCE_RADII * radius, MATCHING.views, size=size):
         view = project(splats, camera.local)
         sums = view.backproject(black, everywhere)
         out[view.gaussian_ids[sums.weight > MIN_VISIBLE * sums.alpha]] = True

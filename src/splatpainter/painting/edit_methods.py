@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
-from splatpainter.nn.precision import Arithmetic
+from splatpainter.nn.precision import Arithmetic, resolve
 from splatpainter.painting.asset import Asset
 from splatpainter.painting.edit_settings import EditSettings
 from splatpainter.painting.edited_picture import Edit, Method, Mode
-from splatpainter.painting.networks import Networks
+from splatpainter.painting.networks import Networks, inference
 from splatpainter.receipts import StageClock
 from splatpainter.splats import Splats
 
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from splatpainter.lift.edits import LiftedEdit
     from splatpainter.lift.global_edit import Predict
     from splatpainter.lift.options import ResidualBase
+    from splatpainter.models.local_network import LocalNetwork
 
 PREDICTOR = "predictor"
 """What receipts call global edits that networks make without test-time training."""
@@ -62,12 +63,24 @@ class EditMethod:
         """The asset as this method needs it. Raises ValueError for edits that it cannot be made with."""
         return asset
 
+    def preset(self, painter: str) -> str:
+        """The weights that receipts name. painter: the painter's preset."""
+        return "lift" if self.ran in ("lift", "fit") else painter
+
+    def make(self, asset: Asset, views: Sequence[EditView], clock: StageClock) -> tuple[LiftedEdit, Asset]:
+        """(what the lift made of the views, the edited asset without a receipt)."""
+        lifted = self.lift(asset, views)
+        clock.record_time("lift")
+        return lifted, self.finish(asset, lifted, views, clock)
+
     def lift(self, asset: Asset, views: Sequence[EditView]) -> LiftedEdit:
         """What the lift makes of the views; or, for networks, what they start from."""
-        return lift_locally(asset, views, self.settings) if self.mode == "local" else lift_globally(asset, views, self)
+        if self.mode == "local":
+            return lift_locally(asset, views, self.settings)
+        return lift_globally(asset, views, self.settings, self.predict(asset))
 
     def finish(self, asset: Asset, lifted: LiftedEdit, views: Sequence[EditView], clock: StageClock) -> Asset:
-        """The edited asset, without a receipt."""
+        """The edited asset, from what the lift made."""
         result = asset.child(lifted.splats, lifted.parent_ids(len(asset.splats)))
         return replace(result, confidence=lifted.confidence)
 
@@ -145,7 +158,12 @@ class PredictorMethod(EditMethod):
         return self.networks.predict(asset)
 
     def finish(self, asset: Asset, lifted: LiftedEdit, views: Sequence[EditView], clock: StageClock) -> Asset:
-        result = self.network_result(asset, lifted, views, clock)
+        return self.polished(asset, self.network_result(asset, lifted, views, clock), lifted, views, clock)
+
+    def polished(
+        self, asset: Asset, result: Asset, lifted: LiftedEdit, views: Sequence[EditView], clock: StageClock
+    ) -> Asset:
+        """`result` after the rounds of the lift that the settings ask for."""
         if self.settings.polish:
             result = replace(result, splats=_recolored(asset.splats, result.splats, lifted, views, self.mode))
             clock.record_time("polish")
@@ -181,8 +199,15 @@ class EncodingMethod(PredictorMethod):
 class CarryMethod(EncodingMethod):
     """A global edit that Stage II makes by what it says of Gaussians that no view shows, within the lift."""
 
-    def predict(self, asset: Asset) -> Predict | None:
-        return self.networks.carry(asset)
+    def make(self, asset: Asset, views: Sequence[EditView], clock: StageClock) -> tuple[LiftedEdit, Asset]:
+        carried = self.networks.carry(asset)
+        with self.networks.inference():
+            lifted = lift_globally(asset, views, self.settings, carried)
+        clock.record_time("lift")
+        result = super().network_result(asset, lifted, views, clock)
+        if result.encoding is not None:  # the next edit goes on from what this one taught
+            result = replace(result, encoding=replace(result.encoding, state=carried.after(result.splats)))
+        return lifted, self.polished(asset, result, lifted, views, clock)
 
 
 @dataclass(frozen=True)
@@ -194,7 +219,8 @@ class RefineMethod(EncodingMethod):
         if self.mode == "local":
             # Networks have learnt on split Gaussians: no surface, no sheets.
             return lift_locally(asset, views, self.settings, config.base, config.lift_features, sheets=False)
-        return lift_globally(asset, views, self, config.base, config.lift_features)
+        predict = self.predict(asset)
+        return lift_globally(asset, views, self.settings, predict, config.base, config.lift_features)
 
     def network_result(self, asset: Asset, lifted: LiftedEdit, views: Sequence[EditView], clock: StageClock) -> Asset:
         result = self.networks.refine(asset, lifted, views)
@@ -202,9 +228,42 @@ class RefineMethod(EncodingMethod):
         return result
 
 
-def method_for(chosen: Method, mode: Mode, networks: Networks | None, settings: EditSettings) -> EditMethod:
-    """The class that makes an edit. chosen: not "auto" (Painter.choose). Raises ValueError for a method that makes no
-    edits of that mode."""
+@dataclass(frozen=True)
+class PicturesMethod(EditMethod):
+    """The lift's Gaussians in the colours of the network that reads pictures, held against these."""
+
+    network: LocalNetwork
+
+    @property
+    def ran(self) -> str:
+        return "ttt"
+
+    @property
+    def names_its_gaussians(self) -> bool:
+        return False
+
+    @property
+    def arithmetic(self) -> Arithmetic | Literal[""]:
+        return resolve(self.settings.precision, "cpu")
+
+    def preset(self, painter: str) -> str:
+        return "local"
+
+    def finish(self, asset: Asset, lifted: LiftedEdit, views: Sequence[EditView], clock: StageClock) -> Asset:
+        from splatpainter.models.local_edit_colors import repainted
+
+        with inference(self.network, self.settings.precision):
+            lifted = repainted(self.network, asset.splats, lifted, views)
+        result = super().finish(asset, lifted, views, clock)
+        clock.record_time("ttt")
+        return result
+
+
+def method_for(
+    chosen: Method, mode: Mode, networks: Networks | None, local: LocalNetwork | None, settings: EditSettings
+) -> EditMethod:
+    """The class that makes an edit. chosen: not "auto" (Painter.choose); local: the network that reads pictures, for
+    local edits where the others make none. Raises ValueError for a method that makes no edits of that mode."""
     if mode == "spread":
         return SpreadMethod(mode, settings)
     if chosen == "lift":
@@ -213,6 +272,8 @@ def method_for(chosen: Method, mode: Mode, networks: Networks | None, settings: 
         if mode == "global":
             raise ValueError("edit: method 'fit' is for local edits; use 'lift' with mode 'global'")
         return FitMethod(mode, settings)
+    if mode == "local" and local is not None and (networks is None or not networks.model.config.edits_locally):
+        return PicturesMethod(mode, settings, local)
     assert networks is not None
     config = networks.model.config
     if mode == "global" and config.predictor_only:
@@ -248,17 +309,18 @@ def lift_locally(
 def lift_globally(
     asset: Asset,
     views: Sequence[EditView],
-    method: EditMethod,
+    settings: EditSettings,
+    predict: Predict | None = None,
     base: ResidualBase = "lift",
     features: bool = False,
 ) -> LiftedEdit:
-    """The lift of global views, which asks the method about Gaussians that none of them shows."""
+    """The lift of global views. predict: who answers for Gaussians that none of them shows; None: a regression."""
     from splatpainter.lift.edits import lift_global_views
     from splatpainter.lift.options import GLOBAL_DEFAULTS
 
-    options = method.settings.global_options or GLOBAL_DEFAULTS
+    options = settings.global_options or GLOBAL_DEFAULTS
     return lift_global_views(
-        asset.splats, views, base, options, features=features, normals=asset.normals, predict=method.predict(asset)
+        asset.splats, views, base, options, features=features, normals=asset.normals, predict=predict
     )
 
 

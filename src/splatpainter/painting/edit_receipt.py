@@ -60,7 +60,7 @@ def edit_receipt(
         output_rows=len(result.splats),
         mode=mode,
         method=method.ran,
-        preset="lift" if method.ran in ("lift", "fit") else preset,
+        preset=method.preset(preset),
         touched=touched,
         replaced=lifted.replaced[np.isin(lifted.replaced, touched, assume_unique=True)],
         removed=lifted.removed,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from splatpainter.lift.edit_views import EditView
     from splatpainter.lift.edits import LiftedEdit
     from splatpainter.lift.global_edit import Predict
+    from splatpainter.models.edit_propagation import CarriedEdit
+    from splatpainter.models.local_network import LocalNetwork
     from splatpainter.models.model import SplatPainterModel
 
 
@@ -38,7 +40,7 @@ class Networks:
             return asset
         from splatpainter.models.cache import encode_cached, encode_half
 
-        with self._inference():
+        with self.inference():
             if self.cache:
                 encoded = encode_cached(model, asset.splats, asset.grid, weights=self._digest)
             else:
@@ -53,21 +55,16 @@ class Networks:
 
         return predicting(self.model.stored_predictor, asset.splats, asset.normals, lambda: asset.transfer)
 
-    def carry(self, asset: Asset) -> Predict:
-        """Stage II's answer for them; the asset is encoded."""
-        from splatpainter.models.edit_propagation import carrying
+    def carry(self, asset: Asset) -> CarriedEdit:
+        """Stage II's answer for them, which starts from the state of the edits before; the asset is encoded."""
+        from splatpainter.models.edit_propagation import CarriedEdit
 
         encoding = asset.encoding
         assert encoding is not None
         latents, ids = encoding.encoded.latents, encoding.encoded.latent_ids[encoding.parent_ids]
-        with self._inference():
-            predict = carrying(self.model, latents, ids, asset.splats, asset.normals, lambda: asset.transfer)
-
-        def answer(change: np.ndarray, weight: np.ndarray) -> np.ndarray:
-            with self._inference():
-                return predict(change, weight)
-
-        return answer
+        with self.inference():
+            so_far = (asset.splats, asset.normals, lambda: asset.transfer, encoding.state, encoding.parent_ids)
+            return CarriedEdit(self.model, latents, ids, *so_far)
 
     def refine(self, asset: Asset, lifted: LiftedEdit, views: Sequence[EditView]) -> Asset:
         """The encoded asset after Stage II and the decoder have changed a lifted edit of it."""
@@ -76,7 +73,7 @@ class Networks:
         encoding = asset.encoding
         assert encoding is not None
         start = replace(lifted, parents=encoding.parent_ids[lifted.parents])
-        with self._inference():
+        with self.inference():
             state = encoding.state or self.model.initial_state()
             facts = self._facts(asset, lifted.parents)
             state, gaussians, children = refine_edit(self.model, state, encoding.encoded, start, views, facts)
@@ -106,23 +103,27 @@ class Networks:
             return None
         return gaussian_facts(asset.splats, asset.normals, asset.transfer)[ids]
 
-    @contextmanager
-    def _inference(self) -> Iterator[None]:
+    def inference(self) -> AbstractContextManager[None]:
         """No gradients, arithmetic of this precision, and eval mode; the model's own mode comes back."""
-        import torch
-
-        model = self.model
-        training = model.training
-        model.eval()
-        try:
-            with torch.inference_mode(), autocast(next(model.parameters()).device, self.precision):
-                yield
-        finally:
-            if training:
-                model.train()
+        return inference(self.model, self.precision)
 
     @cached_property
     def _digest(self) -> str:
         from splatpainter.models.cache import digest
 
         return digest(self.model)
+
+
+@contextmanager
+def inference(model: SplatPainterModel | LocalNetwork, precision: Precision) -> Iterator[None]:
+    """No gradients, arithmetic of this precision, and eval mode; the model's own mode comes back."""
+    import torch
+
+    training = model.training
+    model.eval()
+    try:
+        with torch.inference_mode(), autocast(next(model.parameters()).device, precision):
+            yield
+    finally:
+        if training:
+            model.train()

@@ -121,7 +121,7 @@ class Encoding:
         if self.kind != "WebP" or self.settings:
             return self
         # Trying ten qualities on all of a large picture would take seconds.
-        part = _busiest(alpha, ENCODINGS.search_webp_px)
+        part = busiest(alpha, ENCODINGS.search_webp_px)
         seen, before, solid = picture[part], render[part], alpha[part] > 0.5
         return min(_webp_options(), key=lambda option: _low_error(seen, option.applied(before), solid))
 
@@ -205,16 +205,16 @@ def guessed_encoding(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray)
     """How a picture [H, W, 3] was stored before, or softened, as far as it agrees with its render [H, W, 3] after the
     same; None where it agrees without, or with nothing that is tried. alpha: [H, W] of the render."""
     # Few colours are a palette, whatever the file says.
-    colors = _few_colors(picture)
+    colors = few_colors(picture)
     if colors is not None:
         return palette_of(colors)
     best, plain = None, 1.0
     errors: list[tuple[float, Encoding]] = []
     for options, side in ((_guesses(), ENCODINGS.search_px), (_webp_options(), ENCODINGS.search_webp_px)):
-        part = _busiest(alpha, side)
+        part = busiest(alpha, side)
         seen, before = picture[part], np.clip(render[part], 0, 1)
         # Flat pixels survive every encoding, so only detailed ones can tell.
-        solid = _detailed(before, alpha[part] > 0.5)
+        solid = detailed(before, alpha[part] > 0.5)
         if best is not None or _is_lossless(seen, before, solid):
             break
         share = max(ENCODINGS.min_exact, _exact_share(seen, before, solid) + ENCODINGS.min_gain)
@@ -241,7 +241,7 @@ def _guesses() -> Iterator[Encoding]:
             yield Encoding("JPEG", f"JPEG of quality {quality}", {"quality": quality, "subsampling": subsampling})
 
 
-def _few_colors(picture: np.ndarray) -> np.ndarray | None:
+def few_colors(picture: np.ndarray) -> np.ndarray | None:
     """[K, 3] uint8 all colours of a picture; None where they are more than a palette holds."""
     levels = np.round(np.clip(picture, 0, 1) * 255).astype(np.uint32)
     codes = levels[..., 0] << 16 | levels[..., 1] << 8 | levels[..., 2]
@@ -252,7 +252,7 @@ def _few_colors(picture: np.ndarray) -> np.ndarray | None:
     return np.stack([distinct >> 16, distinct >> 8 & 255, distinct & 255], -1).astype(np.uint8)
 
 
-def _detailed(render: np.ndarray, solid: np.ndarray) -> np.ndarray:
+def detailed(render: np.ndarray, solid: np.ndarray) -> np.ndarray:
     """[H, W] bool: the half of the asset's pixels with more detail: flat ones survive every encoding."""
     if not solid.any():
         return solid
@@ -260,7 +260,7 @@ def _detailed(render: np.ndarray, solid: np.ndarray) -> np.ndarray:
     return solid & (detail >= np.median(detail[solid]))
 
 
-def _busiest(alpha: np.ndarray, side: int) -> tuple[slice, slice]:
+def busiest(alpha: np.ndarray, side: int) -> tuple[slice, slice]:
     """The part of a view with most of the asset, of at most `side` pixels a side; it begins with a whole block."""
     out = []
     for axis in (1, 0):

@@ -16,7 +16,7 @@ from splatpainter.pictures.picture_reader import Kernel, resample
 
 
 @dataclass(frozen=True)
-class LargerViewLimits:
+class LargerViewThresholds:
     """Pictures with more pixels than their view. Source: taste."""
 
     min_scale: float = 1.1
@@ -31,7 +31,7 @@ class LargerViewLimits:
     """Pixels of the view around what surely was edited, in which differences count that may come from enlarging."""
 
 
-LARGER = LargerViewLimits()
+LARGER = LargerViewThresholds()
 
 
 KERNELS: tuple[Kernel, ...] = ("nearest", "bilinear", "bicubic", "lanczos")

@@ -1,13 +1,16 @@
 """The flattened picture in files of layers: PSD and PSB (Adobe's published file format), OpenRaster and Krita.
 
-A PSD ends with a composite of all layers, channel after channel, raw or packed by PackBits; OpenRaster and Krita files
-are zips with a mergedimage.png. Bounded: sizes are judged by the header, and no row unpacks to more than its pixels.
+A PSD ends with a composite of all layers, channel after channel, raw or packed by PackBits or ZIP; OpenRaster and Krita
+files are zips with a mergedimage.png. Bounded: sizes are judged by the header, and no row unpacks to more than its
+pixels.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import struct
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -33,6 +36,11 @@ FOREIGN = {
     b"%PDF": "a PDF",
     b"CSFCHUNK": "a Clip Studio file",
     b"PDN3": "a Paint.NET file",
+    b"\x00\xffKA": "an Affinity document",
+    b"\x00\x00\x00\x0cjP  ": "a JPEG 2000 picture",
+    b"\xff\x4f\xff\x51": "a JPEG 2000 picture",
+    b"P6": "a PPM picture",
+    b"\x0a\x05\x01": "a PCX picture",
 }
 """First bytes of files that picture programs save and nobody reads here."""
 BRANDS = {b"heic": "a HEIC picture", b"heix": "a HEIC picture", b"mif1": "a HEIC picture", b"avif": "an AVIF picture"}
@@ -216,8 +224,10 @@ def _planes(file: BinaryIO, header: _PsdHeader, size: int, path: Path) -> list[n
             raise ValueError(f"{path}: damaged PSD (its flattened picture has {rest} bytes of {needed})")
         data = np.frombuffer(file.read(needed), dtype)
         return list(data.reshape(channel_count, header.height, header.width))
+    if kind in (2, 3):
+        return _inflated(file.read(rest), channel_count, header, dtype, kind == 3, path)
     if kind != 1:
-        raise ValueError(f"{path}: a PSD whose flattened picture is packed by ZIP, which is not read; export it as PNG")
+        raise ValueError(f"{path}: damaged PSD (its flattened picture is packed by method {kind}, which there is not)")
     count_bytes = 4 if header.large else 2
     table = file.read(header.channels * header.height * count_bytes)
     if len(table) < header.channels * header.height * count_bytes:
@@ -232,6 +242,25 @@ def _planes(file: BinaryIO, header: _PsdHeader, size: int, path: Path) -> list[n
     for row, length in zip(out, lengths.tolist(), strict=True):
         _unpack(file.read(length), row, path)
     return [plane.reshape(header.height, -1).view(dtype) for plane in np.split(out, channel_count)]
+
+
+def _inflated(
+    packed: bytes, channel_count: int, header: _PsdHeader, dtype: np.dtype, predicted: bool, path: Path
+) -> list[np.ndarray]:
+    """Channels that are one zlib stream; predicted: each value but a row's first as the difference to the one before
+    it. Raises ValueError: damaged, or less than the channels."""
+    shape = (channel_count, header.height, header.width)
+    needed = math.prod(shape) * dtype.itemsize
+    try:
+        data = zlib.decompressobj().decompress(packed, needed)
+    except zlib.error as error:
+        raise ValueError(f"{path}: damaged PSD (its flattened picture: {error})") from None
+    if len(data) < needed:
+        raise ValueError(f"{path}: damaged PSD (its flattened picture has {len(data)} bytes of {needed})")
+    planes = np.frombuffer(data, dtype).reshape(shape)
+    if predicted:
+        planes = np.cumsum(planes, axis=2, dtype=dtype.newbyteorder("="))
+    return list(planes)
 
 
 def _unpack(packed: bytes, row: np.ndarray, path: Path) -> None:

@@ -345,8 +345,8 @@ def _check(part: Part, first: Part, offset: Offset) -> None:
 
 def _matched(parts: Sequence[Part], falloff: float) -> list[Part]:
     out = [parts[0]]
-    fixed, *others = placed(parts)
-    for part, moving in zip(parts[1:], others, strict=True):
+    fixed, *rest = placed(parts)
+    for part, moving in zip(parts[1:], rest, strict=True):
         try:
             match = match_seam(moving, fixed, falloff)
         except ValueError as error:

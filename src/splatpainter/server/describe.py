@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import operator
 from collections.abc import Sequence
@@ -20,8 +19,9 @@ from splatpainter.io import FORMATS, frame_is_open, frame_line
 from splatpainter.server import protocol
 from splatpainter.server.fine_detail import has_fine_detail
 from splatpainter.session import Layer, Session
-from splatpainter.session.document.document import PLACED
+from splatpainter.session.document.document import takes_strokes
 from splatpainter.session.document.layer_mask import LayerMask
+from splatpainter.session.document.layer_operation import LayerOperation
 from splatpainter.session.document.scene_asset import MAIN_ASSET_ID
 from splatpainter.session.project.project_file import Bookmark, Step
 from splatpainter.session.replay.recent_changes import changes as changes_between
@@ -29,6 +29,8 @@ from splatpainter.splats import Splats
 
 HOME_VIEW = {"elevation": 15.0, "fov": 40.0}
 BACKGROUND = (0.16, 0.17, 0.18)
+NAMED_APART = ("kind", "mode", "method", "painter")
+"""Options of layers that LayerInfo has as fields, or that no page needs."""
 PICTURE_PX = 96
 """Width and height of the picture of a project."""
 
@@ -140,13 +142,13 @@ def layer_info(session: Session, layer: Layer) -> protocol.LayerInfo:
         visible=layer.visible,
         opacity=layer.opacity,
         blend=layer.blend,
-        mode=layer.mode,
-        method=facts.get("method", layer.method),
+        mode=getattr(layer.operation, "mode", "global"),
+        method=facts.get("method", getattr(layer.operation, "method", "lift")),
         views=views,
-        strokes=sum(len(leaf.strokes) for leaf in layer.leaves()) if _takes_strokes(layer) else None,
+        strokes=sum(len(leaf.strokes) for leaf in layer.leaves()) if takes_strokes(layer) else None,
         placed=_placed(layer),
         mask=_mask_info(layer.mask),
-        parameters=json.loads(json.dumps(layer.parameters)),
+        parameters=page_parameters(layer.operation),
         gaussians_edited=facts.get("rows_touched", 0),
         gaussians_appended=facts.get("rows_appended", 0),
         seconds=facts.get("seconds", 0.0),
@@ -180,12 +182,11 @@ def latest_edit(session: Session) -> protocol.EditFigures | None:
     )
 
 
-def _takes_strokes(layer: Layer) -> bool:
-    """Whether strokes can be painted into it (document.add_stroke)."""
-    if layer.kind == "merged":
-        return True
-    pictured = layer.kind in ("paint", "clone") and layer.mode == "local" and bool(layer.views)
-    return layer.holds_strokes or (pictured and PLACED not in layer.parameters)
+def page_parameters(operation: LayerOperation) -> dict[str, Any]:
+    """Options of a layer that are not at their defaults, JSON; the settings of an adjustment stand beside its name."""
+    options = {name: value for name, value in operation.record().items() if name not in NAMED_APART}
+    settings = options.pop("settings", {})
+    return {**options, **settings}
 
 
 def _mask_info(mask: LayerMask | None) -> protocol.MaskInfo | None:
@@ -195,8 +196,8 @@ def _mask_info(mask: LayerMask | None) -> protocol.MaskInfo | None:
 def _placed(layer: Layer) -> protocol.Placed | None:
     """Where a text or sticker is placed; None for other layers, and where its parameters are damaged."""
     try:
-        return protocol.Placed.model_validate(layer.parameters[PLACED])
-    except (KeyError, ValidationError):
+        return protocol.Placed.model_validate(getattr(layer.operation, "placed", None))
+    except ValidationError:
         return None
 
 

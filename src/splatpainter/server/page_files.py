@@ -22,8 +22,8 @@ class PageFiles(StaticFiles):
         super().__init__(directory=directory, html=True)
 
     def lookup_path(self, path: str) -> tuple[str, os.stat_result | None]:
-        found = super().lookup_path(path)
-        return found if found[1] is not None else super().lookup_path(path + PACKED)
+        plain = super().lookup_path(path)
+        return plain if plain[1] is not None else super().lookup_path(path + PACKED)
 
     def file_response(
         self, full_path: str | os.PathLike[str], stat_result: os.stat_result, scope: Scope, status_code: int = 200

@@ -20,7 +20,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from splatpainter.cameras import Camera
 from splatpainter.io.files import printable
 from splatpainter.painter import LayerMethod, Method, Mode
-from splatpainter.session.document.document import Blend, Kind, Policy
+from splatpainter.session.document.document import Policy
+from splatpainter.session.document.layer_view import Blend
 
 MAX_VIEW_PIXELS = 4_000_000
 """Most pixels of a view that is painted or rendered."""
@@ -85,8 +86,8 @@ class PaintLimits(Message):
     depth_edge_limit: float | None = Field(default=None, ge=0, le=16)
     """Pixels beside an edge in depth that are not painted; 0: none."""
 
-    def parameters(self) -> dict[str, float]:
-        """The limits as parameters of a layer."""
+    def options(self) -> dict[str, Any]:
+        """The limits as options of a layer."""
         return self.model_dump(exclude_none=True)
 
 
@@ -207,7 +208,8 @@ class LayerInfo(Message):
     name: str
     asset: str
     """Id of the asset that it belongs to."""
-    kind: Kind
+    kind: str
+    """What it is: paint, look, fill, ... (session/kinds)."""
     visible: bool
     opacity: Unit
     blend: Blend

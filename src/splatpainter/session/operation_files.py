@@ -18,7 +18,8 @@ from splatpainter.operations.grade import Look
 from splatpainter.operations.region import Region as Region
 from splatpainter.operations.region import wrong_term
 from splatpainter.operations.session_files import Weigh
-from splatpainter.session.document.document import SELECTION, Layer
+from splatpainter.session.document.document import Layer
+from splatpainter.session.kinds.look_layers import LookLayer
 from splatpainter.session.project.asset_files import read_layer
 from splatpainter.splats import Splats
 
@@ -43,24 +44,24 @@ class LayerLook:
 
 def look_of_layer(path: Path) -> Look:
     layer, blobs = read_layer(path)
-    look = layer.parameters.get("look")
-    if layer.kind != "look" or look not in (GRADE, *TRANSFERS):
+    operation = layer.operation
+    if not isinstance(operation, LookLayer) or operation.look not in (GRADE, *TRANSFERS):
         raise ValueError(
             f"{path}: expected an adjustment layer with sliders or other colours, got a layer of kind {layer.kind}"
         )
-    if layer.views or SELECTION in layer.parameters:
+    if layer.views or operation.selection is not None:
         raise ValueError(f"{path}: is limited to a selection, which grade takes as --where mask=M.png@CAM.json instead")
     if layer.blend != "normal":
         raise ValueError(f"{path}: expected a layer of blend normal, got {layer.blend}")
-    if look in TRANSFERS:
-        return _transfer_of_layer(path, layer, blobs)
-    sliders = GradeSettings.from_dict(layer.parameters)
+    if operation.look in TRANSFERS:
+        return _transfer_of_layer(path, layer, operation, blobs)
+    sliders = GradeSettings.from_dict(operation.settings)
     return replace(sliders, strength=sliders.strength * layer.opacity)
 
 
-def _transfer_of_layer(path: Path, layer: Layer, blobs: dict[str, bytes]) -> Look:
+def _transfer_of_layer(path: Path, layer: Layer, operation: LookLayer, blobs: dict[str, bytes]) -> Look:
     """A layer's LUT, colours of a picture or new colour, as they were fitted when it was made."""
-    parameters = with_table(layer.parameters, lambda name: blobs.get(name, b""))
+    parameters = with_table({**operation.settings, "look": operation.look}, lambda name: blobs.get(name, b""))
     try:
         function = transfer_function(parameters)
         strength = float(parameters.get("strength", 1.0)) * layer.opacity

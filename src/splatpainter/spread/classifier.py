@@ -72,8 +72,8 @@ def density_ratio(features: np.ndarray, positive: np.ndarray, weights: np.ndarra
 def _solved(features: np.ndarray, weights: np.ndarray, values: np.ndarray, ridge: float) -> np.ndarray:
     gram = np.zeros((FEATURES, FEATURES))
     right = np.zeros(FEATURES)
-    rows = np.ascontiguousarray(features, np.float32)
-    run(kernels.add_normal_equations, rows, weights.astype(np.float64), values.astype(np.float64), gram, right)
+    points = np.ascontiguousarray(features, np.float32)
+    run(kernels.add_normal_equations, points, weights.astype(np.float64), values.astype(np.float64), gram, right)
     # Weights sum to one or two, so the ridge means the same for any number of examples.
     gram[np.diag_indices(FEATURES)] += ridge
     kernels.solve_symmetric(gram, right[:, None], 0, 1)

@@ -28,7 +28,7 @@ from splatpainter.splats import Splats
 
 
 @dataclass(frozen=True)
-class ColorChangeSettings:
+class ColorChangeThresholds:
     """The affine map between a material's old and new colours. Source: taste."""
 
     min_light: float = 1e-3
@@ -41,7 +41,7 @@ class ColorChangeSettings:
     """Step of the central differences along a SH coefficient, display units."""
 
 
-COLOR_CHANGE = ColorChangeSettings()
+COLOR_CHANGE = ColorChangeThresholds()
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from splatpainter.spread.nearest_neighbours import neighbours, weighted_means
 
 
 @dataclass(frozen=True)
-class DescriptorUnits:
+class DescriptorThresholds:
     """What a Gaussian's surroundings look like, in numbers of equal weight. Source: taste, tried on 14 training
     meshes."""
 
@@ -39,7 +39,7 @@ class DescriptorUnits:
     """Weight of the texture."""
 
 
-UNITS = DescriptorUnits()
+UNITS = DescriptorThresholds()
 
 
 DESCRIPTOR_CHANNELS = 15

@@ -16,7 +16,7 @@ from splatpainter.kernels.parallel import run
 
 
 @dataclass(frozen=True)
-class NeighbourSearchLimits:
+class NeighbourSearchThresholds:
     """The search for neighbours in cubes. Source: taste; they bound the time of a search."""
 
     neighbours: int = 16
@@ -29,7 +29,7 @@ class NeighbourSearchLimits:
     """Points that one search looks at: a million points at one place cost no more."""
 
 
-SEARCH = NeighbourSearchLimits()
+SEARCH = NeighbourSearchThresholds()
 
 
 BITS = 20

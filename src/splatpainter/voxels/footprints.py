@@ -29,6 +29,7 @@ def density(
     """[R, R, R] float32 optical thickness per voxel length that the given Gaussians ([M], all drawable) put into the
     cube of resolution^3 voxels at `min_corner`. A ray along the shortest axis of one, through its middle, picks up
     about its opacity; 3DGS knows no thickness along the others, where this errs to the opaque side."""
+    # A volume a thread, added up in fixed point: the sums do not depend on how many there were.
     volumes = max(1, min(parallel.threads(), MAX_VOLUMES, len(gaussian_ids) // MIN_GAUSSIANS_PER_VOLUME))
     totals = np.zeros((volumes, resolution**3), np.int64)
     args = (gaussian_ids.astype(np.int64), min_corner.astype(np.float64), float(voxel), resolution, totals)

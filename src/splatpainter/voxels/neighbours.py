@@ -23,6 +23,7 @@ def nearest_within(points: np.ndarray, queries: np.ndarray, radius: float) -> tu
     nearest = np.full(len(queries), -1, np.int64)
     distance = np.full(len(queries), np.inf)
     if len(points) and len(queries) and radius > 0:
+        # Cubes are counted from the median: strays share the outermost ones.
         middle = np.median(points, axis=0)
         keys, order = _sorted(_cells(points, middle, radius))
         cells = _cells(queries, middle, radius)
@@ -39,6 +40,7 @@ def components(points: np.ndarray, size: float) -> np.ndarray:
     cells = _cells(points, np.median(points, axis=0), size)
     keys, inverse = np.unique(_keys(cells), return_inverse=True)
     parents = np.arange(len(keys))
+    # Half of the neighbours: each pair of cubes is joined once.
     for x in (0, 1):
         for y in (-1, 0, 1) if x else (0, 1):
             for z in (-1, 0, 1) if x or y else (1,):
@@ -49,6 +51,7 @@ def components(points: np.ndarray, size: float) -> np.ndarray:
                 kernels.join_labels(np.flatnonzero(exists), at[exists], parents, 0, 1)
     kernels.flatten_labels(parents, 0, 1)
     roots = parents[inverse]
+    # Numbered by first appearance, so that equal input gives equal labels.
     _, first, labels = np.unique(roots, return_index=True, return_inverse=True)
     rank = np.empty(len(first), np.int64)
     rank[np.argsort(first, kind="stable")] = np.arange(len(first))

@@ -44,6 +44,7 @@ class Bricks:
         """volume: [R, R, R] uint8, set where not 0, or float32, set where above 0."""
         resolution = len(volume)
         count = (-(-resolution // BRICK_EDGE)) ** 3
+        # Bricks of 64 bits with the distance to the next full one: rays cross empty space in long steps.
         words, clearances = np.empty(count, np.uint64), np.empty(count, np.uint8)
         pack = kernels.pack_dense if volume.dtype == np.float32 else kernels.pack_marked
         run(pack, volume.ravel(), resolution, words)
@@ -113,11 +114,13 @@ def editable_gaussians(grid: VoxelGrid, splats: Splats, camera: Camera, mask: np
     ys, xs = np.nonzero(mask)
     if not len(ys):
         return out
+    # Rays of the mask's window alone.
     x, y, width, height = xs.min(), ys.min(), np.ptp(xs) + 1, np.ptp(ys) + 1
     window = mask[y : y + height, x : x + width].astype(bool)
     view = camera.cropped(int(x), int(y), int(width), int(height))
     origin, rays = view.rays()
     seen, through = seen_voxels(grid, origin, rays[window])
+    # One voxel around what was seen: a footprint may lie half in the next.
     marked = _dilated(seen, reach)
     ids = np.flatnonzero(grid.index >= 0)
     # The voxel of the centre counts too: those too faint to be drawn have no footprint, but a centre.

@@ -125,6 +125,7 @@ def run(config: Config) -> Outcome:
         check_pictures,
         open_gaussian_edits,
         open_global_edits,
+        open_painted_gaussians,
         open_training_data,
     )
 
@@ -159,7 +160,11 @@ def run(config: Config) -> Outcome:
         elif recipe.stage == "rows":
             from splatpainter.models.cache import cache_folder
 
-            data = open_gaussian_edits(settings, count, config.assets or cache_folder() / "rows", recipe.fitted)
+            folder = config.assets or cache_folder() / "rows"
+            if recipe.carrier == "pictures":
+                data = open_painted_gaussians(settings, count, folder, recipe.edits)
+            else:
+                data = open_gaussian_edits(settings, count, folder, recipe.fitted)
         else:
             data = open_training_data(settings, batch=recipe.batch, count=count, workers=recipe.workers)
         task = _task(config, recipe, group, report)
@@ -205,11 +210,13 @@ def _task(config: Config, recipe: Recipe, group: Group, report: Any) -> Task:
     """The stage with its model on its device."""
     import torch
 
-    from splattrain.build import make_task, start
+    from splattrain.build import make_painted_task, make_task, start
 
     torch.manual_seed(recipe.seed)
     if stage := recipes.additional_stage(recipe.stage):
         return stage.make_task(recipe, config.weights, report).to(group.device)
+    if recipe.stage == "rows" and recipe.carrier == "pictures":
+        return make_painted_task(recipe, config.weights, report).to(group.device)
     model: SplatPainterModel = start(recipe, config.weights, report, config.from_stage)
     return make_task(recipe, model.to(group.device), config.perceptual_weights, report).to(group.device)
 

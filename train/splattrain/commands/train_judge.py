@@ -86,7 +86,7 @@ class JudgeConfig:
 def judge(config: JudgeConfig) -> Outcome:
     """Judge, write the tables, and the notes if asked to. Raises ValueError before any work where the weights, the data
     or the folder do not fit."""
-    from splatpainter.models import checkpoint
+    from splatpainter.models import checkpoint, weights
     from splatpainter.models.model import SplatPainterModel
     from splattrain.distributed import join
     from splattrain.judge import (
@@ -109,6 +109,8 @@ def judge(config: JudgeConfig) -> Outcome:
     if config.write_notes and config.kinds:
         raise ValueError("splatpainter train judge: --write-notes is for all kinds of the recipe; leave --kinds out")
     check_folder(config.out)
+    if weights.is_local(config.checkpoint):
+        return _judge_local(config)
     model = SplatPainterModel.load(config.checkpoint)
     recipe = _recipe(config, model)
     device = join(config.device).device
@@ -165,6 +167,54 @@ def judge(config: JudgeConfig) -> Outcome:
         f"-> {', '.join(map(str, paths))}" + (f", notes of {config.checkpoint}" if config.write_notes else ""),
     ]
     return Outcome({**judged, **gain, "problems": problems, "files": paths}, lines)
+
+
+def _judge_local(config: JudgeConfig) -> Outcome:
+    """As `judge`, of a local network: painted close-ups of held-out objects. Its gain is no note: method auto uses it
+    only where captures were measured too."""
+    from splatpainter.models import checkpoint
+    from splatpainter.models.local_network import LocalNetwork
+    from splattrain.judge import as_json, edit_rows, judge_painted, table, write_table
+    from splattrain.stages.painted_gaussians_task import PaintedGaussiansTask
+    from splattrain.training_data import painted_gaussian_streams
+
+    network = LocalNetwork.load(config.checkpoint)
+    stored = network.notes.get("recipe")
+    if not isinstance(stored, dict):
+        raise ValueError(f"{config.checkpoint}: its notes hold no recipe")
+    recipe = recipes.parse(json.dumps(stored), "rows", f"{config.checkpoint}: recipe")
+    if config.kinds:
+        samples = dataclasses.replace(recipe.samples, kinds=dict.fromkeys(config.kinds, 1.0))
+        recipe = dataclasses.replace(recipe, samples=samples)
+    settings = _data_settings(config, recipe, "cpu")
+    if problem := settings.held_out.leak(network.notes):
+        raise ValueError(f"{config.checkpoint}: {problem}")
+    _, stream = painted_gaussian_streams(settings, None, recipe.edits)
+    if stream is None:
+        raise ValueError(f"--data {config.data}: no object of it is held out of training; give more objects")
+    found = judge_painted(PaintedGaussiansTask(network, recipe.readers), stream, config.samples)
+    scores, problems = _sorted(progress(found, config.samples, "judge"))
+    if not scores:
+        raise ValueError(f"{config.data}: none of {config.samples} samples could be judged; the first: {problems[0]}")
+    rows = edit_rows(scores, config.seed)
+    judged = {
+        "rows": as_json(rows),
+        "samples": len(scores),
+        "judged_objects": len({score.name for score in scores}),
+        "skipped": len(problems),
+        "seed": config.seed,
+        "data": config.data if config.data.startswith("procedural:") else Path(config.data).name,
+        "size": recipe.samples.size,
+    }
+    config.out.mkdir(parents=True, exist_ok=True)
+    heading = (
+        f"local network, step {network.notes.get('step', '?')}: {len(scores)} painted close-ups of "
+        f"{judged['judged_objects']} held-out objects of {judged['data']}, {recipe.samples.size} px, seed {config.seed}"
+    )
+    paths = write_table(config.out, rows, scores, heading, ["\n".join(f"- {line}" for line in problems)])
+    if config.write_notes:
+        checkpoint.add_notes(config.checkpoint, {"judged": judged})
+    return Outcome({**judged, "problems": problems, "files": paths}, [heading, table(rows), *problems[:5]])
 
 
 def _recipe(config: JudgeConfig, model: SplatPainterModel) -> Recipe:

@@ -58,6 +58,8 @@ class EditSample:
     before: PosedViews
     after: PosedViews
     near: np.ndarray
+    truth: Splats = field(repr=False)
+    """Dense, torch: the object after the edit."""
 
 
 def paint(
@@ -142,7 +144,7 @@ def zoom(scene: LitScene, spec: SampleSpec, rng: np.random.Generator) -> EditSam
     centers = [(cameras[k], targets[k]) for k in ids]
     novel, near = _novel(scene, centers, spec, rng)
     before, after = render_views(scene.coarse, novel).views, render_views(scene.truth, novel).views
-    return EditSample(edited, masks[ids].cpu().numpy(), before, after, near)
+    return EditSample(edited, masks[ids].cpu().numpy(), before, after, near, scene.truth)
 
 
 def relight(scene: LitScene, light: Light, spec: SampleSpec, rng: np.random.Generator) -> EditSample | None:
@@ -162,7 +164,8 @@ def plain(scene: LitScene, spec: SampleSpec, rng: np.random.Generator) -> EditSa
     views = render_views(scene.truth, cameras).views
     size = scene.optics.size
     no_views = PosedViews((), views.colors.new_zeros(0, size, size, 3))
-    return EditSample(no_views, np.zeros((0, size, size), bool), views, views, np.zeros(len(cameras), bool))
+    near = np.zeros(len(cameras), bool)
+    return EditSample(no_views, np.zeros((0, size, size), bool), views, views, near, scene.truth)
 
 
 def _painted(
@@ -250,7 +253,7 @@ def _local_sample(
         parts = change_masks(old.colors[: near.sum()], new.colors[: near.sum()]).float().mean((1, 2))
         if float(parts.max()) < MIN_FURTHER_FRACTION:
             return None
-    return EditSample(edited, masks.cpu().numpy(), old, new, near)
+    return EditSample(edited, masks.cpu().numpy(), old, new, near, after)
 
 
 def _global_sample(scene: LitScene, after: Splats, spec: SampleSpec, rng: np.random.Generator) -> EditSample | None:
@@ -262,7 +265,7 @@ def _global_sample(scene: LitScene, after: Splats, spec: SampleSpec, rng: np.ran
     centers = [(camera, np.zeros(3)) for camera in cameras]
     novel, near = _novel(scene, centers, spec, rng)
     before, new = render_views(scene.truth, novel).views, render_views(after, novel).views
-    return EditSample(renders.views, masks.cpu().numpy(), before, new, near)
+    return EditSample(renders.views, masks.cpu().numpy(), before, new, near, after)
 
 
 def _novel(

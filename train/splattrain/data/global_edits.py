@@ -26,12 +26,12 @@ from splatpainter.lift.colors import MIN_SEEN_PX
 from splatpainter.lift.depth_normals import outward_normals
 from splatpainter.lift.global_edit import seen_change
 from splatpainter.lighting import prt_transfer
+from splatpainter.recent import Recent
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.transforms import sh_rotations
 from splattrain.data.edits.on_surfels import grade_sh
 from splattrain.data.lights import Light, random_light, shade, shade_all
 from splattrain.data.lit_scenes import SceneObject, render_views
-from splattrain.data.recent import Recent
 from splattrain.data.samples import SampleStream
 from splattrain.data.surfels import Surfels, to_splats
 from splattrain.data.viewpoints import UP_AXIS_ROTATIONS, Optics, ring

@@ -27,13 +27,13 @@ from splatpainter.atomic import writing
 from splatpainter.color import base_color, sh_from_color
 from splatpainter.lift.depth_normals import outward_normals
 from splatpainter.lighting import prt_transfer
+from splatpainter.recent import Recent
 from splatpainter.rendering import render
 from splatpainter.splats import Splats
 from splatpainter.transforms import matrix_to_quat, quat_to_matrix
 from splattrain.data.lights import Light, random_light, shade_all
 from splattrain.data.lit_scenes import SceneObject, mesh_object, render_views
 from splattrain.data.object_sources import MeshSource
-from splattrain.data.recent import Recent
 from splattrain.data.sample_recipes import SampleRecipe
 from splattrain.data.surfels import Surfels, to_splats
 from splattrain.data.viewpoints import UP_AXIS_ROTATIONS, Optics, ring

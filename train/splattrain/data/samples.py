@@ -18,6 +18,7 @@ from typing import Any, Literal, cast
 
 import numpy as np
 
+from splatpainter.recent import Recent
 from splatpainter.splats import Splats
 from splattrain.data import edit_samples
 from splattrain.data.edit_samples import EditSample, SampleSpec
@@ -25,7 +26,6 @@ from splattrain.data.edits.content import EditResources, list_files
 from splattrain.data.lights import random_light
 from splattrain.data.lit_scenes import LitScene, PosedViews, SceneObject, illuminate, mesh_object, splat_object
 from splattrain.data.object_sources import MeshSource, ObjectSource, SplatSource
-from splattrain.data.recent import Recent
 from splattrain.data.sample_recipes import GLOBAL, KINDS, LOCAL, RECIPES, SampleRecipe
 from splattrain.data.viewpoints import Optics
 

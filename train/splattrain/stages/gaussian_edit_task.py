@@ -23,9 +23,9 @@ from splatpainter.models.edit_propagation import EncodedGaussians, carry, reader
 from splatpainter.models.encode import encode_asset
 from splatpainter.models.gaussian_facts import gaussian_facts
 from splatpainter.models.model import SplatPainterModel
+from splatpainter.recent import Recent
 from splattrain.data.gaussian_edits import GaussianEdit
 from splattrain.data.lit_assets import LitAsset
-from splattrain.data.recent import Recent
 from splattrain.recipes import Carrier
 from splattrain.stages.task import Task, ValidationScore, between_share, freeze
 
@@ -132,7 +132,7 @@ class GaussianEditTask(Task[SplatPainterModel]):
             arrays = (self._tensor(change), self._tensor(sample.weight))
             ids = (torch.from_numpy(teachers), torch.from_numpy(readers))
             with self.arithmetic():
-                return carry(self.model, rows, *arrays, *(x.to(self.device) for x in ids), strength=strength)
+                return carry(self.model, rows, *arrays, *(x.to(self.device) for x in ids), strength=strength)[1]
         predictor = self.model.predictor
         assert predictor is not None
         facts = gaussian_facts(sample.item.asset, sample.item.normals, sample.item.transfer)

@@ -24,16 +24,16 @@ from splatpainter.lift.options import ResidualBase
 from splatpainter.lighting import prt_transfer
 from splatpainter.metrics.lpips import Lpips
 from splatpainter.models.apply_edit import assemble, refine_edit
-from splatpainter.models.edit_propagation import carrying
+from splatpainter.models.edit_propagation import CarriedEdit
 from splatpainter.models.encode import Encoded, encode_asset
 from splatpainter.models.gaussian_facts import gaussian_facts
 from splatpainter.models.gaussian_groups import GaussianGroups, TokenLinks
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.models.stored_predictor import predicting
+from splatpainter.recent import Recent
 from splatpainter.rendering import render
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.voxels.grid import VoxelGrid, voxelize
-from splattrain.data.recent import Recent
 from splattrain.loss import PictureLoss, PictureTarget, global_target, joined, local_target
 from splattrain.report import figures
 from splattrain.stages.lrm import asset_tokens
@@ -207,7 +207,7 @@ class RefineTask(Task[SplatPainterModel]):
                 grid = voxelize(splats, resolution)
             normals, facts, predict = self._aside(splats)
             if self.model.config.carries:
-                predict = carrying(
+                predict = CarriedEdit(
                     self.model,
                     encoded.latents,
                     encoded.latent_ids,

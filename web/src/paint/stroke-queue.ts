@@ -154,6 +154,7 @@ export class StrokeQueue {
         if (layer) selectedLayer.value = layer.id;
         await this.host.viewer.settle();
       } catch (error) {
+        if (graphicsLost.value) await never(); // nothing can be drawn: the page that is loaded next goes on with it
         if (!stroke.withdrawn) {
           this.host.report(error, stroke.name);
           await stroke.cancel();
@@ -383,6 +384,8 @@ function whyNot(into: LayerInfo | null): [string, string] | null {
     return [`${into.name} is hidden.`, "Show it, or choose another layer to paint into."];
   return null;
 }
+
+const never = (): Promise<never> => new Promise(() => {});
 
 const randomName = (): string => Math.random().toString(36).slice(2) + Date.now().toString(36);
 

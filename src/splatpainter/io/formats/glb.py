@@ -176,6 +176,7 @@ def read_local(
 ) -> Splats:
     """The rows in the primitive's own frame, bit for bit what the file says (integers as float32). bound: of rows that
     were not read before."""
+    # What the extension says of all rows.
     primitive = glb.doc["meshes"][one.mesh]["primitives"][one.index]
     attributes = primitive.get("attributes", {})
     extension = _extension(primitive)
@@ -183,6 +184,7 @@ def read_local(
         "antialiased": isinstance(extension.get("extras"), dict) and extension["extras"].get("antialiased") is True,
         "color_space": "linear" if extension.get("colorSpace") == COLOR_SPACES["linear"] else "srgb",
     }
+    # A stream of SPZ inside of the buffer is a file of its own, with its own limits.
     if gltf_spz.is_packed(primitive):
         rows = gltf_spz.unpack(glb, primitive, path, problems)
         if bound is not None:
@@ -206,6 +208,8 @@ def read_local(
             allow_rows(bound.size, one.first + len(values), bound.bands, path, MAX_SHARED_RATIO)
         return gltf.decode(values, glb.doc["accessors"][index].get("normalized"))
 
+    # The first attribute sets the count that the others are held to. Older drafts of the extension had neither
+    # opacities nor SH: their colours were COLOR_0.
     means, xyzw, scales = read("POSITION", 3), read("ROTATION", 4), read("SCALE", 3)
     if "OPACITY" in one.names:
         opacities = read("OPACITY", 1)[:, 0]

@@ -219,6 +219,7 @@ def _walk_lists(file: BinaryIO, header: Header, element: Element, available: int
     Every row has at least one list length, so a lying count runs out of bytes before it runs long. Runs of rows whose
     lists are as long as those of the row before (a mesh of triangles) are compared at once.
     """
+    # Bytes between list lengths are the same in every row, so a row is stepped over list by list.
     lists, tail = _lists_of(element, header.order)
     longest = max(counter.itemsize for _, counter, _ in lists)
     steps = [(ahead, _COUNTERS[counter.str].unpack_from, counter.itemsize, width) for ahead, counter, width in lists]
@@ -248,6 +249,7 @@ def _walk_lists(file: BinaryIO, header: Header, element: Element, available: int
                 return []
         return seen
 
+    # One row by steps, then as many as look like it at once.
     while row < element.count and at <= available:
         first = at
         seen = walk(1)

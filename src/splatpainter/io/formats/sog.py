@@ -200,6 +200,7 @@ def _check_entries(books: dict[str, np.ndarray], pixels: dict[str, np.ndarray], 
 
 
 def _decode(file: SogFile, path: Path, problems: list[str]) -> Splats:
+    # Codebooks are decoded once, their 256 entries instead of every row.
     low, high = mean_range(file.meta, path)
     scales, base = activations.exp(file.codebooks["scales"]), file.codebooks["sh0"].astype(np.float32)
     table = np.zeros((1, 0, 3), np.float32)
@@ -207,6 +208,7 @@ def _decode(file: SogFile, path: Path, problems: list[str]) -> Splats:
         table = file.codebooks["shN"].astype(np.float32)[file.palette]
     antialiased, linear = flags(file.meta)
     count = len(file.pixels["means_l"])
+    # The result is allocated whole and filled in blocks, so that float64 copies stay as small as a block.
     out = Splats(
         np.empty((count, 3), np.float32),
         np.empty((count, 4), np.float32),
@@ -220,6 +222,7 @@ def _decode(file: SogFile, path: Path, problems: list[str]) -> Splats:
     for start in range(0, count, BLOCK_ROWS):
         block = slice(start, start + BLOCK_ROWS)
         pixels = {key: values[block] for key, values in file.pixels.items()}
+        # Positions: two planes of bytes are 16 bits of a signed logarithm.
         words = pixels["means_l"][:, :3].astype(np.float64) + 256.0 * pixels["means_u"][:, :3]
         logs = low + (high - low) * (words / 65535)
         out.means[block] = np.sign(logs) * np.expm1(np.abs(logs))
@@ -229,6 +232,7 @@ def _decode(file: SogFile, path: Path, problems: list[str]) -> Splats:
         out.opacities[block] = pixels["sh0"][:, 3].astype(np.float64) / 255
         out.sh[block, 0] = base[pixels["sh0"][:, :3]]
         if file.palette is not None:
+            # Higher bands: a row names an entry of a palette, which a damaged file may not have.
             labels = pixels["labels"][:, 0].astype(np.int64) + 256 * pixels["labels"][:, 1].astype(np.int64)
             wrong = labels >= len(table)
             out.sh[block, 1:] = table[np.where(wrong, 0, labels)]

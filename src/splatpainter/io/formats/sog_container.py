@@ -160,7 +160,9 @@ def _prefix(names: list[str], path: Path) -> str:
         return folders[0]
     listed = files.printable(", ".join(sorted(folders or visible)[:5])) or "nothing"
     expected = f"{META} in one folder of the bundle" if folders else f"{META} in the bundle"
-    raise ValueError(f"{path}: expected {expected}, found {listed}")
+    inside = next((name for name in visible if name.lower().endswith((".ply", ".spz", ".splat", ".ksplat"))), None)
+    remedy = "" if inside is None else f"; unpack it, then open {files.printable(inside)}"
+    raise ValueError(f"{path}: expected {expected}, found {listed}{remedy}")
 
 
 def streamed_reason(path: Path, where: str = LOD_META) -> str:
@@ -180,7 +182,8 @@ def _entries(data: bytes, path: Path) -> list[zipfile.ZipInfo]:
     """The files that the zip directory lists, folders left out, each of a kind that can be unpacked."""
     entries: dict[str, zipfile.ZipInfo] = {}
     for entry in zip_directory(io.BytesIO(data), path):
-        name = entry.filename
+        # Some programs for Windows write backslashes, and some others "./" before every name.
+        name = entry.filename = entry.filename.replace("\\", "/").removeprefix("./")
         if name.endswith("/"):  # is_dir() of Python 3.11 fails where the name is empty
             continue
         parts = name.split("/")

@@ -26,7 +26,7 @@ from splatpainter.transforms import matrix_to_quat, principal_axes, turned
 
 
 @dataclass(frozen=True)
-class DetailShape:
+class DetailThresholds:
     """Gaussians that carry detail finer than the asset's own. Measured where an entry says on what, else taste."""
 
     reaches_px: tuple[float, ...] = (0.4, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0)
@@ -53,7 +53,7 @@ class DetailShape:
     """Pixels around each one whose gradients decide the direction of its edge."""
 
 
-DETAIL = DetailShape()
+DETAIL = DetailThresholds()
 
 
 @dataclass(frozen=True)

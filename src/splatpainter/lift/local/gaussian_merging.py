@@ -230,9 +230,9 @@ def _put_together(
     sh = sh.reshape(len(new), *splats.sh.shape[1:])
     values = {"means": means, "quats": quats, "scales": scales, "opacities": mixture.peaks[new], "sh": sh}
     written = {}
-    for name, rows in values.items():
+    for name, joined in values.items():
         written[name] = getattr(out, name).copy()
-        written[name][at] = rows
+        written[name][at] = joined
     return Merged(replace(out, **written), chosen[order], group)
 
 

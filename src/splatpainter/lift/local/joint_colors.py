@@ -101,8 +101,8 @@ def recolored_together(
     for k in range(1, bands):
         divisor[:, k, k] += SH_C0**2 * np.maximum(DIRECTION_RIDGE * (weight + slow), MIN_DIVISOR)
     # Views around alone move nothing: only what an edited view shows may change.
-    rows = np.flatnonzero(visible > MIN_SEEN_PX)
-    steps = inverses(divisor[rows])
+    seen = np.flatnonzero(visible > MIN_SEEN_PX)
+    steps = inverses(divisor[seen])
     change = np.zeros((count, bands, 3), np.float32)
     for _ in range(options.rounds):
         gain = np.zeros_like(change)
@@ -110,7 +110,7 @@ def recolored_together(
             picture.add_gain(basis, change, gain)
         # Bounded after every round, as colours are in `lift_colors`, or bands of little weight run away.
         limit = MAX_COLOR / SH_C0
-        change[rows] = np.clip(change.take(rows, 0) + portable.matmul(steps, gain.take(rows, 0)), -limit, limit)
+        change[seen] = np.clip(change.take(seen, 0) + portable.matmul(steps, gain.take(seen, 0)), -limit, limit)
     size = SH_C0 * np.abs(change).max((1, 2))
     moved = np.flatnonzero(size > MIN_CHANGE)
     if not len(moved):

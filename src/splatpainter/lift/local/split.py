@@ -6,7 +6,7 @@ sites, so what neighbours put on the same site becomes one. Without that, every 
 on one site (measured: twice the Gaussians for 2 dB less). Pure geometry: knows no pictures.
 
 Alpha compositing is not additive, so the children's peaks come from a table fitted to the composited alpha
-(scripts/fit_split_table.py).
+(scripts/calibrate/split_table.py).
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ from splatpainter.transforms import fibonacci_sphere
 
 
 @dataclass(frozen=True)
-class ViewsAroundSettings:
+class ViewsAroundThresholds:
     """Views around an asset that hold a local edit to its place, and how much they count. Source: taste."""
 
     views: int = 8
@@ -56,7 +56,7 @@ class ViewsAroundSettings:
     """Degrees between the lines of sight of an edit and of a view: from where to where the edit fades."""
 
 
-VIEWS_AROUND = ViewsAroundSettings()
+VIEWS_AROUND = ViewsAroundThresholds()
 
 
 def views_around(

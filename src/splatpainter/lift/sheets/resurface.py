@@ -404,8 +404,8 @@ def _recolored(
     # are.
     for chosen, damping in ((ids >= first, 1.0), ((ids >= count) & (ids < first), options.damping)):
         chosen &= moved
-        rows = ids[chosen] - count
-        sh[rows] = recolor(sh[rows], before[chosen], lifted[chosen], damping)
+        fresh_ids = ids[chosen] - count
+        sh[fresh_ids] = recolor(sh[fresh_ids], before[chosen], lifted[chosen], damping)
     hanging = moved & (ids < count)
     recolored = recolor(splats.sh[ids[hanging]], before[hanging], lifted[hanging], options.damping)
     return _Recolored(replace(fresh, sh=sh), ids[hanging], recolored)

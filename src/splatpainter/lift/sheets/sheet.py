@@ -15,7 +15,7 @@ from splatpainter.transforms import matrix_to_quat, turned
 
 
 @dataclass(frozen=True)
-class SheetShape:
+class SheetThresholds:
     """Cells of a sheet and the Gaussians in them. Measured where an entry says so, else taste."""
 
     max_cell_px: int = 8
@@ -47,7 +47,7 @@ class SheetShape:
     """Stretch beside a place without a surface, at most."""
 
 
-SHEET = SheetShape()
+SHEET = SheetThresholds()
 
 
 @dataclass(frozen=True)

@@ -379,16 +379,19 @@ def project(
     assert gaussian_mask is None or gaussian_mask.shape == (n,), (
         f"gaussian_mask: expected [{n}] bool, got {gaussian_mask}"
     )
+    # Only drawn tiles have slots: a stroke's view costs what lies under the brush.
     tile_ids = np.flatnonzero(tiles).astype(np.int32)
     tile_slots, grid, window = _tile_layout(tiles, tile_ids, camera)
     attributes = [readonly(getattr(splats, name), dtype) for name in ATTRIBUTES]
     cam = geometry.camera_vector(camera, window, dtype)
+    # For a small part of a large asset a coarse test of each Gaussian is cheaper than its projection.
     if gaussian_mask is None:
         gaussian_mask = np.empty(n if len(tile_ids) < tiles.size and n >= MIN_PRESELECTED else 0, bool)
         if len(gaussian_mask):
             run(kernels.select_near_window, *(attributes[k] for k in (0, 2, 3)), cam, gaussian_mask)
     selected = readonly(gaussian_mask, np.bool_)
 
+    # Each block of Gaussians writes to its own place, so that threads need no lock and the order is always the same.
     blocks = -(-n // GAUSSIANS_PER_BLOCK)
     size = blocks * GAUSSIANS_PER_BLOCK
     block_projected, keys = aligned((size, COLUMNS), dtype), np.empty(size, dtype)
@@ -400,6 +403,7 @@ def project(
     else:
         counts[:] = 0
 
+    # Sorted once by depth; lists of tiles made in this order are sorted as well.
     order = _depth_order(keys, counts)
     m = len(order)
     projected, (gaussian_ids, max_tiles) = aligned((m, COLUMNS), dtype), np.empty((2, m), np.int32)
@@ -407,12 +411,14 @@ def project(
     del block_projected
     begins = np.cumsum(max_tiles, dtype=np.int64) - max_tiles
 
+    # Pairs of Gaussian and tile become memory: judged before they are made.
     max_pairs = int(max_tiles.sum(dtype=np.int64))
     if max_pairs > MAX_PAIRS:
         size = f"{camera.width} x {camera.height}"
         limit = f"Gaussians that touch at most {MAX_PAIRS:,} tiles of {TILE} x {TILE} pixels in all"
         raise ValueError(f"render: expected {limit}, got {max_pairs:,} at {size}; render a smaller picture")
     ends, pair_tiles = np.empty(m, np.int64), np.empty(max_pairs, np.int32)
+    # Counted first and placed then: the sums of counts say where each thread's pairs go.
     histogram = np.zeros((threads(), len(tile_ids)), np.int64)
     run(kernels.list_pairs, projected, begins, max_tiles, grid, tile_slots, ends, pair_tiles, histogram)
     pair_offsets, isect_offsets = np.zeros(m + 1, np.int64), np.zeros(len(tile_ids) + 1, np.int64)

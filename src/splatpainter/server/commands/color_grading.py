@@ -38,7 +38,7 @@ from splatpainter.server.current_selection import limited
 from splatpainter.server.protocol import Blob, CameraInfo, Command, LayerMade, Message, Name, Previewed, Unit
 from splatpainter.server.studio import Studio
 from splatpainter.session import Session
-from splatpainter.session.document.document import SELECTION
+from splatpainter.session.kinds.look_layers import look_of
 from splatpainter.session.replay.layer_blending import ADJUSTMENTS, adjust_sh
 from splatpainter.splats import Splats, changed_rows
 
@@ -150,11 +150,13 @@ def commit_grade(context: CommandContext, request: GradeCommit) -> LayerMade:
     settings, attached = _parameters(context, request, session.splats, reached)
     stored = context.studio.selection.stored()
     if stored is not None:
-        settings, attached = {**settings, SELECTION: stored[0]}, [*attached, stored[1]]
+        attached = [*attached, stored[1]]
+    look = look_of(settings, None if stored is None else stored[0])
     with progress(context, "look"):
-        layer = session.layers.add("look", edits, name=request.name, parameters=settings, attached=attached)
+        layer = session.layers.add(look, edits, name=request.name, attached=attached)
     words = [RawExpr("sp.Edit(picture, camera, mask)")] * len(edits)
-    line = python_line("session.layers.add", "look", words, name=request.name, parameters=settings)
+    options = {name: value for name, value in look.changes().items() if name != "method"}
+    line = python_line("session.layers.add", "look", words, name=request.name, **options)
     return layer_made(context, layer.id, line)
 
 

@@ -20,7 +20,7 @@ from splatpainter.server.commands.context import (
     progress,
     python_line,
 )
-from splatpainter.server.commands.painting import within_selection
+from splatpainter.server.commands.painting import NO_LIMITS, within_selection
 from splatpainter.server.describe import layer_info, up_axis
 from splatpainter.server.protocol import (
     Answer,
@@ -33,7 +33,6 @@ from splatpainter.server.protocol import (
     Placed,
     Unit,
 )
-from splatpainter.session.document.document import PLACED
 
 
 class DecalLaid(LayerMade):
@@ -85,9 +84,9 @@ def lay_decal(context: CommandContext, request: DecalLay) -> DecalLaid:
     level = up_axis(session)
     decal = Decal(picture, at, camera, request.width, request.angle, request.wrap, request.name, level)
     attached: list[bytes] = []
-    parameters: dict[str, Any] = request.limits.parameters()
+    options: dict[str, Any] = request.limits.options()
     if request.placed is not None:
-        parameters[PLACED] = request.placed.model_dump()
+        options["placed"] = request.placed.model_dump()
         if request.placed.image is not None:
             attached = [studio.picture_bytes(request.placed.image)[0]]
     with progress(context, "laying it on the surface"):
@@ -95,13 +94,19 @@ def lay_decal(context: CommandContext, request: DecalLay) -> DecalLaid:
         edits = [part for edit in laid.edits if (part := within_selection(studio, edit, required=False)) is not None]
         if not edits:
             raise ValueError(f"{request.name}: nothing of it lies on what is selected; deselect first")
-        options: dict[str, Any] = {"name": request.name, "parameters": parameters}
         if request.replaces is not None:
             layer = session.layers.replace_views(
-                request.replaces, edits, **options, gesture=request.gesture, attached=attached
+                request.replaces,
+                edits,
+                name=request.name,
+                gesture=request.gesture,
+                attached=attached,
+                **{**NO_LIMITS, **options},
             )
         else:
-            layer = session.layers.add("paint", edits, **options, method=request.method, attached=attached)
+            layer = session.layers.add(
+                "paint", edits, name=request.name, method=request.method, attached=attached, **options
+            )
     context.clear_preview = True
     decal_line = python_line(
         "sp.Decal", RawExpr("picture"), at, RawExpr("camera"), request.width, request.angle, request.wrap, level=level

@@ -20,7 +20,7 @@ from splatpainter.server.commands.context import (
     progress,
     python_line,
 )
-from splatpainter.server.describe import conflict_infos, up_axis
+from splatpainter.server.describe import conflict_infos, page_parameters, up_axis
 from splatpainter.server.protocol import (
     Answer,
     Blob,
@@ -32,9 +32,12 @@ from splatpainter.server.protocol import (
     Name,
     Unit,
 )
-from splatpainter.session.document.document import SELECTION, Blend
 from splatpainter.session.document.layer_mask import LayerMask, by_rule
+from splatpainter.session.document.layer_operation import LayerOperation
+from splatpainter.session.document.layer_view import Blend
+from splatpainter.session.kinds.look_layers import LookLayer, look_of
 from splatpainter.session.replay.delta import GEOMETRY
+from splatpainter.splats import ColorSpace
 
 
 class LayerNew(Command):
@@ -71,7 +74,7 @@ class LayerSet(Command):
     opacity: Unit | None = None
     blend: Blend | None = None
     parameters: dict[str, Any] | None = None
-    """Parameters of an adjustment layer: the fields of GradeSliders."""
+    """Options of its kind that change; of an adjustment layer with sliders the fields of GradeSliders."""
     gesture: Name | None = None
     """Steps of one gesture (a slider that is dragged) that follow each other are one step of the history."""
 
@@ -80,20 +83,26 @@ class LayerSet(Command):
 def set_layer(context: CommandContext, request: LayerSet) -> LayerMade:
     values: dict[str, Any] = {
         name: getattr(request, name)
-        for name in ("name", "visible", "opacity", "blend", "parameters")
+        for name in ("name", "visible", "opacity", "blend")
         if getattr(request, name) is not None
     }
     session = context.studio.session
     layer = session.layers.by_id(request.layer)
-    if "parameters" in values and layer.parameters.get("look") == GRADE:
-        space = session.original.color_space
-        carried = {SELECTION: layer.parameters[SELECTION]} if SELECTION in layer.parameters else {}
-        sliders = {name: value for name, value in values["parameters"].items() if name != SELECTION}
-        values["parameters"] = GradeSettings.from_dict({**sliders, "space": space}).to_dict() | carried
+    if request.parameters is not None:
+        values |= _options(layer.operation, request.parameters, session.original.color_space)
     with progress(context, "layers"):
         _preview_blend(context, request)
         session.layers.set(request.layer, gesture=request.gesture, **values)
     return layer_made(context, request.layer, python_line("session.layers.set", request.layer, **values))
+
+
+def _options(operation: LayerOperation, given: dict[str, Any], space: ColorSpace) -> dict[str, Any]:
+    """What a page says of a layer's kind, as options of it: sliders of a grade are its settings."""
+    if isinstance(operation, LookLayer) and operation.look == GRADE:
+        sliders = {name: value for name, value in given.items() if name not in ("look", "selection")}
+        return {"settings": look_of(GradeSettings.from_dict({**sliders, "space": space}).to_dict()).settings}
+    present = page_parameters(operation)
+    return {name: value for name, value in given.items() if value != present.get(name)}
 
 
 def _preview_blend(context: CommandContext, request: LayerSet) -> None:

@@ -53,10 +53,12 @@ from splatpainter.server.protocol import (
 from splatpainter.server.stroke import Stroke
 from splatpainter.server.studio import Studio
 from splatpainter.session import Session
-from splatpainter.session.document.document import PLACED, SELECTION, SOURCE, SPREAD_THRESHOLD, Blend, Kind
+from splatpainter.session.document.layer_view import Blend
+from splatpainter.session.kinds.erase_layers import EraseLayer
 from splatpainter.session.measures.mirror_plane import mirrored_camera, parsed_plane
-from splatpainter.session.replay.compose import WITHIN
 
+NO_LIMITS = {"angle_limit": None, "depth_edge_limit": None}
+"""Options of paint as the painter has them: other pictures of a layer bring limits of their own, or none."""
 MIN_MIRRORED_ALPHA = 0.5
 """The asset's, somewhere under the mirrored half of a stroke; else there is nothing to paint on."""
 
@@ -202,10 +204,10 @@ def end(context: CommandContext, request: PaintEnd) -> LayerMade:
     alone = (request.layer, request.into_new, request.replaces, request.placed) == (None,) * 4
     if request.spread is not None and (stroke.erase or not alone):
         raise ValueError("stroke: one that spreads is a new layer of its own")
-    kind = "erase" if stroke.erase else "paint"
-    parameters: dict[str, Any] = {} if stroke.erase else dict(request.limits.parameters())
+    target = None if request.layer is None else session.layers.by_id(request.layer).operation
+    goes_on_erasing = isinstance(target, EraseLayer)
     with progress(context, "painting"):
-        if request.layer is not None and session.layers.by_id(request.layer).kind != "erase":
+        if request.layer is not None and not goes_on_erasing:
             splats = session.strokes.painted_on(request.layer)
         elif request.replaces is not None:
             splats = session.layers.below(request.replaces)
@@ -222,13 +224,13 @@ def end(context: CommandContext, request: PaintEnd) -> LayerMade:
         if half is not None and (half.mask & (render_alpha(splats, half.camera) > MIN_MIRRORED_ALPHA)).any():
             image = half.over(render_display(splats, half.camera)).astype(np.float32)
             edits.append(Edit(from_display(image, splats.color_space), half.camera, half.mask, request.name))
-        if request.layer is not None and session.layers.by_id(request.layer).kind == "erase":
+        if request.layer is not None and goes_on_erasing:
             if not session.strokes.erases_on(request.layer, [edit.camera for edit in edits]):
                 taken = {layer.name for layer in session.layers}
                 names = (f"{request.name} {k}" if k > 1 else request.name for k in count(1))
                 name = next(name for name in names if name not in taken)
                 request = request.model_copy(update={"layer": None, "name": name})
-        layer, line = _committed(context, request, edits, kind, parameters)
+        layer, line = _committed(context, request, edits, stroke.erase)
     context.page.strokes.pop(request.stroke, None)
     context.page.mirrored.pop(request.stroke, None)
     context.clear_preview = True
@@ -260,29 +262,28 @@ def _masked(context: CommandContext, request: PaintEnd, stroke: Stroke) -> Layer
     return layer_made(context, layer.id, line)
 
 
-def _committed(
-    context: CommandContext, request: PaintEnd, edits: list[Edit], kind: Kind, parameters: dict[str, Any]
-) -> tuple[str, str]:
+def _committed(context: CommandContext, request: PaintEnd, edits: list[Edit], erase: bool) -> tuple[str, str]:
     """(id of the layer that a stroke is in now, the Python line)."""
-    session = context.studio.session
+    session, kind = context.studio.session, "erase" if erase else "paint"
+    how: dict[str, Any] = {} if erase else {"method": request.method, **request.limits.options()}
     words = [RawExpr(f"sp.Edit(picture{k or ''}, camera{k or ''}, mask{k or ''})") for k in range(len(edits))]
     attached: list[bytes] = []
     if request.placed is not None:
         if request.placed.image is not None:
             attached = [context.studio.picture_bytes(request.placed.image)[0]]
-        parameters = {**parameters, PLACED: request.placed.model_dump()}
+        how["placed"] = request.placed.model_dump()
     if request.replaces is not None:
-        options: dict[str, Any] = {"name": request.name, "parameters": parameters}
+        but_method = {name: value for name, value in how.items() if name != "method"}
+        options: dict[str, Any] = {"name": request.name, **NO_LIMITS, **but_method}
         layer = session.layers.replace_views(
             request.replaces, edits, **options, gesture=request.gesture, attached=attached
         ).id
         return layer, python_line("session.layers.replace_views", layer, words, **options)
-    if request.layer is not None and kind == session.layers.by_id(request.layer).kind == "erase":
+    if request.layer is not None and erase and isinstance(session.layers.by_id(request.layer).operation, EraseLayer):
         layer = session.strokes.erase_more(request.layer, edits, name=request.name).id
         return layer, python_line("session.strokes.erase_more", layer, words, name=request.name)
     if request.layer is not None or request.into_new is not None:
-        options = {"name": request.name, "kind": kind, "method": request.method}
-        options |= {"parameters": parameters} if parameters else {}
+        options = {"name": request.name, "kind": kind, **how}
         layer, line = request.layer, ""
         if layer is None:
             layer = session.strokes.paint_new(request.into_new, edits, **options).id
@@ -290,14 +291,12 @@ def _committed(
         else:
             session.strokes.paint(layer, edits, **options)
         return layer, line + python_line("session.strokes.paint", layer, words, **options)
-    options = {"name": request.name, "method": request.method, "opacity": request.opacity, "blend": request.blend}
+    options = {"name": request.name, "opacity": request.opacity, "blend": request.blend, **how}
     if request.spread is not None:
-        options |= {"mode": "spread", "method": "auto"}
-        parameters = {**parameters, SPREAD_THRESHOLD: request.spread}
+        options |= {"mode": "spread", "method": "auto", "spread_threshold": request.spread}
         if (stored := context.studio.selection.stored()) is not None:
-            parameters[SELECTION] = stored[0]
+            options["selection"] = stored[0]
             attached.append(stored[1])
-    options |= {"parameters": parameters} if parameters else {}
     return session.layers.add(kind, edits, **options, attached=attached).id, python_line(
         "session.layers.add", kind, words, **options
     )
@@ -363,40 +362,41 @@ def add_edit(context: CommandContext, request: EditAdd) -> LayerMade:
         edits = [edit_from_upload(context, view, request.mode) for view in request.views]
     if request.mode != "global":
         edits = [edit for edit in (within_selection(context.studio, edit) for edit in edits) if edit is not None]
-    options: dict[str, Any] = {"name": request.name, "mode": request.mode, "method": request.method}
-    options |= {"opacity": request.opacity, "blend": request.blend}
+    options: dict[str, Any] = {"name": request.name, "opacity": request.opacity, "blend": request.blend}
+    how: dict[str, Any] = {} if request.kind == "erase" else {"mode": request.mode, "method": request.method}
     if request.within and request.mode == "global":
         edits = [edit for edit in edits if edit.mask is not None]
         if not edits:
             raise ValueError("edit: expected a mask in one of the views; select an area on one of them")
-        options["parameters"] = {WITHIN: True}
+        how["within"] = True
     stored = context.studio.selection.stored() if request.mode != "local" else None
     if stored is not None:
-        options["parameters"] = {**options.get("parameters", {}), SELECTION: stored[0]}
+        how["selection"] = stored[0]
         options["attached"] = [stored[1]]
     if request.mode != "global" and request.kind != "erase":
-        options |= _limits(request.limits)
+        how |= request.limits.options()
     source = context.studio.source_of([view.picture for view in request.views])
     if source is not None and request.kind != "erase":
-        options["parameters"] = {**options.get("parameters", {}), SOURCE: source}
+        how["source"] = source
     if request.mode == "spread":
-        options["method"] = "auto"
+        how["method"] = "auto"
         if request.spread is not None:
-            options["parameters"] = {**options.get("parameters", {}), SPREAD_THRESHOLD: request.spread}
+            how["spread_threshold"] = request.spread
     if request.replaces is not None:
         name = session.layers.by_id(request.replaces).name
         with progress(context, name):
-            layer = session.layers.replace_views(request.replaces, edits, parameters=options.get("parameters", {}))
+            anew = {name: value for name, value in how.items() if name not in ("mode", "method")}
+            layer = session.layers.replace_views(request.replaces, edits, **{**NO_LIMITS, "source": None, **anew})
         line = python_line("session.layers.replace_views", layer.id, [RawExpr("sp.Edit(picture, camera, mask)")])
         context.clear_preview = True
         return layer_made(context, layer.id, line)
     with progress(context, "editing"):
-        layer = session.layers.add(request.kind, edits, **options)
+        layer = session.layers.add(request.kind, edits, **options, **how)
     if request.stroke is not None:
         context.page.strokes.pop(request.stroke, None)
     context.clear_preview = True
     words = [RawExpr(f"sp.Edit(picture{k or ''}, camera{k or ''}, mask{k or ''})") for k in range(len(edits))]
-    return layer_made(context, layer.id, python_line("session.layers.add", request.kind, words, **options))
+    return layer_made(context, layer.id, python_line("session.layers.add", request.kind, words, **options, **how))
 
 
 def within_selection(studio: Studio, edit: Edit, required: bool = True) -> Edit | None:
@@ -434,12 +434,6 @@ def _eraser_from_upload(context: CommandContext, view: EditedView) -> Edit:
     camera = view.camera.to_camera()
     mask = mask_from_upload(context, view.mask or view.picture, camera)
     return Edit(np.zeros((camera.height, camera.width, 3), np.float32), camera, mask, "erase")
-
-
-def _limits(limits: PaintLimits) -> dict[str, Any]:
-    """Limits as keywords of session.add."""
-    parameters = limits.parameters()
-    return {"parameters": parameters} if parameters else {}
 
 
 def _stroke(context: CommandContext, name: str, session: Session) -> Stroke:

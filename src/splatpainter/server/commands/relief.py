@@ -10,7 +10,7 @@ from splatpainter.server import picking
 from splatpainter.server.commands.context import CommandContext, RawExpr, command, layer_made, progress, python_line
 from splatpainter.server.protocol import CameraInfo, Command, LayerMade, Name
 from splatpainter.session import Session
-from splatpainter.session.replay.relief import CopyAnchor, Relief
+from splatpainter.session.kinds.relief_layers import CopyAnchor, ReliefLayer
 
 
 class ReliefStamp(Command):
@@ -36,10 +36,10 @@ def stamp(context: CommandContext, request: ReliefStamp) -> LayerMade:
     session, camera = context.studio.session, request.camera.to_camera()
     source, _ = surface_point(session, request.source_camera.to_camera(), request.source_x, request.source_y, "source")
     target, depth = surface_point(session, camera, request.x, request.y, "target")
-    relief = Relief(source, target, request.radius * depth / camera.fx)
+    relief = ReliefLayer(source, target, request.radius * depth / camera.fx)
     with progress(context, request.name):
         layer = session.layers.copy_relief(relief, request.name)
-    relief_line = RawExpr(f"Relief(source, target, {relief.radius:.4g})")
+    relief_line = RawExpr(f"ReliefLayer(source, target, {relief.radius:.4g})")
     line = python_line("session.layers.copy_relief", relief_line, request.name)
     return layer_made(context, layer.id, line)
 

@@ -29,7 +29,7 @@ from splatpainter.server.protocol import (
     Rgb,
 )
 from splatpainter.server.uploads.image_registration import png_bytes
-from splatpainter.session.document.layer_factory import spread_options_of
+from splatpainter.session.kinds.painted_layers import PaintedLayer
 from splatpainter.session.project.asset_files import view_files_of
 from splatpainter.session.replay.conflicts import PREDICTED, SEEN
 from splatpainter.session.replay.conflicts import coverage as covered
@@ -251,7 +251,9 @@ def show_spread(context: CommandContext, request: SpreadShow) -> ConfidencePictu
     confidence, splats = session.layers.confidence(request.layer), session.splats
     if len(confidence) != len(splats):
         raise ValueError("spread: the asset has changed meanwhile; ask again")
-    threshold = spread_options_of(session.layers.by_id(request.layer).parameters, "spread").threshold
+    operation = session.layers.by_id(request.layer).operation
+    assert isinstance(operation, PaintedLayer), "it has a confidence"
+    threshold = operation.spread_options().threshold
     picture = confidence_overlay(splats, confidence, threshold, request.camera.to_camera())
     blob = studio.blobs.put(png_bytes(picture), "confidence.png")
     return ConfidencePicture(picture=blob.sha256, python=python_line("session.layers.confidence", request.layer))
@@ -276,7 +278,7 @@ class LimitsShow(Command):
 
 @command(LimitsShow)
 def show_limits(context: CommandContext, request: LimitsShow) -> LeftOut:
-    studio, limits = context.studio, request.limits.parameters()
+    studio, limits = context.studio, request.limits.options()
     mask = studio.session.surface.left_out(request.camera.to_camera(), **limits)
     picture = np.where(mask[..., None], np.uint8(255), np.uint8(0)).repeat(4, 2)
     blob = studio.blobs.put(png_bytes(picture), "limits.png")

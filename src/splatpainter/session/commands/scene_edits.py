@@ -6,20 +6,20 @@ stroke over two assets goes into a layer of each.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from splatpainter.io import files
-from splatpainter.painter import Edit, Method
+from splatpainter.painter import Edit
 from splatpainter.session.commands.session_core import SessionCore
-from splatpainter.session.document.document import SELECTION, Document, Kind, Layer, add_layer, add_stroke, change_layer
+from splatpainter.session.document.document import Document, Layer, add_layer, add_stroke, change_layer
 from splatpainter.session.document.layer_factory import new_layer
+from splatpainter.session.document.layer_operation import LayerOperation
 from splatpainter.session.document.scene_asset import MAIN_ASSET_ID
-from splatpainter.session.replay.fingerprint import fingerprint
-from splatpainter.session.replay.relief import CopyAnchor, Relief
+from splatpainter.session.kinds.relief_layers import CopyAnchor, ReliefLayer
 from splatpainter.session.replay.scene_replay import Scene, ScenePart
 from splatpainter.session.replay.split_edits import split_edits
 from splatpainter.session.selection.selection import Selection
@@ -27,32 +27,31 @@ from splatpainter.session.selection.selection import Selection
 
 def add_to_scene(
     core: SessionCore,
-    kind: Kind,
+    operation: LayerOperation,
     edits: Sequence[Edit],
     name: str | None,
-    parameters: Mapping[str, Any],
-    settings: Mapping[str, Any],
     index: int | None,
     attached: Sequence[bytes],
     asset: str | None,
+    **mixing: Any,
 ) -> Layer:
-    """`layers.add` where there are several assets: the layer of the asset that most of it is of."""
+    """`layers.add` where there are several assets: the layer of the asset that most of it is of. mixing: opacity and
+    blend."""
     scene, document = core.scene(), core.document
     blobs = {files.sha256(data): data for data in attached}
-    masked = kind != "look" and settings["mode"] != "global"
-    shares = split_edits(scene, edits, masked) if edits else [(part, []) for part in scene.parts]
+    shares = split_edits(scene, edits, operation.needs_masks) if edits else [(part, []) for part in scene.parts]
     shares = [share for share in shares if asset in (None, share[0].asset.id)]
-    selected = parameters.get(SELECTION)
+    selected = getattr(operation, "selection", None)
     added: list[Layer] = []
     for part, pieces in shares:
-        values = dict(parameters)
-        if isinstance(selected, str):
+        part_operation = operation
+        if selected:
             data = _part_of_selection(blobs.get(selected) or core.transaction.blob(selected), scene, part)
             if data is None:
                 continue
-            values[SELECTION] = files.sha256(data)
-            blobs[values[SELECTION]] = data
-        layer, pictures = new_layer(part.state.splats, kind, pieces, name, values, settings)
+            blobs[files.sha256(data)] = data
+            part_operation = operation.with_options({"selection": files.sha256(data)})
+        layer, pictures = new_layer(part.state.splats, part_operation, pieces, name, **mixing)
         blobs |= pictures
         document, layer = add_layer(document, replace(layer, asset=part.asset.id), index)
         added.append(layer)
@@ -68,28 +67,25 @@ def paint_in_scene(
     layer: Layer,
     edits: Sequence[Edit],
     name: str,
-    kind: Kind,
-    method: Method,
-    parameters: Mapping[str, Any] | None,
+    operation: LayerOperation,
 ) -> Layer:
     """A stroke of a scene: into `layer` on its asset, and into one of that name on every other asset that it
     reaches (an eraser: not there). layer: without an id, one is made where it is needed."""
     scene, document = core.scene(), core.document
-    method = core.painter.choose(method, "local")[0]
-    settings = {"mode": "local", "method": method, "painter": fingerprint(core.painter, method)}
     shares = split_edits(scene, edits)
-    if kind == "erase" and layer.id:
+    erases = operation.reads_below_layer
+    if erases and layer.id:
         shares = [share for share in shares if share[0].asset.id == layer.asset]
         if not shares:
             raise ValueError(f"{layer.title}: its asset is not under the stroke; nothing is left to erase")
     targets, stroke_ids, blobs = [], [], {}
     for part, pieces in shares:
-        document, target = _target(document, layer, part.asset.id)
+        document, target = _target(document, layer, part.asset.id, operation)
         below = part.state.splats
-        stroke, pictures = new_layer(below, kind, pieces, name, dict(parameters or {}), settings, cut_out=True)
+        stroke, pictures = new_layer(below, operation, pieces, name, cut_out=True)
         stroke, thumbnail = replace(stroke, thumbnail=None), stroke.thumbnail
         document, stroke = add_stroke(document, target, stroke)
-        if kind != "erase":  # that of an eraser is its mask
+        if not erases:  # that of an eraser is its mask
             document = change_layer(document, target, thumbnail=thumbnail)
         blobs |= pictures
         targets.append(target)
@@ -101,7 +97,7 @@ def paint_in_scene(
     return core.layer(targets[0])
 
 
-def relief_on_asset(core: SessionCore, relief: Relief) -> tuple[str, Relief]:
+def relief_on_asset(core: SessionCore, relief: ReliefLayer) -> tuple[str, ReliefLayer]:
     """(the asset that a copy is on, the copy in its space). Raises ValueError where it is on two."""
     if not core.document.assets:
         return MAIN_ASSET_ID, relief
@@ -120,10 +116,10 @@ def relief_on_asset(core: SessionCore, relief: Relief) -> tuple[str, Relief]:
         point = placement.matrix.T @ (anchor.point - np.array(placement.move)) / placement.scale
         return CopyAnchor(point, placement.matrix.T @ anchor.axes)
 
-    return asset.id, Relief(inside(relief.source), inside(relief.target), relief.radius / placement.scale)
+    return asset.id, ReliefLayer(inside(relief.source), inside(relief.target), relief.radius / placement.scale)
 
 
-def _target(document: Document, layer: Layer, asset: str) -> tuple[Document, str]:
+def _target(document: Document, layer: Layer, asset: str, stroke: LayerOperation) -> tuple[Document, str]:
     """(document, id) of the layer that a stroke goes into on an asset: `layer` on its own; else the topmost paint layer
     of that name, made where there is none."""
     if layer.id and layer.asset == asset:
@@ -132,8 +128,9 @@ def _target(document: Document, layer: Layer, asset: str) -> tuple[Document, str
         if other.asset == asset and other.name == layer.name and other.holds_strokes:
             if other.visible and other.opacity > 0:
                 return document, other.id
-    empty = Layer("", layer.name, "paint", method="lift", painter=layer.painter, asset=asset)
-    document, added = add_layer(document, empty)
+    holder = layer.operation.for_strokes() or stroke.for_strokes()
+    assert holder is not None, "an eraser stays on its layer's asset"
+    document, added = add_layer(document, Layer("", layer.name, holder, asset=asset))
     return document, added.id
 
 

@@ -139,7 +139,7 @@ class SessionCore:
         """Edits of the scene as edits of a layer's asset alone. Raises ValueError where they do not reach it."""
         if not self.document.assets:
             return [edit.relative_to(self.original.offset) for edit in edits]
-        for part, pieces in split_edits(self.scene(), edits, layer.mode != "global"):
+        for part, pieces in split_edits(self.scene(), edits, layer.operation.needs_masks):
             if part.asset.id == layer.asset:
                 return pieces
         raise ValueError(f"{layer.title}: its asset is not under the picture")

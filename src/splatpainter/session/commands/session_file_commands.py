@@ -19,7 +19,7 @@ from splatpainter.io.write_options import AS_IT_IS, WriteOptions
 from splatpainter.receipts import MAX_CARRIED, Receipt, Verification, can_carry
 from splatpainter.rendering.profiles import Profile
 from splatpainter.session.commands.session_core import SessionCore
-from splatpainter.session.document.document import SOURCE, Document, Layer, add_layer
+from splatpainter.session.document.document import Document, Layer, add_layer
 from splatpainter.session.document.scene_asset import MAIN_ASSET_ID, find_asset
 from splatpainter.session.project import asset_files
 from splatpainter.session.project.database import SUFFIX
@@ -194,7 +194,7 @@ def _sources_of(document: Document) -> dict[str, Any] | None:
     leaves = [leaf for layer in document.layers if layer.visible for leaf in layer.leaves() if leaf.visible]
     records = []
     for leaf in leaves:
-        source = leaf.parameters.get(SOURCE)
+        source = getattr(leaf.operation, "source", None)
         record = {"layer": leaf.name[:200], **source} if isinstance(source, dict) else {}
         if record and can_carry({"layers": [record]}):
             records.append(record)

@@ -19,18 +19,14 @@ import numpy as np
 from splatpainter.holes.body import body_of
 from splatpainter.io import files
 from splatpainter.jsonio import brief
-from splatpainter.painter import Edit, Method, Mode
+from splatpainter.operations.operation import Operation
+from splatpainter.painter import Edit
 from splatpainter.session.commands.scene_edits import add_to_scene, relief_on_asset
 from splatpainter.session.commands.session_core import SessionCore
 from splatpainter.session.commands.session_selections import SessionSelections
 from splatpainter.session.document.document import (
-    SELECTION,
-    SOURCE,
-    Blend,
-    Kind,
     Layer,
     Policy,
-    View,
     add_layer,
     change_layer,
     delete_layer,
@@ -42,21 +38,23 @@ from splatpainter.session.document.document import (
 from splatpainter.session.document.layer_factory import (
     encode_mask,
     encode_picture,
-    limits_of,
     new_layer,
-    spread_options_of,
     thumbnail,
 )
+from splatpainter.session.document.layer_operation import LayerOperation, layer_kinds, operation_of_layer
+from splatpainter.session.document.layer_view import Blend, View
 from splatpainter.session.document.scene_asset import MAIN_ASSET_ID
+from splatpainter.session.kinds.fill_layers import SELECTED, FillLayer, FillWhere
+from splatpainter.session.kinds.hide_layers import HideLayer
+from splatpainter.session.kinds.operation_layers import OperationLayer
+from splatpainter.session.kinds.painted_layers import PaintedLayer, PaintLayer
+from splatpainter.session.kinds.relief_layers import ReliefLayer
 from splatpainter.session.replay import conflicts
-from splatpainter.session.replay.fill_layers import FILL, SELECTED, FillWhere
-from splatpainter.session.replay.fingerprint import fingerprint
-from splatpainter.session.replay.relief import Relief
 from splatpainter.session.selection.selection import Selection
 from splatpainter.splats import Splats
 
-SETTABLE = ("name", "visible", "opacity", "blend", "parameters", "method")
-"""What `set` can change."""
+SETTABLE = ("name", "visible", "opacity", "blend")
+"""What `set` can change of any layer."""
 
 
 class SessionLayers(Sequence[Layer]):
@@ -115,7 +113,7 @@ class SessionLayers(Sequence[Layer]):
         snapshot = self._core.snapshot
         out = np.zeros(len(snapshot.splats), bool)
         for entry in snapshot.state.edited:
-            if entry.layer.id == layer and entry.layer.kind == "fill":
+            if entry.layer.id == layer and isinstance(entry.layer.operation, FillLayer):
                 out[slice(*entry.appended)] = True
         if not out.any():
             raise ValueError(f"{self.by_id(layer).title}: expected a visible layer that fills a hole")
@@ -126,7 +124,9 @@ class SessionLayers(Sequence[Layer]):
         material (1: painted). Raises ValueError for another layer, and for one that is hidden."""
         snapshot = self._core.snapshot
         for entry in snapshot.state.edited:
-            if entry.layer.id == layer and entry.layer.mode == "spread" and entry.confidence is not None:
+            operation = entry.layer.operation
+            spreads = isinstance(operation, PaintedLayer) and operation.mode == "spread"
+            if entry.layer.id == layer and spreads and entry.confidence is not None:
                 out = np.zeros(len(snapshot.splats), np.float32)
                 out[: len(entry.confidence)] = entry.confidence / np.float32(255)
                 return out
@@ -159,40 +159,35 @@ class SessionLayers(Sequence[Layer]):
 
     def add(
         self,
-        kind: Kind,
+        what: str | LayerOperation | Operation,
         edits: Sequence[Edit] = (),
         *,
         name: str | None = None,
-        mode: Mode | None = None,
-        method: Method = "auto",
-        parameters: Mapping[str, Any] | None = None,
         opacity: float = 1.0,
         blend: Blend = "normal",
         index: int | None = None,
         attached: Sequence[bytes] = (),
         asset: str | None = None,
+        **options: Any,
     ) -> Layer:
         """A new layer (on top, or at an index, 0 the lowest) and its result.
 
-        kind paint, picture, clone: edits with pictures, mode local unless said; look (an adjustment layer): pictures
-        that grade everything (mode global), or parameters {"look": name, ...} with edits whose masks limit it; erase:
-        edits of which only cameras and masks count. Pictures are kept with 8 bits. A local edit without a mask gets the
-        one of what differs from the asset now. parameters {"angle_limit": degrees, "depth_edge_limit": pixels} of local
-        edits: what one view may paint, where that is not to be as the painter's LocalOptions say; {"spread_threshold":
-        confidence 0..1} of edits of mode spread: how far their material reaches (lower: further). attached: PNG bytes
-        that the parameter "placed" names as its image, kept with the layer. asset: of several, the one that it is for;
-        None: a layer for each that it reaches (that with the most pixels is returned). Raises ValueError as
-        Painter.apply does, with nothing changed."""
+        what: a kind of layer (layer_operation.KINDS) with its options, or the value of both, or an operation that
+        reads no files (sp.Relight(...)). paint, picture, clone: edits with pictures; look (an adjustment layer):
+        pictures that grade everything, or look=NAME and settings, with edits whose masks limit it; erase: edits of
+        which only cameras and masks count; light, delight: no edits. Pictures are kept with 8 bits. A local edit
+        without a mask gets the one of what differs from the asset now. options: the fields of the kind's dataclass
+        (kinds/): mode, method, angle_limit, spread_threshold, ... attached: PNG bytes that options name by their hash
+        (a selection, the image of a sticker), kept with the layer. asset: of several, the one that it is for; None: a
+        layer for each that it reaches (that with the most pixels is returned). Raises ValueError as Painter.apply
+        does, with nothing changed."""
         core = self._core
         with core.command():
-            if kind == "look" and "look" in (parameters or {}):
-                method = "lift"  # no painter is asked, whose weights would be read for its name
-            method = core.painter.choose(method, mode or ("global" if kind == "look" else "local"))[0]
-            settings = {"mode": mode, "method": method, "opacity": opacity, "blend": blend}
-            settings["painter"] = fingerprint(core.painter, method)
+            operation = operation_from(what, options).repainted(core.painter)
+            mixing: dict[str, Any] = {"opacity": opacity, "blend": blend}
             if core.document.assets:
-                return add_to_scene(core, kind, edits, name, dict(parameters or {}), settings, index, attached, asset)
-            layer, blobs = new_layer(core.splats, kind, edits, name, dict(parameters or {}), settings)
+                return add_to_scene(core, operation, edits, name, index, attached, asset, **mixing)
+            layer, blobs = new_layer(core.splats, operation, edits, name, **mixing)
             core.transaction.blobs = blobs | {files.sha256(data): data for data in attached}
             document, layer = add_layer(core.document, layer, index)
             core.commit(f"add {layer.name}", document, strict=layer.id)
@@ -213,7 +208,7 @@ class SessionLayers(Sequence[Layer]):
         taken = {layer.name for layer in self}
         numbered = (f"Paint {k}" if k > 1 else "Paint" for k in count(1))
         name = name or next(name for name in numbered if name not in taken)
-        return Layer("", name, "paint", method="lift", painter=fingerprint(self._core.painter, "lift"))
+        return Layer("", name, PaintLayer().repainted(self._core.painter, "lift"))
 
     def hide_selected(self, weights: np.ndarray, name: str = "Hide", *, index: int | None = None) -> Layer:
         """A layer that hides what is selected: opacities are multiplied by 1 - weight, and 0 where that is all. The
@@ -225,21 +220,19 @@ class SessionLayers(Sequence[Layer]):
             raise ValueError("hide: nothing is selected")
         with core.command():
             document, added = core.document, []
-            for hiding in self._hiding(weights, name):
-                document, layer = add_layer(document, hiding, index)
+            for asset, hidden in self._hidden(weights):
+                document, layer = add_layer(document, Layer("", name, hidden, asset=asset), index)
                 added.append(layer)
             core.commit(f"add {name}", document, strict=[layer.id for layer in added])
             return added[0]
 
-    def copy_relief(self, relief: Relief, name: str = "Copy", *, index: int | None = None) -> Layer:
-        """A layer of Gaussians that are copied with their relief from one place of the surface to another (relief.py).
-        Raises ValueError where there is nothing to copy, or too much."""
+    def copy_relief(self, relief: ReliefLayer, name: str = "Copy", *, index: int | None = None) -> Layer:
+        """A layer of Gaussians that are copied with their relief from one place of the surface to another
+        (relief_layers.py). Raises ValueError where there is nothing to copy, or too much."""
         core = self._core
         with core.command():
             asset, relief = relief_on_asset(core, relief)
-            parameters = relief.parameters()
-            clone = Layer("", name, "clone", mode="global", parameters=parameters, method="lift", asset=asset)
-            document, layer = add_layer(core.document, clone, index)
+            document, layer = add_layer(core.document, Layer("", name, relief, asset=asset), index)
             core.commit(f"add {layer.name}", document, strict=layer.id)
             return layer
 
@@ -261,12 +254,11 @@ class SessionLayers(Sequence[Layer]):
             weights = weights if chosen is None else chosen.astype(np.float32)
         with core.command():
             document, added = core.document, []
-            for hiding in self._hiding(weights, f"{name}: removed")[: None if remove else 1]:
+            for asset, hidden in self._hidden(weights)[: None if remove else 1]:
                 if remove:
-                    document, _ = add_layer(document, hiding)
-                parameters = {FILL: where, SELECTION: hiding.parameters[SELECTION]}
-                words = {"mode": "global", "parameters": parameters, "method": "lift", "asset": hiding.asset}
-                document, layer = add_layer(document, Layer("", name, "fill", **words))
+                    document, _ = add_layer(document, Layer("", f"{name}: removed", hidden, asset=asset))
+                filling = FillLayer(fill=where, selection=hidden.selection)
+                document, layer = add_layer(document, Layer("", name, filling, asset=asset))
                 added.append(layer)
             core.commit("remove and fill" if remove else f"add {name}", document, strict=added[0].id)
             return added[0]
@@ -274,23 +266,29 @@ class SessionLayers(Sequence[Layer]):
     # ---- layers changed
 
     def set(self, layer: str, *, gesture: str | None = None, **values: Any) -> Layer:
-        """Change a layer's name, visible, opacity, blend, parameters or method (it is then painted anew, by the painter
-        of now). gesture: steps of one gesture (a slider that is dragged) in a row are one step of the history."""
-        unknown = set(values) - set(SETTABLE)
-        if unknown or not values:
-            raise ValueError(
-                f"layer: expected one of {', '.join(SETTABLE)} to set, got {', '.join(unknown) or 'nothing'}"
-            )
+        """Change a layer's name, visible, opacity or blend, or options of its kind (kinds/), such as angle_limit of
+        paint or settings of a look; method: it is then painted anew, by the painter of now. gesture: steps of one
+        gesture (a slider that is dragged) in a row are one step of the history."""
         core = self._core
         with core.command():
-            limits_of(values.get("parameters") or {}, "layer")
-            spread_options_of(values.get("parameters") or {}, "layer")
-            if "method" in values:
-                values["method"] = core.painter.choose(values["method"], core.layer(layer).mode)[0]
-                values["painter"] = fingerprint(core.painter, values["method"])
-                again = {"method": values["method"], "painter": values["painter"]}
-                values["strokes"] = tuple(replace(stroke, **again) for stroke in core.layer(layer).strokes)
-            document = change_layer(core.document, layer, **values)
+            target = core.layer(layer)
+            fields = {name: value for name, value in values.items() if name in SETTABLE}
+            options = {name: value for name, value in values.items() if name not in SETTABLE}
+            settable = (*SETTABLE, *target.operation.option_names())
+            unknown = [name for name in values if name not in settable]
+            if unknown or not values:
+                given = ", ".join(unknown) or "nothing"
+                raise ValueError(f"layer: expected one of {', '.join(settable)} to set, got {given}")
+            if options:
+                operation = target.operation.with_options(options)
+                if "method" in options:
+                    method = options["method"]
+                    operation = operation.repainted(core.painter, method)
+                    fields["strokes"] = tuple(
+                        replace(one, operation=one.operation.repainted(core.painter, method)) for one in target.strokes
+                    )
+                fields["operation"] = operation
+            document = change_layer(core.document, layer, **fields)
             verb = {"visible": "show" if values.get("visible") else "hide", "name": "rename"}
             first = next(iter(values))
             label = f"{verb.get(first, 'set ' + first)} {core.layer(layer).name}"
@@ -338,29 +336,24 @@ class SessionLayers(Sequence[Layer]):
         edits: Sequence[Edit],
         *,
         name: str | None = None,
-        parameters: Mapping[str, Any] | None = None,
         gesture: str | None = None,
         attached: Sequence[bytes] = (),
+        **options: Any,
     ) -> Layer:
         """Other pictures in a layer that stays where it is, with its opacity and blend: other words of a text, another
-        state of a picture. It is visible then. name, parameters: None: as they are; gesture: as of `set`; attached: as
-        of `add`. Raises ValueError as `add`, and for a layer without pictures."""
+        state of a picture. It is visible then. name: None: as it is; gesture: as of `set`; attached: as of `add`;
+        options: those of its kind that change. Raises ValueError as `add`, and for a layer without pictures."""
         core = self._core
         with core.command():
             before = core.layer(layer)
-            if before.kind not in ("paint", "picture", "clone") or before.holds_strokes:
+            if not before.operation.lays_paint or not before.operation.takes_pictures or before.holds_strokes:
                 raise ValueError(f"{before.title}: expected a layer of edited pictures")
-            settings = {
-                "mode": before.mode,
-                "method": before.method,
-                "painter": fingerprint(core.painter, before.method),
-            }
-            values = dict(before.parameters if parameters is None else parameters)
+            operation = before.operation.with_options(options).repainted(core.painter)
             edits = core.edits_of(before, edits)
-            fresh, blobs = new_layer(self.below(layer), before.kind, edits, name or before.name, values, settings)
+            fresh, blobs = new_layer(self.below(layer), operation, edits, name or before.name)
             core.transaction.blobs = blobs | {files.sha256(data): data for data in attached}
-            fields = {"views": fresh.views, "thumbnail": fresh.thumbnail, "painter": fresh.painter, "visible": True}
-            fields |= {"name": fresh.name, "parameters": fresh.parameters}
+            fields = {"views": fresh.views, "thumbnail": fresh.thumbnail, "operation": operation, "visible": True}
+            fields["name"] = fresh.name
             document = change_layer(core.document, layer, **fields)
             core.commit(f"change {before.name}", document, strict=layer, gesture=gesture)
             return core.layer(layer)
@@ -374,7 +367,7 @@ class SessionLayers(Sequence[Layer]):
         core = self._core
         with core.command():
             before = core.layer(layer)
-            if before.kind != "fill":
+            if not isinstance(before.operation, FillLayer):
                 raise ValueError(f"{before.title}: expected a layer that fills a hole")
             blobs: dict[str, bytes] = {}
 
@@ -391,23 +384,30 @@ class SessionLayers(Sequence[Layer]):
                 mask = np.ones(edit.image.shape[:2], bool) if edit.mask is None else edit.mask
                 views.append(View(edit.camera, picture, put(encode_mask(mask))))
                 small = small or put(thumbnail(edit.image, mask))
-            parameters = {key: value for key, value in before.parameters.items() if key != SOURCE}
-            if source is not None:
-                parameters[SOURCE] = dict(source)
+            operation = replace(before.operation, source=None if source is None else dict(source))
             core.transaction.blobs = blobs
-            fields = {"views": tuple(views), "thumbnail": small, "parameters": parameters, "visible": True}
+            fields = {"views": tuple(views), "thumbnail": small, "operation": operation, "visible": True}
             document = change_layer(core.document, layer, name=name or before.name, **fields)
             core.commit(f"change {before.name}", document, strict=layer)
             return core.layer(layer)
 
-    def _hiding(self, weights: np.ndarray, name: str) -> list[Layer]:
-        """Layers without ids, one for each asset, that with the most weight first; their selections are among the blobs
+    def _hidden(self, weights: np.ndarray) -> list[tuple[str, HideLayer]]:
+        """(asset, what hides the selected part of it), that with the most weight first; selections are among the blobs
         of the transaction."""
-        layers, blobs = [], {}
+        hidden, blobs = [], {}
         for part in self._selections.by_asset(weights):
             data = Selection.of(part.weights, part.splats, part.original).to_png()
             blobs[files.sha256(data)] = data
-            parameters = {SELECTION: files.sha256(data)}
-            layers.append(Layer("", name, "hide", parameters=parameters, method="lift", asset=part.asset))
+            hidden.append((part.asset, HideLayer(selection=files.sha256(data))))
         self._core.transaction.blobs = blobs
-        return layers
+        return hidden
+
+
+def operation_from(what: str | LayerOperation | Operation, options: Mapping[str, Any]) -> LayerOperation:
+    """What a layer is to be: a kind with options, or the value of both. Raises ValueError for what is none."""
+    if isinstance(what, str):
+        return operation_of_layer({"kind": what, **options}, "layer")
+    operation = OperationLayer(what) if isinstance(what, Operation) else what
+    if not isinstance(operation, LayerOperation):
+        raise ValueError(f"layer: expected a kind of {', '.join(layer_kinds())}, or its value, got {brief(what)}")
+    return operation.with_options(options) if options else operation

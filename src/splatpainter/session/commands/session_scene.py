@@ -24,8 +24,9 @@ from splatpainter.io.positions import Offset
 from splatpainter.scene.placement import Placement, check_near, shift_to_the_right
 from splatpainter.scene.seam import match_seam, seam_weights
 from splatpainter.session.commands.session_core import SessionCore
-from splatpainter.session.document.document import SELECTION, Document, Layer, add_layer
+from splatpainter.session.document.document import Document, Layer, add_layer
 from splatpainter.session.document.scene_asset import MAIN_ASSET_ID, MAX_ASSETS, MAX_NAME, SceneAsset, changed_asset
+from splatpainter.session.kinds.look_layers import look_of
 from splatpainter.session.measures.orientation import Orientation, azimuth_of, measure, parsed_direction
 from splatpainter.session.project import asset_files
 from splatpainter.session.selection.selection import Selection
@@ -211,14 +212,14 @@ class SessionScene:
                 fixed = fixed.append(replace(more, sh=more.sh[:, :bands], origin=None))
             scene_splats = moving.placed(moving.state.splats)
             match = match_seam(scene_splats, fixed, falloff)
-            parameters = match.parameters(moving.state.splats.color_space)
+            selection = None
             if falloff:
                 weights = seam_weights(scene_splats, fixed, falloff)
                 data = Selection.of(weights, moving.state.splats, moving.original).to_png()
                 core.transaction.blobs = {files.sha256(data): data}
-                parameters[SELECTION] = files.sha256(data)
-            look = Layer("", "Match seam", "look", parameters=parameters, mode="global", method="lift", asset=asset)
-            document, layer = add_layer(document, look)
+                selection = files.sha256(data)
+            look = look_of(match.parameters(moving.state.splats.color_space), selection)
+            document, layer = add_layer(document, Layer("", "Match seam", look, asset=asset))
             core.commit(f"match seam of {name}", document, strict=layer.id)
             return layer
 

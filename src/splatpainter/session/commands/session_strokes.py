@@ -10,23 +10,23 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.jsonio import brief
-from splatpainter.painter import Edit, Method
+from splatpainter.painter import Edit
 from splatpainter.session.commands.scene_edits import paint_in_scene
 from splatpainter.session.commands.session_core import SessionCore
 from splatpainter.session.commands.session_layers import SessionLayers
 from splatpainter.session.document.document import (
     STROKE_KINDS,
     Document,
-    Kind,
     Layer,
     add_layer,
     add_stroke,
     change_layer,
-    same_camera,
 )
 from splatpainter.session.document.layer_factory import decode_mask, new_layer
+from splatpainter.session.document.layer_operation import LayerOperation, operation_of_layer
+from splatpainter.session.document.layer_view import same_camera
+from splatpainter.session.kinds.erase_layers import EraseLayer
 from splatpainter.session.replay.delta import without_source
-from splatpainter.session.replay.fingerprint import fingerprint
 from splatpainter.splats import Splats
 
 if TYPE_CHECKING:
@@ -45,31 +45,37 @@ class SessionStrokes:
         edits: Sequence[Edit],
         *,
         name: str = "Stroke",
-        kind: Kind = "paint",
-        method: Method = "auto",
-        parameters: Mapping[str, Any] | None = None,
+        kind: str = "paint",
+        **options: Any,
     ) -> Layer:
         """One more stroke in a paint layer, from any view; returns the layer. Only the stroke is computed, on what the
         strokes before it made (`painted_on` shows that). A layer of local views that `layers.add` made takes strokes
         too, and a merged one: on top of what it is made of, erasers excepted.
 
-        kind: paint, clone, or erase, which takes this layer's paint away, and nothing below it; parameters:
+        kind: paint, clone, or erase, which takes this layer's paint away, and nothing below it; options: method,
         angle_limit, depth_edge_limit, as of `layers.add`; name: of the step. Raises ValueError as `layers.add`, and for
         a layer that takes no strokes or is hidden."""
         with self._core.command():
-            return self._painted(self._core.document, layer, None, edits, name, kind, method, parameters)
+            operation = self._operation(kind, options)
+            return self._painted(self._core.document, layer, None, edits, name, operation)
 
-    def paint_new(self, layer_name: str | None, edits: Sequence[Edit], *, name: str = "Stroke", **how: Any) -> Layer:
-        """`layers.new` and `paint` in one step of the history; nothing where the stroke cannot be painted. how: the
-        other words of `paint`."""
+    def paint_new(
+        self,
+        layer_name: str | None,
+        edits: Sequence[Edit],
+        *,
+        name: str = "Stroke",
+        kind: str = "paint",
+        **options: Any,
+    ) -> Layer:
+        """`layers.new` and `paint` in one step of the history; nothing where the stroke cannot be painted."""
         core = self._core
         with core.command():
-            empty = self._layers.empty(layer_name)
+            operation, empty = self._operation(kind, options), self._layers.empty(layer_name)
             if core.document.assets:
-                values = {"kind": "paint", "method": "auto", "parameters": None, **how}
-                return paint_in_scene(core, empty, edits, name, **values)
+                return paint_in_scene(core, empty, edits, name, operation)
             document, layer = add_layer(core.document, empty)
-            return self._painted(document, layer.id, core.splats, edits, name, **how)
+            return self._painted(document, layer.id, core.splats, edits, name, operation)
 
     def painted_on(self, layer: str) -> Splats:
         """The Gaussians that the next stroke of a layer is painted on: what is below it, with its strokes in full."""
@@ -87,7 +93,7 @@ class SessionStrokes:
             target = core.layer(layer)
             replay, document = core.replay.of_layer(core.document, layer)
             latest = target.strokes[-1] if target.strokes else target
-            if latest.kind not in ("paint", "picture", "clone") or latest.mode != "local" or not target.visible:
+            if not latest.operation.is_local_paint or not target.visible:
                 return []
             # The Gaussians before and after it: of the strokes before, or of what is below the layer.
             if target.strokes:
@@ -111,7 +117,7 @@ class SessionStrokes:
         cameras = [self._core.camera_of(target, camera) for camera in cameras]
         views = [view.camera for view in target.views]
         return (
-            target.kind == "erase"
+            isinstance(target.operation, EraseLayer)
             and len(views) == len(cameras)
             and all(any(same_camera(view, camera) for camera in cameras) for view in views)
         )
@@ -129,12 +135,17 @@ class SessionStrokes:
                 (view,) = (one for one in target.views if same_camera(one.camera, edit.camera))
                 earlier = decode_mask(core.transaction.blob(view.mask or ""), view.camera, target.title)
                 grown.append(replace(edit, mask=earlier if edit.mask is None else earlier | edit.mask))
-            settings = {"mode": "local", "method": target.method, "painter": target.painter}
-            fresh, blobs = new_layer(self._layers.below(layer), "erase", grown, target.name, {}, settings)
+            fresh, blobs = new_layer(self._layers.below(layer), target.operation, grown, target.name)
             core.transaction.blobs = blobs
             document = change_layer(core.document, layer, views=fresh.views, thumbnail=fresh.thumbnail)
             core.commit(name, document, strict=layer)
             return core.layer(layer)
+
+    def _operation(self, kind: str, options: Mapping[str, Any]) -> LayerOperation:
+        """That of a stroke, painted by the painter of now. Raises ValueError for what cannot be a stroke."""
+        if kind not in STROKE_KINDS:
+            raise ValueError(f"stroke: expected a kind of {', '.join(STROKE_KINDS)}, got {brief(kind)}")
+        return operation_of_layer({"kind": kind, **options}, "stroke").repainted(self._core.painter)
 
     def _painted(
         self,
@@ -143,27 +154,21 @@ class SessionStrokes:
         below: Splats | None,
         edits: Sequence[Edit],
         name: str,
-        kind: Kind = "paint",
-        method: Method = "auto",
-        parameters: Mapping[str, Any] | None = None,
+        operation: LayerOperation,
     ) -> Layer:
         """Commit a document with one more stroke. below: what it is painted on, if at hand."""
         core = self._core
-        if kind not in STROKE_KINDS:
-            raise ValueError(f"stroke: expected a kind of {', '.join(STROKE_KINDS)}, got {brief(kind)}")
         target = document.layers[document.index(layer)]
         if not target.visible or target.opacity == 0:
             raise ValueError(f"{target.title}: is hidden; show it to paint into it")
         if document.assets:
-            return paint_in_scene(core, target, edits, name, kind, method, parameters)
-        method = core.painter.choose(method, "local")[0]
-        settings = {"mode": "local", "method": method, "painter": fingerprint(core.painter, method)}
+            return paint_in_scene(core, target, edits, name, operation)
         below = self.painted_on(layer) if below is None else below
-        stroke, blobs = new_layer(below, kind, edits, name, dict(parameters or {}), settings, cut_out=True)
+        stroke, blobs = new_layer(below, operation, edits, name, cut_out=True)
         stroke, thumbnail = replace(stroke, thumbnail=None), stroke.thumbnail
         document, stroke = add_stroke(document, layer, stroke)
         core.transaction.blobs = blobs
-        if kind != "erase":  # that of an eraser is its mask
+        if not operation.reads_below_layer:  # that of an eraser is its mask
             document = change_layer(document, layer, thumbnail=thumbnail)
         core.commit(f"{name} in {target.name}", document, strict=stroke.id)
         core.fold(layer)

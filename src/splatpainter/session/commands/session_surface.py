@@ -37,7 +37,7 @@ class SessionSurface:
 
     def left_out(self, camera: Camera, **limits: float) -> np.ndarray:
         """[H, W] bool: pixels of a view that a local edit would not paint (by more than half), to about a block of
-        1/128 of its longer side. limits: angle_limit, depth_edge_limit, as a layer's parameters."""
+        1/128 of its longer side. limits: angle_limit, depth_edge_limit, as options of a layer."""
         core = self._core
         camera = camera.relative_to(core.original.offset)
         return core.replay.surfaces(core.document).left_out(core.snapshot.state, camera, limits)
@@ -51,7 +51,7 @@ class SessionSurface:
         core = self._core
         camera = camera.relative_to(core.original.offset)
         document, state = core.document, core.replay.base_state
-        hiding = tuple(layer for layer in document.layers if layer.kind in ("hide", "fill") and layer.visible)
+        hiding = tuple(layer for layer in document.layers if layer.operation.reshapes and layer.visible)
         if hiding or document.assets:
             with core.lock:
                 state = core.replay.compose(replace(document, layers=hiding))

@@ -10,11 +10,9 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 from splatpainter.painter import Method
-from splatpainter.session.document.document import SOURCE, Layer
-from splatpainter.session.document.layer_factory import SPLIT_ONLY
+from splatpainter.session.document.document import Layer
 from splatpainter.session.session import Session
 from splatpainter.source_edits.coverage import ViewPlan, ViewShare
 from splatpainter.source_edits.edit import source_record
@@ -51,8 +49,8 @@ def add_source_views(
     write: Write | None = None,
 ) -> SourceLayers:
     """Ask a source for the views of a plan (`source_edits.coverage.plan_views`) and paint each as a layer on top; every
-    view shows what those before it painted, and is asked for what they did not reach. Layers say in their parameters
-    who made them.
+    view shows what those before it painted, and is asked for what they did not reach. Layers say who made
+    them.
 
     one_layer: merge them at the end, which shows the same. method: of the lift. cancel: where it is set after the first
     view, what was painted stays. allowed: what of each view may change (a selection). write: where commands of the
@@ -65,9 +63,13 @@ def add_source_views(
 
     def paint(sourced: SourcedEdit) -> None:
         name = f"{title} ({len(layers) + 1})"
-        parameters: dict[str, Any] = {SPLIT_ONLY: True, SOURCE: source_record(source, brief, [sourced])}
+        record = source_record(source, brief, [sourced])
         layers.append(
-            run(lambda: session.layers.add("picture", [sourced.edit], name=name, method=method, parameters=parameters))
+            run(
+                lambda: session.layers.add(
+                    "picture", [sourced.edit], name=name, method=method, split_only=True, source=record
+                )
+            )
         )
 
     sourced_views = edit_views_in_order(

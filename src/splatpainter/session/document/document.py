@@ -9,64 +9,29 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, get_args
 
-import numpy as np
-
 from splatpainter.cameras import Camera
-from splatpainter.grading.color_transfer import TABLE
-from splatpainter.image_files import MAX_PICTURE_PIXELS
 from splatpainter.io.files import printable
 from splatpainter.jsonio import brief
-from splatpainter.painter import MAX_VIEWS, Method, Mode
+from splatpainter.painter import MAX_VIEWS
 from splatpainter.session.document.layer_mask import LayerMask
+from splatpainter.session.document.layer_operation import LayerOperation, operation_of_layer
+from splatpainter.session.document.layer_view import Blend, View, checked_hash
 from splatpainter.session.document.scene_asset import MAIN_ASSET_ID, SceneAsset
+from splatpainter.session.replay.delta import MAX_REASON
 
-Kind = Literal["paint", "picture", "look", "clone", "erase", "hide", "fill", "merged"]
-Blend = Literal["normal", "color", "luminosity", "darken", "lighten"]
 Policy = Literal["latest", "first", "blend"]
 MAX_NESTING = 16
 """Most levels of merged layers inside merged layers."""
 MAX_STROKES = 10_000
 """Most strokes of one layer."""
 STROKE_KINDS = ("paint", "clone", "erase")
-"""Kinds of strokes."""
-PLACED = "placed"
-"""Name of the parameter of layers of a text or a sticker: what it is and where it stands, so that it can be changed;
-its "image" names a blob."""
-SELECTION = "selection"
-"""Name of the parameter of layers that only change what is selected: the hash of a blob (selection.py)."""
-SOURCE = "source"
-"""Name of the parameter of layers whose pictures a source made: what receipts say of it."""
-SPREAD_THRESHOLD = "spread_threshold"
-"""Name of the parameter of layers of mode spread: confidence 0..1 from which a Gaussian is of the painted material."""
-MAX_REASON = 300
-"""Characters of a reason that may quote what a damaged layer or document holds."""
+"""Kinds of strokes, for errors."""
 MAX_LISTED_IDS = 20
 """Most layer ids that an error lists."""
-
-
-@dataclass(frozen=True)
-class View:
-    """One edited picture of a layer."""
-
-    camera: Camera
-    picture: str | None = None
-    """Hash of the edited view, a PNG of the camera's size; None where only the mask counts (eraser, adjustments)."""
-    mask: str | None = None
-    """Hash of the mask, a PNG (white: edited); None: all that the asset covers (mode global)."""
-
-    def record(self) -> dict[str, Any]:
-        return {"camera": self.camera.record(), "picture": self.picture, "mask": self.mask}
-
-    @staticmethod
-    def parse(data: dict[str, Any], where: str) -> View:
-        camera = Camera.from_record(data["camera"], where)
-        if camera.width * camera.height > MAX_PICTURE_PIXELS:
-            raise ValueError(f"{where}: expected a view of at most {MAX_PICTURE_PIXELS // 10**6} megapixels")
-        return View(camera, _checked_hash(data["picture"], where), _checked_hash(data["mask"], where))
 
 
 @dataclass(frozen=True)
@@ -76,60 +41,51 @@ class Layer:
     id: str
     """Unique within the project, never used again."""
     name: str
-    kind: Kind
+    operation: LayerOperation
+    """What it is and does, with all of its options (layer_operation.py)."""
     views: tuple[View, ...] = ()
-    parameters: dict[str, Any] = field(default_factory=dict)
-    """JSON; of an adjustment layer (kind "look") the name of its function and its settings (layer_blending.py).
-    Free for the caller's notes otherwise."""
-    mode: Mode = "local"
-    method: Method = "auto"
+    """Its edited pictures and masks."""
     opacity: float = 1.0
     """0..1, see layer_blending.py."""
     blend: Blend = "normal"
     visible: bool = True
     layers: tuple[Layer, ...] = ()
-    """Layers that one of kind "merged" is made of, lowest first."""
+    """Layers that a merged one is made of, lowest first."""
     thumbnail: str | None = None
     """Hash of a small PNG of what was edited."""
-    painter: str = ""
-    """What of the painter decides its result (fingerprint.py), as it was when the layer was made."""
     strokes: tuple[Layer, ...] = ()
-    """What was painted into a layer of kind "paint" without views, oldest first. Each stroke is a layer of its own
-    views, painted on those before it; its opacity, blend and visibility do not count."""
+    """What was painted into a paint layer without views, oldest first. Each stroke is a layer of its own views, painted
+    on those before it; its opacity, blend and visibility do not count."""
     mask: LayerMask | None = None
     """How much of it shows where; None: all."""
     asset: str = MAIN_ASSET_ID
     """Id of the asset that it belongs to, and in whose space its views are (scene_asset.py)."""
 
     def __post_init__(self) -> None:
-        for name, value, choices in (
-            ("kind", self.kind, Kind),
-            ("blend", self.blend, Blend),
-            ("mode", self.mode, Mode),
-            ("method", self.method, Method),
-        ):
-            if value not in get_args(choices):
-                listed = ", ".join(get_args(choices))
-                raise ValueError(f"{self.title}: expected {name} of {listed}, got {brief(value)}")
+        if self.blend not in get_args(Blend):
+            listed = ", ".join(get_args(Blend))
+            raise ValueError(f"{self.title}: expected blend of {listed}, got {brief(self.blend)}")
         if not 0 <= self.opacity <= 1:
             raise ValueError(f"{self.title}: expected an opacity of 0 to 1, got {self.opacity}")
-        try:  # a copy, which nobody else changes
-            text = json.dumps(self.parameters, allow_nan=False, ensure_ascii=False)
-            f"{self.id} {self.name} {self.painter} {text}".encode()  # halves of surrogate pairs are no text
-            parameters = json.loads(text)
-        except (TypeError, ValueError, RecursionError) as error:
+        try:
+            f"{self.id} {self.name}".encode()
+        except UnicodeEncodeError as error:  # halves of surrogate pairs are no text
             reason = printable(str(error), MAX_REASON)
-            raise ValueError(f"{self.title}: expected parameters that JSON can hold ({reason})") from None
-        object.__setattr__(self, "parameters", parameters)
-        if (self.kind == "merged") != bool(self.layers):
+            raise ValueError(f"{self.title}: expected a name that UTF-8 can hold ({reason})") from None
+        if self.operation.merges != bool(self.layers):
             raise ValueError(f"{self.title}: a merged layer, and no other, holds layers")
         if self.strokes and not self.holds_strokes:
             raise ValueError(f"{self.title}: expected strokes in a paint layer without views of its own only")
 
     @property
+    def kind(self) -> str:
+        """That of its operation, for people."""
+        return self.operation.kind
+
+    @property
     def holds_strokes(self) -> bool:
-        """Whether strokes can be painted into it."""
-        return self.kind == "paint" and not self.views and self.mode == "local"
+        """Whether strokes can be painted into it as it is."""
+        return not self.views and self.operation.holds_strokes
 
     @cached_property
     def cameras(self) -> tuple[Camera, ...]:
@@ -167,8 +123,7 @@ class Layer:
 
     def _content(self) -> dict[str, Any]:
         views = [view.record() for view in self.views]
-        fields = {name: getattr(self, name) for name in ("kind", "mode", "method", "painter", "parameters")}
-        return {**fields, "views": views, "layers": [layer.record() for layer in self.layers]}
+        return {"operation": self.operation.record(), "views": views, "layers": [one.record() for one in self.layers]}
 
     @staticmethod
     def parse(data: dict[str, Any], where: str = "layer", depth: int = 0) -> Layer:
@@ -178,22 +133,16 @@ class Layer:
                 raise ValueError("merged layers are nested too deeply")
             if len(data["views"]) > MAX_VIEWS:
                 raise ValueError(f"expected at most {MAX_VIEWS} views, got {len(data['views'])}")
-            if not isinstance(data["parameters"], dict):
-                raise ValueError(f"expected parameters as a JSON object, got {data['parameters']!r:.40}")
             return Layer(
                 str(data["id"]),
                 str(data["name"]),
-                data["kind"],
+                operation_of_layer(data["operation"], where),
                 tuple(View.parse(view, where) for view in data["views"]),
-                data["parameters"],
-                data["mode"],
-                data["method"],
                 float(data["opacity"]),
                 data["blend"],
                 bool(data["visible"]),
                 tuple(Layer.parse(layer, where, depth + 1) for layer in data["layers"]),
-                _checked_hash(data["thumbnail"], where),
-                str(data["painter"]),
+                checked_hash(data["thumbnail"], where),
                 _parsed_strokes(data.get("strokes", []), where, depth),
                 LayerMask.parse(data.get("mask"), where),
                 str(data.get("asset", MAIN_ASSET_ID)),
@@ -209,12 +158,8 @@ class Layer:
     def direct_blobs(self) -> set[str]:
         """`blobs` without those of strokes and merged layers."""
         names = [self.thumbnail, *(name for view in self.views for name in (view.picture, view.mask))]
-        placed = self.parameters.get(PLACED)
-        image = placed.get("image") if isinstance(placed, dict) else None
-        data = (image, self.parameters.get(SELECTION), self.parameters.get(TABLE))
-        names += [name for name in data if _is_hash(name)]
         pictures = self.mask.pictures() if self.mask is not None else set()
-        return {name for name in names if name} | pictures
+        return {name for name in names if name} | self.operation.blobs() | pictures
 
     def leaves(self) -> Iterator[Layer]:
         """Itself, or the layers that a merged one is made of, lowest first."""
@@ -290,14 +235,12 @@ def add_stroke(document: Document, layer: str, stroke: Layer) -> tuple[Document,
     what it is made of. Raises ValueError where the layer takes none."""
     at = document.index(layer)
     target = document.layers[at]
-    if target.kind == "merged":
+    if target.layers:
         return _add_stroke_on_top(document, at, stroke)
-    if target.kind in ("paint", "clone") and target.mode == "local" and target.views:
-        if PLACED in target.parameters:
-            raise ValueError(f"{target.title}: is a text or a picture that can be changed; paint into another layer")
+    if target.views and (holder := _for_strokes(target)) is not None:
         plain: dict[str, Any] = {"opacity": 1.0, "blend": "normal", "visible": True, "thumbnail": None, "mask": None}
         first = replace(target, id=str(document.next_id), **plain)
-        target = replace(target, kind="paint", views=(), parameters={}, strokes=(first,))
+        target = replace(target, operation=holder, views=(), strokes=(first,))
         document = replace(document, next_id=document.next_id + 1)
     if not target.holds_strokes:
         raise ValueError(f"{target.title}: takes no strokes; choose a paint layer, or make a new one")
@@ -309,18 +252,34 @@ def add_stroke(document: Document, layer: str, stroke: Layer) -> tuple[Document,
     return replace(document, layers=layers, next_id=document.next_id + 1), stroke
 
 
+def _for_strokes(layer: Layer) -> LayerOperation | None:
+    """See LayerOperation.for_strokes. Raises ValueError naming the layer."""
+    try:
+        return layer.operation.for_strokes()
+    except ValueError as error:
+        raise ValueError(f"{layer.title}: {error}") from None
+
+
+def takes_strokes(layer: Layer) -> bool:
+    """Whether `add_stroke` takes a layer."""
+    try:
+        return bool(layer.layers) or layer.holds_strokes or (bool(layer.views) and _for_strokes(layer) is not None)
+    except ValueError:
+        return False
+
+
 def _add_stroke_on_top(document: Document, at: int, stroke: Layer) -> tuple[Document, Layer]:
     """The document with a stroke in the uppermost layer inside a merged one, or in a new one on top of them where that
     holds no strokes, or mixes them with what is below."""
     merged = document.layers[at]
-    if stroke.kind == "erase":
+    operation = stroke.operation.for_strokes()
+    if operation is None:
         raise ValueError(f"{merged.title}: is merged, and nothing can be erased in it; hide parts of it by its mask")
     *rest, top = merged.layers
     plain = top.visible and top.opacity == 1 and top.blend == "normal" and top.mask is None
     if not (plain and top.holds_strokes and len(top.strokes) < MAX_STROKES):
         rest = [*merged.layers]
-        top = Layer(str(document.next_id), stroke.name, "paint", method=stroke.method, asset=merged.asset)
-        top = replace(top, painter=stroke.painter)
+        top = Layer(str(document.next_id), stroke.name, operation, asset=merged.asset)
         document = replace(document, next_id=document.next_id + 1)
     stroke = replace(stroke, id=str(document.next_id))
     top = replace(top, strokes=(*top.strokes, stroke))
@@ -357,7 +316,8 @@ def merge_layers(document: Document, layers: Sequence[str], name: str | None = N
     if any(layer.asset != asset for layer in inner):
         raise ValueError("merge: expected layers of one asset")
     names = {"name": name or inner[-1].name, "thumbnail": inner[-1].thumbnail}
-    one = Layer(str(document.next_id), kind="merged", layers=inner, asset=asset, **names)
+    merged_operation = operation_of_layer({"kind": "merged"}, "merge")
+    one = Layer(str(document.next_id), operation=merged_operation, layers=inner, asset=asset, **names)
     merged = (*document.layers[: indices[0]], one, *document.layers[indices[-1] + 1 :])
     return replace(document, layers=merged, next_id=document.next_id + 1), one
 
@@ -404,13 +364,8 @@ def _parsed_strokes(records: Any, where: str, depth: int) -> tuple[Layer, ...]:
 
 def check_stroke(stroke: Layer) -> None:
     """Raises ValueError where a layer is no stroke."""
-    if stroke.kind not in STROKE_KINDS or stroke.mode != "local" or not stroke.views:
+    if not stroke.operation.is_stroke or not stroke.views:
         raise ValueError(f"{stroke.title}: expected a stroke: kind {', '.join(STROKE_KINDS)}, mode local, with a view")
-
-
-def same_camera(a: Camera, b: Camera) -> bool:
-    """Whether two cameras show the same view: == leaves the matrix out."""
-    return a == b and np.array_equal(a.world_to_camera, b.world_to_camera)
 
 
 def _camera_key(camera: Camera) -> tuple[Any, ...]:
@@ -427,15 +382,3 @@ def _checked_index(index: int, count: int) -> int:
 def digest(text: str) -> str:
     """Hex SHA-256 of a text."""
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _is_hash(value: Any) -> bool:
-    return isinstance(value, str) and len(value) == 64 and set(value) <= set("0123456789abcdef")
-
-
-def _checked_hash(value: Any, where: str) -> str | None:
-    if value is None:
-        return None
-    if not _is_hash(value):
-        raise ValueError(f"{where}: expected the SHA-256 of a picture, got {value!r:.80}")
-    return value

@@ -7,9 +7,8 @@ from __future__ import annotations
 import io
 import warnings
 from collections import deque
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any, get_args
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,13 +18,13 @@ from splatpainter.image_files import MAX_PICTURE_PIXELS, to_uint8
 from splatpainter.io import files
 from splatpainter.lift.masks import edited_mask
 from splatpainter.painter import MAX_VIEWS, Edit
-from splatpainter.session.document.document import SPREAD_THRESHOLD, Kind, Layer, View
+from splatpainter.session.document.document import Layer
+from splatpainter.session.document.layer_operation import LayerOperation
+from splatpainter.session.document.layer_view import Blend, View
 from splatpainter.splats import ColorSpace, Splats
 
 if TYPE_CHECKING:
     from PIL import Image
-
-    from splatpainter.spread.options import SpreadOptions
 
 MAX_RECENT_BYTES = 1 << 22
 """Most bytes of pixels that were encoded lately and are at hand when they are asked for, each; ..."""
@@ -35,42 +34,28 @@ THUMBNAIL_PX = 96
 """Longer side of a thumbnail."""
 THUMBNAIL_COLORS = 64
 """Colours of the thumbnails of strokes, of which a project may hold hundreds."""
-LIMITS = ("angle_limit", "depth_edge_limit")
-"""Names of the parameters of layers of modes local and spread that stand in for the painter's LocalOptions of the same
-names."""
-SPLIT_ONLY = "split_only"
-"""Name of the parameter {"split_only": true} of layers of mode local: their Gaussians are split and recoloured, not
-replaced by sheets (source_edits.view_sequence.WITHOUT_SHEETS), for views that are painted one after the other."""
 
 
 def new_layer(
     splats: Splats,
-    kind: Kind,
+    operation: LayerOperation,
     edits: Sequence[Edit],
     name: str | None,
-    parameters: dict[str, Any],
-    settings: Mapping[str, Any],
+    *,
+    opacity: float = 1.0,
+    blend: Blend = "normal",
     cut_out: bool = False,
 ) -> tuple[Layer, dict[str, bytes]]:
-    """(a layer without an id, its pictures by hash). splats: the asset that is edited; settings: mode (None: what the
-    kind suggests), method, opacity, blend; cut_out: pictures are kept inside their masks only (strokes: what lies
-    beside them is most of the view). Raises ValueError: no view or too many, no mask where one is needed, nothing
-    edited, unknown settings."""
-    if kind not in get_args(Kind):
-        raise ValueError(f"layer: expected a kind of {', '.join(get_args(Kind))}, got {str(kind)[:40]}")
-    if not 0 <= len(edits) <= MAX_VIEWS or kind == "merged":
+    """(a layer without an id, its pictures by hash). splats: the asset that is edited; cut_out: pictures are kept
+    inside their masks only (strokes: what lies beside them is most of the view). Raises ValueError: no view or too
+    many, no mask where one is needed, nothing edited."""
+    kind = operation.kind
+    if not 0 <= len(edits) <= MAX_VIEWS or operation.merges:
         raise ValueError(f"layer: expected at most {MAX_VIEWS} views, and layers that exist to be merged with merge")
-    mode = settings["mode"] or ("global" if kind == "look" else "local")
-    if limits_of(parameters, "layer") and (mode == "global" or kind == "erase"):
-        raise ValueError(f"layer: expected {' and '.join(LIMITS)} with pictures in modes local and spread only")
-    if mode == "spread":
-        if kind not in ("paint", "picture"):
-            raise ValueError(f"layer: expected kind paint or picture with mode spread, got {kind}")
-        parameters = {**parameters, SPREAD_THRESHOLD: spread_options_of(parameters, "layer").threshold}
-    by_name = kind == "look" and "look" in parameters
-    if not edits and not by_name:
+    if not edits and operation.needs_views:
         raise ValueError(f"layer: expected at least one edited view for kind {kind}, got none")
-    pictured = kind != "erase" and not by_name
+    if edits and not operation.takes_views:
+        raise ValueError(f"layer: expected no views for kind {kind}, got {len(edits)}; limit it by a mask instead")
     blobs: dict[str, bytes] = {}
 
     def put(data: bytes) -> str:
@@ -81,51 +66,22 @@ def new_layer(
     views, small = [], None
     for edit in (edit.relative_to(splats.offset) for edit in edits):
         mask = edit.mask
-        if mask is None and pictured and mode != "global":
+        if mask is None and operation.takes_pictures and operation.needs_masks:
             # Judged once: on replay over other layers everything would differ.
             mask = changed_pixels(splats, edit)
-        if mask is None and not pictured:
+        if mask is None and not operation.takes_pictures:
             raise ValueError(f"{edit.name}: expected a mask for a view of kind {kind}")
         inside = mask if cut_out else None
-        picture = put(encode_picture(edit.image, splats.color_space, inside)) if pictured else None
+        picture = put(encode_picture(edit.image, splats.color_space, inside)) if operation.takes_pictures else None
         views.append(View(edit.camera, picture, None if mask is None else put(encode_mask(mask))))
+        # The first view is what people know the layer by; of one without pictures that is its mask.
         if small is None:
             image = to_display(edit.image, splats.color_space)
-            if not pictured:
+            if not operation.takes_pictures:
                 image = np.repeat(np.asarray(mask, np.float32)[..., None], 3, -1)
             small = put(thumbnail(image, mask, few_colors=cut_out))
-    fields = {**settings, "mode": mode, "thumbnail": small}
-    return Layer("", name or str(kind).capitalize(), kind, tuple(views), parameters, **fields), blobs
-
-
-def limits_of(parameters: Mapping[str, Any], where: str) -> dict[str, float]:
-    """What a layer's parameters say of what one view may paint: angle_limit (degrees, 0..90) and depth_edge_limit
-    (pixels), those that are there. Raises ValueError naming `where`: no number, out of range."""
-    from splatpainter.lift.options import LOCAL_DEFAULTS
-
-    limits = {name: parameters[name] for name in LIMITS if name in parameters}
-    for name, value in limits.items():
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise ValueError(f"{where}: expected {name} as a number, got {value!r:.40}")
-    try:
-        limits = {name: float(value) for name, value in limits.items()}
-        replace(LOCAL_DEFAULTS, **limits)  # judges them
-    except (ValueError, OverflowError) as error:
-        raise ValueError(f"{where}: {error}") from None
-    return limits
-
-
-def spread_options_of(parameters: Mapping[str, Any], where: str) -> SpreadOptions:
-    """How far a layer of mode spread reaches. Raises ValueError naming `where`: no number, out of range."""
-    from splatpainter.spread.options import SPREAD_DEFAULTS, SpreadOptions
-
-    value = parameters.get(SPREAD_THRESHOLD, SPREAD_DEFAULTS.threshold)
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"{where}: expected {SPREAD_THRESHOLD} as a number, got {value!r:.40}")
-    try:
-        return SpreadOptions(float(value))
-    except (ValueError, OverflowError) as error:
-        raise ValueError(f"{where}: {error}") from None
+    title = name or kind.capitalize()
+    return Layer("", title, operation, tuple(views), opacity=opacity, blend=blend, thumbnail=small), blobs
 
 
 def encode_picture(image: np.ndarray, space: ColorSpace = "srgb", mask: np.ndarray | None = None) -> bytes:

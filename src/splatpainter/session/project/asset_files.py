@@ -44,12 +44,12 @@ from splatpainter.io.positions import NO_OFFSET, Offset
 from splatpainter.io.write_options import AS_IT_IS, WriteOptions
 from splatpainter.receipts import Receipt, Verification, prove, receipt_of, untouched_hashes
 from splatpainter.rendering.profiles import Profile
-from splatpainter.session.document.document import MAX_REASON, Layer
+from splatpainter.session.document.document import Layer
 from splatpainter.session.document.scene_asset import SceneAsset
 from splatpainter.session.project.project_file import Project, check_free
 from splatpainter.session.project.scratch import scratch_folder
 from splatpainter.session.replay import conflicts
-from splatpainter.session.replay.delta import PART_BYTES, Delta, decode, encode, without_source
+from splatpainter.session.replay.delta import MAX_REASON, PART_BYTES, Delta, decode, encode, without_source
 from splatpainter.splats import Frame, Splats, changed_rows
 from splatpainter.view_files import Aov, PictureOptions, view_files
 

@@ -8,7 +8,7 @@ from functools import partial
 from splatpainter.session.document.document import Document
 from splatpainter.session.project.asset_files import OriginalRule, restore, restore_added
 from splatpainter.session.project.project_file import Project
-from splatpainter.session.replay.layer_state import LayerResult
+from splatpainter.session.replay.layer_result import LayerResult
 from splatpainter.session.replay.scene_replay import SceneReplay
 from splatpainter.splats import Splats, changed_rows, rows_sha256
 

@@ -47,7 +47,7 @@ from splatpainter.session.project.lock import ProjectLock
 from splatpainter.session.project.open_file import OpenFile
 from splatpainter.session.project.stored_results import loaded_result, store_result
 from splatpainter.session.replay.delta import decode
-from splatpainter.session.replay.layer_state import LayerResult
+from splatpainter.session.replay.layer_result import LayerResult
 
 MAX_STEPS = 1000
 """Steps of the history; older ones are dropped."""

@@ -17,27 +17,20 @@ from __future__ import annotations
 import json
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.grading.color_transfer import with_table
-from splatpainter.lift.masked_gaussians import reached_gaussians
 from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.lift.sheets.view_limits import coarse_surface, left_out
-from splatpainter.painter import Edit, Painter
-from splatpainter.session.document.document import SELECTION, Document, Layer, View, digest
-from splatpainter.session.document.layer_factory import (
-    SPLIT_ONLY,
-    decode_mask,
-    decode_picture,
-    is_cut_out,
-    limits_of,
-    spread_options_of,
-)
+from splatpainter.painter import Asset, Edit, Method, Mode, Painter
+from splatpainter.session.document.document import Document, Layer, digest
+from splatpainter.session.document.layer_factory import decode_mask, decode_picture, is_cut_out
+from splatpainter.session.document.layer_view import View
 from splatpainter.session.replay.appearance import base_of_parents, picture_of, with_base
 from splatpainter.session.replay.conflicts import EditedIds, policy_strength
 from splatpainter.session.replay.covered_preview import (
@@ -48,18 +41,10 @@ from splatpainter.session.replay.covered_preview import (
     where_uncovered,
 )
 from splatpainter.session.replay.delta import Delta, between, no_delta
-from splatpainter.session.replay.eraser import erase_delta, fade_delta
-from splatpainter.session.replay.fill_layers import fading, fill_delta
 from splatpainter.session.replay.fingerprint import fingerprint
-from splatpainter.session.replay.layer_blending import (
-    AdjustmentFunction,
-    adjust_sh,
-    blend_delta,
-    mixed,
-    within,
-)
+from splatpainter.session.replay.layer_blending import AdjustmentFunction, adjust_sh, blend_delta
+from splatpainter.session.replay.layer_result import LayerResult
 from splatpainter.session.replay.layer_state import (
-    LayerResult,
     LayerState,
     Progress,
     ResultStore,
@@ -67,9 +52,8 @@ from splatpainter.session.replay.layer_state import (
     lineage,
 )
 from splatpainter.session.replay.mask_weights import MaskWeights
-from splatpainter.session.replay.painter_adapter import NO_OPTIONS, PainterAdapter
+from splatpainter.session.replay.painter_adapter import PainterAdapter
 from splatpainter.session.replay.read_set import ReadSet, read_set_of, renumber
-from splatpainter.session.replay.relief import COPY, Relief
 from splatpainter.session.replay.strokes import (
     MIN_LATEST,
     FoldedStrokes,
@@ -81,11 +65,11 @@ from splatpainter.session.replay.strokes import (
     strokes_to_fold,
 )
 from splatpainter.session.selection.selection import Selection
-from splatpainter.source_edits import view_sequence
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.voxels.raycast import is_inside
 
 if TYPE_CHECKING:
+    from splatpainter.spread.options import SpreadOptions
     from splatpainter.surface.estimate import Surface
     from splatpainter.surface.visible import VisibleSurface
 
@@ -93,12 +77,6 @@ CACHED_STATE_BYTES = 1 << 28
 """Bytes of composed assets that are cached to start from, ..."""
 MAX_CACHED_STATES = 64
 """... and how many at most."""
-WITHIN = "within"
-"""Name of the parameter {"within": true} of layers of mode global: only Gaussians that
-their views' masks reach change."""
-STROKE_OPTIONS: Mapping[str, Any] = {"fine_px": 0.0}
-"""Options of what is painted by hand here, however large: erasing takes a sheet away and brings the original's bits
-back, which split Gaussians cannot."""
 MAX_PLACEMENTS = 4
 """Arrangements that are cached of each layer, ..."""
 MAX_PLACED_LAYERS = 1024
@@ -121,8 +99,8 @@ class Replay:
     ) -> None:
         """original: with `origin`; adjustments: functions by name."""
         self.original, self.painter, self.adjustments = original, painter, adjustments
-        self._store = store
-        self._adapter = PainterAdapter(original, painter)
+        self.store = store
+        self.adapter = PainterAdapter(original, painter)
         self._states: OrderedDict[str, LayerState] = OrderedDict()
         self._placements: OrderedDict[str, dict[str, str]] = OrderedDict()
         """Key of a layer -> {key of the state below: key of its result}, the latest last."""
@@ -147,7 +125,7 @@ class Replay:
 
     def _over(self, below: LayerState, layer: Layer, document: Document, strict, progress, step) -> LayerState:
         """The state with one more layer. step: (layers done, layers in all)."""
-        if layer.kind == "merged":
+        if layer.layers:
             return self._over_merged(below, layer, document, strict, progress, step)
         if layer.holds_strokes:
             return self._over_strokes(below, layer, document, strict, progress, step)
@@ -160,24 +138,21 @@ class Replay:
         if progress is not None:
             progress(*step, layer.name)
         stored = _is_stored(layer)
-        result = self._store.get(result_key) if stored else None
+        result = self.store.get(result_key) if stored else None
         if result is None or result.delta.count != len(below.splats):  # the latter: of a damaged file
             result = self._renumbered(below, layer) or self._try(below, layer)
             if result.problem and layer.id == strict:
                 raise ValueError(result.problem)
             if stored:
-                self._store.put(result_key, result)
+                self.store.put(result_key, result)
         self._note_placement(below, layer, result_key)
         if result.delta.base is None and _mixes(layer, strength) and _has_base(layer):
             based = with_base(below.splats, result.delta, [view.camera for view in layer.views])
             if based is not result.delta:
                 result = replace(result, delta=based)
-                self._store.put(result_key, result)
+                self.store.put(result_key, result)
         mask = self._masks.weights(below, result.delta, layer, result_key)
-        if layer.kind == "fill":
-            delta = result.delta if layer.opacity == 1 and mask is None else fading(result.delta, layer.opacity, mask)
-        else:
-            delta = blend_delta(below.splats, result.delta, layer.opacity, layer.blend, strength, mask)
+        delta = layer.operation.mix(below.splats, result.delta, layer.opacity, layer.blend, strength, mask)
         splats = (result if delta is result.delta else delta).apply(below.splats)
         span = (len(below.splats), len(splats))
         confidence = None if result.confidence is None else _fit(result.confidence, len(splats))
@@ -283,20 +258,19 @@ class Replay:
         mask = None
         if _mask_text(layer) and (mask := self._masks.cached(delta, layer, key)) is None:
             return None
-        if layer.kind == "fill":
-            return fading(delta, layer.opacity, mask)
         if unfitted:
             delta = replace(delta, base=base_of_parents(below.splats, delta))
-        return blend_delta(below.splats, delta, layer.opacity, layer.blend, strength, mask).complete(below.splats)
+        mixed = layer.operation.mix(below.splats, delta, layer.opacity, layer.blend, strength, mask)
+        return mixed.complete(below.splats)
 
     def _stored_delta(self, document: Document, layer: Layer, below: LayerState) -> tuple[Delta, str, bool]:
         """(what a layer does in full, the name of that and the state below, whether colours below were fitted to it).
         Raises _NotAtHand."""
-        if layer.kind == "merged":
+        if layer.layers:
             state = below
             for inner in filter(_is_visible, layer.layers):
-                simple = inner.kind != "merged" and not inner.holds_strokes
-                if simple and _is_stored(inner) and not self._store.has(_result_key(state, inner)):
+                simple = not inner.layers and not inner.holds_strokes
+                if simple and _is_stored(inner) and not self.store.has(_result_key(state, inner)):
                     raise _NotAtHand
                 state = self._over(state, inner, document, None, None if simple else _refuse, (0, 1))
             if self._merged is not None and self._merged[0] == (below.key, state.key):
@@ -311,14 +285,14 @@ class Replay:
                 return self._merged[1], chain.results[-1], True
             return painted.delta(below), chain.results[-1], False
         key = _result_key(below, layer)
-        result = self._store.get(key) if _is_stored(layer) else self._try(below, layer)
+        result = self.store.get(key) if _is_stored(layer) else self._try(below, layer)
         if result is None or result.problem:
             raise _NotAtHand
         return result.delta, key, result.delta.base is not None
 
     def _painted_stroke(self, state: LayerState, stroke: Layer, below: LayerState) -> LayerResult:
         """What a stroke makes of the state after those before it. below: the state below its layer."""
-        if stroke.kind == "erase":
+        if stroke.operation.reads_below_layer:
             return self._try(state, stroke, below)
         result = self._renumbered(state, stroke) or self._try(state, stroke)
         self._note_placement(state, stroke, StrokeKeys.of(state.key, (stroke,)).results[0])
@@ -346,7 +320,7 @@ class Replay:
         """The Gaussians that the next stroke of a layer is painted on."""
         at = document.index(layer)
         target = document.layers[at]
-        if target.kind == "merged":  # on all that it is made of, in full
+        if target.layers:  # on all that it is made of, in full
             full = replace(target, opacity=1.0, blend="normal", mask=None, visible=True)
             return self.compose(replace(document, layers=(*document.layers[:at], full))).splats
         below = self.compose(replace(document, layers=document.layers[:at]))
@@ -405,7 +379,7 @@ class Replay:
             new = self._read_set(below.key, layer, below) if old is not None else None
             if old is None or new is None or old.digest != new.digest:
                 continue
-            result = self._store.get(result_key)
+            result = self.store.get(result_key)
             if result is None or result.problem:
                 continue
             delta = renumber(result.delta, old, new, len(below.splats))
@@ -422,7 +396,7 @@ class Replay:
             if state is None:
                 return None
             (view,) = layer.views
-            grid, splats = self._adapter.grid, state.splats
+            grid, splats = self.adapter.grid, state.splats
             self._read_sets[pair] = read_set_of(
                 splats, lambda: grid(splats), view.camera, self.mask(view), len(self.original)
             )
@@ -436,18 +410,15 @@ class Replay:
 
     def _has_read_set(self, layer: Layer) -> bool:
         """Whether read_set.py knows what a layer reads: one masked view, lifted locally by the analytic painter."""
-        painted = layer.mode == "local" and layer.method == "lift" and layer.kind in ("paint", "picture", "clone")
-        return painted and type(self.painter) is Painter and len(layer.views) == 1 and layer.views[0].mask is not None
+        analytic = layer.operation.reads_locally and type(self.painter) is Painter
+        return analytic and len(layer.views) == 1 and layer.views[0].mask is not None
 
     def _try(self, below: LayerState, layer: Layer, erased_to: LayerState | None = None) -> LayerResult:
-        """erased_to: of an eraser inside a layer, the state below that layer."""
+        """What a layer makes of a state, or why it cannot. erased_to: of a stroke that reads what is below its layer,
+        the state there."""
         start = time.perf_counter()
         try:
-            if erased_to is None:
-                result = self._result(below, layer)
-            else:
-                splats = replace(below.splats, origin=lineage(below, len(erased_to.splats)))
-                result = LayerResult(self._erased(splats, erased_to.splats, layer))
+            result = self._result(below, layer, erased_to)
         except ValueError as error:
             return LayerResult(no_delta(below.splats), {"problem": str(error)})
         facts: dict[str, Any] = {"rows_touched": len(result.delta.gaussian_ids)}
@@ -455,113 +426,32 @@ class Replay:
         facts["seconds"] = round(time.perf_counter() - start, 4)
         return replace(result, facts={**facts, **result.facts})
 
-    def _result(self, below: LayerState, layer: Layer) -> LayerResult:
+    def _result(self, below: LayerState, layer: Layer, erased_to: LayerState | None = None) -> LayerResult:
         """What a layer makes of a state; nothing is cached. Raises ValueError where it cannot be applied."""
-        splats = below.splats
-        if layer.kind == "erase":
-            return LayerResult(self._erased(splats, self.original, layer))
-        if layer.kind == "clone" and COPY in layer.parameters and not layer.views:
-            return LayerResult(Relief.parse(layer.parameters).delta(splats))
-        if layer.kind == "hide":
-            weights = self._selected(layer, splats)
-            faded = (splats.opacities * (1 - weights)).astype(np.float32)
-            return LayerResult(between(splats, replace(splats, opacities=faded)))
-        if layer.kind == "fill":
-            views = [view for view in layer.views if view.picture is not None]
-            pictures = [(view.camera, self._edit(view, layer).image, self.mask(view)) for view in views]
-            return LayerResult(*fill_delta(splats, self._selected(layer, splats), layer.parameters, pictures))
-        if not _is_stored(layer):
-            parameters = {name: value for name, value in layer.parameters.items() if name != SELECTION}
-            parameters = with_table(parameters, self._store.blob)
-            adjusted = replace(splats, sh=adjust_sh(splats.sh, parameters, self.adjustments))
-            if layer.views:
-                adjusted = within(self._reached(splats, layer.views), splats, adjusted)
-            if SELECTION in layer.parameters:
-                adjusted = mixed(self._selected(layer, splats), splats, adjusted)
-            return LayerResult(between(splats, adjusted))
-        return self._paint(below, layer)
+        if erased_to is None:
+            return layer.operation.result(ReplayedWork(self, layer, below, below.splats, self.original))
+        # Numbered by what is below the layer: that is what its strokes are taken back to.
+        splats = replace(below.splats, origin=lineage(below, len(erased_to.splats)))
+        return layer.operation.result(ReplayedWork(self, layer, below, splats, erased_to.splats))
 
-    def _erased(self, splats: Splats, original: Splats, layer: Layer) -> Delta:
-        """What an eraser does to `splats`, whose `origin` says which Gaussian of `original` each comes from."""
-        views = [(view.camera, self.mask(view)) for view in layer.views]
-        delta = fade_delta if _fades(layer) else erase_delta
-        return delta(splats, original, views, reached_gaussians(splats, views))
-
-    def _paint(self, below: LayerState, layer: Layer) -> LayerResult:
-        local = layer.mode != "global" and layer.method != "ttt"  # networks paint without limits
-        options = _local_options(layer) if local else NO_OPTIONS
-        spread = spread_options_of(layer.parameters, layer.title) if layer.mode == "spread" else None
-        edits = [self._edit(view, layer, below.splats) for view in layer.views]
-        numbered, asset = self._adapter.apply(
-            below.splats, below.painter_state, edits, layer.mode, layer.method, options, spread
-        )
-        parent_ids = None if asset.splats.origin is None else asset.splats.origin[len(numbered) :]
-        facts: dict[str, Any] = {}
-        if asset.receipt is not None:
-            record = asset.receipt.summary()
-            names = ("method", "preset", "note", "views", "precision")
-            facts = {name: record[name] for name in names if name in record}
-            facts["stages"] = record["seconds"]
-        now = fingerprint(self.painter, layer.method)
-        if layer.painter != now:
-            notes = (facts.get("note"), "computed by another painter than it was made with")
-            facts["note"] = "; ".join(filter(None, notes))
-        confidence = asset.confidence
-        if confidence is not None:
-            confidence = (np.clip(confidence, 0, 1) * 255 + 0.5).astype(np.uint8)
-        splats = asset.splats
-        if layer.mode == "global" and layer.parameters.get(WITHIN):
-            masked = [view for view in layer.views if view.mask is not None]
-            if not masked:
-                raise ValueError(f"{layer.title}: expected a mask in one of its views to stay within")
-            splats = within(self._reached(below.splats, masked), below.splats, splats)
-        if layer.mode != "local" and SELECTION in layer.parameters:
-            splats = mixed(self._selected(layer, below.splats), below.splats, splats)
-        painter_state = None if asset.encoding is None else asset.encoding.state
-        receipt = asset.receipt if splats is asset.splats and type(self.painter) is Painter else None
-        delta = between(numbered, splats, parent_ids, None if receipt is None else receipt.touched)
-        return LayerResult(delta, facts, confidence, painter_state).with_computed(below.splats, splats)
-
-    def _selected(self, layer: Layer, splats: Splats) -> np.ndarray:
-        """[N] float32 weights of the selection that a layer keeps to."""
-        name = layer.parameters.get(SELECTION)
-        if not isinstance(name, str):
-            raise ValueError(f"{layer.title}: expected a selection")
-        selection = Selection.from_png(self._store.blob(name), len(self.original), layer.title)
-        return selection.on(splats, self.original)
-
-    def _reached(self, splats: Splats, views: Sequence[View]) -> np.ndarray:
-        """[N] bool: Gaussians that the masks of views reach."""
-        return reached_gaussians(splats, [(view.camera, self.mask(view)) for view in views])
-
-    def _edit(self, view: View, layer: Layer, below: Splats | None = None) -> Edit:
-        """A view of a layer as an edit. Pictures that were cut out along their mask show the Gaussians below beside it
-        to painters that look there; the lift does not."""
+    def edit_of(self, view: View, layer: Layer, below: Splats | None = None) -> Edit:
+        """A view of a layer, or of a stroke, as it was given. below: what shows where its picture was cut out."""
         assert view.picture is not None, "a painted layer has pictures"
-        data, where = self._store.blob(view.picture), layer.title
+        data, where = self.store.blob(view.picture), layer.title
         image = decode_picture(data, view.camera, where, self.original.color_space)
-        if (
-            below is not None
-            and layer.method != "lift"
-            and view.mask is not None
-            and is_cut_out(data, view.camera, where)
-        ):
+        if below is not None and view.mask is not None and is_cut_out(data, view.camera, where):
             image = np.where(self.mask(view)[..., None], image, picture_of(below, view.camera))
         return Edit(image, view.camera, None if view.mask is None else self.mask(view), layer.name)
-
-    def edit_of(self, view: View, layer: Layer) -> Edit:
-        """A view of a layer, or of a stroke, as it was given."""
-        return self._edit(view, layer)
 
     def mask(self, view: View) -> np.ndarray:
         """[H, W] bool mask of a view; all of it where it has none."""
         if view.mask is None:
             return np.ones((view.camera.height, view.camera.width), bool)
-        return decode_mask(self._store.blob(view.mask), view.camera, "mask")
+        return decode_mask(self.store.blob(view.mask), view.camera, "mask")
 
     def left_out(self, state: LayerState, camera: Camera, limits: Mapping[str, Any]) -> np.ndarray:
-        """[H, W] bool: pixels of a view whose paint the limits (a layer's parameters) leave out (lift.view_limits)."""
-        options = replace(self.painter.settings.local_options or LOCAL_DEFAULTS, **limits_of(limits, "limits"))
+        """[H, W] bool: pixels of a view whose paint the limits (of LocalOptions) leave out (lift.view_limits)."""
+        options = replace(self.painter.settings.local_options or LOCAL_DEFAULTS, **limits)
         return left_out(self.coarse_surface(state, camera), camera, options.angle_limit, options.depth_edge_limit)
 
     def coarse_surface(self, state: LayerState, camera: Camera) -> VisibleSurface:
@@ -576,15 +466,15 @@ class Replay:
     @property
     def surface(self) -> Surface:
         """Surface of the original."""
-        return self._adapter.surface
+        return self.adapter.surface
 
     def prepare(self, state: LayerState, camera: Camera | None) -> None:
         """Make what a local edit of a state in a view (None: any) needs before anything else."""
         if camera is None:
-            self._adapter.grid(state.splats)
+            self.adapter.grid(state.splats)
         else:
-            is_inside(state.splats, lambda: self._adapter.grid(state.splats), camera.position)
-        _ = self._adapter.surface.typical_width  # of the samples, which are cached with it
+            is_inside(state.splats, lambda: self.adapter.grid(state.splats), camera.position)
+        _ = self.adapter.surface.typical_width  # of the samples, which are cached with it
 
     def forget(self, results: set[str]) -> None:
         """Drop states that were made of results which are no longer stored."""
@@ -602,6 +492,63 @@ class Replay:
         return replace(state, edited=edited, facts=(*below.facts, (layer.id, state.facts[-1][1])))
 
 
+@dataclass(frozen=True)
+class ReplayedWork:
+    """A layer being composed, as its operation sees it: a LayerWork."""
+
+    _replay: Replay
+    _layer: Layer
+    _below: LayerState
+    splats: Splats
+    original: Splats
+
+    @property
+    def title(self) -> str:
+        return self._layer.title
+
+    @property
+    def views(self) -> tuple[View, ...]:
+        return self._layer.views
+
+    @property
+    def fades(self) -> bool:
+        return _fades(self._layer)
+
+    @property
+    def proves_changes(self) -> bool:
+        return type(self._replay.painter) is Painter
+
+    def blob(self, sha256: str) -> bytes:
+        return self._replay.store.blob(sha256)
+
+    def mask(self, view: View) -> np.ndarray:
+        return self._replay.mask(view)
+
+    def edit(self, view: View) -> Edit:
+        return self._replay.edit_of(view, self._layer)
+
+    def selected(self, selection: str) -> np.ndarray:
+        if not selection:
+            raise ValueError(f"{self.title}: expected a selection")
+        stored = Selection.from_png(self.blob(selection), len(self._replay.original), self.title)
+        return stored.on(self.splats, self._replay.original)
+
+    def adjusted(self, name: str, settings: Mapping[str, Any]) -> Splats:
+        parameters = with_table({**settings, "look": name}, self.blob)
+        return replace(self.splats, sh=adjust_sh(self.splats.sh, parameters, self._replay.adjustments))
+
+    def paint(
+        self, mode: Mode, method: Method, options: Mapping[str, Any], spread: SpreadOptions | None
+    ) -> tuple[Splats, Asset]:
+        # Painters that look beside the mask get what is below there; the lift does not look.
+        below = None if method == "lift" else self.splats
+        edits = [self._replay.edit_of(view, self._layer, below) for view in self.views]
+        return self._replay.adapter.apply(self.splats, self._below.painter_state, edits, mode, method, options, spread)
+
+    def fingerprint(self, method: Method) -> str:
+        return fingerprint(self._replay.painter, method)
+
+
 class _NotAtHand(Exception):
     """Something would have to be painted."""
 
@@ -610,28 +557,18 @@ def _refuse(*_: Any) -> None:
     raise _NotAtHand
 
 
-def _local_options(layer: Layer) -> dict[str, Any]:
-    """What a layer's parameters say of the painter's LocalOptions. Raises ValueError naming the layer."""
-    options: dict[str, Any] = dict(limits_of(layer.parameters, f"layer {layer.name!r}"))
-    if layer.kind != "picture":
-        options |= STROKE_OPTIONS
-    if layer.parameters.get(SPLIT_ONLY) is True:
-        options |= view_sequence.WITHOUT_SHEETS
-    return options
-
-
 def _is_visible(layer: Layer) -> bool:
     return layer.visible and layer.opacity > 0
 
 
 def _is_stored(layer: Layer) -> bool:
-    """Whether the result of a layer is stored: that of a look without pictures is made anew as quickly."""
-    return layer.kind != "look" or any(view.picture for view in layer.views)
+    """Whether the result of a layer is stored; else it is made anew as quickly."""
+    return layer.operation.is_stored(layer.views)
 
 
 def _result_key(below: LayerState, layer: Layer) -> str:
     """Name of what a layer that is neither merged nor holds strokes makes of a state."""
-    return digest(f"{below.key} {layer.key}{' fade' if _fades(layer) else ''}")
+    return digest(f"{below.key} {layer.key}{layer.operation.variant(_fades(layer))}")
 
 
 def _mixes(layer: Layer, strength: np.ndarray | None) -> bool:
@@ -649,13 +586,12 @@ def _mask_text(layer: Layer) -> str:
 
 def _has_base(layer: Layer) -> bool:
     """Whether a layer's opacity starts from colours fitted to what its views saw before."""
-    return layer.kind in ("paint", "picture", "clone")
+    return layer.operation.lays_paint
 
 
 def _fades(layer: Layer) -> bool:
-    """Whether a layer is an eraser that only fades (eraser.fade_delta)."""
-    partial = layer.opacity < 1 or layer.blend != "normal"
-    return layer.kind == "erase" and partial
+    """Whether its opacity or blend mixes a layer with what is below it."""
+    return layer.opacity < 1 or layer.blend != "normal"
 
 
 def _fit(confidence: np.ndarray, count: int) -> np.ndarray:

@@ -33,7 +33,7 @@ class EditedIds:
     @property
     def local(self) -> bool:
         """Whether it paints a part of the surface, and so can be in conflict."""
-        return self.layer.mode == "local" and self.layer.kind in ("paint", "picture", "clone")
+        return self.layer.operation.is_local_paint
 
 
 @dataclass(frozen=True)
@@ -109,11 +109,12 @@ def coverage(edited: Sequence[EditedIds], count: int) -> np.ndarray:
     out = np.zeros(count, np.uint8)
     for entry in edited:
         ids = np.concatenate([entry.changed, np.arange(*entry.appended)])
-        if entry.layer.kind == "erase":
+        operation = entry.layer.operation
+        if operation.covers == "original":
             out[entry.changed] = ORIGINAL
         elif entry.confidence is not None:
-            certain = entry.confidence[ids] > (254 if entry.layer.mode == "spread" else 127)
+            certain = entry.confidence[ids] > operation.certain_confidence
             out[ids] = np.where(certain | (out[ids] == SEEN), SEEN, PREDICTED)
-        elif entry.layer.kind not in ("look", "hide"):
+        elif operation.covers == "seen":
             out[ids] = SEEN
     return out

@@ -16,12 +16,13 @@ from functools import cached_property
 import numpy as np
 
 from splatpainter.io.files import printable
-from splatpainter.session.document.document import MAX_REASON
 from splatpainter.session.replay.recent_changes import changes
 from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Splats, changed_rows, float_bits
 
 PART_BYTES = 1 << 20
 """Bytes before compression of one part of a stored delta: what reading or writing one holds in memory at a time."""
+MAX_REASON = 300
+"""Characters of a reason that may quote what a damaged delta, layer or document holds."""
 VERSION = 1
 """Version of the layout that `encode` writes."""
 MAX_GAUSSIANS = 1 << 27

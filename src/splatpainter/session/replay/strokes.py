@@ -20,7 +20,8 @@ import numpy as np
 
 from splatpainter.session.document.document import Layer, digest
 from splatpainter.session.replay.delta import Delta, changed_values, without_source
-from splatpainter.session.replay.layer_state import LayerResult, LayerState, ResultStore, ancestors
+from splatpainter.session.replay.layer_result import LayerResult
+from splatpainter.session.replay.layer_state import LayerState, ResultStore, ancestors
 from splatpainter.splats import ATTRIBUTES
 
 CACHED_BYTES = 1 << 27
@@ -62,7 +63,7 @@ class StrokeKeys:
     def of(below_key: str, strokes: tuple[Layer, ...]) -> StrokeKeys:
         keys, results = [below_key], []
         for stroke in strokes:
-            result, key = _linked(keys[-1], stroke.key, f" {below_key}" if stroke.kind == "erase" else "")
+            result, key = _linked(keys[-1], stroke.key, f" {below_key}" if stroke.operation.reads_below_layer else "")
             results.append(result)
             keys.append(key)
         return StrokeKeys(tuple(keys), tuple(results))

@@ -4,7 +4,7 @@ For a unit Gaussian of peak alpha o, children half as wide along x, as wide acro
 get symmetric peaks p_j such that 1 - prod_j(1 - a_j) equals the parent's alpha in the plane (least squares). Alpha
 compositing is not additive; what the fit leaves is printed (1.4 % of the parent for faint Gaussians, 6.6 % for opaque).
 
-Run: python scripts/fit_split_table.py (a few seconds; needs scipy).
+Run: python scripts/calibrate/split_table.py (a few seconds; needs scipy).
 """
 
 import json
@@ -36,7 +36,7 @@ def main() -> None:
         peaks.append([round(float(v), 5) for v in 1 / (1 + np.exp(-fit.x))])
         error = np.sqrt((fit.fun**2).sum() / ((opacity * np.exp(-(X**2 + Y**2) / 2)) ** 2).sum())
         print(f"opacity {opacity}: peaks {peaks[-1]}, relative rms error of alpha {error:.3f}")
-    target = Path(__file__).parents[1] / "src/splatpainter/lift/local/split_table.json"
+    target = Path(__file__).parents[2] / "src/splatpainter/lift/local/split_table.json"
     target.write_bytes(json.dumps({"opacities": OPACITIES, "peaks": peaks}).encode() + b"\n")
 
 

@@ -1,25 +1,25 @@
 """Copies of Gaussians with their relief: what lies in a disc of one surface is laid on another place of the asset.
 
-A layer of kind "clone" without pictures, whose parameter COPY says from where, to where and how wide. It is a pure
-function of the Gaussians below it: those of the source disc are copied (turned with the surface, view dependence too)
-and those of the target disc fade under them; both by the same soft edge. Hidden, it brings everything back bit for bit.
+A pure function of the Gaussians below it: those of the source disc are copied (turned with the surface, view dependence
+too) and those of the target disc fade under them; both by the same soft edge. Hidden, it brings everything back bit for
+bit.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from splatpainter.io.axes import move
 from splatpainter.jsonio import brief
+from splatpainter.session.document.layer_operation import LayerOperation, LayerWork
 from splatpainter.session.replay.delta import Delta, between
+from splatpainter.session.replay.layer_result import LayerResult
 from splatpainter.splats import Splats
 
-COPY = "copy"
-"""Parameter of such a layer."""
 MAX_COPIED = 500_000
 """Gaussians of one copy."""
 EDGE_SHARE = 0.25
@@ -69,29 +69,43 @@ class CopyAnchor:
         return CopyAnchor(point, axes)
 
 
+ORIGIN = CopyAnchor(np.zeros(3), np.eye(3))
+
+
 @dataclass(frozen=True)
-class Relief:
+class ReliefLayer(LayerOperation):
     """One copy. Raises ValueError where the radius is none."""
 
-    source: CopyAnchor
-    target: CopyAnchor
-    radius: float
+    kind: ClassVar[str] = "relief"
+    lays_paint: ClassVar[bool] = True
+
+    source: CopyAnchor = ORIGIN
+    target: CopyAnchor = ORIGIN
+    radius: float = 1.0
     """Radius of both discs, world units."""
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
         if not 0 < self.radius < 1e18:
             raise ValueError(f"copy: expected a radius above 0, got {self.radius}")
 
-    def parameters(self) -> dict[str, Any]:
-        return {COPY: {"source": self.source.record(), "target": self.target.record(), "radius": self.radius}}
+    def record(self) -> dict[str, Any]:
+        return {"kind": self.kind, **self.changes()}
 
-    @staticmethod
-    def parse(parameters: Mapping[str, Any]) -> Relief:
-        """Relief of a layer, from its parameters. Raises ValueError."""
-        data = parameters.get(COPY)
-        if not isinstance(data, dict) or type(data.get("radius")) not in (int, float):
-            raise ValueError(f"copy: expected source, target and radius, got {brief(data)}")
-        return Relief(CopyAnchor.parse(data.get("source")), CopyAnchor.parse(data.get("target")), float(data["radius"]))
+    def changes(self) -> dict[str, Any]:
+        return {"source": self.source.record(), "target": self.target.record(), "radius": self.radius}
+
+    @classmethod
+    def build(cls, kind: str, options: Mapping[str, Any], where: str) -> LayerOperation:
+        if set(options) != {"source", "target", "radius"} or type(options["radius"]) not in (int, float):
+            raise ValueError(f"{where}: copy: expected source, target and radius, got {brief(dict(options))}")
+        try:
+            source, target = (CopyAnchor.parse(options[name]) for name in ("source", "target"))
+            return cls(source, target, float(options["radius"]))
+        except (ValueError, OverflowError) as error:
+            raise ValueError(f"{where}: {error}") from None
+
+    def result(self, work: LayerWork) -> LayerResult:
+        return LayerResult(self.delta(work.splats))
 
     def weights(self, anchor: CopyAnchor, splats: Splats) -> np.ndarray:
         """[N] float64 how much of each Gaussian is in the disc, 0..1."""

@@ -1,0 +1,351 @@
+"""`bench light`: an asset that was made in one environment, lit by another, against how the object looks there.
+
+Truth is path traced (or, quicker, dense surfels); assets are coarse surfels of the truth (clean geometry) and fitted by
+3DGS to views in the first light. Methods know both environments, but for those that estimate the first. PSNR is over
+the object in novel views; specks are pixels that are much darker or lighter than those around them where the truth is
+smooth, which PSNR hardly sees.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from tyro.conf import Positional, arg
+
+from splatbench.cases import Setup, check_options
+from splatbench.ground_truth import GroundTruth, build_asset
+from splatbench.objects import drawn_lights, environments, generator, objects
+from splatbench.painted_cases import SOURCES, AssetKind
+from splatbench.timing import machine
+from splatpainter import text_tables as tables
+from splatpainter.cameras import Camera
+from splatpainter.color import base_color, linear_to_srgb, luminance, sh_from_color, to_light
+from splatpainter.contact_sheet import Strip, sheet, write_sheet
+from splatpainter.lights.facing import Facing
+from splatpainter.lights.irradiance import LitSurface
+from splatpainter.lights.prepared import captured_light, lit_surface
+from splatpainter.lights.relight import transfer
+from splatpainter.lights.source_light import SourceLight
+from splatpainter.splats import SH_C0, Splats
+
+SPECK_STEP = 0.15
+"""Luminance, display units, by which a pixel differs from the median of the nine around it where it counts as a
+speck; the truth's own difference there is taken off."""
+CELL_PX = 150
+ROWS = ("nothing", "affine", "no visibility", "albedo", "true source", "ours", "ours, true normals")
+NOTES = (
+    "`nothing`: the asset as it is. `affine`: gain and offset per channel of linear colours that fit the truth best "
+    "(an upper bound of what needs no light). `no visibility`, `true source`: the ratio of both true lights, without "
+    "and with what the asset hides. `albedo`: colour over irradiance of the true first light, clamped to 0..1, times "
+    "the second's, as other programs do. `ours`: the first light estimated. `ours, true normals`: with those of the "
+    "mesh. Columns are dB over the object in novel views; `specks`: pixels in 10,000 of the object.",
+)
+
+
+@dataclass(frozen=True)
+class LightBench:
+    """Light held-out meshes anew and compare with how they look in that light.
+
+    example:
+      splatpainter bench light meshes/ --environments hdris/ --objects 6 --out out/bench-light
+    """
+
+    meshes: Annotated[Positional[Path | None], arg(metavar="MESHES", help_behavior_hint="")] = None
+    """Folder of meshes; only those held out (by name) are used. None: procedural objects."""
+    assets: Literal["both", "coarse", "fitted"] = "both"
+    """coarse: surfels of the truth; fitted: by 3DGS to views of it."""
+    objects: int = 6
+    """How many objects to measure."""
+    truth: Literal["traced", "surfels"] = "traced"
+    """traced: by Mitsuba; surfels: of dense Gaussians, in seconds, with approximate light."""
+    samples: int = 32
+    """Paths per pixel of path-traced truth."""
+    size: int = 128
+    """Edge of the pictures, pixels."""
+    rows: int = 12_000
+    """Gaussians of every asset."""
+    novel_views: int = 4
+    """Novel views, from all around."""
+    environments: Path | None = None
+    """Folder of HDRIs; none: procedural light."""
+    tuning: bool = False
+    """Take the meshes that settings were tuned on instead of those that are held out."""
+    seed: int = 0
+    """Seed of objects and lights."""
+    out: Path = Path("out/bench-light")
+    """Folder for light.csv (a line per object, asset and row), light.md and sheet.png; made if missing."""
+
+
+@dataclass(frozen=True)
+class LightCase:
+    """One asset in one new light; lights are SH [9, 3] in its axes, exposed."""
+
+    name: str
+    kind: AssetKind
+    asset: Splats = field(repr=False)
+    before: np.ndarray = field(repr=False)
+    after: np.ndarray = field(repr=False)
+    cameras: tuple[Camera, ...]
+    truth: np.ndarray = field(repr=False)
+    """[W, H, W, 3] display colours in the new light."""
+    masks: np.ndarray = field(repr=False)
+    """[W, H, W] bool the object."""
+    surface: tuple[np.ndarray, np.ndarray] = field(repr=False)
+    """([S, 3] points of the mesh, [S, 3] their normals)."""
+
+
+@dataclass(frozen=True)
+class LightScore:
+    """One row on one case."""
+
+    object: str
+    asset: str
+    row: str
+    psnr: float
+    specks: float
+    seconds: float
+
+
+@dataclass(frozen=True)
+class LightMeans:
+    """Means over objects."""
+
+    asset: str
+    row: str
+    objects: int
+    psnr: float
+    gain: float
+    worst_gain: float
+    specks: float
+    seconds: float
+
+
+def run(config: LightBench, report: Callable[[str], None] | None = None) -> list[LightMeans]:
+    """Measure every object; write light.csv, light.md and sheet.png; return the means. report: called with a line per
+    case. Raises ValueError for options that make no sense, and for data that is not there."""
+    check_options("light", config, ("meshes", "environments"))
+    where = machine()
+    config.out.mkdir(parents=True, exist_ok=True)
+    scores: list[LightScore] = []
+    strips: list[Strip] = []
+    for case in cases(config, report):
+        lines, pictures = measure_case(case)
+        scores += lines
+        strips += pictures
+        if report:
+            listed = ", ".join(f"{line.row} {line.psnr:.1f}" for line in lines)
+            report(f"{case.name}, {case.kind}: {listed}")
+        tables.write_csv(config.out / "light.csv", scores, where)
+    if not scores:
+        raise ValueError("bench light: none of the objects can be seen; take more objects")
+    means = mean_scores(scores)
+    write_sheet(config.out / "sheet.png", sheet(strips, CELL_PX, where))
+    tables.write_markdown(config.out / "light.md", means, where, NOTES)
+    return means
+
+
+def cases(config: LightBench, report: Callable[[str], None] | None = None) -> Iterator[LightCase]:
+    """Objects that cannot be read or seen are left out, with a line to `report`."""
+    setup = Setup(
+        data=config.meshes,
+        environments=config.environments,
+        objects=config.objects,
+        held_out=not config.tuning,
+        size=config.size,
+        detail=1,
+        samples=config.samples,
+        truth=config.truth,
+        rows=config.rows,
+        asset_steps=150,
+        novel_views=config.novel_views,
+        lights=1,
+        seed=config.seed,
+    )
+    kinds: tuple[AssetKind, ...] = ("coarse", "fitted") if config.assets == "both" else (config.assets,)
+    names = environments(setup).names
+    if len(names) < 2:
+        raise ValueError(f"bench light: expected at least two environments, got {len(names)}")
+    for name in objects(setup).names[: config.objects]:
+        try:
+            yield from _cases_of(name, drawn_lights(names, name, 2, config.seed), setup, kinds)
+        except ValueError as error:
+            if report:
+                report(f"{name}: left out, {error}")
+
+
+def _cases_of(name: str, lights: Sequence[str], setup: Setup, kinds: Sequence[AssetKind]) -> Iterator[LightCase]:
+    truth = GroundTruth.load(name, lights[0], setup)
+    relit = truth.under(lights[1])
+    rng = generator(setup.seed, "light", name)
+    base_cameras, novel = truth.ring(setup.base_views, rng), truth.ring(setup.novel_views, rng)
+    base = truth.render(base_cameras, "base")
+    after = relit.render(novel, "novel")
+    if not after.masks.any():
+        raise ValueError("nothing of it can be seen")
+    for kind in kinds:
+        yield LightCase(
+            name,
+            kind,
+            build_asset(truth, base, SOURCES[kind]).splats,
+            _coefficients(truth),
+            _coefficients(relit),
+            tuple(novel),
+            after.images.colors,
+            after.masks,
+            _surface_of(truth),
+        )
+
+
+def _coefficients(truth: GroundTruth) -> np.ndarray:
+    return (truth.light.coefficients * truth.light.exposure).numpy().astype(np.float64)
+
+
+def _surface_of(truth: GroundTruth) -> tuple[np.ndarray, np.ndarray]:
+    from splatpainter.data.surfels import sample_surfels
+
+    surfels = sample_surfels(truth.mesh, 4 * truth.setup.rows, truth.setup.seed)
+    return surfels.means.numpy(), surfels.normals.numpy()
+
+
+def measure_case(case: LightCase) -> tuple[list[LightScore], list[Strip]]:
+    """A line per row, and the rows of the contact sheet, the truth's first."""
+    lines, strips = [], [Strip(f"{case.name}, {case.kind}: the truth", _cells(case.truth))]
+    for row in ROWS:
+        start = time.process_time()
+        edited = lit_by(row, case)
+        seconds = time.process_time() - start
+        views = _drawn(edited, case.cameras)
+        line = LightScore(case.name, case.kind, row, psnr(views, case), specks(views, case), seconds)
+        lines.append(line)
+        strips.append(Strip(f"{row}: {line.psnr:.1f} dB, specks {line.specks:.0f}", _cells(views)))
+    return lines, strips
+
+
+def lit_by(row: str, case: LightCase) -> Splats:
+    """The asset in the new light by one of ROWS."""
+    given = SourceLight(case.before, 0.0, "true")
+    if row == "nothing":
+        return case.asset
+    if row == "affine":
+        return _best_affine(case)
+    if row == "no visibility":
+        return transfer(case.asset, given, case.after, shadows=False).splats
+    if row == "albedo":
+        return _by_albedo(case)
+    if row == "true source":
+        return transfer(case.asset, given, case.after).splats
+    level = float(case.before[0].mean()) * SH_C0
+    surface = None
+    if row == "ours, true normals":
+        surface = _with_true_normals(case)
+    return transfer(case.asset, captured_light(case.asset), case.after / level, surface=surface).splats
+
+
+def psnr(views: np.ndarray, case: LightCase) -> float:
+    """dB over the object, mean of the novel views."""
+    values = []
+    for view, truth, mask in zip(views, case.truth, case.masks, strict=True):
+        if mask.any():
+            error = float(((view[mask].astype(np.float64) - truth[mask]) ** 2).mean())
+            values.append(-10 * np.log10(max(error, 1e-8)))
+    return float(np.mean(values))
+
+
+def specks(views: np.ndarray, case: LightCase) -> float:
+    """Pixels in 10,000 of the object's inside."""
+    count = total = 0
+    for view, truth, mask in zip(views, case.truth, case.masks, strict=True):
+        inside = _eroded(mask)
+        step = np.abs(_beyond_median(view)) - np.abs(_beyond_median(truth))
+        count += int((step[inside] > SPECK_STEP).sum())
+        total += int(inside.sum())
+    return 1e4 * count / max(total, 1)
+
+
+def _beyond_median(view: np.ndarray) -> np.ndarray:
+    """[H, W] luminance less the median of the nine pixels around."""
+    light = luminance(view.astype(np.float64))
+    padded = np.pad(light, 1, mode="edge")
+    height, width = light.shape
+    around = [padded[y : y + height, x : x + width] for y in range(3) for x in range(3)]
+    return light - np.median(around, axis=0)
+
+
+def _eroded(mask: np.ndarray) -> np.ndarray:
+    out = np.pad(mask, 2)
+    for axis in (0, 1):
+        out = out & np.roll(out, 2, axis) & np.roll(out, -2, axis)
+    return out[2:-2, 2:-2]
+
+
+def _best_affine(case: LightCase) -> Splats:
+    """Fitted in linear light on the novel views themselves."""
+    from splatpainter.color import srgb_to_linear
+
+    views = srgb_to_linear(_drawn(case.asset, case.cameras))[case.masks]
+    truth = srgb_to_linear(case.truth)[case.masks]
+    light = to_light(base_color(case.asset.sh), case.asset.color_space)
+    out = np.empty_like(light)
+    for channel in range(3):
+        gain, offset = np.polyfit(views[:, channel], truth[:, channel], 1)
+        out[:, channel] = gain * light[:, channel] + offset
+    return _recolored(case.asset, out)
+
+
+def _by_albedo(case: LightCase) -> Splats:
+    surface = lit_surface(case.asset, shadows=False)
+    light = to_light(base_color(case.asset.sh), case.asset.color_space)
+    albedo = np.clip(light / np.maximum(surface.from_sky(case.before), 1e-2), 0, 1)
+    return _recolored(case.asset, albedo * surface.from_sky(case.after))
+
+
+def _recolored(splats: Splats, light: np.ndarray) -> Splats:
+    """With linear base colours [N, 3]; higher bands go along by the display colour's gain."""
+    display = linear_to_srgb(np.clip(light, 0, None))
+    before = np.maximum(base_color(splats.sh), 0.05)
+    sh = splats.sh * np.clip(display / before, 0, 4)[:, None].astype(np.float32)
+    sh[:, 0] = sh_from_color(display)
+    return replace(splats, sh=sh.astype(np.float32))
+
+
+def _with_true_normals(case: LightCase) -> LitSurface:
+    """The asset's surface with the normals of the mesh's nearest points."""
+    from scipy.spatial import cKDTree
+
+    points, normals = case.surface
+    _, nearest = cKDTree(points).query(case.asset.means)
+    sides = lit_surface(case.asset).facing
+    sides = Facing(normals[nearest].astype(np.float32), np.ones_like(sides.front), sides.seen, sides.flat_share)
+    return LitSurface.of(case.asset, sides=sides)
+
+
+def _drawn(splats: Splats, cameras: Sequence[Camera]) -> np.ndarray:
+    from splatpainter.rendering import render
+
+    return np.clip(np.asarray(render(splats, list(cameras)).colors)[..., :3], 0, 1)
+
+
+def _cells(views: np.ndarray) -> tuple[tuple[str, np.ndarray], ...]:
+    return tuple((f"novel view {k + 1}", view) for k, view in enumerate(views))
+
+
+def mean_scores(scores: Sequence[LightScore]) -> list[LightMeans]:
+    """A line per kind of asset and row."""
+    out = []
+    for kind in dict.fromkeys(score.asset for score in scores):
+        base = {s.object: s.psnr for s in scores if s.asset == kind and s.row == "nothing"}
+        for row in dict.fromkeys(score.row for score in scores):
+            group = [score for score in scores if score.asset == kind and score.row == row]
+            gains = [score.psnr - base[score.object] for score in group]
+
+            def mean(values: Sequence[Any]) -> float:
+                return float(np.mean(values))
+
+            numbers = mean([s.psnr for s in group]), mean(gains), float(np.min(gains)), mean([s.specks for s in group])
+            out.append(LightMeans(kind, row, len(group), *numbers, mean([s.seconds for s in group])))
+    return out

@@ -1,0 +1,91 @@
+"""`bench light`: its figures against what is known by hand, and once from start to end."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from splatbench import light
+from splatbench.light import ROWS, LightBench, LightCase, LightScore, lit_by, mean_scores, psnr, specks
+
+from splatpainter.cameras import spherical_cameras
+from splatpainter.color import sh_from_color
+from splatpainter.lights.source_light import uniform_coefficients
+from splatpainter.rendering import render
+from tests.support.cli_scenes import ball
+
+
+def case() -> LightCase:
+    """A grey ball under uniform light, and under twice as much."""
+    splats = ball(900)
+    grey = np.full((900, 3), 0.4)
+    splats = replace(splats, sh=sh_from_color(grey)[:, None].astype(np.float32))
+    cameras = tuple(spherical_cameras(np.zeros(3), 3.0, 2, size=64))
+    drawn = render(splats, list(cameras))
+    masks = np.asarray(drawn.alphas)[..., 0] > 0.9 if np.asarray(drawn.alphas).ndim == 4 else drawn.alphas > 0.9
+    before = uniform_coefficients()
+    truth = np.asarray(drawn.colors)[..., :3].clip(0, 1)
+    return LightCase("ball", "coarse", splats, before, 2 * before, cameras, truth, masks, (splats.means, splats.means))
+
+
+def test_psnr_is_over_the_object() -> None:
+    one = case()
+    assert psnr(one.truth + 0.1 * one.masks[..., None], one) == pytest.approx(20, abs=1e-4)
+
+
+@pytest.mark.parametrize("value", [0.0, 1.0])
+def test_specks_are_counted_where_the_truth_is_smooth(value: float) -> None:
+    one = case()
+    views = one.truth.copy()
+    assert specks(views, one) == 0
+    views[0, 32, 32] = value
+    assert specks(views, one) > 0
+    assert specks(views, replace(one, truth=views)) == 0, "what the truth has is none"
+
+
+def test_the_ratio_of_true_lights_is_their_ratio() -> None:
+    one = case()
+    lit = lit_by("true source", one)
+    linear = (((np.array([0.4, 0.8]) + 0.055) / 1.055) ** 2.4)[0]
+    display = 0.5 + 0.28209479 * lit.sh[:, 0]
+    expected = 1.055 * (2 * linear) ** (1 / 2.4) - 0.055
+    np.testing.assert_allclose(np.median(display, 0), expected, atol=0.01)
+
+
+@pytest.mark.parametrize("row", ROWS)
+def test_every_row_gives_the_asset_back(row: str) -> None:
+    one = case()
+    lit = lit_by(row, one)
+    assert len(lit) == len(one.asset) and np.isfinite(lit.sh).all()
+
+
+def test_means_compare_with_the_same_objects() -> None:
+    scores = [
+        LightScore(name, "coarse", row, value, 1.0, 0.1)
+        for name, values in (("a", (10.0, 14.0)), ("b", (20.0, 21.0)))
+        for row, value in zip(("nothing", "ours"), values, strict=True)
+    ]
+    _, ours = mean_scores(scores)
+    assert (ours.psnr, ours.gain, ours.worst_gain, ours.objects) == (17.5, 2.5, 1.0, 2)
+
+
+def test_from_start_to_end(tmp_path: Path) -> None:
+    config = LightBench(truth="surfels", objects=1, size=64, rows=1000, novel_views=2, out=tmp_path / "out")
+    lines: list[str] = []
+    means = light.run(config, lines.append)
+    assert len(means) == 2 * len(ROWS) and len(lines) == 2
+    by_row = {(line.asset, line.row): line for line in means}
+    assert by_row["coarse", "true source"].gain > 0.5
+    with open(tmp_path / "out" / "light.csv", newline="") as file:
+        assert len(list(csv.reader(file))) >= 2 * len(ROWS)
+    assert (tmp_path / "out" / "sheet.png").stat().st_size > 1000
+
+
+def test_options_that_make_no_sense(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="--objects of at least 1"):
+        light.run(LightBench(objects=0))
+    with pytest.raises(ValueError, match="no such folder"):
+        light.run(LightBench(meshes=tmp_path / "missing"))

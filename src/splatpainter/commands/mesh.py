@@ -1,0 +1,99 @@
+"""`splatpainter mesh`: a closed triangle mesh that stands for an asset."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from tyro.conf import arg
+
+from splatpainter.color import srgb_to_linear
+from splatpainter.commands import Outcome
+from splatpainter.commands.asset_doubts import warn_of_doubts
+from splatpainter.commands.option_parsing import AssetFile, FrameOption
+from splatpainter.commands.terminal import count, stages
+from splatpainter.io import files, read
+from splatpainter.io.axes import AXES
+from splatpainter.io.gltf_mesh import mesh_glb
+from splatpainter.output_paths import check_target
+from splatpainter.surface.proxy_mesh import MIN_TRIANGLES, proxy_mesh
+
+
+@dataclass(frozen=True)
+class Config:
+    """Make a closed triangle mesh of an asset: what other programs cast its shadows with, or test collisions by.
+
+    It is as fine as the number of triangles allows, without holes; a sheet becomes a slab. Its numbers are those of the
+    .glb that `splatpainter convert` makes of the asset, so that both lie in one place.
+
+    example:
+      splatpainter mesh vase.ply --out proxy.glb
+      splatpainter mesh vase.ply --triangles 5000 --colors --out proxy.glb
+    """
+
+    asset: AssetFile
+    """The splat file; it is not changed."""
+    out: Annotated[Path, arg(metavar="PROXY.glb")]
+    """The file to write."""
+    triangles: int = 20_000
+    """Triangles, at most about; 2,000 or more."""
+    colors: bool = False
+    """Colours of the asset at the vertices."""
+    axes: Literal["rub", "rdf"] = "rub"
+    """Axes of the numbers: rub is y up, as glTF wants it; rdf those of a PLY."""
+    frame: FrameOption = "auto"
+    """Axes of ASSET's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
+    lenient: bool = False
+    """Also open a file that was cut off after its last complete row."""
+    overwrite: bool = False
+    """Replace OUT if it exists."""
+    json: bool = False
+    """Print one JSON object instead of text."""
+
+
+def run(config: Config) -> Outcome:
+    """Check, read, fill, cut out, write."""
+    if config.out.suffix.lower() != ".glb":
+        raise ValueError(f"{config.out}: expected a mesh to write (.glb), got {config.out.suffix or 'no suffix'}")
+    if config.triangles < MIN_TRIANGLES:
+        raise ValueError(f"splatpainter: expected --triangles of {MIN_TRIANGLES} or more, got {config.triangles}")
+    check_target(config.out, config.overwrite, [config.asset])
+    with stages(3) as bar:
+        bar.enter("reading")
+        splats = read(config.asset, frame=config.frame, lenient=config.lenient)
+        doubts = warn_of_doubts(splats, config.asset)
+        bar.enter("meshing")
+        mesh = proxy_mesh(splats, config.triangles)
+        bar.enter("writing")
+        signs = np.array(AXES[config.axes], np.float32)
+        triangles = mesh.triangles if signs.prod() > 0 else mesh.triangles[:, ::-1]
+        x, y, z = (float(value * sign) for value, sign in zip(splats.offset, signs, strict=True))
+        data = mesh_glb(
+            mesh.vertices * signs,
+            triangles,
+            mesh.normals * signs,
+            srgb_to_linear(mesh.colors) if config.colors else None,
+            name=config.asset.name.split(".")[0] or "proxy",
+            translation=(x, y, z),
+        )
+        with files.writing(config.out) as file:
+            file.write(data)
+    record = {
+        "input": {"file": config.asset, "rows": len(splats)},
+        "output": {
+            "file": config.out,
+            "bytes": len(data),
+            "triangles": len(triangles),
+            "vertices": len(mesh.vertices),
+            "voxel": mesh.voxel,
+        },
+        "doubts": doubts,
+    }
+    lines = [
+        f"{config.asset} -> {config.out}",
+        f"{count(len(triangles), 'triangle')}, {count(len(mesh.vertices), 'vertex', 'vertices')}",
+        f"finest detail: {mesh.voxel:.3g} world units",
+    ]
+    return Outcome(record, lines)

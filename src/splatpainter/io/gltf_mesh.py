@@ -1,0 +1,59 @@
+"""A triangle mesh as GLB: positions, normals, colours, indices."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from splatpainter.io.formats import gltf
+
+UNSIGNED_INT = 5125
+ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
+
+
+def mesh_glb(
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    normals: np.ndarray,
+    colors: np.ndarray | None = None,
+    *,
+    name: str = "proxy",
+    translation: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> bytes:
+    """vertices, normals: [V, 3] float32 in glTF's axes; triangles: [T, 3]; colors: [V, 3] linear 0..1, or none."""
+    arrays: list[tuple[str, np.ndarray, int]] = [
+        ("POSITION", np.ascontiguousarray(vertices, "<f4"), ARRAY_BUFFER),
+        ("NORMAL", np.ascontiguousarray(normals, "<f4"), ARRAY_BUFFER),
+    ]
+    if colors is not None:
+        arrays.append(("COLOR_0", np.ascontiguousarray(colors, "<f4"), ARRAY_BUFFER))
+    arrays.append(("", np.ascontiguousarray(triangles.reshape(-1), "<u4"), ELEMENT_ARRAY_BUFFER))
+    binary, views, accessors, attributes = bytearray(), [], [], {}
+    for semantic, values, target in arrays:
+        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": values.nbytes, "target": target})
+        binary += values.tobytes()
+        entry: dict[str, Any] = {"bufferView": len(views) - 1, "count": len(values)}
+        entry |= {"componentType": gltf.FLOAT, "type": "VEC3"} if semantic else {"componentType": UNSIGNED_INT}
+        entry.setdefault("type", "SCALAR")
+        if semantic == "POSITION":
+            entry |= {"min": values.min(0).tolist(), "max": values.max(0).tolist()}
+        if semantic:
+            attributes[semantic] = len(accessors)
+        accessors.append(entry)
+    primitive = {"attributes": attributes, "indices": len(accessors) - 1, "material": 0}
+    node: dict[str, Any] = {"mesh": 0, "name": name}
+    if any(translation):
+        node["translation"] = list(translation)
+    doc = {
+        "asset": {"version": "2.0", "generator": "splatpainter"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [node],
+        "meshes": [{"name": name, "primitives": [primitive]}],
+        "materials": [{"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}}],
+        "buffers": [{"byteLength": len(binary)}],
+        "bufferViews": views,
+        "accessors": accessors,
+    }
+    return gltf.serialise(gltf.Glb(doc, bytes(binary), (), b""))

@@ -1,0 +1,295 @@
+"""The light of relit pictures: both environments from one to four views of an asset under another light.
+
+In a ratio of colours the material cancels: of each Gaussian that a view shows, the logarithm of what it shows there
+over what it shows now is that of new over old irradiance. Both are linear in their light's SH; a robust Gauss-Newton
+fit finds the new light and corrects the old one, which starts, and is held, at its estimate from the asset alone. What
+lights do not explain (gloss, sharp shadows, paint) is the painter's; which of light, painter and both is best, a part
+of the views that was held back decides.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from splatpainter.cameras import UpAxis
+from splatpainter.color import luminance, to_light
+from splatpainter.contact_sheet import Strip, sheet
+from splatpainter.image_files import encode_png
+from splatpainter.kernels import portable
+from splatpainter.lights.irradiance import LitSurface
+from splatpainter.lights.light_set import axes_of
+from splatpainter.lights.prepared import captured_light, lit_surface
+from splatpainter.lights.relight import color_receipt, transfer
+from splatpainter.lights.sky_maps import SkyMap, lat_long
+from splatpainter.lights.source_light import PRIOR_STD, SourceLight
+from splatpainter.painter import Asset, Edit, Painter
+from splatpainter.rendering import render
+from splatpainter.rendering.cpu.projected_view import project
+from splatpainter.splats import SH_C0, Splats
+from splatpainter.transforms import sh_basis
+
+MAX_MATCHED_VIEWS = 4
+MIN_SHARE = 0.3
+"""Pixels' worth of a Gaussian over all views, from which it is a witness."""
+MIN_WITNESSES = 60
+RATIO_FLOOR = 0.003
+"""Added to linear colours before their ratio."""
+DARK, DIM = 0.002, 0.02
+"""Linear colours below which nothing is a witness, and at which it counts for a quarter."""
+CHANNEL_STD = 0.4
+"""Of a channel's bands about those of luminance, over those of environments."""
+CLIPPED = 0.97
+"""Linear colour from which a picture says "at least"."""
+MIN_LIGHT = 0.04
+"""Smallest irradiance that is believed, over the mean."""
+FIT_ROUNDS = 25
+RATIO_NOISE = 0.1
+"""Of a Gaussian's ratio, natural logarithms, at least."""
+WITNESS_WEIGHT = 0.02
+"""Of a Gaussian: neighbours err alike."""
+LEVEL_STD = 1.0
+"""Of the new light's mean over the old one's, times the old one's."""
+GIVEN_STD = 0.1
+"""Of the bands of a given new light, over the old one's mean: files and pictures seldom agree to the last."""
+PREFERENCE_DB = 1.0
+"""By which a painter has to be better than light alone, which is smooth wherever nothing was seen."""
+SKY_ROWS = 64
+"""Of the pictures of matched environments."""
+BALL_PX = 192
+
+
+@dataclass(frozen=True)
+class MatchedLight:
+    """Both lights, and the asset in the new one."""
+
+    before: SourceLight
+    after: np.ndarray = field(repr=False)
+    """[9, 3] float64 SH in the asset's axes, over the level of the light before."""
+    asset: Asset
+    chosen: str
+    """"light", "painter" or "light and painter"."""
+    scores: dict[str, float]
+    """PSNR in dB of each on the part of the views that was held back."""
+
+    def sky(self, up: UpAxis = "auto") -> SkyMap:
+        """The new environment as a picture."""
+        return sky_of(self.after, up, "matched")
+
+
+def match_light(
+    splats: Splats,
+    edits: Sequence[Edit],
+    painter: Painter | None = None,
+    *,
+    shadows: bool = True,
+    source: np.ndarray | None = None,
+    target: np.ndarray | None = None,
+) -> MatchedLight:
+    """splats as the pictures show it, with its receipt. edits: 1 to 4 views in one other light; painter: explains what
+    light does not, None: light alone; source, target: [9, 3] SH of the light before and of the new one, where they are
+    given (the pictures still decide its level, and a little of its shape). Raises ValueError: no views, views that show
+    nothing of the asset."""
+    if not 1 <= len(edits) <= MAX_MATCHED_VIEWS:
+        raise ValueError(f"light: expected 1 to {MAX_MATCHED_VIEWS} pictures to match, got {len(edits)}")
+    clock = time.perf_counter()
+    splats = splats.numpy()
+    edits = [edit.relative_to(splats.offset) for edit in edits]
+    surface = lit_surface(splats, shadows)
+    before = captured_light(splats, shadows) if source is None else SourceLight(source, 0.0, "source light: given")
+
+    def results(views: Sequence[Edit], names: Sequence[str]) -> dict[str, tuple[Asset, np.ndarray, SourceLight]]:
+        old, new = _fit_lights(splats, surface, views, before, source is not None, target)
+        lit = _relit(splats, old, new, shadows)
+        out = {"light": (lit, new, old)} if "light" in names else {}
+        if painter is not None and "painter" in names:
+            out["painter"] = (painter.apply(painter.encode(splats), views, "global"), new, old)
+        if painter is not None and "light and painter" in names:
+            out["light and painter"] = (painter.apply(painter.encode(lit.splats), views, "global"), new, old)
+        return out
+
+    names = ["light"] if painter is None else ["light", "painter", "light and painter"]
+    scores: dict[str, float] = {}
+    if len(names) > 1:
+        used, judged = _held_back(splats, edits)
+        scores = {name: _score(asset.splats, judged) for name, (asset, _, _) in results(used, names).items()}
+        names = [max(scores, key=lambda name: scores[name] + (PREFERENCE_DB if name == "light" else 0))]
+    asset, new, old = results(edits, names)[names[0]]
+    listed = ", ".join(f"{name} {value:.1f}" for name, value in scores.items())
+    note = f"light matched to {len(edits)} pictures by {names[0]}" + (f" (held back, dB: {listed})" if listed else "")
+    receipt = color_receipt(splats, asset.splats, "light", f"{note}; {old.note}")
+    receipt = replace(receipt, seconds={"match": time.perf_counter() - clock})
+    asset = Asset(asset.splats, receipt, original=splats)
+    return MatchedLight(old, new, asset, names[0], scores)
+
+
+def sky_of(coefficients: np.ndarray, up: UpAxis, name: str) -> SkyMap:
+    """An environment as a picture, from SH [9, 3] in an asset's axes. What SH has below black is black."""
+    towards, _ = lat_long(SKY_ROWS, 2 * SKY_ROWS)
+    basis = sh_basis(portable.matmul(towards.reshape(-1, 3), axes_of(up)), 2)
+    picture = np.maximum(portable.matmul(basis, coefficients), 0).reshape(SKY_ROWS, 2 * SKY_ROWS, 3)
+    if not picture.any():
+        raise ValueError("light: the matched environment is black; the pictures show no light")
+    return SkyMap(picture.astype(np.float32), name)
+
+
+def ball_sheet(path: Path, lights: dict[str, np.ndarray], up: UpAxis = "auto") -> None:
+    """A PNG of white balls in lights (SH [9, 3] in an asset's axes), seen from the front, and of their environments."""
+    from splatpainter.color import linear_to_srgb
+    from splatpainter.lighting import unoccluded_transfer
+
+    across = (np.arange(BALL_PX) + 0.5) / BALL_PX * 2.1 - 1.05
+    x, y = np.meshgrid(across, -across)
+    square = x * x + y * y
+    z = np.sqrt(np.maximum(1 - square, 0))
+    normals = np.stack([x, y, z], -1) / np.maximum(np.sqrt(square + z * z), 1e-9)[..., None]
+    transfer = unoccluded_transfer(portable.matmul(normals.reshape(-1, 3), axes_of(up))) / np.pi
+    cells = []
+    for name, light in lights.items():
+        shade = np.maximum(portable.matmul(transfer.astype(np.float64), light), 0).reshape(BALL_PX, BALL_PX, 3)
+        ball = np.where(square[..., None] < 1, linear_to_srgb(0.5 * shade).clip(0, 1), 0.5)
+        cells.append((name, ball.astype(np.float32)))
+        picture = sky_of(light, up, name).radiance
+        cells.append((f"{name}: from all around", linear_to_srgb(0.5 * picture).clip(0, 1).astype(np.float32)))
+    from splatpainter.atomic import writing
+
+    with writing(path) as file:
+        file.write(encode_png(sheet([Strip("", tuple(cells))], BALL_PX, "Lights")))
+
+
+def _relit(splats: Splats, old: SourceLight, new: np.ndarray, shadows: bool) -> Asset:
+    return transfer(splats, old, new, shadows=shadows)
+
+
+def _fit_lights(
+    splats: Splats,
+    surface: LitSurface,
+    views: Sequence[Edit],
+    before: SourceLight,
+    given: bool,
+    target: np.ndarray | None,
+) -> tuple[SourceLight, np.ndarray]:
+    """(light before, corrected, [9, 3] new light)."""
+    now, then, total = _seen(splats, views)
+    transfer = surface.transfer / SH_C0
+    trusted = surface.facing.trusted & (total > MIN_SHARE)
+    if trusted.sum() < MIN_WITNESSES:
+        raise ValueError(
+            f"light: expected pictures that show at least {MIN_WITNESSES} Gaussians of a surface, got {trusted.sum()}"
+        )
+    old, new = before.coefficients.copy(), np.empty((9, 3))
+    # How far the estimate before may move: as far as it is doubted.
+    doubt = 0.0 if given else min(max(before.uncertainty, 0.05), 0.6)
+    spread = np.concatenate([PRIOR_STD * doubt, [LEVEL_STD], PRIOR_STD]) + 1e-6
+    # Luminance first: a channel that a material hardly has says little, and stays near it.
+    guess, aimed = None, target is not None
+    for channel in (None, 0, 1, 2):
+        seen, pictured = (luminance(v) if channel is None else v[:, channel] for v in (now, then))
+        start = _channel(before.coefficients, channel)
+        level = max(float(start[0]), 1e-6)
+        usable = trusted & (seen > DARK) & (pictured > DARK) & (now.max(1) < CLIPPED) & (then.max(1) < CLIPPED)
+        if usable.sum() < MIN_WITNESSES:
+            usable = trusted
+        ratio = portable.log((pictured[usable] + RATIO_FLOOR) / (seen[usable] + RATIO_FLOOR))
+        center = np.concatenate([start[1:] / level, [1.0], np.zeros(8)])
+        deviation = spread
+        if aimed:
+            center[8:] = _channel(np.asarray(target), channel) / level
+            deviation = np.concatenate([spread[:9], np.full(8, GIVEN_STD)])
+        elif guess is not None:
+            center[8:] = guess[8:]
+            deviation = np.concatenate([spread[:9], CHANNEL_STD * PRIOR_STD])
+        brightness = seen[usable] / (seen[usable] + DIM)
+        weights = np.minimum(total[usable], 1.0) * WITNESS_WEIGHT * brightness * brightness
+        fitted = _fit_channel(transfer[usable], ratio, weights, center, deviation)
+        if channel is None:
+            guess = fitted
+            continue
+        old[1:, channel], new[:, channel] = fitted[:8] * level / SH_C0, fitted[8:] * level / SH_C0
+    return replace(before, coefficients=old), new
+
+
+def _channel(coefficients: np.ndarray, channel: int | None) -> np.ndarray:
+    """[9] of one channel, or of luminance, so that uniform light of radiance 1 has 1 in the first place."""
+    return SH_C0 * (luminance(coefficients) if channel is None else coefficients[:, channel])
+
+
+def _fit_channel(
+    transfer: np.ndarray, ratio: np.ndarray, weights: np.ndarray, center: np.ndarray, deviation: np.ndarray
+) -> np.ndarray:
+    """[17] bands 1 and 2 of the light before and all of the new one, over the mean of the light before. transfer: [M,
+    9] over that of an open surface under uniform light; ratio: [M] natural logarithms; weights: [M]; center, deviation:
+    [17] what is expected."""
+    estimate = center.copy()
+    estimate[8] = max(float(portable.exp(float(np.median(ratio)))), 0.02)
+    for _ in range(FIT_ROUNDS):
+        old = transfer[:, 0] + portable.matmul(transfer[:, 1:], estimate[:8, None])[:, 0]
+        new = portable.matmul(transfer, estimate[8:, None])[:, 0]
+        low = MIN_LIGHT * max(float(estimate[8]), 0.1)
+        dim, lit = np.maximum(old, MIN_LIGHT), np.maximum(new, low)
+        error = ratio - portable.log(lit) + portable.log(dim)
+        noise = max(1.4826 * float(np.median(np.abs(error))), RATIO_NOISE)
+        robust = weights * np.minimum(1, 1.5 * noise / np.maximum(np.abs(error), 1e-9))
+        before = -transfer[:, 1:] / dim[:, None] * (old > MIN_LIGHT)[:, None]
+        after = transfer / lit[:, None] * (new > low)[:, None]
+        jacobian = np.concatenate([before, after], 1)
+        matrix = portable.gram(jacobian, robust) / noise**2
+        matrix[np.arange(17), np.arange(17)] += 1 / deviation**2
+        right = portable.transposed_product(jacobian, (robust * error)[:, None])[:, 0] / noise**2
+        right -= (estimate - center) / deviation**2
+        estimate = estimate + 0.6 * portable.solved(matrix, right[:, None])[:, 0]
+        estimate[8] = max(float(estimate[8]), 0.02)
+    return estimate
+
+
+def _seen(splats: Splats, views: Sequence[Edit]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """([N, 3] linear colours now, [N, 3] of the pictures, [N] pixels' worth), as all views see each Gaussian. Both are
+    gathered alike, so that what covers it cancels."""
+    sums = np.zeros((2, len(splats), 3))
+    total = np.zeros(len(splats))
+    for view in views:
+        drawn = render(splats, view.camera)
+        alphas = np.asarray(drawn.alphas)[0].reshape(view.image.shape[:2])
+        solid = (alphas > 0.9) & (np.ones_like(alphas, bool) if view.mask is None else view.mask)
+        weight = solid.astype(np.float32)
+        projected = project(splats, view.camera.within(splats.offset).local)
+        for row, picture in enumerate((np.asarray(drawn.colors)[0][..., :3], view.image)):
+            light = to_light(np.clip(picture, 0, 1), splats.color_space).astype(np.float32)
+            gathered = projected.backproject(np.ascontiguousarray(light), weight)
+            sums[row, projected.gaussian_ids] += gathered.values
+        total[projected.gaussian_ids] += gathered.weight
+    level = np.maximum(total, 1e-9)[:, None]
+    return sums[0] / level, sums[1] / level, total
+
+
+def _held_back(splats: Splats, edits: Sequence[Edit]) -> tuple[list[Edit], list[Edit]]:
+    """(what is used, what judges): one half of the asset in each view, in turn the left and the right one. What lies
+    between pixels that a picture shows would be no test of what it does not show."""
+    used, judged = [], []
+    for number, edit in enumerate(edits):
+        alphas = np.asarray(render(splats, edit.camera).alphas)[0].reshape(edit.image.shape[:2])
+        _, column = np.indices(alphas.shape)
+        middle = np.median(column[alphas > 0.5]) if (alphas > 0.5).any() else edit.camera.width / 2
+        half = (column < middle) == (number % 2 == 0)
+        used.append(_masked(edit, alphas, half))
+        judged.append(_masked(edit, alphas, ~half))
+    return used, judged
+
+
+def _masked(edit: Edit, alphas: np.ndarray, part: np.ndarray) -> Edit:
+    mask = (alphas > 0.5) & part if edit.mask is None else (alphas > 0.5) & part & edit.mask
+    return replace(edit, mask=mask)
+
+
+def _score(splats: Splats, views: Sequence[Edit]) -> float:
+    squares, count = 0.0, 0
+    for view in views:
+        assert view.mask is not None
+        error = np.asarray(render(splats, view.camera).colors)[0][..., :3].clip(0, 1) - view.image
+        squares += float((error[view.mask].astype(np.float64) ** 2).sum())
+        count += 3 * int(view.mask.sum())
+    return float(-10 * np.log10(max(squares / max(count, 1), 1e-8)))

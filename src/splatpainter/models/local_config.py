@@ -1,0 +1,62 @@
+"""Sizes and switches of the local network (models/local_network.py); the dataclass is the command line and the JSON in
+the checkpoint. No torch here."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+from splatpainter.models.config import RefineConfig, read_json
+
+
+@dataclass(frozen=True)
+class LocalConfig:
+    """The local network."""
+
+    format: ClassVar[str] = "splatpainter local network"
+    """Format name in its checkpoints."""
+    preset: str = "local"
+    """Name under which its checkpoint is found."""
+    waves: int = 64
+    """Sines, and cosines, that tell a place."""
+    place: int = 64
+    """Width of a place."""
+    content: int = 64
+    """Width of what a patch or a Gaussian is, beside its place."""
+    refine: RefineConfig = field(
+        default_factory=lambda: RefineConfig(
+            blocks=2,
+            fast_hidden=256,
+            hidden=192,
+            heads=4,
+            patch=4,
+            inner_loss="dot",
+            detail=True,
+        )
+    )
+    """Blocks, fast weights and the extra layer; of the other fields none is read."""
+
+    def __post_init__(self) -> None:
+        for name in ("waves", "place", "content"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"config: expected {name} of at least 1, got {getattr(self, name)}")
+        if self.dim % self.refine.heads:
+            raise ValueError(
+                f"config: expected a width that is a multiple of {self.refine.heads} heads, got {self.dim}"
+            )
+
+    @property
+    def dim(self) -> int:
+        """D."""
+        return self.place + self.content
+
+    def to_json(self) -> str:
+        """Every field."""
+        return json.dumps(dataclasses.asdict(self), indent=2)
+
+    @staticmethod
+    def from_json(text: str, where: str = "config") -> LocalConfig:
+        """Parse what `to_json` wrote. Raises ValueError naming `where` and the key that is wrong."""
+        return read_json(LocalConfig, text, where)

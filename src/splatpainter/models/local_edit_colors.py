@@ -1,0 +1,126 @@
+"""A local edit's colours by the local network: what it says of the Gaussians that the lift has laid out, held against
+what the picture says of them.
+
+The picture does not determine their colours: many lie under one pixel, and what one view makes of those at grazing
+angles other views pay for. The lift lets the old colour decide where the picture does not; here the network does. From
+its answer the lift's own rounds start, held to it the more the surer it is: damped least squares, in which a pixel
+counts as a measurement of PIXEL_VARIANCE and the network's answer as one of its own variance. J Gaussians.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+
+from splatpainter.lift.colors import MAX_COLOR, lift_colors
+from splatpainter.lift.edit_views import EditView
+from splatpainter.lift.edits import LiftedEdit
+from splatpainter.models.local_network import LocalNetwork, Patches, Readers
+from splatpainter.models.picture_patches import PatchReaders, PatchTokens, cosine_basis, picture_regions
+from splatpainter.rendering.cpu.projected_view import project
+from splatpainter.splats import SH_C0, Splats
+
+PIXEL_VARIANCE = 2.5e-4
+"""Of a pixel as a measurement of the colours that make it: (4 levels of 255)^2."""
+MIN_HOLD, MAX_HOLD = 0.01, 1.0
+"""Pixels' worth of weight that the network's answer has."""
+ROUNDS = 12
+"""Rounds of colours from the network's answer."""
+MIN_CHANGE = 1 / 1024
+"""Colours that move by no more than this keep their bits."""
+
+
+@dataclass(frozen=True)
+class NetworkColors:
+    """What the network says of a lifted edit."""
+
+    colors: np.ndarray = field(repr=False)
+    """[J, 3] float32 0..MAX_COLOR, towards the view."""
+    variance: np.ndarray = field(repr=False)
+    """[J] float32 of a channel; infinite where no picture was read."""
+
+
+def network_colors(
+    network: LocalNetwork, asset: Splats, lifted: LiftedEdit, views: Sequence[EditView], strength: float | None = None
+) -> NetworkColors:
+    """Each view teaches and is asked alone, and of several the answers are weighed by how sure each is. asset: before
+    the edit, numpy. Raises ValueError as `picture_regions`."""
+    count = len(lifted.ids)
+    total, weight = np.zeros((count, 3)), np.zeros(count)
+    for view in views:
+        for region in picture_regions(asset, lifted, view):
+            if not len(region.index):
+                continue
+            with torch.no_grad():
+                patches = patches_of(region.tokens, region.finest)
+                state = network.adapt(network.initial_state(), patches, strength)
+                answer = network.read(state, readers_of(region.readers, region.finest), strength)
+            sure = np.exp(-answer.log_variance.numpy().astype(np.float64))
+            total[region.index] += sure[:, None] * answer.colors.numpy()
+            weight[region.index] += sure
+    known = weight > 0
+    colors = np.where(known[:, None], total / np.maximum(weight, 1e-9)[:, None], 0).astype(np.float32)
+    variance = np.where(known, 1 / np.maximum(weight, 1e-9), np.inf).astype(np.float32)
+    return NetworkColors(np.clip(colors, 0, MAX_COLOR), variance)
+
+
+def repainted(network: LocalNetwork, asset: Splats, lifted: LiftedEdit, views: Sequence[EditView]) -> LiftedEdit:
+    """A lifted edit in the network's colours, held against the pictures: what `Painter.apply` makes of it. asset:
+    before the edit, numpy."""
+    return held(lifted, network_colors(network, asset, lifted, views), views)
+
+
+def with_colors(lifted: LiftedEdit, said: NetworkColors) -> LiftedEdit:
+    """The lifted edit with the network's colours in place of the lift's."""
+    sh = lifted.splats.sh.copy()
+    known = np.isfinite(said.variance)
+    ids = lifted.ids[known]
+    new = ((said.colors[known] - 0.5) / SH_C0).astype(sh.dtype)
+    moved = np.abs(new - sh[ids, 0]).max(1) * SH_C0 > MIN_CHANGE if len(ids) else np.zeros(0, bool)
+    sh[ids[moved], 0] = new[moved]
+    return replace(lifted, splats=replace(lifted.splats, sh=sh))
+
+
+def held(
+    lifted: LiftedEdit,
+    said: NetworkColors,
+    views: Sequence[EditView],
+    rounds: int = ROUNDS,
+    pixel_variance: float = PIXEL_VARIANCE,
+) -> LiftedEdit:
+    """The lifted edit in the network's colours, after rounds of the lift that are held to them. Of several views the
+    later ones win."""
+    result = with_colors(lifted, said)
+    hold = np.zeros(len(result.splats), np.float32)
+    hold[lifted.ids] = np.clip(pixel_variance / np.maximum(said.variance, 1e-9), MIN_HOLD, MAX_HOLD)
+    editable = np.zeros(len(result.splats), bool)
+    editable[lifted.ids] = True
+    for view in views:
+        splats = result.splats
+        tiles = project(splats, view.camera, gaussian_mask=editable).tiles_of(editable)
+        seen = project(splats, view.camera, tiles=tiles)
+        target, ids = view.target, seen.gaussian_ids
+        everywhere = np.ones(target.shape[:2], np.float32)
+        colors = lift_colors(seen, target, everywhere, editable[ids], rounds, hold[ids])
+        change = colors - np.maximum(seen.unclamped_colors, 0)
+        moved = editable[ids] & (np.abs(change).max(1) > MIN_CHANGE)
+        sh = splats.sh.copy()
+        sh[ids[moved], 0] += (change[moved] / SH_C0).astype(sh.dtype)
+        result = replace(result, splats=replace(splats, sh=sh))
+    return result
+
+
+def patches_of(tokens: PatchTokens, finest: float, device: str | torch.device = "cpu") -> Patches:
+    """A region's patches as tensors."""
+    arrays = (torch.from_numpy(x).to(device) for x in (tokens.places, tokens.values, tokens.weights))
+    return Patches(*arrays, finest)
+
+
+def readers_of(readers: PatchReaders, finest: float, device: str | torch.device = "cpu") -> Readers:
+    """A region's Gaussians as tensors."""
+    basis = cosine_basis(readers.inside)
+    arrays = (torch.from_numpy(x).to(device) for x in (readers.places, basis, readers.facts, readers.before))
+    return Readers(*arrays, finest)

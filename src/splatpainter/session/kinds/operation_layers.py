@@ -1,0 +1,74 @@
+"""Operations (operations/) as layers: what `splatpainter light` does to a file, as a layer that can be faded, masked,
+reordered and undone. Only those that read no files and ask no source: what a project does not hold is not there when it
+is replayed elsewhere."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from splatpainter.operations.operation import Operation, operation_of
+from splatpainter.painter import Asset
+from splatpainter.session.document.layer_operation import LayerOperation, LayerWork
+from splatpainter.session.replay.delta import between, without_source
+from splatpainter.session.replay.layer_blending import mixed
+from splatpainter.session.replay.layer_result import LayerResult
+
+
+@dataclass(frozen=True)
+class OperationLayer(LayerOperation):
+    """An operation, on everything or on what is selected."""
+
+    operation: Operation = field(default_factory=Operation)
+    selection: str | None = field(default=None, metadata={"blob": True})
+    """Hash of the selection (Selection.to_png) that it keeps to; None: everything."""
+
+    @property
+    def kind(self) -> str:  # type: ignore[override]
+        """That of the operation."""
+        return self.operation.kind
+
+    def check(self) -> None:
+        if self.operation.files() or self.operation.outputs():
+            paths = ", ".join(path.name for path in (*self.operation.files(), *self.operation.outputs()))
+            expected = f"options of {self.kind} without files, which a project does not hold"
+            raise ValueError(f"expected {expected}, got {paths}")
+
+    def record(self) -> dict[str, Any]:
+        return self.operation.record() | ({} if self.selection is None else {"selection": self.selection})
+
+    def changes(self) -> dict[str, Any]:
+        return {name: value for name, value in self.record().items() if name != "kind"}
+
+    def option_names(self) -> tuple[str, ...]:
+        return (*(entry.name for entry in dataclasses.fields(self.operation)), "selection")
+
+    @classmethod
+    def build(cls, kind: str, options: Mapping[str, Any], where: str) -> LayerOperation:
+        given = dict(options)
+        selection = given.pop("selection", None)
+        if not isinstance(selection, str | None):
+            raise ValueError(f"{where}: expected selection as the hash of a picture, got {selection!r:.40}")
+        operation = operation_of({"kind": kind, **given}, where)
+        try:
+            return cls(operation, selection)
+        except ValueError as error:
+            raise ValueError(f"{where}: {error}") from None
+
+    @property
+    def needs_masks(self) -> bool:
+        return False
+
+    def result(self, work: LayerWork) -> LayerResult:
+        # Numbered from 0, as a file's rows are: what it appends then says which Gaussian below it came from.
+        below = replace(without_source(work.splats), origin=np.arange(len(work.splats)))
+        edited = self.operation.apply(Asset(below, original=without_source(work.original)))
+        splats = edited.splats
+        if self.selection is not None:
+            splats = mixed(work.selected(self.selection), below, splats)
+        note = "" if edited.receipt is None else edited.receipt.note
+        return LayerResult(between(below, without_source(splats)), {"note": note} if note else {})

@@ -1,0 +1,256 @@
+"""The local network: what it reads, that a picture teaches it, and what a painter makes of what it says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scipy.fft import dctn
+
+from splatpainter.cameras import Camera, look_at
+from splatpainter.color import base_color, sh_from_color
+from splatpainter.lift.edit_views import EditView, edit_views
+from splatpainter.lift.edits import LiftedEdit
+from splatpainter.lift.features import no_features
+from splatpainter.models import local_edit_colors, picture_patches
+from splatpainter.models.config import RefineConfig
+from splatpainter.models.local_config import LocalConfig
+from splatpainter.models.local_edit_colors import (
+    NetworkColors,
+    held,
+    network_colors,
+    patches_of,
+    readers_of,
+    with_colors,
+)
+from splatpainter.models.local_network import LocalNetwork
+from splatpainter.models.picture_patches import BANDS, PATCH_PX, cosine_basis, cosines, picture_regions
+from splatpainter.models.refine import RidgeMixer
+from splatpainter.painter import Edit, Painter
+from splatpainter.rendering import render
+from splatpainter.splats import Splats
+
+CONFIG = LocalConfig(
+    waves=48,
+    place=48,
+    content=56,
+    refine=RefineConfig(blocks=1, mixer="ridge", fast_hidden=128, hidden=32, heads=4, patch=4, detail=True),
+)
+SIZE = 48
+
+
+@cache
+def sheet() -> tuple[Splats, Camera]:
+    """A square of 1,024 flat Gaussians, grey, and the camera that looks at it."""
+    count = 32
+    x, y = np.meshgrid(*2 * [(np.arange(count) + 0.5) / count * 2 - 1])
+    means = np.stack([x.ravel(), y.ravel(), np.zeros(count**2)], 1).astype(np.float32)
+    scales = np.tile(np.array([0.045, 0.045, 0.004], np.float32), (count**2, 1))
+    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (count**2, 1))
+    sh = np.zeros((count**2, 1, 3), np.float32)
+    camera = look_at((0.4, 0.3, 3.0), (0, 0, 0), width=SIZE, height=SIZE, fov=40)
+    return Splats(means, quats, scales, np.full(count**2, 0.95, np.float32), sh), camera
+
+
+def pattern(seed: int, points: np.ndarray) -> np.ndarray:
+    """[N, 3] smooth colours 0..1 of points [N, 3] of the sheet."""
+    rng = np.random.default_rng(seed)
+    waves = rng.uniform(-3, 3, (3, 3))
+    return (0.5 + 0.4 * np.sin(points @ waves + rng.uniform(0, 6, 3))).astype(np.float32)
+
+
+def painted(seed: int) -> tuple[LiftedEdit, EditView, np.ndarray]:
+    """(the sheet with all of its Gaussians to be coloured, a picture of it in a pattern, the true colours)."""
+    splats, camera = sheet()
+    truth = pattern(seed, splats.means)
+    after = replace(splats, sh=sh_from_color(truth)[:, None].astype(np.float32))
+    picture = render(after, camera).colors[0]
+    mask = render(splats, camera).alphas[0, ..., 0] > 0.5
+    (view,) = edit_views(splats, [camera], [picture], [mask])
+    ids = np.arange(len(splats))
+    return LiftedEdit(splats, ids, ids, no_features(ids)), view, truth
+
+
+def network(**refine: object) -> LocalNetwork:
+    torch.manual_seed(0)
+    return LocalNetwork(replace(CONFIG, refine=replace(CONFIG.refine, **refine))).eval()  # type: ignore[arg-type]
+
+
+def decibels(colors: np.ndarray, truth: np.ndarray) -> float:
+    return float(-10 * np.log10(np.square(colors - truth).mean()))
+
+
+def test_cosines_are_the_dct_and_read_the_pixels_that_they_were_made_of() -> None:
+    patches = np.random.default_rng(0).uniform(0, 1, (5, PATCH_PX, PATCH_PX, 3)).astype(np.float32)
+    coefficients = cosines(patches)
+    expected = dctn(patches, axes=(1, 2), norm="ortho").reshape(5, BANDS, 3)
+    np.testing.assert_allclose(coefficients, expected, atol=1e-6)
+    # Pixel (row 2, column 1): its centre, from the patch's middle.
+    (basis,) = cosine_basis(np.array([[1.5 / 4 - 0.5, 2.5 / 4 - 0.5]]))
+    np.testing.assert_allclose(np.einsum("k,tkc->tc", basis, coefficients), patches[:, 2, 1], atol=1e-6)
+
+
+def test_patches_lie_on_the_surface_and_every_gaussian_is_asked_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    splats, _ = sheet()
+    lifted, view, _ = painted(0)
+    (whole,) = picture_regions(splats, lifted, view)
+    np.testing.assert_array_equal(whole.index, np.arange(len(splats)))
+    # Places of the frame -> world: all on the plane z = 0, within the sheet.
+    assert np.abs(whole.tokens.places).max() <= 1 + 1e-6
+    spread = np.linalg.svd(whole.tokens.places - whole.tokens.places.mean(0), compute_uv=False)
+    assert spread[2] < 0.02 * spread[0]
+    monkeypatch.setattr(picture_patches, "MAX_TOKENS", 40)
+    parts = list(picture_regions(splats, lifted, view))
+    assert len(parts) > 3 and max(len(part.tokens.weights) for part in parts) <= 40
+    np.testing.assert_array_equal(np.sort(np.concatenate([part.index for part in parts])), np.arange(len(splats)))
+
+
+def test_a_gaussian_is_told_nothing_of_the_lifts_answer() -> None:
+    splats, _ = sheet()
+    lifted, view, truth = painted(0)
+    answered = replace(lifted, splats=replace(splats, sh=sh_from_color(truth)[:, None].astype(np.float32)))
+    (one,), (other,) = (list(picture_regions(splats, edit, view)) for edit in (lifted, answered))
+    for name in ("places", "inside", "facts", "before"):
+        np.testing.assert_array_equal(getattr(one.readers, name), getattr(other.readers, name))
+
+
+@pytest.mark.parametrize("mixer", ["ridge", "cross_attention"])
+def test_an_untrained_network_reads_the_picture_under_each_gaussian(mixer: str, float32: None) -> None:
+    splats, _ = sheet()
+    lifted, view, truth = painted(0)
+    said = network_colors(network(mixer=mixer), splats, lifted, [view])
+    assert decibels(said.colors, truth) > 20 > 12 > decibels(base_color(splats.sh), truth)
+    other = network_colors(network(mixer=mixer), splats, lifted, [painted(1)[1]])
+    assert decibels(other.colors, truth) < 14
+    if mixer == "ridge":
+        nothing = network_colors(network(mixer=mixer), splats, lifted, [view], strength=0.0)
+        assert decibels(nothing.colors, truth) < decibels(said.colors, truth) - 8
+
+
+@pytest.mark.parametrize("mixer", ["ttt", "ridge"])
+def test_thirty_steps_on_pictures_leave_half_the_error_that_other_memories_do(mixer: str, float32: None) -> None:
+    """A toy Stage II of pictures: what it says of a picture that it has not seen, against strength 0 and against the
+    memory of another picture."""
+    splats, _ = sheet()
+    learner = network(mixer=mixer, detail=False).train()
+    optimizer = torch.optim.AdamW(learner.parameters(), lr=2e-3)
+    seen = [(picture_regions(splats, *painted(seed)[:2]), painted(seed)[2]) for seed in range(2, 6)]
+    samples = [(next(iter(regions)), truth) for regions, truth in seen]
+    for step in range(30):
+        region, truth = samples[step % len(samples)]
+        pick = np.random.default_rng(step).permutation(len(truth))[:256]
+        state = learner.adapt(learner.initial_state(), patches_of(region.tokens, region.finest))
+        answer = learner.read(state, readers_of(region.readers.take(pick), region.finest))
+        loss = torch.log((answer.colors - torch.from_numpy(truth[pick])).square().mean() + 1e-4)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    learner.eval()
+    lifted, view, truth = painted(0)
+    errors = [
+        float(np.square(network_colors(learner, splats, lifted, [shown], strength).colors - truth).mean())
+        for shown, strength in ((view, None), (view, 0.0), (painted(1)[1], None))
+    ]
+    assert errors[0] < 0.5 * min(errors[1:]), errors
+
+
+def test_a_ridge_memory_is_the_regression_and_adds_up() -> None:
+    torch.manual_seed(0)
+    mixer = RidgeMixer(8, RefineConfig(mixer="ridge", fast_hidden=6), pictures=False, gaussians=False)
+    torch.nn.init.normal_(mixer.keys.weight)
+    torch.nn.init.zeros_(mixer.rates.weight)  # every token counts once
+    tokens, queries = torch.randn(20, 8), torch.randn(5, 8)
+    memory = mixer.update(mixer.initial(), tokens, None, None)
+    parts = mixer.update(mixer.update(mixer.initial(), tokens[:7], None, None), tokens[7:], None, None)
+    torch.testing.assert_close(memory, parts)
+    with torch.no_grad():
+        phi = mixer._features(mixer.keys, tokens).double().numpy()
+        values = (tokens @ mixer.values.weight.T).double().numpy()
+        # Ridge as least squares with the penalty as further lines.
+        lines = np.concatenate([phi, np.eye(6)]), np.concatenate([values, np.zeros((6, 8))])
+        solved = np.linalg.lstsq(*lines, rcond=None)[0]
+        asked = mixer._features(mixer.queries["voxel"], queries).double().numpy()
+        expected = asked @ solved @ mixer.out.weight.double().numpy().T
+    np.testing.assert_allclose(mixer.read_gaussian_tokens(memory, queries).detach().numpy(), expected, atol=2e-5)
+    nothing = mixer.update(mixer.initial(), tokens, None, 0.0)
+    assert not nothing.any() and not mixer.read_gaussian_tokens(nothing, queries).any()
+
+
+def test_the_picture_decides_where_it_can_and_the_network_where_it_is_sure() -> None:
+    splats, camera = sheet()
+    lifted, view, truth = painted(0)
+    wrong = np.full_like(truth, 0.5)
+    errors = []
+    for variance in (1e-1, 1e-9):
+        said = NetworkColors(wrong, np.full(len(wrong), variance, np.float32))
+        colored = held(lifted, said, [view])
+        errors.append(np.square(render(colored.splats, camera).colors[0] - view.edited)[view.mask].mean())
+    start = np.square(render(with_colors(lifted, said).splats, camera).colors[0] - view.edited)[view.mask].mean()
+    assert errors[0] < 0.05 * start and errors[0] < 0.5 * errors[1] < start
+    unread = NetworkColors(wrong, np.full(len(wrong), np.inf, np.float32))
+    np.testing.assert_array_equal(with_colors(lifted, unread).splats.sh, splats.sh)
+
+
+def test_rounds_count_pixels_by_their_variance(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One Gaussian that fills the picture, weight W: after many rounds (W picture + h answer) / (W + h)."""
+    monkeypatch.setattr(local_edit_colors, "MAX_HOLD", 1e9)
+    camera = look_at((0, 0, 3.0), (0, 0, 0), width=16, height=16, fov=40)
+    one = Splats(
+        *(np.array(x, np.float32) for x in ([[0, 0, 0]], [[1, 0, 0, 0]], [[9, 9, 0.01]], [0.9], [[[0, 0, 0]]]))
+    )
+    (view,) = edit_views(one, [camera], [np.full((16, 16, 3), 0.8, np.float32)], [np.ones((16, 16), bool)])
+    view = replace(view, edited=np.asarray(render(replace(one, sh=np.ones((1, 1, 3), np.float32)), camera).colors[0]))
+    alpha = render(one, camera).alphas[0, ..., 0].astype(np.float64)
+    lifted = LiftedEdit(one, np.arange(1), np.arange(1), no_features(np.arange(1)))
+    answer, hold = 0.2, 40.0
+    said = NetworkColors(np.full((1, 3), answer, np.float32), np.full(1, 2.5e-4 / hold, np.float32))
+    colored = base_color(held(lifted, said, [view], rounds=400).splats.sh)[0, 0]
+    weight, target = (alpha**2).sum(), float(base_color(np.ones((1, 1, 3)))[0, 0])
+    # Damped least squares of the colour: the rounds' divisor counts weights, their residual weights times alpha.
+    assert answer < colored < target
+    np.testing.assert_allclose(colored, (weight * target + hold * answer) / (weight + hold), atol=0.01)
+
+
+def test_a_painter_makes_local_edits_by_it(tmp_path: Path, float32: None) -> None:
+    splats, camera = sheet()
+    made = network()
+    made.save(tmp_path / "local", {"gain": {}})
+    loaded = LocalNetwork.load(tmp_path / "local")
+    picture = render(splats, camera).colors[0].copy()
+    mask = np.zeros((SIZE, SIZE), bool)
+    mask[18:30, 16:30] = True
+    picture[mask] = (0.9, 0.2, 0.1)
+    edits = [Edit(picture, camera, mask)]
+    painter = Painter.load(str(tmp_path / "local"))
+    asset = painter.encode(splats)
+    result = painter.apply(asset, edits, "local", "ttt")
+    assert result.receipt is not None and (result.receipt.method, result.receipt.preset) == ("ttt", "local")
+    assert result.receipt.precision == "float32"
+    touched = np.zeros(len(splats), bool)
+    touched[result.receipt.touched] = True
+    assert touched.any() and not touched.all()
+    for name in ("means", "sh", "opacities"):
+        np.testing.assert_array_equal(
+            getattr(result.splats, name)[: len(splats)][~touched], getattr(splats, name)[~touched]
+        )
+    assert result.receipt.untouched_sha256_before == result.receipt.untouched_sha256_after
+    lift = painter.apply(asset, edits, "local", "lift")
+    assert not np.array_equal(result.splats.sh, lift.splats.sh)
+    again = Painter(local=loaded).apply(asset, edits, "local", "ttt")
+    np.testing.assert_array_equal(again.splats.sh, result.splats.sh)
+
+
+def test_auto_takes_it_only_where_it_was_measured_to_be_better() -> None:
+    made = network()
+    for gain, method in (({}, "lift"), ({"gain": {"local": -0.1}}, "lift"), ({"gain": {"local": 0.4}}, "ttt")):
+        made.notes = gain
+        chosen, why = Painter(local=made).choose("auto", "local")
+        assert chosen == method and "preset 'local'" in why
+    assert "not measured on captures" in Painter(local=network()).choose("auto", "local")[1]
+    assert Painter(local=made).choose("ttt", "local") == ("ttt", "")
+    with pytest.raises(ValueError, match="needs a preset with trained weights"):
+        Painter(local=made).choose("ttt", "global")

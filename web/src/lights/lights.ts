@@ -1,0 +1,223 @@
+/** New light on an asset, as the light panel sets it, and as the operation `light` takes it (splatpainter light --help). */
+
+import { rgb } from "../state/store";
+import { KELVIN_RANGE, kelvinColor } from "./kelvin";
+
+export type LampKind = "point" | "spot" | "rect" | "disk" | "sphere";
+
+/** A colour, or a temperature in its place. */
+export type LightColor = { hex: string } | { kelvin: number };
+
+interface Light {
+  id: number;
+  color: LightColor;
+  /** 1: as bright as white light from all around, on a surface that faces a sun, or one world unit from a lamp. */
+  intensity: number;
+}
+
+export interface SunLight extends Light {
+  kind: "sun";
+  /** Degrees counter-clockwise seen from above, 0 at the front of the asset. */
+  azimuth: number;
+  /** Degrees above the horizon. */
+  elevation: number;
+}
+
+export interface LampLight extends Light {
+  kind: LampKind;
+  /** World units. */
+  position: readonly [number, number, number];
+  /** Where spot, rect and disk look to. */
+  target: readonly [number, number, number];
+  /** spot: full angle, degrees; rect: width and height; disk and sphere: radius; world units. */
+  sizes: readonly number[];
+}
+
+export interface LightSettings {
+  /** Name of an environment, or a file of one; "": none. */
+  sky: string;
+  /** Degrees by which the environment turns, counter-clockwise seen from above. */
+  rotate: number;
+  suns: readonly SunLight[];
+  lamps: readonly LampLight[];
+  /** Stops, of all lights. */
+  exposure: number;
+  /** How much of the new look, 0 .. 1; the rest is the captured one. */
+  mix: number;
+  /** They are added to the light that is baked in; else they replace it. */
+  add: boolean;
+  /** Shadows by the asset itself. */
+  shadows: boolean;
+}
+
+/** Of suns and lamps together (lights/light_set.py). */
+export const MAX_LIGHTS = 64;
+/** Least share of the new look: the operation takes no 0. */
+export const MIN_MIX = 0.01;
+/** Of intensities and exposures that the panel offers; the operation takes more. */
+export const INTENSITY_RANGE = [0.01, 100] as const;
+export const EXPOSURE_RANGE = [-5, 5] as const;
+
+export const NO_LIGHT: LightSettings = {
+  sky: "",
+  rotate: 0,
+  suns: [],
+  lamps: [],
+  exposure: 0,
+  mix: 1,
+  add: false,
+  shadows: true,
+};
+const WARM: LightColor = { hex: "#fff4e0" };
+const SIZES: Record<LampKind, (radius: number) => readonly number[]> = {
+  point: () => [],
+  spot: () => [40],
+  rect: (radius) => [0.5 * radius, 0.5 * radius],
+  disk: (radius) => [0.25 * radius],
+  sphere: (radius) => [0.1 * radius],
+};
+/** What the numbers of `sizes` are called, and in which unit. */
+export const SIZE_NAMES: Record<LampKind, readonly (readonly [string, string])[]> = {
+  point: [],
+  spot: [["Angle", "°"]],
+  rect: [
+    ["Width", ""],
+    ["Height", ""],
+  ],
+  disk: [["Radius", ""]],
+  sphere: [["Radius", ""]],
+};
+/** Kinds that look somewhere. */
+export const AIMED: readonly LampKind[] = ["spot", "rect", "disk"];
+
+const nextId = ({ suns, lamps }: LightSettings): number =>
+  1 + Math.max(0, ...suns.map(({ id }) => id), ...lamps.map(({ id }) => id));
+
+export const isFull = ({ suns, lamps }: LightSettings): boolean => suns.length + lamps.length >= MAX_LIGHTS;
+
+/** Whether there is any light to apply. */
+export const isLit = ({ sky, suns, lamps }: LightSettings): boolean => sky !== "" || suns.length + lamps.length > 0;
+
+export function withSun(lights: LightSettings, azimuth = 45, elevation = 40): LightSettings {
+  if (isFull(lights)) return lights;
+  const sun: SunLight = { id: nextId(lights), kind: "sun", azimuth, elevation, color: WARM, intensity: 1 };
+  return { ...lights, suns: [...lights.suns, sun] };
+}
+
+/** With a lamp above the middle of an asset of this radius, that looks at it. `up`: unit, of the asset. */
+export function withLamp(
+  lights: LightSettings,
+  kind: LampKind,
+  asset: { center: readonly number[]; radius: number; up: readonly number[] },
+): LightSettings {
+  if (isFull(lights)) return lights;
+  const { center, radius, up } = asset;
+  const at = (share: number) => [0, 1, 2].map((k) => center[k] + share * radius * up[k]) as [number, number, number];
+  const lamp: LampLight = {
+    id: nextId(lights),
+    kind,
+    position: at(1.5),
+    target: at(0),
+    sizes: SIZES[kind](radius),
+    color: { kelvin: 2700 },
+    intensity: Math.max(INTENSITY_RANGE[0], Math.min(INTENSITY_RANGE[1], radius ** 2)), // it falls off with the square
+  };
+  return { ...lights, lamps: [...lights.lamps, lamp] };
+}
+
+export const changedSun = (lights: LightSettings, id: number, part: Partial<SunLight>): LightSettings => ({
+  ...lights,
+  suns: lights.suns.map((one) => (one.id === id ? { ...one, ...part } : one)),
+});
+
+export const changedLamp = (lights: LightSettings, id: number, part: Partial<LampLight>): LightSettings => ({
+  ...lights,
+  lamps: lights.lamps.map((one) => (one.id === id ? { ...one, ...part } : one)),
+});
+
+export const without = (lights: LightSettings, id: number): LightSettings => ({
+  ...lights,
+  suns: lights.suns.filter((one) => one.id !== id),
+  lamps: lights.lamps.filter((one) => one.id !== id),
+});
+
+/** "#rrggbb" of a light, as bright as it can be. */
+export function hexOf(color: LightColor): string {
+  if ("hex" in color) return color.hex;
+  const linear = kelvinColor(color.kelvin);
+  const most = Math.max(...linear);
+  const channel = (value: number) => {
+    const share = value / most;
+    const srgb = share <= 0.0031308 ? 12.92 * share : 1.055 * share ** (1 / 2.4) - 0.055;
+    return Math.round(255 * srgb)
+      .toString(16)
+      .padStart(2, "0");
+  };
+  return `#${linear.map(channel).join("")}`;
+}
+
+/** Fields of the operation `light`: lights are numbers with commas between, then a colour and an intensity. */
+export interface LightFields {
+  hdri: string;
+  rotate: number;
+  exposure: number;
+  mix: number;
+  add: boolean;
+  shadows: boolean;
+  sun: string[];
+  point: string[];
+  spot: string[];
+  rect: string[];
+  disk: string[];
+  sphere: string[];
+}
+
+const digits = (value: number): string => String(Number(value.toPrecision(6)));
+
+/**
+ * `color` of a temperature has luminance 1 in the operation and its brightest channel at 1 here, so the intensity makes up
+ * for what the hexadecimal digits leave out.
+ */
+function colorAndIntensity({ color, intensity }: Light): string[] {
+  const gain = "kelvin" in color ? Math.max(...kelvinColor(color.kelvin)) : 1;
+  return [hexOf(color), digits(intensity * gain)];
+}
+
+export function lightFields(lights: LightSettings): LightFields {
+  const lampsOf = (kind: LampKind) =>
+    lights.lamps
+      .filter((one) => one.kind === kind)
+      .map((one) => {
+        const target = AIMED.includes(kind) ? one.target : [];
+        return [...[...one.position, ...target, ...one.sizes].map(digits), ...colorAndIntensity(one)].join(",");
+      });
+  const sun = lights.suns.map((one) =>
+    [digits(one.azimuth), digits(one.elevation), ...colorAndIntensity(one)].join(","),
+  );
+  const { sky: hdri, rotate, exposure, add, shadows } = lights;
+  return {
+    ...{ hdri, rotate, exposure, add, shadows, sun },
+    mix: Math.max(MIN_MIX, Math.min(1, lights.mix)),
+    point: lampsOf("point"),
+    spot: lampsOf("spot"),
+    rect: lampsOf("rect"),
+    disk: lampsOf("disk"),
+    sphere: lampsOf("sphere"),
+  };
+}
+
+/** The colour as the other kind of setting: a temperature for a colour is the nearest one. */
+export function asKelvin(color: LightColor): LightColor {
+  if ("kelvin" in color) return color;
+  const [red, , blue] = rgb(color.hex);
+  const [low, high] = KELVIN_RANGE;
+  let [best, least] = [6500, Infinity];
+  for (let kelvin = 2000; kelvin <= Math.min(high, 12_000); kelvin += 100) {
+    const [r, , b] = rgb(hexOf({ kelvin }));
+    const off = Math.abs(red - blue - (r - b));
+    if (off < least) [best, least] = [kelvin, off];
+  }
+  return { kelvin: Math.max(low, best) };
+}
+
+export const asHex = (color: LightColor): LightColor => ({ hex: hexOf(color) });

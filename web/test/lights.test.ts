@@ -1,0 +1,121 @@
+import { describe, expect, it } from "vitest";
+
+import { KELVIN_RANGE, kelvinColor } from "../src/lights/kelvin";
+import {
+  asHex,
+  asKelvin,
+  changedLamp,
+  changedSun,
+  hexOf,
+  isFull,
+  isLit,
+  lightFields,
+  MAX_LIGHTS,
+  NO_LIGHT,
+  without,
+  withLamp,
+  withSun,
+} from "../src/lights/lights";
+import { ballPoint, nudged, shownPoint, spokenPlace, sunAt } from "../src/lights/sun-ball";
+
+const ASSET = { center: [1, 2, 3], radius: 2, up: [0, -1, 0] };
+
+describe("the ball", () => {
+  it("has the sun behind the eye in its middle, above at its top, behind the asset beyond its rim", () => {
+    expect(sunAt({ x: 0, y: 0 })).toEqual({ azimuth: 0, elevation: 0 });
+    expect(sunAt({ x: 0, y: 1 }).elevation).toBeCloseTo(90);
+    expect(sunAt({ x: 1, y: 0 })).toEqual({ azimuth: expect.closeTo(90), elevation: expect.closeTo(0) });
+    expect(sunAt({ x: -1.5, y: 0 }).azimuth).toBeCloseTo(-135);
+    expect(Math.abs(sunAt({ x: 3, y: 0 }).azimuth)).toBeCloseTo(180); // no drag goes farther
+    expect(sunAt({ x: 0, y: 0.5 }, 120)).toEqual({ azimuth: expect.closeTo(120), elevation: expect.closeTo(45) });
+  });
+
+  it("shows every place where it was dragged, from every view", () => {
+    for (let k = 0; k < 200; k++) {
+      const [azimuth, elevation, view] = [(k * 77) % 360, ((k * 37) % 178) - 89, (k * 53) % 360];
+      const back = sunAt(ballPoint({ azimuth, elevation }, view), view);
+      expect(back.elevation).toBeCloseTo(elevation, 5);
+      expect(Math.cos(((back.azimuth - azimuth) * Math.PI) / 180)).toBeCloseTo(1, 6);
+    }
+  });
+
+  it("draws it inside of the ball, on the far side where it is behind", () => {
+    expect(shownPoint({ x: 0.5, y: 0 })).toEqual({ x: expect.closeTo(Math.SQRT1_2), y: 0, behind: false });
+    expect(shownPoint({ x: 0, y: 1.5 })).toEqual({ x: 0, y: expect.closeTo(Math.SQRT1_2), behind: true });
+    for (const reach of [0, 0.3, 1, 1.7, 2]) {
+      const { x, y } = shownPoint({ x: reach * 0.6, y: reach * 0.8 });
+      expect(Math.hypot(x, y)).toBeLessThanOrEqual(1 + 1e-9);
+    }
+  });
+
+  it("is moved by keys, and says in words where the light comes from", () => {
+    expect(nudged({ azimuth: 178, elevation: 88 }, 5, 5)).toEqual({ azimuth: -177, elevation: 90 });
+    expect(spokenPlace({ azimuth: 100, elevation: 20 })).toBe("from the right, 20° above the horizon");
+    expect(spokenPlace({ azimuth: -170, elevation: -4.6 })).toBe("from behind, 5° below the horizon");
+  });
+});
+
+describe("temperatures", () => {
+  it.each([
+    [1667, [2.9641, 0.521, 0]],
+    [2700, [1.9294, 0.8051, 0.193]],
+    [4000, [1.4147, 0.9238, 0.5334]],
+    [6500, [1.0426, 0.9838, 1.0351]],
+    [25000, [0.7273, 0.9875, 1.9274]],
+  ])("are the colours that the package has: %d K", (kelvin, color) => {
+    kelvinColor(kelvin).forEach((value, k) => expect(value).toBeCloseTo(color[k], 3));
+    const [red, green, blue] = kelvinColor(kelvin); // Rec. 709 luminance
+    if (blue > 0) expect(0.2126 * red + 0.7152 * green + 0.0722 * blue).toBeCloseTo(1, 3);
+  });
+
+  it("and colours become each other", () => {
+    expect(hexOf({ kelvin: 2700 })).toMatch(/^#ff[0-9a-f]{4}$/);
+    expect(asHex({ kelvin: 6500 })).toEqual({ hex: hexOf({ kelvin: 6500 }) });
+    for (const kelvin of [2700, 4500, 8000]) {
+      const back = asKelvin(asHex({ kelvin }));
+      expect("kelvin" in back && Math.abs(back.kelvin / kelvin - 1)).toBeLessThan(0.05);
+    }
+    expect(asKelvin({ hex: "#ff0000" })).toEqual({ kelvin: expect.any(Number) });
+    expect(kelvinColor(1)).toEqual(kelvinColor(KELVIN_RANGE[0]).map(() => expect.any(Number)));
+  });
+});
+
+describe("lights", () => {
+  it("are put above the asset, changed and taken away one by one", () => {
+    let lights = withLamp(withSun(withSun(NO_LIGHT), -30, 10), "spot", ASSET);
+    expect(isLit(NO_LIGHT)).toBe(false);
+    expect(isLit(lights)).toBe(true);
+    const [first, second] = lights.suns;
+    const [lamp] = lights.lamps;
+    expect(new Set([first.id, second.id, lamp.id]).size).toBe(3);
+    expect(lamp).toMatchObject({ position: [1, -1, 3], target: [1, 2, 3], sizes: [40], intensity: 4 });
+    lights = changedLamp(changedSun(lights, second.id, { elevation: 80 }), lamp.id, { intensity: 9 });
+    expect([lights.suns[0].elevation, lights.suns[1].elevation, lights.lamps[0].intensity]).toEqual([40, 80, 9]);
+    lights = without(lights, first.id);
+    expect(lights.suns.map(({ id }) => id)).toEqual([second.id]);
+    expect(withLamp(lights, "point", ASSET).lamps.at(-1)!.id).not.toBe(lamp.id);
+  });
+
+  it("are at most as many as the operation takes", () => {
+    let lights = NO_LIGHT;
+    for (let k = 0; k < MAX_LIGHTS + 3; k++) lights = k % 2 ? withSun(lights) : withLamp(lights, "point", ASSET);
+    expect(lights.suns.length + lights.lamps.length).toBe(MAX_LIGHTS);
+    expect(isFull(lights)).toBe(true);
+  });
+
+  it("are told to the operation as words of the command line", () => {
+    let lights = { ...NO_LIGHT, sky: "sunset", rotate: 40, exposure: 0.5, mix: 0, add: true };
+    lights = withSun(lights, 120, 35);
+    lights = changedSun(lights, lights.suns[0].id, { color: { hex: "#ffe0b0" }, intensity: 2 });
+    lights = withLamp(withLamp(lights, "point", ASSET), "rect", ASSET);
+    const [point] = lights.lamps;
+    lights = changedLamp(lights, point.id, { color: { kelvin: 2700 }, intensity: 1 });
+    const fields = lightFields(lights);
+    expect(fields).toMatchObject({ hdri: "sunset", rotate: 40, exposure: 0.5, mix: 0.01, add: true, shadows: true });
+    expect(fields.sun).toEqual(["120,35,#ffe0b0,2"]);
+    // a temperature has luminance 1: its digits end at 1, the intensity makes up for it
+    expect(fields.point).toEqual([`1,-1,3,${hexOf({ kelvin: 2700 })},1.92939`]);
+    expect(fields.rect[0].split(",").length).toBe(3 + 3 + 2 + 2);
+    expect([fields.spot, fields.disk, fields.sphere]).toEqual([[], [], []]);
+  });
+});
