@@ -200,6 +200,7 @@ export class Viewer {
   }
 
   private draw(): void {
+    if (this.renderer.getContext().isContextLost()) return; // Spark's work would be rejected, and nobody waits for it
     void this.update(); // and asks for a picture, which is this one
     cancelAnimationFrame(this.requested);
     this.requested = 0;
