@@ -166,6 +166,7 @@ def shadows(rng: np.random.Generator, dtype: type) -> None:
     points += rng.normal(0, 1, 3) * rng.choice([0, 1, 1e6, 1e15])
     normals = rng.normal(0, 1, (count, 3)).astype(np.float32)
     normals = extreme(rng, normals / np.linalg.norm(normals, axis=1, keepdims=True), rng.choice([0, 0, 0.1]))
+    visibility.prt_transfer(points.astype(np.float32), normals)
     visibility.visibility(points.astype(np.float32), normals, float(rng.choice([1e-30, 1e-3, 1, 1e9])), directions=8)
 
 
@@ -199,6 +200,148 @@ def lifting(rng: np.random.Generator, dtype: type) -> None:
     lift_local(splats, camera, target, rng.random(shape) < 0.3)
 
 
+def shell(rng: np.random.Generator, count: int, share: float):
+    """Flat Gaussians on a sphere, some values extreme."""
+    from splatpainter.splats import Splats
+
+    where = rng.normal(size=(count, 3))
+    where /= np.linalg.norm(where, axis=1, keepdims=True)
+    quats = np.concatenate([1 + where[:, 2:], -where[:, 1:2], where[:, :1], np.zeros((count, 1))], 1)  # z to outside
+    scales = np.tile([1.6 / np.sqrt(count), 1.6 / np.sqrt(count), 1e-3], (count, 1)) * np.exp(rng.normal(0, 0.2))
+    sh = rng.normal(0, 0.3, (count, int(rng.choice([1, 4])), 3))
+    values = (where, quats, scales, rng.uniform(0.5, 1, count), sh)
+    return Splats(*(extreme(rng, value.astype(np.float32), share) for value in values))
+
+
+def painting(rng: np.random.Generator, dtype: type) -> None:
+    """Whole edits of a surface in each mode: sheets, splits, spreading, receipts. Untouched rows stay."""
+    from splatpainter.cameras import look_at
+    from splatpainter.painter import Asset, Edit, Painter
+    from splatpainter.rendering import render
+
+    splats = shell(rng, int(rng.integers(30, 400)), rng.choice([0, 0.002, 0.02]))
+    eye = rng.normal(size=3)
+    eye *= rng.uniform(1.5, 4) / np.linalg.norm(eye)
+    camera = look_at(eye, [0, 0, 0], width=int(rng.integers(16, 80)), height=int(rng.integers(16, 80)), fov=50)
+    picture = np.clip(render(splats, camera).colors[0], 0, 1)
+    x, y = (int(rng.integers(0, size - 4)) for size in (camera.width, camera.height))
+    mask = np.zeros(picture.shape[:2], bool)
+    mask[y : y + int(rng.integers(3, 40)), x : x + int(rng.integers(3, 40))] = True
+    mode = str(rng.choice(["local", "local", "global", "spread"]))
+    picture[mask] = np.clip(picture[mask] * rng.random(3) + rng.random(3) * 0.5, 0, 1)
+    edit = Edit(picture.astype(np.float32), camera, None if mode == "global" else mask)
+    edits = [edit]
+    if rng.random() < 0.3:  # colours that two pictures agree on
+        other = look_at(eye + rng.normal(0, 0.4, 3), [0, 0, 0], width=40, height=40, fov=50)
+        edits.append(Edit(np.full((40, 40, 3), rng.random(), np.float32), other, rng.random((40, 40)) < 0.3))
+    edited = Painter(aside=bool(rng.random() < 0.3)).apply(Asset(splats), edits, mode)
+    assert edited.receipt is not None
+    assert edited.receipt.untouched_sha256_before == edited.receipt.untouched_sha256_after
+
+
+def stickers(rng: np.random.Generator, dtype: type) -> None:
+    """The surface unwrapped around a point, and how much it bends."""
+    from splatpainter.session.curvature import bend_degrees
+    from splatpainter.surface.estimate import Surface
+    from splatpainter.surface.unwrap import smoothed, thinned, unwrap
+
+    splats = shell(rng, int(rng.integers(20, 300)), rng.choice([0, 0.01, 0.1]))
+    bend_degrees(splats)
+    surface = Surface.of(splats)
+    queries = extreme(rng, rng.normal(size=(40, 3)), 0.1)
+    directions = rng.normal(size=queries.shape)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    surface.at(queries, directions, np.abs(extreme(rng, rng.random(len(queries)), 0.1)))
+    points = rng.normal(size=(int(rng.integers(1, 200)), 3)) * rng.choice([1e-6, 1, 1, 1e6])
+    normals = rng.normal(size=points.shape)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    spacing = float(rng.choice([1e-9, 0.05, 0.3, 1e3])) * np.abs(points).max()
+    ids = thinned(points, normals, spacing)
+    points, normals = smoothed((points, normals), (points[ids], normals[ids]), 3 * spacing)
+    half = (float(rng.choice([0.1, 1, 1e6])) * spacing, 3 * spacing)
+    unwrap(points, normals, rng.normal(size=3), spacing, half).at(queries, np.tile(normals[:1], (40, 1)))
+
+
+def views(rng: np.random.Generator, dtype: type) -> None:
+    """Parts of projected views, and two as one, against what projecting gives."""
+    from splatpainter.rendering.cpu.projected_view import project, tile_shape
+
+    splats, camera = rows(rng, dtype, rng.choice([0, 0.01, 0.1])), view(rng)
+    other = splats.take(rng.integers(0, len(splats), 7))
+    whole = project(splats, camera)
+    tiles, some = rng.random(tile_shape(camera)) < 0.6, rng.random(len(splats)) < 0.7
+    part = whole.part(tiles=tiles, gaussian_mask=some)
+    direct = project(splats, camera, tiles=tiles, gaussian_mask=some)
+    shown = direct.part()
+    assert part.projected.tobytes() == shown.projected.tobytes() and np.array_equal(part.flatten_ids, shown.flatten_ids)
+    second = project(other, camera)
+    from dataclasses import replace
+
+    second = replace(second, gaussian_ids=second.gaussian_ids + len(splats), num_gaussians=len(splats) + len(other))
+    joined = whole.merged(second)
+    assert len(joined) == len(whole.part()) + len(second)
+    joined.rasterize()
+
+
+def files(rng: np.random.Generator, dtype: type) -> None:
+    """Rows put into records and taken out of them; what a file lost, measured."""
+    import tempfile
+
+    from splatpainter.io import read, write
+    from splatpainter.io.losses import measure
+    from splatpainter.kernels.rows import differing, take
+
+    splats = shell(rng, int(rng.integers(1, 200)), rng.choice([0, 0.01, 0.1]))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "a" + str(rng.choice([".ply", ".spz", ".splat", ".compressed.ply"])))
+        write(path, splats)
+        again = read(path)
+        measure(splats, again)
+        write(path, again.take(rng.integers(0, len(again), 50)), overwrite=True)
+    ids = np.sort(rng.integers(0, len(splats), 9))
+    take(splats, ids)
+    assert not differing(splats.sh, splats.sh.copy(), ids).any()
+
+
+def numbers(rng: np.random.Generator, dtype: type) -> None:
+    """Functions, products and solved systems of extreme numbers."""
+    from splatpainter.kernels import portable
+
+    x, y = (extreme(rng, rng.normal(size=50).astype(dtype), 0.3) for _ in range(2))
+    with np.errstate(all="ignore"):
+        for function in (portable.exp, portable.log, portable.sin, portable.cos, portable.arccos):
+            function(x)
+        portable.arctan2(y, x)
+        portable.silu(x)
+        portable.power(np.abs(x), 2.4)
+        portable.hypot(x, y)
+        k = int(rng.integers(0, 40))
+        first, second = (extreme(rng, rng.normal(size=size).astype(dtype), 0.05) for size in ((k, 7), (7, 5)))
+        portable.matmul(first, second)
+        portable.gram(first, rng.random(k))
+        portable.transposed_product(first, rng.random((k, 3)))
+        portable.solved(np.eye(7) * rng.choice([1e-30, 1, 1e30]) + 0.1, rng.random((7, 2)))
+
+
+def meshes(rng: np.random.Generator, dtype: type) -> None:
+    """What makes training data of meshes: points thrown and found again, textures; and neighbours of points."""
+    from splatpainter.data import poisson_disk
+    from splatpainter.data.materials import sample_texture
+    from splatpainter.voxels.neighbours import components, nearest_within
+
+    count = int(rng.integers(5, 200))
+    points = (rng.normal(size=(count, 3)) * rng.choice([1e-6, 1, 1, 1e6])).astype(np.float32)
+    normals = rng.normal(size=(count, 3)).astype(np.float32)
+    typical = float(np.abs(points).max()) * float(rng.choice([1e-3, 0.1, 1]))
+    poisson_disk.select(points, normals, int(rng.integers(1, count)), typical, rng)
+    poisson_disk.spacing_around(points, normals, typical)
+    poisson_disk.nearest(points, normals, points[::3], normals[::3], typical)
+    components(points, typical)
+    nearest_within(points, extreme(rng, points, 0.02), typical)
+    pixels = rng.integers(0, 256, (int(rng.integers(1, 9)), int(rng.integers(1, 9)), 3)).astype(np.uint8)
+    sample_texture(pixels, (rng.normal(size=(60, 2)) * rng.choice([1, 1e3, 1e6])).astype(np.float32))
+
+
 CASES: dict[str, Callable[[np.random.Generator, type], None]] = {
     "forward": forward,
     "drawing": drawing,
@@ -207,7 +350,15 @@ CASES: dict[str, Callable[[np.random.Generator, type], None]] = {
     "shadows": shadows,
     "fitting": fitting,
     "lifting": lifting,
+    "painting": painting,
+    "stickers": stickers,
+    "views": views,
+    "files": files,
+    "numbers": numbers,
+    "meshes": meshes,
 }
+ALL = ",".join(name for name in CASES if name != "forward")
+"""But "forward", which "drawing" does too."""
 
 
 def inside(names: list[str], seconds: float, count: int, seed: int, doubles: bool) -> int:
@@ -248,7 +399,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=600)
     parser.add_argument("--count", type=int, default=10**9, help="seeds, at most")
     parser.add_argument("--seed", type=int, default=0, help="the first")
-    parser.add_argument("--cases", default="drawing,frames,cubes,shadows,fitting,lifting", help=", ".join(CASES))
+    parser.add_argument("--cases", default=ALL, help=", ".join(CASES))
     parser.add_argument("--sanitize", default="", help="address,undefined: sanitizers in place of checked indices")
     parser.add_argument("--single", action="store_true", help="float32 only")
     parser.add_argument(f"--{STARTED}", action="store_true", help=argparse.SUPPRESS)
