@@ -48,7 +48,7 @@ COLORS = "tests/lift/test_color_refine.py"
 SHEETS = "tests/lift/test_resurface.py"
 GLOBAL = "tests/lift/test_global.py"
 MODEL = ("tests/models/test_model.py", GAIN)
-HELD_OUT = "train/train/train/tests/data/test_held_out.py"
+HELD_OUT = "train/train/train/train/tests/data/test_held_out.py"
 MUTATIONS = (
     Mutation(
         "the sign of Stage II's answer",
@@ -181,7 +181,7 @@ MUTATIONS = (
         "data/object_sources.py",
         'f"{seed}:{name}".encode()',
         'f"{seed}:{name}:{len(names)}".encode()',
-        ("train/train/train/tests/data/test_object_sources.py", HELD_OUT),
+        ("train/train/train/train/tests/data/test_object_sources.py", HELD_OUT),
     ),
     Mutation(
         "objects held out are trained on",

@@ -206,7 +206,7 @@ def _coefficients(truth: GroundTruth) -> np.ndarray:
 
 
 def _surface_of(truth: GroundTruth) -> tuple[np.ndarray, np.ndarray]:
-    from splatpainter.data.surfels import sample_surfels
+    from splattrain.data.surfels import sample_surfels
 
     surfels = sample_surfels(truth.mesh, 4 * truth.setup.rows, truth.setup.seed)
     return surfels.means.numpy(), surfels.normals.numpy()

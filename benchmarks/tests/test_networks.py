@@ -138,8 +138,8 @@ def test_rows_of_the_networks_apart(tmp_path: Path) -> None:
     paint = globally.edit(work(dab(first.splats, GREEN), state=first.state), budget)
     assert "the lift alone" in paint.note
     second = globally.edit(work(grade(paint.splats), "global", state=paint.state), budget)
-    shown = [result.state.encoding.state.shown[:, 3].sum() for result in (first, paint, second)]
-    assert shown[0] == shown[1] < shown[2]
+    pixels = [result.state.encoding.state.evidence[:, 3].sum() for result in (first, paint, second)]
+    assert pixels[0] == pixels[1] < pixels[2]
     done = locally.edit(work(dab(thing(), RED)), budget)
     assert done.keeps_gaussians and "seconds_ttt" in done.numbers
     assert "the lift alone" in locally.edit(work(grade(thing()), "global"), budget).note

@@ -242,6 +242,7 @@ def painting(rng: np.random.Generator, dtype: type) -> None:
 def stickers(rng: np.random.Generator, dtype: type) -> None:
     """The surface unwrapped around a point, and how much it bends."""
     from splatpainter.session.curvature import bend_degrees
+
     from splatpainter.surface.estimate import Surface
     from splatpainter.surface.unwrap import smoothed, thinned, unwrap
 
@@ -325,9 +326,9 @@ def numbers(rng: np.random.Generator, dtype: type) -> None:
 
 def meshes(rng: np.random.Generator, dtype: type) -> None:
     """What makes training data of meshes: points thrown and found again, textures; and neighbours of points."""
-    from splatpainter.data import poisson_disk
-    from splatpainter.data.materials import sample_texture
     from splatpainter.voxels.neighbours import components, nearest_within
+    from splattrain.data import poisson_disk
+    from splattrain.data.materials import sample_texture
 
     count = int(rng.integers(5, 200))
     points = (rng.normal(size=(count, 3)) * rng.choice([1e-6, 1, 1, 1e6])).astype(np.float32)

@@ -185,7 +185,7 @@ def test_relit_views_in_turn_make_what_they_make_together_and_the_latest_light_w
     both, turns = after(start, first, second), after(once, second)
     assert decibels(once.splats, lights["a"]) + 1 < decibels(both.splats, lights["a"])
     assert abs(decibels(turns.splats, lights["a"]) - decibels(both.splats, lights["a"])) <= 0.3
-    assert turns.encoding is not None and turns.encoding.state is not None and turns.encoding.state.shown is not None
+    assert turns.encoding is not None and turns.encoding.state is not None and turns.encoding.state.evidence is not None
     again = after(start, first)  # undo: the old asset has the old state
     np.testing.assert_array_equal(again.splats.sh, once.splats.sh)
     other = after(once, view("b", FRONT))

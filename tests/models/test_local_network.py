@@ -36,8 +36,8 @@ from splatpainter.splats import Splats
 
 CONFIG = LocalConfig(
     waves=48,
-    place=48,
-    content=56,
+    position_width=48,
+    content_width=56,
     refine=RefineConfig(blocks=1, mixer="ridge", fast_hidden=128, hidden=32, heads=4, patch=4, detail=True),
 )
 SIZE = 48
@@ -97,11 +97,11 @@ def test_cosines_are_the_dct_and_read_the_pixels_that_they_were_made_of() -> Non
 def test_patches_lie_on_the_surface_and_every_gaussian_is_asked_once(monkeypatch: pytest.MonkeyPatch) -> None:
     splats, _ = sheet()
     lifted, view, _ = painted(0)
-    (whole,) = picture_regions(splats, lifted, view)
-    np.testing.assert_array_equal(whole.index, np.arange(len(splats)))
+    (region,) = picture_regions(splats, lifted, view)
+    np.testing.assert_array_equal(region.index, np.arange(len(splats)))
     # Places of the frame -> world: all on the plane z = 0, within the sheet.
-    assert np.abs(whole.tokens.places).max() <= 1 + 1e-6
-    spread = np.linalg.svd(whole.tokens.places - whole.tokens.places.mean(0), compute_uv=False)
+    assert np.abs(region.tokens.positions).max() <= 1 + 1e-6
+    spread = np.linalg.svd(region.tokens.positions - region.tokens.positions.mean(0), compute_uv=False)
     assert spread[2] < 0.02 * spread[0]
     monkeypatch.setattr(picture_patches, "MAX_TOKENS", 40)
     parts = list(picture_regions(splats, lifted, view))
@@ -114,7 +114,7 @@ def test_a_gaussian_is_told_nothing_of_the_lifts_answer() -> None:
     lifted, view, truth = painted(0)
     answered = replace(lifted, splats=replace(splats, sh=sh_from_color(truth)[:, None].astype(np.float32)))
     (one,), (other,) = (list(picture_regions(splats, edit, view)) for edit in (lifted, answered))
-    for name in ("places", "inside", "facts", "before"):
+    for name in ("positions", "inside", "facts", "before"):
         np.testing.assert_array_equal(getattr(one.readers, name), getattr(other.readers, name))
 
 
@@ -122,13 +122,13 @@ def test_a_gaussian_is_told_nothing_of_the_lifts_answer() -> None:
 def test_an_untrained_network_reads_the_picture_under_each_gaussian(mixer: str, float32: None) -> None:
     splats, _ = sheet()
     lifted, view, truth = painted(0)
-    said = network_colors(network(mixer=mixer), splats, lifted, [view])
-    assert decibels(said.colors, truth) > 20 > 12 > decibels(base_color(splats.sh), truth)
+    answer = network_colors(network(mixer=mixer), splats, lifted, [view])
+    assert decibels(answer.colors, truth) > 20 > 12 > decibels(base_color(splats.sh), truth)
     other = network_colors(network(mixer=mixer), splats, lifted, [painted(1)[1]])
     assert decibels(other.colors, truth) < 14
     if mixer == "ridge":
         nothing = network_colors(network(mixer=mixer), splats, lifted, [view], strength=0.0)
-        assert decibels(nothing.colors, truth) < decibels(said.colors, truth) - 8
+        assert decibels(nothing.colors, truth) < decibels(answer.colors, truth) - 8
 
 
 @pytest.mark.parametrize("mixer", ["ttt", "ridge"])
@@ -152,8 +152,8 @@ def test_thirty_steps_on_pictures_leave_half_the_error_that_other_memories_do(mi
     learner.eval()
     lifted, view, truth = painted(0)
     errors = [
-        float(np.square(network_colors(learner, splats, lifted, [shown], strength).colors - truth).mean())
-        for shown, strength in ((view, None), (view, 0.0), (painted(1)[1], None))
+        float(np.square(network_colors(learner, splats, lifted, [picture], strength).colors - truth).mean())
+        for picture, strength in ((view, None), (view, 0.0), (painted(1)[1], None))
     ]
     assert errors[0] < 0.5 * min(errors[1:]), errors
 
@@ -173,8 +173,8 @@ def test_a_ridge_memory_is_the_regression_and_adds_up() -> None:
         # Ridge as least squares with the penalty as further lines.
         lines = np.concatenate([phi, np.eye(6)]), np.concatenate([values, np.zeros((6, 8))])
         solved = np.linalg.lstsq(*lines, rcond=None)[0]
-        asked = mixer._features(mixer.queries["voxel"], queries).double().numpy()
-        expected = asked @ solved @ mixer.out.weight.double().numpy().T
+        queried = mixer._features(mixer.queries["voxel"], queries).double().numpy()
+        expected = queried @ solved @ mixer.out.weight.double().numpy().T
     np.testing.assert_allclose(mixer.read_gaussian_tokens(memory, queries).detach().numpy(), expected, atol=2e-5)
     nothing = mixer.update(mixer.initial(), tokens, None, 0.0)
     assert not nothing.any() and not mixer.read_gaussian_tokens(nothing, queries).any()
@@ -186,10 +186,10 @@ def test_the_picture_decides_where_it_can_and_the_network_where_it_is_sure() -> 
     wrong = np.full_like(truth, 0.5)
     errors = []
     for variance in (1e-1, 1e-9):
-        said = NetworkColors(wrong, np.full(len(wrong), variance, np.float32))
-        colored = held(lifted, said, [view])
+        answer = NetworkColors(wrong, np.full(len(wrong), variance, np.float32))
+        colored = held(lifted, answer, [view])
         errors.append(np.square(render(colored.splats, camera).colors[0] - view.edited)[view.mask].mean())
-    start = np.square(render(with_colors(lifted, said).splats, camera).colors[0] - view.edited)[view.mask].mean()
+    start = np.square(render(with_colors(lifted, answer).splats, camera).colors[0] - view.edited)[view.mask].mean()
     assert errors[0] < 0.05 * start and errors[0] < 0.5 * errors[1] < start
     unread = NetworkColors(wrong, np.full(len(wrong), np.inf, np.float32))
     np.testing.assert_array_equal(with_colors(lifted, unread).splats.sh, splats.sh)
@@ -206,13 +206,13 @@ def test_rounds_count_pixels_by_their_variance(monkeypatch: pytest.MonkeyPatch) 
     view = replace(view, edited=np.asarray(render(replace(one, sh=np.ones((1, 1, 3), np.float32)), camera).colors[0]))
     alpha = render(one, camera).alphas[0, ..., 0].astype(np.float64)
     lifted = LiftedEdit(one, np.arange(1), np.arange(1), no_features(np.arange(1)))
-    answer, hold = 0.2, 40.0
-    said = NetworkColors(np.full((1, 3), answer, np.float32), np.full(1, 2.5e-4 / hold, np.float32))
-    colored = base_color(held(lifted, said, [view], rounds=400).splats.sh)[0, 0]
+    level, hold = 0.2, 40.0
+    answer = NetworkColors(np.full((1, 3), level, np.float32), np.full(1, 2.5e-4 / hold, np.float32))
+    colored = base_color(held(lifted, answer, [view], rounds=400).splats.sh)[0, 0]
     weight, target = (alpha**2).sum(), float(base_color(np.ones((1, 1, 3)))[0, 0])
     # Damped least squares of the colour: the rounds' divisor counts weights, their residual weights times alpha.
-    assert answer < colored < target
-    np.testing.assert_allclose(colored, (weight * target + hold * answer) / (weight + hold), atol=0.01)
+    assert level < colored < target
+    np.testing.assert_allclose(colored, (weight * target + hold * level) / (weight + hold), atol=0.01)
 
 
 def test_a_painter_makes_local_edits_by_it(tmp_path: Path, float32: None) -> None:

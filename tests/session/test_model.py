@@ -72,17 +72,17 @@ def test_a_session_keeps_what_global_edits_have_taught(tmp_path: Path) -> None:
     splats, painter = ball(300), Painter(model=carrying_model())
     edits = [eight_bits(Edit(draw(regraded(splats), camera), camera)) for camera in (FRONT, SIDE)]
 
-    def shown(edits: list[Edit]) -> tuple[np.ndarray, torch.Tensor]:
+    def painted(edits: list[Edit]) -> tuple[np.ndarray, torch.Tensor]:
         asset = painter.encode(splats, "ttt", ("global",))
         for edit in edits:
             asset = painter.apply(asset, [edit], "global", "ttt")
         assert asset.encoding is not None and asset.encoding.state is not None
-        return asset.splats.sh, asset.encoding.state.shown  # type: ignore[return-value]
+        return asset.splats.sh, asset.encoding.state.evidence  # type: ignore[return-value]
 
     def same(session: Session, edits: list[Edit]) -> None:
-        colors, expected = shown(edits)
+        colors, expected = painted(edits)
         np.testing.assert_array_equal(session.splats.sh, colors)
-        torch.testing.assert_close(session.snapshot.state.painter_state.shown, expected, atol=0, rtol=0)
+        torch.testing.assert_close(session.snapshot.state.painter_state.evidence, expected, atol=0, rtol=0)
 
     path = tmp_path / "a.splatproj"
     with Session(splats, path, painter=painter) as session:

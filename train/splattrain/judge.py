@@ -241,7 +241,7 @@ def judge_painted(task: PaintedGaussiansTask, stream: PaintedGaussianStream, cou
     task.eval()
     for number in range(count):
         try:
-            sample = stream.whole(number)
+            sample = stream.full_edit(number)
             score = task.judge(sample)
         except ValueError as error:
             yield f"sample {number}: {error}"

@@ -164,7 +164,7 @@ def open_painted_gaussians(settings: DataSettings, count: int, folder: Path | No
     edits are kept; edits: how many are drawn of the training objects; of the others, whole ones. Raises ValueError as
     DataSettings.stream and PaintedGaussianStream, and for splat assets."""
     training, held_out = painted_gaussian_streams(settings, folder, edits)
-    samples = list(_first(WholeEdits(held_out), count)) if count and held_out is not None else []
+    samples = list(_first(FullEdits(held_out), count)) if count and held_out is not None else []
     return TrainingData(training, samples, settings.counts())
 
 
@@ -189,19 +189,19 @@ def painted_gaussian_streams(
         if not hasattr(source, "mesh"):
             raise ValueError(f"--data {settings.data}: expected meshes, whose truth is known, got splat assets")
         recipe = dataclasses.replace(settings.recipe, steps_per_object=1) if streams else settings.recipe
-        kept = None if streams else folder
-        streams.append(PaintedGaussianStream(source, recipe, seed, lights, resources, kept, edits))
+        cache = None if streams else folder
+        streams.append(PaintedGaussianStream(source, recipe, seed, lights, resources, cache, edits))
     return streams[0], streams[1] if len(streams) > 1 else None
 
 
-class WholeEdits:
+class FullEdits:
     """The edits of a stream with everything around them."""
 
     def __init__(self, stream: PaintedGaussianStream) -> None:
         self.stream = stream
 
     def __getitem__(self, i: int) -> PaintedEdit:
-        return self.stream.whole(i)
+        return self.stream.full_edit(i)
 
 
 def open_training_data(settings: DataSettings, *, batch: int, count: int, workers: int = 0) -> TrainingData:

@@ -37,14 +37,14 @@ def stream(folder: Path | None = None) -> PaintedGaussianStream:
 
 
 @cache
-def whole() -> PaintedEdit:
-    return stream().whole(0)
+def example() -> PaintedEdit:
+    return stream().full_edit(0)
 
 
 def test_a_sample_is_the_same_in_any_order_and_from_disk(tmp_path: Path) -> None:
-    first, kept = stream()[1], stream(tmp_path)
-    assert kept.count == 4
-    for again in (kept[1], kept[5], PaintedGaussianStream(ProceduralSource(3, 0), SAMPLES, 0, count=4,
+    first, cached = stream()[1], stream(tmp_path)
+    assert cached.count == 4
+    for again in (cached[1], cached[5], PaintedGaussianStream(ProceduralSource(3, 0), SAMPLES, 0, count=4,
                                                           folder=tmp_path, asset_kinds=("coarse",))[1]):  # fmt: skip
         assert (again.name, again.kind) == (first.name, first.kind)
         for one, two in (
@@ -52,7 +52,7 @@ def test_a_sample_is_the_same_in_any_order_and_from_disk(tmp_path: Path) -> None
             (again.lift, first.lift),
             (again.region.tokens.values, first.region.tokens.values),
             (again.region.readers.facts, first.region.readers.facts),
-            (again.region.readers.places, first.region.readers.places),
+            (again.region.readers.positions, first.region.readers.positions),
         ):
             np.testing.assert_array_equal(one, two)
     (path,) = tmp_path.rglob("000001.npz")
@@ -82,7 +82,7 @@ def test_the_truth_of_a_gaussian_is_the_mean_of_the_surfels_under_it() -> None:
 
 
 def test_a_whole_edit_is_painted_where_its_truth_says() -> None:
-    edit = whole()
+    edit = example()
     before = np.clip(base_color(edit.painted.asset.sh[edit.lifted.parents]), 0, 1)
     lift = np.clip(base_color(edit.lifted.splats.sh[edit.lifted.ids]), 0, 1)
     changed = np.abs(edit.truth - before).max(1) > 0.1
@@ -106,7 +106,7 @@ def test_steps_lower_the_loss_and_validation_has_its_columns(float32: None) -> N
         losses.append(float(loss.detach()))
     assert losses[-1] < losses[0] - 0.3
     task.eval()
-    score = task.judge(whole())
+    score = task.judge(example())
     figures = {"rows ours", "rows strength 0", "rows another picture", "rows lift", "edited ours", "edited held"}
     assert figures <= set(score.numbers) and 0 < score.numbers["between Gaussians"] <= 1
     assert score.numbers["adapts"] == pytest.approx(score.numbers["edited ours"] - score.numbers["edited strength 0"])
@@ -116,7 +116,8 @@ def test_steps_lower_the_loss_and_validation_has_its_columns(float32: None) -> N
 def test_the_command_trains_stops_and_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sizes = """--data procedural:4 --samples.size 48 --samples.rows 300 --samples.surfels 3000 --samples.novel-views 2
      --samples.steps-per-object 2 --edits 4 --readers 64 --steps 4 --warmup 1 --validation-samples 1 --validate-every 4
-     --local.waves 8 --local.place 16 --local.content 16 --local.refine.fast-hidden 16 --local.refine.hidden 16
+     --local.waves 8
+     --local.position-width 16 --local.content-width 16 --local.refine.fast-hidden 16 --local.refine.hidden 16
      --local.refine.blocks 1 --device cpu --json""".split()
     words = ["train", "rows", "--recipe", "paint", *sizes, "--assets", str(tmp_path / "assets")]
     assert main([*words, "--out", str(tmp_path / "whole")]) == 0
@@ -132,6 +133,6 @@ def test_the_command_trains_stops_and_goes_on(tmp_path: Path, capsys: pytest.Cap
     assert painter.model is None and painter.local is not None and painter.preset == "local"
     capsys.readouterr()
     other = [*words, "--out", str(tmp_path / "next"), "--from", str(tmp_path / "whole" / "model")]
-    other[other.index("--local.place") + 1] = "24"
+    other[other.index("--local.position-width") + 1] = "24"
     assert main(other) == 2
-    assert "weights of another model: place 16 there, 24 here" in capsys.readouterr().err
+    assert "weights of another model: position_width 16 there, 24 here" in capsys.readouterr().err

@@ -161,11 +161,13 @@ class CarriedEdit:
         self._parents = np.arange(len(splats)) if parent_ids is None else parent_ids
         self._drawn = drawn = splats.drawable
         self._weight = np.zeros(len(splats), np.float32)
-        shown = None if state is None or state.shown is None else state.shown.cpu().numpy()[self._parents[drawn]]
-        self._shown = shown
+        evidence = (
+            None if state is None or state.evidence is None else state.evidence.cpu().numpy()[self._parents[drawn]]
+        )
+        self._evidence = evidence
         light = transfer()[drawn] if model.config.refine.facts else None
         arrays = (latents, latent_ids[drawn], splats.take(drawn), normals[drawn], light)
-        self.gaussians = EncodedGaussians.of(model, *arrays, None if shown is None else shown[:, :3])
+        self.gaussians = EncodedGaussians.of(model, *arrays, None if evidence is None else evidence[:, :3])
 
     def __call__(self, change: np.ndarray, weight: np.ndarray) -> np.ndarray:
         """[N, 3] change of every Gaussian. change: [N, 3] of those that are shown; weight: [N] pixels that show
@@ -181,26 +183,26 @@ class CarriedEdit:
         teachers = spread_evenly(seen, self.model.config.refine.row_tokens)
         everyone = torch.arange(len(moved), device=device)
         with torch.no_grad():
-            if self._shown is None:
-                self.state, said = carry(self.model, gaussians, moved, pixels, teachers, everyone, state=self._start)
+            if self._evidence is None:
+                self.state, changes = carry(self.model, gaussians, moved, pixels, teachers, everyone, state=self._start)
             else:
-                said = self._goes_on(moved, pixels, teachers, everyone)
-        answer[drawn] = said.cpu().numpy()
+                changes = self._goes_on(moved, pixels, teachers, everyone)
+        answer[drawn] = changes.cpu().numpy()
         return answer
 
     def _goes_on(self, moved: Tensor, pixels: Tensor, teachers: Tensor, everyone: Tensor) -> Tensor:
         """[N, 3] the change from here, of a memory that knows the change since the first edit."""
-        assert self._shown is not None and self._start is not None
-        gaussians, shown = self.gaussians, torch.from_numpy(self._shown).to(moved.device)
-        so_far, before = shown.split([3, 1], 1)
+        assert self._evidence is not None and self._start is not None
+        gaussians, evidence = self.gaussians, torch.from_numpy(self._evidence).to(moved.device)
+        so_far, before = evidence.split([3, 1], 1)
         total = so_far + moved
         expected = remembered(self.model, gaussians, self._start, teachers)
         share = _share(pixels[teachers])[:, None]
         unlike = (share * (expected - total[teachers]).square()).sum()
         unlike = float(unlike / (share * total[teachers].square()).sum().clamp_min(1e-9))
         agrees = min(max((CONTRADICTS - unlike) / (CONTRADICTS - AGREES), 0.0), 1.0)
-        self.state, said = carry(self.model, gaussians, total, pixels, teachers, everyone, state=self._start)
-        return (said - so_far) * (1 - agrees * _share(before[:, 0])[:, None])
+        self.state, answer = carry(self.model, gaussians, total, pixels, teachers, everyone, state=self._start)
+        return (answer - so_far) * (1 - agrees * _share(before[:, 0])[:, None])
 
     def after(self, splats: Splats) -> RefineState:
         """The state that the next edit starts from. splats: the N Gaussians after this one."""
@@ -208,13 +210,13 @@ class CarriedEdit:
         drawn, parents = self._drawn, self._parents[self._drawn]
         change = base_color(splats.sh[drawn]) - base_color(self._splats.sh[drawn])
         now = np.concatenate([change, self._weight[drawn, None]], 1)
-        now += 0 if self._shown is None else self._shown
-        count = int(self._parents.max()) + 1 if state.shown is None else len(state.shown)
+        now += 0 if self._evidence is None else self._evidence
+        count = int(self._parents.max()) + 1 if state.evidence is None else len(state.evidence)
         total, number = np.zeros((count, 4)), np.zeros(count)
         np.add.at(total, parents, now)
         np.add.at(number, parents, 1)
         mean = (total / np.maximum(number, 1)[:, None]).astype(np.float32)
-        return replace(state, shown=torch.from_numpy(mean).to(self.gaussians.colors.device))
+        return replace(state, evidence=torch.from_numpy(mean).to(self.gaussians.colors.device))
 
 
 def _inputs(gaussians: EncodedGaussians, ids: Tensor, change: Tensor, weight: Tensor) -> GaussianInputs:

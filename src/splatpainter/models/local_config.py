@@ -21,9 +21,9 @@ class LocalConfig:
     """Name under which its checkpoint is found."""
     waves: int = 64
     """Sines, and cosines, that tell a place."""
-    place: int = 64
+    position_width: int = 64
     """Width of a place."""
-    content: int = 64
+    content_width: int = 64
     """Width of what a patch or a Gaussian is, beside its place."""
     refine: RefineConfig = field(
         default_factory=lambda: RefineConfig(
@@ -39,7 +39,7 @@ class LocalConfig:
     """Blocks, fast weights and the extra layer; of the other fields none is read."""
 
     def __post_init__(self) -> None:
-        for name in ("waves", "place", "content"):
+        for name in ("waves", "position_width", "content_width"):
             if getattr(self, name) < 1:
                 raise ValueError(f"config: expected {name} of at least 1, got {getattr(self, name)}")
         if self.dim % self.refine.heads:
@@ -50,7 +50,7 @@ class LocalConfig:
     @property
     def dim(self) -> int:
         """D."""
-        return self.place + self.content
+        return self.position_width + self.content_width
 
     def to_json(self) -> str:
         """Every field."""

@@ -27,7 +27,7 @@ PIXEL_VARIANCE = 2.5e-4
 """Of a pixel as a measurement of the colours that make it: (4 levels of 255)^2."""
 MIN_HOLD, MAX_HOLD = 0.01, 1.0
 """Pixels' worth of weight that the network's answer has."""
-ROUNDS = 12
+COLOR_ROUNDS = 12
 """Rounds of colours from the network's answer."""
 MIN_CHANGE = 1 / 1024
 """Colours that move by no more than this keep their bits."""
@@ -61,9 +61,9 @@ def network_colors(
             sure = np.exp(-answer.log_variance.numpy().astype(np.float64))
             total[region.index] += sure[:, None] * answer.colors.numpy()
             weight[region.index] += sure
-    known = weight > 0
-    colors = np.where(known[:, None], total / np.maximum(weight, 1e-9)[:, None], 0).astype(np.float32)
-    variance = np.where(known, 1 / np.maximum(weight, 1e-9), np.inf).astype(np.float32)
+    read = weight > 0
+    colors = np.where(read[:, None], total / np.maximum(weight, 1e-9)[:, None], 0).astype(np.float32)
+    variance = np.where(read, 1 / np.maximum(weight, 1e-9), np.inf).astype(np.float32)
     return NetworkColors(np.clip(colors, 0, MAX_COLOR), variance)
 
 
@@ -73,12 +73,12 @@ def repainted(network: LocalNetwork, asset: Splats, lifted: LiftedEdit, views: S
     return held(lifted, network_colors(network, asset, lifted, views), views)
 
 
-def with_colors(lifted: LiftedEdit, said: NetworkColors) -> LiftedEdit:
+def with_colors(lifted: LiftedEdit, answer: NetworkColors) -> LiftedEdit:
     """The lifted edit with the network's colours in place of the lift's."""
     sh = lifted.splats.sh.copy()
-    known = np.isfinite(said.variance)
-    ids = lifted.ids[known]
-    new = ((said.colors[known] - 0.5) / SH_C0).astype(sh.dtype)
+    read = np.isfinite(answer.variance)
+    ids = lifted.ids[read]
+    new = ((answer.colors[read] - 0.5) / SH_C0).astype(sh.dtype)
     moved = np.abs(new - sh[ids, 0]).max(1) * SH_C0 > MIN_CHANGE if len(ids) else np.zeros(0, bool)
     sh[ids[moved], 0] = new[moved]
     return replace(lifted, splats=replace(lifted.splats, sh=sh))
@@ -86,16 +86,16 @@ def with_colors(lifted: LiftedEdit, said: NetworkColors) -> LiftedEdit:
 
 def held(
     lifted: LiftedEdit,
-    said: NetworkColors,
+    answer: NetworkColors,
     views: Sequence[EditView],
-    rounds: int = ROUNDS,
+    rounds: int = COLOR_ROUNDS,
     pixel_variance: float = PIXEL_VARIANCE,
 ) -> LiftedEdit:
     """The lifted edit in the network's colours, after rounds of the lift that are held to them. Of several views the
     later ones win."""
-    result = with_colors(lifted, said)
+    result = with_colors(lifted, answer)
     hold = np.zeros(len(result.splats), np.float32)
-    hold[lifted.ids] = np.clip(pixel_variance / np.maximum(said.variance, 1e-9), MIN_HOLD, MAX_HOLD)
+    hold[lifted.ids] = np.clip(pixel_variance / np.maximum(answer.variance, 1e-9), MIN_HOLD, MAX_HOLD)
     editable = np.zeros(len(result.splats), bool)
     editable[lifted.ids] = True
     for view in views:
@@ -115,12 +115,12 @@ def held(
 
 def patches_of(tokens: PatchTokens, finest: float, device: str | torch.device = "cpu") -> Patches:
     """A region's patches as tensors."""
-    arrays = (torch.from_numpy(x).to(device) for x in (tokens.places, tokens.values, tokens.weights))
+    arrays = (torch.from_numpy(x).to(device) for x in (tokens.positions, tokens.values, tokens.weights))
     return Patches(*arrays, finest)
 
 
 def readers_of(readers: PatchReaders, finest: float, device: str | torch.device = "cpu") -> Readers:
     """A region's Gaussians as tensors."""
     basis = cosine_basis(readers.inside)
-    arrays = (torch.from_numpy(x).to(device) for x in (readers.places, basis, readers.facts, readers.before))
+    arrays = (torch.from_numpy(x).to(device) for x in (readers.positions, basis, readers.facts, readers.before))
     return Readers(*arrays, finest)

@@ -43,7 +43,7 @@ MIN_LOG_VARIANCE, MAX_LOG_VARIANCE = -9.0, 0.0
 class Patches(NamedTuple):
     """Patches of a region as tensors (picture_patches.PatchTokens)."""
 
-    places: Tensor
+    positions: Tensor
     """[T, 3]."""
     values: Tensor
     """[T, TOKEN_CHANNELS]."""
@@ -56,7 +56,7 @@ class Patches(NamedTuple):
 class Readers(NamedTuple):
     """Gaussians of a region as tensors (picture_patches.PatchReaders)."""
 
-    places: Tensor
+    positions: Tensor
     """[R, 3]."""
     basis: Tensor
     """[R, BANDS] of `cosine_basis`."""
@@ -67,7 +67,7 @@ class Readers(NamedTuple):
     finest: float
 
 
-class Answer(NamedTuple):
+class LocalAnswer(NamedTuple):
     """What the network says."""
 
     colors: Tensor
@@ -92,9 +92,9 @@ class LocalNetwork(nn.Module):
         generator = torch.Generator().manual_seed(WAVES_SEED)
         directions = torch.randn(config.waves, 3, generator=generator, device="cpu")
         self.register_buffer("directions", functional.normalize(directions, dim=1))
-        self.place = nn.Linear(2 * config.waves, config.place, bias=False)
-        self.patch = nn.Linear(TOKEN_CHANNELS, config.content)
-        self.gaussian = nn.Linear(READER_CHANNELS, config.content)
+        self.position = nn.Linear(2 * config.waves, config.position_width, bias=False)
+        self.patch = nn.Linear(TOKEN_CHANNELS, config.content_width)
+        self.gaussian = nn.Linear(READER_CHANNELS, config.content_width)
         last = refine.blocks - 1
         self.blocks = nn.ModuleList(RefineBlock(config.dim, refine, last=k == last) for k in range(refine.blocks))
         if refine.detail:
@@ -102,10 +102,10 @@ class LocalNetwork(nn.Module):
             self.norm_refined, self.norm_original = layer_norm(config.dim), layer_norm(config.dim)
         self.norm_out = layer_norm(config.dim)
         self.bands = nn.Linear(config.dim, 3 * BANDS, bias=False)
-        self.mix = nn.Sequential(nn.Linear(config.dim + READER_CHANNELS + 3, config.content), nn.SiLU())
-        self.last = nn.Linear(config.content, 1 + 3 + 1)
-        if not self.place.weight.is_meta:
-            nn.init.orthogonal_(self.place.weight)
+        self.mix = nn.Sequential(nn.Linear(config.dim + READER_CHANNELS + 3, config.content_width), nn.SiLU())
+        self.last = nn.Linear(config.content_width, 1 + 3 + 1)
+        if not self.position.weight.is_meta:
+            nn.init.orthogonal_(self.position.weight)
             nn.init.zeros_(self.last.weight)
             with torch.no_grad():
                 self.last.bias.copy_(torch.tensor([2.0, 0, 0, 0, -4.0]))
@@ -117,17 +117,17 @@ class LocalNetwork(nn.Module):
 
     def adapt(self, state: LocalState, patches: Patches, strength: float | None = None) -> LocalState:
         """The state after a region's patches have taught. strength: overrides config.refine.edit_strength."""
-        x = torch.cat([self._place(patches.places, patches.finest), self.patch(patches.values)], 1)
+        x = torch.cat([self._positions(patches.positions, patches.finest), self.patch(patches.values)], 1)
         memories = []
         for block, memory in zip(self._blocks(), state.blocks, strict=True):
             memory, x, _ = block.adapt(memory, x, None, None, strength, None, None)
             memories.append(memory)
         return LocalState(tuple(memories))
 
-    def read(self, state: LocalState, readers: Readers, strength: float | None = None) -> Answer:
+    def read(self, state: LocalState, readers: Readers, strength: float | None = None) -> LocalAnswer:
         """What Gaussians are after the edit. The extra layer learns from the refined tokens of all of them and is read
         by the original tokens of those that the lift has appended: twice the tokens, two sets (3.3)."""
-        x = original = self.told(readers)
+        x = original = self.tokens_of(readers)
         for block, memory in zip(self._blocks(), state.blocks, strict=True):
             x = block.read(memory, x)
         if self.config.refine.detail:
@@ -140,36 +140,36 @@ class LocalNetwork(nn.Module):
         gate, rest, spread = self.last(self.mix(torch.cat([x, readers.facts, picture], 1))).float().split([1, 3, 1], 1)
         colors = torch.lerp(readers.before, picture, torch.sigmoid(gate)) + 0.2 * rest
         middle, half = (MAX_LOG_VARIANCE + MIN_LOG_VARIANCE) / 2, (MAX_LOG_VARIANCE - MIN_LOG_VARIANCE) / 2
-        return Answer(colors, middle + half * torch.tanh((spread[:, 0] - middle) / half))
+        return LocalAnswer(colors, middle + half * torch.tanh((spread[:, 0] - middle) / half))
 
-    def told(self, readers: Readers) -> Tensor:
+    def tokens_of(self, readers: Readers) -> Tensor:
         """[R, D] tokens of Gaussians, which know nothing of an edit."""
-        return torch.cat([self._place(readers.places, readers.finest), self.gaussian(readers.facts)], 1)
+        return torch.cat([self._positions(readers.positions, readers.finest), self.gaussian(readers.facts)], 1)
 
-    def _place(self, places: Tensor, finest: float) -> Tensor:
-        """[T, place] at rms near 1."""
+    def _positions(self, positions: Tensor, finest: float) -> Tensor:
+        """[T, config.position_width] at rms near 1."""
         count = len(self.directions)
         shortest = min(finest, COARSEST / 2)
-        waves = torch.linspace(math.log(COARSEST), math.log(shortest), count, device=places.device).exp()
-        angles = 2 * math.pi * (places @ self.directions.mT) / waves
-        values = math.sqrt(2) * self.place(torch.cat([angles.sin(), angles.cos()], 1))
+        waves = torch.linspace(math.log(COARSEST), math.log(shortest), count, device=positions.device).exp()
+        angles = 2 * math.pi * (positions @ self.directions.mT) / waves
+        values = math.sqrt(2) * self.position(torch.cat([angles.sin(), angles.cos()], 1))
         return values - values.mean(1, keepdim=True)  # blocks' norms take the mean off all of a token
 
     def _start_as_a_memory_of_places(self) -> None:
         """First weights with which every block keeps patches by their places and hands a Gaussian that of its own:
         drawn at random instead, nothing is read from the memory before some 1,000 steps have found a common tongue."""
         config = self.config
-        held = min(3 * BANDS, config.content)
+        held = min(3 * BANDS, config.content_width)
         self.patch.weight[:held] = torch.eye(held, TOKEN_CHANNELS)
         self.patch.bias[:held] = 0
         self.gaussian.weight[:held], self.gaussian.bias[:held] = 0, 0
-        bands = slice(config.place, config.place + held)
+        bands = slice(config.position_width, config.position_width + held)
         self.bands.weight.zero_()
         self.bands.weight[:held, bands] = torch.eye(held)
         if config.refine.detail:
             self.detail_mixer.ttt.out.weight.zero_()  # the second set starts as the first
         for k, block in enumerate(self._blocks()):
-            start_by_place(block.mixer, config.place, bands, FIRST_GAIN if k == 0 else 0.0)
+            start_by_place(block.mixer, config.position_width, bands, FIRST_GAIN if k == 0 else 0.0)
 
     def _blocks(self) -> list[RefineBlock]:
         return [block for block in self.blocks if isinstance(block, RefineBlock)]
@@ -190,7 +190,7 @@ class LocalNetwork(nn.Module):
         return network.eval()
 
 
-def start_by_place(mixer: nn.Module, place: int, held: slice, gain: float) -> None:
+def start_by_place(mixer: nn.Module, width: int, held: slice, gain: float) -> None:
     """Keys hear of places alone and queries start as keys; what is kept and read of a token is its dimensions `held`,
     times `gain`."""
     count = held.stop - held.start
@@ -200,7 +200,7 @@ def start_by_place(mixer: nn.Module, place: int, held: slice, gain: float) -> No
             dim = len(layer.out.weight)
             keys = layer.kv.weight[:dim]
             keys.zero_()
-            keys[:, :place] = KEY_GAIN * _turns(dim, place, layer.heads)
+            keys[:, :width] = KEY_GAIN * _turns(dim, width, layer.heads)
             layer.q.weight.copy_(keys)
             layer.kv.weight[dim:] = torch.eye(dim)
             layer.out.weight.zero_()
@@ -221,16 +221,16 @@ def start_by_place(mixer: nn.Module, place: int, held: slice, gain: float) -> No
         out.zero_()
         # silu(x) - silu(-x) = x: what is kept with both signs is read as it was.
         both = min(count, dim // 2)
-        rows = torch.arange(both)
-        values[rows, held.start + rows], values[both + rows, held.start + rows] = 1, -1
-        out[held.start + rows, rows], out[held.start + rows, both + rows] = gain, -gain
+        index = torch.arange(both)
+        values[index, held.start + index], values[both + index, held.start + index] = 1, -1
+        out[held.start + index, index], out[held.start + index, both + index] = gain, -gain
     nn.init.normal_(keys, std=FEATURE_STD)
-    keys[:, place:] = 0
+    keys[:, width:] = 0
     for query in queries:
         query.weight.copy_(keys)  # type: ignore[union-attr]
 
 
-def _turns(dim: int, place: int, heads: int) -> Tensor:
-    """[D, place] for each head other orthogonal directions of places."""
-    width = dim // heads
-    return torch.cat([nn.init.orthogonal_(torch.empty(width, place)) for _ in range(heads)])
+def _turns(dim: int, inputs: int, heads: int) -> Tensor:
+    """[D, inputs] for each head other orthogonal directions of places."""
+    share = dim // heads
+    return torch.cat([nn.init.orthogonal_(torch.empty(share, inputs)) for _ in range(heads)])

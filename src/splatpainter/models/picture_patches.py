@@ -36,7 +36,7 @@ BANDS = PATCH_PX**2
 MAX_TOKENS = 1024
 """Patches of one region."""
 FINEST_PX = 2.0 * PATCH_PX
-"""Shortest wavelength that places are told with: between patches there is no shorter one."""
+"""Shortest wavelength that positions are told with: between patches there is no shorter one."""
 SNAP_PX = 6.0
 """Distance from a patch's place up to which a Gaussian asks for that patch."""
 MIN_SOLID_SHARE = 0.2
@@ -56,7 +56,7 @@ APPENDED = READER_CHANNELS - 1
 class PatchTokens:
     """Patches of a region, float32."""
 
-    places: np.ndarray = field(repr=False)
+    positions: np.ndarray = field(repr=False)
     """[T, 3] of their middles on the surface, in the region's frame, -1..1."""
     values: np.ndarray = field(repr=False)
     """[T, TOKEN_CHANNELS] of order 1."""
@@ -68,7 +68,7 @@ class PatchTokens:
 class PatchReaders:
     """Gaussians of a region, float32."""
 
-    places: np.ndarray = field(repr=False)
+    positions: np.ndarray = field(repr=False)
     """[R, 3] where the middle of the patch that each lies in would be at its depth, in the region's frame, or is, where
     that is near."""
     inside: np.ndarray = field(repr=False)
@@ -80,7 +80,7 @@ class PatchReaders:
 
     def take(self, ids: np.ndarray) -> PatchReaders:
         """Some of them. ids: [K] int64."""
-        return PatchReaders(self.places[ids], self.inside[ids], self.facts[ids], self.before[ids])
+        return PatchReaders(self.positions[ids], self.inside[ids], self.facts[ids], self.before[ids])
 
 
 @dataclass(frozen=True)
@@ -118,23 +118,23 @@ def picture_regions(asset: Splats, lifted: LiftedEdit, view: EditView) -> Iterat
     for box in patches.regions():
         index = np.flatnonzero(box.holds(cells, patches.used.shape))
         frame, tokens = patches.tokens(box)
-        places = np.clip((middles[index] - frame.center) / frame.half_extent, -2, 2).astype(np.float32)
-        places = snapped(places, tokens.places, frame.finest)
+        positions = np.clip((middles[index] - frame.center) / frame.half_extent, -2, 2).astype(np.float32)
+        positions = snapped(positions, tokens.positions, frame.finest)
         yield PictureRegion(
             tokens,
-            PatchReaders(places, inside[index], facts[index], before[index]),
+            PatchReaders(positions, inside[index], facts[index], before[index]),
             index,
             frame.finest,
         )
 
 
-def snapped(places: np.ndarray, patches: np.ndarray, finest: float) -> np.ndarray:
+def snapped(positions: np.ndarray, patches: np.ndarray, finest: float) -> np.ndarray:
     """Places [R, 3] of Gaussians, those near a patch's [T, 3] moved onto the nearest: they ask for it by its own name,
     and how far before or behind the surface they lie their facts say. finest: FINEST_PX in the frame of both."""
     from scipy.spatial import KDTree
 
-    away, nearest = KDTree(patches).query(places)
-    return np.where((away < SNAP_PX / FINEST_PX * finest)[:, None], patches[nearest], places).astype(np.float32)
+    away, nearest = KDTree(patches).query(positions)
+    return np.where((away < SNAP_PX / FINEST_PX * finest)[:, None], patches[nearest], positions).astype(np.float32)
 
 
 def cosine_basis(inside: np.ndarray) -> np.ndarray:
@@ -218,10 +218,10 @@ class _Patches:
         pictures = _cut(np.pad(planes, (*pad, (0, 0)), mode="edge"))
         # What is beyond the picture is not edited and shows nothing.
         edited = _cut(np.pad(view.mask, pad)[..., None])[..., 0].mean((2, 3))
-        shown = _cut(np.pad((view.alpha > SOLID_ALPHA) & (view.depth > 0), pad)[..., None])[..., 0]
+        visible = _cut(np.pad((view.alpha > SOLID_ALPHA) & (view.depth > 0), pad)[..., None])[..., 0]
         depths = _cut(np.pad(view.depth, pad)[..., None])[..., 0]
-        solid = shown.mean((2, 3))
-        depth = (depths * shown).sum((2, 3)) / np.maximum(shown.sum((2, 3)), 1)
+        solid = visible.mean((2, 3))
+        depth = (depths * visible).sum((2, 3)) / np.maximum(visible.sum((2, 3)), 1)
         grown = np.pad(edited > 0, 1)
         near = np.zeros(edited.shape, bool)
         for dy in range(3):
@@ -235,8 +235,8 @@ class _Patches:
 
     def regions(self) -> Iterator[_Box]:
         """Boxes that together hold all used patches, none with more than MAX_TOKENS."""
-        rows, columns = (np.flatnonzero(self.used.any(axis)) for axis in (1, 0))
-        outer = (int(rows[0]), int(columns[0]), int(rows[-1]) + 1, int(columns[-1]) + 1)
+        lines, columns = (np.flatnonzero(self.used.any(axis)) for axis in (1, 0))
+        outer = (int(lines[0]), int(columns[0]), int(lines[-1]) + 1, int(columns[-1]) + 1)
         open_boxes = [_Box(*outer, outer)]
         while open_boxes:
             box = open_boxes.pop()
@@ -272,9 +272,9 @@ class _Patches:
         count = len(planes)
         values = [target.reshape(count, -1), before.reshape(count, -1), planes[..., 6].reshape(count, -1)]
         values.append(2 * self.solid[chosen][:, None] - 1)
-        places = (points - frame.center) / half_extent
+        positions = (points - frame.center) / half_extent
         return frame, PatchTokens(
-            places.astype(np.float32),
+            positions.astype(np.float32),
             np.concatenate(values, 1, dtype=np.float32),
             self.edited[chosen].astype(np.float32),
         )
@@ -301,12 +301,12 @@ def _facts(
     assert view.depth is not None and view.alpha is not None
     camera, count = view.camera, len(ids)
     height, width = view.mask.shape
-    column = np.clip(pixels[:, 0], 0, width - 1).astype(np.int64)
-    row = np.clip(pixels[:, 1], 0, height - 1).astype(np.int64)
+    x = np.clip(pixels[:, 0], 0, width - 1).astype(np.int64)
+    y = np.clip(pixels[:, 1], 0, height - 1).astype(np.int64)
     beside = ((pixels < 0) | (pixels >= (width, height))).any(1) | (depths <= 1e-6)
-    shown, alpha = view.depth[row, column], view.alpha[row, column]
+    surface_depth, alpha = view.depth[y, x], view.alpha[y, x]
     pixel = np.maximum(depths, 1e-6) / camera.fy
-    behind = np.where(alpha > SOLID_ALPHA, np.clip((depths - shown) / pixel, -MAX_DEPTH_PX, MAX_DEPTH_PX), 0)
+    behind = np.where(alpha > SOLID_ALPHA, np.clip((depths - surface_depth) / pixel, -MAX_DEPTH_PX, MAX_DEPTH_PX), 0)
     part = splats.take(ids)
     sizes = np.sort(np.clip(projected_sizes(part, camera), 1e-3, 1e3), 1)[:, ::-1]
     axes = quat_to_matrix(np.ascontiguousarray(part.quats))
@@ -327,8 +327,8 @@ def _facts(
         2 * part.opacities[:, None] - 1,
         local,
         (behind / MAX_DEPTH_PX)[:, None],
-        np.where(beside, 0, view.mask[row, column])[:, None],
-        np.where(beside, 0, _mean_around(view.mask)[row, column])[:, None],
+        np.where(beside, 0, view.mask[y, x])[:, None],
+        np.where(beside, 0, _mean_around(view.mask)[y, x])[:, None],
         np.where(beside, 0, alpha)[:, None],
         2 * seen[:, None] - 1,
         2 * peak[ids, None] - 1,

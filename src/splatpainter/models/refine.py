@@ -52,7 +52,7 @@ class RefineState:
     """One per block."""
     detail: Memory | None = field(repr=False)
     """Memory of the extra layer for local detail; None where the model has none."""
-    shown: Tensor | None = field(default=None, repr=False)
+    evidence: Tensor | None = field(default=None, repr=False)
     """[E, 4] of each encoded Gaussian: the change of base colour that global edits have made of it so far, and the
     pixels that have shown it (models/edit_propagation.py); None before the first."""
 
@@ -183,12 +183,12 @@ class RidgeMixer(nn.Module):
 
     def _read(self, memory: Memory, tokens: Tensor, stream: str) -> Tensor:
         assert isinstance(memory, Tensor)
-        features, asked = len(memory), self._features(self.queries[stream], tokens)
+        features, queries = len(memory), self._features(self.queries[stream], tokens)
         with exact(memory.device):
             wide = memory.double()
             gram = wide[:, :features] + torch.eye(features, dtype=wide.dtype, device=wide.device)
             solved = torch.cholesky_solve(wide[:, features:], torch.linalg.cholesky(gram)).float()
-            answer = asked @ solved
+            answer = queries @ solved
         return self.out(answer)
 
     def _features(self, layer: nn.Module, tokens: Tensor) -> Tensor:

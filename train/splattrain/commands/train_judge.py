@@ -192,8 +192,8 @@ def _judge_local(config: JudgeConfig) -> Outcome:
     _, stream = painted_gaussian_streams(settings, None, recipe.edits)
     if stream is None:
         raise ValueError(f"--data {config.data}: no object of it is held out of training; give more objects")
-    found = judge_painted(PaintedGaussiansTask(network, recipe.readers), stream, config.samples)
-    scores, problems = _sorted(progress(found, config.samples, "judge"))
+    results = judge_painted(PaintedGaussiansTask(network, recipe.readers), stream, config.samples)
+    scores, problems = _sorted(progress(results, config.samples, "judge"))
     if not scores:
         raise ValueError(f"{config.data}: none of {config.samples} samples could be judged; the first: {problems[0]}")
     rows = edit_rows(scores, config.seed)

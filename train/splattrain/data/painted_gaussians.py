@@ -135,26 +135,26 @@ class PaintedGaussianStream:
         path = self._path(number)
         if path is not None and path.is_file() and (stored := _read(path)) is not None:
             return stored
-        edit = self.whole(number)
+        edit = self.full_edit(number)
         regions = list(picture_regions(edit.painted.asset, edit.lifted, edit.view))
         if not regions:
             raise ValueError(f"{edit.name}: the picture shows no surface")
         rng = self._generator("readers", number)
         region = regions[int(rng.integers(len(regions)))]
-        keep = np.sort(rng.permutation(len(region.index))[:MAX_READERS])
-        if len(keep) == 0:
+        chosen = np.sort(rng.permutation(len(region.index))[:MAX_READERS])
+        if len(chosen) == 0:
             raise ValueError(f"{edit.name}: the paint reaches no Gaussian")
-        index_kept = region.index[keep]
-        lift = np.clip(base_color(edit.lifted.splats.sh[edit.lifted.ids[index_kept]]), 0, 1).astype(np.float32)
-        kept = replace(region, readers=region.readers.take(keep), index=index_kept)
-        arrays = _arrays(PaintedGaussians(edit.name, edit.kind, kept, edit.truth[index_kept], lift))
+        index = region.index[chosen]
+        lift = np.clip(base_color(edit.lifted.splats.sh[edit.lifted.ids[index]]), 0, 1).astype(np.float32)
+        part = replace(region, readers=region.readers.take(chosen), index=index)
+        arrays = _arrays(PaintedGaussians(edit.name, edit.kind, part, edit.truth[index], lift))
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
             with writing(path) as file:
                 np.savez(file, **arrays)  # type: ignore[arg-type]
         return _edit(arrays)  # as it comes from the disk
 
-    def whole(self, index: int) -> PaintedEdit:
+    def full_edit(self, index: int) -> PaintedEdit:
         """The edit of this number with everything around it. Raises ValueError as `[]`."""
         painted = self._scene(index // self.samples_per_object)
         name, rng = painted.scene.object.name, self._generator("edit", index)
@@ -257,10 +257,10 @@ def _arrays(edit: PaintedGaussians) -> dict[str, np.ndarray]:
     """What is kept of an edit, in half precision."""
     region = edit.region
     arrays = {
-        "places": region.tokens.places,
+        "places": region.tokens.positions,
         "values": region.tokens.values,
         "weights": region.tokens.weights,
-        "reader_places": region.readers.places,
+        "reader_places": region.readers.positions,
         "inside": region.readers.inside,
         "facts": region.readers.facts,
         "before": region.readers.before,
@@ -275,8 +275,8 @@ def _edit(arrays: dict[str, np.ndarray]) -> PaintedGaussians:
     """The inverse of `_arrays`."""
     wide = {key: values.astype(np.float32) for key, values in arrays.items() if values.dtype == np.float16}
     tokens, finest = PatchTokens(wide["places"], wide["values"], wide["weights"]), float(arrays["finest"])
-    places = snapped(wide["reader_places"], tokens.places, finest)
-    readers = PatchReaders(places, wide["inside"], wide["facts"], wide["before"])
+    positions = snapped(wide["reader_places"], tokens.positions, finest)
+    readers = PatchReaders(positions, wide["inside"], wide["facts"], wide["before"])
     region = PictureRegion(tokens, readers, np.arange(len(wide["truth"])), finest)
     return PaintedGaussians(str(arrays["name"]), str(arrays["kind"]), region, wide["truth"], wide["lift"])
 

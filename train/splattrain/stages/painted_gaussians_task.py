@@ -66,20 +66,20 @@ class PaintedGaussiansTask(Task[LocalNetwork]):
         held, and of the lift; and of Gaussians whose true colour changed (`rows`)."""
         network, asset, lifted = self.model, sample.painted.asset, sample.lifted
         before = np.clip(base_color(asset.sh[lifted.parents]), 0, 1)
-        said = network_colors(network, asset, lifted, [sample.view])
+        answer = network_colors(network, asset, lifted, [sample.view])
         nothing = network_colors(network, asset, lifted, [sample.view], strength=0.0)
         other = self._of_another_picture(sample)
-        answers = {"ours": said, "strength 0": nothing, "another picture": other}
+        answers = {"ours": answer, "strength 0": nothing, "another picture": other}
         numbers: dict[str, float] = {}
         changed = np.abs(sample.truth - before).max(1) > CHANGED
         if changed.any():
-            named = {name: answer.colors for name, answer in answers.items()}
+            named = {name: colored.colors for name, colored in answers.items()}
             named |= {"nothing": before, "lift": np.clip(base_color(lifted.splats.sh[lifted.ids]), 0, 1)}
             for name, colors in named.items():
                 squared = float(np.square(np.clip(colors, 0, 1) - sample.truth)[changed].mean())
                 numbers[f"rows {name}"] = -10 * math.log10(max(squared, 1e-9))
-        edits: dict[str, LiftedEdit] = {name: with_colors(lifted, answer) for name, answer in answers.items()}
-        edits |= {"held": held(lifted, said, [sample.view]), "lift": lifted}
+        edits: dict[str, LiftedEdit] = {name: with_colors(lifted, colored) for name, colored in answers.items()}
+        edits |= {"held": held(lifted, answer, [sample.view]), "lift": lifted}
         edits["nothing"] = replace(lifted, splats=asset)
         strip = [("edited picture", sample.view.edited)]
         for name, edit in edits.items():
@@ -97,7 +97,7 @@ class PaintedGaussiansTask(Task[LocalNetwork]):
         regions = list(picture_regions(asset, lifted, sample.view))
         if regions:
             numbers["between Gaussians"] = between_share(
-                torch.cat([network.told(readers_of(r.readers, r.finest, self.device)) for r in regions])
+                torch.cat([network.tokens_of(readers_of(r.readers, r.finest, self.device)) for r in regions])
             )
         return ValidationScore(sample.kind, numbers, tuple(strip))
 

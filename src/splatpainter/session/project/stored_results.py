@@ -52,12 +52,12 @@ def loaded_result(delta: Delta, facts: str, confidence: bytes | None, state: byt
 
 def _pack_state(state: RefineState) -> bytes:
     """What a painter has learnt as safetensors, never pickle: tensors named block.K.w0, .w1, .w2 (fast weights) or
-    block.K (tokens); detail likewise; shown."""
+    block.K (tokens); detail likewise; evidence."""
     from safetensors.torch import save
 
     named = {}
     blocks = [(f"block.{k}", block) for k, block in enumerate(state.blocks)]
-    for name, block in [*blocks, ("detail", state.detail), ("shown", state.shown)]:
+    for name, block in [*blocks, ("detail", state.detail), ("evidence", state.evidence)]:
         if block is None:
             continue
         parts = {f"{name}.{k}": v for k, v in block._asdict().items()} if hasattr(block, "_asdict") else {name: block}
@@ -83,7 +83,7 @@ def _unpack_state(data: bytes) -> RefineState:
 
         count = len({key.split(".")[1] for key in named if key.startswith("block.")})
         detail = block("detail") if any(key.split(".")[0] == "detail" for key in named) else None
-        return RefineState(tuple(block(f"block.{k}") for k in range(count)), detail, named.get("shown"))
+        return RefineState(tuple(block(f"block.{k}") for k in range(count)), detail, named.get("evidence"))
     except (SafetensorError, KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
         raise ValueError(f"project: the painter's state is damaged ({error!r})") from None
 
