@@ -269,18 +269,18 @@ def views(rng: np.random.Generator, dtype: type) -> None:
 
     splats, camera = rows(rng, dtype, rng.choice([0, 0.01, 0.1])), view(rng)
     other = splats.take(rng.integers(0, len(splats), 7))
-    whole = project(splats, camera)
+    full = project(splats, camera)
     tiles, some = rng.random(tile_shape(camera)) < 0.6, rng.random(len(splats)) < 0.7
-    part = whole.part(tiles=tiles, gaussian_mask=some)
+    part = full.part(tiles=tiles, gaussian_mask=some)
     direct = project(splats, camera, tiles=tiles, gaussian_mask=some)
-    shown = direct.part()
-    assert part.projected.tobytes() == shown.projected.tobytes() and np.array_equal(part.flatten_ids, shown.flatten_ids)
+    again = direct.part()
+    assert part.projected.tobytes() == again.projected.tobytes() and np.array_equal(part.flatten_ids, again.flatten_ids)
     second = project(other, camera)
     from dataclasses import replace
 
     second = replace(second, gaussian_ids=second.gaussian_ids + len(splats), num_gaussians=len(splats) + len(other))
-    joined = whole.merged(second)
-    assert len(joined) == len(whole.part()) + len(second)
+    joined = full.merged(second)
+    assert len(joined) == len(full.part()) + len(second)
     joined.rasterize()
 
 

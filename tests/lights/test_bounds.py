@@ -31,10 +31,10 @@ def walls(count: int = 40, gap: float = 0.0, seed: int = 0) -> Splats:
     half = math.sqrt(0.5)
     for turn in range(4):
         for side in (0.0, gap) if gap else (0.0,):
-            place = np.stack([u, v, np.full_like(u, 1 + side)], 1)
+            points = np.stack([u, v, np.full_like(u, 1 + side)], 1)
             angle = turn * math.pi / 2
             c, s = math.cos(angle), math.sin(angle)
-            means.append(place @ np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]]))
+            means.append(points @ np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]]))
             quats.append(np.tile([1.0, 0, 0, 0] if turn % 2 == 0 else [half, 0, half, 0], (len(u), 1)))
     means = np.concatenate(means)
     means = means + np.random.default_rng(seed).normal(0, 0.002, means.shape)
@@ -137,8 +137,8 @@ def test_bad_words_are_one_line_and_harm_nothing(
     monkeypatch.chdir(tmp_path)
     io.write("a.ply", ball(200))
     assert main(["light", "a.ply", *words, "--out", "b.ply"]) == 2
-    said = capsys.readouterr().err.strip()
-    assert reason in said and "\n" not in said
+    line = capsys.readouterr().err.strip()
+    assert reason in line and "\n" not in line
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.ply"]
 
 
