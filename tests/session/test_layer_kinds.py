@@ -131,7 +131,7 @@ def test_light_is_a_layer(tmp_path: Path) -> None:
         assert same_bits(session.splats, before)
         for _ in range(4):
             session.redo()
-        assert print_of(session) == shown
+        assert print_of(session) == before
     with Session.load(path, painter=Painter.load("lift")) as session:
         assert print_of(session) == before and session.verify(repaint=True) == []
         assert session.layers[1].operation.record() == {**Delight(mix=0.5).record()}
