@@ -72,13 +72,13 @@ def test_a_kind_that_the_package_does_not_know_is_a_layer_like_all_others(tint: 
         session.layers.move(layer.id, 1)
         assert layer_info(session, session.layers.by_id(layer.id)).parameters == {"amount": -0.25}
         session.files.export_layer(layer.id, tmp_path / "a.splatlayer")
-        before = print_of(session)
+        printed = print_of(session)
         with pytest.raises(ValueError, match="^layer: tint: expected an amount of -1 to 1, got 2$"):
             session.layers.set(layer.id, amount=2.0)
         with pytest.raises(ValueError, match="expected no views for kind tint, got 1; limit it by a mask instead"):
             session.layers.add("tint", [dab()])
     with load(path) as session:
-        assert print_of(session) == before and session.verify(repaint=True) == []
+        assert print_of(session) == printed and session.verify(repaint=True) == []
     with flat() as session:
         assert session.files.import_layer(tmp_path / "a.splatlayer").operation == TintLayer(amount=-0.25)
 
@@ -125,15 +125,15 @@ def test_light_is_a_layer(tmp_path: Path) -> None:
         assert (session.splats.sh != lit.sh).any()
         session.layers.add("delight", mix=0.5)
         assert [one.kind for one in session.layers] == ["light", "delight"]
-        before = print_of(session)
+        printed = print_of(session)
         for _ in range(4):
             session.undo()
         assert same_bits(session.splats, before)
         for _ in range(4):
             session.redo()
-        assert print_of(session) == before
+        assert print_of(session) == printed
     with Session.load(path, painter=Painter.load("lift")) as session:
-        assert print_of(session) == before and session.verify(repaint=True) == []
+        assert print_of(session) == printed and session.verify(repaint=True) == []
         assert session.layers[1].operation.record() == {**Delight(mix=0.5).record()}
 
 
