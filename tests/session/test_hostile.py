@@ -428,7 +428,7 @@ def test_an_export_that_fails_names_its_target(tmp_path: Path, monkeypatch: pyte
     with flat() as session:
         target = tmp_path / "out.ply"
 
-        def nowhere(path, splats, options):
+        def nowhere(path, splats, **options):
             raise ValueError(f"{path}: cannot be written (No space left on device)")
 
         monkeypatch.setattr("splatpainter.session.project.asset_files.write", nowhere)

@@ -87,9 +87,9 @@ def test_a_session_keeps_what_global_edits_have_taught(tmp_path: Path) -> None:
     path = tmp_path / "a.splatproj"
     with Session(splats, path, painter=painter) as session:
         for edit in edits:
-            session.add("picture", [edit], mode="global", method="ttt")
+            session.layers.add("picture", [edit], mode="global", method="ttt")
         same(session, edits)
-        session.set("1", visible=False)
+        session.layers.set("1", visible=False)
         same(session, edits[1:])
         session.undo()
         same(session, edits)

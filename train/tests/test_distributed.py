@@ -71,7 +71,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "SPLATPAINTER_THREADS": "1",
         "PYTHONPATH": os.pathsep.join([str(root), os.environ.get("PYTHONPATH", "")]),
     }
-    code = "import sys; from pathlib import Path; from tests.train.test_distributed import all_runs; "
+    code = "import sys; from pathlib import Path; from train.tests.test_distributed import all_runs; "
     code += "sys.exit(all_runs(Path(sys.argv[1])))"
     # A process of its own: forking this one, with its threads, would not be sound.
     command = [sys.executable, "-c", code, str(out)]

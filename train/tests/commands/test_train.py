@@ -90,7 +90,7 @@ def test_three_stages_one_after_the_other(
         (["refine"], "--data is missing"),
         (["refine", "--data", "procedural:x"], "expected procedural:N with a number"),
         (["refine", "--data", "nowhere"], "expected procedural:N, or a folder"),
-        (["refine", "--recipe", "huge"], "--recipe huge: expected one of compact, paper"),
+        (["refine", "--recipe", "huge"], "--recipe huge: expected one of compact, paint, paper"),
         (["refine", "--data", "procedural:2", "--stpes", "3"], "unknown option --stpes; perhaps you meant --steps"),
         (["refine", "--data", "procedural:2", "--steps", "0"], "expected steps of at least 1"),
         (["refine", "--data", "procedural:2", "--from", "nowhere"], "nowhere: no weights there"),
