@@ -216,7 +216,7 @@ def shell(rng: np.random.Generator, count: int, share: float):
 def painting(rng: np.random.Generator, dtype: type) -> None:
     """Whole edits of a surface in each mode: sheets, splits, spreading, receipts. Untouched rows stay."""
     from splatpainter.cameras import look_at
-    from splatpainter.painter import Asset, Edit, Painter
+    from splatpainter.painter import Asset, Edit, EditSettings, Painter
     from splatpainter.rendering import render
 
     splats = shell(rng, int(rng.integers(30, 400)), rng.choice([0, 0.002, 0.02]))
@@ -234,7 +234,7 @@ def painting(rng: np.random.Generator, dtype: type) -> None:
     if rng.random() < 0.3:  # colours that two pictures agree on
         other = look_at(eye + rng.normal(0, 0.4, 3), [0, 0, 0], width=40, height=40, fov=50)
         edits.append(Edit(np.full((40, 40, 3), rng.random(), np.float32), other, rng.random((40, 40)) < 0.3))
-    edited = Painter(aside=bool(rng.random() < 0.3)).apply(Asset(splats), edits, mode)
+    edited = Painter(settings=EditSettings(aside=bool(rng.random() < 0.3))).apply(Asset(splats), edits, mode)
     assert edited.receipt is not None
     assert edited.receipt.untouched_sha256_before == edited.receipt.untouched_sha256_after
 

@@ -425,3 +425,19 @@ def test_a_file_asset_keeps_its_name_and_format(tmp_path: Path) -> None:
         asset = studio.http.get("/api/state").json()["asset"]
         assert asset["format"] == "spz" and asset["gaussians"] == asset["gaussians_unchanged"] == 600
         assert studio.post("verify")["proved"]
+
+
+def test_an_operation_is_a_layer_by_its_own_options(studio: Live) -> None:
+    before = studio.studio.session.splats
+    made = studio.post("layer.add", operation={"kind": "delight", "mix": 0.5}, name="White light", opacity=0.5)
+    assert made["layer"]["kind"] == "delight" and made["layer"]["parameters"] == {"mix": 0.5}
+    assert made["python"] == "session.layers.add('delight', mix=0.5, name='White light', opacity=0.5)"
+    assert (studio.studio.session.splats.sh != before.sh).any()
+    for wrong in (
+        {"kind": "light", "hdri": "/dev/zero"},
+        {"kind": "light", "where": ["mask=/dev/zero"]},
+        {"kind": "paint"},
+    ):
+        answer = studio.http.post("/api/do/layer.add", json={"operation": wrong})
+        assert answer.status_code == 400 or answer.status_code == 422
+    assert len(studio.studio.session.layers) == 1

@@ -10,7 +10,10 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from splatpainter.io.files import sha256
 from splatpainter.operations.light import Delight, Relight
+from splatpainter.operations.pixelate import pixelate
+from splatpainter.operations.region import Region
 from splatpainter.painter import Painter
 from splatpainter.server.describe import layer_info
 from splatpainter.session import Session
@@ -21,6 +24,7 @@ from splatpainter.session.document.layer_operation import LayerOperation, LayerW
 from splatpainter.session.kinds.painted_layers import PaintLayer
 from splatpainter.session.replay.delta import between
 from splatpainter.session.replay.layer_result import LayerResult
+from splatpainter.session.selection.selection import Selection
 from tests.support.lift_scenes import same_bits
 from tests.support.session_scenes import RED, dab, flat, load, print_of
 from tests.support.studio_scenes import ball
@@ -72,13 +76,13 @@ def test_a_kind_that_the_package_does_not_know_is_a_layer_like_all_others(tint: 
         session.layers.move(layer.id, 1)
         assert layer_info(session, session.layers.by_id(layer.id)).parameters == {"amount": -0.25}
         session.files.export_layer(layer.id, tmp_path / "a.splatlayer")
-        printed = print_of(session)
+        expected = print_of(session)
         with pytest.raises(ValueError, match="^layer: tint: expected an amount of -1 to 1, got 2$"):
             session.layers.set(layer.id, amount=2.0)
         with pytest.raises(ValueError, match="expected no views for kind tint, got 1; limit it by a mask instead"):
             session.layers.add("tint", [dab()])
     with load(path) as session:
-        assert print_of(session) == printed and session.verify(repaint=True) == []
+        assert print_of(session) == expected and session.verify(repaint=True) == []
     with flat() as session:
         assert session.files.import_layer(tmp_path / "a.splatlayer").operation == TintLayer(amount=-0.25)
 
@@ -100,7 +104,7 @@ def test_the_key_of_a_result_is_the_value() -> None:
     assert replace(layer, operation=PaintLayer(angle_limit=40, depth_edge_limit=None)).key == layer.key
 
 
-@pytest.mark.parametrize("kind", [kind for kind in layer_kinds() if kind not in ("light", "relief")])
+@pytest.mark.parametrize("kind", [kind for kind in layer_kinds() if kind not in ("light", "relief", "pixelate")])
 def test_every_kind_is_what_its_record_says(kind: str) -> None:
     operation = operation_of_layer({"kind": kind}, "layer")
     assert operation.kind == kind and operation_of_layer(operation.record(), "layer") == operation
@@ -125,15 +129,15 @@ def test_light_is_a_layer(tmp_path: Path) -> None:
         assert (session.splats.sh != lit.sh).any()
         session.layers.add("delight", mix=0.5)
         assert [one.kind for one in session.layers] == ["light", "delight"]
-        printed = print_of(session)
+        expected = print_of(session)
         for _ in range(4):
             session.undo()
         assert same_bits(session.splats, before)
         for _ in range(4):
             session.redo()
-        assert print_of(session) == printed
+        assert print_of(session) == expected
     with Session.load(path, painter=Painter.load("lift")) as session:
-        assert print_of(session) == printed and session.verify(repaint=True) == []
+        assert print_of(session) == expected and session.verify(repaint=True) == []
         assert session.layers[1].operation.record() == {**Delight(mix=0.5).record()}
 
 
@@ -141,3 +145,37 @@ def test_a_layer_names_no_file_that_the_project_does_not_hold() -> None:
     with flat() as session:
         with pytest.raises(ValueError, match=r"^layer: expected options of light without files, .* got night\.hdr"):
             session.layers.add("light", hdri="night.hdr")
+        for hostile in (
+            {"hdri": "/dev/zero"},
+            {"rig": "/dev/zero"},
+            {"sun": ["40,30"], "where": ["mask=/dev/zero@/dev/zero"]},
+        ):
+            with pytest.raises(ValueError, match="^layer: expected (options of light without files|a selection or)"):
+                session.layers.add("light", **hostile)
+        assert not session.layers
+
+
+def test_pixels_over_what_is_selected_are_a_layer(tmp_path: Path) -> None:
+    splats, path = ball(600), tmp_path / "censored.splatproj"
+    with Session(splats, path, painter=Painter.load("lift")) as session:
+        weights = (splats.means[:, 0] > 0).astype(np.float32)
+        data = Selection.of(weights, session.splats, session.original).to_png()
+        layer = session.layers.add("pixelate", size="20%", selection=sha256(data), attached=[data])
+        changed = (session.splats.sh != splats.sh).any((1, 2))
+        region = Region("selection", ((lambda _: weights,),))
+        np.testing.assert_array_equal(session.splats.sh, pixelate(session.original, region, size="20%").splats.sh)
+        assert changed[weights > 0].mean() > 0.9 and (session.splats.sh[changed, 1:] == 0).all()
+        session.layers.set(layer.id, size="10%", color="#808080")
+        assert len(np.unique(session.splats.sh[changed, 0], axis=0)) == 1
+        for wrong in ({"size": "0%"}, {"color": "grey"}, {"margin": -1}, {"where": ["box=0,0,0,1,1,1"]}):
+            with pytest.raises(ValueError, match="^layer: ") as error:
+                session.layers.set(layer.id, **wrong)
+            assert "\n" not in str(error.value)
+        session.undo()
+        session.undo()
+        assert same_bits(session.splats, session.original)
+        session.redo()
+        with pytest.raises(ValueError, match="expected a selection"):
+            session.layers.add("pixelate")
+    with Session.load(path, painter=Painter.load("lift")) as session:
+        assert session.verify(repaint=True) == []

@@ -17,7 +17,9 @@ from splatpainter.lights.match import ball_sheet, match_light, sky_of
 from splatpainter.lights.prepared import captured_light
 from splatpainter.lights.relight import delight, distant_light, relight
 from splatpainter.lights.rig_files import WRITTEN_RIGS, read_rig, write_rig
+from splatpainter.lights.skies import SKIES
 from splatpainter.lights.sky_maps import SkyMap, read_sky, write_sky
+from splatpainter.lights.studio_rigs import RIGS
 from splatpainter.operations.operation import AS_PYTHON, Operation, ReadyOperation, Report, Tools, Wording, parameter
 from splatpainter.operations.region import Region, check_terms
 from splatpainter.painter import Asset, Painter
@@ -170,8 +172,8 @@ class Relight(LightBefore):
             raise wording.error(self.kind, f"expected {expected}, got {len(self.match_cameras)}")
 
     def files(self) -> tuple[Path, ...]:
-        named = (Path(name) for name in (self.hdri, self.rig))
-        return (*super().files(), *(path for path in named if path.suffix))
+        named = [(self.hdri, SKIES), (self.rig, RIGS)]
+        return (*super().files(), *(Path(name) for name, names in named if name and name not in names))
 
     def lights(self, report: Report) -> Lights:
         lights = Lights(up=self.up)

@@ -78,19 +78,6 @@ class CameraInfo(Message):
         return Camera.from_record({**self.model_dump(), "offset": None}, "camera")
 
 
-class PaintLimits(Message):
-    """What one view may paint of surfaces that it cannot see well; None: as the painter has it."""
-
-    angle_limit: float | None = Field(default=None, ge=0, le=90)
-    """Degrees between the line of sight and the surface's normal from which paint fades; 0: no limit."""
-    depth_edge_limit: float | None = Field(default=None, ge=0, le=16)
-    """Pixels beside an edge in depth that are not painted; 0: none."""
-
-    def options(self) -> dict[str, Any]:
-        """The limits as options of a layer."""
-        return self.model_dump(exclude_none=True)
-
-
 class AssetInfo(Message):
     """The asset that is open, as it is shown now."""
 

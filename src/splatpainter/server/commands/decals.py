@@ -22,6 +22,7 @@ from splatpainter.server.commands.context import (
 )
 from splatpainter.server.commands.painting import NO_LIMITS, within_selection
 from splatpainter.server.describe import layer_info, up_axis
+from splatpainter.server.option_fields import PaintLimits
 from splatpainter.server.protocol import (
     Answer,
     Blob,
@@ -29,7 +30,6 @@ from splatpainter.server.protocol import (
     Command,
     LayerMade,
     Name,
-    PaintLimits,
     Placed,
     Unit,
 )

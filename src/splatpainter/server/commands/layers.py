@@ -21,6 +21,7 @@ from splatpainter.server.commands.context import (
     python_line,
 )
 from splatpainter.server.describe import conflict_infos, page_parameters, up_axis
+from splatpainter.server.option_fields import OperationOptions
 from splatpainter.server.protocol import (
     Answer,
     Blob,
@@ -33,7 +34,7 @@ from splatpainter.server.protocol import (
     Unit,
 )
 from splatpainter.session.document.layer_mask import LayerMask, by_rule
-from splatpainter.session.document.layer_operation import LayerOperation
+from splatpainter.session.document.layer_operation import LayerOperation, operation_of_layer
 from splatpainter.session.document.layer_view import Blend
 from splatpainter.session.kinds.look_layers import LookLayer, look_of
 from splatpainter.session.replay.delta import GEOMETRY
@@ -60,6 +61,30 @@ def new_layer(context: CommandContext, request: LayerNew) -> LayerMade:
         at = 1 + [layer.id for layer in session.layers].index(request.above)
     layer = session.layers.new(request.name, index=at, asset=asset)
     line = python_line("session.layers.new", request.name, index=at, asset=asset or None)
+    return layer_made(context, layer.id, line)
+
+
+class LayerAdd(Command):
+    """An operation as a layer on top, on everything or on what is selected."""
+
+    NAME = "layer.add"
+    ANSWER = LayerMade
+    operation: OperationOptions
+    name: Name | None = None
+    opacity: Unit = 1.0
+
+
+@command(LayerAdd, writes=True)
+def add_layer(context: CommandContext, request: LayerAdd) -> LayerMade:
+    session, stored = context.studio.session, context.studio.selection.stored()
+    record = request.operation.model_dump(exclude_defaults=True)
+    options = record | ({} if stored is None else {"selection": stored[0]})
+    operation = operation_of_layer(options, "layer")
+    words: dict[str, Any] = {"name": request.name, "opacity": None if request.opacity == 1 else request.opacity}
+    with progress(context, request.operation.kind):
+        attached = [] if stored is None else [stored[1]]
+        layer = session.layers.add(operation, name=request.name, opacity=request.opacity, attached=attached)
+    line = python_line("session.layers.add", operation.kind, **operation.changes(), **words)
     return layer_made(context, layer.id, line)
 
 

@@ -35,6 +35,7 @@ from splatpainter.server.commands.context import (
     render_display,
 )
 from splatpainter.server.mirrored_stroke import MirroredStroke, merged
+from splatpainter.server.option_fields import PaintedOptions, PaintLimits
 from splatpainter.server.protocol import (
     MAX_VIEW_PIXELS,
     Answer,
@@ -44,7 +45,6 @@ from splatpainter.server.protocol import (
     LayerMade,
     Message,
     Name,
-    PaintLimits,
     Placed,
     Point,
     Previewed,
@@ -53,8 +53,10 @@ from splatpainter.server.protocol import (
 from splatpainter.server.stroke import Stroke
 from splatpainter.server.studio import Studio
 from splatpainter.session import Session
+from splatpainter.session.document.layer_operation import layer_class, operation_of_layer
 from splatpainter.session.document.layer_view import Blend
 from splatpainter.session.kinds.erase_layers import EraseLayer
+from splatpainter.session.kinds.painted_layers import PaintedLayer
 from splatpainter.session.measures.mirror_plane import mirrored_camera, parsed_plane
 
 NO_LIMITS = {"angle_limit": None, "depth_edge_limit": None}
@@ -327,7 +329,7 @@ class EditedView(Message):
     """What is not black was edited; None: found by comparing with the render."""
 
 
-class EditAdd(Command):
+class EditAdd(PaintedOptions, Command):
     """A layer from 1 to 4 edited pictures. mode local: only what was edited; global: regrades or relights everything;
     spread: what was edited is a material that changes all around. kind erase: Gaussians that the masks reach go back to
     the original."""
@@ -336,13 +338,9 @@ class EditAdd(Command):
     ANSWER = LayerMade
     views: list[EditedView] = Field(min_length=1, max_length=4)
     kind: Literal["paint", "picture", "clone", "erase"] = "picture"
-    mode: Mode = "local"
-    method: Method = "auto"
     name: Name = "Picture"
     opacity: Unit = 1.0
     blend: Blend = "normal"
-    within: bool = False
-    """Mode global: only Gaussians that the masks reach change, and only masked pixels count."""
     limits: PaintLimits = PaintLimits()
     """Limits in modes local and spread; an eraser has none."""
     spread: Unit | None = None
@@ -355,33 +353,21 @@ class EditAdd(Command):
 
 @command(EditAdd, writes=True)
 def add_edit(context: CommandContext, request: EditAdd) -> LayerMade:
-    session = context.studio.session
-    if request.kind == "erase":
-        edits = [_eraser_from_upload(context, view) for view in request.views]
-    else:
-        edits = [edit_from_upload(context, view, request.mode) for view in request.views]
-    if request.mode != "global":
-        edits = [edit for edit in (within_selection(context.studio, edit) for edit in edits) if edit is not None]
+    session, studio = context.studio.session, context.studio
     options: dict[str, Any] = {"name": request.name, "opacity": request.opacity, "blend": request.blend}
-    how: dict[str, Any] = {} if request.kind == "erase" else {"mode": request.mode, "method": request.method}
-    if request.within and request.mode == "global":
+    how, attached = _options_of(context, request)
+    operation = operation_of_layer({"kind": request.kind, **how}, "edit")
+    # What is edited: pictures or masks alone, inside what is selected unless all of the asset is meant.
+    upload = edit_from_upload if operation.takes_pictures else _eraser_from_upload
+    edits = [upload(context, view, request.mode) for view in request.views]
+    if operation.needs_masks:
+        edits = [edit for edit in (within_selection(studio, edit) for edit in edits) if edit is not None]
+    if how.get("within"):
         edits = [edit for edit in edits if edit.mask is not None]
         if not edits:
             raise ValueError("edit: expected a mask in one of the views; select an area on one of them")
-        how["within"] = True
-    stored = context.studio.selection.stored() if request.mode != "local" else None
-    if stored is not None:
-        how["selection"] = stored[0]
-        options["attached"] = [stored[1]]
-    if request.mode != "global" and request.kind != "erase":
-        how |= request.limits.options()
-    source = context.studio.source_of([view.picture for view in request.views])
-    if source is not None and request.kind != "erase":
-        how["source"] = source
-    if request.mode == "spread":
-        how["method"] = "auto"
-        if request.spread is not None:
-            how["spread_threshold"] = request.spread
+    if attached:
+        options["attached"] = attached
     if request.replaces is not None:
         name = session.layers.by_id(request.replaces).name
         with progress(context, name):
@@ -397,6 +383,27 @@ def add_edit(context: CommandContext, request: EditAdd) -> LayerMade:
     context.clear_preview = True
     words = [RawExpr(f"sp.Edit(picture{k or ''}, camera{k or ''}, mask{k or ''})") for k in range(len(edits))]
     return layer_made(context, layer.id, python_line("session.layers.add", request.kind, words, **options, **how))
+
+
+def _options_of(context: CommandContext, request: EditAdd) -> tuple[dict[str, Any], list[bytes]]:
+    """(options of the new layer's kind, the pictures that they name)."""
+    if not layer_class(request.kind, "edit")().takes_pictures:
+        return {}, []
+    how: dict[str, Any] = {"mode": request.mode, "method": request.method}
+    painted = PaintedLayer(mode=request.mode)
+    if request.within and painted.regrades:
+        how["within"] = True
+    if not painted.regrades:
+        how |= request.limits.options()
+    if painted.spreads:
+        how |= {"method": "auto"} | ({} if request.spread is None else {"spread_threshold": request.spread})
+    if (source := context.studio.source_of([view.picture for view in request.views])) is not None:
+        how["source"] = source
+    # A local edit is cut to what is selected; what changes more keeps to the selection itself.
+    stored = None if painted.is_local_paint else context.studio.selection.stored()
+    if stored is None:
+        return how, []
+    return {**how, "selection": stored[0]}, [stored[1]]
 
 
 def within_selection(studio: Studio, edit: Edit, required: bool = True) -> Edit | None:
@@ -429,7 +436,7 @@ def edit_from_upload(context: CommandContext, view: EditedView, mode: Mode) -> E
     return source.edit(context.studio.session.splats, mode)
 
 
-def _eraser_from_upload(context: CommandContext, view: EditedView) -> Edit:
+def _eraser_from_upload(context: CommandContext, view: EditedView, mode: Mode) -> Edit:
     """An eraser's edit from an upload: only its mask counts, the mask given, else the picture as one."""
     camera = view.camera.to_camera()
     mask = mask_from_upload(context, view.mask or view.picture, camera)

@@ -17,6 +17,7 @@ from splatpainter.rendering.profiles import Profile
 from splatpainter.server import picking
 from splatpainter.server.commands.context import CommandContext, RawExpr, command, python_line, render_display
 from splatpainter.server.describe import up_axis
+from splatpainter.server.option_fields import PaintLimits
 from splatpainter.server.protocol import (
     MAX_VIEW_PIXELS,
     Answer,
@@ -24,7 +25,6 @@ from splatpainter.server.protocol import (
     CameraInfo,
     Command,
     FileName,
-    PaintLimits,
     Point,
     Rgb,
 )

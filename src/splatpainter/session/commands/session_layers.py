@@ -125,7 +125,7 @@ class SessionLayers(Sequence[Layer]):
         snapshot = self._core.snapshot
         for entry in snapshot.state.edited:
             operation = entry.layer.operation
-            spreads = isinstance(operation, PaintedLayer) and operation.mode == "spread"
+            spreads = isinstance(operation, PaintedLayer) and operation.spreads
             if entry.layer.id == layer and spreads and entry.confidence is not None:
                 out = np.zeros(len(snapshot.splats), np.float32)
                 out[: len(entry.confidence)] = entry.confidence / np.float32(255)

@@ -48,6 +48,7 @@ KINDS = {
     "merged": "merged_layers:MergedLayer",
     "light": "operation_layers:OperationLayer",
     "delight": "operation_layers:OperationLayer",
+    "pixelate": "pixelate_layers:PixelateLayer",
 }
 """Kind -> module of kinds/ (or a dotted name) and class, imported when it is asked for."""
 Coverage = Literal["seen", "original", "as below"]

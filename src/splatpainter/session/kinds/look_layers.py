@@ -41,7 +41,7 @@ class LookLayer(PaintedLayer):
     """Settings of the adjustment, as it reads them; a LUT's table is the hash of a picture."""
 
     def check(self) -> None:
-        if self.mode != "global":
+        if not self.regrades:
             raise ValueError(f"expected mode global of a look, got {self.mode}")
         super().check()
 

@@ -7,21 +7,26 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from splatpainter.operations.operation import Operation, operation_of
 from splatpainter.painter import Asset
-from splatpainter.session.document.layer_operation import LayerOperation, LayerWork
+from splatpainter.session.document.layer_operation import Coverage, LayerOperation, LayerWork
 from splatpainter.session.replay.delta import between, without_source
 from splatpainter.session.replay.layer_blending import mixed
 from splatpainter.session.replay.layer_result import LayerResult
+
+REGION_OPTIONS = ("where", "around")
+"""Options of operations that are regions (operations/region.py)."""
 
 
 @dataclass(frozen=True)
 class OperationLayer(LayerOperation):
     """An operation, on everything or on what is selected."""
+
+    covers: ClassVar[Coverage] = "as below"
 
     operation: Operation = field(default_factory=Operation)
     selection: str | None = field(default=None, metadata={"blob": True})
@@ -33,6 +38,10 @@ class OperationLayer(LayerOperation):
         return self.operation.kind
 
     def check(self) -> None:
+        # A project comes from anybody: what it says must not open files of this machine when it is replayed. Regions
+        # may name files in their words, so a selection or a mask stands in for them.
+        if any(getattr(self.operation, name, ()) for name in REGION_OPTIONS):
+            raise ValueError(f"expected a selection or a mask of {self.kind}, not {' or '.join(REGION_OPTIONS)}")
         if self.operation.files() or self.operation.outputs():
             paths = ", ".join(path.name for path in (*self.operation.files(), *self.operation.outputs()))
             expected = f"options of {self.kind} without files, which a project does not hold"

@@ -44,13 +44,13 @@ class PaintedLayer(LayerOperation):
     """Method of the painter."""
     painter: str = ""
     """What of the painter decides the result (fingerprint.py), as it was when the layer was made."""
-    angle_limit: float | None = None
+    angle_limit: float | None = field(default=None, metadata={"ge": 0, "le": 90})
     """Degrees between the line of sight and the surface's normal from which paint fades, 0: no limit; None: as the
     painter has it. Of modes local and spread."""
-    depth_edge_limit: float | None = None
+    depth_edge_limit: float | None = field(default=None, metadata={"ge": 0, "le": 16})
     """Pixels beside an edge in depth that are not painted, 0: none; None: as the painter has it. Of modes local and
     spread."""
-    spread_threshold: float | None = None
+    spread_threshold: float | None = field(default=None, metadata={"ge": 0, "le": 1})
     """Mode spread: confidence (0..1) from which a Gaussian counts as the painted material; lower reaches further. None:
     0.5."""
     split_only: bool = False
@@ -66,12 +66,12 @@ class PaintedLayer(LayerOperation):
     """Who made its pictures: what receipts say of a picture source."""
 
     def __post_init__(self) -> None:
-        if self.mode == "spread" and self.spread_threshold is None:
+        if self.spreads and self.spread_threshold is None:
             object.__setattr__(self, "spread_threshold", self.spread_options().threshold)  # as people are to see it
         super().__post_init__()
 
     def check(self) -> None:
-        if self.limits() and self.mode == "global":
+        if self.limits() and self.regrades:
             raise ValueError("expected angle_limit and depth_edge_limit with pictures in modes local and spread only")
         if self.limits():
             from splatpainter.lift.options import LOCAL_DEFAULTS
@@ -95,7 +95,17 @@ class PaintedLayer(LayerOperation):
 
         return SPREAD_DEFAULTS if self.spread_threshold is None else SpreadOptions(self.spread_threshold)
 
-    # ---- what composing and painting ask
+    # ---- what the mode means, and what composing and painting ask
+
+    @property
+    def regrades(self) -> bool:
+        """Whether its pictures change the whole asset."""
+        return self.mode == "global"
+
+    @property
+    def spreads(self) -> bool:
+        """Whether the painted material changes all around."""
+        return self.mode == "spread"
 
     @property
     def takes_views(self) -> bool:
@@ -107,7 +117,7 @@ class PaintedLayer(LayerOperation):
 
     @property
     def needs_masks(self) -> bool:
-        return self.mode != "global"
+        return not self.regrades
 
     @property
     def is_local_paint(self) -> bool:
@@ -115,15 +125,15 @@ class PaintedLayer(LayerOperation):
 
     @property
     def is_stroke(self) -> bool:
-        return self.by_hand and self.mode == "local"
+        return self.by_hand and self.is_local_paint
 
     @property
     def reads_locally(self) -> bool:
-        return self.mode == "local" and self.method == "lift"
+        return self.is_local_paint and self.method == "lift"
 
     @property
     def certain_confidence(self) -> int:
-        return 254 if self.mode == "spread" else super().certain_confidence  # spread: what was painted, and no more
+        return 254 if self.spreads else super().certain_confidence  # spread: what was painted, and no more
 
     def for_strokes(self) -> LayerOperation | None:
         if not self.is_stroke:
@@ -140,7 +150,7 @@ class PaintedLayer(LayerOperation):
 
     def result(self, work: LayerWork) -> LayerResult:
         below = work.splats
-        spread = self.spread_options() if self.mode == "spread" else None
+        spread = self.spread_options() if self.spreads else None
         numbered, asset = work.paint(self.mode, self.method, self._local_options(), spread)
         facts = self._facts(work, asset.receipt)
         confidence = asset.confidence
@@ -148,12 +158,12 @@ class PaintedLayer(LayerOperation):
             confidence = (np.clip(confidence, 0, 1) * 255 + 0.5).astype(np.uint8)
         # What is not meant stays as it was: beside the masks, and beside the selection.
         splats = asset.splats
-        if self.mode == "global" and self.within:
+        if self.regrades and self.within:
             masked = [(view.camera, work.mask(view)) for view in work.views if view.mask is not None]
             if not masked:
                 raise ValueError(f"{work.title}: expected a mask in one of its views to stay within")
             splats = within(reached_gaussians(below, masked), below, splats)
-        if self.mode != "local" and self.selection is not None:
+        if self.selection is not None and not self.is_local_paint:
             splats = mixed(work.selected(self.selection), below, splats)
         # A receipt lists what changed: comparing every value again takes as long as a stroke.
         proved = asset.receipt is not None and splats is asset.splats and work.proves_changes
@@ -164,7 +174,7 @@ class PaintedLayer(LayerOperation):
 
     def _local_options(self) -> dict[str, Any]:
         """What of the painter's LocalOptions is another one for this layer."""
-        if self.mode == "global" or self.method == "ttt":  # networks paint without limits
+        if self.regrades or self.method == "ttt":  # networks paint without limits
             return {}
         options: dict[str, Any] = dict(self.limits())
         if self.by_hand:
@@ -192,7 +202,7 @@ class PaintLayer(PaintedLayer):
 
     @property
     def holds_strokes(self) -> bool:
-        return self.mode == "local"
+        return self.is_local_paint
 
 
 @dataclass(frozen=True)
@@ -215,7 +225,7 @@ class PictureLayer(PaintedLayer):
 
 
 def _refuse_spread(operation: PaintedLayer) -> None:
-    if operation.mode == "spread":
+    if operation.spreads:
         raise ValueError(f"expected kind paint or picture with mode spread, got {operation.kind}")
 
 
