@@ -19,7 +19,17 @@ from typing import Any
 
 from asset import TRIALS, write_trials
 from compare import Cell, compared
-from programs import ABSENT, NODE_PACKAGES, PYTHON_PACKAGES, Program, node_programs, python_programs, viewers
+from programs import (
+    ABSENT,
+    BLENDER_PACKAGES,
+    ENVIRONMENTS,
+    NODE_PACKAGES,
+    PYTHON_PACKAGES,
+    Program,
+    node_programs,
+    python_programs,
+    viewers,
+)
 from report import page, sheet, table
 
 HERE = Path(__file__).resolve().parent
@@ -47,6 +57,7 @@ def _try_all(options: argparse.Namespace, work: Path) -> None:
     programs: list[Program] = []
     for packages, install, make in (
         (PYTHON_PACKAGES, _install_python, python_programs),
+        (BLENDER_PACKAGES, _install_python, python_programs),
         (NODE_PACKAGES, _install_node, node_programs),
         ((), lambda work, packages: {}, viewers),
     ):
@@ -89,7 +100,7 @@ def _run(words: list[str], folder: Path) -> str:
 
 def _install_python(work: Path, packages: tuple[str, ...]) -> dict[str, str]:
     """The newest of each into a fresh environment; name -> version."""
-    environment = work / "python"
+    environment = work / ENVIRONMENTS.get(packages[0], "python")
     if not environment.exists():
         _run([sys.executable, "-m", "venv", str(environment)], work)
     program = str(next(p for p in (environment / "bin/python", environment / "Scripts/python.exe") if p.exists()))

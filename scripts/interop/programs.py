@@ -15,8 +15,11 @@ from typing import Any
 from read_package import ply_columns
 
 HERE = Path(__file__).resolve().parent
-PYTHON_PACKAGES = ("gsply", "zstandard", "gaussforge", "usd-convert-gsplat", "usd-core", "bpy")
-"""bpy, Blender as a module, is 350 MB."""
+PYTHON_PACKAGES = ("gsply", "zstandard", "gaussforge", "usd-convert-gsplat", "usd-core")
+BLENDER_PACKAGES = ("bpy",)
+"""Blender as a module, 350 MB, in an environment of its own: it wants its own versions of numpy and USD."""
+ENVIRONMENTS = {"bpy": "blender"}
+"""Folders of environments, where not "python"."""
 BLENDER = "Blender (points)"
 NODE_PACKAGES = (
     "@playcanvas/splat-transform",
@@ -54,11 +57,11 @@ class Program:
 
 
 def python_programs(work: Path, versions: dict[str, str]) -> list[Program]:
-    """Each in its own process of the environment below `work`."""
-    environment = work / "python"
-    interpreter = next(p for p in (environment / "bin/python", environment / "Scripts/python.exe") if p.exists())
+    """Each in its own process of an environment below `work`."""
 
     def read(name: str, files: Path, names: list[str]) -> Answers:
+        environment = work / ENVIRONMENTS.get(name, "python")
+        interpreter = next(p for p in (environment / "bin/python", environment / "Scripts/python.exe") if p.exists())
         words = [str(interpreter), str(HERE / "read_package.py"), name, str(files), *names]
         done = subprocess.run(words, capture_output=True, text=True, timeout=PATIENCE_SECONDS * len(names))
         if done.returncode:

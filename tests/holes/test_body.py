@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -45,6 +47,24 @@ def seen_from_front(splats: Splats, room: float) -> np.ndarray:
     x, y, z = splats.means.T
     front = (z > 0.05) | (y < 1e-6) & (z > -0.2)
     return front & (np.abs(x) < 0.5 + room) & (y < 1.1) & ((y > 1e-6) | (z > 0.3) & (z < 0.4 + 2 * room))
+
+
+def noisy(splats: Splats) -> Splats:
+    """As captures are: base colours and normals of neighbours differ."""
+    rng = np.random.default_rng(4)
+    sh = splats.sh + rng.normal(size=(len(splats), 1, 1)).astype(np.float32) * 0.1 / SH_C0
+    quats = splats.quats + rng.normal(size=(len(splats), 4)).astype(np.float32) * 0.25
+    return replace(splats, sh=sh, quats=quats)
+
+
+def test_a_captured_ball_goes_whole_and_a_spot_on_it_alone() -> None:
+    floor, ball = ground((0.35, 0.2, 0.1)), sphere(0.5, (0.7, 0.7, 0.7))
+    splats = noisy(floor.append(ball))
+    is_ball = np.arange(len(splats)) >= len(floor)
+    body = body_of(splats, seen_from_front(splats, 0.0))
+    assert body is not None and body[is_ball].mean() > 0.95 and body[~is_ball].mean() < 0.05
+    spot = is_ball & (np.linalg.norm(splats.means - (0, 0.5, 0.5), axis=1) < 0.15)
+    assert spot.sum() > 20 and body_of(splats, spot) is None
 
 
 @pytest.mark.parametrize("color", [(0.9, 0.8, 0.1), (0.5, 0.35, 0.2)], ids=["yellow", "brown as the ground"])

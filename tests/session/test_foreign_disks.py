@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from splatpainter.session.project import database, open_file
+from splatpainter.session.project import database, open_file, project_file
 from splatpainter.session.project.database import UnwritableError
 from splatpainter.session.project.disk_probe import locks_refused
 from splatpainter.session.project.project_file import Project
@@ -441,7 +441,9 @@ def test_a_session_that_changed_nothing_leaves_nothing(path: Path, harm, recwarn
 
 
 @posix_only
-def test_a_file_that_another_program_wrote_into_is_left_alone(path: Path) -> None:
+def test_a_file_that_another_program_wrote_into_is_left_alone(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a project too large for a copy in memory."""
+    monkeypatch.setattr(project_file, "MAX_SPARE_BYTES", 0)
     other = path.with_name("other.splatproj")
     two_layers(other)
     session = flat(project=path)
@@ -455,6 +457,40 @@ def test_a_file_that_another_program_wrote_into_is_left_alone(path: Path) -> Non
             attempt()
     session.close()
     assert path.read_bytes() == other.read_bytes() and names(path.parent) == [other.name, path.name]
+
+
+@posix_only
+@pytest.mark.parametrize("content", ["another project", "an older state", "noise", "nothing"])
+def test_what_was_overwritten_is_saved_anew(content: str, path: Path, recwarn: pytest.WarningsRecorder) -> None:
+    """Into the same file, whose inode stays, as some programs synchronise."""
+    other = path.with_name("other.splatproj")
+    two_layers(other)
+    session = flat(project=path)
+    older = path.read_bytes()
+    session.layers.add("paint", [dab(RED)])
+    session.layers.add("paint", [dab(BLUE, 19)])
+    session.undo()
+    state = print_of(session)
+    path.write_bytes(
+        {"another project": other.read_bytes(), "an older state": older, "noise": b"x" * 9000}.get(content, b"")
+    )
+    with pytest.raises(UnwritableError, match="was overwritten by another program .*; save_as another name keeps all"):
+        session.layers.add("paint", [dab(GREEN)])
+    session.files.save_as(path.with_name("saved.splatproj"))
+    assert print_of(session) == state and len(session.history) == 3
+    session.layers.add("paint", [dab(GREEN)])
+    state = print_of(session)
+    session.close()
+    with load(path.with_name("saved.splatproj")) as again:
+        assert print_of(again) == state
+        again.verify()
+    unsaved = flat(project=path.with_name("b.splatproj"))
+    unsaved.layers.add("paint", [dab(RED)])
+    path.with_name("b.splatproj").write_bytes(older)
+    unsaved.close()
+    with load(path.with_name("b.rescued.splatproj")) as rescued:
+        assert len(rescued.layers) == 1
+    assert any("b.rescued.splatproj" in str(one.message) for one in recwarn.list)
 
 
 def test_another_time_alone_is_no_other_file(path: Path) -> None:

@@ -73,6 +73,9 @@ class BodyThresholds:
     max_cut: float = 0.02
     """Links between a body and what is left over those within it, up to which it is one (a lemon on a board: 0.003);
     above, the cut runs through a surface (a spot on the board: 0.09)."""
+    max_cut_noisy: float = 0.003
+    """The same where captured colours and normals are noisy: statues on their pedestals 0.0001 to 0.0006, spots on them
+    0.006 and more."""
     max_evenness: float = 0.7
     """Mean agreement of the normals along the cut, up to which it is one (a lemon: 0.38); above, it is a painted figure
     (of the pot: 0.97)."""
@@ -101,8 +104,8 @@ def body_of(splats: Splats, selected: np.ndarray) -> np.ndarray | None:
         edge *= BODY.coarser
         pieces = _Pieces.of(splats, ids, edge)
     # The walk: it starts anywhere and ends where something is selected, rarely elsewhere, surely far away.
-    one, two, links, evenness = pieces.links()
     chosen = pieces.mean(selected[ids].astype(np.float64))
+    one, two, links, evenness, is_noisy = pieces.links(chosen > 0.5)
     beyond = pieces.mean((away[ids] > BODY.far_share * reach).astype(np.float64)) > 0.5
     ends = BODY.end_chance * (chosen + BODY.selected_share * (1 - chosen)) + beyond
     chances = _walked(one, two, links, BODY.end_chance * chosen, ends)
@@ -113,7 +116,8 @@ def body_of(splats: Splats, selected: np.ndarray) -> np.ndarray | None:
     # Doubts: a cut through a surface, or along a painted figure, is no body's border.
     crossing = is_body[one] != is_body[two]
     inner = is_body[one] & is_body[two]
-    if not is_body.any() or float(links[crossing].sum()) > BODY.max_cut * float(links[inner].sum()):
+    most_cut = BODY.max_cut_noisy if is_noisy else BODY.max_cut
+    if not is_body.any() or float(links[crossing].sum()) > most_cut * float(links[inner].sum()):
         return None
     if crossing.any() and float(evenness[crossing].mean()) > BODY.max_evenness:
         return None
@@ -176,9 +180,10 @@ class _Pieces:
         sums = [np.bincount(self.piece, column, len(self.counts)) for column in columns]
         return (np.stack(sums, 1) / self.counts[:, None]).reshape(len(self.counts), *values.shape[1:])
 
-    def links(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def links(self, selected: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, bool]:
         """(one, two: [E] int64 pieces of one cube or of two that touch; [E] how well they hang together, 0..1; [E] how
-        well their normals agree, 0..1)."""
+        well their normals agree, 0..1; whether the asset is noisy). selected: [P] bool; where neighbours among these
+        differ by more than the thresholds of colours and normals, as in captures, their median takes their place."""
         spans = self.cells.max(0) + 3
         keys = ((self.cells[:, 0] + 1) * spans[1] + self.cells[:, 1] + 1) * spans[2] + self.cells[:, 2] + 1
         order = np.argsort(keys, kind="stable")

@@ -68,15 +68,15 @@ class OpenFile:
         except OSError:
             return ""
 
-    def check(self) -> None:
-        """Raises UnwritableError where the file was deleted, moved or replaced, or cannot be reached; ValueError where
-        another program wrote into it."""
+    def check(self, has_spare: bool = False) -> None:
+        """Raises UnwritableError where the file was deleted, moved or replaced, or cannot be reached, or where another
+        program wrote into it and a copy of what it held is there (has_spare); ValueError where there is none."""
         try:
             problem = self.problem()
         except OSError as error:
             problem = f"cannot be reached ({error.strerror or error}), and nothing was changed"
             raise UnwritableError(f"{self._path}: {problem}; try again, or save_as another name") from None
-        if problem == OVERWRITTEN:
+        if problem == OVERWRITTEN and not has_spare:
             what_helps = "export what is shown, then open it again"
             raise ValueError(f"{self._path}: {problem}, and nothing was changed; {what_helps}")
         if problem:

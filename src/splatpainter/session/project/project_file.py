@@ -53,6 +53,9 @@ MAX_STEPS = 1000
 """Steps of the history; older ones are dropped."""
 ELSEWHERE = "open elsewhere: this copy is read-only; save_as makes one of your own"
 UNWRITABLE = "cannot be written ({}): it is read-only; save_as makes a copy that can be changed"
+MAX_SPARE_BYTES = 32 << 20
+"""Largest project file that is kept in memory as well: reading it again after a command takes a hundredth of a
+second."""
 FOLD_WAIT_SECONDS = 0.2
 """How long a commit waits for readers, before what it wrote stays in the log until the next one."""
 
@@ -82,6 +85,9 @@ class Project:
         self.path, self.read_only, self.note = bounded.path, read_only, note
         self._database, self._db, self._lock = bounded, bounded.connection, lock
         self._file = None if lock is None else OpenFile(bounded.path)
+        self._spare: bytes | None = None
+        """The file as it was left last, where it has at most MAX_SPARE_BYTES: once another program wrote into it,
+        SQLite reads only that."""
         self._has_written = False
         """Whether something was committed since it was opened."""
         self._mutex = threading.RLock()
@@ -193,7 +199,7 @@ class Project:
         reached, ValueError where another program wrote into it: nothing that is committed would be found again."""
         if self._file is not None:
             with self._mutex:
-                self._file.check()
+                self._file.check(self._spare is not None)
 
     def _fold(self) -> None:
         """Fold the log into the file, where no reader needs it. A full disk: all is in the log."""
@@ -210,24 +216,33 @@ class Project:
         if self._file is not None:
             self._fold()
             self._file.note(self._db)
+            spare = _whole_file(self.path)
+            self._spare = None if self._file.is_lost() else spare
         return self
 
     def copy(self, path: Path, overwrite: bool = False) -> None:
         """Copy the project to another file, compact; it appears complete or not at all. Raises ValueError: it exists,
         is open elsewhere, or cannot be written; another program wrote into this one."""
         with self._mutex:  # nobody is between a commit and what is noted of it
-            if self._file is not None and self._file.is_overwritten():
-                self._file.check()
+            is_overwritten = self._file is not None and self._file.is_overwritten()
+            spare = self._spare if is_overwritten else None
+            if is_overwritten and spare is None:
+                self.check_file()
         lock = _lock_target(path, overwrite)
         try:
-            _create(path, lambda connection: self._clone(connection))
+            _create(path, lambda connection: self._clone(connection, spare))
         finally:
             lock.release()
 
-    def _clone(self, target: sqlite3.Connection) -> None:
-        with self._mutex:
+    def _clone(self, target: sqlite3.Connection, spare: bytes | None) -> None:
+        """Copy what there is into another database. spare: bytes of a file to copy in place of that which is open."""
+        with self._mutex, contextlib.ExitStack() as stack:
+            source = self._db
+            if spare is not None:
+                source = stack.enter_context(contextlib.closing(sqlite3.connect(":memory:")))
+                source.deserialize(_without_log(spare))
             try:
-                self._db.backup(target, pages=1024)
+                source.backup(target, pages=1024)
             except sqlite3.Error as error:
                 if is_unwritable(error):
                     raise  # of the target, whose writer names it
@@ -536,6 +551,22 @@ class Transaction:
             self.results[key] = result
             if previous is not None:
                 self.previous[key] = previous
+
+
+def _whole_file(path: Path) -> bytes | None:
+    """A project file that stands alone, of at most MAX_SPARE_BYTES; None of others, and of what cannot be read."""
+    try:
+        if database.has_log(path) or path.stat().st_size > MAX_SPARE_BYTES:
+            return None
+        return path.read_bytes()
+    except OSError:
+        return None
+
+
+def _without_log(data: bytes) -> bytes:
+    """A database file as one that has no log beside it: bytes 18 and 19 of its header, which say how it is written
+    (SQLite's file format, 1.3), are 2 with a log, and none can be in memory."""
+    return data[:18] + b"\x01\x01" + data[20:]
 
 
 def _store_layer(db: sqlite3.Connection, layer: Layer) -> int:
