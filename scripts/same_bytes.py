@@ -103,6 +103,9 @@ light ball.ply --sun 30,40,#ffe0b0,2 --point 0,-2,0 --out lit.ply
 light ball.ply --hdri sunset --rotate 30 --exposure 0.5 --where y=..0 --mix 0.7 --out lit_sky.ply --json
 delight ball.ply --out flat.ply
 delight ball.ply --no-shadows --mix 0.5 --where y=0.. --out flat_half.ply
+edit ball.ply paint painted.png grade --exposure 0.3 --where y=..0 fill --where sphere=0,0,-1,0.3 --out list.ply
+pixelate ball.ply --where sphere=0,0,-1,0.5 --size 12% --out pixelated.ply
+pixelate ball.ply --where x=0.. --style blur --merge --margin 1 --view views/view_000.json --out blurred.ply --json
 verify ball.ply edit_local.ply
 verify ball.ply decal.ply --json
 verify merged.ply --against ball.ply egg.ply
@@ -302,7 +305,7 @@ def session() -> None:
         project.undo()
         project.redo()
         project.undo()
-        look = project.layers.add("look", parameters={"look": "grade", "exposure": 0.4}, name="Warm")
+        look = project.layers.add("look", look="grade", settings={"exposure": 0.4}, name="Warm")
         project.layers.hide_selected((project.splats.means[:, 0] > 0.9).astype(np.float32))
         project.files.save_as("project.splatproj")
         project.files.export("project.ply")

@@ -25,8 +25,8 @@ from .values import camera_of, picture_of
 WITHOUT_NODES = ("paint", "generate", "refine")
 OF_SOURCES = {field.name for field in dataclasses.fields(PictureSourceOptions)} | {"view", "seed", "strictness"}
 """Options of operations that may ask a picture source."""
-REGIONS = ("where", "around")
-"""Options that are regions, in words."""
+LINKS = {"picture": "IMAGE", "camera": "LOAD3D_CAMERA"}
+"""What an option's file holds -> the link that stands for it."""
 MAX_PX = 4096
 
 
@@ -61,9 +61,8 @@ def _fields(operation: type[Operation]) -> list[dataclasses.Field]:
 def _slot(operation: type[Operation], field: dataclasses.Field, text: str) -> Slot:
     """The input of an option: a link for pictures and cameras, else a widget. All may be left out."""
     says, hint = field.metadata, get_type_hints(operation)[field.name]
-    if says.get("holds"):
-        kind = {"picture": "IMAGE", "camera": "LOAD3D_CAMERA"}[says["holds"]]
-        return Slot(field.name, kind, True, text)
+    if says.get("holds") in LINKS:
+        return Slot(field.name, LINKS[says["holds"]], True, text)
     default = field.default
     if get_origin(hint) is Literal:
         return Slot(field.name, "COMBO", True, text, {"options": list(get_args(hint)), "default": default})
@@ -105,7 +104,7 @@ def _value(field: dataclasses.Field, hint: Any, given: Any, folder: Path, size: 
         return folder / f"{field.name}.json"
     if field.metadata.get("file"):
         return input_file(given)
-    if field.name in REGIONS:
+    if field.metadata.get("holds") == "region":
         return (given.strip(),)  # whose names may hold blanks
     if get_origin(hint) is tuple and field.metadata.get("words") is None:
         return tuple(given.split())

@@ -517,7 +517,7 @@ def check(comparison: Comparison, receipt: Receipt | None = None) -> Verificatio
 
 def _is_lossy(splats: Splats) -> bool:
     """Whether it comes from a file of a format that rounds."""
-    return splats.source is not None and FORMATS[splats.source.format].lossy
+    return splats.source is not None and bool(FORMATS[splats.source.format].lossy)
 
 
 def _wrong_files(receipt: Receipt, original: str, after: Splats) -> list[str]:

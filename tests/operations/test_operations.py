@@ -16,16 +16,17 @@ from splatpainter.operations.to_file import apply_to_file
 from splatpainter.painter import Asset
 from tests.support.cli_scenes import BOX, Capture, ball, listing, paint, run, saved
 
-CHOSEN = {
-    "paint": sp.Paint(["a.png", "b.png"], cameras=["c.json", "d.json"], mode="global", method="lift"),
-    "decal": sp.LayDecal(text="No. 7", at=(3, 4.5), camera="c.json", width="12%", angle_limit=0.0),
-    "grade": sp.Grade(exposure=0.5, where=["y=..0", "x=0.."]),
-    "fill": sp.Fill(around=["sphere=0,0,0,1"], source="command", options={"run": "x"}),
-    "refine": sp.Refine(["c.json"], scale=4),
-    "generate": sp.Generate(source="command", prompt="moss", views="auto", references=["r.png"]),
-    "light": sp.Relight(sun=["30,40"], mix=0.5),
+HERE = Path("c.json")
+CHOSEN: dict[str, Operation] = {
+    "paint": sp.Paint((Path("a.png"), Path("b.png")), cameras=(HERE, HERE), mode="global", method="lift"),
+    "decal": sp.LayDecal(text="No. 7", at=(3, 4.5), camera=HERE, width="12%", angle_limit=0.0),
+    "grade": sp.Grade(exposure=0.5, where=("y=..0", "x=0..")),
+    "fill": sp.Fill(around=("sphere=0,0,0,1",), source="command", options={"run": "x"}),
+    "refine": sp.Refine(views=(HERE,), scale=4),
+    "generate": sp.Generate(source="command", prompt="moss", views="auto", references=(Path("r.png"),)),
+    "light": sp.Relight(sun=("30,40",), mix=0.5),
     "delight": sp.Delight(shadows=False),
-    "pixelate": sp.Pixelate(["x=0.."], size=0.2, merge=True),
+    "pixelate": sp.Pixelate(("x=0..",), size=0.2, merge=True),
 }
 
 
@@ -41,7 +42,11 @@ def folder(tmp_path: Path, capfd: Capture, monkeypatch: pytest.MonkeyPatch) -> P
 
 @pytest.mark.parametrize("kind", kinds())
 def test_a_value_is_json_and_python_and_comes_back(kind: str) -> None:
+    """Names of files and lists may be given for paths and tuples."""
     operation = CHOSEN[kind]
+    assert type(operation)(**{name: list(v) if isinstance(v, tuple) else v for name, v in vars(operation).items()}) == (
+        operation
+    )
     assert operation.kind == kind and type(operation) is operation_class(kind)
     operation.check()
     assert operation_of(json.loads(json.dumps(operation.record())), "x") == operation
@@ -85,7 +90,7 @@ def test_a_list_is_its_operations_one_after_the_other(folder: Path, capfd: Captu
 
 
 def test_the_same_list_everywhere(folder: Path, capfd: Capture) -> None:
-    operations = [sp.Paint(["painted.png"]), sp.Grade(saturation=-0.5)]
+    operations = [sp.Paint((Path("painted.png"),)), sp.Grade(saturation=-0.5)]
     done = apply_to_file(Path("ball.ply"), operations, Path("python.ply"))
     assert done.verification.ok and [step.operation for step in done.steps] == operations
     words = ["painted.png", "grade", "--saturation", -0.5]  # pictures first need no name

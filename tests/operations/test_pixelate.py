@@ -112,9 +112,9 @@ def test_one_color_leaves_none() -> None:
 def test_cells_of_a_view_and_a_margin() -> None:
     splats, region = checkered(), sp.Region.parse(REGION)
     camera = sp.look_at((2, 1, -3), (0, 0, 0), (0, -1, 0), width=64, height=64)
-    plain, turned, wide = (
-        sp.pixelate(splats, region, size=SIZE, **how) for how in ({}, {"camera": camera}, {"margin": 1})
-    )
+    plain = sp.pixelate(splats, region, size=SIZE)
+    turned = sp.pixelate(splats, region, size=SIZE, camera=camera)
+    wide = sp.pixelate(splats, region, size=SIZE, margin=1)
     rows = [one.receipt.pixelation.rows for one in (plain, turned, wide) if one.receipt and one.receipt.pixelation]
     assert not np.array_equal(rows[0], rows[1]) and set(rows[0]) < set(rows[2])
     cells = np.floor(splats.means.astype(np.float64) @ camera.world_to_camera[:3, :3].T / SIZE)

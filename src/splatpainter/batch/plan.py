@@ -21,8 +21,6 @@ from splatpainter.splats import Frame
 from splatpainter.yamlio import Lines, read
 
 MAX_JOBS = 100_000
-REGIONS = ("where", "around")
-"""Options whose terms may name files."""
 MASK, OF_PROJECT = "mask=", ("selection=", "layer=")
 """Terms of `where` that name files: MASK.png@CAMERA.json, and NAME@PROJECT.splatproj."""
 
@@ -216,7 +214,7 @@ def _step(edit: Any, path: str, folder: Path, lines: Lines, asset: str, variant:
             if isinstance(value, str) and value and (folder / value).is_file():
                 given_options[key] = str(folder / value)
                 files.append((str(folder / value), lines.at(f"{path}.{kind}.options.{key}")))
-    for name in set(REGIONS) & set(values):
+    for name in [entry.name for entry in fields(step) if entry.metadata.get("holds") == "region"]:
         terms = [
             _where_term(term, folder, lines.at(f"{path}.{kind}.{name}[{k}]"), files)
             for k, term in enumerate(values[name])

@@ -54,7 +54,7 @@ def parse_shorthand(words: Sequence[str], program: str, *bases: type) -> tuple[A
 
 def _shorthand(bases: Sequence[type]) -> type:
     """A dataclass with the options of pictures, decals and sources side by side, each once."""
-    fields: dict[str, tuple[str, Any, dataclasses.Field]] = {}
+    fields: dict[str, tuple[str, Any, Any]] = {}
     for kind in (Paint, LayDecal, Generate):
         hints = get_type_hints(kind)
         for entry in dataclasses.fields(kind):

@@ -203,12 +203,18 @@ class _Pieces:
                     ones.append(one[different])
                     twos.append(two[different])
         one, two = np.concatenate(ones), np.concatenate(twos)
-        away = ((self.colors[one] - self.colors[two]) ** 2).sum(1) / BODY.color_distance**2
+        away = ((self.colors[one] - self.colors[two]) ** 2).sum(1)
         cosine = (self.normals[one] * self.normals[two]).sum(1)  # squared; less where normals scatter
         # Against the scatter of normals in each piece: fog must not count as a crease.
         even = np.sqrt((self.normals[one] ** 2).sum(1) * (self.normals[two] ** 2).sum(1))
-        evenness = portable.exp(-np.clip(even - cosine, 0, 1) / BODY.squared_sine)
-        return one, two, np.maximum(portable.exp(-away) * evenness, BODY.least_link), evenness
+        turned = np.clip(even - cosine, 0, 1)
+        # A capture's own noise must not cut it into pieces: what neighbours differ by within it counts as nothing.
+        among = selected[one] & selected[two]
+        noise, roughness = (float(np.median(of[among])) if among.any() else 0.0 for of in (away, turned))
+        evenness = portable.exp(-turned / max(BODY.squared_sine, roughness))
+        links = portable.exp(-away / max(BODY.color_distance**2, noise)) * evenness
+        is_noisy = noise > BODY.color_distance**2 or roughness > BODY.squared_sine
+        return one, two, np.maximum(links, BODY.least_link), evenness, is_noisy
 
 
 def _walked(one: np.ndarray, two: np.ndarray, links: np.ndarray, source: np.ndarray, ends: np.ndarray) -> np.ndarray:

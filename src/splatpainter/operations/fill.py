@@ -19,12 +19,12 @@ class Fill(PictureSourceOptions):
 
     kind: ClassVar[str] = "fill"
 
-    where: tuple[str, ...] = parameter((), metavar="WHERE ...")
+    where: tuple[str, ...] = parameter((), metavar="WHERE ...", holds="region")
     """Part to remove; what it leaves is filled."""
     remove: Literal["body", "selection"] = "body"
     """What goes of WHERE: body: the whole thing that it is of, its back too, without the ground it stands on; where it
     is a spot on something larger, as selection: it alone."""
-    around: tuple[str, ...] = parameter((), metavar="WHERE ...")
+    around: tuple[str, ...] = parameter((), metavar="WHERE ...", holds="region")
     """Instead: what surrounds an existing hole, such as a mask drawn around it."""
     source: str = parameter("", metavar="NAME", shared=True)
     """A picture source (`splatpainter source list`) that is sent a view of the filled hole, which is its mask; default:

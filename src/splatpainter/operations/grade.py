@@ -95,7 +95,7 @@ class Grade(Operation):
     """... or one new colour; light and shade stay as they are."""
     strength: float = 1.0
     """Strength of the change, 0 .. 1."""
-    where: tuple[str, ...] = parameter((), metavar="WHERE ...")
+    where: tuple[str, ...] = parameter((), metavar="WHERE ...", holds="region")
     """Region that changes; default: everything."""
 
     def check(self, wording: Wording = AS_PYTHON) -> None:

@@ -44,7 +44,7 @@ class LightBefore(Operation):
     full_range: bool = False
     """Environments with suns and lamps as bright as they are stored; default: limited to what 99.9 % of their values
     stay below. A sun comes back by `splatpainter light --sun`."""
-    where: tuple[str, ...] = parameter((), metavar="WHERE ...")
+    where: tuple[str, ...] = parameter((), metavar="WHERE ...", holds="region")
     """Region that changes; default: everything. What is outside casts shadows all the same."""
     up: UpAxis = "auto"
     """Which way is up for environments and suns; auto: -y, as captures have it."""

@@ -25,6 +25,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 from splatpainter import jsonio
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from splatpainter.painter import Asset, Painter
     from splatpainter.sources.picture_source import CancelFlag, PictureAnswer, PictureSource, Progress
 
@@ -60,7 +62,7 @@ def parameter(
     ("camera" of `cameras`). positional: given there without a name. words: its type there, where that is another (str
     of a pixel "X,Y"); `__post_init__` makes of the words what the field is. file: it names files that are read; output:
     a file that is written. shared: it is declared in a base class, too, and comes after the fields of its own.
-    holds: of a file, "picture" or "camera", for hosts that have these at hand."""
+    holds: of a file, "picture" or "camera", for hosts that have these at hand; "region" of words that say one."""
     metadata = {"metavar": metavar, "option": option, "positional": positional, "words": words, "holds": holds}
     return field(default=default, metadata={**metadata, "file": file, "output": output}, kw_only=shared or MISSING)
 
@@ -184,12 +186,23 @@ class Operation:
         return self.ready(tools or Tools())(asset, report or Report())
 
     def files(self) -> tuple[Path, ...]:
-        """The files that it reads."""
-        return tuple(Path(path) for path in self._paths("file"))
+        """The files that it reads, also those that terms of its regions name."""
+        regions = [entry.name for entry in dataclasses.fields(self) if entry.metadata.get("holds") == "region"]
+        words = [word for name in regions for word in getattr(self, name)]
+        if not words:
+            return tuple(Path(path) for path in self._paths("file"))
+        from splatpainter.operations.region import files_of_terms
+
+        return (*(Path(path) for path in self._paths("file")), *files_of_terms(words))
 
     def outputs(self) -> tuple[Path, ...]:
         """Files that it writes besides the asset."""
         return tuple(Path(path) for path in self._paths("output"))
+
+    def apply_selected(self, asset: Asset, weights: np.ndarray) -> Asset | None:
+        """The asset after the operation on a selection of its Gaussians ([N] 0..1), where that is something else than a
+        mix of before and after; None: it is that."""
+        return None
 
     def viewpoints(self) -> tuple[Path, ...]:
         """Files that say a camera from which it can be seen, the best first."""

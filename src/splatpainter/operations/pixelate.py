@@ -25,7 +25,7 @@ from splatpainter.color import base_color, from_display, from_hex, sh_from_color
 from splatpainter.decals.decals import parse_width
 from splatpainter.grading.color_match import MATCHING
 from splatpainter.kernels import portable
-from splatpainter.operations.operation import AS_PYTHON, Operation, ReadyOperation, Report, Tools, Wording, parameter
+from splatpainter.operations.operation import AS_PYTHON, Operation, ReadyOperation, Tools, Wording, parameter
 from splatpainter.operations.region import Region, check_terms
 from splatpainter.painter import Asset
 from splatpainter.receipts import Pixelation, Receipt, untouched_hashes
@@ -60,7 +60,7 @@ class Pixelate(Operation):
 
     kind: ClassVar[str] = "pixelate"
 
-    where: tuple[str, ...] = parameter((), metavar="WHERE ...")
+    where: tuple[str, ...] = parameter((), metavar="WHERE ...", holds="region")
     """Region that becomes unreadable, in whole cells: mask=M.png@CAM.json, box=, sphere=, selection=NAME@P.splatproj
     and others, as `splatpainter grade --help` lists them."""
     size: Any = parameter("5%", metavar="LENGTH|PERCENT", words=str)
@@ -93,21 +93,18 @@ class Pixelate(Operation):
 
         region = Region.parse(self.where)
         camera = None if self.view is None else camera_from(self.view, tools.asset)
+        return lambda asset, report: self._pixelated(asset, region, camera)
+
+    def apply_selected(self, asset: Asset, weights: np.ndarray) -> Asset:
+        """All of what is selected at all: half of an old look is a look."""
+        region = Region.parse(self.where)
+        groups = tuple((*group, lambda _: weights) for group in region.groups)
+        return self._pixelated(asset, Region(f"{region.text}, of a selection", groups), None)
+
+    def _pixelated(self, asset: Asset, region: Region, camera: Camera | None) -> Asset:
         color = from_hex(self.color) if self.color else None
-
-        def pixelated(asset: Asset, report: Report) -> Asset:
-            return pixelate(
-                asset.splats,
-                region,
-                size=self.size,
-                style=self.style,
-                color=color,
-                camera=camera,
-                margin=self.margin,
-                merge=self.merge,
-            )
-
-        return pixelated
+        how = {"size": self.size, "style": self.style, "margin": self.margin, "merge": self.merge}
+        return pixelate(asset.splats, region, color=color, camera=camera, **how)
 
     def viewpoints(self) -> tuple[Path, ...]:
         return () if self.view is None else (self.view,)

@@ -99,6 +99,18 @@ def check_terms(words: Sequence[str]) -> None:
                 _TERMS[name](name, value)
 
 
+def files_of_terms(words: Sequence[str]) -> tuple[Path, ...]:
+    """The files that terms name. Terms that are none are left to `check_terms`."""
+    out: list[Path] = []
+    for term in _terms(words):
+        name, _, value = term.removeprefix("not:").partition("=")
+        if name == "mask":
+            out += [Path(part) for part in value.split("@") if part]
+        elif name in OF_FILES and "@" in value:
+            out.append(Path(value.rpartition("@")[2]))
+    return tuple(out)
+
+
 def _terms(words: Sequence[str]) -> list[str]:
     return [term for word in words for term in TERM_BREAK.split(word.strip())] if len(words) == 1 else list(words)
 

@@ -75,9 +75,14 @@ class OperationLayer(LayerOperation):
     def result(self, work: LayerWork) -> LayerResult:
         # Numbered from 0, as a file's rows are: what it appends then says which Gaussian below it came from.
         below = replace(without_source(work.splats), origin=np.arange(len(work.splats)))
-        edited = self.operation.apply(Asset(below, original=without_source(work.original)))
-        splats = edited.splats
-        if self.selection is not None:
-            splats = mixed(work.selected(self.selection), below, splats)
+        asset = Asset(below, original=without_source(work.original))
+        if self.selection is None:
+            edited = self.operation.apply(asset)
+            splats = edited.splats
+        elif (exact := self.operation.apply_selected(asset, work.selected(self.selection))) is not None:
+            edited, splats = exact, exact.splats
+        else:
+            edited = self.operation.apply(asset)
+            splats = mixed(work.selected(self.selection), below, edited.splats)
         note = "" if edited.receipt is None else edited.receipt.note
         return LayerResult(between(below, without_source(splats)), {"note": note} if note else {})
