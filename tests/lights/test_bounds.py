@@ -13,6 +13,7 @@ from splatpainter import io
 from splatpainter.cameras import orbit_cameras
 from splatpainter.cli import main
 from splatpainter.color import base_color, luminance, sh_from_color, srgb_to_linear
+from splatpainter.lights.facing import facing
 from splatpainter.lights.irradiance import LitSurface, sun_light
 from splatpainter.lights.lamps import Lamp, Sun
 from splatpainter.lights.light_set import Lights
@@ -31,10 +32,10 @@ def walls(count: int = 40, gap: float = 0.0, seed: int = 0) -> Splats:
     half = math.sqrt(0.5)
     for turn in range(4):
         for side in (0.0, gap) if gap else (0.0,):
-            points = np.stack([u, v, np.full_like(u, 1 + side)], 1)
+            position = np.stack([u, v, np.full_like(u, 1 + side)], 1)
             angle = turn * math.pi / 2
             c, s = math.cos(angle), math.sin(angle)
-            means.append(points @ np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]]))
+            means.append(position @ np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]]))
             quats.append(np.tile([1.0, 0, 0, 0] if turn % 2 == 0 else [half, 0, half, 0], (len(u), 1)))
     means = np.concatenate(means)
     means = means + np.random.default_rng(seed).normal(0, 0.002, means.shape)
@@ -137,8 +138,8 @@ def test_bad_words_are_one_line_and_harm_nothing(
     monkeypatch.chdir(tmp_path)
     io.write("a.ply", ball(200))
     assert main(["light", "a.ply", *words, "--out", "b.ply"]) == 2
-    line = capsys.readouterr().err.strip()
-    assert reason in line and "\n" not in line
+    complaint = capsys.readouterr().err.strip()
+    assert reason in complaint and "\n" not in complaint
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.ply"]
 
 
@@ -174,3 +175,19 @@ def test_delight_of_what_nothing_is_known_of_is_nearly_nothing() -> None:
     edited = delight(white, up="+y", shadows=False)
     assert edited.receipt is not None and "uniform grey" in edited.receipt.note
     np.testing.assert_allclose(light_of(edited.splats), light_of(white), rtol=0.03)
+
+
+def test_a_sheet_of_oriented_patches_keeps_its_side() -> None:
+    """Seen as much from below as from above, but all of its axes point up: it was shaded by that side."""
+    side = 60
+    x, z = (v.ravel() for v in np.meshgrid(np.linspace(-1, 1, side), np.linspace(-1, 1, side)))
+    means = np.stack([x, 0 * x, z], 1).astype(np.float32)
+    quats = np.tile(np.float32([math.sqrt(0.5), -math.sqrt(0.5), 0, 0]), (len(x), 1))  # turns z to y
+    scales = np.tile(np.float32([1.2 / side, 1.2 / side, 0.05 / side]), (len(x), 1))
+    sh = np.zeros((len(x), 1, 3), np.float32)
+    sheet = Splats(means, quats, scales, np.full(len(x), 0.95, np.float32), sh)
+    sides = facing(sheet)
+    assert (sides.normals[:, 1] > 0.99).all() and (sides.front == 1).all()
+    turned = quats * np.where(np.random.default_rng(0).random(len(x)) < 0.5, -1, 1)[:, None] ** np.array([0, 1, 1, 1])
+    mixed = facing(replace(sheet, quats=turned.astype(np.float32)))
+    assert np.median(mixed.front) < 0.8, "of a capture's sheet both sides count"

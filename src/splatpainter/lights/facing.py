@@ -27,7 +27,14 @@ ORIENTED_SHARE = 0.97
 """Of what is seen from one side, by pixels, that must show the positive end of its shortest axis: then the asset was
 made of oriented patches (from a mesh), and those that are hidden are believed too. Of fitted assets half does."""
 MOSTLY_ORIENTED_SHARE = 0.75
-"""... from which they decide at least for those that are not seen from one side."""
+"""The same, from which they decide at least for those that are not seen from one side, and for all where neighbours
+agree as well. Below, walls of two layers whose axes all point one way would let light through."""
+COHERENT_SHARE = 0.93
+"""Mean agreement of the ends of shortest axes among neighbours of one plane, from which the asset was made of oriented
+patches though much of it is seen from both sides: of meshes of single sheets 0.95 and more, of six captures 0.23 to
+0.83."""
+MIN_NEIGHBOURS = 8
+"""Gaussians of a plane in a cell that such an agreement is asked of."""
 NEIGHBOURHOOD = 0.15
 """Edge of the cells in which Gaussians of a sheet seen from both sides agree, in radii of the asset."""
 AXIS_BINS = 12
@@ -88,8 +95,10 @@ def facing(splats: Splats) -> Facing:
     cosines = (axes * towards).sum(1) / np.maximum(seen, 1e-9)
     one_sided = (seen > SEEN_PX) & (np.abs(cosines) > ONE_SIDED)
     weight = seen[one_sided].astype(np.float64)
-    agreeing = float(weight[cosines[one_sided] > 0].sum() / max(weight.sum(), 1e-9))
-    if agreeing >= ORIENTED_SHARE:
+    agreeing = float(weight[cosines[one_sided] > 0].sum() / weight.sum()) if len(weight) else 0.0
+    sheets = agreeing >= MOSTLY_ORIENTED_SHARE or not len(weight)
+    sheets = sheets and _coherence(splats, axes, radius) >= COHERENT_SHARE
+    if agreeing >= ORIENTED_SHARE or sheets:
         normals, front = axes, np.ones(count, np.float32)
     else:
         cosines, sheet = _with_neighbours(splats, axes, towards, seen, cosines, radius)
@@ -102,6 +111,27 @@ def facing(splats: Splats) -> Facing:
     ordered = np.sort(splats.scales, 1)
     flat_share = float((ordered[:, 0] <= MAX_FLATNESS * ordered[:, 1]).mean())
     return Facing(normals, front, seen, flat_share)
+
+
+def _coherence(splats: Splats, axes: np.ndarray, radius: float) -> float:
+    """0..1: how far shortest axes of neighbours in one plane have their positive ends on one side."""
+    groups, aligned = _planes(splats, axes, NEIGHBOURHOOD / 2 * radius)
+    sign = np.where((aligned * axes).sum(1) < 0, -1.0, 1.0)
+    count = np.bincount(groups)
+    enough = count >= MIN_NEIGHBOURS
+    return float(np.abs(np.bincount(groups, sign))[enough].sum() / max(count[enough].sum(), 1))
+
+
+def _planes(splats: Splats, axes: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
+    """([N] int64 which Gaussians lie in one cell and along one plane, [N, 3] their axes on one side of it)."""
+    fan = fibonacci_sphere(2 * AXIS_BINS)[:AXIS_BINS]  # half of the sphere: axes have no sign
+    along = portable.matmul(axes.astype(np.float64), fan.T)
+    bins = np.abs(along).argmax(1)
+    aligned = np.where(along[np.arange(len(axes)), bins] < 0, -1.0, 1.0)[:, None] * axes
+    # Cells off the origin: planes through it are common.
+    cells = np.floor(splats.means.astype(np.float64) / max(edge, 1e-12) + 0.37).astype(np.int64)
+    keys = np.concatenate([cells, bins[:, None]], 1)
+    return np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1), aligned
 
 
 def _with_neighbours(
@@ -119,13 +149,7 @@ def _with_neighbours(
     apart from what is seen from the other."""
     positions = splats.means.astype(np.float64)
     weight = np.maximum(seen.astype(np.float64), 1e-9)
-    fan = fibonacci_sphere(2 * AXIS_BINS)[:AXIS_BINS]  # half of the sphere: axes have no sign
-    along = portable.matmul(axes.astype(np.float64), fan.T)
-    bins = np.abs(along).argmax(1)
-    aligned = np.where(along[np.arange(len(axes)), bins] < 0, -1.0, 1.0)[:, None] * axes
-    edge = max(NEIGHBOURHOOD * radius, 1e-12)
-    cells = np.floor(positions / edge + 0.37).astype(np.int64)  # planes through the origin are common
-    groups = np.unique(np.concatenate([cells, bins[:, None]], 1), axis=0, return_inverse=True)[1].reshape(-1)
+    groups, aligned = _planes(splats, axes, NEIGHBOURHOOD * radius)
 
     def mean(values: np.ndarray, by: np.ndarray) -> np.ndarray:
         total = np.maximum(np.bincount(groups, by), 1e-12)

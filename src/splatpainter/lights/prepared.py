@@ -19,6 +19,9 @@ SURFACES = 3
 """Of the assets used last; one of a million Gaussians takes 200 MB."""
 SOURCES = 16
 """Estimated lights; small."""
+MAX_CLOSED = 0.35
+"""Share of a Gaussian's sky that may be hidden, for it to be a witness of the light: what comes back from what hides it
+is not known well."""
 _SURFACES = Recent[LitSurface](SURFACES)
 _SOURCES = Recent[SourceLight](SOURCES)
 _LOCK = RLock()
@@ -45,7 +48,8 @@ def linear_colors(splats: Splats) -> np.ndarray:
 
 
 def _estimate(splats: Splats, surface: LitSurface) -> SourceLight:
-    return estimate_source(linear_colors(splats), surface.transfer, surface.points, surface.facing.trusted)
+    witnesses = surface.facing.trusted & (surface.closed < MAX_CLOSED)
+    return estimate_source(linear_colors(splats), surface.transfer, surface.points, witnesses)
 
 
 def _shape_hash(splats: Splats) -> bytes:
