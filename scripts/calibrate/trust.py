@@ -72,7 +72,9 @@ def main(config: Config) -> None:
     for i in range(len(source)):
         print(f"{source.name(i)} ...", file=sys.stderr, flush=True)
         try:
-            samples.append([queries_of(asset, *rest, config) for asset, *rest in assets_of(source, i, config)])
+            samples.append(
+                [queries_of(asset, truth, seen, config) for asset, truth, seen in assets_of(source, i, config)]
+            )
         except ValueError as error:
             print(f"left out: {error}", file=sys.stderr)
     training, judged = samples[: config.objects], samples[config.objects :] or samples
@@ -110,9 +112,11 @@ def assets_of(source: MeshFolder, i: int, config: Config) -> list[tuple[Splats, 
 
 
 def as_splats(surfels) -> Splats:
-    arrays = [np.asarray(getattr(surfels, name), np.float32) for name in ("means", "quats", "scales", "opacities")]
+    means, quats, scales, opacities = (
+        np.asarray(getattr(surfels, name), np.float32) for name in ("means", "quats", "scales", "opacities")
+    )
     sh = sh_from_color(linear_to_srgb(np.asarray(surfels.albedo, np.float32)))[:, None].astype(np.float32)
-    return Splats(*arrays, sh)
+    return Splats(means, quats, scales, opacities, sh)
 
 
 def queries_of(asset: Splats, truth: Splats, cameras: list[Camera], config: Config) -> tuple[np.ndarray, np.ndarray]:

@@ -9,6 +9,7 @@ import struct
 import sys
 import zipfile
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ import pytest
 from splatpainter import io, jsonio
 from splatpainter.io import bounded
 from splatpainter.io.bounded import Gunzip, inflate, unzstd
+from splatpainter.io.formats import ply_container
 from splatpainter.io.formats.ply_container import element_size, read_header
 from splatpainter.server.uploads.upload_sniffing import sniff
 from tests.io.test_ksplat import make
@@ -149,7 +151,7 @@ def test_hostile_entries(offset: int, form: str, value: int, reason: str, tmp_pa
 
 def test_directories_of_many_files(tmp_path: Path) -> None:
     path = tmp_path / "a.sog"
-    many = {f"{k}": b"" for k in range(bounded.MAX_ENTRIES)}
+    many = {f"{k}": b"" for k in range(bounded.BOUNDS.max_entries)}
     refused(path, bundle(path, FILES | many).read_bytes(), "more than 4096 files", peak=4 * MIB)
 
 
@@ -252,7 +254,8 @@ def test_many_lists_are_read_in_few_pieces() -> None:
 
 
 def test_uneven_lists_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("splatpainter.io.formats.ply_container.MAX_UNEVEN_LISTS", 1000)
+    few = replace(ply_container.CONTAINER, max_uneven_lists=1000)
+    monkeypatch.setattr(ply_container, "CONTAINER", few)
     uneven = b"".join(bytes([k % 3]) + bytes(k % 3) for k in range(3000))
     with pytest.raises(ValueError, match="more than 1000 lists of uneven length"):
         element(3000, "property list uchar uchar q\n", uneven)
@@ -286,9 +289,9 @@ def test_what_is_unpacked_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     data = np.random.default_rng(0).integers(0, 3, 300_000, np.uint8).tobytes()
     zipped, deflated = gzip.compress(data), zlib.compress(data)[2:-4]
     zst = zstandard.ZstdCompressor(write_content_size=False).compress(data)
-    for limit in (bounded.TWO_PASS_BYTES, 1000):
-        monkeypatch.setattr(bounded, "TWO_PASS_BYTES", limit)
-        monkeypatch.setattr(bounded, "PIECE_BYTES", 5000)
+    for limit in (bounded.BOUNDS.two_pass_bytes, 1000):
+        small = replace(bounded.BOUNDS, two_pass_bytes=limit, piece_bytes=5000)
+        monkeypatch.setattr(bounded, "BOUNDS", small)
         stream = Gunzip(zipped + b"tail", "f")
         assert stream.take(200, "a") + stream.take(len(data) - 205, "b") == data[:-5]
         assert stream.rest() == (data[-5:], b"tail")

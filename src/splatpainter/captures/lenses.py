@@ -16,19 +16,27 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 
-MAX_HALF_FIELD_DEGREES = 60.0
-"""Angle to the axis up to which a pinhole picture of a wide lens reaches: its edge has four times the pixels of the
-middle there, and 16 times at 76 degrees."""
-MAX_ENLARGEMENT = 2.0
-"""Times the photograph's sides, at most, of a pinhole picture that shows all of it."""
-SLOPE_STEPS = 2048
-"""Slopes at which a lens is looked at for where its formula turns back on itself."""
-WINDOW_STEPS = 40
-"""Halvings until the edge of a window is found."""
-ROWS_AT_A_TIME = 32
-"""Of a picture that is sampled."""
-EDGE_PX = 3
-"""Pixels around a picture that samples beside it may touch."""
+
+@dataclass(frozen=True)
+class LensThresholds:
+    """How photographs of wide lenses become pinhole pictures. Source: geometry and taste, as each entry says."""
+
+    max_half_field_degrees: float = 60.0
+    """Angle to the axis up to which a pinhole picture of a wide lens reaches: its edge has four times the pixels of the
+    middle there, and 16 times at 76 degrees."""
+    max_enlargement: float = 2.0
+    """Times the photograph's sides, at most, of a pinhole picture that shows all of it."""
+    slope_steps: int = 2048
+    """Slopes at which a lens is looked at for where its formula turns back on itself."""
+    window_steps: int = 40
+    """Halvings until the edge of a window is found."""
+    rows_at_a_time: int = 32
+    """Rows of a picture that are sampled at a time."""
+    edge_px: int = 3
+    """Pixels around a picture that samples beside it may touch."""
+
+
+LENSES = LensThresholds()
 
 
 @dataclass(frozen=True)
@@ -43,7 +51,7 @@ class Lens:
     def reach(self) -> float:
         """Largest slope up to which pixels move outwards with the direction, in every direction; polynomials that were
         fitted to a photograph turn back on themselves outside it, and would show it again there."""
-        slopes = np.tan(np.linspace(0, math.radians(89.5), SLOPE_STEPS + 1))
+        slopes = np.tan(np.linspace(0, math.radians(89.5), LENSES.slope_steps + 1))
         out = float(slopes[-1])
         # Eight directions: tangential and prism terms are not the same all around.
         for angle in np.arange(8) * (math.pi / 4):
@@ -151,10 +159,11 @@ def pinhole_window(camera: Camera, lens: Lens, *, all_of_it: bool) -> Camera:
     point. camera: that of the photograph, as if its lens bent nothing.
 
     all_of_it: the least that shows the whole photograph (its corners may be empty), else the most of which every pixel
-    is in the photograph; within MAX_HALF_FIELD_DEGREES and MAX_ENLARGEMENT. Raises ValueError: nothing can be seen."""
+    is in the photograph; within LENSES.max_half_field_degrees and LENSES.max_enlargement. Raises ValueError: nothing
+    can be seen."""
     # Bisection over the window's size: whether its border is seen is monotone in it.
     low, high = 0.0, _largest_window(camera)
-    for _ in range(WINDOW_STEPS):
+    for _ in range(LENSES.window_steps):
         middle = (low + high) / 2
         seen = _seen(camera, lens, _border(camera, middle))
         inner = seen.any() if all_of_it else seen.all()
@@ -172,7 +181,7 @@ def pinhole_window(camera: Camera, lens: Lens, *, all_of_it: bool) -> Camera:
 def _largest_window(camera: Camera) -> float:
     corners = [(side - center) / focal for side, center, focal in _sides(camera)]
     widest = max(abs(slope) for slope in corners)
-    return min(math.tan(math.radians(MAX_HALF_FIELD_DEGREES)) / max(widest, 1e-9), MAX_ENLARGEMENT)
+    return min(math.tan(math.radians(LENSES.max_half_field_degrees)) / max(widest, 1e-9), LENSES.max_enlargement)
 
 
 def _sides(camera: Camera) -> list[tuple[float, float, float]]:
@@ -211,12 +220,12 @@ def straightened(values: np.ndarray, camera: Camera, lens: Lens, window: Camera)
     where it shows anything). camera: of the photograph, of its size. Bicubic (Catmull and Rom); edges are repeated."""
     assert values.shape[:2] == (camera.height, camera.width)
     # A repeated rim, so that the cubic kernel needs no branches at the border.
-    padded = np.pad(values.astype(np.float32), [(EDGE_PX, EDGE_PX)] * 2 + [(0, 0)], mode="edge")
+    padded = np.pad(values.astype(np.float32), [(LENSES.edge_px, LENSES.edge_px)] * 2 + [(0, 0)], mode="edge")
     out = np.empty((window.height, window.width, values.shape[2]), np.float32)
     inside = np.empty((window.height, window.width), bool)
     # A few rows at a time: slopes of a whole photograph would take gigabytes.
-    for top in range(0, window.height, ROWS_AT_A_TIME):
-        rows = slice(top, min(top + ROWS_AT_A_TIME, window.height))
+    for top in range(0, window.height, LENSES.rows_at_a_time):
+        rows = slice(top, min(top + LENSES.rows_at_a_time, window.height))
         y, x = np.mgrid[rows, : window.width] + 0.5
         slopes = window.slopes(np.stack([x, y], -1))
         pixels = _pixels(camera, lens, slopes)
@@ -227,15 +236,15 @@ def straightened(values: np.ndarray, camera: Camera, lens: Lens, window: Camera)
 
 def _sampled(padded: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     """[R, W, C] float32 of a picture [h, w, C] at pixels [R, W, 2], whose centres lie at .5. padded: the picture with
-    EDGE_PX repeated around it."""
+    LENSES.edge_px repeated around it."""
     height, width, channels = padded.shape
     x, y = (
-        np.clip(pixels[..., axis] - 0.5, -1, side - 2 * EDGE_PX).astype(np.float32)
+        np.clip(pixels[..., axis] - 0.5, -1, side - 2 * LENSES.edge_px).astype(np.float32)
         for axis, side in ((0, width), (1, height))
     )
     left, top = np.floor(x), np.floor(y)
     across, along = _weights(x - left), _weights(y - top)
-    first = (top.astype(np.int64) + EDGE_PX - 1) * width + left.astype(np.int64) + EDGE_PX - 1
+    first = (top.astype(np.int64) + LENSES.edge_px - 1) * width + left.astype(np.int64) + LENSES.edge_px - 1
     flat = padded.reshape(-1, channels)
     out = np.zeros((*first.shape, channels), np.float32)
     # Catmull and Rom over 4 x 4 pixels; gathers of whole pixels are what takes time.

@@ -81,29 +81,29 @@ class MistakeThresholds:
     """Share of the asset's detail below which nothing of it is as it was rendered. Other views and assets, and looks,
     leave 0.000 of it on eighteen views of six captures; paint over 90 % of the asset 0.007 and more."""
     intact_px: int = 3
-    """Reach around a pixel in which ..."""
+    """Reach around a pixel within which it is asked how much is unchanged."""
     min_same: float = 0.9
-    """... so much is unchanged where the pixel is intact."""
+    """Share of `intact_px` around a pixel that is unchanged where the pixel is intact."""
     max_intact_px: int = 1024
-    """Side of the part of a picture that is looked at for that."""
+    """Side of the part of a picture in which intact pixels are looked for."""
     min_filter_px: int = 3
-    """Reach over which a filter leaves the mean of colours as it was: pixels, at least, ..."""
+    """Reach over which a filter leaves the mean of colours as it was: pixels, at least."""
     filter_share: float = 1 / 24
-    """... and of the picture's longer side."""
+    """The same reach in parts of the picture's longer side; the larger of both counts."""
     max_filtered_mean: float = 8 / 255
     """By how much it may change that mean."""
     min_filtered_px: int = 64
-    """Pixels of detail by which a filter is told, at least, ..."""
+    """Pixels of detail by which a filter is told, at least."""
     min_filtered_share: float = 0.4
-    """... and the share of them that is not painted over."""
+    """Share of the pixels of detail that is not painted over where a filter is told, at least."""
     max_smoothed: float = 0.85
     """Contrast in parts of the render's up to which a picture was smoothed. Recompressed ones have 0.93 to 1.2."""
     min_sharpened: float = 1.25
     """The same from which it was sharpened."""
     max_median: float = 0.75
-    """Contrast up to which a filter that keeps edges leaves ..."""
+    """Contrast, in parts of the render's, up to which a filter may keep edges, and with them some detail, intact."""
     max_intact_edges: float = 0.06
-    """... at most so much intact."""
+    """Share of the detail that a picture of so little contrast keeps intact, at most, where it was smoothed."""
     max_posterised: int = 64
     """Colours of a picture from which it is not called posterised."""
     tone_px: int = 3
@@ -287,12 +287,14 @@ def filtered(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray) -> Expl
     detail = detailed(before, solid)
     if detail.sum() < MISTAKES.min_filtered_px:
         return None
+    # A filter leaves means as they were: where they moved, somebody painted, and that does not count.
     reach = max(MISTAKES.min_filter_px, round(max(alpha.shape) * MISTAKES.filter_share))
     weight = box_mean(solid.astype(np.float32), reach)
     mean = box_mean(np.where(solid[..., None], seen - before, 0), reach) / np.maximum(weight, 1e-3)[..., None]
     unpainted = detail & (largest_channel(np.abs(mean)) <= MISTAKES.max_filtered_mean)
     if unpainted.sum() < MISTAKES.min_filtered_share * detail.sum():
         return None
+    # Strong smoothing may keep edges; weak smoothing that leaves a part intact is an edit of the rest.
     intact = float(_intact(seen, before)[unpainted].mean())
     ratio = float(np.median(contrast(seen)[unpainted]) / max(float(np.median(contrast(before)[unpainted])), 1e-6))
     smoothed = ratio < MISTAKES.max_smoothed and intact < (

@@ -176,11 +176,13 @@ def read(
     where float32 cannot hold the positions, a point amid them (`Splats.offset`).
     Raises ValueError with one line: no such file, unknown format, truncated or contradictory content.
     """
+    # A folder stands for a file in it; the content says which format that is.
     check_frame(frame)
     location = asset_file(Path(path))
     key = detect(location)
     entry = FORMATS[key]
     options: dict[str, Any] = {"lenient": lenient} if "lenient" in entry.options else {}
+    # An offset is in memory's axes, and the reader works in the file's.
     if offset is not None and "offset" in entry.options:
         options["offset"] = axes.flipped_offset(offset, entry.frame, frame)
     if entry.names_axes:
@@ -206,6 +208,7 @@ def write(
     Raises ValueError: the target exists and overwrite is False, unknown or read-only format, inconsistent shapes, an
     option that the format has not.
     """
+    # Refused by name and option before anything is computed or made.
     check_frame(frame)
     location = Path(path)
     key = format_of_name(location)
@@ -217,6 +220,7 @@ def write(
     if location.exists() and not overwrite:
         raise ValueError(f"{location}: already exists; choose another name or allow overwriting")
     options.check(FORMATS[key].write_options, str(location))
+    # Rows as this format has them: whole arrays, options, offset, and last the axes.
     rows = _at_offset(canonical(options.applied(canonical(splats))), FORMATS[key])
     if FORMATS[key].names_axes:
         writer(location, rows, frame=frame, **options.keywords())
@@ -303,7 +307,9 @@ def detect(path: Path) -> str:
     path = asset_file(path)
     if os.path.isdir(path):  # Path.is_dir raises where a folder above may not be searched
         return "sog"
+    # The content before the name: files are renamed, and downloads lose their ending.
     head = files.read_head(path, files.MAX_HEADER_BYTES if path.suffix.lower() == ".ply" else 65536)
+    # Two formats begin as PLY; the header tells them apart.
     if head[:3] == b"ply" and head[3:4] in (b"\n", b"\r"):
         end = head.find(b"end_header")
         return "compressed.ply" if b"packed_position" in head[: None if end < 0 else end] else "ply"
@@ -332,6 +338,7 @@ def format_of_name(path: Path) -> str | None:
 
 def canonical(splats: Splats) -> Splats:
     """`splats` with C-contiguous float32 numpy attributes; raises ValueError where shapes do not fit together."""
+    # Shapes are judged here, once for all formats.
     converted = splats.numpy()
     arrays = {name: np.ascontiguousarray(getattr(converted, name), np.float32) for name in ATTRIBUTES}
     rows = len(converted)
@@ -342,6 +349,7 @@ def canonical(splats: Splats) -> Splats:
             raise ValueError(f"write: expected {name} of shape {list(shape)}, got {list(arrays[name].shape)}")
     if bands not in SH_COUNTS:
         raise ValueError(f"write: expected 1, 4, 9, 16 or 25 SH coefficients, got {bands}")
+    # Origins point into the source, whose bytes are copied: a wild one would copy something else.
     origin = splats.origin
     if origin is not None and splats.source is not None:
         origin = np.asarray(origin)

@@ -70,8 +70,10 @@ def contents(source: Source) -> Contents | None:
 def rows_differ(old: StoredTable, new: StoredTable, count: int) -> np.ndarray:
     """[D] int64 ascending: rows below `count` whose stored bytes differ. The tables have the same fields."""
     if isinstance(old.records, TextRows):
+        # Rows of text have no fixed length, so they are compared line by line.
         rows = range(count)
         return np.array([row for row in rows if old.records.line(row) != new.records.line(row)], np.int64)
+    # In blocks, as the comparison of all at once would be a copy of the whole file.
     differing = [np.zeros(0, np.int64)]
     for start in range(0, count, BLOCK_ROWS):
         part = slice(start, min(start + BLOCK_ROWS, count))
@@ -103,6 +105,7 @@ def _column(table: StoredTable, k: int, rows: np.ndarray) -> np.ndarray:
 
 def _words(records: np.ndarray) -> np.ndarray:
     """[n, words] of packed rows: 4 bytes at a time where they fit."""
+    # Most rows are whole floats, and four bytes are compared as fast as one.
     size = records.dtype.itemsize * (records.shape[1] if records.ndim > 1 else 1)
     word = np.dtype(np.uint32 if size % 4 == 0 else np.uint8)
     flat = np.ascontiguousarray(records)
@@ -111,6 +114,7 @@ def _words(records: np.ndarray) -> np.ndarray:
 
 def _words_of_text_differ(old: StoredTable, new: StoredTable, rows: np.ndarray) -> dict[str, np.ndarray]:
     out: dict[str, list[int]] = {}
+    # Few rows come here: those whose line is another already.
     for row in rows.tolist():
         one, two = (table.records.line(row).split() for table in (old, new))
         names = [name for (name, _), a, b in zip(old.fields, one, two, strict=False) if a != b]
@@ -123,6 +127,7 @@ def _words_of_text_differ(old: StoredTable, new: StoredTable, rows: np.ndarray) 
 
 
 def _ply(record: Any) -> Contents:
+    # What an edit may change stands apart from what it may not: other properties of the rows, elements, the header.
     vertex = record.header.element("vertex")
     names = tuple((p.name, p.type) for p in vertex.properties)
     gaussian_fields = frozenset(name for name in vertex.names if name in GAUSSIAN or name.startswith(GAUSSIAN_STEMS))
@@ -152,6 +157,7 @@ def _compressed_ply(record: Any) -> Contents:
 
 def _header(header: Header, counted: tuple[str, ...]) -> dict[str, Any]:
     """What the lines of a PLY header say, but for the rows' own count and their properties."""
+    # The count of rows is left out, as an edit may append; their properties are compared by name elsewhere.
     lines, element = [], ""
     for line in header.lines[1:-1]:
         words = line.split()
@@ -210,6 +216,7 @@ def _sog(file: Any) -> Contents:
     for name, pixels in file.pixels.items():
         fields = tuple((f"{name} {channel}", "u1") for channel in "RGBA")
         tables.append(StoredTable(pixels, fields, frozenset(n for n, _ in fields)))
+    # Ranges, codebooks and counts follow the rows, and are no settings of their own.
     meta = copy.deepcopy(file.meta)
     planes = set()
     for part in ("means", "scales", "quats", "sh0", "shN"):

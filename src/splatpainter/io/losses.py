@@ -23,19 +23,31 @@ from splatpainter.splats import ATTRIBUTES, SH_C0, Splats
 
 MIN_DRAWN_OPACITY = 1 / 255
 """Opacity of Gaussians that are drawn; what fainter ones lose cannot be seen."""
-BLOCK_ROWS = 1 << 16
-"""Rows measured at a time, to bound the float64 intermediates."""
-CUT_TOLERANCE = 0.05
-"""SH coefficients: a value beyond all that came back is cut if it is beyond them by more than this, which is more than
-a step of any format's quantisation, and 4/255 of a base colour."""
-MIN_ANISOTROPY = 1.2
-"""Largest by smallest standard deviation from which a turned Gaussian looks otherwise."""
-THIN = 0.02
-"""Part of the largest standard deviation below which an axis counts as flat, however flat."""
-SAMPLE_ROWS = 4096
-"""Rows of the samples that are written in other formats."""
-BETTER_FACTOR = 4
-"""By how much less severe the worst loss of another format has to be to be named."""
+
+
+@dataclass(frozen=True)
+class LossThresholds:
+    """What of an asset a format loses, and from when on that is told. Source: steps of the formats, as each entry says;
+    else taste."""
+
+    block_rows: int = 1 << 16
+    """Rows measured at a time, to bound the float64 intermediates."""
+    cut_tolerance: float = 0.05
+    """SH coefficients: a value beyond all that came back is cut if it is beyond them by more than this, which is more
+    than a step of any format's quantisation, and 4/255 of a base colour."""
+    min_anisotropy: float = 1.2
+    """Largest by smallest standard deviation from which a turned Gaussian looks otherwise."""
+    thin_share: float = 0.02
+    """Part of the largest standard deviation below which an axis counts as flat, however flat."""
+    sample_rows: int = 4096
+    """Rows of the samples that are written in other formats."""
+    better_factor: int = 4
+    """Factor by which the worst loss of another format has to be less severe to be named."""
+
+
+LOSSES = LossThresholds()
+
+
 TRIED_FORMATS = ("sog", "spz", "glb", "ply")
 """Formats that are tried when a better one is to be named, the smallest files first."""
 
@@ -205,8 +217,8 @@ def _row_errors(
             pairs.append(readonly(values.reshape(count, -1) if name == "sh" else values, np.float32))
     shift = readonly(np.array([*old.offset, *new.offset], np.float64), np.float64)
     run(
-        kernels.row_losses, readonly(counted, bool), comparable, shift, THIN, MIN_ANISOTROPY, *pairs,
-        errors, differs, spans,
+        kernels.row_losses, readonly(counted, bool), comparable, shift, LOSSES.thin_share, LOSSES.min_anisotropy,
+        *pairs, errors, differs, spans,
     )  # fmt: skip
     rows = np.flatnonzero(differs)
     move, color, energy, opacity, ratio, chord = (errors[rows] if len(rows) < count else errors).T
@@ -246,12 +258,12 @@ class _Range:
 
 def _cut_rows(old: Splats, rows: np.ndarray, part: int, span: _Range) -> int:
     """How many of the rows have a coefficient beyond all that came back. part: 0 the base colour, 1 the others."""
-    low, high = span.after[0] - CUT_TOLERANCE, span.after[1] + CUT_TOLERANCE
+    low, high = span.after[0] - LOSSES.cut_tolerance, span.after[1] + LOSSES.cut_tolerance
     if not span.started or (span.before[0] >= low and span.before[1] <= high):
         return 0
     cut = 0
-    for start in range(0, len(rows), BLOCK_ROWS):
-        block = old.sh[rows[start : start + BLOCK_ROWS]]
+    for start in range(0, len(rows), LOSSES.block_rows):
+        block = old.sh[rows[start : start + LOSSES.block_rows]]
         sh = block[:, 1:] if part else block[:, :1]
         cut += int(((sh < low) | (sh > high)).any((1, 2)).sum())
     return cut
@@ -274,7 +286,7 @@ def measured_as(splats: Splats, key: str) -> tuple[Losses, int]:
         return measure(rows, read(path, offset=rows.offset)), path.stat().st_size
 
 
-def spread_sample(splats: Splats, count: int = SAMPLE_ROWS) -> Splats:
+def spread_sample(splats: Splats, count: int = LOSSES.sample_rows) -> Splats:
     """About `count` Gaussians from all over the rows, those at the ends of each axis among them, in their order and
     without their file: they span what all of them span."""
     arrays = replace(splats.numpy(), source=None, origin=None)
@@ -289,7 +301,7 @@ def spread_sample(splats: Splats, count: int = SAMPLE_ROWS) -> Splats:
 
 def better_format(splats: Splats, key: str, losses: Losses) -> str:
     """Name ending of the smallest format that holds well what the format `key` does not: of samples of the Gaussians,
-    the worst loss is invisible and BETTER_FACTOR less; "" where nothing visible is lost, or none is better."""
+    the worst loss is invisible and LOSSES.better_factor less; "" where nothing visible is lost, or none is better."""
     worst = losses.severity
     if worst < 1:
         return ""
@@ -301,7 +313,7 @@ def better_format(splats: Splats, key: str, losses: Losses) -> str:
             severity = measured_as(few, other)[0].severity
         except ValueError:  # it cannot hold them at all
             continue
-        if severity < 1 and severity * BETTER_FACTOR <= worst:
+        if severity < 1 and severity * LOSSES.better_factor <= worst:
             return FORMATS[other].suffixes[0]
     return ""
 
@@ -318,7 +330,7 @@ def loss_of_edits(splats: Splats) -> Losses:
     together, as its chunks share their precision."""
     assert splats.source is not None
     key, rng = splats.source.format, np.random.default_rng(0)
-    few = sample(splats, SAMPLE_ROWS) if key == "compressed.ply" else spread_sample(splats)
+    few = sample(splats, LOSSES.sample_rows) if key == "compressed.ply" else spread_sample(splats)
     if not len(few):
         return Losses()
 

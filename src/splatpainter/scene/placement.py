@@ -5,8 +5,8 @@
 The axes are those of every asset in memory (x right, y down, z forward: right-down-front). What is not moved keeps its
 bits: a placement without a turn leaves rotations and SH alone, one without a scale the scales, and the identity all.
 Where positions are kept relative to an offset (Splats.offset), a placement is of world coordinates; `between` is what
-it does to `means`. Sums are written out, and the matrices of the SH bands rounded to SH_DECIMALS, so that every machine
-gives equal bits.
+it does to `means`. Sums are written out, and the matrices of the SH bands rounded to so many decimals
+(PLACEMENTS.sh_decimals) that every machine gives equal bits.
 """
 
 from __future__ import annotations
@@ -24,19 +24,34 @@ from splatpainter.io.positions import Offset, is_coarse, offset_of, relative, st
 from splatpainter.splats import Splats
 from splatpainter.transforms import quat_to_matrix, sh_rotations, snapped
 
-MAX_MOVE = 1e9
-"""World units along each axis."""
-MIN_SCALE, MAX_SCALE = 1e-6, 1e6
-MAX_DEGREES = 36_000.0
-MAX_APART = 1000.0
-"""Distance of two assets, in widths of the wider one, beyond which they lie in different places of the world."""
-MAX_STEP_IN_SCENE = 1.0
-"""Distance between neighbouring float32 numbers, in sizes of the median Gaussian of an asset, that a scene bears."""
-MAX_SAMPLE = 1 << 14
-"""Gaussians of each asset, evenly spread over its rows, by which an offset for all is chosen."""
-SH_DECIMALS = 10
-"""Decimals of the matrices that turn SH bands: beyond what float32 holds, and short of what libraries of linear algebra
-differ in."""
+
+@dataclass(frozen=True)
+class PlacementThresholds:
+    """Where an asset of a scene may be placed. Source: what float32 holds, and taste."""
+
+    max_move: float = 1e9
+    """World units along each axis."""
+    min_scale: float = 1e-6
+    """Least factor of size."""
+    max_scale: float = 1e6
+    """Largest factor of size."""
+    max_degrees: float = 36_000.0
+    """Degrees of a turn about an axis, at most."""
+    max_apart: float = 1000.0
+    """Distance of two assets, in widths of the wider one, beyond which they lie in different places of the world."""
+    max_step_in_scene: float = 1.0
+    """Distance between neighbouring float32 numbers, in sizes of the median Gaussian of an asset, that a scene
+    bears."""
+    max_sample: int = 1 << 14
+    """Gaussians of each asset, evenly spread over its rows, by which an offset for all is chosen."""
+    sh_decimals: int = 10
+    """Decimals of the matrices that turn SH bands: beyond what float32 holds, and short of what libraries of linear
+    algebra differ in."""
+
+
+PLACEMENTS = PlacementThresholds()
+
+
 NONE = "none"
 EXPECTED = "move=X,Y,Z, turn=X,Y,Z (degrees about x, then y, then z) and scale=S, joined by ':', or none"
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?"
@@ -53,13 +68,14 @@ class Placement:
     scale: float = 1.0
 
     def __post_init__(self) -> None:
-        for name, values, limit in (("move", self.move, MAX_MOVE), ("quat", self.quat, 1.0 + 1e-6)):
+        for name, values, limit in (("move", self.move, PLACEMENTS.max_move), ("quat", self.quat, 1.0 + 1e-6)):
             if not all(math.isfinite(value) and abs(value) <= limit for value in values):
                 raise ValueError(f"transform: expected {name} within {limit:g}, got {_listed(values)}")
         if abs(math.sqrt(sum(value * value for value in self.quat)) - 1) > 1e-6:
             raise ValueError(f"transform: expected a quaternion of length 1, got {_listed(self.quat)}")
-        if not MIN_SCALE <= self.scale <= MAX_SCALE:
-            raise ValueError(f"transform: expected a scale of {MIN_SCALE:g} to {MAX_SCALE:g}, got {self.scale:g}")
+        if not PLACEMENTS.min_scale <= self.scale <= PLACEMENTS.max_scale:
+            limits = f"{PLACEMENTS.min_scale:g} to {PLACEMENTS.max_scale:g}"
+            raise ValueError(f"transform: expected a scale of {limits}, got {self.scale:g}")
 
     @staticmethod
     def of(
@@ -68,8 +84,10 @@ class Placement:
         scale: float = 1.0,
     ) -> Placement:
         """turn: degrees about the x, then the y, then the z axis of the scene. Raises ValueError."""
-        if not all(math.isfinite(angle) and abs(angle) <= MAX_DEGREES for angle in turn):
-            raise ValueError(f"transform: expected angles within {MAX_DEGREES:g} degrees, got {_listed(turn)}")
+        if not all(math.isfinite(angle) and abs(angle) <= PLACEMENTS.max_degrees for angle in turn):
+            raise ValueError(
+                f"transform: expected angles within {PLACEMENTS.max_degrees:g} degrees, got {_listed(turn)}"
+            )
         quat = (1.0, 0.0, 0.0, 0.0)
         for axis, degrees in enumerate(turn):
             # Whole turns are taken off first, so that 360000 degrees lose nothing to rounding.
@@ -149,7 +167,7 @@ class Placement:
 
     def between(self, offset: Offset, scene: Offset) -> Placement:
         """What this does to `means` that are relative to `offset`, where the scene's are relative to `scene`; this
-        itself where both are zero. float64. Raises ValueError where that moves them beyond MAX_MOVE."""
+        itself where both are zero. float64. Raises ValueError where that moves them beyond PLACEMENTS.max_move."""
         return replace(self, move=self._moved_by(1, offset, scene))
 
     def in_world(self, offset: Offset, scene: Offset) -> Placement:
@@ -213,7 +231,7 @@ class Placement:
         degree = math.isqrt(sh.shape[1]) - 1
         for l, exact in enumerate(sh_rotations(self.matrix, degree)[1:], 1):
             band = sh[:, l * l : (l + 1) * (l + 1)].astype(np.float64)
-            for a, row in enumerate(np.round(exact, SH_DECIMALS)):
+            for a, row in enumerate(np.round(exact, PLACEMENTS.sh_decimals)):
                 total = row[0] * band[:, 0]
                 # Sums written out in one order: libraries of linear algebra differ in theirs.
                 for b in range(1, len(row)):
@@ -224,13 +242,13 @@ class Placement:
 
 def shift_to_the_right(fixed: np.ndarray, moving: np.ndarray, gap: float = 0.1) -> tuple[float, float, float]:
     """The move along x that sets some points to the right of others; where these lie in another place of the world
-    altogether (MAX_APART), to the same height and depth, too. fixed, moving: [P, 3], [Q, 3] world coordinates; gap:
-    share of the wider one's width between them. Strays (1 % at either end) do not count."""
+    altogether (PLACEMENTS.max_apart), to the same height and depth, too. fixed, moving: [P, 3], [Q, 3] world
+    coordinates; gap: share of the wider one's width between them. Strays (1 % at either end) do not count."""
     # Strays would push the assets far apart.
     low, high = (np.quantile(points[:, 0], (0.01, 0.99)) for points in (fixed, moving))
     width = max(low[1] - low[0], high[1] - high[0])
     apart = np.median(fixed, axis=0).astype(np.float64) - np.median(moving, axis=0)
-    y, z = apart[1:].tolist() if np.abs(apart).max() > MAX_APART * width else (0.0, 0.0)
+    y, z = apart[1:].tolist() if np.abs(apart).max() > PLACEMENTS.max_apart * width else (0.0, 0.0)
     return (float(np.float32(low[1] + gap * width - high[0])), float(np.float32(y)), float(np.float32(z)))
 
 
@@ -239,7 +257,7 @@ def scene_offset(assets: Sequence[tuple[Splats, Placement]]) -> Offset:
     the same and float32 holds their positions beside it; else `offset_of` all of them."""
     points, sizes = [], []
     for splats, placement in assets:
-        every = slice(None, None, max(1, len(splats) // MAX_SAMPLE))
+        every = slice(None, None, max(1, len(splats) // PLACEMENTS.max_sample))
         points.append(placement.points(splats.world_means[every]))
         sizes.append(splats.scales[every] * np.float32(placement.scale))
     offset = assets[0][0].offset
@@ -251,9 +269,9 @@ def scene_offset(assets: Sequence[tuple[Splats, Placement]]) -> Offset:
 
 def check_near(name: str, splats: Splats) -> None:
     """Raises ValueError where Gaussians, as they stand in a scene, are so far from its offset that float32 rounds their
-    positions by more than MAX_STEP_IN_SCENE."""
+    positions by more than PLACEMENTS.max_step_in_scene."""
     steps = steps_in_sizes(splats.means, splats.scales)
-    if steps > MAX_STEP_IN_SCENE:
+    if steps > PLACEMENTS.max_step_in_scene:
         x, y, z = splats.middle.tolist()
         raise ValueError(
             f"{name}: lies ({x:.6g}, {y:.6g}, {z:.6g}) from the middle of the scene, where positions are rounded to "

@@ -15,22 +15,34 @@ from splatpainter.color import base_color
 from splatpainter.splats import Splats
 from splatpainter.transforms import quat_to_matrix
 
-MIN_OPACITY = 0.25
-"""Fainter Gaussians are no surface."""
-CUT_DENSITY = 0.35
-"""Of the blurred solid, 0..1, at which it is cut: a sheet of one voxel has 0.5 in its middle."""
-INWARDS, INWARDS_THIN = 0.8, 0.2
-"""Voxels by which vertices go back, as half a voxel and the blur lie outside of the surface; of slabs no more than
-leaves them a thickness."""
-PATCH_REACH = 1.5
-"""Standard deviations up to which a Gaussian fills voxels, along its axes."""
-MAX_PATCH_VOXELS = 8
-"""Steps along each axis of a Gaussian, at most, that fill voxels: longer ones are filled sparsely."""
-THICKNESS_RESOLUTION = 128
+
+@dataclass(frozen=True)
+class ProxyMeshThresholds:
+    """How Gaussians become a mesh that stands for them. Source: taste, tried on captures."""
+
+    min_opacity: float = 0.25
+    """Fainter Gaussians are no surface."""
+    cut_density: float = 0.35
+    """Density of the blurred solid, 0..1, at which it is cut: a sheet of one voxel has 0.5 in its middle."""
+    inwards: float = 0.8
+    """Voxels by which vertices go back, as half a voxel and the blur lie outside of the surface."""
+    inwards_thin: float = 0.2
+    """Voxels by which vertices of slabs go back: no more than leaves them a thickness."""
+    patch_reach: float = 1.5
+    """Standard deviations up to which a Gaussian fills voxels, along its axes."""
+    max_patch_voxels: int = 8
+    """Steps along each axis of a Gaussian, at most, that fill voxels: longer ones are filled sparsely."""
+    thickness_resolution: int = 128
+    """Voxels along the longest side of the asset where its thickness is measured."""
+    triangles_per_square: float = 14.0
+    """Triangles for each square of the resolution, about, that a mesh has: the first guess."""
+
+
+PROXY = ProxyMeshThresholds()
+
+
 RESOLUTIONS = (6, 192)
 """Voxels along the longest side."""
-TRIANGLES_PER_SQUARE = 14.0
-"""About as many as a mesh has for each square of the resolution: the first guess."""
 MIN_TRIANGLES = 2000
 """That can be asked for: a ball of six voxels has 1,700."""
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1]])
@@ -68,12 +80,12 @@ def proxy_mesh(splats: Splats, max_triangles: int = 20_000) -> ProxyMesh:
     if max_triangles < MIN_TRIANGLES:
         raise ValueError(f"mesh: expected at least {MIN_TRIANGLES} triangles, got {max_triangles}")
     splats = splats.numpy()
-    solid = splats.drawable & (splats.opacities >= MIN_OPACITY)
+    solid = splats.drawable & (splats.opacities >= PROXY.min_opacity)
     if not solid.any():
         raise ValueError("mesh: expected Gaussians that hide something (an opacity of 0.25), got none")
     splats = splats.take(solid)
     low, high = RESOLUTIONS
-    resolution = int(np.clip(np.sqrt(max_triangles / TRIANGLES_PER_SQUARE) * 2, low, high))
+    resolution = int(np.clip(np.sqrt(max_triangles / PROXY.triangles_per_square) * 2, low, high))
     while True:
         mesh = _mesh(splats, resolution)
         if len(mesh.triangles) <= max_triangles or resolution <= low:
@@ -82,12 +94,12 @@ def proxy_mesh(splats: Splats, max_triangles: int = 20_000) -> ProxyMesh:
         resolution = max(low, min(resolution - 1, int(resolution * shrink)))
 
 
-def thickness(splats: Splats, normals: np.ndarray, resolution: int = THICKNESS_RESOLUTION) -> np.ndarray:
+def thickness(splats: Splats, normals: np.ndarray, resolution: int = PROXY.thickness_resolution) -> np.ndarray:
     """[N] float32 world units from each Gaussian through the solid to its other side, against its normal [N, 3] (unit,
     outwards); no finer than a voxel, and 0 where it cannot be drawn."""
     splats = splats.numpy()
     out, drawable = np.zeros(len(splats), np.float32), splats.drawable
-    hiding = drawable & (splats.opacities >= MIN_OPACITY)
+    hiding = drawable & (splats.opacities >= PROXY.min_opacity)
     if not hiding.any():
         return out
     points, _ = _samples(splats.take(hiding), resolution)
@@ -125,7 +137,7 @@ def _mesh(splats: Splats, resolution: int) -> ProxyMesh:
     solid, origin, voxel, flat = _voxels(points, resolution)
     shape = np.array(solid.shape)
     density = _blurred(solid.astype(np.float32))
-    vertices, triangles = _marching_tetrahedra(density, CUT_DENSITY)
+    vertices, triangles = _marching_tetrahedra(density, PROXY.cut_density)
     # Colours: means of voxels, spread over their neighbours where none is.
     colors = base_color(splats.sh).clip(0, 1)[owners]
     total = np.bincount(flat, minlength=solid.size).reshape(shape).astype(np.float32)
@@ -137,7 +149,7 @@ def _mesh(splats: Splats, resolution: int) -> ProxyMesh:
     shade = np.where(total[at][:, None] > 1e-9, shade, 0.5)
     normals = _vertex_normals(vertices, triangles)
     behind = tuple(np.clip(np.rint(vertices - 2 * normals).astype(np.int64), 0, shape - 1).T)
-    back = np.where(density[behind] > CUT_DENSITY, INWARDS, INWARDS_THIN)[:, None]
+    back = np.where(density[behind] > PROXY.cut_density, PROXY.inwards, PROXY.inwards_thin)[:, None]
     world = (origin + (vertices + 0.5 - back * normals) * voxel).astype(np.float32)
     return ProxyMesh(world, triangles, normals.astype(np.float32), shade.clip(0, 1).astype(np.float32), voxel)
 
@@ -161,7 +173,9 @@ def _samples(splats: Splats, resolution: int) -> tuple[np.ndarray, np.ndarray]:
     order = np.argsort(splats.scales, 1)[:, ::-1]
     # In the plane of its two longer axes; the grid is as fine as the voxels.
     counts = np.clip(
-        np.ceil(PATCH_REACH * np.take_along_axis(splats.scales, order[:, :2], 1) / step), 0, MAX_PATCH_VOXELS
+        np.ceil(PROXY.patch_reach * np.take_along_axis(splats.scales, order[:, :2], 1) / step),
+        0,
+        PROXY.max_patch_voxels,
     )
     points, owners = [means], [np.arange(len(means))]
     for a, b in np.unique(counts.astype(np.int64), axis=0):
@@ -174,7 +188,7 @@ def _samples(splats: Splats, resolution: int) -> tuple[np.ndarray, np.ndarray]:
             moved = means[some]
             for share, column in ((s, 0), (t, 1)):
                 axis = order[some, column]
-                reach = PATCH_REACH * splats.scales[some, axis].astype(np.float64)
+                reach = PROXY.patch_reach * splats.scales[some, axis].astype(np.float64)
                 moved = moved + share * reach[:, None] * axes[some, :, axis]
             points.append(moved)
             owners.append(some)

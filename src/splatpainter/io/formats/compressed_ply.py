@@ -85,6 +85,7 @@ def write_compressed_ply(path: Path, splats: Splats) -> None:
     Rows that cannot be drawn become transparent, unless they are unchanged rows of such a source.
     Raises ValueError when the file cannot be written.
     """
+    # Over a file of this format its own header, tables and tail are the beginning; else an empty standard one.
     source = splats.source
     if source is not None and source.format == "compressed.ply" and splats.origin is not None:
         record, old, origin = source.detail, source.splats, np.asarray(splats.origin, np.int64)
@@ -95,6 +96,7 @@ def write_compressed_ply(path: Path, splats: Splats) -> None:
     if rest != len(_rest_names(record.tables)):
         names = [("uchar", f"f_rest_{k}") for k in range(rest)]
         header = header.with_element("sh", count, names if rest else (), behind="vertex")
+    # The header first, as it says how the tables are laid out.
     header = header.with_counts({"chunk": -(-count // GAUSSIANS_PER_CHUNK), "vertex": count, "sh": count})
     header = settled_comments(header, splats, old)
     tables = dict(record.tables)
@@ -116,6 +118,7 @@ def write_compressed_ply(path: Path, splats: Splats) -> None:
 def _check(header: Header, path: Path) -> None:
     if header.format == "ascii":
         raise ValueError(f"{path}: expected a binary compressed PLY, got a text one")
+    # Every property that the decoder reads is asked for here, so that it need not doubt.
     floats = [f"{side}_{axis}" for axis in (*AXES[0], *AXES[1]) for side in ("min", "max")]
     _need(header, "chunk", floats, "f4", path)
     vertex = _need(header, "vertex", ["packed_rotation", *WORDS], "u4", path)
@@ -167,6 +170,7 @@ def _decode(header: Header, tables: Mapping[str, np.ndarray]) -> Splats:
         antialiased=antialiased,
         color_space=space,
     )
+    # Words are fractions of the range of their chunk.
     ranges = [_ranges(tables["chunk"], axes) for axes in AXES]
     step = 256 * GAUSSIANS_PER_CHUNK  # rows decoded at a time, to bound the float64 intermediates
     for start in range(0, count, step):
@@ -184,6 +188,7 @@ def _decode(header: Header, tables: Mapping[str, np.ndarray]) -> Splats:
         out.opacities[rows] = fields[2][:, 3] / 255
         out.quats[rows] = packing.unpack_quats(vertex["packed_rotation"][rows].astype(np.uint32))
     if names:
+        # The middle of each of 256 steps, but the ends exactly: as PlayCanvas decodes them.
         values = (np.arange(256) + 0.5) / 256
         values[0], values[255] = 0, 1
         decoded = ((values - 0.5) * 8).astype(np.float32)
@@ -206,6 +211,7 @@ def _pack(
     splats: Splats, old: Splats | None, origin: np.ndarray, record: CompressedPlyFile
 ) -> tuple[np.ndarray, np.ndarray]:
     """The chunk and vertex tables of `splats`."""
+    # Chunks know nothing of one another, so that threads pack runs of them.
     drawable = drawable_rows(splats) if len(splats) else splats
 
     def packed(start: int) -> tuple[np.ndarray, np.ndarray]:
@@ -231,6 +237,7 @@ def _pack_rows(
     chunk = np.arange(count) // GAUSSIANS_PER_CHUNK
     # A chunk may keep the ranges of the source chunk that its first row comes from; -1 where that row is new.
     source_chunks = np.where(origin[starts] >= 0, origin[starts] // GAUSSIANS_PER_CHUNK, -1) if count else starts
+    # Words of a row mean something only in the range of their chunk: they are kept where row and range both stay.
     chunks = _copies(record.tables["chunk"], source_chunks)
     vertex = _copies(record.tables["vertex"], origin)
     same_chunk = (origin >= 0) & (np.where(origin >= 0, origin // GAUSSIANS_PER_CHUNK, -1) == source_chunks[chunk])
@@ -242,6 +249,8 @@ def _pack_rows(
     masks = _same(splats, old, origin)
     for group, attribute in enumerate(("means", "scales", "base")):
         axes, word = AXES[group], WORDS[group]
+        # A range stays if all new values of the chunk fit into it; else it is that of the values, and all are packed
+        # anew.
         low, high = _ranges(chunks, axes)
         keep_mask = masks[attribute] & same_chunk[:, None]
         fits = _fits(values[group], keep_mask, low[chunk], high[chunk], _levels(group))
@@ -261,6 +270,7 @@ def _pack_rows(
             if f"min_{axis}" in (chunks.dtype.names or ()):
                 chunks[f"min_{axis}"] = np.where(keep[:, k], chunks[f"min_{axis}"], low[:, k].astype(np.float32))
                 chunks[f"max_{axis}"] = np.where(keep[:, k], chunks[f"max_{axis}"], high[:, k].astype(np.float32))
+    # Rotations have no range: each stays by itself.
     turned = ~masks["quats"].all(1)
     vertex["packed_rotation"][turned] = packing.pack_quats(drawable.quats[turned])
     return chunks, vertex
@@ -281,6 +291,7 @@ def _pack_sh(
             # NaN counts as 0: such rows are not drawn, and 8 bits cannot say NaN.
             fractions = np.trunc((np.nan_to_num(values, copy=False) / 8 + 0.5) * 256)
         codes[rows] = np.clip(fractions, 0, 255, out=fractions)
+    # What did not change keeps its byte, as a value decoded and encoded again may come out as another.
     if old is not None:
         has_source = origin >= 0
         for k, band, channel in ((k, 1 + k % bands, k // bands) for k in range(len(names))):
@@ -301,6 +312,7 @@ def _pack_sh(
 
 def _same(splats: Splats, old: Splats | None, origin: np.ndarray) -> dict[str, np.ndarray]:
     """Attribute (and "base", the DC colour) -> mask of the values that still are, bit for bit, their source row's."""
+    # By bits: a value that an edit computed to the same bits counts as unchanged.
     has_source = origin >= 0
     current = {name: getattr(splats, name) for name in ("means", "quats", "scales", "opacities")} | {
         "base": splats.sh[:, 0]

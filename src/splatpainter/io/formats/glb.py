@@ -249,6 +249,7 @@ def _primitives_to_open(doc: dict[str, Any], path: Path, problems: list[str]) ->
     """(mesh, primitive) of the Gaussian primitives to open, in file order.
 
     Where nodes show some of them, the others are no part of any picture: they are kept and reported."""
+    # Files of several versions of the extension: it marks primitives, or only their attributes.
     candidates = []
     for mesh, item in enumerate(doc.get("meshes", [])):
         for index, primitive in enumerate(item.get("primitives", [])):
@@ -271,6 +272,7 @@ def _primitives_to_open(doc: dict[str, Any], path: Path, problems: list[str]) ->
 
 
 def _check_primitive(primitive: dict[str, Any], path: Path, problems: list[str]) -> None:
+    # What cannot be shown as the file asks is told; only what cannot be read is refused.
     extension = _extension(primitive)
     packed = extension.get("extensions")
     if isinstance(packed, dict) and packed and not gltf_spz.is_packed(primitive):
@@ -293,6 +295,7 @@ def _placement(
     doc: dict[str, Any], mesh: int, parents: gltf.Parents, path: Path, problems: list[str]
 ) -> tuple[np.ndarray, float, np.ndarray]:
     """Rotation, scale and shift from the PLY frame to the mesh's own, by the node that shows it."""
+    # Rows are opened where the first node puts them, and written back the way they came.
     showing = parents.showing.get(mesh, [])
     nothing = HALF_TURN, 1.0, np.zeros(3)
     if len(showing) > 1:
@@ -312,6 +315,7 @@ def _placement(
         return nothing
     if np.array_equal(matrix, np.eye(4)):
         return nothing
+    # The nearest rotation, as a matrix of a file is rounded.
     left, _, right = np.linalg.svd(turn)
     turn = (left @ right).T
     return turn @ HALF_TURN, 1 / scale, -turn @ matrix[:3, 3] / scale
@@ -337,6 +341,7 @@ def _offset(glb: gltf.Glb, one: GaussianPrimitive, path: Path, bound: Bound, log
 
 def write_glb(path: Path, splats: Splats) -> None:
     """Write one Gaussian primitive. Raises ValueError: no rows, SH above degree 3 in a new file."""
+    # A file that nothing changed is written as the bytes that were read.
     splats = splats.numpy()
     if not len(splats):
         raise ValueError(f"{path}: glTF cannot hold an asset of 0 rows; write .ply instead")
@@ -357,6 +362,7 @@ def write_glb(path: Path, splats: Splats) -> None:
 
 def _fresh(splats: Splats) -> gltf.Glb:
     """A file with nothing but the rows, in glTF's frame, with the fallback colours the standard asks for."""
+    # The standard allows no NaN and asks for unit quaternions.
     local = _unit(axes.move(drawable_rows(splats, row_by_row=True), HALF_TURN))
     local = replace(local, scales=np.maximum(local.scales, 0))
     values = attribute_columns(local) | {"COLOR_0": _fallback(local, linear=splats.color_space == "srgb")}
@@ -388,6 +394,7 @@ def _translation(offset: positions.Offset) -> dict[str, list[float]]:
 
 def _edited(splats: Splats, same: Unchanged, old: GlbFile, path: Path) -> gltf.Glb:
     """The source with the rows of `splats`. Raises ValueError: no row of a primitive is left."""
+    # On a copy, as the file that was opened may be saved again under another name.
     doc, binary = copy.deepcopy(old.glb.doc), bytearray(old.glb.binary)
     work = _Work(doc, binary, _shared(doc), old.glb, path)
     rows = drawable_rows(splats, row_by_row=True)
@@ -427,6 +434,7 @@ def _primitive_of_rows(rows: np.ndarray, primitives: tuple[GaussianPrimitive, ..
 
     Each to the one it came from, and new rows to the one before them, as far as the order of all rows allows: in the
     file rows are ordered by primitive, so a row behind rows of a later primitive goes there, too."""
+    # Rows of one primitive stand together, so that the number of a row tells its primitive.
     starts = np.array([one.first for one in primitives])
     cause = np.where(rows >= 0, np.searchsorted(starts, rows, "right") - 1, 0)
     return np.maximum.accumulate(cause) if len(cause) else cause
@@ -444,6 +452,7 @@ def _edit_primitive(
     work: _Work, one: GaussianPrimitive, rows: Splats, same: Unchanged, log_scales: bool = False
 ) -> None:
     """The primitive with `rows` (PLY frame) as its rows. log_scales: the file holds logarithms as SCALE."""
+    # In the primitive's own axes and place, where unchanged values have the file's own bits.
     before = read_local(work.source, one, work.path, [])
     local = _unit(axes.move(rows, one.turn, one.scale, one.shift))
     local = replace(local, scales=activations.log(local.scales) if log_scales else np.maximum(local.scales, 0))
@@ -461,6 +470,7 @@ def _edit_primitive(
     if gltf_spz.is_packed(primitive):  # the accessors that stand for the stream's values go with it
         for name in gltf_spz.drop(work.doc, primitive):
             attributes.pop(name)
+    # Where no row was added or lost, arrays are overwritten where they lie.
     in_place = len(local) == len(before) and bool((same.source_rows == np.arange(len(local))).all())
     masks = {"POSITION": same.means, "ROTATION": same.quats, "SCALE": same.scales, "OPACITY": same.opacities}
     columns = attribute_columns(local)
@@ -469,6 +479,7 @@ def _edit_primitive(
         _put(work, attributes, one.names.get(semantic, attribute_name(semantic)), array, ~keep, in_place)
     for semantic in set(one.names) & set(sh_semantics(4)) - set(columns):
         attributes.pop(one.names[semantic])
+    # Attributes of others follow their rows; the fallback colour follows the Gaussian's.
     ours = {one.names.get(semantic, attribute_name(semantic)) for semantic in columns}
     for name in [name for name in attributes if name not in ours]:
         try:

@@ -74,6 +74,7 @@ def read_ply(path: Path, lenient: bool = False, offset: positions.Offset | None 
     Raises ValueError with one line: broken header, truncated data, a mesh or point cloud, a wrong number of f_rest_*.
     """
     with files.reading(path) as file:
+        # What the header says is judged before the body is read.
         header = read_header(file, path)
         vertex = header.element("vertex")
         if vertex is None:
@@ -87,6 +88,7 @@ def read_ply(path: Path, lenient: bool = False, offset: positions.Offset | None 
         # Hashing lets go of the GIL, so it runs beside the decoding.
         digest = pool.submit(_sha256, record)
         splats = _decode(record, plan, offset)
+        # What is kept but not understood is told, so that nobody has to wonder where it went.
         gaussian_names = {name for names in plan.values() for name in names} | {"nx", "ny", "nz"}
         extra = [name for name in vertex.names if name not in gaussian_names]
         if extra:
@@ -107,12 +109,14 @@ def write_ply(path: Path, splats: Splats) -> None:
     ones' place), every other property keeps its bytes. `antialiased` and `color_space` are said in a comment where the
     source says otherwise. Raises ValueError when the file cannot be written.
     """
+    # Over a PLY file its own layout, whatever that is; else INRIA's.
     source = splats.source
     if source is not None and source.format == "ply" and splats.origin is not None:
         record, old, origin = source.detail, source.splats, splats.origin
     else:
         doubles = splats.offset != positions.NO_OFFSET
         record, old, origin = _standard(splats.sh_degree, doubles), None, np.full(len(splats), -1, np.int64)
+    # The old rows as they would be in the new layout, so that shared coefficients compare as unchanged.
     if old is not None and old.sh_degree != splats.sh_degree:
         record = _with_degree(record, splats.sh_degree)
         coefficients = np.zeros((len(old), splats.sh.shape[1], 3), np.float32)
@@ -135,6 +139,7 @@ def columns_of(names: Sequence[str], path: Path, header: Header | None = None) -
     Raises ValueError when the properties are not those of Gaussian splats or the f_rest_* do not fit an SH degree.
     """
     present = set(names)
+    # Some exporters have colours in place of SH of band 0.
     base = ("f_dc_0", "f_dc_1", "f_dc_2")
     if not present.intersection(base) and present.issuperset(("red", "green", "blue")):
         base = ("red", "green", "blue")
@@ -145,6 +150,7 @@ def columns_of(names: Sequence[str], path: Path, header: Header | None = None) -
         "opacities": ("opacity",),
         "sh": base,
     }
+    # What kind of file it may be instead is what its owner wants to know.
     missing = [name for required in plan.values() for name in required if name not in present]
     if missing == ["scale_2"]:
         raise ValueError(f"{path}: no scale_2: a file of 2D Gaussians (surfels); expected 3D Gaussians")
@@ -183,6 +189,7 @@ def settled_comments(header: Header, splats: Splats, old: Splats | None) -> Head
 
 
 def _rest_count(names: set[str], path: Path) -> int:
+    # A number that fits no degree means that the order of coefficients cannot be known either.
     rest = {name for name in names if re.fullmatch(r"f_rest_[0-9]{1,4}", name)}
     if len(rest) not in DEGREES:
         expected, degree = next(((n, d) for n, d in DEGREES.items() if n >= len(rest)), max(DEGREES.items()))
@@ -194,6 +201,7 @@ def _rest_count(names: set[str], path: Path) -> int:
 
 
 def _read_body(file: BinaryIO, header: Header, vertex: Element, path: Path, lenient: bool) -> tuple[PlyFile, list[str]]:
+    # Sizes of what stands ahead tell where the rows begin, sizes behind whether the file was cut off.
     ahead = header.elements[: header.elements.index(vertex)]
     behind = header.elements[len(ahead) + 1 :]
     start = file.tell()
@@ -212,6 +220,7 @@ def _read_body(file: BinaryIO, header: Header, vertex: Element, path: Path, leni
         elif extra_lines > 0 and after.strip():
             problems.append(f"{extra_lines} lines behind the last element (kept as they are)")
         return PlyFile(header, body[: rows.starts[0]], rows, after, len(complete) > len(body) and not after), problems
+    # Binary: elements with lists have to be walked through, as only their lengths say how long they are.
     skipped = 0
     for element in ahead:
         file.seek(start + skipped)
@@ -221,6 +230,7 @@ def _read_body(file: BinaryIO, header: Header, vertex: Element, path: Path, leni
     before = file.read(skipped)
     # fromfile gives memory of its own: aligned, and safe when this very file is later replaced by a save.
     records = np.fromfile(file, vertex.dtype(header.order), vertex.count)
+    # All rows are there. What is cut off behind them may be forgiven.
     rest = available - skipped - size
     for element in behind:
         try:
@@ -258,6 +268,7 @@ def _sha256(record: PlyFile) -> str:
 
 
 def _decode(record: PlyFile, plan: Mapping[str, tuple[str, ...]], offset: positions.Offset | None) -> Splats:
+    # Positions that float32 cannot hold are read again as doubles, relative to a point amid them.
     rows, span = record.rows, record.color_span
     values = rows.columns(plan)
     scales = activations.exp(values["scales"])
@@ -290,6 +301,7 @@ def _encode(
     assert vertex is not None
     plan = columns_of(vertex.names, Path("source"))
     span = record.color_span
+    # Block by block: first the bytes that rows have from the source, then over them the values that changed.
     for start in range(0, len(splats), BLOCK_ROWS):
         rows = origin[start : start + BLOCK_ROWS]
         block = record.rows.block(rows)
@@ -302,6 +314,7 @@ def _encode(
             before = new[:0] if old is None else getattr(old, attribute).reshape(-1, len(names))
             if _is_stored_as_it_is(attribute, splats, span) and block.put_floats(names, new, before, rows):
                 continue
+            # Single values, not rows: of a row that was recoloured the position keeps its bytes.
             changed = np.ones(new.shape, bool)
             if old is not None and in_place:
                 changed = differs(new, before[start : start + len(rows)])
@@ -340,6 +353,7 @@ def _color_span(rows: Rows, names: Sequence[str], vertex: Element) -> float | No
     where the largest colour says so, it is 255."""
     if names[0] != "red":
         return None
+    # A byte can only mean 255; of wider types the values tell.
     code = next(p.type for p in vertex.properties if p.name == "red")
     if code == "u1":
         return 255.0
@@ -354,6 +368,7 @@ def _color_span(rows: Rows, names: Sequence[str], vertex: Element) -> float | No
 
 def _standard(degree: int, doubles: bool = False) -> PlyFile:
     """INRIA's own layout, without rows. doubles: of positions, which float32 cannot hold."""
+    # INRIA's layout has normals, which hold zeros.
     rest = 3 * (degree + 1) ** 2 - 3
     names = [*"xyz", "nx", "ny", "nz", *(f"f_dc_{k}" for k in range(3)), *(f"f_rest_{k}" for k in range(rest))]
     names += ["opacity", *(f"scale_{k}" for k in range(3)), *(f"rot_{k}" for k in range(4))]
@@ -366,6 +381,7 @@ def _with_degree(record: PlyFile, degree: int) -> PlyFile:
     """The same file with f_rest_* for another SH degree: shared coefficients keep their bits, new ones are zero."""
     vertex = record.header.element("vertex")
     assert vertex is not None
+    # Everything but f_rest_* keeps its place among the others.
     old = sorted((n for n in vertex.names if re.fullmatch(r"f_rest_[0-9]{1,4}", n)), key=lambda n: int(n[7:]))
     old_bands, new_bands = len(old) // 3, (degree + 1) ** 2 - 1
     remaining = [n for n in vertex.names if n not in old]

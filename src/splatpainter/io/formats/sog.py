@@ -238,6 +238,7 @@ def _decode(file: SogFile, path: Path, problems: list[str]) -> Splats:
             out.sh[block, 1:] = table[np.where(wrong, 0, labels)]
             out.sh[block, 1:][wrong] = 0
             missing += int(wrong.sum())
+    # What had to be guessed is told; the rows stay.
     if invalid_rotations:
         problems.append(f"rows without a valid rotation, not turned: {invalid_rotations}")
     if missing:
@@ -266,6 +267,7 @@ def flags(meta: dict[str, Any]) -> tuple[bool, bool]:
 
 def _unpack_quats(pixels: np.ndarray) -> np.ndarray:
     """[N, 4] pixels -> [N, 4] w, x, y, z; a tag below 252 is no rotation."""
+    # The largest of four components is left out, as the others give it: at most 1 / sqrt(2) each.
     small = (pixels[:, :3].astype(np.float64) / 255 * 2 - 1) / math.sqrt(2)
     largest = np.maximum(pixels[:, 3].astype(np.int64) - 252, 0)
     quats = np.zeros((len(pixels), 4))
@@ -285,6 +287,7 @@ def write_sog(path: Path, splats: Splats, sh_palette: int | None = None) -> None
 
     Raises ValueError: no rows, SH above degree 3, other names.
     """
+    # A file that nothing changed is written as the bytes that were read.
     splats = splats.numpy()
     if not len(splats):
         raise ValueError(f"{path}: SOG cannot hold an asset of 0 rows; write .ply instead")
@@ -302,6 +305,7 @@ def _encode(
     splats: Splats, same: Unchanged | None, old: SogFile | None, sh_palette: int | None = None
 ) -> dict[str, bytes]:
     """File names -> contents, meta.json first. same, old: the source's, where it is SOG."""
+    # Every plane is encoded, then pixels of values that did not change are put back.
     rows = drawable_rows(splats)
     if same is None or old is None:
         same = old = None
@@ -318,10 +322,12 @@ def _encode(
     codes = _encode_scalars(base, "sh0", COLOR_TOLERANCES, same.base if same else None, same, old, meta)
     pixels["sh0"] = _rgba(codes)
     pixels["sh0"][:, 3] = np.rint(rows.opacities.astype(np.float64) * 255)
+    # After all planes, as their codebooks may have moved.
     if same and old:
         for key, mask in keep.items():
             pixels[key][mask] = old.pixels[key][same.source_rows[mask]]
         pixels["sh0"][same.opacities, 3] = old.pixels["sh0"][same.source_rows[same.opacities], 3]
+    # Higher bands go by a palette of whole vectors and not by single values.
     images = {key: _image(values, old) for key, values in pixels.items()}
     if rows.sh.shape[1] > 1:
         images["labels"], images["palette"] = _encode_bands(rows.sh[:, 1:], same, old, meta, sh_palette)
@@ -348,9 +354,12 @@ def _set_flags(meta: dict[str, Any], splats: Splats) -> None:
 
 
 def _encode_means(rows: Splats, same: Unchanged | None, old: SogFile | None, meta: Any, pixels: Any, keep: Any) -> None:
+    # A logarithm, so that steps are fine near zero and coarse far out.
     means = rows.means.astype(np.float64)
     logs = np.sign(means) * np.log1p(np.abs(means))
     low, high = logs.min(0), logs.max(0)
+    # The old range stays where new rows lie in it, or so little outside that nobody sees them moved to its border.
+    # Another range would move every row.
     if same and old:
         first, last = mean_range(meta)
         moved = np.sign(logs) * np.expm1(np.abs(np.clip(logs, np.minimum(first, last), np.maximum(first, last))))
@@ -368,6 +377,7 @@ def _encode_means(rows: Splats, same: Unchanged | None, old: SogFile | None, met
 
 
 def _pack_quats(quats: np.ndarray) -> np.ndarray:
+    # q and -q are one rotation: the sign is chosen so that the component left out is positive.
     unit = quats.astype(np.float64)
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
     largest = np.abs(unit).argmax(1)
@@ -389,13 +399,16 @@ def _encode_scalars(
     meta: dict[str, Any],
 ) -> np.ndarray:
     """[N, 3] codebook entries of `values` [N, 3]; writes the codebook into `meta`."""
+    # A new file has a codebook of its own values.
     if same is None or old is None or keep is None:
         book = codebooks.fit(values)
         meta[part] = {"codebook": book.tolist(), "files": []}
         return codebooks.nearest(book, values)
+    # Else entries that rows use stay, and free ones may be spent on new values.
     codes = np.empty(values.shape, np.uint8)
     codes[keep] = old.pixels[part][same.source_rows[keep], :3]
     book, moved = codebooks.adapt(old.codebooks[part], codes[keep], values[~keep], tolerances)
+    # No room for the new values: all are encoded anew, and rows that did not change lose their exact words.
     if book is None:
         book = codebooks.fit(values)
         codes[:] = codebooks.nearest(book, values)
@@ -431,6 +444,7 @@ def _encode_bands(
         "codebook": book.tolist(),
         "files": files,
     }
+    # The palette is a picture of so many entries a line, as other readers compute their place.
     lines = -(-len(codes) // PALETTE_LINE)
     table = np.full((lines * PALETTE_LINE, coefficients, 4), 255, np.uint8)
     table[: len(codes), :, :3] = codes
@@ -444,6 +458,7 @@ def _adapt_palette(rest: np.ndarray, same: Unchanged, old: SogFile) -> Any:
     None where the new vectors need more room than there is, or the codebook would have to change for old ones.
     """
     assert old.palette is not None
+    # Labels of rows that kept their bands, then entries for those that did not.
     pixels = _rgba(np.zeros((len(rest), 3)))
     pixels[same.rest] = old.pixels["labels"][same.source_rows[same.rest]]
     labels = pixels[:, 0].astype(np.int64) + 256 * pixels[:, 1].astype(np.int64)
@@ -480,6 +495,7 @@ def _image(pixels: np.ndarray, old: SogFile | None) -> np.ndarray:
 
 
 def _image_files(images: dict[str, np.ndarray], meta: dict[str, Any], old: SogFile | None) -> dict[str, bytes]:
+    # A plane whose pixels did not change keeps its file: WebP of the same pixels may be other bytes.
     parts = {"means": ("means_l", "means_u"), "scales": ("scales",), "quats": ("quats",), "sh0": ("sh0",)}
     names = {"palette": "shN_centroids", "labels": "shN_labels"}
     if "palette" in images:

@@ -34,7 +34,7 @@ from pathlib import Path
 import numpy as np
 
 from splatpainter.io import axes, files
-from splatpainter.io.bounded import MAX_TAIL_BYTES, Gunzip, allow_rows, unzstd
+from splatpainter.io.bounded import BOUNDS, Gunzip, allow_rows, unzstd
 from splatpainter.io.formats import activations
 from splatpainter.io.formats.reuse import Unchanged, drawable_rows, row_problems, unchanged
 from splatpainter.kernels.parallel import each
@@ -92,9 +92,11 @@ class SpzFile:
 def read_spz(path: Path, frame: Frame = "auto") -> Splats:
     """Read any version. frame: of the file's words, whatever the file says; "auto": what it says, else as in PLY files.
     Raises ValueError: truncated, damaged, unknown version, or a size that cannot be honest."""
+    # The whole file, as its streams are packed and its hash is wanted anyway.
     data = files.read_all(path)
     file = _parse(data, path)
     problems: list[str] = []
+    # Programs differ about the axes of SPZ: the file's own word comes first, and a choice before it is reported.
     stated = _stated_frame(file, problems)
     code = (stated or RDF) if frame == "auto" else CODES[frame]
     if stated and stated != code:
@@ -131,6 +133,7 @@ def write_spz(
     Raises ValueError: a position that 24 bits cannot hold, SH degree 4 below version 4, a version not writable, or no
     room for the mark.
     """
+    # A file that nothing changed is written as the bytes that were read.
     splats = splats.numpy()
     same = unchanged(splats, "spz")
     old: SpzFile | None = splats.source.detail if same and splats.source else None
@@ -139,6 +142,7 @@ def write_spz(
     untouched = same is not None and same.identity and old is not None and code == old.frame and sh_bits is None
     if mark is not None and old is not None:
         untouched = untouched and mark == (_stated_frame(old, []) is not None)
+    # The version stays as long as it can hold the asset.
     if version is None:
         version = old.version if old else 3
         if splats.sh_degree > 3 and not untouched:
@@ -149,6 +153,7 @@ def write_spz(
         raise ValueError(
             f"{path}: SPZ version {version} holds SH up to degree 3, got {splats.sh_degree}; use version 4"
         )
+    # Else rows are encoded, those that did not change by their old words.
     if old and untouched and version == old.version:
         out = old.data
     else:
@@ -166,6 +171,7 @@ def write_spz(
 
 
 def _parse(data: bytes, path: Path) -> SpzFile:
+    # Since version 4 the file itself is no gzip stream any more.
     if data[:4] == MAGIC:
         return _parse_plain(data, path)
     if data[:2] == b"\x1f\x8b":
@@ -186,6 +192,7 @@ def _check_header(version: int, degree: int, bits: int, path: Path) -> None:
 
 
 def _parse_gzip(data: bytes, path: Path) -> SpzFile:
+    # A stream may unpack to anything: header first, and from it how much may follow.
     stream = Gunzip(data, path)
     magic, version, count, degree, bits, flags, reserved = struct.unpack("<4sIIBBBB", stream.take(16, "the SPZ header"))
     if magic != MAGIC:
@@ -216,8 +223,9 @@ def _parse_plain(data: bytes, path: Path) -> SpzFile:
     listed = needed if stored == len(needed) else list(STREAMS)
     if stored != len(listed):
         raise ValueError(f"{path}: expected {len(needed)} streams for SH degree {degree}, found {stored}")
-    if not 32 <= table <= 32 + MAX_TAIL_BYTES:
+    if not 32 <= table <= 32 + BOUNDS.max_tail_bytes:
         raise ValueError(f"{path}: expected the table of streams at byte 32 or after the extensions, found {table}")
+    # What the table says is held against the file before anything is unpacked.
     entries = struct.unpack(f"<{2 * stored}Q", files.take(data, table, 16 * stored, path, "the table of streams"))
     at = table + 16 * stored
     if sum(entries[::2]) > len(data) - at:
