@@ -242,7 +242,6 @@ def painting(rng: np.random.Generator, dtype: type) -> None:
 def stickers(rng: np.random.Generator, dtype: type) -> None:
     """The surface unwrapped around a point, and how much it bends."""
     from splatpainter.session.measures.curvature import bend_degrees
-
     from splatpainter.surface.estimate import Surface
     from splatpainter.surface.unwrap import smoothed, thinned, unwrap
 

@@ -37,9 +37,9 @@ class RenderViews(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, *gradients: Any) -> tuple[Any, ...]:
+    def backward(ctx: Any, *grad_outputs: Any) -> tuple[Any, ...]:
         _ = ctx.saved_tensors  # raises if they were changed
-        v_colors, v_alphas, v_depths = (g.contiguous().numpy() for g in gradients[:3])
+        v_colors, v_alphas, v_depths = (g.contiguous().numpy() for g in grad_outputs[:3])
         grads: list[Any] = [None] * 11
         if any(ctx.needs_input_grad[:5]):
             grads[:5] = map(

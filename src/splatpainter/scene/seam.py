@@ -142,6 +142,7 @@ def seam_pairs(moving: Splats, fixed: Splats) -> tuple[np.ndarray, np.ndarray, f
     ids, other_ids = (np.flatnonzero(_surface(splats)) for splats in (moving, fixed))
     # From two Gaussians' width on, doubling until there are enough pairs.
     radius = 2 * max((float(np.median(s.scales[k].max(1))) for s, k in ((moving, ids), (fixed, other_ids)) if len(k)))
+    touching = np.zeros(len(ids), bool)
     for _ in range(SEAM.radii):
         near, _distance = nearest_within(fixed.means[other_ids], moving.means[ids], radius)
         touching = near >= 0

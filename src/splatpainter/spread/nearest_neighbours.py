@@ -68,8 +68,9 @@ def _cube_size(points: np.ndarray) -> float:
     low, high = np.quantile(points, [0.01, 0.99], axis=0).astype(np.float64)
     extent = max(float((high - low).max()), 1e-12)
     # Occupied cubes, not all cubes: surfaces fill few of them.
-    for level in range(1, 17):
-        size = extent / 2**level
+    size = extent
+    for _ in range(16):
+        size /= 2
         cells = np.floor((points - low) / size).clip(-(2**19), 2**19).astype(np.int64) + 2**19
         occupied = len(np.unique((cells[:, 0] << 2 * BITS) | (cells[:, 1] << BITS) | cells[:, 2]))
         if len(points) <= SEARCH.points_per_cube * occupied:

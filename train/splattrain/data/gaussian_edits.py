@@ -121,6 +121,7 @@ class GaussianEditStream:
         pixels = item.visible_px[int(rng.integers(RING_COUNT))][:: RING_VIEWS // views].sum(0)
         counts = item.visible_px.sum((0, 1))
         edit = GaussianEdit(item, kind, views, np.zeros_like(item.residual), pixels, counts)
+        change = edit.change
         for _ in range(MAX_TRIES):
             after = np.clip(self._after(item, kind, edit.colors, rng), 0, 1)
             change = (after - edit.colors).astype(np.float32)

@@ -152,12 +152,13 @@ def _candidates(mesh: Mesh, count: int, rng: np.random.Generator) -> _Candidates
     corners = mesh.vertices.astype(np.float64)[mesh.faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = float(np.linalg.norm(cross, axis=1).sum()) / 2
-    share, number = 1.0, min(max(count // 4, 4000), 16000)
-    for _ in range(4):
-        candidates, share = _round(mesh, number, _unit(cross), area, rng)
+    number = min(max(count // 4, 4000), 16000)
+    candidates, share = _round(mesh, number, _unit(cross), area, rng)
+    for _ in range(3):
         if len(candidates.points) >= 1.4 * count:
             break
         number = int(1.1 * CANDIDATES_PER_SURFEL * count / max(share, 0.05)) + 64
+        candidates, share = _round(mesh, number, _unit(cross), area, rng)
     if len(candidates.points) < count:
         raise ValueError(f"{mesh.name}: only a part too small for {count} surfels can be seen from outside")
     return replace(candidates, spacing=float(np.sqrt(area * share / count)))

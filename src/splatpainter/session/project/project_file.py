@@ -216,7 +216,7 @@ class Project:
         if self._file is not None:
             self._fold()
             self._file.note(self._db)
-            spare = _whole_file(self.path)
+            spare = _file_without_log(self.path)
             self._spare = None if self._file.is_lost() else spare
         return self
 
@@ -553,7 +553,7 @@ class Transaction:
                 self.previous[key] = previous
 
 
-def _whole_file(path: Path) -> bytes | None:
+def _file_without_log(path: Path) -> bytes | None:
     """A project file that stands alone, of at most MAX_SPARE_BYTES; None of others, and of what cannot be read."""
     try:
         if database.has_log(path) or path.stat().st_size > MAX_SPARE_BYTES:

@@ -259,8 +259,7 @@ class ComfyJob:
             "normal": lambda: normal_png(request),
         }
         for slot, numbers in slots.items():
-            if slot in PICTURES:
-                name = await self._upload(contents[slot](), slot)
+            name = await self._upload(contents[slot](), slot) if slot in PICTURES else ""
             for number in numbers:
                 inputs = graph[number]["inputs"]
                 for key in _inputs(graph[number], slot) if slot != "out" else ():
