@@ -121,7 +121,9 @@ def apply_to_file(
     Raises ValueError, one line, with nothing changed: options, names, files, an operation that cannot be made, a full
     disk; SourceError; RuntimeError: the file does not prove the receipt."""
     report = report or Report()
+    # All that can be refused for nothing is refused before a byte is read or a picture is paid for.
     check_to_file(asset, operations, out, options, wording)
+    # Answers of services were paid for: whatever happens from here on, they are kept beside OUT.
     tools, sources = interruptible(replace(tools or Tools(), asset=asset))
     with keeping_answers(sources, out, complain or report.warn):
         applied = apply_to_asset(asset, operations, options, tools, report, stage, wording)
@@ -146,6 +148,7 @@ def apply_to_asset(
     wording: Worder = lambda operation: AS_PYTHON,
 ) -> AppliedFile:
     """The first half of `apply_to_file`: all but writing."""
+    # Files of all operations are read first: a wrong picture of the last one must not cost the first ones' time.
     ready = [operation.ready(replace(tools, wording=wording(operation))) for operation in operations]
     stage("reading")
     clock = time.perf_counter()
@@ -154,6 +157,7 @@ def apply_to_asset(
     doubtful = doubts_of(splats)
     for line in doubtful:
         report.warn(f"{asset}: {line}")
+    # Each operation sees the asset as those before it left it, with its surface as it was when it was read.
     edited, steps = Asset(splats), []
     for operation, act in zip(operations, ready, strict=True):
         stage(operation.kind)
@@ -163,6 +167,7 @@ def apply_to_asset(
         steps.append(AppliedOperation(operation, edited.receipt, tuple(heard.views)))
         report.views += heard.views
         report.answers += heard.answers
+    # One proof from the first bytes to the last: what an operation changed and the next changed back did not change.
     edited = replace(edited, receipt=receipt_of_all(splats, edited.splats, steps))
     return AppliedFile(splats, edited, tuple(steps), tuple(doubtful), read_seconds)
 
@@ -190,6 +195,7 @@ def receipt_of_all(before: Splats, after: Splats, steps: Sequence[AppliedOperati
     receipts = [step.receipt for step in steps]
     if len(steps) == 1:
         return receipts[0]
+    # Where several sources were asked none stands for all; each entry of `operations` names its own.
     sources = [receipt.source for receipt in receipts if receipt.source is not None]
     notes = [f"{step.operation.kind}: {step.receipt.note}" for step in steps if step.receipt.note]
     return replace(
@@ -243,9 +249,11 @@ def write_proved(
         stage("verifying")
         receipt, verification = prove(original, partial, edited.receipt, axes, edited.splats)
         timings = {"write": written - clock, "verify": time.perf_counter() - written}
+        # An asset that has a history keeps it: the receipt beside it is carried on.
         receipt = carried(receipt, _receipt_beside(original))
         receipt = replace(receipt, seconds={"read": read_seconds, **receipt.seconds, **timings})
         file.write(receipt.to_json().encode())
+        # On the disk before OUT has its name: a file without its receipt would be one that nobody can check.
         file.flush()
         os.fsync(file.fileno())
     return receipt, verification

@@ -135,11 +135,13 @@ def unreached(view: SurfaceView, earlier: Sequence[tuple[SurfaceView, np.ndarray
     mask = view.reached
     covered = view.depth > 0
     points, normals = view.points[covered], view.normal[covered]
+    # What an earlier view painted counts only where it looked at the surface frontally enough to be kept.
     painted = np.zeros(view.depth.shape, np.float32)
     for other, share in earlier:
         visible = other.facing(points, normals) > FACING_COSINES[0]
         pixels, _ = other.camera.project(points)
         painted[covered] = np.maximum(painted[covered], np.where(visible, _bilinear(share, pixels), 0))
+    # Soft edges, so that two views of one place meet without a seam.
     painted = box_mean(painted, 1) / np.maximum(box_mean(covered, 1), 1e-6)
     return np.minimum(mask, np.clip(2 * (1 - painted), 0, 1)).astype(np.float32)
 
@@ -178,6 +180,7 @@ def plan_views(
     in `orbit_cameras`; allowed: the surface that counts, None: all of it."""
     from splatpainter.view_files import normals_of
 
+    # Candidates all around, small: only what they see of the surface matters, not how it looks.
     center, radius = bounding_sphere(splats)
     distance = FRAME_MARGIN * radius / math.sin(math.radians(FOV / 2))
     axis = UPS[AUTO_UP if up == "auto" else up]
@@ -186,6 +189,7 @@ def plan_views(
     )
     cameras = [camera.local for camera in cameras]
     heights = np.array([(camera.position - center) @ axis / distance for camera in cameras])
+    # Image models know objects as people photograph them: views from far above or below come last.
     preferred = np.where((heights > USUAL_HEIGHTS[0]) & (heights < USUAL_HEIGHTS[1]), 1, UNUSUAL_WEIGHT)
     if first is not None:
         scale = CANDIDATE_PX / max(first.width, first.height)
@@ -193,6 +197,7 @@ def plan_views(
         cameras, preferred = [first.resized(*small), *cameras], np.append(1, preferred)
     normals = normals_of(splats)
     views = [SurfaceView.of(splats, camera, normals) for camera in cameras]
+    # Points of the surface, evenly: pixels would count what is near and frontal twice.
     points, sides = _samples(views, radius, allowed)
     facing = np.stack([view.facing(points, sides) for view in views])
     reach, value = _ramp(facing), np.minimum(facing / FRONTAL_COSINE, 1)
@@ -200,6 +205,7 @@ def plan_views(
     total, unseen = max(int(visible.sum()), 1), visible.astype(np.float64)
     chosen: list[int] = []
     gains: list[float] = []
+    # Greedy: a best set of views would be dearer to find than one view more is to ask for.
     while len(chosen) < max_views:
         if first is not None and not chosen:
             best = 0
@@ -212,6 +218,7 @@ def plan_views(
         chosen.append(best)
         gains.append(gain)
         unseen = left
+    # The user's own view stays as it was given, pixel for pixel.
     full = [first if first is not None and k == 0 else cameras[k].resized(size, size) for k in chosen]
     return ViewPlan(tuple(full), tuple(gains))
 
@@ -223,6 +230,7 @@ def _samples(views: Sequence[SurfaceView], radius: float, allowed: ViewShare | N
     normals = np.concatenate([view.normal[part] for view, part in zip(views, usable, strict=True)])
     if not len(points):
         return np.zeros((0, 3)), np.zeros((0, 3))
+    # One sample for each cell and side: a thin wall has two.
     cells = np.floor(points * (CELLS_PER_RADIUS / radius)).astype(np.int64)
     side = 2 * np.abs(normals).argmax(1) + (
         np.take_along_axis(normals, np.abs(normals).argmax(1)[:, None], 1)[:, 0] > 0

@@ -78,6 +78,7 @@ def edit_with_source(
     if views == "auto":
         if mask is not None or mode != "local":
             raise ValueError("views auto: is for edits of mode local without a mask; it makes its own masks")
+        # Planned on the asset as it is: what a source paints changes colours, not what a view shows.
         plan = plan_views(asset.splats, size=size, max_views=max_views, first=camera, background=BACKGROUND)
         return cover(painter, asset, source, brief, plan, method=method, progress=reported, cancel=flag).asset
     camera = camera or orbit_cameras(asset.splats, 1, size=size, background=BACKGROUND)[0]
@@ -113,6 +114,7 @@ def edit_view(
     )
     edited = painter.apply(asset, [sourced.edit], mode, method)
     assert edited.receipt is not None
+    # The receipt is the painter's; that the picture was not drawn by a person is added to it.
     receipt = replace(edited.receipt, source=source_record(source, brief, [sourced]))
     return SourcedAsset(replace(edited, receipt=receipt), (sourced,))
 
@@ -199,8 +201,10 @@ def refine_views(
             surface=lambda: asset.surface,
             name=f"view {k + 1}",
         )
+        # An enlarged view changed throughout: its mask is the view, also where the enlarger left a pixel as it was.
         everywhere = np.ones((sourced.edit.camera.height, sourced.edit.camera.width), bool)
         edits.append(replace(sourced, edit=replace(sourced.edit, mask=everywhere)))
+    # All at once: one after the other, each view would pull at the Gaussians that the one before it had sharpened.
     refined = painter.apply(asset, [sourced.edit for sourced in edits], "local", method)
     assert refined.receipt is not None
     record = source_record(source, brief, edits)
@@ -224,6 +228,7 @@ def cover(
     A picture that is refused leaves its part as it was, and is noted; if all are, the last one's error is raised. Where
     the source fails later than in the first view (a limit, a lost network), what was paid for is kept: the views before
     it are painted, and the receipt notes where it stopped. Other errors as of `edit_with_source`."""
+    # Views that overlap would lay sheet over sheet; split Gaussians take the next view's paint in place.
     painter = _without_sheets(painter)
     before, receipts = asset, []
 
@@ -245,6 +250,7 @@ def cover(
         cancel=cancel,
         entered=entered,
     )
+    # The proof runs from the first asset to the last; notes of single views must not break its list of notes.
     receipt = joined_receipt(before.splats, asset.splats, receipts)
     note = "; ".join(filter(None, [receipt.note, *(line.replace("; ", ", ") for line in sourced_views.notes)]))
     receipt = replace(receipt, source=source_record(source, brief, sourced_views.edits), note=note)
@@ -264,10 +270,12 @@ def source_record(source: PictureSource, brief: SourceBrief, edits: Sequence[Sou
 def joined_receipt(before: Splats, after: Splats, receipts: Sequence[Receipt]) -> Receipt:
     """One receipt of edits that were made one after the other, each on the result of the one before."""
     count = len(before)
+    # Compared anew and not summed up: a Gaussian that a later edit put back is untouched.
     touched = changed_rows(before, after)
     hashes = untouched_hashes(before, after, touched)
     removed = touched[after.opacities[touched] == 0]
     removed = np.intersect1d(removed, np.concatenate([receipt.removed for receipt in receipts]))
+    # Indices behind the first asset's are Gaussians that an earlier edit appended: no original was replaced there.
     replaced = np.concatenate([receipt.replaced for receipt in receipts])
     replaced = np.setdiff1d(np.intersect1d(replaced[replaced < count], touched), removed)
     seconds: dict[str, float] = {}
@@ -275,6 +283,7 @@ def joined_receipt(before: Splats, after: Splats, receipts: Sequence[Receipt]) -
         for name, value in receipt.seconds.items():
             seconds[name] = seconds.get(name, 0.0) + value
     first = receipts[0]
+    # Each note once, in the order in which they came.
     notes = dict.fromkeys(note for receipt in receipts for note in receipt.note.split("; ") if note)
     return replace(
         first,
