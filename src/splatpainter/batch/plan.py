@@ -93,6 +93,7 @@ class JobList:
 def read_jobs(path: Path, overwrite: bool = False) -> JobList:
     """Raises ValueError `FILE:LINE: ...`: what `yamlio.read` refuses, assets and files that are missing (those whose
     name holds {asset} or {variant} fail their own jobs only), results that would have one name."""
+    # Everything is checked before the first job begins: a mistake in line 200 must not cost a night.
     batch, lines = read(Batch, path)
     folder = path.parent
     out = folder / batch.out
@@ -101,6 +102,7 @@ def read_jobs(path: Path, overwrite: bool = False) -> JobList:
         for asset in _assets(folder, pattern, lines, k, out):
             asset_keys.setdefault(asset, f"assets[{k}]")
     assets = list(asset_keys.items())
+    # Results need names apart, also on file systems that know no upper case.
     named = _names([asset for asset, _ in assets])
     variants = [(v.name, v.edits, f"variants[{k}].edits") for k, v in enumerate(batch.variants)] or [("", (), "")]
     if len(assets) * len(variants) > MAX_JOBS:
@@ -117,6 +119,7 @@ def read_jobs(path: Path, overwrite: bool = False) -> JobList:
                 check_name(target)
             except ValueError as error:
                 raise ValueError(f"{lines.at(key_path)}: {error}") from None
+            # A result must replace neither its own asset nor another result.
             key = str(target).lower()
             if target in asset_keys:
                 raise ValueError(
@@ -146,6 +149,7 @@ def _assets(folder: Path, pattern: str, lines: Lines, k: int, out: Path) -> list
         if format_of_name(path) is None and not path.is_dir():
             raise ValueError(f"{where}: {path}: expected a splat file")
         return [path]
+    # A pattern finds the results of the last run, too, where they lie in the same folder: those are no assets.
     matches = [folder / name for name in sorted(glob.glob(pattern, root_dir=folder, recursive=True))]
     matches = [path for path in matches if path.is_file() and format_of_name(path) is not None]
     made = [
@@ -192,6 +196,7 @@ def _step(edit: Any, path: str, folder: Path, lines: Lines, asset: str, variant:
     """A step of the job, with {asset} and {variant} written out. Raises ValueError for a missing file whose name holds
     neither."""
     step, kind = edit.step, edit.kind
+    # Every path is resolved against the jobs file, and remembered with its line for what is missing.
     files: list[tuple[str, str]] = []
     values: dict[str, Any] = {}
     for name, value in asdict(step).items():
@@ -208,6 +213,7 @@ def _step(edit: Any, path: str, folder: Path, lines: Lines, asset: str, variant:
     for entry in fields(step):
         if entry.metadata.get("output") and values[entry.name]:
             values[entry.name] = folder / values[entry.name]
+    # Options of sources may be files (a model, a workflow); which ones, only the source knows.
     if "options" in values:
         given_options = values["options"] = dict(values["options"])
         for key, value in given_options.items():
@@ -251,6 +257,7 @@ def _where_term(term: str, folder: Path, line: str, files: list[tuple[str, str]]
 
 def _asset_digest(asset: Path) -> str:
     """SHA-256 of an asset's bytes; of a folder of SOG planes: of all of them."""
+    # A SOG folder is its planes, not the name of its meta file.
     folder = asset if asset.is_dir() else asset.parent
     if asset.is_dir() or asset.name.lower() == META:
         members = [folder / META, *sorted(path for path in folder.iterdir() if path.suffix.lower() == ".webp")]

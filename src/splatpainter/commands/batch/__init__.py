@@ -81,11 +81,13 @@ def run(config: Config) -> Outcome:
 
     require_jinja()
     make_folder(plan.out)
+    # Two batches in one folder would take each other's half-done steps for their own.
     with _locked(plan.out):
         work = BatchWork(plan.jobs)
         records = follow_jobs(work, plan.jobs, config) if config.events else run_jobs(work, plan.jobs, config)
         write_summary(plan, records)
         write_page(plan, records)
+        # Steps in common are kept while a job may still need them.
         if all(record["status"] == "done" for record in records):
             shutil.rmtree(plan.out / "jobs" / COMMON, ignore_errors=True)
     return _outcome(plan, records, config)
@@ -109,6 +111,7 @@ def follow_jobs(work: Callable[[int], dict[str, Any]], jobs: tuple[Job, ...], co
     from splatpainter.batch import cluster
     from splatpainter.commands.batch.work import facts
 
+    # The studio holds the other end of stdin: when it goes, the jobs go.
     stopped = threading.Event()
     threading.Thread(target=_wait_for_end_of_stdin, args=(stopped,), daemon=True).start()
     waiting, started = list(range(len(jobs))), set[int]()
@@ -211,6 +214,7 @@ def _dry_run(plan: JobList) -> Outcome:
     for job in plan.jobs:
         calls: list[dict[str, Any]] = []
         try:
+            # A job that cannot be done says so here, before anything is paid for the others.
             state, reason = ("done", "") if finished(job, job.hashes()) else ("to do", "")
             calls = calls_of(job, counted) if state == "to do" else []
         except (ValueError, OSError) as error:

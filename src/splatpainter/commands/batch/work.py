@@ -101,15 +101,18 @@ def finished(job: Job, hashes: list[str]) -> dict[str, Any] | None:
 
 def run_job(job: Job, run: str) -> dict[str, Any]:
     """Do what is left of a job. run: as in BatchWork. Raises ValueError: an edit that cannot be made; OSError."""
+    # Done before, by these very edits from these very bytes: nothing to do. A changed picture is another job.
     hashes = job.hashes()
     if (record := finished(job, hashes)) is not None:
         return {**record, "status": "done", "resumed": True}
+    # A result that no batch made may be somebody's work.
     if job.out.exists() and not (job.folder / RECORD).exists() and not job.overwrite:
         raise ValueError(
             f"{job.out}: already exists, and no batch made it; move it away, or replace it with --overwrite"
         )
     job.folder.mkdir(parents=True, exist_ok=True)
     _clear(job, hashes)
+    # Each step reads the file of the one before: a killed batch goes on at the first step that is not proved.
     asset, frame = job.asset, job.frame
     for k, (step, digest) in enumerate(zip(job.steps, hashes, strict=True)):
         target = _step_file(job, k)
@@ -123,6 +126,7 @@ def run_job(job: Job, run: str) -> dict[str, Any]:
         frame = frame if format_of_name(target) == format_of_name(asset) else "auto"
         asset = target
     original = read(job.asset, frame=job.frame)
+    # One receipt from the user's file to the result, whatever lay between.
     receipt = _receipt(job, original, asset)
     _previews(job, original, read(asset, frame=frame))
     record = {
@@ -162,9 +166,11 @@ def make_common(job: Job, k: int, digest: str, asset: Path, frame: Frame, run: s
     target = common_file(job, k, digest)
     failed = target.with_name(f"{target.name}.failed-{run}")
     target.parent.mkdir(parents=True, exist_ok=True)
+    # Whoever comes first makes it; the others wait here, in other processes.
     while (lock := ProjectLock.take(target)) is None:
         time.sleep(TURN_SECONDS)
     try:
+        # A source that refused once would refuse, and be paid, for every variant.
         if failed.exists():
             raise ValueError(failed.read_text(encoding="utf-8"))
         if not is_proved(target):
@@ -195,6 +201,7 @@ def calls_of(job: Job, counted: set[Path]) -> list[dict[str, Any]]:
     this job's are added."""
     out = []
     for k, (step, digest) in enumerate(zip(job.steps, job.hashes(), strict=True)):
+        # What lies on the disk already, or is counted for another variant, is asked no more.
         common = common_file(job, k, digest)
         if _step_done(job, k, digest) or (k < job.common and (common in counted or is_proved(common))):
             continue
@@ -221,6 +228,7 @@ def replay_layers(step: LayersEdit, asset: Path, target: Path, frame: Frame) -> 
         chosen = [layer for layer in layers if layer.visible and (not step.only or layer.name in step.only)]
         if missing or not chosen:
             raise ValueError(f"{step.project}: expected visible layers, got none called {', '.join(missing) or 'so'}")
+        # The project's own asset: its layers' results are stored, nothing has to be painted anew.
         if not step.only and _is_original(source.scene.original_of(asset_id), asset, frame):
             # What the layers make of it is in the project.
             source.files.export(target, overwrite=True, asset=asset_id if len(source.scene.assets) > 1 else None)
@@ -237,6 +245,7 @@ def replay_layers(step: LayersEdit, asset: Path, target: Path, frame: Frame) -> 
                     raise ValueError(f"{step.project}: layer {layer.name!r}: {reason}") from None
                 pairs = zip(layer.leaves(), new.leaves(), strict=True)
                 ids |= {old.id: copy.id for old, copy in pairs}
+            # Ids are given anew by the new session; winners of conflicts go by the old ones.
             for lower, upper, policy in source.snapshot.document.policies:
                 if lower in ids and upper in ids:
                     session.layers.resolve_conflict(ids[lower], ids[upper], policy)
@@ -272,6 +281,7 @@ def _receipt(job: Job, original: Splats, last: Path) -> Receipt:
     same = format_of_name(last) == format_of_name(job.asset)
     edited = read(last, frame=job.frame if same else "auto")
     notes = [f"{step.kind}: {receipt.note}" for step, receipt in zip(job.steps, receipts, strict=True) if receipt.note]
+    # Proved anew and not summed up: a later edit may have put back what an earlier one changed.
     total = receipt_between(original, edited, receipts[-1].preset, f"{len(receipts)} edits; {'; '.join(notes)}"[:2000])
     seconds = {f"edit {k + 1}": sum(receipt.seconds.values()) for k, receipt in enumerate(receipts)}
     views = tuple(view for receipt in receipts for view in receipt.views)
@@ -307,6 +317,7 @@ def is_proved(target: Path) -> bool:
 
 def _clear(job: Job, hashes: list[str]) -> None:
     """Remove what is no step of these edits: of others, of a run that was killed, or (no hashes) all but the record."""
+    # Steps count up to the first that is not proved: those after it were made of something else.
     valid: set[str] = set()
     for k, digest in enumerate(hashes):
         if not _step_done(job, k, digest):
