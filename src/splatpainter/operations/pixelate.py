@@ -39,6 +39,9 @@ MAX_CELLS_ALONG = 1 << 20
 """Cells along an axis of an asset, at most: their numbers fit into 63 bits."""
 MIN_VISIBLE = 0.03
 """Share of what a Gaussian covers that a view has to show: it would be visible there, as selections have it."""
+HIDDEN_CELLS = 2.0
+"""Distance, in cells, up to which hidden Gaussians behind the region change with it. From outside nothing of a room is
+seen: there it is how much more than the region changes."""
 VIEW_DISTANCE_RADII = 3.2
 """Distance of the views that look for hidden ones, in radii of the asset."""
 BLUR_CELLS = 0.75
@@ -131,7 +134,7 @@ def pixelate(
     splats = splats.numpy()
     edge = _edge(splats, size)
     cells = _cells_of(splats, edge, camera)
-    chosen, inner = _chosen(splats, region, cells, margin)
+    chosen, inner = _chosen(splats, region, cells, edge, margin)
     order, keys = np.flatnonzero(chosen), _keys(cells[chosen])
     _, firsts, labels = np.unique(keys, return_index=True, return_inverse=True)
     colors = _cell_colors(splats, order, labels, len(firsts))
@@ -198,10 +201,10 @@ def _keys(cells: np.ndarray) -> np.ndarray:
     return (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
 
 
-def _chosen(splats: Splats, region: Region, cells: np.ndarray, margin: int) -> tuple[np.ndarray, int]:
+def _chosen(splats: Splats, region: Region, cells: np.ndarray, edge: float, margin: int) -> tuple[np.ndarray, int]:
     """([N] bool: Gaussians that change, how many of them are hidden ones that only lie near). All in the cells that the
-    region reaches, also those that cannot be drawn; and what is seen from nowhere, as far from the region as that is
-    large."""
+    region reaches, also those that cannot be drawn; and what no view from outside shows, up to HIDDEN_CELLS from what
+    changes."""
     reached = region.weights(splats) > 0
     keys, region_keys = _keys(cells), np.unique(_keys(cells[reached]))
     for _ in range(margin):
@@ -209,7 +212,7 @@ def _chosen(splats: Splats, region: Region, cells: np.ndarray, margin: int) -> t
         region_keys = np.unique(np.concatenate(grown))
     chosen = np.isin(keys, region_keys)
     points = splats.means[chosen & splats.drawable].astype(np.float64)
-    reach = math.sqrt(float((np.ptp(points, axis=0) ** 2).sum())) / 2
+    reach = min(math.sqrt(float((np.ptp(points, axis=0) ** 2).sum())) / 2, HIDDEN_CELLS * edge)
     hidden = np.flatnonzero(~chosen & splats.drawable & ~_is_visible(splats))
     near, _ = nearest_within(points, splats.means[hidden].astype(np.float64), reach)
     behind = hidden[near >= 0]
