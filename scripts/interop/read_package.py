@@ -120,7 +120,10 @@ def bpy(path: Path) -> dict:
     points = mesh.data.vertices
     if not points:
         raise ValueError("no points")
-    out = {"positions": [list(mesh.matrix_world @ one.co) for one in points]}
+    positions = np.array([mesh.matrix_world @ one.co for one in points])
+    if path.suffix == ".glb":  # its importer lays glTF's y up along z; taken back
+        positions = positions[:, [0, 2, 1]] * (1, 1, -1)
+    out = {"positions": positions.tolist()}
     attributes = mesh.data.attributes
 
     def values(name: str) -> list[float]:

@@ -50,8 +50,8 @@ def test_it_looks_as_the_same_assets_near_zero(tiles: tuple[Path, Path, np.ndarr
     merge([tmp_path / "near_west.ply", tmp_path / "near_east.ply"], tmp_path / "near.ply", transforms=near)
     camera = sp.look_at((1.5, -0.8, -6.0), (1.5, 0.0, 0.0), (0.0, -1.0, 0.0), width=96, height=64)
     expected = sp.render(sp.read(tmp_path / "near.ply"), camera).colors[0]
-    image = sp.render(sp.read(tmp_path / "far.ply"), moved_camera(camera, UTM)).colors[0]
-    assert expected.std() > 0.05 and abs(image - expected).max() < 2 / 255
+    picture = sp.render(sp.read(tmp_path / "far.ply"), moved_camera(camera, UTM)).colors[0]
+    assert expected.std() > 0.05 and abs(picture - expected).max() < 2 / 255
 
 
 @pytest.mark.parametrize(("suffix", "exact"), [("glb", True), ("ply", True), ("spz", False), ("sog", False)])

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from splatpainter.session.project import database, open_file, project_file
+from splatpainter.session.project import database, open_file
 from splatpainter.session.project.database import UnwritableError
 from splatpainter.session.project.disk_probe import locks_refused
 from splatpainter.session.project.project_file import Project
@@ -443,7 +443,7 @@ def test_a_session_that_changed_nothing_leaves_nothing(path: Path, harm, recwarn
 @posix_only
 def test_a_file_that_another_program_wrote_into_is_left_alone(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a project too large for a copy in memory."""
-    monkeypatch.setattr(project_file, "MAX_SPARE_BYTES", 0)
+    monkeypatch.setattr(open_file, "MAX_SPARE_BYTES", 0)
     other = path.with_name("other.splatproj")
     two_layers(other)
     session = flat(project=path)

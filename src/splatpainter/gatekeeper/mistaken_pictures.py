@@ -407,9 +407,9 @@ def _graded(view: _Small) -> Explanation | None:
     if not solid.any():
         return None
     changed = largest_channel(np.abs(box_mean(view.picture - view.render, MISTAKES.tone_px)))[solid]
-    contrast_left = view.picture[solid].std(0).mean() / max(float(view.render[solid].std(0).mean()), 1e-6)
+    contrast_ratio = view.picture[solid].std(0).mean() / max(float(view.render[solid].std(0).mean()), 1e-6)
     # Noise, or one flat colour over the asset: paint, though a (constant) function explains it.
-    if np.median(changed) < MISTAKES.max_difference or contrast_left < MISTAKES.min_tone_contrast:
+    if np.median(changed) < MISTAKES.max_difference or contrast_ratio < MISTAKES.min_tone_contrast:
         return None
     if tone_change(view.picture, view.render, solid) is None:
         return None

@@ -16,6 +16,9 @@ from splatpainter.session.project.database import UnwritableError
 GONE = "was deleted or moved while it was open"
 REPLACED = "was replaced by another file while it was open"
 OVERWRITTEN = "was overwritten by another program while it was open"
+MAX_SPARE_BYTES = 32 << 20
+"""Largest project file that is kept in memory as well: reading it again after a command takes a hundredth of a
+second."""
 
 
 class OpenFile:
@@ -93,6 +96,22 @@ class OpenFile:
             return True
         except ValueError:
             return False
+
+
+def spare_copy(path: Path) -> bytes | None:
+    """A project file that stands alone, of at most MAX_SPARE_BYTES; None of others, and of what cannot be read."""
+    try:
+        if database.has_log(path) or path.stat().st_size > MAX_SPARE_BYTES:
+            return None
+        return path.read_bytes()
+    except OSError:
+        return None
+
+
+def without_log(data: bytes) -> bytes:
+    """A database file as one that has no log beside it: bytes 18 and 19 of its header, which say how it is written
+    (SQLite's file format, 1.3), are 2 with a log, and none can be in memory."""
+    return data[:18] + b"\x01\x01" + data[20:]
 
 
 def _signature(path: Path) -> tuple[tuple[int, int], tuple[int, int]] | None:

@@ -44,7 +44,7 @@ from splatpainter.session.project.database import (
     one_line,
 )
 from splatpainter.session.project.lock import ProjectLock
-from splatpainter.session.project.open_file import OpenFile
+from splatpainter.session.project.open_file import OpenFile, spare_copy, without_log
 from splatpainter.session.project.stored_results import loaded_result, store_result
 from splatpainter.session.replay.delta import decode
 from splatpainter.session.replay.layer_result import LayerResult
@@ -53,9 +53,6 @@ MAX_STEPS = 1000
 """Steps of the history; older ones are dropped."""
 ELSEWHERE = "open elsewhere: this copy is read-only; save_as makes one of your own"
 UNWRITABLE = "cannot be written ({}): it is read-only; save_as makes a copy that can be changed"
-MAX_SPARE_BYTES = 32 << 20
-"""Largest project file that is kept in memory as well: reading it again after a command takes a hundredth of a
-second."""
 FOLD_WAIT_SECONDS = 0.2
 """How long a commit waits for readers, before what it wrote stays in the log until the next one."""
 
@@ -216,7 +213,7 @@ class Project:
         if self._file is not None:
             self._fold()
             self._file.note(self._db)
-            spare = _file_without_log(self.path)
+            spare = spare_copy(self.path)
             self._spare = None if self._file.is_lost() else spare
         return self
 
@@ -240,7 +237,7 @@ class Project:
             source = self._db
             if spare is not None:
                 source = stack.enter_context(contextlib.closing(sqlite3.connect(":memory:")))
-                source.deserialize(_without_log(spare))
+                source.deserialize(without_log(spare))
             try:
                 source.backup(target, pages=1024)
             except sqlite3.Error as error:
@@ -551,22 +548,6 @@ class Transaction:
             self.results[key] = result
             if previous is not None:
                 self.previous[key] = previous
-
-
-def _file_without_log(path: Path) -> bytes | None:
-    """A project file that stands alone, of at most MAX_SPARE_BYTES; None of others, and of what cannot be read."""
-    try:
-        if database.has_log(path) or path.stat().st_size > MAX_SPARE_BYTES:
-            return None
-        return path.read_bytes()
-    except OSError:
-        return None
-
-
-def _without_log(data: bytes) -> bytes:
-    """A database file as one that has no log beside it: bytes 18 and 19 of its header, which say how it is written
-    (SQLite's file format, 1.3), are 2 with a log, and none can be in memory."""
-    return data[:18] + b"\x01\x01" + data[20:]
 
 
 def _store_layer(db: sqlite3.Connection, layer: Layer) -> int:
