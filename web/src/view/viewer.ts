@@ -157,7 +157,10 @@ export class Viewer {
   async read(): Promise<ImageData> {
     await this.uploads.idle();
     if (!this.view || !this.table) throw new Error("nothing to read: there is no asset");
-    while (!this.settled) await this.settle(); // the camera may move, and another table come, meanwhile
+    while (!this.settled) {
+      if (this.lost) throw new Error("the graphics card took the view away");
+      await this.settle(); // the camera may move, and another table come, meanwhile
+    }
     const { width, height, background } = this.view;
     const half = new Uint16Array(width * height * 4);
     this.renderer.readRenderTargetPixels(this.blit.target, 0, 0, width, height, half);
@@ -171,7 +174,7 @@ export class Viewer {
   async settle(): Promise<void> {
     await this.uploads.idle();
     await this.table?.mesh.initialized;
-    while (this.outdated || this.sorting) {
+    while (!this.lost && (this.outdated || this.sorting)) {
       await this.update();
       if (this.outdated || this.sorting) await sleep(1);
     }
@@ -181,6 +184,11 @@ export class Viewer {
   /** Whether the picture in the target is the one of the present camera and Gaussians, in its final order. */
   private get settled(): boolean {
     return this.still !== null && this.still.view === this.view && this.still.revision === this.revision;
+  }
+
+  /** The graphics card took the view away. */
+  private get lost(): boolean {
+    return this.renderer.getContext().isContextLost();
   }
 
   private get sorting(): boolean {
@@ -196,11 +204,13 @@ export class Viewer {
     const { current } = this.spark;
     const sorted = this.spark.update({ scene: this.scene, camera: this.threeCamera });
     this.outdated = this.spark.current === current;
-    await sorted;
+    await sorted.catch((error: unknown) => {
+      if (!this.lost) throw error; // what Spark had begun ends with the view
+    });
   }
 
   private draw(): void {
-    if (this.renderer.getContext().isContextLost()) return; // Spark's work would be rejected, and nobody waits for it
+    if (this.lost) return;
     void this.update(); // and asks for a picture, which is this one
     cancelAnimationFrame(this.requested);
     this.requested = 0;
