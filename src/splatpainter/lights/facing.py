@@ -12,6 +12,7 @@ from splatpainter.kernels import portable
 from splatpainter.lift.depth_normals import scattered
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import Splats
+from splatpainter.surface.estimate import Surface
 from splatpainter.transforms import fibonacci_sphere, quat_to_matrix
 
 VIEW_COUNT = 14
@@ -43,6 +44,10 @@ MAX_SHEET_GAP = 0.35
 """Between the heights of what is seen from above and from below, in widths of Gaussians: more are two layers."""
 MIN_SIDE_SHARE = 0.03
 """Of a sheet's pixels that show either side, at least, for it to be seen from both."""
+SURFACE_WINDOW = 1.5
+"""First guess of the window that normals are taken from, in widths of the Gaussian."""
+MIN_PATCHES = 3.0
+"""Effective number of Gaussians behind such a normal."""
 MIN_FLAT_SHARE = 0.25
 """Of the drawable Gaussians that must be flat, for the asset to have a surface that light can be moved on."""
 MAX_FLATNESS = 0.7
@@ -107,10 +112,22 @@ def facing(splats: Splats) -> Facing:
         front = np.where(observed, 0.5 + 0.5 * np.minimum(np.abs(cosines) / ONE_SIDED, 1), 1).astype(np.float32)
         if agreeing >= MOSTLY_ORIENTED_SHARE:  # ... or where observation does not decide
             side, front = np.where(one_sided, side, 1), np.ones(count, np.float32)
-        normals = np.where(side[:, None] < 0, -axes, axes)
+        normals = _smoothed(splats, np.where(side[:, None] < 0, -axes, axes))
     ordered = np.sort(splats.scales, 1)
     flat_share = float((ordered[:, 0] <= MAX_FLATNESS * ordered[:, 1]).mean())
     return Facing(normals, front, seen, flat_share)
+
+
+def _smoothed(splats: Splats, normals: np.ndarray) -> np.ndarray:
+    """[N, 3] normals of the surface through each Gaussian and its neighbours, on the side of its own: those of fitted
+    Gaussians for themselves are noise, which light shows as specks."""
+    scales = np.sort(splats.scales.astype(np.float64), 1)
+    widths = SURFACE_WINDOW * np.sqrt(scales[:, 1] * scales[:, 2])
+    there = Surface.of(splats).at(splats.means.astype(np.float64), -normals.astype(np.float64), widths)
+    share = np.where(there.patches >= MIN_PATCHES, there.agreement, 0)[:, None]
+    mixed = (1 - share) * normals + share * there.normals
+    length = np.linalg.norm(mixed, axis=1, keepdims=True)
+    return np.where(length > 0.1, mixed / np.maximum(length, 1e-9), normals).astype(np.float32)
 
 
 def _coherence(splats: Splats, axes: np.ndarray, radius: float) -> float:
