@@ -386,12 +386,12 @@ def make(folder: Path) -> dict[str, str]:
         make_inputs()
         printed = Path("printed")
         printed.mkdir()
-        for number, line in enumerate(COMMANDS.strip().splitlines()):
+        for line in COMMANDS.strip().splitlines():
             if line.startswith(":"):
                 STEPS[line[1:]]()
             else:
-                name = re.sub(r"\W+", "_", line)[:60].strip("_")
-                (printed / f"{number:02d}_{name}.txt").write_text(said(line), encoding="utf-8")
+                words, digest = re.sub(r"\W+", "_", line)[:60].strip("_"), hashlib.sha256(line.encode()).hexdigest()
+                (printed / f"{words}_{digest[:6]}.txt").write_text(said(line), encoding="utf-8")
         refused = "\n".join(said(line) for line in REFUSALS.strip().splitlines())
         (printed / "refused.txt").write_text(refused, encoding="utf-8")
         out = sums(Path())
