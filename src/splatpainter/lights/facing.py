@@ -48,6 +48,8 @@ SURFACE_WINDOW = 1.5
 """First guess of the window that normals are taken from, in widths of the Gaussian."""
 MIN_PATCHES = 3.0
 """Effective number of Gaussians behind such a normal."""
+CELL_WIDTHS = 2.0
+"""Edge of cells in which Gaussians that face one way share such a normal, in their median width."""
 MIN_FLAT_SHARE = 0.25
 """Of the drawable Gaussians that must be flat, for the asset to have a surface that light can be moved on."""
 MAX_FLATNESS = 0.7
@@ -112,22 +114,41 @@ def facing(splats: Splats) -> Facing:
         front = np.where(observed, 0.5 + 0.5 * np.minimum(np.abs(cosines) / ONE_SIDED, 1), 1).astype(np.float32)
         if agreeing >= MOSTLY_ORIENTED_SHARE:  # ... or where observation does not decide
             side, front = np.where(one_sided, side, 1), np.ones(count, np.float32)
-        normals = _smoothed(splats, np.where(side[:, None] < 0, -axes, axes))
+        normals = _smoothed(splats, np.where(side[:, None] < 0, -axes, axes), seen > SEEN_PX)
     ordered = np.sort(splats.scales, 1)
     flat_share = float((ordered[:, 0] <= MAX_FLATNESS * ordered[:, 1]).mean())
     return Facing(normals, front, seen, flat_share)
 
 
-def _smoothed(splats: Splats, normals: np.ndarray) -> np.ndarray:
-    """[N, 3] normals of the surface through each Gaussian and its neighbours, on the side of its own: those of fitted
-    Gaussians for themselves are noise, which light shows as specks."""
-    scales = np.sort(splats.scales.astype(np.float64), 1)
-    widths = SURFACE_WINDOW * np.sqrt(scales[:, 1] * scales[:, 2])
-    there = Surface.of(splats).at(splats.means.astype(np.float64), -normals.astype(np.float64), widths)
-    share = np.where(there.patches >= MIN_PATCHES, there.agreement, 0)[:, None]
-    mixed = (1 - share) * normals + share * there.normals
+def _smoothed(splats: Splats, normals: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """[N, 3] normals of the surface through each Gaussian and its neighbours, on its own side: those of fitted
+    Gaussians for themselves are noise, which light shows as specks. seen: [N] bool those that it matters of; neighbours
+    that face one way ask once."""
+    ids = np.flatnonzero(seen)
+    if not len(ids):
+        return normals
+    scales = np.sort(splats.scales[ids].astype(np.float64), 1)
+    widths = np.sqrt(scales[:, 1] * scales[:, 2])
+    facings = normals[ids].astype(np.float64)
+    edge = CELL_WIDTHS * max(float(np.median(widths)), 1e-12)
+    cells = np.floor(splats.means[ids].astype(np.float64) / edge)
+    ways = portable.matmul(facings, fibonacci_sphere(2 * AXIS_BINS).T).argmax(1)
+    groups = np.unique(np.concatenate([cells, ways[:, None]], 1), axis=0, return_inverse=True)[1].reshape(-1)
+    count = np.bincount(groups).astype(np.float64)
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return np.stack([np.bincount(groups, column) for column in values.T], 1) / count[:, None]
+
+    towards = mean(facings)
+    towards = towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
+    window = SURFACE_WINDOW * mean(widths[:, None])[:, 0]
+    there = Surface.of(splats).at(mean(splats.means[ids].astype(np.float64)), -towards, window)
+    share = np.where(there.patches >= MIN_PATCHES, there.agreement, 0)[groups, None]
+    mixed = (1 - share) * facings + share * there.normals[groups]
     length = np.linalg.norm(mixed, axis=1, keepdims=True)
-    return np.where(length > 0.1, mixed / np.maximum(length, 1e-9), normals).astype(np.float32)
+    out = normals.astype(np.float32)
+    out[ids] = np.where(length > 0.1, mixed / np.maximum(length, 1e-9), facings)
+    return out
 
 
 def _coherence(splats: Splats, axes: np.ndarray, radius: float) -> float:
