@@ -37,8 +37,6 @@ MAX_TOKENS = 1024
 """Patches of one region."""
 FINEST_PX = 2.0 * PATCH_PX
 """Shortest wavelength that positions are told with: between patches there is no shorter one."""
-SNAP_PX = 6.0
-"""Distance from a patch's place up to which a Gaussian asks for that patch."""
 MIN_SOLID_SHARE = 0.2
 """Share of a patch that shows the asset, from which it has a place."""
 SOLID_ALPHA = 0.5
@@ -48,8 +46,9 @@ TOKEN_CHANNELS = 2 * 3 * BANDS + BANDS + 1
 """Cosines of the picture and of the render before it, what was edited, and how much of it shows the asset."""
 READER_CHANNELS = 20
 """Numbers per Gaussian: `_facts`."""
-APPENDED = READER_CHANNELS - 1
-"""Which of them says that the lift has appended the Gaussian."""
+BEHIND, PEAK, BESIDE, APPENDED = 10, 15, READER_CHANNELS - 2, READER_CHANNELS - 1
+"""Which of them say how far behind the surface a Gaussian lies, the most that it makes of an edited pixel, that the
+picture does not show its place, and that the lift has appended it."""
 
 
 @dataclass(frozen=True)
@@ -69,8 +68,8 @@ class PatchReaders:
     """Gaussians of a region, float32."""
 
     positions: np.ndarray = field(repr=False)
-    """[R, 3] where the middle of the patch that each lies in would be at its depth, in the region's frame, or is, where
-    that is near."""
+    """[R, 3] of the patch over each, in the region's frame; of those that are far before or behind the surface, and
+    where there is no patch, where its middle would be at their depth."""
     inside: np.ndarray = field(repr=False)
     """[R, 2] place in that patch, right and down, -0.5..0.5."""
     facts: np.ndarray = field(repr=False)
@@ -119,22 +118,19 @@ def picture_regions(asset: Splats, lifted: LiftedEdit, view: EditView) -> Iterat
         index = np.flatnonzero(box.holds(cells, patches.used.shape))
         frame, tokens = patches.tokens(box)
         positions = np.clip((middles[index] - frame.center) / frame.half_extent, -2, 2).astype(np.float32)
-        positions = snapped(positions, tokens.positions, frame.finest)
+        # Those near the surface that the picture shows ask for the patch over them by its own name.
+        number = patches.numbers(box)[
+            np.clip(cells[index, 1], 0, len(patches.used) - 1).astype(np.int64),
+            np.clip(cells[index, 0], 0, patches.used.shape[1] - 1).astype(np.int64),
+        ]
+        over = (number >= 0) & (np.abs(facts[index, BEHIND]) < 1) & (facts[index, BESIDE] == 0)
+        positions[over] = tokens.positions[number[over]]
         yield PictureRegion(
             tokens,
             PatchReaders(positions, inside[index], facts[index], before[index]),
             index,
             frame.finest,
         )
-
-
-def snapped(positions: np.ndarray, patches: np.ndarray, finest: float) -> np.ndarray:
-    """Places [R, 3] of Gaussians, those near a patch's [T, 3] moved onto the nearest: they ask for it by its own name,
-    and how far before or behind the surface they lie their facts say. finest: FINEST_PX in the frame of both."""
-    from scipy.spatial import KDTree
-
-    away, nearest = KDTree(patches).query(positions)
-    return np.where((away < SNAP_PX / FINEST_PX * finest)[:, None], patches[nearest], positions).astype(np.float32)
 
 
 def cosine_basis(inside: np.ndarray) -> np.ndarray:
@@ -258,6 +254,13 @@ class _Patches:
         nearest = np.argsort(away, kind="stable")[:BANDS]
         chosen[ys[nearest], xs[nearest]] = True
         return chosen
+
+    def numbers(self, box: _Box) -> np.ndarray:
+        """[GH, GW] int64 which of a region's patches each is, -1: none."""
+        chosen = self._chosen(box)
+        numbers = np.full(chosen.shape, -1, np.int64)
+        numbers[chosen] = np.arange(int(chosen.sum()))
+        return numbers
 
     def tokens(self, box: _Box) -> tuple[_Frame, PatchTokens]:
         """(the frame of a region, its patches)."""

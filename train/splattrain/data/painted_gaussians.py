@@ -31,7 +31,6 @@ from splatpainter.models.picture_patches import (
     PatchTokens,
     PictureRegion,
     picture_regions,
-    snapped,
 )
 from splatpainter.recent import Recent
 from splatpainter.splats import Splats
@@ -50,7 +49,7 @@ from splattrain.data.viewpoints import Optics
 PaintedAssetKind = Literal["coarse", "fitted"]
 PAINTED_KINDS = (*PAINTED, "recolor", "zoom")
 """Kinds of edits that a picture of one view tells."""
-VERSION = 1
+VERSION = 2
 """Version of how edits are made: files of another one are made anew."""
 MAX_READERS = 1536
 """Gaussians of an edit that are kept, a random choice."""
@@ -275,8 +274,7 @@ def _edit(arrays: dict[str, np.ndarray]) -> PaintedGaussians:
     """The inverse of `_arrays`."""
     wide = {key: values.astype(np.float32) for key, values in arrays.items() if values.dtype == np.float16}
     tokens, finest = PatchTokens(wide["places"], wide["values"], wide["weights"]), float(arrays["finest"])
-    positions = snapped(wide["reader_places"], tokens.positions, finest)
-    readers = PatchReaders(positions, wide["inside"], wide["facts"], wide["before"])
+    readers = PatchReaders(wide["reader_places"], wide["inside"], wide["facts"], wide["before"])
     region = PictureRegion(tokens, readers, np.arange(len(wide["truth"])), finest)
     return PaintedGaussians(str(arrays["name"]), str(arrays["kind"]), region, wide["truth"], wide["lift"])
 

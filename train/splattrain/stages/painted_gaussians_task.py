@@ -25,13 +25,15 @@ from splatpainter.models.local_edit_colors import (
     with_colors,
 )
 from splatpainter.models.local_network import LocalNetwork, Patches
-from splatpainter.models.picture_patches import BANDS, picture_regions
+from splatpainter.models.picture_patches import BANDS, PEAK, picture_regions
 from splatpainter.rendering import render
 from splattrain.data.painted_gaussians import PaintedEdit, PaintedGaussians
 from splattrain.stages.task import Task, ValidationScore, between_share
 
 MIN_SQUARED_ERROR = 2e-4
 """Added to the squared error: 37 dB are enough for a start of the lift's rounds."""
+LEAST_COUNT = 0.05
+"""What a Gaussian counts that the picture does not show; one that makes a pixel alone counts 1 more."""
 SPREAD_WEIGHT = 0.1
 """Weight of the likelihood of the error."""
 CHANGED = 0.02
@@ -55,9 +57,11 @@ class PaintedGaussiansTask(Task[LocalNetwork]):
         truth = torch.from_numpy(sample.truth[pick]).to(self.device)
         with self.arithmetic():
             answer = self.model.read(self.model.adapt(self.model.initial_state(), patches), readers)
-        squared = (answer.colors - truth).square()
-        mean = squared.mean()
-        spread = (squared.detach().mean(1) * torch.exp(-answer.log_variance) + answer.log_variance).mean()
+        squared = (answer.colors - truth).square().mean(1)
+        # What pictures show of each: hidden ones are many and make no picture.
+        counts = LEAST_COUNT + (readers.facts[:, PEAK] + 1) / 2
+        mean = (counts * squared).sum() / counts.sum()
+        spread = (squared.detach() * torch.exp(-answer.log_variance) + answer.log_variance).mean()
         return {"loss": torch.log(mean + MIN_SQUARED_ERROR) + SPREAD_WEIGHT * spread, "squared": mean, "spread": spread}
 
     @torch.no_grad()

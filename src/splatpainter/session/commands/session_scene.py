@@ -170,7 +170,7 @@ class SessionScene:
                 raise ValueError(f"asset {before.name}: is the only one that is visible")
             if "placement" in values:
                 original = core.replay.replay(document, asset).original
-                _check_reach(before.name, original, values["placement"], core.original.offset)
+                _check_reach(before.name, original, values["placement"], core.replay.main.original.offset)
             verb = {"placement": "move", "name": "rename", "visible": "show" if values.get("visible") else "hide"}
             label = f"{verb[next(iter(values))]} asset {before.name}"
             core.commit(label, _with_assets(document, assets), gesture=gesture)
