@@ -35,8 +35,6 @@ DOCUMENTS = [
 ]
 FOLDERS = ("src/", "tests/", "benchmarks/", "train/", "scripts/", "examples/", "docs/", "web/")
 MAX_README_LINES = 120
-NOT_WRAPPED = {"docs/guide/studio.md", "web/README.md"}
-"""To be wrapped when what is being written there is done."""
 OTHER_PROGRAMS = {"ADAPTERS.md"}
 """Documents that speak of programs of other systems."""
 
@@ -139,7 +137,7 @@ def test_prose_is_in_lines_that_a_diff_can_show() -> None:
     script = runpy.run_path(str(ROOT / "scripts" / "wrap_docs.py"))
     texts = {path: path.read_text(encoding="utf-8") for path in script["documents"]()}
     long = {path.relative_to(ROOT).as_posix() for path, text in texts.items() if script["wrapped"](text) != text}
-    assert long <= NOT_WRAPPED
+    assert long == set()
 
 
 def figures(pattern: str, document: str) -> list[float]:

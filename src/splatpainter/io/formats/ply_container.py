@@ -33,36 +33,24 @@ TYPES = {
     "uint64": "u8",
 }
 """PLY scalar type -> numpy type code without byte order."""
-
-
-@dataclass(frozen=True)
-class PlyContainerThresholds:
-    """How much of a PLY file is handled at a time, and how long reading may take. Source: timings on the development
-    machine, as each entry says, else taste."""
-
-    window_bytes: int = 1 << 20
-    """Bytes of an element with lists that are looked at together."""
-    min_run: int = 16
-    """Rows of equal list lengths from which on numpy is faster than a loop."""
-    max_uneven_lists: int = 1 << 24
-    """Lists that are stepped over one by one, because the rows around them are of other lengths: about 5 s of work."""
-    text_piece_bytes: int = 1 << 20
-    """Bytes of text that are searched for line ends at a time."""
-    max_block_words: int = 1 << 18
-    """Words of text that are objects at a time; each takes fifty bytes."""
-    max_number_characters: int = 512
-    """Most characters of a number in text; the longest that C prints of a double has 330."""
-    block_rows: int = 4096
-    """Rows handled at a time: a block of wide rows (248 bytes at SH degree 3) stays in the cache while it is split."""
-    picked_rows: int = 1 << 12
-    """Rows that a thread splits into columns at a time: 1 MB at SH degree 3."""
-
-
-CONTAINER = PlyContainerThresholds()
-
-
+WINDOW_BYTES = 1 << 20
+"""Bytes of an element with lists that are looked at together."""
+MIN_RUN = 16
+"""Rows of equal list lengths from which on numpy is faster than a loop."""
+MAX_UNEVEN_LISTS = 1 << 24
+"""Lists that are stepped over one by one, because the rows around them are of other lengths: about 5 s of work."""
 ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
+TEXT_PIECE_BYTES = 1 << 20
+"""Bytes of text that are searched for line ends at a time."""
+MAX_BLOCK_WORDS = 1 << 18
+"""Words of text that are objects at a time; each takes fifty bytes."""
+MAX_NUMBER_CHARACTERS = 512
+"""Most characters of a number in text; the longest that C prints of a double has 330."""
 _IS_BLANK = np.isin(np.arange(256), np.frombuffer(b" \t\n\r\v\f", np.uint8))
+BLOCK_ROWS = 4096
+"""Rows handled at a time: a block of wide rows (248 bytes at SH degree 3) stays in the cache while it is split."""
+PICKED_ROWS = 1 << 12
+"""Rows that a thread splits into columns at a time: 1 MB at SH degree 3."""
 
 
 @dataclass(frozen=True)
@@ -237,7 +225,7 @@ def _walk_lists(file: BinaryIO, header: Header, element: Element, available: int
     steps = [(ahead, _COUNTERS[counter.str].unpack_from, counter.itemsize, width) for ahead, counter, width in lists]
     file_start = file.tell()
     window, base, last = b"", 0, -1
-    at, row, stepped, patience = 0, 0, 0, CONTAINER.min_run
+    at, row, stepped, patience = 0, 0, 0, MIN_RUN
 
     def walk(count: int) -> list[tuple[int, int]]:
         """Step over so many rows one by one; (offset, length) of every list of the last one."""
@@ -250,7 +238,7 @@ def _walk_lists(file: BinaryIO, header: Header, element: Element, available: int
                     if at > available:
                         return []
                     file.seek(file_start + at)
-                    window, base = file.read(min(CONTAINER.window_bytes, available - at)).ljust(longest, b"\0"), at
+                    window, base = file.read(min(WINDOW_BYTES, available - at)).ljust(longest, b"\0"), at
                     last = base + len(window) - longest
                 (length,) = unpack(window, at - base)
                 if k == count - 1:
@@ -268,23 +256,22 @@ def _walk_lists(file: BinaryIO, header: Header, element: Element, available: int
         row, stepped = row + 1, stepped + len(lists)
         fitting = min((base + len(window) - at) // (at - first), element.count - row, (available - at) // (at - first))
         run = 0
-        if seen and first >= base and fitting >= CONTAINER.min_run:
+        if seen and first >= base and fitting >= MIN_RUN:
             equal = np.ones(fitting, bool)
             for (offset, length), (_, counter, _) in zip(seen, lists, strict=True):
                 equal &= np.ndarray(fitting, counter, window, at - base + offset - first, at - first) == length
             run = fitting if equal.all() else int(np.argmin(equal))
             at, row = at + run * (at - first), row + run
         # Uneven rows are not compared again soon: a failed try costs as much as many steps.
-        patience = CONTAINER.min_run if run >= CONTAINER.min_run else min(2 * patience, 1 << 16)
-        if run < CONTAINER.min_run and at <= available:
+        patience = MIN_RUN if run >= MIN_RUN else min(2 * patience, 1 << 16)
+        if run < MIN_RUN and at <= available:
             count = min(patience, element.count - row)
             walk(count)
             row, stepped = row + count, stepped + count * len(lists)
-        if stepped > CONTAINER.max_uneven_lists:
+        if stepped > MAX_UNEVEN_LISTS:
             name = printable(element.name)
             raise ValueError(
-                f"{path}: element '{name}' has more than {CONTAINER.max_uneven_lists} lists of uneven length; "
-                "expected fewer"
+                f"{path}: element '{name}' has more than {MAX_UNEVEN_LISTS} lists of uneven length; expected fewer"
             )
     return at
 
@@ -449,20 +436,20 @@ class BinaryRows:
         out = {key: np.empty((len(self), len(names)), np.float32) for key, names in plan.items()}
 
         def split(start: int) -> None:  # so that every record is fetched once for all columns
-            part = slice(start, start + CONTAINER.picked_rows)
+            part = slice(start, start + PICKED_ROWS)
             for key, columns in picks.items():
                 pick(matrix[part], columns, out[key][part])
 
-        each(split, range(0, len(self), CONTAINER.picked_rows))
+        each(split, range(0, len(self), PICKED_ROWS))
         return out
 
     def _columns(self, names: Sequence[str]) -> np.ndarray:
         out = np.empty((len(self), len(names)), np.float32)
         with np.errstate(over="ignore", invalid="ignore"):  # doubles beyond float32 become inf, as they should
-            for start in range(0, len(self), CONTAINER.block_rows):
-                part = self.records[start : start + CONTAINER.block_rows]
+            for start in range(0, len(self), BLOCK_ROWS):
+                part = self.records[start : start + BLOCK_ROWS]
                 for k, name in enumerate(names):
-                    out[start : start + CONTAINER.block_rows, k] = part[name]
+                    out[start : start + BLOCK_ROWS, k] = part[name]
         return out
 
     def doubles(self, names: Sequence[str]) -> np.ndarray:
@@ -572,7 +559,7 @@ class TextRows:
         picks = {key: [index[name] for name in names] for key, names in plan.items()}
         out = {key: np.empty((len(self), len(names)), dtype) for key, names in plan.items()}
         with np.errstate(over="ignore", invalid="ignore"):
-            step = max(1, min(CONTAINER.block_rows, CONTAINER.max_block_words // max(1, len(self.properties))))
+            step = max(1, min(BLOCK_ROWS, MAX_BLOCK_WORDS // max(1, len(self.properties))))
             for start in range(0, len(self), step):
                 stop = min(start + step, len(self))
                 numbers = self._numbers(start, stop)
@@ -596,12 +583,12 @@ class TextRows:
         longest = int(np.diff(np.flatnonzero(blank), append=len(blank)).max(initial=0)) - 1
         words = text.split()
         try:
-            if longest > CONTAINER.max_number_characters:
+            if longest > MAX_NUMBER_CHARACTERS:
                 raise ValueError
             return np.array(words, np.float64).reshape(stop - start, len(self.properties))
         except ValueError:
             for k, word in enumerate(words):
-                if len(word) > CONTAINER.max_number_characters or not _is_number(word):
+                if len(word) > MAX_NUMBER_CHARACTERS or not _is_number(word):
                     row, excerpt = start + k // len(self.properties), printable(word[:40].decode("latin-1"))
                     raise ValueError(f"{self.where}: row {row}: expected a number, got {excerpt!r}") from None
             raise
@@ -667,10 +654,10 @@ def text_rows(
         raise short
     starts = np.empty(count + 1, np.int64)
     starts[0], count_so_far = start, 1
-    for offset in range(start, len(data), CONTAINER.text_piece_bytes):
+    for offset in range(start, len(data), TEXT_PIECE_BYTES):
         if count_so_far > count:
             break
-        piece = np.frombuffer(data, np.uint8, min(CONTAINER.text_piece_bytes, len(data) - offset), offset)
+        piece = np.frombuffer(data, np.uint8, min(TEXT_PIECE_BYTES, len(data) - offset), offset)
         ends = np.flatnonzero(piece == ord("\n"))[: count + 1 - count_so_far] + (offset + 1)
         starts[count_so_far : count_so_far + len(ends)] = ends
         count_so_far += len(ends)
@@ -681,10 +668,10 @@ def text_rows(
 
 def _behind_lines(data: bytes, count: int) -> int | None:
     """Offset behind the first `count` lines, None where there are fewer."""
-    for offset in range(0, len(data), CONTAINER.text_piece_bytes):
+    for offset in range(0, len(data), TEXT_PIECE_BYTES):
         if not count:
             return offset
-        piece = np.frombuffer(data, np.uint8, min(CONTAINER.text_piece_bytes, len(data) - offset), offset) == ord("\n")
+        piece = np.frombuffer(data, np.uint8, min(TEXT_PIECE_BYTES, len(data) - offset), offset) == ord("\n")
         lines = int(np.count_nonzero(piece))
         if lines >= count:
             return offset + int(np.flatnonzero(piece)[count - 1]) + 1
