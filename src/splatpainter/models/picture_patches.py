@@ -46,7 +46,7 @@ TOKEN_CHANNELS = 2 * 3 * BANDS + BANDS + 1
 """Cosines of the picture and of the render before it, what was edited, and how much of it shows the asset."""
 READER_CHANNELS = 20
 """Numbers per Gaussian: `_facts`."""
-BEHIND, PEAK, BESIDE, APPENDED = 10, 15, READER_CHANNELS - 2, READER_CHANNELS - 1
+BEHIND_CHANNEL, PEAK_CHANNEL, BESIDE_CHANNEL, APPENDED_CHANNEL = 10, 15, READER_CHANNELS - 2, READER_CHANNELS - 1
 """Which of them say how far behind the surface a Gaussian lies, the most that it makes of an edited pixel, that the
 picture does not show its place, and that the lift has appended it."""
 
@@ -123,7 +123,7 @@ def picture_regions(asset: Splats, lifted: LiftedEdit, view: EditView) -> Iterat
             np.clip(cells[index, 1], 0, len(patches.used) - 1).astype(np.int64),
             np.clip(cells[index, 0], 0, patches.used.shape[1] - 1).astype(np.int64),
         ]
-        over = (number >= 0) & (np.abs(facts[index, BEHIND]) < 1) & (facts[index, BESIDE] == 0)
+        over = (number >= 0) & (np.abs(facts[index, BEHIND_CHANNEL]) < 1) & (facts[index, BESIDE_CHANNEL] == 0)
         positions[over] = tokens.positions[number[over]]
         yield PictureRegion(
             tokens,

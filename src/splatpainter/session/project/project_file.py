@@ -36,12 +36,10 @@ from splatpainter.session.document.document import (
 from splatpainter.session.document.scene_asset import MAIN_ASSET_ID, SceneAsset, parse_assets
 from splatpainter.session.project import database
 from splatpainter.session.project.database import (
-    SUFFIX,
     ContentError,
     Database,
     closed_on_error,
     is_unwritable,
-    one_line,
 )
 from splatpainter.session.project.lock import ProjectLock
 from splatpainter.session.project.open_file import OpenFile, spare_copy, without_log
@@ -116,7 +114,7 @@ class Project:
         try:
             _create(path, fill)
             try:
-                with one_line(path):
+                with database.one_line(path):
                     return Project(_opened(path, readonly=False), lock, "")._settled()
             except BaseException:
                 for ending in ("", "-wal", "-shm", "-journal") if is_new else ():
@@ -137,7 +135,7 @@ class Project:
         try:
             if lock is not None and (unused := database.set_log_aside(path)):
                 note = f"{path}: a log of another state of this file lay beside it; it is not used, and is now {unused}"
-            with one_line(path):
+            with database.one_line(path):
                 bounded = None
                 if lock is not None:
                     try:
@@ -183,7 +181,7 @@ class Project:
 
     def _rescue(self, problem: str) -> None:
         """Write what was done in a file that is gone into a new one beside it."""
-        names = (f"{self.path.stem}.rescued{k}{SUFFIX}" for k in itertools.chain([""], range(2, 1000)))
+        names = (f"{self.path.stem}.rescued{k}{database.SUFFIX}" for k in itertools.chain([""], range(2, 1000)))
         target = next((path for path in map(self.path.with_name, names) if not path.exists()), None)
         with contextlib.suppress(ValueError, OSError):  # its folder went too, or its disk is full
             if target is not None:
@@ -243,7 +241,7 @@ class Project:
             except sqlite3.Error as error:
                 if is_unwritable(error):
                     raise  # of the target, whose writer names it
-                with one_line(self.path):
+                with database.one_line(self.path):
                     raise
         target.execute("PRAGMA journal_mode=DELETE").fetchall()
 
@@ -267,7 +265,7 @@ class Project:
     def original(self, folder: str = "") -> Iterator[tuple[str, bytes]]:
         """(name, bytes) pieces of the original's files, in order; folder: of an asset that was added (it ends in "/",
         which no name of the original has). Raises ValueError: more than the file has."""
-        with self._mutex, one_line(self.path):
+        with self._mutex, database.one_line(self.path):
             left = self._database.start()
         for name, part in self.rows("SELECT file, part FROM original ORDER BY part", kinds=(str, int)):
             if not name.startswith(folder) or "/" in name[len(folder) :]:
@@ -344,7 +342,7 @@ class Project:
     def document(self, step: int) -> Document:
         """The layers as they were after a step. Raises ValueError: damaged."""
         where = f"{self.path}: layer"
-        with one_line(self.path):
+        with database.one_line(self.path):
             policies = self.rows("SELECT policies FROM steps WHERE id = ?", step, kinds=(str,))
             assets = self._assets(step)
             highest = self.rows("SELECT max(next_id) FROM steps", kinds=(int,))  # undone layers' ids stay theirs
@@ -495,7 +493,7 @@ class Project:
     def _writing(self) -> Iterator[sqlite3.Connection]:
         if self.read_only:
             raise ValueError(f"{self.path}: {self.read_only}")
-        with self._mutex, one_line(self.path):
+        with self._mutex, database.one_line(self.path):
             self.check_file()
             self._database.start()
             self._db.execute("BEGIN IMMEDIATE")
@@ -680,7 +678,7 @@ def _create(path: Path, fill) -> None:
     partial = path.with_name(f".{path.name}.part")
     try:
         partial.unlink(missing_ok=True)  # of somebody who was killed here
-        with one_line(path):
+        with database.one_line(path):
             connection = sqlite3.connect(partial, isolation_level=None)
             try:
                 connection.execute("PRAGMA journal_mode=OFF").fetchall()  # it has no name yet: all or nothing anyway
