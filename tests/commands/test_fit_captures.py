@@ -153,6 +153,8 @@ def test_colmaps_points_are_the_first_gaussians(tmp_path: Path) -> None:
     assert np.allclose(0.5 + 0.28209479 * start.sh[order, 0], expected[:, 3:] / 255, atol=1e-6)
     assert "40 of the 40 points" in line
     assert len(first_gaussians(tmp_path, posed, 25, 0, seed=0)[0]) == 25
+    beside = first_gaussians(tmp_path, posed, 100, 0, 0, (5.0, -2.0, 1.0))[0]
+    assert np.allclose(beside.means, start.means - np.array([5, -2, 1]), atol=1e-5)
 
 
 def test_a_colmap_folder_is_fitted(tmp_path: Path, capfd: Capture) -> None:

@@ -18,7 +18,7 @@ from splatpainter.painter import Edit, Painter
 from splatpainter.receipts import prove, verify
 from splatpainter.session import Session
 from tests.support import glb_files
-from tests.support.cli_scenes import BOX, Capture, ball, paint, run, saved
+from tests.support.cli_scenes import BOX, Capture, ball, paint, run
 from tests.support.far_assets import ECEF, UTM, doubles_of, far_ball, far_ply, moved_camera
 from tests.support.io_assets import random_splats
 

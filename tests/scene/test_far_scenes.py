@@ -101,13 +101,33 @@ def test_from_another_place_of_the_world_it_is_set_beside(
 def test_colours_are_matched_at_their_seam(tmp_path: Path) -> None:
     one, two = ball(COUNT, degree=0), ball(COUNT, degree=0)
     far_ply(tmp_path / "a.ply", one)
-    far_ply(tmp_path / "b.ply", two, (UTM[0] + 1.0, UTM[1], UTM[2]))
+    far_ply(
+        tmp_path / "b.ply",
+        replace(two, means=two.means - np.array([38.6, 0, 0], np.float32)),
+        (UTM[0] + 40.0, *UTM[1:]),
+    )
     far = parts_of([io.read(tmp_path / "a.ply"), io.read(tmp_path / "b.ply")], seam=True, seam_falloff=0.5)
     near = [io.read(tmp_path / "near_a.ply"), io.read(tmp_path / "near_b.ply")]
-    near[1] = replace(near[1], means=near[1].means + np.array([1, 0, 0], np.float32))
+    near[1] = replace(near[1], means=two.means + np.array([1.4, 0, 0], np.float32))
+    assert far[0].splats.offset != far[1].splats.offset
     expected = parts_of(near, seam=True, seam_falloff=0.5)[1].seam
     assert far[1].seam is not None and expected is not None
     np.testing.assert_allclose(far[1].seam.gain, expected.gain, rtol=1e-3)
+    assert abs(far[1].seam.pairs - expected.pairs) <= 2
+
+
+def test_floats_before_doubles_become_doubles(tiles: tuple[Path, Path, np.ndarray], tmp_path: Path) -> None:
+    """A tile whose floats are rounded already, then one of doubles."""
+    west, east, positions = tiles
+    columns = np.fromfile(tmp_path / "near_west.ply", np.uint8)
+    head, body = columns.tobytes().split(b"end_header\n", 1)
+    rows = np.frombuffer(body, "<f4").reshape(COUNT, -1).copy()
+    rows[:, :3] = positions[:COUNT]
+    (tmp_path / "floats.ply").write_bytes(head + b"end_header\n" + rows.tobytes())
+    receipt = merge([tmp_path / "floats.ply", east], tmp_path / "both.ply")
+    stored = doubles_of(tmp_path / "both.ply", 2 * COUNT)
+    assert (stored[:COUNT] == rows[:, :3]).all() and (stored[COUNT:] == positions[COUNT:]).all()
+    assert verify_merge(tmp_path / "both.ply", [tmp_path / "floats.ply", east], receipt).ok
 
 
 def test_an_offset_for_all_is_chosen_only_where_one_is_needed(tmp_path: Path) -> None:
