@@ -268,18 +268,18 @@ def views(rng: np.random.Generator, dtype: type) -> None:
 
     splats, camera = rows(rng, dtype, rng.choice([0, 0.01, 0.1])), view(rng)
     other = splats.take(rng.integers(0, len(splats), 7))
-    full = project(splats, camera)
+    frame = project(splats, camera)
     tiles, some = rng.random(tile_shape(camera)) < 0.6, rng.random(len(splats)) < 0.7
-    part = full.part(tiles=tiles, gaussian_mask=some)
+    part = frame.part(tiles=tiles, gaussian_mask=some)
     direct = project(splats, camera, tiles=tiles, gaussian_mask=some)
-    again = direct.part()
-    assert part.projected.tobytes() == again.projected.tobytes() and np.array_equal(part.flatten_ids, again.flatten_ids)
+    exact = direct.part()
+    assert part.projected.tobytes() == exact.projected.tobytes() and np.array_equal(part.flatten_ids, exact.flatten_ids)
     second = project(other, camera)
     from dataclasses import replace
 
     second = replace(second, gaussian_ids=second.gaussian_ids + len(splats), num_gaussians=len(splats) + len(other))
-    joined = full.merged(second)
-    assert len(joined) == len(full.part()) + len(second)
+    joined = frame.merged(second)
+    assert len(joined) == len(frame.part()) + len(second)
     joined.rasterize()
 
 
