@@ -332,10 +332,10 @@ def _recolored(splats: Splats, light: np.ndarray) -> Splats:
 
 def _with_true_normals(case: LightCase) -> LitSurface:
     """The asset's surface with the normals of the mesh's nearest points."""
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     points, normals = case.surface
-    _, nearest = cKDTree(points).query(case.asset.means)
+    _, nearest = KDTree(points).query(case.asset.means)
     sides = lit_surface(case.asset).facing
     sides = Facing(normals[nearest].astype(np.float32), np.ones_like(sides.front), sides.seen, sides.flat_share)
     return LitSurface.of(case.asset, sides=sides)

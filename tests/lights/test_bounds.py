@@ -182,8 +182,8 @@ def test_a_sheet_of_oriented_patches_keeps_its_side() -> None:
     side = 60
     x, z = (v.ravel() for v in np.meshgrid(np.linspace(-1, 1, side), np.linspace(-1, 1, side)))
     means = np.stack([x, 0 * x, z], 1).astype(np.float32)
-    quats = np.tile(np.float32([math.sqrt(0.5), -math.sqrt(0.5), 0, 0]), (len(x), 1))  # turns z to y
-    scales = np.tile(np.float32([1.2 / side, 1.2 / side, 0.05 / side]), (len(x), 1))
+    quats = np.tile(np.array([math.sqrt(0.5), -math.sqrt(0.5), 0, 0], np.float32), (len(x), 1))  # turns z to y
+    scales = np.tile(np.array([1.2 / side, 1.2 / side, 0.05 / side], np.float32), (len(x), 1))
     sh = np.zeros((len(x), 1, 3), np.float32)
     sheet = Splats(means, quats, scales, np.full(len(x), 0.95, np.float32), sh)
     sides = facing(sheet)

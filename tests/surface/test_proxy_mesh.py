@@ -85,7 +85,7 @@ def test_khronos_validator_has_no_objection(tmp_path: Path, gltf_validator: Call
 
 def test_the_mesh_lies_where_the_glb_of_its_asset_lies(tmp_path: Path) -> None:
     splats = ball(900)
-    moved = replace(splats, means=splats.means * np.float32([1, 0.5, 0.25]) + np.float32([0, 2, 5]))
+    moved = replace(splats, means=splats.means * np.array([1, 0.5, 0.25], np.float32) + np.array([0, 2, 5], np.float32))
     io.write(tmp_path / "a.ply", moved)
     assert main(["mesh", str(tmp_path / "a.ply"), "--out", str(tmp_path / "p.glb")]) == 0
     other = trimesh.load(tmp_path / "p.glb", force="mesh")

@@ -63,4 +63,6 @@ def _log_normal(
     (a, b), (_, c) = covariance
     determinant = a * c - b * b
     x, y = values[:, 0] - mean[0], values[:, 1] - mean[1]
-    return -0.5 * (c * x * x - 2 * b * x * y + a * y * y) / determinant - math.log(2 * math.pi * math.sqrt(determinant))
+    return -0.5 * (c * x * x - 2 * b * x * y + a * y * y) / determinant - portable.log(
+        2 * math.pi * math.sqrt(determinant)
+    )

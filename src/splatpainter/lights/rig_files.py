@@ -11,6 +11,7 @@ from splatpainter import jsonio
 from splatpainter.atomic import writing
 from splatpainter.cameras import UpAxis
 from splatpainter.io import files
+from splatpainter.kernels import portable
 from splatpainter.lights.gltf_lights import glb_of, read_gltf_lights
 from splatpainter.lights.lamps import Lamp, Sun
 from splatpainter.lights.light_set import Lights
@@ -88,7 +89,7 @@ def write_rig(path: str | Path, lights: Lights, offset: tuple[float, float, floa
     scene = to_scene(lights, offset)
     if suffix == ".usda":
         dome = None
-        gain = 2.0**lights.exposure
+        gain = float(portable.exp(lights.exposure * portable.log(2.0)))
         if lights.sky is not None:
             environment = lights.sky
             if not environment.path:  # a file of it beside the rig

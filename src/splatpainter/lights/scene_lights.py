@@ -7,7 +7,6 @@ points down (as of captures), the asset's axes where its y points up.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -77,7 +76,7 @@ def to_scene(lights: Lights, offset: tuple[float, float, float] = (0.0, 0.0, 0.0
     """The suns and lamps. offset: taken from their places."""
     axes = scene_axes(lights.up)
     back = portable.matmul(axes, axes_of(lights.up).T)  # from the axes of suns
-    gain = float(portable.exp(lights.exposure * math.log(2)))
+    gain = float(portable.exp(lights.exposure * portable.log(2.0)))
     out = []
     for number, sun in enumerate(lights.suns, 1):
         towards = portable.matmul(Sun(sun.azimuth, sun.elevation).directions(), back.T)[0]

@@ -143,7 +143,7 @@ def _color(prim: Prim, path: Path) -> Rgb:
 
 def _light(prim: Prim, matrix: np.ndarray, path: Path) -> SceneLight:
     intensity = prim.number("inputs:intensity", 50000.0 if prim.kind == "DistantLight" else 1.0, path)
-    intensity *= float(portable.exp(prim.number("inputs:exposure", 0.0, path) * math.log(2)))
+    intensity *= float(portable.exp(prim.number("inputs:exposure", 0.0, path) * portable.log(2.0)))
     normalized = prim.attributes.get("inputs:normalize") in (1.0, "true")
     scales = np.sqrt((matrix[:3, :3] ** 2).sum(0))
     if not np.isfinite(matrix).all() or not scales.min() > 1e-12:
@@ -173,7 +173,7 @@ def _light(prim: Prim, matrix: np.ndarray, path: Path) -> SceneLight:
 
 
 def _dome(prim: Prim, matrix: np.ndarray, path: Path) -> SceneSky:
-    gain = float(portable.exp(prim.number("inputs:exposure", 0.0, path) * math.log(2)))
+    gain = float(portable.exp(prim.number("inputs:exposure", 0.0, path) * portable.log(2.0)))
     file = prim.attributes.get("inputs:texture:file", "")
     turned = math.degrees(portable.arctan2(float(matrix[0, 2]), float(matrix[2, 2])))
     return SceneSky(str(file), prim.number("inputs:intensity", 1.0, path) * gain, turned)
@@ -200,7 +200,7 @@ def _transform(prim: Prim, path: Path) -> np.ndarray:
         name = name.removeprefix("!invert!")
         step = _operation(name, prim.attributes.get(name), path)
         if inverse:
-            step = np.linalg.inv(step)
+            step = portable.solved(portable.gram(step, np.ones(4)), np.ascontiguousarray(step.T))
         matrix = portable.matmul(matrix, step)
     return matrix
 

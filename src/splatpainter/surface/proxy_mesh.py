@@ -170,7 +170,7 @@ def _samples(splats: Splats, resolution: int) -> tuple[np.ndarray, np.ndarray]:
     means = splats.means.astype(np.float64)
     step = max(float(np.ptp(means, axis=0).max()) / resolution, 1e-12)
     axes = quat_to_matrix(splats.quats).astype(np.float64)
-    order = np.argsort(splats.scales, 1)[:, ::-1]
+    order = np.argsort(splats.scales, 1, kind="stable")[:, ::-1]
     # In the plane of its two longer axes; the grid is as fine as the voxels.
     counts = np.clip(
         np.ceil(PROXY.patch_reach * np.take_along_axis(splats.scales, order[:, :2], 1) / step),
@@ -234,7 +234,7 @@ def _marching_tetrahedra(density: np.ndarray, level: float) -> tuple[np.ndarray,
     corners = [inside[tuple(slice(c, n - 1 + c) for c, n in zip(corner, shape, strict=True))] for corner in CORNERS]
     some, every = np.logical_or.reduce(corners), np.logical_and.reduce(corners)
     cubes = np.argwhere(some & ~every)
-    nodes = np.ravel_multi_index((cubes[:, None] + CORNERS).transpose(2, 0, 1), shape)  # [Q, 8]
+    nodes = np.asarray(np.ravel_multi_index((cubes[:, None] + CORNERS).transpose(2, 0, 1), shape))  # [Q, 8]
     values = density.reshape(-1)
     first, second = [], []
     for tetrahedron in TETRAHEDRA:
