@@ -115,12 +115,14 @@ def held(
 
 def patches_of(tokens: PatchTokens, finest: float, device: str | torch.device = "cpu") -> Patches:
     """A region's patches as tensors."""
-    arrays = (torch.from_numpy(x).to(device) for x in (tokens.positions, tokens.values, tokens.weights))
-    return Patches(*arrays, finest)
+    positions, values, weights = (
+        torch.from_numpy(x).to(device) for x in (tokens.positions, tokens.values, tokens.weights)
+    )
+    return Patches(positions, values, weights, finest)
 
 
 def readers_of(readers: PatchReaders, finest: float, device: str | torch.device = "cpu") -> Readers:
     """A region's Gaussians as tensors."""
-    basis = cosine_basis(readers.inside)
-    arrays = (torch.from_numpy(x).to(device) for x in (readers.positions, basis, readers.facts, readers.before))
-    return Readers(*arrays, finest)
+    arrays = (readers.positions, cosine_basis(readers.inside), readers.facts, readers.before)
+    positions, basis, facts, before = (torch.from_numpy(x).to(device) for x in arrays)
+    return Readers(positions, basis, facts, before, finest)

@@ -21,7 +21,7 @@ from torch.nn import functional
 
 from splatpainter.models import checkpoint
 from splatpainter.models.local_config import LocalConfig
-from splatpainter.models.picture_patches import APPENDED_CHANNEL, BANDS, READER_CHANNELS, TOKEN_CHANNELS
+from splatpainter.models.picture_patches import APPENDED_FEATURE, BANDS, READER_CHANNELS, TOKEN_CHANNELS
 from splatpainter.models.refine import AttentionMixer, FastMixer, Memory, RefineBlock, RidgeMixer
 from splatpainter.nn.layers import layer_norm
 
@@ -85,6 +85,9 @@ class LocalState(NamedTuple):
 class LocalNetwork(nn.Module):
     """Slow weights of the local network."""
 
+    directions: Tensor
+    """[waves, 3] unit, in which positions are told."""
+
     def __init__(self, config: LocalConfig) -> None:
         super().__init__()
         self.config, refine = config, config.refine
@@ -133,7 +136,7 @@ class LocalNetwork(nn.Module):
         if self.config.refine.detail:
             memory = self.detail_mixer.update(self.detail_mixer.initial(), self.norm_refined(x), None, strength)
             second = x + self.detail_mixer.read_gaussian_tokens(memory, self.norm_original(original))
-            x = torch.where(readers.facts[:, APPENDED_CHANNEL, None] > 0, second, x)
+            x = torch.where(readers.facts[:, APPENDED_FEATURE, None] > 0, second, x)
         bands = self.bands(x).unflatten(1, (BANDS, 3)).float()
         x = self.norm_out(x)
         picture = 0.5 + 2 * (bands * readers.basis[:, :, None]).sum(1)

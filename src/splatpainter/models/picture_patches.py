@@ -46,7 +46,7 @@ TOKEN_CHANNELS = 2 * 3 * BANDS + BANDS + 1
 """Cosines of the picture and of the render before it, what was edited, and how much of it shows the asset."""
 READER_CHANNELS = 20
 """Numbers per Gaussian: `_facts`."""
-BEHIND_CHANNEL, PEAK_CHANNEL, BESIDE_CHANNEL, APPENDED_CHANNEL = 10, 15, READER_CHANNELS - 2, READER_CHANNELS - 1
+BEHIND_FEATURE, PEAK_FEATURE, BESIDE_FEATURE, APPENDED_FEATURE = 10, 15, READER_CHANNELS - 2, READER_CHANNELS - 1
 """Which of them say how far behind the surface a Gaussian lies, the most that it makes of an edited pixel, that the
 picture does not show its place, and that the lift has appended it."""
 
@@ -123,7 +123,7 @@ def picture_regions(asset: Splats, lifted: LiftedEdit, view: EditView) -> Iterat
             np.clip(cells[index, 1], 0, len(patches.used) - 1).astype(np.int64),
             np.clip(cells[index, 0], 0, patches.used.shape[1] - 1).astype(np.int64),
         ]
-        over = (number >= 0) & (np.abs(facts[index, BEHIND_CHANNEL]) < 1) & (facts[index, BESIDE_CHANNEL] == 0)
+        over = (number >= 0) & (np.abs(facts[index, BEHIND_FEATURE]) < 1) & (facts[index, BESIDE_FEATURE] == 0)
         positions[over] = tokens.positions[number[over]]
         yield PictureRegion(
             tokens,
@@ -347,4 +347,4 @@ def _mean_around(mask: np.ndarray) -> np.ndarray:
     """[H, W] share of the 3 x 3 pixels around each that are of the mask."""
     height, width = mask.shape
     padded = np.pad(mask.astype(np.float32), 1, mode="edge")
-    return sum(padded[y : y + height, x : x + width] for y in range(3) for x in range(3)) / 9
+    return np.mean([padded[y : y + height, x : x + width] for y in range(3) for x in range(3)], axis=0)

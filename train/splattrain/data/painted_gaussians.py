@@ -143,10 +143,10 @@ class PaintedGaussianStream:
         chosen = np.sort(rng.permutation(len(region.index))[:MAX_READERS])
         if len(chosen) == 0:
             raise ValueError(f"{edit.name}: the paint reaches no Gaussian")
-        index = region.index[chosen]
-        lift = np.clip(base_color(edit.lifted.splats.sh[edit.lifted.ids[index]]), 0, 1).astype(np.float32)
-        part = replace(region, readers=region.readers.take(chosen), index=index)
-        arrays = _arrays(PaintedGaussians(edit.name, edit.kind, part, edit.truth[index], lift))
+        numbers = region.index[chosen]
+        lift = np.clip(base_color(edit.lifted.splats.sh[edit.lifted.ids[numbers]]), 0, 1).astype(np.float32)
+        part = replace(region, readers=region.readers.take(chosen), index=numbers)
+        arrays = _arrays(PaintedGaussians(edit.name, edit.kind, part, edit.truth[numbers], lift))
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
             with writing(path) as file:
@@ -170,7 +170,7 @@ class PaintedGaussianStream:
             if sample is None:
                 continue
             colors = sample.edited.colors.numpy()
-            (view,) = edit_views(painted.asset, sample.edited.cameras, colors, sample.masks)
+            (view,) = edit_views(painted.asset, sample.edited.cameras, list(colors), list(sample.masks))
             try:
                 lifted = lifted_edit(painted, view)
             except ValueError as error:

@@ -25,7 +25,7 @@ from splatpainter.models.local_edit_colors import (
     with_colors,
 )
 from splatpainter.models.local_network import LocalNetwork, Patches
-from splatpainter.models.picture_patches import BANDS, PEAK_CHANNEL, picture_regions
+from splatpainter.models.picture_patches import BANDS, PEAK_FEATURE, picture_regions
 from splatpainter.rendering import render
 from splattrain.data.painted_gaussians import PaintedEdit, PaintedGaussians
 from splattrain.stages.task import Task, ValidationScore, between_share
@@ -59,7 +59,7 @@ class PaintedGaussiansTask(Task[LocalNetwork]):
             answer = self.model.read(self.model.adapt(self.model.initial_state(), patches), readers)
         squared = (answer.colors - truth).square().mean(1)
         # What pictures show of each: hidden ones are many and make no picture.
-        counts = LEAST_COUNT + (readers.facts[:, PEAK_CHANNEL] + 1) / 2
+        counts = LEAST_COUNT + (readers.facts[:, PEAK_FEATURE] + 1) / 2
         mean = (counts * squared).sum() / counts.sum()
         spread = (squared.detach() * torch.exp(-answer.log_variance) + answer.log_variance).mean()
         return {"loss": torch.log(mean + MIN_SQUARED_ERROR) + SPREAD_WEIGHT * spread, "squared": mean, "spread": spread}
