@@ -24,7 +24,7 @@ PACKAGES = {
 DISTRIBUTIONS = {"splatpainter": 0, "splattrain": 1, "splatbench": 2}
 """Of each package how far up it stands: it imports itself and what is below."""
 ORDER = (
-    ("_version", "extras", "atomic", "plain_words", "user_folders", "processes", "jsonio", "yamlio", "recent"),
+    ("_version", "extras", "system"),
     ("splats", "transforms", "color", "kernels"),
     ("cameras",),
     ("image_files",),

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
-from splatpainter import jsonio
+from splatpainter.system import jsonio
 
 
 @dataclass(frozen=True)

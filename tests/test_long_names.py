@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from splatpainter import io
-from splatpainter.atomic import brief_name
 from splatpainter.image_files import write_png
 from splatpainter.io.files import writing
 from splatpainter.receipts import receipt_of
 from splatpainter.scene.merge import merge
 from splatpainter.session import Session
+from splatpainter.system.atomic import brief_name
 from tests.support.cli_scenes import Capture, ball, run
 from tests.support.io_assets import random_splats
 from tests.support.io_packed import alone

@@ -17,12 +17,12 @@ from typing import Any
 import pytest
 from splatbench.adapters.systems import link
 
-from splatpainter import atomic, processes, user_folders
 from splatpainter.cli import main
 from splatpainter.commands import SUMMARIES
 from splatpainter.kernels.parallel import cpus
 from splatpainter.server.launch import listen
 from splatpainter.session.project.lock import ProjectLock
+from splatpainter.system import atomic, processes, user_folders
 from tests.support.cli_scenes import Capture, ball, run, saved
 from tests.support.studio_scenes import live, make_studio
 from tests.support.syntax import nodes

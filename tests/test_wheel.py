@@ -19,9 +19,9 @@ import pytest
 from PIL import Image
 
 import splatpainter
-from splatpainter import processes
 from splatpainter.commands.demo import FRAMES
-from splatpainter.user_folders import PROJECTS_VARIABLE
+from splatpainter.system import processes
+from splatpainter.system.user_folders import PROJECTS_VARIABLE
 from tests.support.cli_scenes import Capture, ball, rows_of, run, saved
 
 ROOT = Path(__file__).resolve().parents[1]

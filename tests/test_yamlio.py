@@ -8,7 +8,7 @@ from typing import Literal
 
 import pytest
 
-from splatpainter import yamlio
+from splatpainter.system import yamlio
 
 
 @dataclass(frozen=True)

@@ -25,9 +25,9 @@ from splatbench.adapt_carriers import MESA, STAGE2, TRAINED, CarrierTraining
 from splatbench.report.plots import HorizontalLine, Plot, Point, Series, draw
 from splatbench.timing import machine
 from splatpainter import text_tables as tables
-from splatpainter.atomic import write_text
 from splatpainter.metrics.bootstrap import interval
 from splatpainter.models.cache import cache_folder
+from splatpainter.system.atomic import write_text
 from splattrain.data.gaussian_edits import EditKind, GaussianEdit, GaussianEditStream
 from splattrain.data.lit_assets import ASSET_KINDS, AssetKind
 from splattrain.recipes import Carrier

@@ -14,8 +14,8 @@ from tyro.conf import Positional, arg
 
 from splatbench.cases import DATA_FOLDERS, Budget, RunConfig, Setup
 from splatpainter.commands import Outcome
-from splatpainter.commands.option_parsing import parse
-from splatpainter.commands.terminal import PROGRAM, complain, watched
+from splatpainter.commands.parts.option_parsing import parse
+from splatpainter.commands.parts.terminal import PROGRAM, complain, watched
 from splatpainter.io.files import read_all
 from splatpainter.output_paths import check_folder
 

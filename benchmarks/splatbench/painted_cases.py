@@ -30,9 +30,9 @@ from splatbench.edit_design import (
 )
 from splatbench.ground_truth import GroundTruth, GroundTruthViews, build_asset, changed
 from splatbench.objects import drawn_lights, environments, generator, objects
-from splatpainter import user_folders
 from splatpainter.cameras import Camera
 from splatpainter.pictures.drawing import stack_layers
+from splatpainter.system import user_folders
 from splattrain.data.edits import EditDesign, layer_on_object
 from splattrain.data.edits.content import Canvas, EditResources
 from splattrain.data.edits.surface_points import SurfacePoint

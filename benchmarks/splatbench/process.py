@@ -1,7 +1,7 @@
 """Child processes of the benches: workers, fresh interpreters, commands of other systems, the studio's server.
 
 Each is begun in a group of its own and supervised in a `child` block: whatever ends that block ends the process and all
-that it started. Built on `splatpainter.processes`; knows neither cases nor methods nor splats.
+that it started. Built on `splatpainter.system.processes`; knows neither cases nor methods nor splats.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
-from splatpainter import processes
 from splatpainter.kernels.parallel import THREADS_VARIABLE
+from splatpainter.system import processes
 
 PIPE, DEVNULL = subprocess.PIPE, subprocess.DEVNULL
 MAX_ERROR_CHARS = 400

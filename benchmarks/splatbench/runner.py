@@ -44,11 +44,11 @@ from splatbench.process import WorkerJob, Workers, answer_jobs, forget_peak, one
 from splatbench.report import tables as report_tables
 from splatbench.report.summary import RUN_FILE, MethodNames, SummaryRow, summarize
 from splatbench.tables import BenchTable
-from splatpainter import jsonio
 from splatpainter.image_files import write_png
 from splatpainter.io import files
 from splatpainter.kernels.parallel import threads
 from splatpainter.splats import Splats, changed_rows, rows_sha256
+from splatpainter.system import jsonio
 
 WORKER: tuple[str, ...] = (sys.executable, "-c", "from splatbench.runner import work; work()")
 Say = Callable[[str], None]

@@ -24,7 +24,7 @@ from splatpainter.cameras import Camera
 from splatpainter.server import frames
 from splatpainter.server.client import protocol_hash
 from splatpainter.splats import Splats
-from splatpainter.user_folders import PROJECTS_VARIABLE
+from splatpainter.system.user_folders import PROJECTS_VARIABLE
 
 ANSWER_PATIENCE_SECONDS = 120
 GEOMETRY = ("means", "scales", "quats")

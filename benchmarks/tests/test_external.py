@@ -19,7 +19,8 @@ from splatbench.adapters.coordinate_frames import Cube
 from splatbench.process import last_log_line, run_command
 
 from benchmarks.tests.support.blobs import ASSET, MEANS, MIDDLE, SIZE, work
-from splatpainter import io, processes
+from splatpainter import io
+from splatpainter.system import processes
 from tests.support.systems import posix_only
 
 

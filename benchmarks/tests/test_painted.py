@@ -142,7 +142,7 @@ def test_the_note_about_the_score_from_the_side_is_its_rank_correlation() -> Non
 
 
 def test_bench_painted_writes_its_tables_and_keeps_its_cases(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("splatpainter.user_folders.cache_folder", lambda: tmp_path / "cache")
+    monkeypatch.setattr("splatpainter.system.user_folders.cache_folder", lambda: tmp_path / "cache")
     config = PaintedBench(
         methods=("nothing", "rounds"), objects=1, size=96, rows=1500, novel_views=2, out=tmp_path / "out"
     )

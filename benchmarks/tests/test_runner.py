@@ -30,7 +30,7 @@ from splatbench.runner import RunResult
 
 from benchmarks.tests.support import stubs as paper_stubs
 from benchmarks.tests.support.stubs import counted
-from splatpainter import jsonio
+from splatpainter.system import jsonio
 from tests.support.systems import posix_only
 
 STUBS = Path(paper_stubs.__file__)

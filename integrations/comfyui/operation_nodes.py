@@ -12,10 +12,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from splatpainter.atomic import write_text
 from splatpainter.image_files import write_png
 from splatpainter.operations.operation import Operation, kinds, operation_class, option_texts
 from splatpainter.operations.painting_options import PictureSourceOptions
+from splatpainter.system.atomic import write_text
 
 from .lineage import asset_of, with_lineage
 from .operations import input_file

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import torch
 
-from splatpainter.atomic import write_text
 from splatpainter.cameras import AUTO_UP, FRAME_MARGIN, UPS, Camera, bounding_sphere, spherical_cameras
 from splatpainter.color import from_display
 from splatpainter.gatekeeper.gatekeeper import admit
@@ -23,6 +22,7 @@ from splatpainter.painter import Asset, Edit, Mode, Painter
 from splatpainter.receipts import receipt_of
 from splatpainter.sources.picture_source import PictureRequest
 from splatpainter.splats import Splats
+from splatpainter.system.atomic import write_text
 
 from .lineage import Lineage, asset_of, with_lineage
 from .values import camera_info_of, camera_of, image_of, mask_of, picture_of, splat_class

@@ -21,7 +21,7 @@ from typing import Any
 
 from splatpainter._version import __version__
 from splatpainter.commands import DISTRIBUTIONS, ENTRY_POINTS, SUMMARIES, Outcome
-from splatpainter.commands.terminal import PROGRAM, complain, reason
+from splatpainter.commands.parts.terminal import PROGRAM, complain, reason
 from splatpainter.extras import EXTRAS, missing
 
 DEBUG = "SPLATPAINTER_DEBUG"
@@ -86,7 +86,7 @@ def _run(words: list[str]) -> Outcome:
     command = _module(name)
     if hasattr(command, "dispatch"):  # a command of commands
         return command.dispatch(rest)
-    from splatpainter.commands.option_parsing import parse
+    from splatpainter.commands.parts.option_parsing import parse
 
     config = parse(command.Config, f"{PROGRAM} {name}", rest)
     outcome = command.run(config)

@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from splatpainter.atomic import writing
 from splatpainter.cameras import Camera
+from splatpainter.system.atomic import writing
 
 if TYPE_CHECKING:
     from PIL.Image import Image

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from splatpainter.atomic import brief_name, check_name, copy_mode, write_text
 from splatpainter.cameras import Camera
 from splatpainter.image_files import write_png
 from splatpainter.io import FORMATS, Format, asset_file, files, format_of_name
 from splatpainter.io.formats.sog_container import META
-from splatpainter.plain_words import reason
+from splatpainter.system.atomic import brief_name, check_name, copy_mode, write_text
+from splatpainter.system.plain_words import reason
 
 
 def splat_format(path: Path) -> Format:

@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.atomic import MAX_NAME_BYTES, brief_name
 from splatpainter.comparison import Comparison, compare, listed
 from splatpainter.io import (
     FORMATS,
@@ -36,6 +35,7 @@ from splatpainter.io.losses import loss_line, measure
 from splatpainter.io.write_options import AS_IT_IS, WriteOptions
 from splatpainter.kernels import library
 from splatpainter.splats import ATTRIBUTES, Frame, Splats, row_blocks, rows_sha256
+from splatpainter.system.atomic import MAX_NAME_BYTES, brief_name
 
 RECEIPT_ENDING = ".receipt.json"
 MAX_RECEIPT_BYTES = 256 << 20

@@ -10,7 +10,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from splatpainter.atomic import write_text
+from splatpainter.system.atomic import write_text
 
 
 def columns(row: Any) -> list[str]:

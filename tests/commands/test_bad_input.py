@@ -17,7 +17,7 @@ import pytest
 from PIL import Image
 
 from splatpainter.commands.info import Config as InfoConfig
-from splatpainter.commands.option_parsing import parse
+from splatpainter.commands.parts.option_parsing import parse
 from splatpainter.commands.render import Config as RenderConfig
 from tests.support.cli_scenes import (
     Capture,

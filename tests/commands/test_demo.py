@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from splatpainter.commands import demo
-from splatpainter.commands.demo_paint import evening, lettering, stroke, sun
-from splatpainter.commands.demo_sheet import Panel, animation, overview
+from splatpainter.commands.parts.demo_paint import evening, lettering, stroke, sun
+from splatpainter.commands.parts.demo_sheet import Panel, animation, overview
 
 
 def test_the_asset_stands_upright_for_every_other_program() -> None:

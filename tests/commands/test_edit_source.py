@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from splatpainter.commands.terminal import complain
+from splatpainter.commands.parts.terminal import complain
 from splatpainter.io import read, write
 from splatpainter.operations.generate import notes_of_views
 from splatpainter.operations.source_answers import InterruptibleSource, keeping_answers

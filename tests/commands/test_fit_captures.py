@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from splatpainter.cameras import Camera, spherical_cameras
-from splatpainter.commands.fit_photographs import PosedPicture, first_gaussians, posed_pictures
+from splatpainter.commands.parts.fit_photographs import PosedPicture, first_gaussians, posed_pictures
 from splatpainter.image_files import to_uint8
 from splatpainter.metrics import psnr
 from splatpainter.rendering import render

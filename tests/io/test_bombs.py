@@ -15,11 +15,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from splatpainter import io, jsonio
+from splatpainter import io
 from splatpainter.io import bounded
 from splatpainter.io.bounded import Gunzip, inflate, unzstd
 from splatpainter.io.formats.ply_container import element_size, read_header
 from splatpainter.server.uploads.upload_sniffing import sniff
+from splatpainter.system import jsonio
 from tests.io.test_ksplat import make
 from tests.io.test_ply import BASE, ROW, ply, save, text
 from tests.io.test_sog import bundle, by_hand, huge_webp

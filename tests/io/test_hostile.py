@@ -17,8 +17,8 @@ import pytest
 import splatpainter as sp
 from splatpainter import io
 from splatpainter.commands.info import describe
-from splatpainter.jsonio import brief
 from splatpainter.session import Session
+from splatpainter.system.jsonio import brief
 from tests.io.test_compressed_ply import CHUNK, compressed
 from tests.io.test_compressed_ply import ROW as PACKED_ROW
 from tests.io.test_ksplat import make

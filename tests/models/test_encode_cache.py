@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import torch
 
-from splatpainter import user_folders
 from splatpainter.io import read, write
 from splatpainter.models import cache
 from splatpainter.models.cache import cache_folder, digest, encode_cached, encode_half
@@ -18,6 +17,7 @@ from splatpainter.models.config import ModelConfig
 from splatpainter.models.encode import Encoded
 from splatpainter.painter import EditSettings, Painter
 from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.system import user_folders
 from tests.support.lift_scenes import same_bits
 from tests.support.painter_scenes import ASSET_BASE, COPY, RED, built, dab, thing
 

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from splatpainter import processes
 from splatpainter.batch.schema import Batch
 from splatpainter.commands import verify
 from splatpainter.commands.batch import Config as BatchConfig
@@ -29,7 +28,8 @@ from splatpainter.server.batches.batch_folder import BatchFolder
 from splatpainter.server.batches.batch_runs import Batches
 from splatpainter.server.uploads.image_registration import png_bytes
 from splatpainter.session import Session
-from splatpainter.yamlio import read as read_yaml
+from splatpainter.system import processes
+from splatpainter.system.yamlio import read as read_yaml
 from tests.support import fake_batch
 from tests.support.studio_scenes import Live, ball, live, live_with_folder, make_studio, view, wire
 

@@ -23,7 +23,7 @@ from splatpainter.server.uploads import storage, watched_folder
 from splatpainter.server.uploads.storage import usable_projects
 from splatpainter.session import Session
 from splatpainter.session.project.database import UnwritableError
-from splatpainter.user_folders import PROJECTS_VARIABLE
+from splatpainter.system.user_folders import PROJECTS_VARIABLE
 from tests.support.fake_services import png
 from tests.support.studio_scenes import Browser, ball, live, make_studio
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from splatpainter.rendering import render
-from splatpainter.server.mirrored_stroke import MirroredStroke
 from splatpainter.server.protocol import CameraInfo
-from splatpainter.server.stroke import Stroke
+from splatpainter.server.strokes.mirrored_stroke import MirroredStroke
+from splatpainter.server.strokes.stroke import Stroke
 from splatpainter.session.measures.mirror_plane import mirrored_camera, parsed_plane
 from splatpainter.splats import Splats
 from tests.support import studio_scenes

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 from splatpainter.server.launch import listen
-from splatpainter.user_folders import PROJECTS_VARIABLE
+from splatpainter.system.user_folders import PROJECTS_VARIABLE
 
 
 class Server:

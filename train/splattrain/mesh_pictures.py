@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.commands.fit_sources import FitPictures, FitPictureSettings, drawn, rendered_pictures
+from splatpainter.commands.parts.fit_sources import FitPictures, FitPictureSettings, drawn, rendered_pictures
 from splattrain.data.environments import load_environment
 from splattrain.data.lights import make_light, shade, uniform_light
 from splattrain.data.meshes import Mesh, load_mesh

@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Literal, get_args
 
-from splatpainter import jsonio
 from splatpainter.io.files import read_all
 from splatpainter.models.config import COMPACT, PRESETS, ModelConfig
 from splatpainter.models.local_config import LocalConfig
+from splatpainter.system import jsonio
 from splattrain.data.object_sources import HELD_OUT_SHARE
 from splattrain.data.samples import KINDS, SampleRecipe
 

@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 import torch
 
-from splatpainter import processes
 from splatpainter.models import checkpoint
+from splatpainter.system import processes
 from splattrain.build import make_task
 from splattrain.distributed import join
 from splattrain.loop import sample_numbers

@@ -22,7 +22,7 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from splatpainter.jsonio import build
+from splatpainter.system.jsonio import build
 
 SYSTEMS = ("voxhammer", "vinedresser3d", "dge", "instruct-gs2gs", "relitlrm")
 """Names of tables in the file."""

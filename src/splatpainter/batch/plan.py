@@ -11,14 +11,14 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-from splatpainter.atomic import check_name
 from splatpainter.batch.schema import Batch, LayersEdit, OperationStep, file_paths, with_values
 from splatpainter.io import FORMATS, format_of_name
 from splatpainter.io.files import file_sha256
 from splatpainter.io.formats.sog_container import META
 from splatpainter.operations.operation import Operation
 from splatpainter.splats import Frame
-from splatpainter.yamlio import Lines, read
+from splatpainter.system.atomic import check_name
+from splatpainter.system.yamlio import Lines, read
 
 MAX_JOBS = 100_000
 MASK, OF_PROJECT = "mask=", ("selection=", "layer=")

@@ -13,7 +13,7 @@ from splatpainter.captures.captured_view import CapturedView
 from splatpainter.captures.nerfstudio import MAX_TABLE_BYTES, TABLES, splat_frame
 from splatpainter.io import files
 from splatpainter.io.folders import POINT_CLOUD
-from splatpainter.jsonio import load_document
+from splatpainter.system.jsonio import load_document
 
 MAX_NAMES_LISTED = 3
 """Pictures of a capture that an error names."""

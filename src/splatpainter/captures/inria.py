@@ -12,7 +12,7 @@ import numpy as np
 
 from splatpainter.captures.captured_view import CapturedView, posed_camera, rigid
 from splatpainter.io import files
-from splatpainter.jsonio import brief, finite_numbers
+from splatpainter.system.jsonio import brief, finite_numbers
 
 CAMERAS = "cameras.json"
 ARGUMENTS = "cfg_args"

@@ -18,7 +18,7 @@ from splatpainter.captures.captured_view import OPENGL_TO_OPENCV, CapturedView, 
 from splatpainter.captures.lenses import Lens, PolynomialLens, lens_or_none
 from splatpainter.image_files import picture_header
 from splatpainter.io import files
-from splatpainter.jsonio import brief, finite_numbers, load_object, objects_at
+from splatpainter.system.jsonio import brief, finite_numbers, load_object, objects_at
 
 TABLES = ("transforms.json", "transforms_train.json")
 FRAME = "dataparser_transforms.json"

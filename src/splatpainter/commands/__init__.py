@@ -62,6 +62,6 @@ class Outcome:
 
     def as_json(self) -> Outcome:
         """The outcome, its lines replaced by the record as JSON."""
-        from splatpainter.commands.terminal import to_json
+        from splatpainter.commands.parts.terminal import to_json
 
         return Outcome(self.record, [to_json(self.record)], self.code)

@@ -11,19 +11,19 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from tyro.conf import Positional, arg
 
-from splatpainter.atomic import write_text
 from splatpainter.cameras import Camera, UpAxis, orbit_cameras
 from splatpainter.color import from_display, to_display
 from splatpainter.commands import Outcome
-from splatpainter.commands.option_parsing import CameraFiles
-from splatpainter.commands.terminal import count, decibels, progress, to_json
-from splatpainter.commands.view_options import BACKGROUND, MAX_VIEWS, check_ranges, color, given_cameras, rgb
+from splatpainter.commands.parts.option_parsing import CameraFiles
+from splatpainter.commands.parts.terminal import count, decibels, progress, to_json
+from splatpainter.commands.parts.view_options import BACKGROUND, MAX_VIEWS, check_ranges, color, given_cameras, rgb
 from splatpainter.image_files import to_uint8
 from splatpainter.io import frame_news, read
 from splatpainter.output_paths import check_folder, check_target, make_folder
 from splatpainter.rendering import MAX_SIDE_PX, render
 from splatpainter.rendering.profiles import Profile
 from splatpainter.splats import Splats
+from splatpainter.system.atomic import write_text
 
 if TYPE_CHECKING:
     import numpy as np

@@ -11,10 +11,10 @@ from tyro.conf import Positional, arg
 
 from splatpainter.cameras import AUTO_UP, UPS, orbit_cameras
 from splatpainter.commands import Outcome
-from splatpainter.commands.asset_doubts import warn_of_doubts
 from splatpainter.commands.info import file_size
-from splatpainter.commands.option_parsing import AssetFile, AxesOption, FrameOption
-from splatpainter.commands.terminal import count, size, stages
+from splatpainter.commands.parts.asset_doubts import warn_of_doubts
+from splatpainter.commands.parts.option_parsing import AssetFile, AxesOption, FrameOption
+from splatpainter.commands.parts.terminal import count, size, stages
 from splatpainter.io import files, frame_is_news, frame_line, frame_of_target, read, write
 from splatpainter.io.axes import AXES
 from splatpainter.io.formats.packing import morton_order

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from splatpainter.commands import Outcome
-from splatpainter.commands.edited_file import AssetArguments, FileArguments, run_operation
+from splatpainter.commands.parts.edited_file import AssetArguments, FileArguments, run_operation
 from splatpainter.operations.light import Delight
 
 

@@ -13,9 +13,9 @@ from tyro.conf import arg
 
 from splatpainter.cameras import Camera, look_at
 from splatpainter.commands import Outcome, edit
-from splatpainter.commands.demo_paint import evening, painted
-from splatpainter.commands.demo_sheet import Panel, animation, overview
-from splatpainter.commands.terminal import decibels, size, stages
+from splatpainter.commands.parts.demo_paint import evening, painted
+from splatpainter.commands.parts.demo_sheet import Panel, animation, overview
+from splatpainter.commands.parts.terminal import decibels, size, stages
 from splatpainter.io import files, read, write
 from splatpainter.output_paths import check_folder, make_folder, save_picture
 from splatpainter.splats import Splats

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from splatpainter.commands import Outcome
-from splatpainter.commands.edited_file import (
+from splatpainter.commands.parts.edited_file import (
     AssetArguments,
     EditArguments,
     operation_from,
@@ -24,7 +24,7 @@ from splatpainter.commands.edited_file import (
     run_operations,
     spoken,
 )
-from splatpainter.commands.option_parsing import OLD_AXES_OPTION, option_name, parse
+from splatpainter.commands.parts.option_parsing import OLD_AXES_OPTION, option_name, parse
 from splatpainter.operations.operation import KINDS, Operation, Wording, kinds, operation_class
 from splatpainter.operations.paint import Paint
 
@@ -89,7 +89,9 @@ def dispatch(words: Sequence[str]) -> Outcome:
         operations = [operation_from(parse(kind, segment.program, segment.words), kind) for kind, segment in pairs]
         wordings = [spoken(kind, f"{segment.program}: ") for kind, segment in zip(classes, segments, strict=True)]
     elif is_shorthand(words, [option_name(field) for field in dataclasses.fields(Config)]):
-        from splatpainter.commands.edit_shorthand import parse_shorthand  # which loads what sources and decals need
+        from splatpainter.commands.parts.edit_shorthand import (
+            parse_shorthand,  # which loads what sources and decals need
+        )
 
         config, operation, wording = parse_shorthand(words, PROGRAM, EditArguments, AssetArguments)
         operations, wordings = [operation], [wording]

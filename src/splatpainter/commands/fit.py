@@ -12,12 +12,12 @@ from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
 from splatpainter.commands.info import file_size
-from splatpainter.commands.option_parsing import OutFile
-from splatpainter.commands.terminal import BAR_DELAY_SECONDS, count, decibels, seconds, size, warn, watched
+from splatpainter.commands.parts.option_parsing import OutFile
+from splatpainter.commands.parts.terminal import BAR_DELAY_SECONDS, count, decibels, seconds, size, warn, watched
 from splatpainter.output_paths import check_target, placed, splat_format
 
 if TYPE_CHECKING:
-    from splatpainter.commands.fit_sources import FitPictures
+    from splatpainter.commands.parts.fit_sources import FitPictures
     from splatpainter.splats import Splats
 
 LIMITS: dict[str, tuple[int, int]] = {
@@ -88,7 +88,7 @@ class Config:
 
 def run(config: Config) -> Outcome:
     """Make the pictures, optimise, write, and judge."""
-    from splatpainter.commands.fit_sources import FitPictureSettings, fit_pictures
+    from splatpainter.commands.parts.fit_sources import FitPictureSettings, fit_pictures
 
     _check(config)
     entry = splat_format(config.out)

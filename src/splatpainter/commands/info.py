@@ -11,8 +11,8 @@ import numpy as np
 from splatpainter.cameras import bounding_sphere
 from splatpainter.captures import captured_views, is_capture
 from splatpainter.commands import Outcome
-from splatpainter.commands.option_parsing import AssetFile, FrameOption
-from splatpainter.commands.terminal import count, size, stages
+from splatpainter.commands.parts.option_parsing import AssetFile, FrameOption
+from splatpainter.commands.parts.terminal import count, size, stages
 from splatpainter.doubts import doubts
 from splatpainter.io import FORMATS, asset_file, frame_line, read
 from splatpainter.io.folders import iterations

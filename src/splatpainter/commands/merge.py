@@ -13,7 +13,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
-from splatpainter.commands.terminal import count, seconds, stages
+from splatpainter.commands.parts.terminal import count, seconds, stages
 from splatpainter.io import files, frame_news, read
 from splatpainter.output_paths import check_target, placed, splat_format
 from splatpainter.receipts import receipt_of

@@ -11,9 +11,9 @@ from tyro.conf import arg
 
 from splatpainter.color import srgb_to_linear
 from splatpainter.commands import Outcome
-from splatpainter.commands.asset_doubts import warn_of_doubts
-from splatpainter.commands.option_parsing import AssetFile, FrameOption
-from splatpainter.commands.terminal import count, stages
+from splatpainter.commands.parts.asset_doubts import warn_of_doubts
+from splatpainter.commands.parts.option_parsing import AssetFile, FrameOption
+from splatpainter.commands.parts.terminal import count, stages
 from splatpainter.io import files, read
 from splatpainter.io.axes import AXES
 from splatpainter.io.gltf_mesh import mesh_glb

@@ -11,10 +11,17 @@ from tyro.conf import arg
 
 from splatpainter.cameras import Camera, UpAxis
 from splatpainter.commands import Outcome
-from splatpainter.commands.asset_doubts import warn_of_doubts
-from splatpainter.commands.option_parsing import AssetFile, CameraFiles, FrameOption
-from splatpainter.commands.terminal import count, progress
-from splatpainter.commands.view_options import MAX_VIEWS, check_ranges, check_ring, color, given_cameras, ring_of_views
+from splatpainter.commands.parts.asset_doubts import warn_of_doubts
+from splatpainter.commands.parts.option_parsing import AssetFile, CameraFiles, FrameOption
+from splatpainter.commands.parts.terminal import count, progress
+from splatpainter.commands.parts.view_options import (
+    MAX_VIEWS,
+    check_ranges,
+    check_ring,
+    color,
+    given_cameras,
+    ring_of_views,
+)
 from splatpainter.io import files, frame_news, read
 from splatpainter.output_paths import check_folder, check_target, make_folder
 from splatpainter.rendering.profiles import Profile

@@ -13,16 +13,16 @@ from typing import Annotated, Any, TypeAlias
 import numpy as np
 from tyro.conf import Positional, arg
 
-from splatpainter.atomic import writing
 from splatpainter.commands import Outcome
-from splatpainter.commands.option_parsing import parse
-from splatpainter.commands.terminal import BAR_DELAY_SECONDS, watched
+from splatpainter.commands.parts.option_parsing import parse
+from splatpainter.commands.parts.terminal import BAR_DELAY_SECONDS, watched
 from splatpainter.image_files import encode_png, find_camera, quantized
 from splatpainter.output_paths import check_target
 from splatpainter.pictures.picture_reader import read_mask, read_picture, resample
 from splatpainter.sources.picture_source import PictureRequest, Progress
 from splatpainter.sources.registry import SourceStatus, describe_sources, open_source
 from splatpainter.sources.source_options import option_words, options_help
+from splatpainter.system.atomic import writing
 
 SUMMARIES = {
     "list": "list the sources, what each takes, and what each still needs",

@@ -11,8 +11,8 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
-from splatpainter.commands.option_parsing import FrameOption
-from splatpainter.commands.terminal import complain
+from splatpainter.commands.parts.option_parsing import FrameOption
+from splatpainter.commands.parts.terminal import complain
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,10 @@ from tyro.conf import arg
 
 from splatpainter.cameras import AUTO_UP, UPS, UpAxis, bounding_sphere
 from splatpainter.commands import Outcome
-from splatpainter.commands.asset_doubts import warn_of_doubts
-from splatpainter.commands.option_parsing import AssetFile, FrameOption, OutFile
-from splatpainter.commands.terminal import progress, size
-from splatpainter.commands.view_options import check_ranges, check_ring, color, given_camera, ring_of_views
+from splatpainter.commands.parts.asset_doubts import warn_of_doubts
+from splatpainter.commands.parts.option_parsing import AssetFile, FrameOption, OutFile
+from splatpainter.commands.parts.terminal import progress, size
+from splatpainter.commands.parts.view_options import check_ranges, check_ring, color, given_camera, ring_of_views
 from splatpainter.io import files, frame_news, read
 from splatpainter.output_paths import check_target
 from splatpainter.rendering.profiles import Profile

@@ -9,8 +9,8 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
-from splatpainter.commands.option_parsing import AxesOption, FrameOption
-from splatpainter.commands.terminal import count, stages
+from splatpainter.commands.parts.option_parsing import AxesOption, FrameOption
+from splatpainter.commands.parts.terminal import count, stages
 from splatpainter.receipts import read_receipt, receipt_of, verify
 
 RANGE_WORDS = {"bytes": "byte-identical", "values": "as converted", "transformed": "as transformed"}

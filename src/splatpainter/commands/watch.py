@@ -10,11 +10,10 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from splatpainter.atomic import clash
 from splatpainter.commands import Outcome
-from splatpainter.commands.asset_doubts import warn_of_doubts
-from splatpainter.commands.option_parsing import AxesOption, FrameOption
-from splatpainter.commands.terminal import complain, count, decibels, warn
+from splatpainter.commands.parts.asset_doubts import warn_of_doubts
+from splatpainter.commands.parts.option_parsing import AxesOption, FrameOption
+from splatpainter.commands.parts.terminal import complain, count, decibels, warn
 from splatpainter.gatekeeper.photographs import laid_over, picture_edit
 from splatpainter.gatekeeper.picture_gate import checked_picture
 from splatpainter.io import files, frame_news, read, write
@@ -24,6 +23,7 @@ from splatpainter.pictures import FileEdit
 from splatpainter.pictures.saved_pictures import LOOK_SECONDS, SavedPictures
 from splatpainter.receipts import prove, receipt_of
 from splatpainter.splats import Splats
+from splatpainter.system.atomic import clash
 
 MASK_ENDING = ".mask.png"
 """view_000.mask.png is the mask of view_000.png: what is not black was edited."""

@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter import jsonio
 from splatpainter.color import LUMA, base_color, linear_to_srgb, luminance, srgb_to_linear
 from splatpainter.kernels.parallel import each
 from splatpainter.splats import SH_C0, Array, ColorSpace
+from splatpainter.system import jsonio
 
 PIVOT = 0.461
 """Display value of 18 % grey: contrast turns around it."""

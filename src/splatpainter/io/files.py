@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from splatpainter.atomic import remove, replace, sync_folder, writing
+from splatpainter.system.atomic import remove, replace, sync_folder, writing
 
 __all__ = [
     "file_sha256",

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter import jsonio
 from splatpainter.io import files
 from splatpainter.io.formats import gltf
-from splatpainter.jsonio import object_at, objects_at
 from splatpainter.lights.lamps import PENUMBRA, SUN_DEGREES, Rgb
 from splatpainter.lights.scene_lights import SceneLight
+from splatpainter.system import jsonio
+from splatpainter.system.jsonio import object_at, objects_at
 
 EXTENSION = "KHR_lights_punctual"
 MAX_LIGHTS = 1000

@@ -155,7 +155,7 @@ def ball_sheet(path: Path, lights: dict[str, np.ndarray], up: UpAxis = "auto") -
         cells.append((name, ball.astype(np.float32)))
         picture = sky_of(light, up, name).radiance
         cells.append((f"{name}: from all around", linear_to_srgb(0.5 * picture).clip(0, 1).astype(np.float32)))
-    from splatpainter.atomic import writing
+    from splatpainter.system.atomic import writing
 
     with writing(path) as file:
         file.write(encode_png(sheet([Strip("", tuple(cells))], BALL_PX, "Lights")))

@@ -12,8 +12,8 @@ import numpy as np
 from splatpainter.color import base_color, to_light
 from splatpainter.lights.irradiance import LitSurface
 from splatpainter.lights.source_light import SourceLight, estimate_source
-from splatpainter.recent import Recent
 from splatpainter.splats import Splats
+from splatpainter.system.recent import Recent
 
 SURFACES = 3
 """Of the assets used last; one of a million Gaussians takes 200 MB."""

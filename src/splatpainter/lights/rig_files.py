@@ -7,8 +7,6 @@ import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from splatpainter import jsonio
-from splatpainter.atomic import writing
 from splatpainter.cameras import UpAxis
 from splatpainter.io import files
 from splatpainter.kernels import portable
@@ -20,6 +18,8 @@ from splatpainter.lights.skies import SKIES, sky
 from splatpainter.lights.sky_maps import SkyMap, read_sky, write_sky
 from splatpainter.lights.studio_rigs import RIGS, studio_rig
 from splatpainter.lights.usd_lights import read_usda, usda_text
+from splatpainter.system import jsonio
+from splatpainter.system.atomic import writing
 
 RIG_SUFFIXES = (".json", ".usda", ".usd", ".glb", ".gltf")
 WRITTEN_RIGS = (".json", ".usda", ".glb")

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from splatpainter import image_files
-from splatpainter.atomic import writing
 from splatpainter.color import srgb_to_linear
 from splatpainter.kernels import portable
+from splatpainter.system.atomic import writing
 from splatpainter.transforms import sh_basis
 
 DEEP = {".hdr": "hdr", ".exr": "openexr"}

@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from splatpainter import user_folders
 from splatpainter.io.files import remove, writing
 from splatpainter.models.encode import Encoded, encode_asset
 from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.system import user_folders
 from splatpainter.voxels.grid import VoxelGrid, voxelize
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ import json
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, TypeVar
 
-from splatpainter import jsonio
 from splatpainter.lift.options import ResidualBase
+from splatpainter.system import jsonio
 
 Grouping = Literal["feats_query", "latent_query", "voxel_mean"]
 Mixer = Literal["ttt", "cross_attention", "ridge"]

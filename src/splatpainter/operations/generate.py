@@ -15,13 +15,13 @@ from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.operations.operation import AS_PYTHON, ReadyOperation, Report, ReportedView, Tools, Wording, parameter
 from splatpainter.operations.painting_options import PaintingOptions, PictureSourceOptions
 from splatpainter.painter import MAX_VIEWS, Asset, Mode, Painter
-from splatpainter.plain_words import count
 from splatpainter.rendering import MAX_SIDE_PX
 from splatpainter.source_edits.coverage import ViewPlan, plan_views
 from splatpainter.source_edits.edit import BACKGROUND, cover, edit_view
 from splatpainter.source_edits.view_edit import SourceBrief, SourcedEdit
 from splatpainter.sources.picture_source import PictureSource
 from splatpainter.splats import Splats
+from splatpainter.system.plain_words import count
 
 USUAL_PX, USUAL_ELEVATION_DEGREES, USUAL_VIEWS = 800, 15.0, 8
 """Side and height of a view that no camera says, and the most views of a plan."""

@@ -22,7 +22,6 @@ from splatpainter.grading.color_grading import GradeSettings, apply_to_sh
 from splatpainter.grading.color_match import ColorMap, ColorMatch, Recolor, display_colors, seen_weights
 from splatpainter.grading.cube_lut import read_cube
 from splatpainter.io import files
-from splatpainter.jsonio import load_object
 from splatpainter.operations.operation import AS_PYTHON, Operation, ReadyOperation, Report, Tools, Wording, parameter
 from splatpainter.operations.region import Region, check_terms
 from splatpainter.operations.session_files import session_files
@@ -30,6 +29,7 @@ from splatpainter.painter import Asset
 from splatpainter.pictures.picture_reader import read_picture
 from splatpainter.receipts import Receipt, untouched_hashes
 from splatpainter.splats import Splats, changed_rows
+from splatpainter.system.jsonio import load_object
 
 SLIDERS = {"exposure": 10.0, "temperature": 1.0, "tint": 1.0, "contrast": 1.0, "saturation": 1.0, "hue": 360.0}
 """Slider -> the largest value to either side."""

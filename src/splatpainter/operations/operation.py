@@ -4,9 +4,10 @@
     receipt, verification = apply_to_file(Path("vase.ply"), [Grade(exposure=0.5)], Path("warm.ply"))   # to_file.py
 
 Each kind is one frozen dataclass in a file of this folder: its fields are the options, each declared and explained
-there once. The command line is parsed into it (commands/option_parsing.py), a JOBS.yaml and JSON are built into it
-(`operation_of`), nodes of other programs are made from its fields. An operation knows no session and no command line;
-what it needs of the place where it runs comes as `Tools`, and what it says besides its receipt goes into a `Report`.
+there once. The command line is parsed into it (commands/parts/option_parsing.py), a JOBS.yaml and JSON are built into
+it (`operation_of`), nodes of other programs are made from its fields. An operation knows no session and no command
+line; what it needs of the place where it runs comes as `Tools`, and what it says besides its receipt goes into a
+`Report`.
 
 To add one: a module here with a dataclass of `Operation`, and its name in KINDS. Other distributions add theirs by
 entry points of the group `splatpainter.operations`: name = module:Class.
@@ -22,7 +23,7 @@ from dataclasses import MISSING, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
-from splatpainter import jsonio
+from splatpainter.system import jsonio
 
 if TYPE_CHECKING:
     import numpy as np

@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from splatpainter.atomic import brief_name, writing
 from splatpainter.image_files import CAMERA_KEYWORD, encode_png, quantized
 from splatpainter.operations.operation import Tools
 from splatpainter.sources.picture_source import (
@@ -23,6 +22,7 @@ from splatpainter.sources.picture_source import (
     Progress,
     SourceError,
 )
+from splatpainter.system.atomic import brief_name, writing
 
 POLL_SECONDS = 0.1
 """Seconds between two looks at whether a source has answered."""

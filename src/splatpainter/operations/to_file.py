@@ -18,7 +18,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from splatpainter.atomic import clash
 from splatpainter.doubts import doubts
 from splatpainter.io import files, read, write
 from splatpainter.operations.operation import (
@@ -36,6 +35,7 @@ from splatpainter.painter import Asset
 from splatpainter.receipts import Receipt, Verification, prove, read_receipt, receipt_of
 from splatpainter.scene.merge import carried
 from splatpainter.splats import Frame, Splats
+from splatpainter.system.atomic import clash
 
 MODE_OF_SEVERAL, MAX_NOTE = "operations", 2000
 """Mode of a receipt of several operations, and the most characters of its note."""

@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.atomic import brief_name
 from splatpainter.comparison import compare, listed
 from splatpainter.io import FORMATS, files, format_of_name, read
 from splatpainter.io.contents import StoredTable, contents
@@ -32,6 +31,7 @@ from splatpainter.receipts import MAX_CARRIED, Receipt, receipt_of, untouched_ha
 from splatpainter.scene.placement import Placement, check_near, scene_offset
 from splatpainter.scene.seam import SeamMatch, match_seam
 from splatpainter.splats import Splats, changed_rows
+from splatpainter.system.atomic import brief_name
 
 MODE = "merge"
 """Mode of receipts of merged assets."""

@@ -19,7 +19,7 @@ from splatpainter.server.studio import Studio, StudioOptions
 from splatpainter.server.uploads.storage import PROJECT, Projects, demo, usable_projects
 from splatpainter.session import Session
 from splatpainter.splats import Frame, Splats
-from splatpainter.user_folders import projects_folder
+from splatpainter.system.user_folders import projects_folder
 
 DEFAULT_PORT = 8750
 PORT_TRIES = 20

@@ -14,12 +14,12 @@ from typing import Any, Literal
 
 from pydantic import Field, create_model
 
-from splatpainter.jsonio import field_types
 from splatpainter.operations.light import Delight, Relight
 from splatpainter.operations.pixelate import Pixelate
 from splatpainter.server.protocol import Message
 from splatpainter.session.kinds.operation_layers import REGION_OPTIONS
 from splatpainter.session.kinds.painted_layers import PaintedLayer
+from splatpainter.system.jsonio import field_types
 
 
 def options_message(name: str, operation: type, options: Sequence[str], doc: str) -> Any:

@@ -14,9 +14,9 @@ from typing import Protocol
 
 import numpy as np
 
-from splatpainter.server.mirrored_stroke import MirroredStroke
 from splatpainter.server.protocol import Answer, Message
-from splatpainter.server.stroke import Stroke
+from splatpainter.server.strokes.mirrored_stroke import MirroredStroke
+from splatpainter.server.strokes.stroke import Stroke
 from splatpainter.server.work_queue import Ticket
 
 MAX_OUTCOMES = 128

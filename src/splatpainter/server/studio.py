@@ -39,7 +39,7 @@ from splatpainter.session import Session
 from splatpainter.session.document.layer_factory import thumbnail
 from splatpainter.session.project.scratch import ScratchFolder, sweep_folder, sweep_scratch
 from splatpainter.splats import Splats
-from splatpainter.user_folders import projects_folder
+from splatpainter.system.user_folders import projects_folder
 
 MAX_EARLIER = 3
 """Projects over the same original that are offered."""

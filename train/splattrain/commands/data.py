@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
-from splatpainter.commands.option_parsing import parse
-from splatpainter.commands.terminal import count, progress, size, warn
+from splatpainter.commands.parts.option_parsing import parse
+from splatpainter.commands.parts.terminal import count, progress, size, warn
 from splatpainter.output_paths import check_folder
 from splattrain.data.object_sources import HELD_OUT_SHARE
 
@@ -251,7 +251,7 @@ def _sample_recipe(name: str) -> SampleRecipe:
         raise ValueError(
             f"splatpainter data render: --recipe {name}: expected one of {', '.join(RECIPES)}, or a JSON file of train"
         )
-    from splatpainter.jsonio import load_object
+    from splatpainter.system.jsonio import load_object
     from splattrain import recipes
 
     text = Path(name).read_text(encoding="utf-8", errors="replace")

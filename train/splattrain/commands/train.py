@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from splatpainter.commands import Outcome
-from splatpainter.commands.option_parsing import parse
-from splatpainter.jsonio import field_types
+from splatpainter.commands.parts.option_parsing import parse
 from splatpainter.output_paths import check_folder, make_folder
+from splatpainter.system.jsonio import field_types
 from splattrain import recipes
 from splattrain.recipes import Recipe, Stage
 

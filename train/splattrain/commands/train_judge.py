@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
-from splatpainter.commands.terminal import count, progress
+from splatpainter.commands.parts.terminal import count, progress
 from splatpainter.output_paths import check_folder
 from splattrain import recipes
 from splattrain.recipes import STAGES, Recipe

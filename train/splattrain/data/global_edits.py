@@ -26,8 +26,8 @@ from splatpainter.lift.colors import MIN_SEEN_PX
 from splatpainter.lift.depth_normals import outward_normals
 from splatpainter.lift.global_edit import seen_change
 from splatpainter.lighting import prt_transfer
-from splatpainter.recent import Recent
 from splatpainter.splats import SH_C0, Splats
+from splatpainter.system.recent import Recent
 from splatpainter.transforms import sh_rotations
 from splattrain.data.edits.on_surfels import grade_sh
 from splattrain.data.lights import Light, random_light, shade, shade_all

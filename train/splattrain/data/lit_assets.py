@@ -23,13 +23,13 @@ import torch
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from splatpainter.atomic import writing
 from splatpainter.color import base_color, sh_from_color
 from splatpainter.lift.depth_normals import outward_normals
 from splatpainter.lighting import prt_transfer
-from splatpainter.recent import Recent
 from splatpainter.rendering import render
 from splatpainter.splats import Splats
+from splatpainter.system.atomic import writing
+from splatpainter.system.recent import Recent
 from splatpainter.transforms import matrix_to_quat, quat_to_matrix
 from splattrain.data.lights import Light, random_light, shade_all
 from splattrain.data.lit_scenes import SceneObject, mesh_object, render_views

@@ -22,7 +22,6 @@ from zipfile import BadZipFile
 import numpy as np
 from scipy.spatial import KDTree
 
-from splatpainter.atomic import writing
 from splatpainter.color import base_color
 from splatpainter.lift.edit_views import EditView, edit_views
 from splatpainter.lift.edits import LiftedEdit, lift_local_views
@@ -32,9 +31,10 @@ from splatpainter.models.picture_patches import (
     PictureRegion,
     picture_regions,
 )
-from splatpainter.recent import Recent
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
+from splatpainter.system.atomic import writing
+from splatpainter.system.recent import Recent
 from splatpainter.voxels.grid import VoxelGrid, voxelize
 from splattrain.data import edit_samples
 from splattrain.data.edit_samples import EditSample, SampleSpec

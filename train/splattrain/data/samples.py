@@ -18,8 +18,8 @@ from typing import Any, Literal, cast
 
 import numpy as np
 
-from splatpainter.recent import Recent
 from splatpainter.splats import Splats
+from splatpainter.system.recent import Recent
 from splattrain.data import edit_samples
 from splattrain.data.edit_samples import EditSample, SampleSpec
 from splattrain.data.edits.content import EditResources, list_files

@@ -32,8 +32,8 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 
 from splatpainter.io import files
-from splatpainter.recent import Recent
 from splatpainter.splats import Splats
+from splatpainter.system.recent import Recent
 from splattrain.data.records import Files, decode_asset, decode_sample
 from splattrain.data.samples import Sample
 

@@ -18,8 +18,8 @@ from torch.nn import functional as F
 
 from splatpainter.models.gaussian_groups import GaussianGroups, TokenLinks
 from splatpainter.models.model import SplatPainterModel
-from splatpainter.recent import Recent
 from splatpainter.splats import SH_C0, Splats
+from splatpainter.system.recent import Recent
 from splatpainter.voxels.grid import voxelize
 from splattrain.loss import PictureLoss
 from splattrain.stages.lrm import asset_tokens, input_views, judged, truth

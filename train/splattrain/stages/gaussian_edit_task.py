@@ -23,7 +23,7 @@ from splatpainter.models.edit_propagation import EncodedGaussians, carry, reader
 from splatpainter.models.encode import encode_asset
 from splatpainter.models.gaussian_facts import gaussian_facts
 from splatpainter.models.model import SplatPainterModel
-from splatpainter.recent import Recent
+from splatpainter.system.recent import Recent
 from splattrain.data.gaussian_edits import GaussianEdit
 from splattrain.data.lit_assets import LitAsset
 from splattrain.recipes import Carrier

@@ -30,9 +30,9 @@ from splatpainter.models.gaussian_facts import gaussian_facts
 from splatpainter.models.gaussian_groups import GaussianGroups, TokenLinks
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.models.stored_predictor import predicting
-from splatpainter.recent import Recent
 from splatpainter.rendering import render
 from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.system.recent import Recent
 from splatpainter.voxels.grid import VoxelGrid, voxelize
 from splattrain.loss import PictureLoss, PictureTarget, global_target, joined, local_target
 from splattrain.report import figures

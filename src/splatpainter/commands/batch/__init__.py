@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
-from splatpainter.commands.terminal import count, progress
+from splatpainter.commands.parts.terminal import count, progress
 
 if TYPE_CHECKING:
     from splatpainter.batch.cluster import Results
@@ -171,7 +171,7 @@ def _results(work: Callable[[int], dict[str, Any]], total: int, config: Config) 
 
 
 def write_summary(plan: JobList, records: list[dict[str, Any]]) -> None:
-    from splatpainter.atomic import write_text
+    from splatpainter.system.atomic import write_text
 
     counts = count_states(records)
     summary = {"jobs_file": str(plan.file), **counts, "jobs": records}

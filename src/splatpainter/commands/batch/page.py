@@ -9,10 +9,10 @@ from importlib.resources import files as resources
 from pathlib import Path
 from typing import Any
 
-from splatpainter.atomic import write_text
 from splatpainter.batch.plan import Job, JobList
 from splatpainter.commands.batch.work import AFTER, BEFORE
 from splatpainter.io import files
+from splatpainter.system.atomic import write_text
 
 STATES = ("done", "failed", "cancelled")
 MAX_PREVIEW_BYTES = 1 << 20

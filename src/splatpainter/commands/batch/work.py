@@ -20,13 +20,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from splatpainter.atomic import replace as replace_file
-from splatpainter.atomic import sync_folder, write_text
 from splatpainter.batch.plan import Job, JobStep
 from splatpainter.batch.schema import IN_FILES, LayersEdit
 from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.color import to_display
-from splatpainter.commands.terminal import complain, warn
+from splatpainter.commands.parts.terminal import complain, warn
 from splatpainter.image_files import to_uint8
 from splatpainter.io import FORMATS, files, format_of_name, frame_of, read
 from splatpainter.io.formats.sog_container import META
@@ -41,6 +39,8 @@ from splatpainter.session import Session
 from splatpainter.session.project.asset_files import receipt_between
 from splatpainter.session.project.lock import ProjectLock
 from splatpainter.splats import Frame, Splats
+from splatpainter.system.atomic import replace as replace_file
+from splatpainter.system.atomic import sync_folder, write_text
 
 if TYPE_CHECKING:
     from splatpainter.session import Session

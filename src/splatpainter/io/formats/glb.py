@@ -42,8 +42,8 @@ from splatpainter.io import axes, files, positions
 from splatpainter.io.bounded import allow_rows
 from splatpainter.io.formats import activations, gltf, gltf_spz
 from splatpainter.io.formats.reuse import Unchanged, drawable_rows, row_problems, unchanged
-from splatpainter.jsonio import brief
 from splatpainter.splats import ATTRIBUTES, SH_C0, Source, Splats
+from splatpainter.system.jsonio import brief
 
 EXTENSION = "KHR_gaussian_splatting"
 COLOR_SPACES = {"srgb": "srgb_rec709_display", "linear": "lin_rec709_display"}

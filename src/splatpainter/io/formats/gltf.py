@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter import jsonio
 from splatpainter.io import files
-from splatpainter.jsonio import brief, objects_at
+from splatpainter.system import jsonio
+from splatpainter.system.jsonio import brief, objects_at
 
 MAGIC = b"glTF"
 JSON_CHUNK, BIN_CHUNK = 0x4E4F534A, 0x004E4942

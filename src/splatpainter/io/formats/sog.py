@@ -43,13 +43,13 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter import jsonio
 from splatpainter.io.bounded import allow, allow_rows
 from splatpainter.io.formats import activations, codebooks, packing
 from splatpainter.io.formats.reuse import Unchanged, drawable_rows, row_problems, unchanged
 from splatpainter.io.formats.sog_container import META, Container, load, named_files, store
-from splatpainter.jsonio import brief, integer, object_at
 from splatpainter.splats import SH_C0, SH_COUNTS, Source, Splats
+from splatpainter.system import jsonio
+from splatpainter.system.jsonio import brief, integer, object_at
 
 BANDS = {1: 3, 2: 8, 3: 15}
 """meta.shN.bands -> coefficients above degree 0."""

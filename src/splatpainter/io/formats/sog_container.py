@@ -18,10 +18,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from splatpainter import jsonio
 from splatpainter.io import files
 from splatpainter.io.bounded import allow, inflate, zip_directory
-from splatpainter.jsonio import brief
+from splatpainter.system import jsonio
+from splatpainter.system.jsonio import brief
 
 META = "meta.json"
 LOD_META = "lod-meta.json"

@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from splatpainter.atomic import windows_refuses
 from splatpainter.batch.plan import JobList, read_jobs
 from splatpainter.splats import Frame
+from splatpainter.system.atomic import windows_refuses
 
 JOBS, PROJECT, PREVIEW = "batch.yaml", "project.splatproj", "preview.json"
 """Files of the folder."""

@@ -18,10 +18,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, Literal
 
-from splatpainter import processes
 from splatpainter.batch.plan import Job, JobList
 from splatpainter.server.batches.batch_folder import JOBS
 from splatpainter.sources.backends.command import last_line
+from splatpainter.system import processes
 
 BatchState = Literal["planned", "running", "cancelling", "done", "cancelled"]
 JobState = Literal["queued", "running", "done", "failed", "cancelled"]

@@ -34,7 +34,6 @@ from splatpainter.server.commands.context import (
     render_alpha,
     render_display,
 )
-from splatpainter.server.mirrored_stroke import MirroredStroke, merged
 from splatpainter.server.option_fields import PaintedOptions, PaintLimits
 from splatpainter.server.protocol import (
     MAX_VIEW_PIXELS,
@@ -50,7 +49,8 @@ from splatpainter.server.protocol import (
     Previewed,
     Unit,
 )
-from splatpainter.server.stroke import Stroke
+from splatpainter.server.strokes.mirrored_stroke import MirroredStroke, merged
+from splatpainter.server.strokes.stroke import Stroke
 from splatpainter.server.studio import Studio
 from splatpainter.session import Session
 from splatpainter.session.document.layer_operation import layer_class, operation_of_layer

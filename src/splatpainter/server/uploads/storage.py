@@ -21,16 +21,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from splatpainter import demo_asset
-from splatpainter.atomic import MAX_NAME_BYTES
 from splatpainter.io import files, format_of_name, read, write
 from splatpainter.io.axes import flip
-from splatpainter.jsonio import brief
 from splatpainter.server.uploads.upload_sniffing import UploadInfo, sniff
 from splatpainter.session.project.disk_probe import NO_LOCKS, locks_refused
 from splatpainter.session.project.project_summary import ProjectSummary, summarize
 from splatpainter.session.project.scratch import ScratchFolder
 from splatpainter.splats import Splats
-from splatpainter.user_folders import PROJECTS_VARIABLE, cache_folder, projects_folder
+from splatpainter.system.atomic import MAX_NAME_BYTES
+from splatpainter.system.jsonio import brief
+from splatpainter.system.user_folders import PROJECTS_VARIABLE, cache_folder, projects_folder
 
 PROJECT = ".splatproj"
 MAX_SUMMARIES = 512

@@ -20,7 +20,6 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.io import files
 from splatpainter.io.files import printable
-from splatpainter.jsonio import brief
 from splatpainter.painter import Edit, Painter
 from splatpainter.session.document.document import Document, Layer
 from splatpainter.session.document.scene_asset import MAIN_ASSET_ID, MAX_NAME, SceneAsset, find_asset
@@ -35,6 +34,7 @@ from splatpainter.session.replay.scene_replay import Scene, SceneReplay
 from splatpainter.session.replay.snapshot import Snapshot
 from splatpainter.session.replay.split_edits import split_edits
 from splatpainter.splats import Splats
+from splatpainter.system.jsonio import brief
 
 DAMAGE_ERRORS = (
     ValueError,

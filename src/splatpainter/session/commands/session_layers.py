@@ -18,7 +18,6 @@ import numpy as np
 
 from splatpainter.holes.body import body_of
 from splatpainter.io import files
-from splatpainter.jsonio import brief
 from splatpainter.operations.operation import Operation
 from splatpainter.painter import Edit
 from splatpainter.session.commands.scene_edits import add_to_scene, relief_on_asset
@@ -52,6 +51,7 @@ from splatpainter.session.kinds.relief_layers import ReliefLayer
 from splatpainter.session.replay import conflicts
 from splatpainter.session.selection.selection import Selection
 from splatpainter.splats import Splats
+from splatpainter.system.jsonio import brief
 
 SETTABLE = ("name", "visible", "opacity", "blend")
 """What `set` can change of any layer."""

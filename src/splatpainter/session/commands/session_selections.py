@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from splatpainter.jsonio import brief
 from splatpainter.session.commands.session_core import SessionCore
 from splatpainter.session.document.scene_asset import MAIN_ASSET_ID
 from splatpainter.session.project.project_file import Project
 from splatpainter.session.selection.selection import Selection
 from splatpainter.splats import Splats
+from splatpainter.system.jsonio import brief
 
 SELECTION_FACT = "selection "
 """Beginning of the names of facts that hold selections."""

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.jsonio import brief
 from splatpainter.painter import Edit
 from splatpainter.session.commands.scene_edits import paint_in_scene
 from splatpainter.session.commands.session_core import SessionCore
@@ -28,6 +27,7 @@ from splatpainter.session.document.layer_view import same_camera
 from splatpainter.session.kinds.erase_layers import EraseLayer
 from splatpainter.session.replay.delta import without_source
 from splatpainter.splats import Splats
+from splatpainter.system.jsonio import brief
 
 if TYPE_CHECKING:
     from splatpainter.lift.side_views import SideViewScore

@@ -15,13 +15,13 @@ from typing import Any, Literal, get_args
 
 from splatpainter.cameras import Camera
 from splatpainter.io.files import printable
-from splatpainter.jsonio import brief
 from splatpainter.painter import MAX_VIEWS
 from splatpainter.session.document.layer_mask import LayerMask
 from splatpainter.session.document.layer_operation import LayerOperation, operation_of_layer
 from splatpainter.session.document.layer_view import Blend, View, checked_hash
 from splatpainter.session.document.scene_asset import MAIN_ASSET_ID, SceneAsset
 from splatpainter.session.replay.delta import MAX_REASON
+from splatpainter.system.jsonio import brief
 
 Policy = Literal["latest", "first", "blend"]
 MAX_NESTING = 16

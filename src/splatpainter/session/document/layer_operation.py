@@ -20,14 +20,14 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
 
 import numpy as np
 
-from splatpainter import jsonio
 from splatpainter.io.files import printable
-from splatpainter.jsonio import brief
 from splatpainter.session.document.layer_view import Blend, View, is_hash
 from splatpainter.session.replay.delta import MAX_REASON, Delta
 from splatpainter.session.replay.layer_blending import blend_delta
 from splatpainter.session.replay.layer_result import LayerResult
 from splatpainter.splats import Splats
+from splatpainter.system import jsonio
+from splatpainter.system.jsonio import brief
 
 if TYPE_CHECKING:
     from splatpainter.painter import Asset, Edit, Method, Mode, Painter

@@ -13,9 +13,9 @@ from typing import Any
 from splatpainter.io import FRAMES
 from splatpainter.io.files import printable
 from splatpainter.io.positions import NO_OFFSET, Offset
-from splatpainter.jsonio import brief
 from splatpainter.scene.placement import Placement
 from splatpainter.splats import MAX_MAGNITUDE, Frame
+from splatpainter.system.jsonio import brief
 
 MAIN_ASSET_ID = ""
 """Id of the asset that a session was opened with."""

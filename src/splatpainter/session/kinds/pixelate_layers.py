@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter import jsonio
 from splatpainter.color import from_hex
 from splatpainter.operations.pixelate import Pixelate, pixelate
 from splatpainter.operations.region import Region
@@ -17,6 +16,7 @@ from splatpainter.session.document.layer_operation import LayerOperation, LayerW
 from splatpainter.session.kinds.operation_layers import OperationLayer
 from splatpainter.session.replay.delta import between, without_source
 from splatpainter.session.replay.layer_result import LayerResult
+from splatpainter.system import jsonio
 
 EVERYTHING = ("opacity=0..1",)
 """Stands for the region where its options are judged: a layer has a selection in its place."""

@@ -14,11 +14,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from splatpainter.io.axes import move
-from splatpainter.jsonio import brief
 from splatpainter.session.document.layer_operation import LayerOperation, LayerWork
 from splatpainter.session.replay.delta import Delta, between
 from splatpainter.session.replay.layer_result import LayerResult
 from splatpainter.splats import Splats
+from splatpainter.system.jsonio import brief
 
 MAX_COPIED = 500_000
 """Gaussians of one copy."""

@@ -25,7 +25,6 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 
 import numpy as np
 
-from splatpainter.atomic import MAX_NAME_BYTES, brief_name
 from splatpainter.cameras import Camera
 from splatpainter.image_files import Alpha
 from splatpainter.io import (
@@ -51,6 +50,7 @@ from splatpainter.session.project.scratch import scratch_folder
 from splatpainter.session.replay import conflicts
 from splatpainter.session.replay.delta import MAX_REASON, PART_BYTES, Delta, decode, encode, without_source
 from splatpainter.splats import Frame, Splats, changed_rows
+from splatpainter.system.atomic import MAX_NAME_BYTES, brief_name
 from splatpainter.view_files import Aov, PictureOptions, view_files
 
 NO_FILE = "rows"

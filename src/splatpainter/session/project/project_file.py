@@ -20,10 +20,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
-from splatpainter.atomic import MAX_NAME_BYTES
 from splatpainter.cameras import Camera
 from splatpainter.io import files
-from splatpainter.jsonio import brief
 from splatpainter.session.document.document import (
     MAX_REASON,
     MAX_STROKES,
@@ -46,6 +44,8 @@ from splatpainter.session.project.open_file import OpenFile, spare_copy, without
 from splatpainter.session.project.stored_results import loaded_result, store_result
 from splatpainter.session.replay.delta import decode
 from splatpainter.session.replay.layer_result import LayerResult
+from splatpainter.system.atomic import MAX_NAME_BYTES
+from splatpainter.system.jsonio import brief
 
 MAX_STEPS = 1000
 """Steps of the history; older ones are dropped."""

@@ -42,11 +42,11 @@ import numpy as np
 from splatpainter.color import base_color, sh_from_color
 from splatpainter.grading.color_grading import GRADE, grade_sh
 from splatpainter.grading.color_transfer import TRANSFERS, transfer_sh
-from splatpainter.jsonio import brief
 from splatpainter.scene.seam import LIGHT, light_sh
 from splatpainter.session.document.layer_view import Blend
 from splatpainter.session.replay.delta import Delta, no_delta
 from splatpainter.splats import ATTRIBUTES, MAX_MAGNITUDE, SH_C0, Splats
+from splatpainter.system.jsonio import brief
 
 AdjustmentFunction = Callable[[np.ndarray, Mapping[str, Any]], np.ndarray]
 

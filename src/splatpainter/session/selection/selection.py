@@ -19,9 +19,9 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.color import base_color, to_display
 from splatpainter.image_files import bytes_of_png, bytes_to_png
-from splatpainter.jsonio import brief
 from splatpainter.rendering.pixel_shares import MEASURING_OPACITY, before_black, footprint_mean
 from splatpainter.splats import Splats
+from splatpainter.system.jsonio import brief
 from splatpainter.voxels.neighbours import nearest_within
 
 Combine = Literal["replace", "add", "subtract", "intersect"]

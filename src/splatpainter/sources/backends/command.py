@@ -18,7 +18,6 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from splatpainter import processes
 from splatpainter.sources.answer_pictures import (
     alpha_png,
     depth_png,
@@ -38,6 +37,7 @@ from splatpainter.sources.picture_source import (
     SourceError,
 )
 from splatpainter.sources.source_options import SourceDescription, option
+from splatpainter.system import processes
 
 POLL_SECONDS = 0.1
 TAIL_BYTES = 8192

@@ -14,7 +14,6 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from splatpainter.atomic import writing
 from splatpainter.pictures.saved_pictures import LOOK_SECONDS, SavedPictures
 from splatpainter.sources.answer_pictures import image_png, mask_png, read_answer_file, reference_png
 from splatpainter.sources.picture_source import (
@@ -27,6 +26,7 @@ from splatpainter.sources.picture_source import (
     SourceError,
 )
 from splatpainter.sources.source_options import SourceDescription, option
+from splatpainter.system.atomic import writing
 
 MAX_VIEWS = 100_000
 """Names view_000 ... that are tried."""

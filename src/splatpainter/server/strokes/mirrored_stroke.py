@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from splatpainter.color import to_display
-from splatpainter.server.stroke import Box, Stroke
+from splatpainter.server.strokes.stroke import Box, Stroke
 from splatpainter.splats import Splats
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from splatpainter.cameras import Camera
-from splatpainter.commands.terminal import warn
+from splatpainter.commands.parts.terminal import warn
 from splatpainter.doubts import doubts, doubts_of_view
 from splatpainter.splats import Splats
 

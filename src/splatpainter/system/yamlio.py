@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
-from splatpainter import jsonio
+from splatpainter.system import jsonio
 
 MAX_YAML_BYTES = 1 << 20
 """Most bytes of a file."""

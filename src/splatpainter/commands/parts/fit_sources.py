@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from splatpainter.cameras import AUTO_UP, FRAME_MARGIN, UPS, Camera, bounding_sphere, spherical_cameras
-from splatpainter.commands.fit_photographs import BACKGROUNDS, first_gaussians, near_zero, posed_pictures
+from splatpainter.commands.parts.fit_photographs import BACKGROUNDS, first_gaussians, near_zero, posed_pictures
 from splatpainter.io import files, read
 from splatpainter.io.folders import iterations
 from splatpainter.io.formats.sog_container import META

@@ -14,7 +14,6 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.color import from_display, to_display
-from splatpainter.jsonio import brief
 from splatpainter.lift.colors import MAX_COLOR, recolor
 from splatpainter.lift.local.local_edit import MIN_VISIBLE_SHARE
 from splatpainter.lift.local.patch import MIN_INSIDE_SMALL, MIN_PIXEL_SHARE
@@ -24,6 +23,7 @@ from splatpainter.rendering.cpu.recent_views import note_view
 from splatpainter.rendering.cpu.sirt import sirt_steps
 from splatpainter.session import Session
 from splatpainter.splats import Splats
+from splatpainter.system.jsonio import brief
 
 SIRT_STEPS = 3
 """Per dab; the next dab beside it continues them."""

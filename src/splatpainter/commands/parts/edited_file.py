@@ -12,8 +12,8 @@ from tyro.conf import arg
 
 import splatpainter.session  # noqa: F401 - whose files regions and looks may name
 from splatpainter.commands import Outcome
-from splatpainter.commands.option_parsing import AssetFile, AxesOption, FrameOption, OutFile, option_name
-from splatpainter.commands.terminal import SourceBar, complain, count, decibels, seconds, stages, warn
+from splatpainter.commands.parts.option_parsing import AssetFile, AxesOption, FrameOption, OutFile, option_name
+from splatpainter.commands.parts.terminal import SourceBar, complain, count, decibels, seconds, stages, warn
 from splatpainter.operations.operation import Operation, Report, ReportedView, Tools, Wording, check_operations
 
 if TYPE_CHECKING:

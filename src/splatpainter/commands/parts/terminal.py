@@ -13,11 +13,11 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
-from splatpainter.plain_words import count as count
-from splatpainter.plain_words import decibels as decibels
-from splatpainter.plain_words import reason as reason
-from splatpainter.plain_words import seconds as seconds
-from splatpainter.plain_words import size as size
+from splatpainter.system.plain_words import count as count
+from splatpainter.system.plain_words import decibels as decibels
+from splatpainter.system.plain_words import reason as reason
+from splatpainter.system.plain_words import seconds as seconds
+from splatpainter.system.plain_words import size as size
 
 PROGRAM = "splatpainter"
 BAR_DELAY_SECONDS = 1.0

@@ -12,8 +12,8 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any, get_type_hints
 
-from splatpainter.commands.edited_file import spoken
-from splatpainter.commands.option_parsing import parse
+from splatpainter.commands.parts.edited_file import spoken
+from splatpainter.commands.parts.option_parsing import parse
 from splatpainter.operations.decal import LayDecal
 from splatpainter.operations.generate import Generate
 from splatpainter.operations.operation import Operation, Wording

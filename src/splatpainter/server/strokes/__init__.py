@@ -1,0 +1,1 @@
+"""Strokes while they are drawn: what the page sees before they are layers."""
