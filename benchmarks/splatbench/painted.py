@@ -189,6 +189,10 @@ def run(config: PaintedBench, report: Callable[[str], None] | None = None) -> li
     available = methods(config.preset)
     if unknown := [name for name in config.methods if name not in available]:
         raise ValueError(f"bench painted: expected --methods of {', '.join(available)}, got {unknown[0]!r}")
+    if "network" in config.methods and Painter.load(config.preset).choose("ttt", "local")[0] != "ttt":
+        raise ValueError(
+            f"bench painted: no network of preset '{config.preset}' makes local edits; give --preset FOLDER"
+        )
     where = machine()
     config.out.mkdir(parents=True, exist_ok=True)
     scores: list[PaintedScore] = []

@@ -120,7 +120,7 @@ def test_figures_of_edits_whose_faults_are_known() -> None:
 
 def test_every_method_beats_nothing() -> None:
     case, _ = painted_sheet()
-    chosen = {name: method for name, method in methods("lift").items() if name != "fit"}
+    chosen = {name: method for name, method in methods("lift").items() if name not in ("fit", "network")}
     lines, strips = measure_case(case, chosen, None)
     soft = {line.method: line.soft or 0.0 for line in lines}
     assert list(soft) == ["nothing", "rounds", "split", "lift", "auto"]
@@ -164,7 +164,11 @@ def test_bench_painted_writes_its_tables_and_keeps_its_cases(tmp_path: Path, mon
 @pytest.mark.parametrize(
     "wrong, message",
     [
-        ({"methods": ("nothing", "magic")}, "--methods of nothing, rounds, split, lift, fit, auto, got 'magic'"),
+        (
+            {"methods": ("nothing", "magic")},
+            "--methods of nothing, rounds, split, lift, fit, auto, network, got 'magic'",
+        ),
+        ({"methods": ("network",), "preset": "rows"}, "no network of preset 'rows' makes local edits"),
         ({"methods": ()}, "at least one of --methods"),
         ({"size": 32}, "--size of at least 64"),
         ({"novel_views": 0}, "--novel-views"),
