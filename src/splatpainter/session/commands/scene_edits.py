@@ -42,6 +42,7 @@ def add_to_scene(
     shares = split_edits(scene, edits, operation.needs_masks) if edits else [(part, []) for part in scene.parts]
     shares = [share for share in shares if asset in (None, share[0].asset.id)]
     selected = getattr(operation, "selection", None)
+    # A selection of the scene becomes one of each asset: layers live in the space of theirs.
     added: list[Layer] = []
     for part, pieces in shares:
         part_operation = operation
@@ -78,6 +79,7 @@ def paint_in_scene(
         shares = [share for share in shares if share[0].asset.id == layer.asset]
         if not shares:
             raise ValueError(f"{layer.title}: its asset is not under the stroke; nothing is left to erase")
+    # One step for all of them: undo takes the whole stroke back.
     targets, stroke_ids, blobs = [], [], {}
     for part, pieces in shares:
         document, target = _target(document, layer, part.asset.id, operation)

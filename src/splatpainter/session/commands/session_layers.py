@@ -254,6 +254,7 @@ class SessionLayers(Sequence[Layer]):
             weights = weights if chosen is None else chosen.astype(np.float32)
         with core.command():
             document, added = core.document, []
+            # What is removed goes from every asset that it is selected on; a circled hole is in one.
             for asset, hidden in self._hidden(weights)[: None if remove else 1]:
                 if remove:
                     document, _ = add_layer(document, Layer("", f"{name}: removed", hidden, asset=asset))
@@ -280,6 +281,7 @@ class SessionLayers(Sequence[Layer]):
                 given = ", ".join(unknown) or "nothing"
                 raise ValueError(f"layer: expected one of {', '.join(settable)} to set, got {given}")
             if options:
+                # Another method means another painter of the layer and of every stroke in it.
                 operation = target.operation.with_options(options)
                 if "method" in options:
                     method = options["method"]

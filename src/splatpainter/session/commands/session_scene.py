@@ -134,6 +134,7 @@ class SessionScene:
                 raise ValueError(f"asset {title}: its colours are {spaces}; convert it first")
             if len(core.assets) >= MAX_ASSETS:
                 raise ValueError(f"asset {title}: expected at most {MAX_ASSETS} assets")
+            # Beside what is there, so that it is seen at once and hides nothing.
             if placement is None:
                 existing, new = (rows.world_means[rows.drawable] for rows in (core.splats, splats))
                 placement = Placement(shift_to_the_right(existing, new))

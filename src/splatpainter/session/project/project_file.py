@@ -406,12 +406,14 @@ class Project:
         """A new step after the one in effect; steps that were undone are dropped. gesture: a step of the same gesture
         right before is replaced. Returns the keys of results that are no longer stored."""
         with self._writing() as db:
+            # What was undone is gone with the first new step, and of a dragged slider only the last position stays.
             at = int(db.execute("SELECT value FROM facts WHERE name = 'cursor'").fetchone()[0])
             dropped = db.execute("DELETE FROM steps WHERE id > ?", (at,)).rowcount
             if gesture is not None:
                 query = "DELETE FROM steps WHERE id = ? AND gesture = ? AND id > (SELECT min(id) FROM steps)"
                 dropped += db.execute(query, (at, gesture)).rowcount
             dropped += db.execute("DELETE FROM steps WHERE id <= ?", (at - MAX_STEPS,)).rowcount
+            # The step itself, then what it names: files of assets, pictures, layers, results.
             step = at + 1
             assets = json.dumps([asset.record() for asset in document.assets]) if document.assets else None
             entry = (step, label, gesture, json.dumps(document.policies), document.next_id, assets)
@@ -427,6 +429,7 @@ class Project:
                 store_result(db, key, result, new.previous.get(key))
             db.executemany("INSERT OR IGNORE INTO step_results VALUES (?, ?)", [(step, key) for key in results])
             _set_cursor(db, step)
+            # Only a step that is gone can leave something that nobody needs.
             removed = _sweep(db) if dropped else set()
             self._forget_sizes(new.results, removed)
             steps, self._steps = self._steps, None  # until it is done

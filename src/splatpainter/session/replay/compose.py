@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import json
 import time
-from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -28,6 +27,7 @@ from splatpainter.grading.color_transfer import with_table
 from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.lift.sheets.view_limits import coarse_surface, left_out
 from splatpainter.painter import Asset, Edit, Method, Mode, Painter
+from splatpainter.recent import Recent
 from splatpainter.session.document.document import Document, Layer, digest
 from splatpainter.session.document.layer_factory import decode_mask, decode_picture, is_cut_out
 from splatpainter.session.document.layer_view import View
@@ -50,6 +50,7 @@ from splatpainter.session.replay.layer_state import (
     ResultStore,
     ancestors,
     lineage,
+    nbytes,
 )
 from splatpainter.session.replay.mask_weights import MaskWeights
 from splatpainter.session.replay.painter_adapter import PainterAdapter
@@ -65,7 +66,7 @@ from splatpainter.session.replay.strokes import (
     strokes_to_fold,
 )
 from splatpainter.session.selection.selection import Selection
-from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.splats import Splats
 from splatpainter.voxels.raycast import is_inside
 
 if TYPE_CHECKING:
@@ -101,15 +102,17 @@ class Replay:
         self.original, self.painter, self.adjustments = original, painter, adjustments
         self.store = store
         self.adapter = PainterAdapter(original, painter)
-        self._states: OrderedDict[str, LayerState] = OrderedDict()
-        self._placements: OrderedDict[str, dict[str, str]] = OrderedDict()
-        """Key of a layer -> {key of the state below: key of its result}, the latest last."""
-        self._read_sets: OrderedDict[tuple[str, str], ReadSet | None] = OrderedDict()
+        self._states = Recent[LayerState](
+            CACHED_STATE_BYTES, lambda state: nbytes(state.splats), most=MAX_CACHED_STATES
+        )
+        self._placements = Recent[Recent[str]](MAX_PLACED_LAYERS)
+        """Key of a layer -> (key of the state below -> key of its result)."""
+        self._read_sets = Recent[ReadSet | None](MAX_READ_IDS, lambda read: len(read.gaussian_ids) if read else 0)
         """(key of the state below, key of a layer) -> what it reads there."""
         self._merged: tuple[tuple[str, str], Delta] | None = None
         self._strokes = StrokeChains(store, self._painted_stroke)
         self._masks = MaskWeights(store, original)
-        self._seen: OrderedDict[str, VisibleSurface] = OrderedDict()
+        self._seen: Recent[VisibleSurface] = Recent(MAX_SEEN)
         """What views see of states, coarsely: of the latest MAX_SEEN of both."""
         self.base_state = LayerState(digest(f"original {original.sha256}"), original)
 
@@ -129,6 +132,7 @@ class Replay:
             return self._over_merged(below, layer, document, strict, progress, step)
         if layer.holds_strokes:
             return self._over_strokes(below, layer, document, strict, progress, step)
+        # What it makes is named by what it stands on; how much of it shows is named besides, so that a slider finds it.
         strength, depends = policy_strength(below.edited, layer, document, len(below.splats))
         result_key = _result_key(below, layer)
         key = digest(f"{result_key} {layer.opacity!r} {layer.blend} {json.dumps(depends)}{_mask_text(layer)}")
@@ -137,6 +141,7 @@ class Replay:
             return cached
         if progress is not None:
             progress(*step, layer.name)
+        # From the project, or from another arrangement of layers in which it read the same, or else computed.
         stored = _is_stored(layer)
         result = self.store.get(result_key) if stored else None
         if result is None or result.delta.count != len(below.splats):  # the latter: of a damaged file
@@ -146,6 +151,7 @@ class Replay:
             if stored:
                 self.store.put(result_key, result)
         self._note_placement(below, layer, result_key)
+        # Colours to mix with are fitted when a mix is asked for the first time: most layers never are.
         if result.delta.base is None and _mixes(layer, strength) and _has_base(layer):
             based = with_base(below.splats, result.delta, [view.camera for view in layer.views])
             if based is not result.delta:
@@ -165,15 +171,7 @@ class Replay:
             (*below.results, result_key) if stored else below.results,
             below.painter_state if result.painter_state is None else result.painter_state,
         )
-        return self._remembered(state)
-
-    def _remembered(self, state: LayerState) -> LayerState:
-        """The state, cached."""
-        self._states[state.key] = state
-        size = max(sum(getattr(state.splats, name).nbytes for name in ATTRIBUTES), 1)
-        while len(self._states) > max(min(CACHED_STATE_BYTES // size, MAX_CACHED_STATES), 1):
-            self._states.popitem(last=False)
-        return state
+        return self._states.put(key, state)
 
     def _over_strokes(self, below: LayerState, layer: Layer, document: Document, strict, progress, step) -> LayerState:
         """The strokes of a layer, then its opacity and blend over all they did."""
@@ -192,6 +190,7 @@ class Replay:
             if progress is not None:
                 progress(*step, layer.name if k == count - 1 else f"{layer.name}: stroke {k + 1} of {count}")
 
+        # All strokes in full; opacity, blend, mask and policies then act on what they did together, as of one layer.
         painted = self._strokes.compose(below, layer, chain, strict, report)
         splats, parent_ids, changed = painted.state.splats, painted.state.parent_ids, painted.changed
         if strength is not None or _mixes(layer, None):
@@ -212,7 +211,7 @@ class Replay:
             (*below.results, result_key),
             painted.state.painter_state,
         )
-        return self._remembered(state)
+        return self._states.put(key, state)
 
     def _strokes_delta(self, below: LayerState, painted: StrokesState, layer: Layer) -> Delta:
         """What all strokes of a layer did, for an opacity, a blend or a policy; the latest one is cached."""
@@ -230,6 +229,7 @@ class Replay:
         seen = _is_visible(now.layers[at])
         if not (covered or (seen and _is_visible(layer))):
             return None
+        # These three are cached as a rule: they are what is on the screen.
         below = self.compose(replace(document, layers=document.layers[:at]))
         composed = self.compose(now).splats
         before = self.compose(replace(now, layers=now.layers[: at + 1])).splats if seen else below.splats
@@ -301,6 +301,7 @@ class Replay:
     def fold(self, document: Document, layer: str, sizes: Callable[[str], int]) -> FoldedStrokes | None:
         """What is to be stored in place of the results of a layer's first strokes; None: nothing. sizes: bytes that a
         result takes, by its key."""
+        # The latest strokes keep results of their own: they are what undo goes back through.
         at = document.index(layer)
         target = document.layers[at]
         if len(target.strokes) <= MIN_LATEST:
@@ -335,6 +336,7 @@ class Replay:
         for inner in layer.layers:
             if _is_visible(inner):
                 state = self._over(state, inner, document, strict, progress, step)
+        # People see one layer: its facts are the sums of those inside it, which stay in the list too.
         inner_facts = state.facts[len(below.facts) :]
         names = ("rows_touched", "rows_appended", "seconds")
         total = {name: sum(facts.get(name, 0) for _, facts in inner_facts) for name in names}
@@ -363,18 +365,13 @@ class Replay:
         """Remember where a layer's result can be had from."""
         if not self._has_read_set(layer):
             return
-        placements = self._placements.setdefault(layer.key, {})
-        self._placements.move_to_end(layer.key)
-        placements.pop(below.key, None)
-        placements[below.key] = result_key
-        if len(placements) > MAX_PLACEMENTS:
-            del placements[next(iter(placements))]
-        if len(self._placements) > MAX_PLACED_LAYERS:
-            self._placements.popitem(last=False)
+        placements = self._placements.get(layer.key, lambda: Recent(MAX_PLACEMENTS))
+        placements.put(below.key, result_key)
 
     def _renumbered(self, below: LayerState, layer: Layer) -> LayerResult | None:
         """A layer's result of another arrangement, where it read the same there; None: it has to be painted."""
-        for key, result_key in reversed(self._placements.get(layer.key, {}).items()):
+        placements = self._placements.find(layer.key)
+        for key, result_key in reversed([] if placements is None else [*placements.items.items()]):
             old = self._read_set(key, layer)
             new = self._read_set(below.key, layer, below) if old is not None else None
             if old is None or new is None or old.digest != new.digest:
@@ -390,23 +387,16 @@ class Replay:
     def _read_set(self, key: str, layer: Layer, state: LayerState | None = None) -> ReadSet | None:
         """What a layer reads of a state; None where that cannot be said (any more)."""
         pair = (key, layer.key)
-        if pair not in self._read_sets:
-            state = state or (self.base_state if key == self.base_state.key else self._states.get(key))
-            state = state or self._strokes.state(key)
-            if state is None:
-                return None
-            (view,) = layer.views
-            grid, splats = self.adapter.grid, state.splats
-            self._read_sets[pair] = read_set_of(
-                splats, lambda: grid(splats), view.camera, self.mask(view), len(self.original)
-            )
-        self._read_sets.move_to_end(pair)
-        read = self._read_sets[pair]
-        while (
-            len(self._read_sets) > 1 and sum(len(r.gaussian_ids) for r in self._read_sets.values() if r) > MAX_READ_IDS
-        ):
-            self._read_sets.popitem(last=False)
-        return read
+        if pair in self._read_sets:
+            return self._read_sets.find(pair)
+        state = state or (self.base_state if key == self.base_state.key else self._states.find(key))
+        state = state or self._strokes.state(key)
+        if state is None:
+            return None
+        (view,) = layer.views
+        grid, splats = self.adapter.grid, state.splats
+        read = read_set_of(splats, lambda: grid(splats), view.camera, self.mask(view), len(self.original))
+        return self._read_sets.put(pair, read)
 
     def _has_read_set(self, layer: Layer) -> bool:
         """Whether read_set.py knows what a layer reads: one masked view, lifted locally by the analytic painter."""
@@ -457,11 +447,7 @@ class Replay:
     def coarse_surface(self, state: LayerState, camera: Camera) -> VisibleSurface:
         """What a view sees of a state's surface, on blocks of pixels (lift.view_limits); the latest ones are cached."""
         key = f"{state.key} {camera.to_json()}"
-        seen = self._seen.pop(key, None) or coarse_surface(self.surface, state.splats, camera)
-        self._seen[key] = seen
-        while len(self._seen) > MAX_SEEN:
-            self._seen.popitem(last=False)
-        return seen
+        return self._seen.get(key, lambda: coarse_surface(self.surface, state.splats, camera))
 
     @property
     def surface(self) -> Surface:
@@ -478,16 +464,14 @@ class Replay:
 
     def forget(self, results: set[str]) -> None:
         """Drop states that were made of results which are no longer stored."""
-        for key in [key for key, state in self._states.items() if results.intersection(state.results)]:
-            del self._states[key]
+        self._states.forget(lambda state: bool(results.intersection(state.results)))
         self._strokes.forget(results)
 
     def _cached(self, key: str, below: LayerState, layer: Layer) -> LayerState | None:
         """A state that is still cached. Its edited ids and facts name layers by id, which its key does not hold."""
-        state = self._states.get(key)
+        state = self._states.find(key)
         if state is None:
             return None
-        self._states.move_to_end(key)
         edited = (*below.edited, replace(state.edited[-1], layer=layer))
         return replace(state, edited=edited, facts=(*below.facts, (layer.id, state.facts[-1][1])))
 

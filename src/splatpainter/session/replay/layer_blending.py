@@ -66,6 +66,7 @@ def blend_delta(
         return delta
     if mask is not None and not mask.any():
         return no_delta(below)
+    # Each Gaussian has its own share: the layer's opacity, what a policy leaves of it, what its mask shows.
     delta = delta.complete(below)
     factor = np.ones(len(below), np.float32) if strength is None else strength.astype(np.float32)
     parent_factor = np.where(delta.parent_ids >= 0, factor[np.maximum(delta.parent_ids, 0)], 1)
@@ -75,6 +76,7 @@ def blend_delta(
         share, tail_share = share * mask[: len(share)], tail_share * mask[len(share) :]
     gaussian_ids, parent_ids = delta.gaussian_ids[some], delta.parent_ids[some_tail]
     old, new = below.take(gaussian_ids), delta.values.take(some)
+    # Geometry is the layer's wherever it shows at all; opacity is mixed only where nothing moved.
     moved = np.zeros(len(gaussian_ids), bool)
     for name in ("means", "quats", "scales"):
         moved |= (getattr(old, name) != getattr(new, name)).any(1)
@@ -87,6 +89,7 @@ def blend_delta(
     count = len(delta.gaussian_ids)
     old_sh = old.sh if delta.base is None else delta.base[:count][some]
     values = replace(new, opacities=opacities, sh=mix_sh(old_sh, new.sh, share[some], blend))
+    # New Gaussians start from the look of what they were made from: at a small share they are hardly seen.
     tail = delta.appended.take(some_tail)
     if delta.base is not None:
         parent_sh = delta.base[count:][some_tail]

@@ -10,7 +10,7 @@ import numpy as np
 
 from splatpainter.session.replay.conflicts import EditedIds
 from splatpainter.session.replay.layer_result import LayerResult
-from splatpainter.splats import Splats
+from splatpainter.splats import ATTRIBUTES, Splats
 
 if TYPE_CHECKING:
     from splatpainter.models.refine import RefineState
@@ -47,6 +47,11 @@ class LayerState:
 
 Progress = Callable[[int, int, str], None]
 """(layers done, layers in all, name of the one in work); what it raises ends the work, and nothing has changed."""
+
+
+def nbytes(splats: Splats) -> int:
+    """Bytes of the Gaussians in memory."""
+    return sum(getattr(splats, name).nbytes for name in ATTRIBUTES)
 
 
 def ancestors(state: LayerState, count: int) -> np.ndarray:

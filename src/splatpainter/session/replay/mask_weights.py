@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections import OrderedDict
 
 import numpy as np
 
+from splatpainter.recent import Recent
 from splatpainter.session.document.document import Layer, digest
 from splatpainter.session.document.layer_factory import decode_mask_part
 from splatpainter.session.document.layer_mask import LayerMask, changed_weights
@@ -25,7 +25,7 @@ class MaskWeights:
 
     def __init__(self, store: ResultStore, original: Splats) -> None:
         self._store, self._original = store, original
-        self._cache: OrderedDict[str, np.ndarray] = OrderedDict()
+        self._cache = Recent[np.ndarray](MAX_CACHED)
 
     def weights(self, below: LayerState, delta: Delta, layer: Layer, result_key: str) -> np.ndarray | None:
         """[T + A] float32 of what a layer changed and appended; None: it has no mask, or one that is off. result_key:
@@ -35,11 +35,13 @@ class MaskWeights:
             return None
         keys = _keys(mask, result_key)
         start = next((k for k in range(len(keys) - 1, -1, -1) if keys[k] in self._cache), None)
+        # Masks are evaluated on what the layer made, which may be finer than what it lies on.
         splats = delta.apply(below.splats)
         if start is None:
             start = 0
-            self._cache[keys[0]] = np.full(len(splats), 1.0 if mask.shows else 0.0, np.float32)
-        weights = self._cache[keys[start]]
+            weights = self._cache.put(keys[0], np.full(len(splats), 1.0 if mask.shows else 0.0, np.float32))
+        else:
+            weights = self._cache.find(keys[start])
         for k in range(start, len(mask.parts)):
             part = mask.parts[k]
             picture = None
@@ -47,19 +49,17 @@ class MaskWeights:
                 picture = decode_mask_part(self._store.blob(part.picture), part.camera, layer.title)
             if part.selection is not None:
                 selection = Selection.from_png(self._store.blob(part.selection), len(self._original), layer.title)
-                weights = self._cache[keys[k + 1]] = weights * selection.on(splats, self._original)
+                weights = self._cache.put(keys[k + 1], weights * selection.on(splats, self._original))
                 continue
             seen = coverage(below.edited, len(splats)) if part.rule == "coverage" else np.zeros(0, np.uint8)
             weights = changed_weights(weights, splats, part, picture, seen)
-            self._cache[keys[k + 1]] = weights
-        while len(self._cache) > MAX_CACHED:
-            self._cache.popitem(last=False)
+            self._cache.put(keys[k + 1], weights)
         return np.concatenate([weights[delta.gaussian_ids], weights[delta.count :]])
 
     def cached(self, delta: Delta, layer: Layer, result_key: str) -> np.ndarray | None:
         """`weights` where they were asked for lately; None else."""
         assert layer.mask is not None
-        weights = self._cache.get(_keys(layer.mask, result_key)[-1])
+        weights = self._cache.find(_keys(layer.mask, result_key)[-1])
         return None if weights is None else np.concatenate([weights[delta.gaussian_ids], weights[delta.count :]])
 
 

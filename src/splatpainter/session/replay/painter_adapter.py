@@ -4,7 +4,6 @@ encoded of the original, once, beside any Gaussians below."""
 from __future__ import annotations
 
 import threading
-from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from splatpainter.painter import Asset, Edit, Method, Mode, Painter
+from splatpainter.recent import Recent
 from splatpainter.session.replay.delta import without_source
 from splatpainter.session.replay.layer_state import on_device
 from splatpainter.splats import Splats
@@ -39,7 +39,7 @@ class PainterAdapter:
         self._original, self._painter = without_source(original), unproved
         self._bare = Asset(self._original)
         self._encoded: Asset | None = None
-        self._grids: OrderedDict[tuple[int, ...], tuple[tuple[np.ndarray, ...], VoxelGrid]] = OrderedDict()
+        self._grids: Recent[tuple[tuple[np.ndarray, ...], VoxelGrid]] = Recent(MAX_GRIDS)
         self._gridding = threading.Lock()
 
     def apply(
@@ -92,11 +92,8 @@ class PainterAdapter:
         arrays = tuple(getattr(splats, name) for name in GRID_ATTRIBUTES)
         key = tuple(map(id, arrays))
         with self._gridding:
-            entry = self._grids.pop(key, None) or (arrays, Asset(without_source(splats)).grid)
-            self._grids[key] = entry  # holds the arrays, so that their ids stay theirs
-            while len(self._grids) > MAX_GRIDS:
-                self._grids.popitem(last=False)
-            return entry[1]
+            # It holds the arrays, so that their ids stay theirs.
+            return self._grids.get(key, lambda: (arrays, Asset(without_source(splats)).grid))[1]
 
     def _base(self) -> Asset:
         if self._encoded is None:

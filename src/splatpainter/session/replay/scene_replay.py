@@ -9,7 +9,6 @@ of one asset alone, as it is, is composed by its own Replay, and is the same bit
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -19,6 +18,7 @@ from splatpainter.cameras import Camera
 from splatpainter.io.joining import concatenated
 from splatpainter.io.positions import NO_OFFSET, Offset
 from splatpainter.painter import Painter
+from splatpainter.recent import Recent
 from splatpainter.scene.placement import Placement
 from splatpainter.session.document.document import Document, digest
 from splatpainter.session.document.scene_asset import MAIN_ASSET_ID, SceneAsset, find_asset
@@ -29,8 +29,8 @@ from splatpainter.session.replay.layer_blending import AdjustmentFunction
 from splatpainter.session.replay.layer_state import LayerState, Progress, ResultStore
 from splatpainter.splats import Splats
 
-MAX_CACHED_REPLAYS, MAX_CACHED_SCENES = 8, 4
-"""Assets that were added, and scenes, that stay in memory."""
+MAX_CACHED_REPLAYS, MAX_CACHED_SCENES, MAX_CACHED_SURFACES = 8, 4, 2
+"""Assets that were added, scenes, and surfaces of scenes, that stay in memory."""
 
 
 @dataclass(frozen=True)
@@ -94,9 +94,9 @@ class SceneReplay:
         self.main = Replay(original, painter, store, adjustments)
         self.painter, self.adjustments = painter, adjustments
         self._store, self._load = store, load
-        self._replays: OrderedDict[str, Replay] = OrderedDict()
-        self._scenes: OrderedDict[str, Scene] = OrderedDict()
-        self._surfaces: OrderedDict[str, Replay] = OrderedDict()
+        self._replays = Recent[Replay](MAX_CACHED_REPLAYS)
+        self._scenes = Recent[Scene](MAX_CACHED_SCENES)
+        self._surfaces = Recent[Replay](MAX_CACHED_SURFACES)
         """Replays of scenes as if they were one asset, for their surface."""
 
     def replay(self, document: Document, asset: str) -> Replay:
@@ -105,17 +105,12 @@ class SceneReplay:
             return self.main
         entry = find_asset(document.assets, asset)
         key = f"{entry.sha256} {entry.frame}"
-        replay = self._replays.pop(key, None)
-        if replay is None:
-            replay = Replay(self._load(entry), self.painter, self._store, self.adjustments)
-        self._replays[key] = replay
-        while len(self._replays) > MAX_CACHED_REPLAYS:
-            self._replays.popitem(last=False)
-        return replay
+        return self._replays.get(key, lambda: Replay(self._load(entry), self.painter, self._store, self.adjustments))
 
     def remember(self, asset: SceneAsset, original: Splats) -> None:
         """An asset whose file is not in the project yet."""
-        self._replays[f"{asset.sha256} {asset.frame}"] = Replay(original, self.painter, self._store, self.adjustments)
+        key = f"{asset.sha256} {asset.frame}"
+        self._replays.put(key, Replay(original, self.painter, self._store, self.adjustments))
 
     def of_layer(self, document: Document, layer: str) -> tuple[Replay, Document]:
         """(the Replay of a layer's asset, the document of that asset alone)."""
@@ -145,14 +140,12 @@ class SceneReplay:
             state = replay.compose(part, progress, next(iter(names & layer_ids), None))
             results += state.results
             states.append((asset, replay.original, state))
+        # Hidden assets were composed for their results alone: a step that dropped these would paint them anew.
         visible = [entry for entry in states if entry[0].visible]
         if not visible:
             raise ValueError("asset: expected at least one visible one")
         key = digest(" ".join(f"{state.key} {asset.placement!r}" for asset, _, state in visible))
-        scene = self._scenes.pop(key, None) or joined(key, visible, self.main.original.offset)
-        self._scenes[key] = scene
-        while len(self._scenes) > MAX_CACHED_SCENES:
-            self._scenes.popitem(last=False)
+        scene = self._scenes.get(key, lambda: joined(key, visible, self.main.original.offset))
         # Names, and which layers there are, are no part of the key.
         facts = tuple(fact for _, _, state in states for fact in state.facts)
         parts = tuple(
@@ -222,12 +215,7 @@ class SceneReplay:
             return self.main
         scene = self.scene(document)
         key = digest(" ".join(f"{part.original.sha256} {part.asset.placement!r}" for part in scene.parts))
-        if key not in self._surfaces:
-            self._surfaces[key] = Replay(scene.original, self.painter, self._store, self.adjustments)
-        self._surfaces.move_to_end(key)
-        while len(self._surfaces) > 2:
-            self._surfaces.popitem(last=False)
-        return self._surfaces[key]
+        return self._surfaces.get(key, lambda: Replay(scene.original, self.painter, self._store, self.adjustments))
 
 
 def joined(key: str, visible: Sequence[tuple[SceneAsset, Splats, LayerState]], offset: Offset = NO_OFFSET) -> Scene:

@@ -10,7 +10,6 @@ strokes together, as of one layer (compose.py). Knows no painter and no file.
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -18,16 +17,17 @@ from typing import Any
 
 import numpy as np
 
+from splatpainter.recent import Recent
 from splatpainter.session.document.document import Layer, digest
 from splatpainter.session.replay.delta import Delta, changed_values, without_source
 from splatpainter.session.replay.layer_result import LayerResult
-from splatpainter.session.replay.layer_state import LayerState, ResultStore, ancestors
+from splatpainter.session.replay.layer_state import LayerState, ResultStore, ancestors, nbytes
 from splatpainter.splats import ATTRIBUTES
 
 CACHED_BYTES = 1 << 27
 """Bytes of Gaussians after strokes that are cached to go on from, or back to."""
-MAX_CACHED = 64
-"""Most states that are cached."""
+MIN_CACHED, MAX_CACHED = 3, 64
+"""States that are cached in any case, and at most."""
 CHECKPOINT_STROKES = 8
 """Strokes before the last one at which the Gaussians are cached too where many are written in a row: the next undos
 start from there."""
@@ -127,16 +127,18 @@ class StrokeChains:
 
     def __init__(self, store: ResultStore, paint: Paint) -> None:
         self._store, self._paint = store, paint
-        self._cache: OrderedDict[str, StrokesState] = OrderedDict()
+        self._cache = Recent[StrokesState](
+            CACHED_BYTES, lambda painted: nbytes(painted.state.splats), least=MIN_CACHED, most=MAX_CACHED
+        )
 
     def state(self, key: str) -> LayerState | None:
         """A cached state after some stroke."""
-        painted = self._cache.get(key)
+        painted = self._cache.find(key)
         return None if painted is None else painted.state
 
     def painted(self, key: str) -> StrokesState | None:
         """What is cached of the strokes up to a state."""
-        return self._cache.get(key)
+        return self._cache.find(key)
 
     def compose(
         self,
@@ -151,13 +153,13 @@ class StrokeChains:
         count = len(layer.strokes)
         start = next((k for k in range(count, 0, -1) if chain.keys[k] in self._cache), 0)
         if start:
-            painted = self._cache[chain.keys[start]]
-            self._cache.move_to_end(chain.keys[start])
+            painted = self._cache.find(chain.keys[start])
             # The layers below may be described otherwise than when it was cached.
             state = replace(painted.state, edited=below.edited, facts=below.facts, results=below.results)
             painted = replace(painted, state=state)
         else:
             start, painted = self._from_folded(below, chain)
+        # From there on results that are stored are written in a row; one that has to be painted ends such a row.
         writer: _Writer | None = None
         for k in range(start, count):
             stroke = layer.strokes[k]
@@ -207,15 +209,10 @@ class StrokeChains:
 
     def forget(self, results: set[str]) -> None:
         """Drop states that were made of results which are no longer stored."""
-        for key in [key for key, painted in self._cache.items() if results.intersection(painted.results)]:
-            del self._cache[key]
+        self._cache.forget(lambda painted: bool(results.intersection(painted.results)))
 
     def _keep(self, painted: StrokesState) -> None:
-        self._cache[painted.state.key] = painted
-        self._cache.move_to_end(painted.state.key)
-        size = max(sum(getattr(painted.state.splats, name).nbytes for name in ATTRIBUTES), 1)
-        while len(self._cache) > max(min(CACHED_BYTES // size, MAX_CACHED), 3):
-            self._cache.popitem(last=False)
+        self._cache.put(painted.state.key, painted)
 
 
 def folded_key(chain: StrokeKeys, count: int) -> str:
