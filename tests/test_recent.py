@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from splatpainter.recent import Recent
+from splatpainter.system.recent import Recent
 
 
 def held(recent: Recent) -> list:

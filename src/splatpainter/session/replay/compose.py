@@ -27,7 +27,6 @@ from splatpainter.grading.color_transfer import with_table
 from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.lift.sheets.view_limits import coarse_surface, left_out
 from splatpainter.painter import Asset, Edit, Method, Mode, Painter
-from splatpainter.recent import Recent
 from splatpainter.session.document.document import Document, Layer, digest
 from splatpainter.session.document.layer_factory import decode_mask, decode_picture, is_cut_out
 from splatpainter.session.document.layer_view import View
@@ -67,6 +66,7 @@ from splatpainter.session.replay.strokes import (
 )
 from splatpainter.session.selection.selection import Selection
 from splatpainter.splats import Splats
+from splatpainter.system.recent import Recent
 from splatpainter.voxels.raycast import is_inside
 
 if TYPE_CHECKING:

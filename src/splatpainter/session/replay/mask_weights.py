@@ -6,7 +6,6 @@ import json
 
 import numpy as np
 
-from splatpainter.recent import Recent
 from splatpainter.session.document.document import Layer, digest
 from splatpainter.session.document.layer_factory import decode_mask_part
 from splatpainter.session.document.layer_mask import LayerMask, changed_weights
@@ -15,6 +14,7 @@ from splatpainter.session.replay.delta import Delta
 from splatpainter.session.replay.layer_state import LayerState, ResultStore
 from splatpainter.session.selection.selection import Selection
 from splatpainter.splats import Splats
+from splatpainter.system.recent import Recent
 
 MAX_CACHED = 16
 """Weights of all Gaussians, after some part of some mask."""

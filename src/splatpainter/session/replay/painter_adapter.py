@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from splatpainter.painter import Asset, Edit, Method, Mode, Painter
-from splatpainter.recent import Recent
 from splatpainter.session.replay.delta import without_source
 from splatpainter.session.replay.layer_state import on_device
 from splatpainter.splats import Splats
+from splatpainter.system.recent import Recent
 
 if TYPE_CHECKING:
     from splatpainter.models.refine import RefineState

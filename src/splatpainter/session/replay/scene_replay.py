@@ -18,7 +18,6 @@ from splatpainter.cameras import Camera
 from splatpainter.io.joining import concatenated
 from splatpainter.io.positions import NO_OFFSET, Offset
 from splatpainter.painter import Painter
-from splatpainter.recent import Recent
 from splatpainter.scene.placement import Placement
 from splatpainter.session.document.document import Document, digest
 from splatpainter.session.document.scene_asset import MAIN_ASSET_ID, SceneAsset, find_asset
@@ -28,6 +27,7 @@ from splatpainter.session.replay.covered_preview import Preview
 from splatpainter.session.replay.layer_blending import AdjustmentFunction
 from splatpainter.session.replay.layer_state import LayerState, Progress, ResultStore
 from splatpainter.splats import Splats
+from splatpainter.system.recent import Recent
 
 MAX_CACHED_REPLAYS, MAX_CACHED_SCENES, MAX_CACHED_SURFACES = 8, 4, 2
 """Assets that were added, scenes, and surfaces of scenes, that stay in memory."""

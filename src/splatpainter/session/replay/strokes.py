@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.recent import Recent
 from splatpainter.session.document.document import Layer, digest
 from splatpainter.session.replay.delta import Delta, changed_values, without_source
 from splatpainter.session.replay.layer_result import LayerResult
 from splatpainter.session.replay.layer_state import LayerState, ResultStore, ancestors, nbytes
 from splatpainter.splats import ATTRIBUTES
+from splatpainter.system.recent import Recent
 
 CACHED_BYTES = 1 << 27
 """Bytes of Gaussians after strokes that are cached to go on from, or back to."""
