@@ -33,12 +33,7 @@ from splatpainter.session.document.document import (
 )
 from splatpainter.session.document.scene_asset import MAIN_ASSET_ID, SceneAsset, parse_assets
 from splatpainter.session.project import database
-from splatpainter.session.project.database import (
-    ContentError,
-    Database,
-    closed_on_error,
-    is_unwritable,
-)
+from splatpainter.session.project.database import ContentError, Database, closed_on_error, is_unwritable
 from splatpainter.session.project.lock import ProjectLock
 from splatpainter.session.project.open_file import OpenFile, spare_copy, without_log
 from splatpainter.session.project.stored_results import loaded_result, store_result
