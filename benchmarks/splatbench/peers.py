@@ -146,9 +146,9 @@ def write_gsply(folder: str, size: int) -> Callable[[], Any]:
     import gsply
 
     data = gsply.plyread(Path(folder, "scene.ply"))
-    columns = [np.ascontiguousarray(getattr(data, name)) for name in ("means", "scales", "quats", "opacities", "sh0")]
-    rest = np.ascontiguousarray(data.shN)
-    return lambda: gsply.plywrite(Path(folder, "gsply.ply"), *columns, rest)
+    names = ("means", "scales", "quats", "opacities", "sh0", "shN")
+    columns: list[Any] = [np.ascontiguousarray(getattr(data, name)) for name in names]
+    return lambda: gsply.plywrite(Path(folder, "gsply.ply"), *columns)
 
 
 def draw_ours(folder: str, size: int) -> Callable[[], Any]:
@@ -164,7 +164,7 @@ def draw_mitsuba(folder: str, size: int) -> Callable[[], Any]:
 
     mitsuba.set_variant(VARIANT)
     camera = SavedScene(Path(folder), size).camera
-    to_world = np.linalg.inv(camera.world_to_camera) @ np.diag([-1.0, -1.0, 1.0, 1.0])  # x left, y up
+    to_world: Any = np.linalg.inv(camera.world_to_camera) @ np.diag([-1.0, -1.0, 1.0, 1.0])  # x left, y up
     scene = mitsuba.load_dict(
         {
             "type": "scene",
