@@ -155,6 +155,7 @@ def views_beside(
     be. nearest_degrees: what the second falls to, with every view that something stands in the way of."""
     cameras = []
     for _ in range(count):
+        neighbour = camera
         for k in range(tries + 1):  # nearer and nearer to the view that sees it
             part = 1 - k / tries
             farthest = max(nearest_degrees + (degrees[1] - nearest_degrees) * part, 1.0)

@@ -13,7 +13,6 @@ import torch
 from splatbench import adapt, adapt_carriers
 from splatbench.adapt import SHIPPED, SHIPPED_STAGE2, AdaptBench, EditScore, means, relative, remarks
 from splatbench.adapt_carriers import MESA, TRAINED, carrier_training
-from tests.train.test_gaussian_edit_task import RECIPE
 
 from splatpainter.models import weights
 from splatpainter.models.config import PredictConfig
@@ -21,6 +20,7 @@ from splatpainter.models.model import SplatPainterModel
 from splattrain.data import gaussian_edits, lit_assets
 from splattrain.recipes import Recipe
 from tests.models.test_edit_propagation import CARRYING
+from train.tests.test_gaussian_edit_task import RECIPE
 
 TINY_RECIPE: Recipe = replace(RECIPE, model=replace(CARRYING, predict=PredictConfig(features=8, hidden=16)))
 

@@ -56,4 +56,4 @@ def test_writers_of_both_programs_make_the_same_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize("wrong", [{"rows": 10}, {"repeats": 0}, {"size": 4}])
 def test_numbers_that_make_no_sense(wrong: dict[str, int], tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="bench peers: expected --rows"):
-        peers.run(peers.PeersBench(tmp_path, **wrong))
+        peers.run(peers.PeersBench(tmp_path, **wrong))  # pyright: ignore[reportArgumentType]

@@ -118,6 +118,7 @@ TABLE = LocalRefinement()
 def _close_up(truth: GroundTruth, point: TexturedPoint, base: Camera, rng: np.random.Generator) -> Camera:
     """A tile of a large picture of the whole object, from about where `base` stands, around the point."""
     azimuth, elevation = viewpoints.angles(base.position)
+    full = base
     for k in range(MAX_VIEW_TRIES + 1):
         turn, tilt = (1 - k / MAX_VIEW_TRIES) * rng.uniform(-1, 1, 2) * MAX_TURN_DEGREES
         height = float(np.clip(elevation + tilt, viewpoints.MIN_ELEVATION, viewpoints.MAX_ELEVATION))

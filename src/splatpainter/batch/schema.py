@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from dataclasses import asdict, dataclass, field, fields, make_dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal, get_type_hints
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_type_hints
 
 from splatpainter.operations.operation import Operation, Wording, kinds, operation_class
 from splatpainter.splats import Frame
@@ -91,9 +91,13 @@ class _OneStep:
         return getattr(self, self.kind)
 
 
-JobEdit = make_dataclass(
-    "JobEdit", [(name, kind | None, None) for name, kind in STEPS.items()], bases=(_OneStep,), frozen=True
-)
+if TYPE_CHECKING:
+
+    class JobEdit(_OneStep): ...
+else:
+    JobEdit = make_dataclass(
+        "JobEdit", [(name, kind | None, None) for name, kind in STEPS.items()], bases=(_OneStep,), frozen=True
+    )
 
 
 @dataclass(frozen=True)

@@ -261,7 +261,8 @@ def _seen(splats: Splats, views: Sequence[Edit]) -> tuple[np.ndarray, np.ndarray
             light = to_light(np.clip(picture, 0, 1), splats.color_space).astype(np.float32)
             gathered = projected.backproject(np.ascontiguousarray(light), weight)
             sums[row, projected.gaussian_ids] += gathered.values
-        total[projected.gaussian_ids] += gathered.weight
+            if row == 0:  # the weight is the view's, whatever is gathered
+                total[projected.gaussian_ids] += gathered.weight
     level = np.maximum(total, 1e-9)[:, None]
     return sums[0] / level, sums[1] / level, total
 

@@ -37,7 +37,7 @@ class RenderViews(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, *grad_outputs: Any) -> tuple[Any, ...]:
+    def backward(ctx: Any, *grad_outputs: Any) -> tuple[Any, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         _ = ctx.saved_tensors  # raises if they were changed
         v_colors, v_alphas, v_depths = (g.contiguous().numpy() for g in grad_outputs[:3])
         grads: list[Any] = [None] * 11

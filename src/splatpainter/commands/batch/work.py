@@ -345,9 +345,9 @@ def _previews(job: Job, before: Splats, after: Splats) -> None:
 
 def _preview_camera(job: Job, splats: Splats) -> Camera:
     """Camera of the small pictures: that of the jobs file, else of the first edit that has one, else from the front."""
-    names = [job.preview_camera]
+    names: list[str | Path] = [job.preview_camera]
     for step in job.steps:
-        names += step.step.viewpoints() if isinstance(step.step, Operation) else ()
+        names += list(step.step.viewpoints()) if isinstance(step.step, Operation) else []
     for name in filter(None, names):
         with contextlib.suppress(ValueError):
             return camera_from(Path(name)).with_longest_side(job.preview_px).relative_to(splats.offset)

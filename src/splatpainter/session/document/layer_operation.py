@@ -59,15 +59,28 @@ before."""
 class LayerWork(Protocol):
     """What the operation of a layer has of the place where the layer is composed."""
 
-    title: str
-    """The layer's name in errors."""
-    views: tuple[View, ...]
-    splats: Splats
-    """The Gaussians below; `origin`: the original's Gaussian that each comes from."""
-    original: Splats
-    """What an eraser goes back to: the asset as it was opened, or of a stroke what is below its layer."""
-    fades: bool
-    """Whether the layer mixes with what is below it, by its opacity or blend."""
+    @property
+    def title(self) -> str:
+        """The layer's name in errors."""
+        ...
+
+    @property
+    def views(self) -> tuple[View, ...]: ...
+
+    @property
+    def splats(self) -> Splats:
+        """The Gaussians below; `origin`: the original's Gaussian that each comes from."""
+        ...
+
+    @property
+    def original(self) -> Splats:
+        """What an eraser goes back to: the asset as it was opened, or of a stroke what is below its layer."""
+        ...
+
+    @property
+    def fades(self) -> bool:
+        """Whether the layer mixes with what is below it, by its opacity or blend."""
+        ...
 
     def blob(self, sha256: str) -> bytes:
         """Bytes of a picture that the operation names. Raises ValueError: unknown or damaged."""

@@ -47,7 +47,7 @@ class LookLayer(PaintedLayer):
 
     def blobs(self) -> set[str]:
         table = self.settings.get(TABLE)
-        return super().blobs() | ({table} if is_hash(table) else set())
+        return super().blobs() | ({str(table)} if is_hash(table) else set())
 
     @property
     def needs_views(self) -> bool:

@@ -82,7 +82,7 @@ class PaintedLayer(LayerOperation):
 
     def blobs(self) -> set[str]:
         image = (self.placed or {}).get("image")
-        return super().blobs() | ({image} if is_hash(image) else set())
+        return super().blobs() | ({str(image)} if is_hash(image) else set())
 
     def limits(self) -> dict[str, float]:
         """What one view may paint, where that is not as the painter has it: fields of its LocalOptions."""
