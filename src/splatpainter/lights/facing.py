@@ -80,6 +80,7 @@ def facing(splats: Splats) -> Facing:
     drawable = splats.drawable
     if not drawable.any():
         raise ValueError("light: expected Gaussians that can be drawn, got none")
+    # Gaussians that cannot be drawn would pull means and medians; they get zeros, and keep their places.
     if not drawable.all():
         part = facing(splats.take(drawable))
         arrays = (scattered(values, drawable) for values in (part.normals, part.front, part.seen))
@@ -91,6 +92,7 @@ def facing(splats: Splats) -> Facing:
     outwards = splats.means - center.astype(np.float32)
     towards, seen = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
     shape = (VIEW_PX, VIEW_PX)
+    # Which end of an axis is the outside is not in the file; which side can be seen from around is.
     for camera in spherical_cameras(center, VIEW_DISTANCE * max(radius, 1e-9), VIEW_COUNT, size=VIEW_PX):
         projected = project(splats, camera.local)
         sums = projected.backproject(np.zeros((*shape, 3), np.float32), np.ones(shape, np.float32))
@@ -99,12 +101,14 @@ def facing(splats: Splats) -> Facing:
         away = camera.position.astype(np.float32) - splats.means[ids]
         towards[ids] += (weight / np.linalg.norm(away, axis=1))[:, None] * away
         seen[ids] += weight
+    # What is seen from one side alone votes on whether the whole asset's axes have a meaning.
     cosines = (axes * towards).sum(1) / np.maximum(seen, 1e-9)
     one_sided = (seen > SEEN_PX) & (np.abs(cosines) > ONE_SIDED)
     weight = seen[one_sided].astype(np.float64)
     agreeing = float(weight[cosines[one_sided] > 0].sum() / weight.sum()) if len(weight) else 0.0
     sheets = agreeing >= MOSTLY_ORIENTED_SHARE or not len(weight)
     sheets = sheets and _coherence(splats, axes, radius) >= COHERENT_SHARE
+    # Oriented patches are believed also where nothing sees them; else each side is what views found.
     if agreeing >= ORIENTED_SHARE or sheets:
         normals, front = axes, np.ones(count, np.float32)
     else:
@@ -115,6 +119,7 @@ def facing(splats: Splats) -> Facing:
         if agreeing >= MOSTLY_ORIENTED_SHARE:  # ... or where observation does not decide
             side, front = np.where(one_sided, side, 1), np.ones(count, np.float32)
         normals = _smoothed(splats, np.where(side[:, None] < 0, -axes, axes), seen > SEEN_PX)
+    # Round Gaussians have no normal to speak of, and who moves light asks for this share first.
     ordered = np.sort(splats.scales, 1)
     flat_share = float((ordered[:, 0] <= MAX_FLATNESS * ordered[:, 1]).mean())
     return Facing(normals, front, seen, flat_share)
@@ -127,11 +132,13 @@ def _smoothed(splats: Splats, normals: np.ndarray, seen: np.ndarray) -> np.ndarr
     ids = np.flatnonzero(seen)
     if not len(ids):
         return normals
+    # The width of a patch is that of its two longer axes: the shortest is its thickness.
     scales = np.sort(splats.scales[ids].astype(np.float64), 1)
     widths = np.sqrt(scales[:, 1] * scales[:, 2])
     facings = normals[ids].astype(np.float64)
     edge = CELL_WIDTHS * max(float(np.median(widths)), 1e-12)
     cells = np.floor(splats.means[ids].astype(np.float64) / edge)
+    # The way is a part of the group: both sides of a thin wall lie in one cell and must not be mixed.
     ways = portable.matmul(facings, fibonacci_sphere(2 * AXIS_BINS).T).argmax(1)
     groups = np.unique(np.concatenate([cells, ways[:, None]], 1), axis=0, return_inverse=True)[1].reshape(-1)
     count = np.bincount(groups).astype(np.float64)
@@ -143,6 +150,7 @@ def _smoothed(splats: Splats, normals: np.ndarray, seen: np.ndarray) -> np.ndarr
     towards = towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
     window = SURFACE_WINDOW * mean(widths[:, None])[:, 0]
     there = Surface.of(splats).at(mean(splats.means[ids].astype(np.float64)), -towards, window)
+    # Trusted as far as neighbours agree: at creases and among few patches each keeps its own normal.
     share = np.where(there.patches >= MIN_PATCHES, there.agreement, 0)[groups, None]
     mixed = (1 - share) * facings + share * there.normals[groups]
     length = np.linalg.norm(mixed, axis=1, keepdims=True)
@@ -153,6 +161,7 @@ def _smoothed(splats: Splats, normals: np.ndarray, seen: np.ndarray) -> np.ndarr
 
 def _coherence(splats: Splats, axes: np.ndarray, radius: float) -> float:
     """0..1: how far shortest axes of neighbours in one plane have their positive ends on one side."""
+    # Smaller cells than for sheets: neighbours should lie on one plane even where the surface bends.
     groups, aligned = _planes(splats, axes, NEIGHBOURHOOD / 2 * radius)
     sign = np.where((aligned * axes).sum(1) < 0, -1.0, 1.0)
     count = np.bincount(groups)
@@ -193,13 +202,16 @@ def _with_neighbours(
         total = np.maximum(np.bincount(groups, by), 1e-12)
         return np.stack([np.bincount(groups, by * column) / total for column in values.T], 1)[groups]
 
+    # Heights from above and from below tell a leaf from a wall: both faces of a leaf are the same Gaussians.
     axis = mean(aligned, weight)
     height = ((positions - mean(positions, weight)) * axis).sum(1)[:, None]
+    # Of each Gaussian by itself: a sheet's are seen from above by some views and from below by others.
     sight = (aligned * towards).sum(1) / weight
     above, below = weight * (sight > 0), weight * (sight < 0)
     gap = np.abs(mean(height, above) - mean(height, below))[:, 0]
     width = mean(np.sort(splats.scales, 1)[:, 1:2].astype(np.float64), weight)[:, 0]
     share = mean((sight > 0)[:, None].astype(np.float64), weight)[:, 0]
+    # Both conditions: nearly nothing seen from one side makes that side's mean height a matter of chance.
     sheet = (gap < MAX_SHEET_GAP * width) & (np.minimum(share, 1 - share) > MIN_SIDE_SHARE)
     common = (aligned * mean(towards / weight[:, None], weight)).sum(1)
     sign = (aligned * axes).sum(1)

@@ -59,6 +59,7 @@ def glb_of(lights: list[SceneLight]) -> tuple[bytes, list[str]]:
         elif light.kind == "spot":
             outer = math.radians(min(light.sizes[0] / 2, 89.9))
             item |= {"type": "spot", "spot": {"innerConeAngle": outer * (1 - PENUMBRA), "outerConeAngle": outer}}
+        # glTF has no lamps with an area: what comes nearest is written, and what is lost is said.
         elif light.kind in ("rect", "disk"):
             item |= {"type": "spot", "spot": {"innerConeAngle": 0.0, "outerConeAngle": math.radians(89.9)}}
             losses.append(f"{light.name}: a {light.kind} becomes a wide spot without area")
@@ -90,6 +91,7 @@ def _light(item: dict[str, Any], matrix: np.ndarray, path: Path) -> SceneLight:
     intensity = jsonio.finite_numbers([item.get("intensity", 1)], path, "a light's intensity")[0]
     if color.shape != (3,) or color.min() < 0 or intensity < 0:
         raise ValueError(f"{path}: expected three numbers from 0 as a light's color, and an intensity from 0")
+    # A node may scale what it holds; a direction must not.
     length = math.sqrt(float((matrix[:3, 2] ** 2).sum()))
     if not math.isfinite(length) or length < 1e-12:
         raise ValueError(f"{path}: a light's node has a transform without inverse")

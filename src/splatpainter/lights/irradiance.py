@@ -51,11 +51,13 @@ class LitSurface:
         sides = facing(splats) if sides is None else sides
         drawable = splats.drawable
         points = np.where(drawable[:, None], splats.means, 0).astype(np.float32)
+        # Where all are faint they still stand in each other's way: then all cast shadows.
         solid = drawable & (splats.opacities >= MIN_BLOCKER_ALPHA)
         blockers = np.ascontiguousarray(points[solid if solid.any() else drawable])
         spacing = point_spacing(blockers)
         normals = sides.normals.astype(np.float64)
         front = sides.front.astype(np.float64)[:, None]
+        # Both sides, by the share of each that is seen: a leaf takes light from behind.
         above, below = unoccluded_transfer(normals) / np.pi, unoccluded_transfer(-normals) / np.pi
         closed = np.zeros(len(points))
         if shadows and len(blockers) > 1:
@@ -68,6 +70,7 @@ class LitSurface:
 
     def from_sky(self, coefficients: np.ndarray) -> np.ndarray:
         """[N, 3] float64 >= 0 under an environment with SH coefficients [9, 3], in the asset's axes."""
+        # What is blocked is not black: it shows a neighbour, in the mean light.
         mean = np.maximum(coefficients[0] * SH_C0, 0)
         received = portable.matmul(self.transfer, coefficients)
         return np.maximum(received + (BLOCKER_RADIANCE * self.closed)[:, None] * mean, 0)
@@ -75,6 +78,7 @@ class LitSurface:
     def from_directions(self, towards: np.ndarray) -> np.ndarray:
         """[N] float64 0..1 irradiance of distant lights of weight 1 / K in K unit directions [K, 3] to them."""
         normals, share = self.facing.normals.astype(np.float64), self.facing.front.astype(np.float64)
+        # Both sides are counted open first: shadow maps say what of either is blocked.
         cosines = portable.matmul(normals, towards.T) / len(towards)
         front, back = np.maximum(cosines, 0).sum(1), np.maximum(-cosines, 0).sum(1)
         if self.shadows and len(self.blockers) > 1:
@@ -90,6 +94,7 @@ class LitSurface:
         total = np.zeros(len(self.points))
         positions = lamp.points() - np.array(offset)
         normals, share = self.facing.normals.astype(np.float64), self.facing.front.astype(np.float64)
+        # One after the other: each point of an area has a shadow of its own, and together they make it soft.
         for position in positions:
             line = position - self.points.astype(np.float64)
             distance = np.maximum(np.linalg.norm(line, axis=1), 1e-12)
@@ -108,10 +113,12 @@ class LitSurface:
         place lies in the asset's midst."""
         blockers = self.blockers.astype(np.float64) - position
         points = self.points.astype(np.float64) - position
+        # Lifted on the side that faces the lamp, or a surface would shade itself.
         lift = np.where(cosines < 0, -1.0, 1.0)[:, None] * self.facing.normals.astype(np.float64)
         middle = (self.blockers.min(0) + self.blockers.max(0)).astype(np.float64) / 2 - position
         radius = portable.length(np.ptp(self.blockers, axis=0).astype(np.float64)) / 2
         hidden = np.zeros(len(points))
+        # From far off one map holds the asset; from its midst no single frustum does.
         if portable.length(middle) > 1.2 * radius:
             axes = [middle / portable.length(middle)]
         else:
@@ -127,6 +134,7 @@ class LitSurface:
             inside = (seen[:, 2] > 1e-9) & (np.abs(seen[:, :2]).max(1) <= limit * seen[:, 2])
             if not ahead.any() or not inside.any():
                 continue
+            # The pixel follows the blockers, but a few right at the lamp must not make the map endless.
             standing, near = standing[ahead], float(np.quantile(standing[ahead, 2], NEAR_SHARE))
             width = float(np.ptp(standing[:, :2] / standing[:, 2:], axis=0).max())
             spacing = max(self.spacing / near, width / MAX_MAP_PX)

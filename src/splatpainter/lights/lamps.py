@@ -53,6 +53,7 @@ class Sun:
         middle = direction(self.azimuth, self.elevation)
         if self.size <= SHARP_SUN:
             return middle[None]
+        # A wide sun is some directions all over its disc: together they make the edge of a shadow soft.
         side, other = across(middle)
         x, y = _disk(AREA_SAMPLES) * math.radians(self.size / 2)
         towards = middle + x[:, None] * side + y[:, None] * other
@@ -82,6 +83,7 @@ class Lamp:
             return middle + self.sizes[0] * fibonacci_sphere(AREA_SAMPLES)
         side, other = across(self.axis)
         if self.kind == "rect":
+            # Middles of equal parts, so that the points have the lamp's own mean and none lies on its edge.
             grid = (np.arange(4) + 0.5) / 4 - 0.5
             x, y = np.repeat(grid, 4) * self.sizes[0], np.tile(grid, 4) * self.sizes[1]
         else:

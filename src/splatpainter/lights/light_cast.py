@@ -32,6 +32,7 @@ def cast(colors: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """[3] float64 of mean 1: the likely colour of the light in the mean. colors: [M, 3] linear, without their shading;
     weights: [M]."""
     logs = portable.log(np.maximum(colors.astype(np.float64), 0) + DARK)
+    # Clipped, as a channel that is nearly black says nothing of the light's hue.
     hues = np.stack([logs[:, 0] - logs[:, 1], logs[:, 2] - logs[:, 1]], 1).clip(-HUE_RANGE, HUE_RANGE)
     total = float(weights.sum())
     if not total > 0:
@@ -40,9 +41,11 @@ def cast(colors: np.ndarray, weights: np.ndarray) -> np.ndarray:
     grid = np.stack([np.repeat(axis, GRID_STEPS), np.tile(axis, GRID_STEPS)], 1)
     chance = np.empty(len(grid))
     for k, light in enumerate(grid):
+        # As a mean, so that one asset is one witness: its materials are no independent draws.
         chance[k] = float((weights * portable.log(_material_density(hues - light))).sum()) / total
     chance += _log_normal(grid, LIGHT_MEAN, LIGHT_COVARIANCE)
     chance = portable.exp(chance - chance.max())
+    # The mean of what is likely, not the likeliest: one asset seldom decides.
     red, blue = (chance[:, None] * grid).sum(0) / chance.sum()
     color = np.array([portable.exp(float(red)), 1.0, portable.exp(float(blue))])
     return color / color.mean()

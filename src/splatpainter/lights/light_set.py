@@ -43,6 +43,7 @@ class Lights:
 
     def check(self) -> None:
         """Raises ValueError: no light, a number out of its range, too many."""
+        # Judged before anything is computed: shadow maps take long, and a wrong number would only be black.
         if self.sky is None and not self.suns and not self.lamps and not self.fill:
             raise ValueError("light: expected a light (an environment, a sun or a lamp), got none")
         if len(self.suns) + len(self.lamps) > MAX_LAMPS:
@@ -99,6 +100,7 @@ class Lights:
     def fill_level(self) -> float:
         if self.fill is not None:
             return self.fill
+        # Lamps alone would leave the rest black; an environment, or the light before, fills it already.
         return 0.0 if self.sky is not None or self.add else LAMP_FILL
 
 
@@ -116,5 +118,6 @@ def turned_sky(sky: SkyMap, axes: np.ndarray, rotate: float = 0.0) -> np.ndarray
     turn = portable.matmul(back, axes).T
     coefficients = sky.coefficients()
     bands = (slice(0, 1), slice(1, 4), slice(4, 9))
+    # The coefficients are turned, not the picture: exact for SH, and at no cost.
     turns = sh_rotations(turn, 2)
     return np.concatenate([portable.matmul(m, coefficients[band]) for m, band in zip(turns, bands, strict=True)])

@@ -46,6 +46,7 @@ def parse_sun(text: str, size: float, white: Rgb = WHITE) -> Sun:
 
 def parse_sun_at(text: str, north: float, size: float, white: Rgb = WHITE) -> Sun:
     """The sun of TIME,LATITUDE,LONGITUDE. Raises ValueError."""
+    # The time is no number, and goes before the rest is read as numbers.
     moment, _, rest = text.partition(",")
     try:
         when = datetime.fromisoformat(moment)
@@ -80,6 +81,7 @@ def _split(option: str, form: str, text: str, white: Rgb) -> tuple[list[float], 
     """(numbers as `form` names them, linear colour, intensity)."""
     parts = text.split(",")
     count = len(form.split(","))
+    # Colour and intensity are optional and told apart by the #, so that neither needs a name.
     head, tail = parts[:count], parts[count:]
     color, intensity = white, 1.0
     if tail and tail[0].startswith("#"):

@@ -99,6 +99,7 @@ def match_light(
     clock = time.perf_counter()
     splats = splats.numpy()
     edits = [edit.relative_to(splats.offset) for edit in edits]
+    # Occlusion depends on shape alone, so it is computed once for all candidates.
     surface = lit_surface(splats, shadows)
     before = captured_light(splats, shadows) if source is None else SourceLight(source, 0.0, "source light: given")
 
@@ -112,15 +113,18 @@ def match_light(
             out["light and painter"] = (painter.apply(painter.encode(lit.splats), views, "global"), new, old)
         return out
 
+    # With one candidate there is nothing to judge, and all of the pictures can be used.
     names = ["light"] if painter is None else ["light", "painter", "light and painter"]
     scores: dict[str, float] = {}
     if len(names) > 1:
         used, judged = _held_back(splats, edits)
         scores = {name: _score(asset.splats, judged) for name, (asset, _, _) in results(used, names).items()}
         names = [max(scores, key=lambda name: scores[name] + (PREFERENCE_DB if name == "light" else 0))]
+    # The winner is made once more of all that the pictures show, the judging part too.
     asset, new, old = results(edits, names)[names[0]]
     listed = ", ".join(f"{name} {value:.1f}" for name, value in scores.items())
     note = f"light matched to {len(edits)} pictures by {names[0]}" + (f" (held back, dB: {listed})" if listed else "")
+    # The scores stand in the receipt, so that one can see how narrow the choice was.
     receipt = color_receipt(splats, asset.splats, "light", f"{note}; {old.note}")
     receipt = replace(receipt, seconds={"match": time.perf_counter() - clock})
     asset = Asset(asset.splats, receipt, original=splats)
@@ -176,6 +180,7 @@ def _fit_lights(
     """(light before, corrected, [9, 3] new light)."""
     now, then, total = _seen(splats, views)
     transfer = surface.transfer / SH_C0
+    # A Gaussian that faces both ways has two irradiances, and its ratio is that of neither.
     trusted = surface.facing.trusted & (total > MIN_SHARE)
     if trusted.sum() < MIN_WITNESSES:
         raise ValueError(
@@ -191,10 +196,13 @@ def _fit_lights(
         seen, pictured = (luminance(v) if channel is None else v[:, channel] for v in (now, then))
         start = _channel(before.coefficients, channel)
         level = max(float(start[0]), 1e-6)
+        # Near black the ratio is noise, and what is clipped says only "at least".
         usable = trusted & (seen > DARK) & (pictured > DARK) & (now.max(1) < CLIPPED) & (then.max(1) < CLIPPED)
         if usable.sum() < MIN_WITNESSES:
             usable = trusted
+        # The floor keeps dark Gaussians from ruling the fit: their ratios are the largest and the least sure.
         ratio = portable.log((pictured[usable] + RATIO_FLOOR) / (seen[usable] + RATIO_FLOOR))
+        # In units of the old light's level, so that what is expected holds for any exposure.
         center = np.concatenate([start[1:] / level, [1.0], np.zeros(8)])
         deviation = spread
         if aimed:
@@ -225,6 +233,7 @@ def _fit_channel(
     9] over that of an open surface under uniform light; ratio: [M] natural logarithms; weights: [M]; center, deviation:
     [17] what is expected."""
     estimate = center.copy()
+    # The median ratio starts it near the right level; Gauss-Newton on logarithms goes astray from far away.
     estimate[8] = max(float(portable.exp(float(np.median(ratio)))), 0.02)
     for _ in range(FIT_ROUNDS):
         old = transfer[:, 0] + portable.matmul(transfer[:, 1:], estimate[:8, None])[:, 0]
@@ -232,12 +241,15 @@ def _fit_channel(
         low = MIN_LIGHT * max(float(estimate[8]), 0.1)
         dim, lit = np.maximum(old, MIN_LIGHT), np.maximum(new, low)
         error = ratio - portable.log(lit) + portable.log(dim)
+        # The scale is the residuals' own, with a floor: a perfect fit would otherwise call its last errors outliers.
         noise = max(1.4826 * float(np.median(np.abs(error))), RATIO_NOISE)
         robust = weights * np.minimum(1, 1.5 * noise / np.maximum(np.abs(error), 1e-9))
+        # Where irradiance was held at its floor it does not depend on the light, so its slope is zero.
         before = -transfer[:, 1:] / dim[:, None] * (old > MIN_LIGHT)[:, None]
         after = transfer / lit[:, None] * (new > low)[:, None]
         jacobian = np.concatenate([before, after], 1)
         matrix = portable.gram(jacobian, robust) / noise**2
+        # What is expected counts as one more observation of each band: bands that no Gaussian tells about stay there.
         matrix[np.arange(17), np.arange(17)] += 1 / deviation**2
         right = portable.transposed_product(jacobian, (robust * error)[:, None])[:, 0] / noise**2
         right -= (estimate - center) / deviation**2
@@ -254,6 +266,7 @@ def _seen(splats: Splats, views: Sequence[Edit]) -> tuple[np.ndarray, np.ndarray
     for view in views:
         drawn = render(splats, view.camera)
         alphas = np.asarray(drawn.alphas)[0].reshape(view.image.shape[:2])
+        # At silhouettes a pixel is partly background, of which an edited picture may show another.
         solid = (alphas > 0.9) & (np.ones_like(alphas, bool) if view.mask is None else view.mask)
         weight = solid.astype(np.float32)
         projected = project(splats, view.camera.within(splats.offset).local)
@@ -274,6 +287,7 @@ def _held_back(splats: Splats, edits: Sequence[Edit]) -> tuple[list[Edit], list[
     for number, edit in enumerate(edits):
         alphas = np.asarray(render(splats, edit.camera).alphas)[0].reshape(edit.image.shape[:2])
         _, column = np.indices(alphas.shape)
+        # The median column halves the asset's pixels, wherever it stands in the picture.
         middle = np.median(column[alphas > 0.5]) if (alphas > 0.5).any() else edit.camera.width / 2
         half = (column < middle) == (number % 2 == 0)
         used.append(_masked(edit, alphas, half))

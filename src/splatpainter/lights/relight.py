@@ -122,13 +122,16 @@ def _edited(
     clock = time.perf_counter()
     splats = splats.numpy()
     weights = np.ones(len(splats), np.float32) if region is None else region.weights(splats)
+    # The mix is a part of the weights, so that region and strength fade in one place.
     weights = np.where(splats.drawable, weights, 0) * np.float32(mix)
     chosen = np.flatnonzero(weights)
+    # Light by the ratio needs normals that mean something; that there are few is said, and nothing is refused.
     surface = lit_surface(splats, shadows) if surface is None else surface
     notes = []
     if surface.facing.flat_share < MIN_FLAT_SHARE:
         notes.append(f"only {surface.facing.flat_share:.0%} of the Gaussians are flat: little surface to light")
     axes = axes_of(lights.up)
+    # What the asset was captured in is estimated, where nobody says it.
     if source is None:
         before = captured_light(splats, shadows)
     elif isinstance(source, SourceLight):
@@ -144,10 +147,12 @@ def _edited(
         now, new = _target(surface, lights, axes, chosen, splats.offset)
         if lights.add:
             now, new = before.coefficients + now, old + new
+    # The floor in both keeps the ratio finite in full shadow, and lets the way back end where it began.
     new = np.maximum(new, 0)
     ratio = np.clip((new + FLOOR) / (old + FLOOR), 1 / MAX_RATIO, MAX_RATIO)
     sh = splats.sh.copy()
     sh[chosen] = _relit(splats, chosen, ratio[chosen], weights[chosen], surface, before.coefficients, now)
+    # The receipt says what decided the look, so that it can be made again.
     edited = replace(splats, sh=sh)
     what = [
         lights.describe() if mode == "light" else "delight",
@@ -167,6 +172,7 @@ def _edited(
 
 def color_receipt(splats: Splats, edited: Splats, mode: str, note: str) -> Receipt:
     """Of an edit by light that changed colours alone. Raises ValueError: it changed nothing."""
+    # Gaussians that light left alone are proved by their hash, as with every edit.
     touched = changed_rows(splats, edited)
     if not len(touched):
         raise ValueError(f"{mode}: nothing to do, these lights change no Gaussian")
@@ -199,6 +205,7 @@ def _target(
         total = total + received[:, None] * (sun.intensity * np.array(sun.color))
     for lamp in lights.lamps:
         received = surface.from_lamp(lamp, offset)
+        # A lamp that lights nothing is a mistake of its place, which nobody would find in the picture.
         if not received[chosen].any():
             spot = ",".join(f"{value:g}" for value in lamp.position)
             raise ValueError(
@@ -215,6 +222,7 @@ def distant_light(lights: Lights, axes: np.ndarray) -> np.ndarray:
     coefficients = _from_all_around(lights, axes)
     for sun in lights.suns:
         towards = portable.matmul(sun.directions(), axes)
+        # A mirror shows suns as well, as far as SH can: lamps are near, and would show elsewhere from every Gaussian.
         strength = math.pi * sun.intensity * np.array(sun.color)
         coefficients = coefficients + sh_basis(towards, 2).mean(0)[:, None] * strength
     return float(portable.exp(lights.exposure * LN_2)) * coefficients
@@ -242,6 +250,7 @@ def _relit(
     base = base_color(sh)
     light = to_light(base, splats.color_space)
     share = weights.astype(np.float64)[:, None]
+    # The limit never darkens: a Gaussian that was brighter before may stay as bright.
     target = np.minimum(light * ratio, np.maximum(light, MAX_LEVEL))
     # Mixed as light, not as display colours.
     mixed = light + share * (target - light)
@@ -251,15 +260,18 @@ def _relit(
     out[:, 0] = np.where(steady, sh[:, 0], sh_from_color(display))
     if sh.shape[1] == 1:
         return out.astype(np.float32)
+    # Bands are in display colours: their slope is that of the curve at the new colour over that at the old one.
     gain = 1 + share * (ratio - 1)
     slope = gain if splats.color_space == "linear" else np.minimum(_slope(mixed) * gain / _slope(light), MAX_SLOPE)
     slope = np.where(steady, 1, np.minimum(slope, MAX_SLOPE))[:, None, :]
+    # Bands beyond the second are finer than the light is known: they follow the slope alone.
     mirrored = slice(1, min(sh.shape[1], 9))
     for first in range(0, len(sh), PIECE):
         piece = slice(first, first + PIECE)
         normals = surface.facing.normals[chosen[piece]].astype(np.float64)
         old, new = mirrored_light(before, normals)[:, mirrored], mirrored_light(now, normals)[:, mirrored]
         rest = sh[piece, mirrored]
+        # Only what of the bands mirrors the old light is exchanged; the rest is no reflection of it.
         gloss = _response(rest, old)
         changed = slope[piece] * rest + share[piece][:, None] * slope[piece] * (
             gloss * (new / _level(now, before) - old)
@@ -287,6 +299,7 @@ def _response(bands: np.ndarray, mirrored: np.ndarray) -> np.ndarray:
     for first, last in ((0, 3), (3, 8)):
         if bands.shape[1] >= last:
             ours, theirs = bands[:, first:last], mirrored[:, first:last]
+            # The floor keeps light without a direction from dividing by nothing: it has no mirror image.
             power = (theirs * theirs).sum((1, 2))
             share = (ours * theirs).sum((1, 2)) / np.maximum(power, 1e-3)
             out[:, first:last] = np.clip(share, 0, 1)[:, None, None]

@@ -60,6 +60,7 @@ def read_rig(name: str | Path, up: UpAxis = "auto", full_range: bool = False) ->
         scene = read_gltf_lights(path)
     else:
         scene, dome, notes = read_usda(path)
+    # Black lights cost a shadow map each and light nothing.
     dark = [light for light in scene if not light.intensity > 0 or not any(light.color)]
     notes += [f"the light {ascii(light.name)[1:-1]} is black and passed over" for light in dark]
     suns, lamps = from_scene([light for light in scene if light not in dark], up)
@@ -72,6 +73,7 @@ def read_rig(name: str | Path, up: UpAxis = "auto", full_range: bool = False) ->
             )
         else:
             lights = replace(lights, fill=min(dome.intensity, 10.0))
+    # A rig that lights nothing would make the asset black, as if that were asked for.
     if lights.sky is None and not suns and not lamps and not lights.fill:
         raise ValueError(f"{path}: expected a rig with lights, found none")
     return lights, notes
@@ -86,6 +88,7 @@ def write_rig(path: str | Path, lights: Lights, offset: tuple[float, float, floa
         rig = Rig(sky=_name(lights.sky, path), **{k: getattr(lights, k) for k in _SHARED})
         _write(path, (json.dumps(jsonio.plain(rig), indent=2) + "\n").encode())
         return losses
+    # Exposure goes into each light's intensity: USD and glTF have none for a whole scene.
     scene = to_scene(lights, offset)
     if suffix == ".usda":
         dome = None

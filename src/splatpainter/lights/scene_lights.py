@@ -75,6 +75,7 @@ def sky_turn(up: UpAxis) -> float:
 def to_scene(lights: Lights, offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> list[SceneLight]:
     """The suns and lamps. offset: taken from their places."""
     axes = scene_axes(lights.up)
+    # Suns are told from the front of the asset, lamps in the world: two ways into the same scene.
     back = portable.matmul(axes, axes_of(lights.up).T)  # from the axes of suns
     gain = float(portable.exp(lights.exposure * portable.log(2.0)))
     out = []
@@ -102,6 +103,7 @@ def from_scene(scene: list[SceneLight], up: UpAxis = "auto") -> tuple[tuple[Sun,
             suns.append(Sun(azimuth, elevation, light.sizes[0], light.color, light.intensity))
             continue
         where = portable.matmul(back, light.position[:, None])[:, 0]
+        # Any point along the line does: only the direction counts.
         target = None if light.kind in ("point", "sphere") else _numbers(where + along)
         lamps.append(Lamp(light.kind, _numbers(where), light.color, light.intensity, target, light.sizes))
     return tuple(suns), tuple(lamps)

@@ -51,6 +51,7 @@ class SkyMap:
         light an open white surface sends back 1 in the mean over its directions."""
         picture = self.radiance.astype(np.float64)
         towards, areas = lat_long(*picture.shape[:2])
+        # By solid angle: rows near the poles have as many pixels, and are much smaller.
         weighted = (sh_basis(towards, 2) * areas[..., None]).reshape(-1, 9)
         sums = portable.transposed_product(weighted, picture.reshape(-1, 3))
         mean = float(sums[0].mean()) / math.sqrt(4 * math.pi)
@@ -82,6 +83,7 @@ def read_sky(path: str | Path, full_range: bool = False) -> SkyMap:
     note = ""
     if ending in DEEP:
         picture = read_radiance(path)
+        # Some cameras clip a sun and some store it in full: the light should not depend on which.
         limit = np.percentile(picture, SMALL_LAMPS)
         if limit > 0 and not full_range:
             picture = np.minimum(picture, np.float32(limit))
@@ -131,6 +133,7 @@ def read_radiance(path: Path) -> np.ndarray:
         raise ValueError(f"{path}: expected an environment (.hdr or .exr), got {path.suffix or 'no suffix'}")
     pixels = read_samples(path, str(path))
     pixels = np.repeat(pixels, 3, 2) if pixels.shape[2] < 3 else pixels[..., :3]
+    # A few bad pixels are a fault of the camera, many are one of the file.
     bad = ~np.all(np.isfinite(pixels) & (pixels >= 0), axis=-1)
     if bad.mean() > MAX_BAD_SHARE:
         raise ValueError(
@@ -153,6 +156,7 @@ def read_samples(path: Path, where: str) -> np.ndarray:
         kind = "a Radiance .hdr" if format_name == "hdr" else "an OpenEXR"
         raise ValueError(f"{where}: is not {kind} picture ({_one_line(oiio.geterror(), path)})")
     try:
+        # The header is judged before pixels are read: its size may be a lie of terabytes.
         spec = source.spec()
         if not 0 < spec.width * spec.height <= MAX_PIXELS:
             raise ValueError(

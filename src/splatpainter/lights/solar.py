@@ -60,6 +60,7 @@ def sun_position(when: datetime, latitude: float, longitude: float) -> tuple[flo
     north = _sin(declination) * _cos(latitude) - _cos(declination) * _cos(hour) * _sin(latitude)
     up = _sin(declination) * _sin(latitude) + _cos(declination) * _cos(hour) * _cos(latitude)
     elevation = _atan2(up, math.sqrt(east * east + north * north))
+    # Refraction counts near the horizon, where shadows are longest; far below it the formula has no meaning.
     if elevation > -1:
         bent = math.radians(elevation + 10.3 / (elevation + 5.11))
         elevation += 1.02 / 60 * portable.cos(bent) / portable.sin(bent)

@@ -80,13 +80,16 @@ def uniform_coefficients() -> np.ndarray:
 def estimate_source(light: np.ndarray, transfer: np.ndarray, points: np.ndarray, trusted: np.ndarray) -> SourceLight:
     """light: [N, 3] linear base colours; transfer: [N, 9] over pi (`LitSurface.transfer`); points: [N, 3]; trusted: [N]
     bool Gaussians whose side is certain."""
+    # Clipped and nearly black colours have lost their ratio to the light.
     usable = trusted & (light.max(1) < BRIGHTEST) & (light.min(1) > DARKEST)
     patches = _observations(light[usable], transfer[usable] / SH_C0, points[usable])
     if patches is None or len(patches.colors) < MIN_OBSERVATIONS:
         return uniform_source("source light: uniform grey, for want of surface that could show another")
     brightness = luminance(patches.colors)
     start = np.zeros(8)
+    # Luminance first: the fit of each channel then starts from it, and is held near it.
     everything = _fit(patches, brightness, start, PRIOR_STD)
+    # Light that holds for the whole asset is found without any part of it; paint that looks like light is not.
     left_out = []
     for part in range(PARTS):
         rest = patches.parts != part
@@ -95,6 +98,7 @@ def estimate_source(light: np.ndarray, transfer: np.ndarray, points: np.ndarray,
     spread = np.stack(left_out) - everything
     variance = (spread * spread).sum(0) * ((PARTS - 1) / PARTS)
     belief = PRIOR_STD**2 / (PRIOR_STD**2 + variance)
+    # In irradiance, as that is what a wrong light would do to colours.
     directions = fibonacci_sphere(96)
     basis = unoccluded_transfer(directions)[:, 1:].astype(np.float64) / (math.pi * SH_C0)
     doubted = np.minimum(variance * DOUBT**2, PRIOR_STD**2)
@@ -137,12 +141,14 @@ def _observations(light: np.ndarray, transfer: np.ndarray, points: np.ndarray) -
         return None
     moved = points.astype(np.float64) - points.astype(np.float64).mean(0)
     extent = max(float(np.sqrt((moved * moved).sum(1).mean())), 1e-30)
+    # Cells scale with the asset, and hues are logarithms: neither its size nor its exposure changes the patches.
     cells = np.floor(moved / (PATCH_EXTENTS * extent))
     logs = portable.log(light.astype(np.float64) + 0.01)
     hues = np.floor(np.stack([logs[:, 0] - logs[:, 1], logs[:, 2] - logs[:, 1]], 1) / PATCH_CHROMA)
     patches = np.unique(np.concatenate([cells, hues], 1), axis=0, return_inverse=True)[1].reshape(-1)
     vectors = np.stack([-transfer[:, 3], -transfer[:, 1], transfer[:, 2]], 1)  # band 1 is the direction light is seen
     bins = portable.matmul(vectors, fibonacci_sphere(NORMAL_BINS).T).argmax(1)
+    # Gaussians that face one way in a patch are one observation: dense places do not outvote the rest.
     keys, members, counts = np.unique(patches * NORMAL_BINS + bins, return_inverse=True, return_counts=True)
     enough = counts >= MIN_MEMBERS
     members = members.reshape(-1)
@@ -151,6 +157,7 @@ def _observations(light: np.ndarray, transfer: np.ndarray, points: np.ndarray) -
         columns = [np.bincount(members, column, len(keys)) / counts for column in values.T]
         return np.stack(columns, 1)[enough]
 
+    # Parts are octants, as what misleads (a painted side, a clipped one) lies together.
     octants = (means(moved) >= 0) * np.array([1, 2, 4])
     return _Observations(
         colors=means(light.astype(np.float64)),
@@ -165,6 +172,7 @@ def _fit(seen: _Observations, values: np.ndarray, center: np.ndarray, deviation:
     """[8] coefficients of bands 1 and 2 over that of band 0 that explain values [B]; prior: center and deviation."""
     if len(values) < MIN_OBSERVATIONS // 2:
         return np.zeros(8)
+    # In logarithms albedo and irradiance add up, so that each patch's albedo is a mean to subtract.
     logs = portable.log(values + 0.005)
     count = int(seen.patches.max()) + 1
     limits = _basis_all_around()
@@ -181,6 +189,7 @@ def _fit(seen: _Observations, values: np.ndarray, center: np.ndarray, deviation:
         total = np.maximum(np.bincount(seen.patches, weights, count), 1e-9)
         error = rest - patch_means(rest, total)
         noise = max(1.4826 * float(np.median(np.abs(error))), MIN_NOISE)
+        # A patch with an edge of two materials would else pull the light towards it.
         weights = seen.weights * np.minimum(1, 1.2 * noise / np.maximum(np.abs(error), 1e-9))  # Huber's
         total = np.maximum(np.bincount(seen.patches, weights, count), 1e-9)
         jacobian = slopes / lit[:, None] * (received > MIN_SHADING)[:, None]
@@ -190,6 +199,7 @@ def _fit(seen: _Observations, values: np.ndarray, center: np.ndarray, deviation:
         matrix[np.arange(8), np.arange(8)] += 1 / deviation**2
         right = portable.transposed_product(jacobian, (weights * error)[:, None])[:, 0] / noise**2
         step = portable.solved(matrix, (right - (estimate - center) / deviation**2)[:, None])[:, 0]
+        # Damped: far from the solution a full step on logarithms overshoots.
         estimate = estimate + 0.6 * step
         darkest = float((1 + portable.matmul(limits, estimate[:, None])).min())
         if darkest < MIN_SHADING:  # light is not negative

@@ -63,6 +63,7 @@ def read_usda(path: Path) -> tuple[list[SceneLight], SceneSky | None, list[str]]
     except UnicodeDecodeError:
         raise ValueError(f"{path}: this USD is not UTF-8 text") from None
     root = _Parser([t for t in TOKEN.findall(text) if not t.startswith("#")], path).layer()
+    # All of it is y up from here on: what follows knows one convention.
     turn = np.eye(4)
     if root.attributes.get("upAxis") == "Z":
         turn[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
@@ -74,6 +75,7 @@ def read_usda(path: Path) -> tuple[list[SceneLight], SceneSky | None, list[str]]
             skies.append(_dome(prim, matrix, path))
         elif prim.kind in LIGHT_KINDS:
             lights.append(_light(prim, matrix, path))
+        # Named, not refused: the rest of the file is still worth reading.
         elif prim.kind.endswith("Light"):
             notes.append(f"{prim.kind} {ascii(prim.name)[1:-1]} passed over")
         if len(lights) > MAX_LIGHTS:
@@ -142,9 +144,11 @@ def _color(prim: Prim, path: Path) -> Rgb:
 
 
 def _light(prim: Prim, matrix: np.ndarray, path: Path) -> SceneLight:
+    # USD counts radiance, or power where it is normalised; ours is what a white surface receives at a unit's distance.
     intensity = prim.number("inputs:intensity", 50000.0 if prim.kind == "DistantLight" else 1.0, path)
     intensity *= float(portable.exp(prim.number("inputs:exposure", 0.0, path) * portable.log(2.0)))
     normalized = prim.attributes.get("inputs:normalize") in (1.0, "true")
+    # A transform may scale a light, which changes its area and so what it sends.
     scales = np.sqrt((matrix[:3, :3] ** 2).sum(0))
     if not np.isfinite(matrix).all() or not scales.min() > 1e-12:
         raise ValueError(f"{path}: the light {ascii(prim.name)[1:-1]} has a transform without inverse")
@@ -164,6 +168,7 @@ def _light(prim: Prim, matrix: np.ndarray, path: Path) -> SceneLight:
         strength = intensity / math.pi if normalized else intensity * radius**2
         return SceneLight("disk", where, along, color, strength, (radius,), prim.name)
     strength = intensity / (4 * math.pi) if normalized else intensity * radius**2
+    # A cone of nearly a half sphere shapes nothing: USD gives 90 degrees to lights without one.
     cone = prim.number("inputs:shaping:cone:angle", 90.0, path)
     if cone < 85:
         return SceneLight("spot", where, along, color, strength, (2 * cone,), prim.name)
@@ -183,6 +188,7 @@ def _walk(prim: Prim, above: np.ndarray, path: Path, depth: int) -> Iterator[tup
     for child in prim.children:
         local = _transform(child, path)
         order = child.attributes.get("xformOpOrder", ())
+        # USD lets a prim ignore those above it.
         reset = isinstance(order, tuple) and "!resetXformStack!" in order
         matrix = local if reset else portable.matmul(above, local)
         yield child, matrix

@@ -20,6 +20,7 @@ def interval(
     answer.
     """
     values = np.asarray(values, np.float64)
+    # Sums and counts by cluster are all that a draw needs, so that a round costs one look-up for each cluster.
     groups = np.arange(len(values)) if clusters is None else np.unique(np.asarray(clusters), return_inverse=True)[1]
     count = int(groups.max()) + 1 if len(values) else 0
     if count < 2:

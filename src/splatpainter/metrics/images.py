@@ -20,6 +20,7 @@ def psnr(a: Any, b: Any, mask: Any = None) -> float:
     equal. a, b: [H, W] or [H, W, C] floats, 1 = white; mask: [H, W] bool, or weights >= 0, of the pixels that count.
     Raises ValueError when shapes differ, a picture is of integers, or no pixel counts."""
     first, second, weights = checked(a, b, mask, "PSNR")
+    # Channels first, so that a mask weighs pixels and not channels.
     squared = ((first - second) ** 2).mean(2)
     error = float(squared.mean() if weights is None else (squared * weights).sum() / weights.sum())
     return math.inf if error == 0 else -10 * math.log10(error)
@@ -34,6 +35,7 @@ def ssim(a: Any, b: Any, mask: Any = None) -> float:
     picture (the paper's); with one ([H, W] bool, or weights >= 0), the mean of the whole `ssim_map` over it, so that
     an edit at the picture's edge counts too. Raises ValueError as psnr, and for a picture under 11 x 11 pixels."""
     first, second, weights = checked(a, b, mask, "SSIM")
+    # Windows that reach beyond the picture see its mirror image: a mask may ask for them, the paper leaves them out.
     values = _ssim(first, second)
     if weights is None:
         return float(values[RADIUS:-RADIUS, RADIUS:-RADIUS].mean())
@@ -48,6 +50,7 @@ def ssim_map(a: Any, b: Any) -> np.ndarray:
 
 
 def _ssim(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    # Moments under the window, not of deviations: five blurs in place of one window for every pixel.
     if min(a.shape[:2]) <= 2 * RADIUS:
         raise ValueError(f"SSIM: expected pictures of at least 11x11 pixels, got {a.shape[1]}x{a.shape[0]}")
     mean_a, mean_b = _blurred(a), _blurred(b)
@@ -61,6 +64,7 @@ def _ssim(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def _blurred(image: np.ndarray) -> np.ndarray:
     """[H, W, C] averaged under the window; the edge pixel is repeated when mirroring."""
+    # Normalised, so that a flat picture stays what it is and its variance is 0.
     taps = np.exp(-0.5 * (np.arange(-RADIUS, RADIUS + 1) / SIGMA) ** 2)
     taps /= taps.sum()
     for axis in (0, 1):
@@ -78,6 +82,7 @@ def _blurred(image: np.ndarray) -> np.ndarray:
 def checked(a: Any, b: Any, mask: Any, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """([H, W, C], [H, W, C], [H, W] or None) in float64, or a ValueError of one line that begins with `name`."""
     pictures = []
+    # 8-bit pictures would score as if 255 were 1: refused, as the number would look plausible.
     for picture in (a, b):
         array = np.asarray(picture)
         if array.dtype.kind != "f":
@@ -95,6 +100,7 @@ def checked(a: Any, b: Any, mask: Any, name: str) -> tuple[np.ndarray, np.ndarra
     weights = np.asarray(mask, np.float64)
     if weights.shape != first.shape[:2]:
         raise ValueError(f"{name}: expected a mask of shape {first.shape[:2]}, got {weights.shape}")
+    # A mean over no pixel is no number, and a table would print it.
     if not (weights >= 0).all() or not weights.sum() > 0:
         raise ValueError(f"{name}: expected a mask with at least one pixel and no negative weight")
     return first, second, weights

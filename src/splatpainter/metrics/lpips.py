@@ -74,6 +74,7 @@ class Lpips:
             if mask is None:
                 total = total + values.mean((1, 2))
             else:
+                # Each tap has pixels of its own size; a pixel of which half is masked counts by half.
                 share = F.adaptive_avg_pool2d(mask.to(values), values.shape[1:])[:, 0]
                 total = total + (values * share).sum((1, 2)) / share.sum((1, 2))
         return total
@@ -90,6 +91,7 @@ class Lpips:
                 f"LPIPS: expected pictures [B, 3, H, W] of at least {MIN_SIDE_PX}x{MIN_SIDE_PX}, "
                 f"got {tuple(pictures.shape)}"
             )
+        # Made at every call: the pictures say on which device and in which precision.
         shift = torch.tensor(SHIFT, dtype=pictures.dtype, device=pictures.device).view(1, 3, 1, 1)
         scale = torch.tensor(SCALE, dtype=pictures.dtype, device=pictures.device).view(1, 3, 1, 1)
         x = (2 * pictures - 1 - shift) / scale
@@ -164,6 +166,7 @@ def _read(path: Path, net: Net) -> dict[str, Any]:
         weights = {name: tensor.float() for name, tensor in load_file(path).items()}
     except (SafetensorError, OSError) as error:
         raise ValueError(f"{path}: expected a safetensors file ({error})") from None
+    # The names are those of one network: a file of the other one must not load in part.
     want = {f"heads.{s}" for s in range(len(_STAGES[net]))} | {
         f"stages.{s}.{l}.{part}{end}"
         for s, stage in enumerate(_STAGES[net])

@@ -49,6 +49,7 @@ def refine_edit(
 
     config = model.config.refine
     device = encoded.latents.values.device
+    # A Gaussian that the lift split off reads the latent of the one that it came from.
     latent_ids = encoded.latent_ids[lifted.parents]
     missing = int((latent_ids < 0).sum())
     if missing:
@@ -81,6 +82,7 @@ def assemble(lifted: LiftedEdit, gaussians: Splats, children: Splats | None) -> 
     if any(getattr(gaussians, name).requires_grad for name in ATTRIBUTES):
         import torch
 
+        # Training goes through here too, and needs every attribute differentiable.
         device = gaussians.means.device
         full, index = lifted.splats.torch(str(device)), torch.from_numpy(lifted.ids).to(device)
         changed = {name: getattr(full, name).index_copy(0, index, getattr(gaussians, name)) for name in ATTRIBUTES}
@@ -89,6 +91,7 @@ def assemble(lifted: LiftedEdit, gaussians: Splats, children: Splats | None) -> 
     arrays, written = gaussians.numpy(), {}
     for name in ATTRIBUTES:
         old, new = getattr(lifted.splats, name), getattr(arrays, name)
+        # By bits: arrays that did not change are shared, and the receipt then finds them untouched at no cost.
         if not np.array_equal(new.view(np.int32), old[lifted.ids].view(np.int32)):
             written[name] = old.copy()
             written[name][lifted.ids] = new

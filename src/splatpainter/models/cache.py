@@ -68,6 +68,7 @@ def encode_cached(
     if grid is None or grid.resolution != model.config.compress.resolution:
         grid = voxelize(splats, model.config.compress.resolution)
     path = cache_folder() / (_key(model, splats, weights or digest(model)) + SUFFIX)
+    # What is damaged, or of another program, is encoded again: a cache is never a reason to fail.
     cached = _read(path)
     encoded = None if cached is None else _unpacked(model, splats, grid, cached)
     if encoded is None:
@@ -84,6 +85,7 @@ def encode_half(model: SplatPainterModel, splats: Splats, grid: VoxelGrid | None
     """`encode_asset` with latents in float16, or in float32 where that could not hold them."""
     import torch
 
+    # Half the room; an untrained or strange model may exceed it, and then keeps float32.
     encoded = encode_asset(model, splats, grid, dtype=torch.float16)
     fits = all(bool(torch.isfinite(part).all()) for part in encoded.latents.values.split(1 << 16))
     return encoded if fits else encode_asset(model, splats, grid)
@@ -94,6 +96,7 @@ def _key(model: SplatPainterModel, splats: Splats, weights: str) -> str:
     import torch
 
     device = next(model.parameters()).device.type
+    # Arithmetic is in the key: latents in bf16 are others than those in float32.
     rounded = torch.is_autocast_enabled(device)
     arithmetic = f"{device} {torch.get_autocast_dtype(device) if rounded else torch.float32}"
     parts = (VERSION, weights, splats.sha256, f"{splats.antialiased} {splats.color_space}", arithmetic)
@@ -119,6 +122,7 @@ def _unpacked(model: SplatPainterModel, splats: Splats, grid: VoxelGrid, cached:
     from splatpainter.models.compress import Latents
     from splatpainter.models.gaussian_groups import GaussianGroups
 
+    # Groups of the user's own Gaussians are quick to make again, and are not stored.
     device = str(next(model.parameters()).device)
     try:
         values = cached["values"].to(device)
@@ -153,6 +157,7 @@ def _read(path: Path) -> dict[str, Tensor] | None:
 def _write(path: Path, tensors: dict[str, Tensor], limit: int) -> None:
     from safetensors.torch import save
 
+    # One asset larger than the whole folder may hold would push all others out.
     size = sum(tensor.numel() * tensor.element_size() for tensor in tensors.values())
     if size > limit:
         return
@@ -165,6 +170,7 @@ def _write(path: Path, tensors: dict[str, Tensor], limit: int) -> None:
 
 def _evict(folder: Path, max_bytes: int) -> None:
     """Delete the least recently used files until the rest needs at most `max_bytes`."""
+    # By when they were last used; a file that is read has its time set anew.
     paths = [*folder.glob("*" + SUFFIX), *folder.glob(f".*{SUFFIX}.*.part")]  # also what a killed process left
     files = sorted(((p.stat().st_mtime, p.stat().st_size, p) for p in paths), reverse=True)
     for _, size, path in files:

@@ -105,12 +105,14 @@ def save(
 
     target = Path(folder)
     kind = getattr(torch, dtype)
+    # Judged before anything is written: a base with other values would change the model silently.
     record = _base_record(target, base, shared, tensors, kind) if base else None
     if record is not None:
         tensors = {name: tensor for name, tensor in tensors.items() if not name.startswith(shared)}
     parts: list[tuple[str, torch.Tensor]] = []
     table = {}
     for name, tensor in tensors.items():
+        # An overflow to infinity in half precision is found here, and not in the first edit.
         stored = tensor.detach().to("cpu", kind if tensor.is_floating_point() else tensor.dtype).contiguous()
         if stored.is_floating_point() and not torch.isfinite(stored).all():
             raise ValueError(
@@ -123,6 +125,7 @@ def save(
         target.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ValueError(f"{target}: the folder cannot be made ({error.strerror or error})") from None
+    # The name of a shard is its hash, so that new ones never overwrite those that the old index names.
     shards = []
     groups = [(start, [part for part in parts if part[0].startswith(start)]) for start in apart]
     groups.append(("", [part for part in parts if not part[0].startswith(apart)]))
@@ -133,6 +136,7 @@ def save(
         with writing(target / file) as out:
             out.write(data)
         shards.append({"file": file, "sha256": digest, **({"holds": start} if start else {})})
+    # Written last: until it is there the old checkpoint is whole, and after it the new one.
     index = {
         "format": config.format,
         "version": VERSION,
@@ -144,6 +148,7 @@ def save(
     }
     with writing(target / INDEX) as out:
         out.write(json.dumps(index, indent=1).encode())
+    # Old shards go when nothing names them any more; one that cannot be removed does no harm.
     current = {shard["file"] for shard in shards}
     for old in target.iterdir():
         if SHARD_NAME.fullmatch(old.name) and old.name not in current:
@@ -168,6 +173,7 @@ def load(folder: Path | str, preset: str | None = None, *, kind: type[Any] = Mod
     config = kind.from_json(json.dumps(index.get("config")), where)
     if preset is not None and config.preset != preset:
         raise ValueError(f"{target}: expected weights of preset '{preset}', these are of preset '{config.preset}'")
+    # The index may be a stranger's: types are judged before anything is looked up by them.
     shards, table, notes = index.get("shards"), index.get("tensors"), index.get("notes")
     if not (isinstance(shards, list) and isinstance(table, dict) and isinstance(notes, dict)):
         raise ValueError(f"{where}: expected lists of shards and tensors, and notes; the file is damaged")
@@ -178,6 +184,7 @@ def load(folder: Path | str, preset: str | None = None, *, kind: type[Any] = Mod
                 raise ValueError(f"{where}: tensor '{name}' is in two shards")
             stored[name] = tensor
     tensors = _joined(stored, table, where)
+    # A name in both would make the order of reading decide.
     for name, tensor in _of_base(target, index, where).items():
         if name in tensors:
             raise ValueError(f"{where}: tensor '{name}' is both here and in its base")
@@ -191,12 +198,14 @@ def load_arrays(folder: Path | str, start: str) -> dict[str, np.ndarray]:
     so."""
     target = Path(folder)
     where, shards = f"{target / INDEX}", _index(target).get("shards")
+    # Only the shards that say so are read: that is what they are apart for.
     holding = [s for s in shards if isinstance(s, dict) and s.get("holds") == start] if isinstance(shards, list) else []
     if not holding:
         raise ValueError(f"{where}: no shard holds '{start}...' alone")
     arrays: dict[str, np.ndarray] = {}
     for shard in holding:
         arrays |= _shard(target, shard, where, _unpack_numpy)
+    # A shard that holds more than it says would be half a model elsewhere.
     strange = [name for name in arrays if not name.startswith(start)]
     if strange:
         raise ValueError(f"{where}: a shard that holds '{start}...' has '{strange[0]}' too")
@@ -248,6 +257,7 @@ def fill(module: torch.nn.Module, tensors: Mapping[str, torch.Tensor], where: st
     """
     import torch
 
+    # All names and shapes are compared before the first is copied, so that a refused module is unharmed.
     expected = module.state_dict()
     unknown = sorted(tensors.keys() - expected.keys())
     missing = sorted(expected.keys() - tensors.keys())
@@ -269,6 +279,7 @@ def _index(folder: Path, expected: str = "") -> dict[str, Any]:
     path = folder / INDEX
     if not path.is_file():
         raise ValueError(f"{folder}: no weights there; expected a folder with {INDEX} and its shards")
+    # Bounded before it is parsed, as any file may lie here.
     if path.stat().st_size > 4 * MAX_CONFIG_BYTES:
         raise ValueError(f"{path}: expected at most {4 * MAX_CONFIG_BYTES} bytes")
     try:
@@ -293,6 +304,7 @@ def _base_record(
     """What model.json says about a base. Raises ValueError where the base holds other values."""
     import torch
 
+    # Compared in the stored type: what is left out has to be what reading it back would give.
     held = _common(folder, {"folder": base, "tensors": list(shared)}, str(folder))
     index = _index(folder.parent / base)
     for name, tensor in tensors.items():
@@ -313,6 +325,7 @@ def _of_base(folder: Path, index: dict[str, Any], where: str) -> dict[str, torch
         raise ValueError(f"{where}: expected a base with folder, sha256 and tensors; the file is damaged")
     tensors = _common(folder, record, where)
     shards = _index(folder.parent / record["folder"]).get("shards")
+    # By hash, as a base that was trained further has the same names and shapes.
     digests = [shard.get("sha256") for shard in shards if isinstance(shard, dict)] if isinstance(shards, list) else []
     if digests != record.get("sha256"):
         raise ValueError(f"{where}: its base '{record['folder']}' is not the one it was saved with; copy both folders")
@@ -347,6 +360,7 @@ def _shard(folder: Path, shard: Any, where: str, unpack: Callable[[bytes], dict[
     path = _shard_path(folder, file)
     if path.stat().st_size > MAX_SHARD_BYTES:
         raise ValueError(f"{path}: expected at most {MAX_SHARD_BYTES} bytes, got {path.stat().st_size}")
+    # The hash comes before the parser, which then never sees bytes that nobody meant.
     data = read_all(path)
     if hashlib.sha256(data).hexdigest() != digest:
         raise ValueError(f"{path}: damaged (its SHA-256 is not the one in {INDEX}); copy it again")
@@ -395,6 +409,7 @@ def _joined(stored: dict[str, torch.Tensor], table: dict[str, Any], where: str) 
         parts, shape = (entry.get("parts"), entry.get("shape")) if isinstance(entry, dict) else (None, None)
         if not isinstance(parts, int) or not 1 <= parts <= max_parts:
             raise ValueError(f"{where}: tensor '{name}': expected 1..{max_parts} parts, got {parts!r}")
+        # Taken out one by one, so that what is left at the end is what the index does not name.
         pieces = [stored.pop(name if parts == 1 else f"{name}@{i}", None) for i in range(parts)]
         present = [piece for piece in pieces if piece is not None]
         if len(present) < parts:

@@ -56,6 +56,7 @@ class LatentScale:
         """latents: [K, D] of any float type."""
         count, width = max(len(latents), 1), latents.shape[1]
         zero = torch.zeros(width, dtype=torch.float64, device=latents.device)
+        # In float64, as sums over a million latents lose digits; in parts, as a copy of all of them takes gigabytes.
         mean = sum((part.double().sum(0) for part in latents.split(GAUSSIANS_PER_CHUNK)), zero) / count
         power = sum(((part.double() - mean).square().sum(0) for part in latents.split(GAUSSIANS_PER_CHUNK)), zero)
         return LatentScale(mean.float(), (power.sum() / (count * width)).sqrt().clamp_min(1e-12).float())
@@ -152,6 +153,7 @@ class Compressor(nn.Module):
     def _voxel_mean(self, x: Tensor, groups: GaussianGroups, chosen: GaussianGroups) -> Tensor:
         """VoxelAtt: the mean token of each voxel, through layers of the same depth, handed to each of its kept
         Gaussians."""
+        # No attention between Gaussians here: each voxel is one token.
         lengths = torch.from_numpy(groups.lengths).to(x.device)
         owner = torch.repeat_interleave(torch.arange(len(lengths), device=x.device), lengths, output_size=len(x))
         mean = x.new_zeros(len(lengths), x.shape[1]).index_add(0, owner, x) / lengths.clamp(min=1)[:, None].to(x.dtype)

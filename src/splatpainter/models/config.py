@@ -178,6 +178,7 @@ class RefineConfig:
     def __post_init__(self) -> None:
         _positive(self, "blocks", "fast_hidden", "hidden", "heads", "patch")
         _positive(self, "newton_schulz_steps", "row_tokens", least=0)
+        # What does not go together is refused here: a model that was trained in vain costs hours.
         if self.row_tokens and not self.lift_features:
             raise ValueError("config: expected row_tokens only with lift_features")
         if self.row_tokens and self.mixer != "ttt" and self.picture_tokens:
@@ -266,6 +267,7 @@ class ModelConfig:
     def carries(self) -> bool:
         """Whether Stage II alone says what becomes of Gaussians that no picture of a global edit shows, in place of the
         lift's regression (models/edit_propagation.py)."""
+        # An absolute decoder says colours and no changes, and there is nothing in them to carry on.
         native = self.representation == "native" and self.decoder != "absolute"
         return native and not self.edits_locally and not self.predictor_only
 

@@ -65,6 +65,7 @@ class AttributeHead(nn.Module):
         if self.kind == "residual":
             return apply_residual(gaussians, raw, voxel)
         if self.kind == "bounded":
+            # In the Gaussian's own size: a step that is small for a coarse asset would scatter a fine one.
             size = gaussians.scales.detach().amax(1, keepdim=True).clamp(max=voxel)
             return apply_residual(gaussians, bounded(raw), size)
         return absolute(gaussians, raw, centers, voxel)
@@ -95,8 +96,10 @@ def apply_residual(gaussians: Splats, residual: Tensor, unit: float | Tensor) ->
     """
     centre, scale, turn, opacity, sh = _split(residual)
     norm = gaussians.quats.norm(dim=1, keepdim=True)
+    # Clamped, as no training should meet an infinite opacity or size on its way.
     odds = torch.exp(opacity.clamp(-16, 16))
     o = gaussians.opacities.clamp(OPACITY_MARGIN, 1 - OPACITY_MARGIN)
+    # Bands that the model has not learnt stay as they are, whatever the asset has of them.
     bands = min(sh.shape[1], gaussians.sh.shape[1])
     low = _keep(gaussians.sh[:, :bands] + sh[:, :bands], gaussians.sh[:, :bands], sh[:, :bands])
     return replace(

@@ -81,6 +81,7 @@ class EncodedGaussians:
             sh = splats.sh.copy()
             sh[:, 0] -= (moved / SH_C0).astype(sh.dtype)
             splats = replace(splats, sh=sh)
+        # What was never encoded has no latent, and guessing one would colour it by chance.
         missing = int((latent_ids < 0).sum())
         if missing:
             raise ValueError(f"refine: {missing} of the {len(latent_ids)} Gaussians were not encoded; encode again")
@@ -161,11 +162,13 @@ class CarriedEdit:
         self._parents = np.arange(len(splats)) if parent_ids is None else parent_ids
         self._drawn = drawn = splats.drawable
         self._weight = np.zeros(len(splats), np.float32)
+        # Of the Gaussians as they are now, by way of parents: edits in between may have split them.
         evidence = (
             None if state is None or state.evidence is None else state.evidence.cpu().numpy()[self._parents[drawn]]
         )
         self._evidence = evidence
         light = transfer()[drawn] if model.config.refine.facts else None
+        # Told in the colours before all edits, as the memory counts changes from there.
         arrays = (latents, latent_ids[drawn], splats.take(drawn), normals[drawn], light)
         self.gaussians = EncodedGaussians.of(model, *arrays, None if evidence is None else evidence[:, :3])
 
@@ -180,6 +183,7 @@ class CarriedEdit:
         seen = torch.nonzero(pixels > MIN_SEEN_PX)[:, 0]
         if not len(seen):
             return answer
+        # Evenly chosen over all that is shown: neighbours would teach the same thing.
         teachers = spread_evenly(seen, self.model.config.refine.row_tokens)
         everyone = torch.arange(len(moved), device=device)
         with torch.no_grad():
@@ -195,9 +199,11 @@ class CarriedEdit:
         assert self._evidence is not None and self._start is not None
         gaussians, evidence = self.gaussians, torch.from_numpy(self._evidence).to(moved.device)
         so_far, before = evidence.split([3, 1], 1)
+        # The memory knows the change since the first edit, so it is taught that, and not the last step.
         total = so_far + moved
         expected = remembered(self.model, gaussians, self._start, teachers)
         share = _share(pixels[teachers])[:, None]
+        # How well it foretold what the new pictures show says whether they go on with the same edit.
         unlike = (share * (expected - total[teachers]).square()).sum()
         unlike = float(unlike / (share * total[teachers].square()).sum().clamp_min(1e-9))
         agrees = min(max((CONTRADICTS - unlike) / (CONTRADICTS - AGREES), 0.0), 1.0)
@@ -211,6 +217,7 @@ class CarriedEdit:
         change = base_color(splats.sh[drawn]) - base_color(self._splats.sh[drawn])
         now = np.concatenate([change, self._weight[drawn, None]], 1)
         now += 0 if self._evidence is None else self._evidence
+        # Kept by encoded Gaussian: indices of the asset change with every edit.
         count = int(self._parents.max()) + 1 if state.evidence is None else len(state.evidence)
         total, number = np.zeros((count, 4)), np.zeros(count)
         np.add.at(total, parents, now)

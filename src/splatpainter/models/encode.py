@@ -60,6 +60,7 @@ def canonical_cameras(splats: Splats, config: LrmConfig) -> list[Camera]:
     when no Gaussian can be drawn."""
     lo, size = bounding_cube(splats)
     center, distance = lo + size / 2, FRAMED_HALF_EXTENTS * size / 2 / math.sin(math.radians(FOV / 2))
+    # By the golden angle: any number of cameras is spread evenly, and the same every time.
     first, cameras = config.views // 3, []  # the first camera looks slightly down
     for k in range(first, first + config.views):
         # Heights of equal area between both limits.
@@ -83,6 +84,7 @@ def asset_views(splats: Splats, cameras: Sequence[Camera], grid: VoxelGrid) -> t
     from splatpainter.rendering import render
 
     with torch.no_grad():
+        # Contributions come with the pictures: they say which patches tell of which Gaussian.
         drawn = render(splats, list(cameras), contributions=True)
     colors, depths, alphas = (torch.as_tensor(x).float() for x in (drawn.colors, drawn.depths, drawn.alphas))
     seen = drawn.contributions if isinstance(drawn.contributions, np.ndarray) else drawn.contributions.cpu().numpy()
@@ -134,6 +136,7 @@ def _copied(model: SplatPainterModel, views: AssetViews, dtype: torch.dtype) -> 
     from splatpainter.models.compress import Latents
 
     copy = model.copied_gaussians(views)
+    # The copy has places of its own, so its voxels are not those of the user's Gaussians.
     grid = voxelize(copy.gaussians.numpy(), model.config.compress.resolution)
     latents = model.compressor(copy.tokens, copy.gaussians, copy.links, model.groups(grid), dtype=dtype)
     gaussians = model.decode_latents(latents, copy.gaussians)

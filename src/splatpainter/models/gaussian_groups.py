@@ -44,9 +44,11 @@ class GaussianGroups:
         as they lie. max_size: voxels with more Gaussians than this become several groups; 0: never."""
         starts = np.asarray(grid.starts, np.int64)
         lengths = np.diff(starts)
+        # A crowded voxel is cut: attention grows with the square of its number.
         pieces = np.maximum(-(-lengths // max_size), 1) if max_size else np.ones_like(lengths)
         nth = _within(pieces)  # 0, 1, ... inside each voxel
         cut = np.append(np.repeat(starts[:-1], pieces) + nth * max_size, starts[-1])
+        # Sorted by length, as batches of one length need no padding.
         rank = np.argsort(np.diff(cut), kind="stable")
         counts = np.diff(cut)[rank]
         indices = np.repeat(cut[:-1][rank], counts) + _within(counts)
@@ -128,6 +130,7 @@ def attribute_features(gaussians: Splats, groups: GaussianGroups, degree: int) -
     position = (voxel_center - cube_center) / groups.half_extent
     scale = torch.log((gaussians.scales[index].float() / groups.voxel).clamp(1e-6, 1e6))
     quat = torch.nn.functional.normalize(gaussians.quats[index].float(), dim=1)
+    # A quaternion and its negative are one rotation, and should look like one.
     quat = torch.where(quat[:, :1] < 0, -quat, quat)
     opacity = torch.logit(gaussians.opacities[index].float(), eps=1e-4)
     bands = (degree + 1) ** 2
@@ -182,6 +185,7 @@ def links_from_views(
     for view, camera in enumerate(cameras):
         wide, high = -(-camera.width // patch), -(-camera.height // patch)
         pixels, z = camera.project(means)
+        # A centre beside the picture has no patch there, whatever of its edge is seen.
         inside = (z > 1e-9) & (pixels >= 0).all(1) & (pixels < [camera.width, camera.height]).all(1)
         column, line = (np.where(inside[:, None], pixels, 0).astype(np.int64) // patch).T
         patches[view] = first + line * wide + column
@@ -191,6 +195,7 @@ def links_from_views(
         # Stable: equal views keep their order, so that two runs agree.
         best = np.argsort(-weights, axis=0, kind="stable")[:max_links]
         patches, weights = np.take_along_axis(patches, best, 0), np.take_along_axis(weights, best, 0)
+    # Gaussians that no view shows keep zeros: there is no token that tells of them.
     total = weights.sum(0)
     weights = np.divide(weights, total, out=np.zeros_like(weights), where=total > 0)
     return TokenLinks(np.ascontiguousarray(patches.T), np.ascontiguousarray(weights.T))

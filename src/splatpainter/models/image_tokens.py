@@ -84,6 +84,7 @@ def tokenize(pictures: Pictures, groups: GaussianGroups, config: RefineConfig) -
     mask = pictures.mask
     if mask is None:
         mask = torch.ones_like(pictures.edited[..., :1])
+    # A patch weighs by its share of edited pixels: at the mask's edge it teaches less.
     pixels = _patches(_channels(pictures, mask, groups, config), patch)  # [V, L, p * p * C]
     weights = _patches(mask, patch).mean(2)  # [V, L]
     if not config.mask_tokens:
@@ -126,10 +127,12 @@ def _normals(position: Tensor, alpha: Tensor, directions: Tensor) -> Tensor:
     """[V, H, W, 3] unit normals towards the camera, times alpha, of positions [V, H, W, 3]: the cross product of
     central differences, after a mean over 3 x 3 pixels weighted by alpha. Zero where nothing is."""
     both = torch.cat([position * alpha, alpha], dim=-1).permute(0, 3, 1, 2)
+    # Weighted by alpha, as positions beside the asset are no surface to average with.
     summed = F.avg_pool2d(F.pad(both, (2, 2, 2, 2), mode="replicate"), 3, stride=1).permute(0, 2, 3, 1)
     smooth = summed[..., :3] / summed[..., 3:].clamp(min=1e-4)
     across, down = smooth[:, 1:-1, 2:] - smooth[:, 1:-1, :-2], smooth[:, 2:, 1:-1] - smooth[:, :-2, 1:-1]
     normal = F.normalize(torch.linalg.cross(down, across), dim=-1)
+    # The side that the camera sees: the sign of a cross product depends on the axes alone.
     away = (normal * directions).sum(-1, keepdim=True) > 0
     return torch.where(away, -normal, normal) * alpha
 

@@ -49,6 +49,7 @@ def network_colors(
     """Each view teaches and is asked alone, and of several the answers are weighed by how sure each is. asset: before
     the edit, numpy. Raises ValueError as `picture_regions`."""
     count = len(lifted.ids)
+    # Weighed by how sure each view is: of a Gaussian that one shows from the front it knows best.
     total, weight = np.zeros((count, 3)), np.zeros(count)
     for view in views:
         for region in picture_regions(asset, lifted, view):
@@ -61,6 +62,7 @@ def network_colors(
             sure = np.exp(-answer.log_variance.numpy().astype(np.float64))
             total[region.index] += sure[:, None] * answer.colors.numpy()
             weight[region.index] += sure
+    # Gaussians that no picture was read for keep the lift's colours: their variance says so.
     read = weight > 0
     colors = np.where(read[:, None], total / np.maximum(weight, 1e-9)[:, None], 0).astype(np.float32)
     variance = np.where(read, 1 / np.maximum(weight, 1e-9), np.inf).astype(np.float32)
@@ -79,6 +81,7 @@ def with_colors(lifted: LiftedEdit, answer: NetworkColors) -> LiftedEdit:
     read = np.isfinite(answer.variance)
     ids = lifted.ids[read]
     new = ((answer.colors[read] - 0.5) / SH_C0).astype(sh.dtype)
+    # Colours that hardly move keep their bits, so that receipts do not name them.
     moved = np.abs(new - sh[ids, 0]).max(1) * SH_C0 > MIN_CHANGE if len(ids) else np.zeros(0, bool)
     sh[ids[moved], 0] = new[moved]
     return replace(lifted, splats=replace(lifted.splats, sh=sh))
@@ -95,6 +98,7 @@ def held(
     later ones win."""
     result = with_colors(lifted, answer)
     hold = np.zeros(len(result.splats), np.float32)
+    # The surer the network is, the more pixels it takes to move its answer; it is never deaf to them.
     hold[lifted.ids] = np.clip(pixel_variance / np.maximum(answer.variance, 1e-9), MIN_HOLD, MAX_HOLD)
     editable = np.zeros(len(result.splats), bool)
     editable[lifted.ids] = True
@@ -104,6 +108,7 @@ def held(
         seen = project(splats, view.camera, tiles=tiles)
         target, ids = view.target, seen.gaussian_ids
         everywhere = np.ones(target.shape[:2], np.float32)
+        # Towards the whole picture, as what does not change covers what does.
         colors = lift_colors(seen, target, everywhere, editable[ids], rounds, hold[ids])
         change = colors - np.maximum(seen.unclamped_colors, 0)
         moved = editable[ids] & (np.abs(change).max(1) > MIN_CHANGE)

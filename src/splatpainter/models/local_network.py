@@ -92,6 +92,7 @@ class LocalNetwork(nn.Module):
         super().__init__()
         self.config, refine = config, config.refine
         self.notes: dict[str, Any] = {}
+        # Seeded: places must be told in the same words after every start.
         generator = torch.Generator().manual_seed(WAVES_SEED)
         directions = torch.randn(config.waves, 3, generator=generator, device="cpu")
         self.register_buffer("directions", functional.normalize(directions, dim=1))
@@ -120,6 +121,7 @@ class LocalNetwork(nn.Module):
 
     def adapt(self, state: LocalState, patches: Patches, strength: float | None = None) -> LocalState:
         """The state after a region's patches have taught. strength: overrides config.refine.edit_strength."""
+        # Place first, in dimensions of its own, so that keys can hear of it alone.
         x = torch.cat([self._positions(patches.positions, patches.finest), self.patch(patches.values)], 1)
         memories = []
         for block, memory in zip(self._blocks(), state.blocks, strict=True):
@@ -134,13 +136,16 @@ class LocalNetwork(nn.Module):
         for block, memory in zip(self._blocks(), state.blocks, strict=True):
             x = block.read(memory, x)
         if self.config.refine.detail:
+            # Appended Gaussians are finer than those that they came from: they read a second set.
             memory = self.detail_mixer.update(self.detail_mixer.initial(), self.norm_refined(x), None, strength)
             second = x + self.detail_mixer.read_gaussian_tokens(memory, self.norm_original(original))
             x = torch.where(readers.facts[:, APPENDED_FEATURE, None] > 0, second, x)
         bands = self.bands(x).unflatten(1, (BANDS, 3)).float()
         x = self.norm_out(x)
+        # The cosines are evaluated at the Gaussian's own place: a patch is many pixels, and it wants one.
         picture = 0.5 + 2 * (bands * readers.basis[:, :, None]).sum(1)
         gate, rest, spread = self.last(self.mix(torch.cat([x, readers.facts, picture], 1))).float().split([1, 3, 1], 1)
+        # A gate to the colour before: what lies hidden or beside the edit should stay.
         colors = torch.lerp(readers.before, picture, torch.sigmoid(gate)) + 0.2 * rest
         middle, half = (MAX_LOG_VARIANCE + MIN_LOG_VARIANCE) / 2, (MAX_LOG_VARIANCE - MIN_LOG_VARIANCE) / 2
         return LocalAnswer(colors, middle + half * torch.tanh((spread[:, 0] - middle) / half))
@@ -152,6 +157,7 @@ class LocalNetwork(nn.Module):
     def _positions(self, positions: Tensor, finest: float) -> Tensor:
         """[T, config.position_width] at rms near 1."""
         count = len(self.directions)
+        # Between patches there is nothing finer to tell, and finer waves would only alias.
         shortest = min(finest, COARSEST / 2)
         waves = torch.linspace(math.log(COARSEST), math.log(shortest), count, device=positions.device).exp()
         angles = 2 * math.pi * (positions @ self.directions.mT) / waves
@@ -162,6 +168,7 @@ class LocalNetwork(nn.Module):
         """First weights with which every block keeps patches by their places and hands a Gaussian that of its own:
         drawn at random instead, nothing is read from the memory before some 1,000 steps have found a common tongue."""
         config = self.config
+        # The first dimensions hold the patch as it is, so that reading it back gives its picture.
         held = min(3 * BANDS, config.content_width)
         self.patch.weight[:held] = torch.eye(held, TOKEN_CHANNELS)
         self.patch.bias[:held] = 0
@@ -196,6 +203,7 @@ class LocalNetwork(nn.Module):
 def start_by_place(mixer: nn.Module, width: int, held: slice, gain: float) -> None:
     """Keys hear of places alone and queries start as keys; what is kept and read of a token is its dimensions `held`,
     times `gain`."""
+    # Queries start as keys: a Gaussian then asks for the place that it lies at.
     count = held.stop - held.start
     if isinstance(mixer, AttentionMixer):
         layers = [mixer.rows] + ([] if mixer.pictures is None else [mixer.pictures])

@@ -62,6 +62,7 @@ class AssetViews:
     """Half the edge of the asset's cube, world units, > 0."""
 
     def __post_init__(self) -> None:
+        # Sizes are judged before anything is computed: packed tokens would mix views of several sizes up.
         sizes = sorted({(camera.width, camera.height) for camera in self.cameras})
         if not 1 <= len(self.cameras) <= MAX_VIEWS:
             raise ValueError(f"encode: expected 1 to {MAX_VIEWS} views, got {len(self.cameras)}")
@@ -130,6 +131,7 @@ class GaussianLrm(nn.Module):
             raw = self.head(self.norm_out(tokens.float())).unflatten(1, (patch**2, -1)).flatten(0, 1)
         depth, sh, scales, quats, opacities = raw.split([3, 3 * count, 3, 4, 1], dim=1)
         origins, directions = rays(views)
+        # Along the ray of its pixel: a Gaussian may be at a wrong depth, never beside what the view shows.
         start, reach = _depth_range(views, origins, directions, self.config.geometry)
         start, reach, directions = (patchify(x, patch).unflatten(1, (patch**2, -1)) for x in (start, reach, directions))
         # 2 sigmoid(x) - 1 = tanh(x / 2). The mean of three logits: the head's three outputs for xyz share one depth.
@@ -229,6 +231,7 @@ def _depth_range(views: AssetViews, origins: Tensor, directions: Tensor, geometr
         return nearest, torch.full_like(nearest, MAX_RAY_OFFSET)
     assert views.depth is not None and views.alpha is not None
     slant = slants(views.cameras, directions)
+    # Where the depth is a guess, the Gaussian may be anywhere in the cube along its ray.
     has_depth = (views.alpha > MIN_DEPTH_ALPHA) & (views.depth > 0)
     # z-depth to distance along the ray; clamped, since a background Gaussian may lie far behind the cube.
     along = (views.depth / (slant * views.half_extent) - nearest).clamp(-MAX_RAY_OFFSET, MAX_RAY_OFFSET) + nearest

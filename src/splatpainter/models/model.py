@@ -111,6 +111,7 @@ class SplatPainterModel(nn.Module):
         reproducible weights; under torch.device("meta") nothing is allocated."""
         super().__init__()
         self.config, self.notes = config, {}
+        # Native Gaussians are the user's, and every one keeps its latent; of a copy the model may choose.
         share = 1.0 if config.representation == "native" else config.compress.keep
         self.lrm = GaussianLrm(config.lrm)
         self.compressor = Compressor(config.compress, config.lrm.dim, config.sh_degree, share)
@@ -122,6 +123,7 @@ class SplatPainterModel(nn.Module):
     def load(folder: Path | str, preset: str | None = None) -> SplatPainterModel:
         """The model of a checkpoint, float32 on the CPU, ready to use (eval). Raises ValueError as checkpoint.load and
         checkpoint.fill."""
+        # On the meta device: weights that the checkpoint replaces at once need neither be drawn nor held.
         held = checkpoint.load(folder, preset)
         with torch.device("meta"):
             model = SplatPainterModel(held.config)
@@ -140,6 +142,7 @@ class SplatPainterModel(nn.Module):
     ) -> None:
         """Write a checkpoint, all or nothing; the predictor gets a shard of its own. base, shared: as of
         checkpoint.save. Raises ValueError as that."""
+        # The predictor apart, so that a global edit can read it without torch and the rest.
         stored = self.notes if notes is None else notes
         apart = ("predictor.",) if self.predictor is not None else ()
         checkpoint.save(
@@ -167,6 +170,7 @@ class SplatPainterModel(nn.Module):
     def copied_gaussians(self, views: AssetViews) -> Copy:
         """The LRM's Gaussians that can be seen, with their tokens. Raises ValueError when there are none."""
         output = self.lrm(views)
+        # What cannot be seen has nothing to teach, and would fill voxels.
         opaque = output.splats.opacities > self.config.compress.min_opacity
         ids = torch.nonzero(opaque & self.lrm.on_surface(views, output.splats))[:, 0]
         if len(ids) == 0:
@@ -237,9 +241,11 @@ class SplatPainterModel(nn.Module):
         """`refine` and `decode` in one. Without gradients the latents are read and decoded run by run, so that a
         million Gaussians need little more than themselves."""
         chosen = np.arange(len(latents.values)) if latent_ids is None else np.asarray(latent_ids, np.int64)
+        # Positions are those of the Gaussians as they are now, which the lift may have moved.
         means = None
         if self.config.refine.inputs == "normalised":
             means = gaussians.take(latents.groups.order[chosen]).means if base is None else base.means
+        # With gradients all at once: runs would keep their activations anyway.
         if torch.is_grad_enabled():
             refined = self.refine(
                 state,
@@ -291,11 +297,13 @@ class SplatPainterModel(nn.Module):
         index = latents.groups.order[refined.latent_ids]
         native = self.config.representation == "native"
         base_gaussians = gaussians.take(index) if base is None else base
+        # Such a base is decoded already, so that adding the residual in full would count it twice.
         again = base is not None and not native and self.config.decoder != "absolute"
         before = self.head(self._chosen(latents, refined.latent_ids)[1]) if again else None
         splats = self._decoded(latents, refined.values, refined.latent_ids, base_gaussians, before)
         if refined.detail_latents is None:
             return Decoded(splats, index, None, None)
+        # Children of native start fainter than their Gaussian, so that appending them hardly changes a picture.
         parents = init_children(base_gaussians) if native else base_gaussians
         children = self._decoded(latents, refined.detail_latents, refined.latent_ids, parents, before)
         if self.head.is_untrained and not self.training:
@@ -314,6 +322,7 @@ class SplatPainterModel(nn.Module):
         if self.config.refine.inputs == "normalised":
             if inputs.means is None:
                 raise ValueError("refine: expected the means of the Gaussians, for 'normalised' inputs")
+            # In the asset's cube: places mean the same for assets of any size.
             center = torch.from_numpy(np.asarray(latents.groups.center, np.float32)).to(values)
             positions, scale = (inputs.means.to(values) - center) / latents.groups.half_extent, latents.scale
         more = {"scale": scale, "positions": positions, "facts": inputs.facts, "teaching": teaching}
@@ -323,6 +332,7 @@ class SplatPainterModel(nn.Module):
         self, latents: Latents, chosen: np.ndarray, inputs: GaussianInputs
     ) -> tuple[Tensor, Tensor] | None:
         """([R, D], [R] how much each counts) of the Gaussians that teach, if any do."""
+        # Those that the edit shows most teach, weighed by how much it shows of them.
         ids = self.refiner.teacher_ids(inputs.lift)
         if ids is None or inputs.lift is None:
             return None
@@ -351,6 +361,7 @@ def _joined(parts: list[Decoded]) -> Decoded:
     """Batches of inputs, one after the other."""
     if len(parts) == 1:
         return parts[0]
+    # A run may have none, though others have: only those that are there are joined.
     children = [part.children for part in parts if part.children is not None]
     parents = [part.parents for part in parts if part.parents is not None]
     return Decoded(

@@ -105,6 +105,7 @@ def picture_regions(asset: Splats, lifted: LiftedEdit, view: EditView) -> Iterat
         return
     splats = lifted.splats
     means = splats.means[lifted.ids].astype(np.float64)
+    # Behind the camera pixels mean nothing, and infinite ones would spoil the cells.
     pixels, depths = view.camera.project(means)
     ahead = depths > 1e-6
     pixels = np.where(ahead[:, None] & np.isfinite(pixels), pixels, 0.0)
@@ -115,6 +116,7 @@ def picture_regions(asset: Splats, lifted: LiftedEdit, view: EditView) -> Iterat
     # The middle of the patch at the Gaussian's own depth: the words in which the patch under it tells its place.
     middles = view.camera.unproject(np.maximum(depths, 1e-6), (cells + 0.5) * PATCH_PX)
     for box in patches.regions():
+        # Every Gaussian belongs to one region, so that of two answers none has to win.
         index = np.flatnonzero(box.holds(cells, patches.used.shape))
         frame, tokens = patches.tokens(box)
         positions = np.clip((middles[index] - frame.center) / frame.half_extent, -2, 2).astype(np.float32)
@@ -211,13 +213,16 @@ class _Patches:
         height, width = view.mask.shape
         pad = ((0, -height % PATCH_PX), (0, -width % PATCH_PX))
         planes = np.concatenate([view.target, view.before, view.mask[..., None]], 2, dtype=np.float32)
+        # The edge is repeated: black beyond it would look like an edge of the picture.
         pictures = _cut(np.pad(planes, (*pad, (0, 0)), mode="edge"))
         # What is beyond the picture is not edited and shows nothing.
         edited = _cut(np.pad(view.mask, pad)[..., None])[..., 0].mean((2, 3))
         visible = _cut(np.pad((view.alpha > SOLID_ALPHA) & (view.depth > 0), pad)[..., None])[..., 0]
         depths = _cut(np.pad(view.depth, pad)[..., None])[..., 0]
         solid = visible.mean((2, 3))
+        # The mean over what is visible alone: background would pull a patch at a silhouette behind the asset.
         depth = (depths * visible).sum((2, 3)) / np.maximum(visible.sum((2, 3)), 1)
+        # The ring around the edit says what stays as it was.
         grown = np.pad(edited > 0, 1)
         near = np.zeros(edited.shape, bool)
         for dy in range(3):
@@ -233,6 +238,7 @@ class _Patches:
         """Boxes that together hold all used patches, none with more than MAX_TOKENS."""
         lines, columns = (np.flatnonzero(self.used.any(axis)) for axis in (1, 0))
         outer = (int(lines[0]), int(columns[0]), int(lines[-1]) + 1, int(columns[-1]) + 1)
+        # Halved until each fits: a large edit becomes several, and no patch is looked at more coarsely.
         open_boxes = [_Box(*outer, outer)]
         while open_boxes:
             box = open_boxes.pop()
@@ -249,6 +255,7 @@ class _Patches:
         chosen = self.used & around
         if chosen.any():
             return chosen
+        # A region without patches of its own may still have Gaussians, which need something to ask.
         ys, xs = np.nonzero(self.used)
         away = (ys - (box.top + box.bottom) / 2) ** 2 + (xs - (box.left + box.right) / 2) ** 2
         nearest = np.argsort(away, kind="stable")[:BANDS]
@@ -268,6 +275,7 @@ class _Patches:
         points = self.points[chosen]
         low, high = points.min(0), points.max(0)
         pixel = float(np.median(self.depths[chosen])) / self.camera.fy
+        # At least a patch wide: a single one has no extent, and places would be divided by nothing.
         half_extent = max(float((high - low).max()) / 2, PATCH_PX * pixel)
         frame = _Frame((low + high) / 2, half_extent, FINEST_PX * pixel / half_extent)
         planes = self.pictures[chosen]
@@ -309,6 +317,7 @@ def _facts(
     beside = ((pixels < 0) | (pixels >= (width, height))).any(1) | (depths <= 1e-6)
     surface_depth, alpha = view.depth[y, x], view.alpha[y, x]
     pixel = np.maximum(depths, 1e-6) / camera.fy
+    # In pixels, so that it means the same for near and far, small and large assets.
     behind = np.where(alpha > SOLID_ALPHA, np.clip((depths - surface_depth) / pixel, -MAX_DEPTH_PX, MAX_DEPTH_PX), 0)
     part = splats.take(ids)
     sizes = np.sort(np.clip(projected_sizes(part, camera), 1e-3, 1e3), 1)[:, ::-1]
@@ -318,6 +327,7 @@ def _facts(
     towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
     facing = (normals * towards).sum(1)
     local = np.where(facing[:, None] < 0, -normals, normals) @ camera.world_to_camera[:3, :3].T
+    # Only under the mask: Gaussians elsewhere are not asked.
     projected = project(splats, camera, tiles=tiles_of_mask(view.mask))
     sums = projected.backproject(np.zeros_like(view.before), view.mask.astype(np.float32))
     weight, peak, visible = (np.zeros(len(splats), np.float32) for _ in range(3))

@@ -48,6 +48,7 @@ class Predictor(nn.Module):
         self.describe = nn.Linear(width, 2 * config.features)
         self.expected = nn.Linear(width, 3)
         self.trust = nn.Parameter(torch.tensor(6.0))
+        # Untrained it expects no change: zeros say so, and mark it as untrained.
         if not self.expected.weight.is_meta:
             nn.init.zeros_(self.expected.weight)
             nn.init.zeros_(self.expected.bias)
@@ -65,6 +66,7 @@ class Predictor(nn.Module):
             if len(seen) == 0:
                 return torch.zeros_like(change)
             opponent = facts.new_tensor(OPPONENT)
+            # The same steps as StoredPredictor.predict, with gradients.
             counts = weight[seen].clamp(max=MAX_WEIGHT_PX)
             share = (counts / counts.sum())[:, None]
             inputs = described_facts(facts[seen])
@@ -96,6 +98,7 @@ class Predictor(nn.Module):
 def described_facts(facts: Tensor) -> Tensor:
     """[N, INPUT_CHANNELS] what networks see of Gaussians. facts: [N, 21] of `gaussian_facts`."""
     x, y, z = facts[:, 3:6].unbind(1)
+    # Products of the normal are what light of degree 2 multiplies with: spelled out, the network need not learn them.
     turns = torch.stack([x * y, y * z, 3 * z * z - 1, x * z, x * x - y * y, x * x, y * y, z * z], 1)
     lit = facts[:, 11:20, None] * (facts[:, None, :3] + 1) / 2
     return torch.cat([facts, turns, lit.flatten(1)], 1)

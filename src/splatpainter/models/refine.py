@@ -169,6 +169,7 @@ class RidgeMixer(nn.Module):
         teacher_tokens: tuple[Tensor, Tensor] | None = None,
     ) -> Memory:
         assert isinstance(memory, Tensor) and teacher_tokens is None
+        # Sums add up over edits, so the order of edits does not matter to the regression.
         counts = 2 * torch.sigmoid(self.rates(tokens).float()) * (self.strength if strength is None else strength)
         counts = counts if weights is None else counts * weights[:, None]
         phi, values = self._features(self.keys, tokens), self.values(tokens).float()
@@ -185,6 +186,7 @@ class RidgeMixer(nn.Module):
         assert isinstance(memory, Tensor)
         features, queries = len(memory), self._features(self.queries[stream], tokens)
         with exact(memory.device):
+            # Solved in float64: the sums of many tokens are far apart in size.
             wide = memory.double()
             gram = wide[:, :features] + torch.eye(features, dtype=wide.dtype, device=wide.device)
             solved = torch.cholesky_solve(wide[:, features:], torch.linalg.cholesky(gram)).float()
@@ -296,6 +298,7 @@ class Refiner(nn.Module):
         groups = weights = None
         if self.config.picture_tokens:
             assert tokens is not None, "a model that pictures teach"
+            # Without tokens there is nothing to learn, and the state stays the same bits.
             if len(tokens.pixels) == 0:
                 return state
             with exact(tokens.pixels.device):  # float32, so that so is the sum that the blocks add to
@@ -306,6 +309,7 @@ class Refiner(nn.Module):
             return state
         else:
             x = teachers.new_zeros(0, self.dim)
+        # Block after block: each learns from what the one before made of the tokens.
         memories = []
         for block, memory in zip(self._blocks(), state.blocks, strict=True):
             if self._recompute():
@@ -321,6 +325,7 @@ class Refiner(nn.Module):
         shows most (lift: [K, 13], see `prepare`); None for a model without, or where the edit shows none."""
         if not self.config.row_tokens or lift is None:
             return None
+        # The number is bounded so that the cost of an edit does not grow with the asset.
         seen = lift[:, SEEN_FEATURE]
         count = min(self.config.row_tokens, int((seen > 0).sum()))
         return torch.topk(seen, count).indices if count else None
@@ -349,10 +354,12 @@ class Refiner(nn.Module):
         if config.lift_features:
             _check("lift features", lift, [count, LIFT_FEATURES])
             assert lift is not None
+            # As changes, not as two colours: an edit that changes nothing then says zero.
             before, after, seen, predicted, normal = lift.split([3, 3, 1, 3, 3], dim=1)
             gain = ANSWER_GAIN if normalised else 2
             answers = torch.cat([gain * (after - before), seen, gain * (predicted - before)], dim=1)
             if config.answers == "teachers" and not teaching:
+                # Readers must not be told what they are to say, or the memory would not be needed.
                 answers = torch.zeros_like(answers)
             inputs = torch.cat([2 * before - 1, answers, normal], dim=1)
             terms.append((self.lift, inputs))
@@ -378,6 +385,7 @@ class Refiner(nn.Module):
     def read(self, state: RefineState, latents: Tensor, *, chunk: int | None = None) -> Tensor:
         """Refined latents [K, D]; each depends on the state and on itself alone. latents: [K, D] from `prepare`;
         chunk: latents at once (LATENTS_PER_CHUNK without gradients, else all)."""
+        # Latents do not see each other, so that runs of any size give the same.
         size = chunk or (max(len(latents), 1) if torch.is_grad_enabled() else LATENTS_PER_CHUNK)
         parts = []
         for x in latents.split(size):
@@ -414,6 +422,7 @@ def position_waves(positions: Tensor, dim: int) -> Tensor:
     """[K, D] sines and cosines of positions [K, 3], -1..1 in the asset's cube, at rms 1: per axis D // 6 wavelengths
     from SLOWEST_WAVE to FASTEST_WAVE half edges, evenly in their logarithm ("Fourier features", arXiv 2006.10739); what
     is left of D stays zero."""
+    # Waves evenly in their logarithm: the coarse ones tell sides apart, the fine ones neighbours.
     count = max(dim // 6, 1)
     waves = torch.linspace(math.log(SLOWEST_WAVE), math.log(FASTEST_WAVE), count, device=positions.device).exp()
     angles = (2 * math.pi * positions.float()[:, :, None] / waves).flatten(1)  # [K, 3 count]

@@ -60,6 +60,7 @@ class StoredPredictor:
         if len(seen) == 0:
             return np.zeros_like(change)
         opponent = np.array(OPPONENT, np.float32)
+        # Bounded, and as shares: one huge Gaussian in front must not decide for all.
         counts = np.minimum(weight[seen], np.float32(MAX_WEIGHT_PX))
         share = (counts / counts.sum())[:, None]
 
@@ -89,6 +90,7 @@ class StoredPredictor:
 
     def _features(self, inputs: np.ndarray, around: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(features for lightness [M, F], for hue [M, F], change expected beforehand [M, 3], lightness and hue)."""
+        # What holds for the whole asset is multiplied once, not for every Gaussian.
         alone = self._mlp("own", inputs)
         together, width = self.tensors["together.weight"], alone.shape[1]
         same = portable.matmul(around[None], together[:, width:].T) + self.tensors["together.bias"]  # for all Gaussians

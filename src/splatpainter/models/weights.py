@@ -36,6 +36,7 @@ def weight_folders(preset: str) -> list[Path]:
 
 def find(preset: str, *more_roots: Path) -> Path | None:
     """The folder with the weights of a preset, or None. more_roots: folders like PACKAGED, tried last."""
+    # The user's own folder first: weights trained later take the place of those in the package.
     folders = weight_folders(preset) + [root / preset for root in more_roots]
     return next((folder for folder in folders if (folder / INDEX).is_file()), None)
 
@@ -72,12 +73,14 @@ class _Deferred:
     is asked for: torch and 15 MB are seconds that an edit by the lift should not wait for, and may not be installed."""
 
     def __init__(self, folder: Path) -> None:
+        # The index alone says whether networks are needed at all, and it is small.
         self.config, self.notes = checkpoint.config(folder), checkpoint.notes(folder)
         self._folder, self._reading = folder, threading.Lock()
 
     @cached_property
     def stored_predictor(self) -> StoredPredictor | None:
         """As of SplatPainterModel. Raises ValueError for weights that are damaged."""
+        # Its shard is read by itself and without torch, as global edits by the predictor need nothing else.
         if not self.config.predict.features:
             return None
         return checked(checkpoint.load_arrays(self._folder, PREDICTOR), str(self._folder))
@@ -121,6 +124,7 @@ def load_all(preset: str) -> tuple[SplatPainterModel | None, LocalNetwork | None
     folder = find(LOCAL) if preset == LOCAL else Path(preset)
     if preset == LOCAL and folder is None:
         raise ValueError(f"preset '{LOCAL}': no trained weights; train them (train rows --recipe paint), or use 'lift'")
+    # A local network makes no global edits: those stay the lift's.
     if folder is not None and preset not in NAMES and is_local(folder):
         return None, deferred_local(folder)
     return load(preset), deferred_local()

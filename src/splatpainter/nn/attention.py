@@ -128,6 +128,7 @@ def packed_attention(q: Tensor, k: Tensor, v: Tensor, groups: Groups | CrossGrou
     )
     if q.shape[0] == 0 or k.shape[0] == 0:
         return torch.zeros_like(q)
+    # Chosen at every call: the type of the queries, which decides, is not known when groups are planned.
     kernel = _varlen_kernel() if _fits_varlen(q) else None
     if kernel is None:
         return _bucketed(q, k, v, groups)
@@ -192,6 +193,7 @@ def _buckets(queries: Packing, keys: Packing, device: torch.device) -> tuple[Any
     index = np.full(queries.total, -1, np.int64)
     done, buckets = 0, []
     for first, last in pairwise([0, *change.tolist(), len(alive)]) if len(alive) else ():
+        # As wide as the longest of these groups, not as its class: padding is work for nothing.
         widest_q, widest_k = int(lq[alive[first:last]].max()), int(lk[alive[first:last]].max())
         batch = max(BATCH // max(widest_q, widest_k), 1)
         for at in range(first, last, batch):
@@ -200,6 +202,7 @@ def _buckets(queries: Packing, keys: Packing, device: torch.device) -> tuple[Any
             rows_k, valid_k = (
                 (rows_q, valid_q) if keys is queries else _padded(starts_k[members], lk[members], widest_k)
             )
+            # Padding has no query to give its result to, so only valid places are noted.
             index[rows_q[valid_q]] = done + np.flatnonzero(valid_q)
             mask = None if valid_k.all() else torch.from_numpy(valid_k).view(len(members), 1, 1, -1).to(device)
             size = (len(members), widest_q, widest_k)
@@ -207,6 +210,7 @@ def _buckets(queries: Packing, keys: Packing, device: torch.device) -> tuple[Any
             done += len(rows_q)
     blind = index < 0
     index[blind] = done
+    # Gathering copies every result; where they come out in order already, it is left out.
     straight = not blind.any() and done == queries.total and (np.diff(index) == 1).all()
     return (
         tuple(buckets),

@@ -86,6 +86,7 @@ def newton_schulz(matrix: Tensor, steps: int = 5) -> Tensor:
     Five steps bring singular values of 0.2 % of the Frobenius norm or more to 0.68..1.21, not to 1; lesser ones grow
     485-fold, and zero stays zero. Not the exact factor by design: the coefficients lift small values fast.
     """
+    # The shorter side makes the smaller Gram matrix, and the factor of a transpose is the transpose of the factor.
     tall = matrix.shape[-2] > matrix.shape[-1]
     x = matrix.mT if tall else matrix
     x = x / (torch.linalg.matrix_norm(x, keepdim=True) + 1e-7)
@@ -165,6 +166,7 @@ def solve_ridge(features: Tensor, targets: Tensor, weights: Tensor) -> Tensor:
     with exact(features.device):
         phi = features.double()
         scaled = phi * weights.to(phi)[:, None]
+        # The penalty keeps the matrix positive definite, so that it has a Cholesky factor even where no features count.
         gram = phi.mT @ scaled + torch.eye(phi.shape[1], dtype=phi.dtype, device=phi.device)
         factor = torch.linalg.cholesky(gram)
         return torch.cholesky_solve(scaled.mT @ targets.to(phi), factor).to(targets.dtype)

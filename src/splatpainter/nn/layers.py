@@ -78,6 +78,7 @@ class SelfAttention(nn.Module):
 
     def forward(self, x: Tensor, groups: Groups) -> Tensor:
         """x: [T, D] -> [T, D]."""
+        # One map makes all three: one large product instead of three small ones.
         q, k, v = self.qkv(x).unflatten(-1, (3, self.heads, -1)).unbind(1)
         return self.out(packed_attention(q, k, v, groups).flatten(1))
 

@@ -22,6 +22,7 @@ VARIABLE = "SPLATPAINTER_PRECISION"
 def setting(precision: str = "auto") -> Precision:
     """What the caller says, or the environment where that is "auto". Raises ValueError, in one line, for another word
     in either."""
+    # The error names where the word came from: a caller did not write what the environment says.
     where, value = "precision", precision
     if precision == "auto":
         where, value = VARIABLE, os.environ.get(VARIABLE) or "auto"

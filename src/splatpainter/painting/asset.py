@@ -70,6 +70,7 @@ class Asset:
     def child(self, splats: Splats, parents: np.ndarray) -> Asset:
         """This asset with other Gaussians. parents: [len(splats)] int64 the Gaussian of this one that each is or was
         split from."""
+        # Latents stay those of the encoded Gaussians: each new one reads that of its parent.
         encoding = self.encoding
         encoding = None if encoding is None else replace(encoding, parent_ids=encoding.parent_ids[parents])
         original = self.splats if self.original is None else self.original

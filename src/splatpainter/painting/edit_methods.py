@@ -105,6 +105,7 @@ class FitMethod(EditMethod):
         from splatpainter.fit.edited import fit_edited
 
         result = super().finish(asset, lifted, views, clock)
+        # Fitted on top of the lift, whose Gaussians alone may move: the rest of the asset stays as it is.
         targets = [(view.camera, view.target) for view in views]
         result = replace(result, splats=fit_edited(asset.splats, lifted.splats, targets, lifted.ids))
         clock.record_time("fit")
@@ -191,6 +192,7 @@ class EncodingMethod(PredictorMethod):
     def start(self, asset: Asset, edits: Sequence[Edit]) -> Asset:
         from splatpainter.models.image_tokens import one_size
 
+        # Asked before encoding, which is the slow part: an edit that cannot be made should fail at once.
         one_size([edit.camera for edit in edits])
         return self.networks.encode(asset)
 
@@ -200,6 +202,7 @@ class CarryMethod(EncodingMethod):
     """A global edit that Stage II makes by what it says of Gaussians that no view shows, within the lift."""
 
     def make(self, asset: Asset, views: Sequence[EditView], clock: StageClock) -> tuple[LiftedEdit, Asset]:
+        # The lift asks the network only for what no view shows, so Stage II has to be ready before it.
         carried = self.networks.carry(asset)
         with self.networks.inference():
             lifted = lift_globally(asset, views, self.settings, carried)
@@ -252,6 +255,7 @@ class PicturesMethod(EditMethod):
     def finish(self, asset: Asset, lifted: LiftedEdit, views: Sequence[EditView], clock: StageClock) -> Asset:
         from splatpainter.models.local_edit_colors import repainted
 
+        # Colours are replaced before the lift's result becomes an asset, so that parents and confidence are the lift's.
         with inference(self.network, self.settings.precision):
             lifted = repainted(self.network, asset.splats, lifted, views)
         result = super().finish(asset, lifted, views, clock)
@@ -264,6 +268,7 @@ def method_for(
 ) -> EditMethod:
     """The class that makes an edit. chosen: not "auto" (Painter.choose); local: the network that reads pictures, for
     local edits where the others make none. Raises ValueError for a method that makes no edits of that mode."""
+    # What needs no network comes first: these work for a painter that has none.
     if mode == "spread":
         return SpreadMethod(mode, settings)
     if chosen == "lift":
@@ -272,9 +277,12 @@ def method_for(
         if mode == "global":
             raise ValueError("edit: method 'fit' is for local edits; use 'lift' with mode 'global'")
         return FitMethod(mode, settings)
+    # A painter's own networks go first where they have learnt local edits.
     if mode == "local" and local is not None and (networks is None or not networks.model.config.edits_locally):
         return PicturesMethod(mode, settings, local)
     assert networks is not None
+    # Of networks, the least that the weights can do by themselves: a predictor needs no encoding, a carried edit no
+    # decoder.
     config = networks.model.config
     if mode == "global" and config.predictor_only:
         return PredictorMethod(mode, settings, networks)
@@ -296,6 +304,7 @@ def lift_locally(
     from splatpainter.lift.edits import lift_local_views
     from splatpainter.lift.options import LOCAL_DEFAULTS
 
+    # The original's number of Gaussians is counted before all edits: what came after is paint.
     options = settings.local_options or LOCAL_DEFAULTS
     surface = asset.surface if sheets else None
     originals = len(asset.splats if asset.original is None else asset.original)
@@ -332,10 +341,12 @@ def _recolored(before: Splats, after: Splats, lifted: LiftedEdit, views: Sequenc
     if mode == "global":
         recolored = refine_colors_global(after, [(v.camera, v.edited, v.mask) for v in views])
     else:
+        # Appended Gaussians are the edit's own; of the others only those that the lift named may change.
         editable = np.ones(len(after), bool)
         editable[: len(before)] = False
         editable[lifted.ids] = True
         recolored = refine_colors_local(after, [(v.camera, v.target) for v in views], editable)
+    # Judged by the pictures themselves: polish may never make an edit worse than it was.
     return recolored if _squared_error(recolored, views) < _squared_error(after, views) else after
 
 

@@ -44,6 +44,7 @@ def edit_receipt(
     notes += method.notes(asset)
 
     # What changed. A lift names the Gaussians that it may have changed; a proof does not believe it.
+    # Comparing named Gaussians alone is quicker, and is right only where the method changes no others.
     trusted = not settings.proof and method.names_its_gaussians
     among = lifted.ids[: np.searchsorted(lifted.ids, len(asset.splats))] if trusted else None
     touched = changed_rows(asset.splats, result.splats, among)
@@ -87,6 +88,7 @@ def _judged(asset: Asset, result: Asset, views: Sequence[EditView], touched: np.
     """Each view's score; what the other pictures painted is not outside. touched: [T] Gaussians that changed."""
     from splatpainter.lift.shared_paint import paint_of_other_views
 
+    # One picture's paint also shows in another view, so all views are drawn before any is scored.
     pairs = [_before_and_after(asset, result, view, touched) for view in views]
     shared = paint_of_other_views(views, [before.depths for before, _ in pairs])
     images = zip(views, pairs, shared, strict=True)
@@ -101,6 +103,7 @@ def _before_and_after(
 
     assert view.alpha is not None and view.depth is not None and view.tiles is not None
     pictures = (view.before, view.alpha, view.depth)
+    # The render before is the one that the edit started from; only what changed is drawn again.
     drawn = PartialRender(asset.splats, view.camera, view.tiles, *pictures, view.projected)
     return drawn.after(result.splats, touched)
 
@@ -113,6 +116,7 @@ def _scored(view: EditView) -> np.ndarray:
 
 def _beside(views: Sequence[EditView]) -> str:
     """A line about edited pixels that no Gaussian can paint, or none."""
+    # A picture edited throughout has background in its mask by nature, and a note on it would say nothing.
     views = [view for view in views if not view.mask.all()]
     edited = sum(int(view.mask.sum()) for view in views)
     beside = edited - sum(int(_scored(view).sum()) for view in views)
@@ -125,6 +129,7 @@ def _beside(views: Sequence[EditView]) -> str:
 
 def _seen_aside(scores: Sequence[SideViewScore]) -> str:
     """A line about views whose paint looks wrong from the side, or none."""
+    # Where little of the paint can be checked from the side, a low score says little about it.
     low = [
         (k, score.psnr)
         for k, score in enumerate(scores)

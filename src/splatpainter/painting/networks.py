@@ -36,6 +36,7 @@ class Networks:
         """The asset with its encoding for the model; the same one where it has that already. In `copy` representation
         its Gaussians are then Stage I's."""
         model = self.model
+        # Later edits go on from the same encoding: encoding again would lose what the edits before taught.
         if asset.encoding is not None and asset.encoding.model is model:
             return asset
         from splatpainter.models.cache import encode_cached, encode_half
@@ -45,6 +46,7 @@ class Networks:
                 encoded = encode_cached(model, asset.splats, asset.grid, weights=self._digest)
             else:
                 encoded = encode_half(model, asset.splats, asset.grid)
+        # The asset's own Gaussians are not those that Stage I has read; later edits have to name the latter.
         if model.config.representation == "copy":
             asset = Asset(encoded.gaussians.numpy())
         return replace(asset, encoding=EncodedAsset(model, encoded, np.arange(len(asset.splats))))
@@ -72,12 +74,14 @@ class Networks:
 
         encoding = asset.encoding
         assert encoding is not None
+        # Latents belong to the Gaussians that were encoded, so parents are followed back through all edits since.
         start = replace(lifted, parents=encoding.parent_ids[lifted.parents])
         with self.inference():
             state = encoding.state or self.model.initial_state()
             facts = self._facts(asset, lifted.parents)
             state, gaussians, children = refine_edit(self.model, state, encoding.encoded, start, views, facts)
             splats = assemble(lifted, gaussians, children)
+        # Children go last, and descend from the Gaussian that each was decoded for.
         parents = lifted.parent_ids(len(asset.splats))
         parents = parents if children is None else np.append(parents, lifted.parents)
         after = replace(asset.child(splats, parents), confidence=lifted.confidence)
@@ -119,6 +123,7 @@ def inference(model: SplatPainterModel | LocalNetwork, precision: Precision) -> 
     """No gradients, arithmetic of this precision, and eval mode; the model's own mode comes back."""
     import torch
 
+    # A caller may be training this model between edits, and dropout must not come back switched off.
     training = model.training
     model.eval()
     try:

@@ -36,6 +36,7 @@ def _prepare(asset: Asset, edit: Edit, mode: Mode, partly: bool) -> EditView:
         if is_inside(asset.splats, lambda: asset.grid, edit.camera.position):
             raise ValueError("edit: the camera is inside the object; step back until the surface is in view")
         mask = edit.mask
+        # A ring beside the mask is projected as well: a sheet covers that too.
         tiles = beside = view = None
         if partly and mask is not None and mask.any():
             tiles, beside = tiles_of_mask(mask), tiles_of_mask(dilated(mask, RING_PX))
@@ -43,6 +44,7 @@ def _prepare(asset: Asset, edit: Edit, mode: Mode, partly: bool) -> EditView:
         drawn = PartialRender.of(asset.splats, edit.camera, tiles, beside, view)
         if mask is None:
             mask = drawn.alphas > 0.5 if mode == "global" else edited_mask(edit.image, drawn.colors, drawn.alphas)
+        # Which reason is named tells what to do: turn the camera, change the picture, or paint a mask.
         if not mask.any():
             unchanged = (
                 "the asset is not in view" if mode == "global" else "the picture does not differ from the render"
@@ -58,6 +60,7 @@ def _changed_together(views: list[EditView], edits: Sequence[Edit]) -> list[Edit
     """Where one picture without a mask changed throughout, others of the edit that changed at most pixels did too."""
     from splatpainter.lift.masks import MIN_MEDIAN_CHANGE, median_change
 
+    # Masks that people gave are never widened: what they say is meant.
     free = [edit.mask is None and view.alpha is not None for view, edit in zip(views, edits, strict=True)]
     if not any(view.mask.all() for view, unmasked in zip(views, free, strict=True) if unmasked):
         return views

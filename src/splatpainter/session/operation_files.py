@@ -49,6 +49,7 @@ def look_of_layer(path: Path) -> Look:
         raise ValueError(
             f"{path}: expected an adjustment layer with sliders or other colours, got a layer of kind {layer.kind}"
         )
+    # A limit is of the asset that the layer was made on, and would lie anywhere on another.
     if layer.views or operation.selection is not None:
         raise ValueError(f"{path}: is limited to a selection, which grade takes as --where mask=M.png@CAM.json instead")
     if layer.blend != "normal":
@@ -78,6 +79,7 @@ def project_term(name: str, text: str) -> Weigh:
     title, at, project = text.rpartition("@")
     if not at or not title:
         raise wrong_term(name, "NAME@PROJECT.splatproj", text)
+    # For reading only: a project that is open elsewhere can still be asked.
     with Session.load(project, readonly=True) as session:
         try:
             weights = session.selections.load(title) if name == "selection" else session.layers.painted(title)
@@ -98,6 +100,7 @@ def _is_made_from(splats: Splats, original: Splats) -> bool:
     """Whether an asset may be one that was made from the original: as many Gaussians or more, where they were."""
     if len(splats) < len(original):
         return False
+    # By the median: an edit moves some Gaussians far, and leaves most where they were.
     extent = float(np.ptp(original.means[original.drawable], axis=0).max())
     far = np.linalg.norm(splats.means[: len(original)] - original.means, axis=1)
     return bool(np.median(far) <= SAME_ASSET_SHARE * extent)

@@ -92,11 +92,13 @@ class Session:
         if not splats.drawable.any():
             reasons = "NaN, zero scale or zero quaternion"
             raise ValueError(f"asset: none of the {len(splats)} Gaussians can be drawn ({reasons})")
+        # Without a file that still holds these Gaussians, the project keeps the Gaussians themselves.
         source = asset_files.file_of(splats)
         if source is None:
             splats = asset_files.numbered(without_source(splats))
             if not embed:
                 raise ValueError("session: embed=False needs an asset that was read from a file")
+        # A temporary project is one like any other: commands are on disk there too.
         scratch = None
         if project is None:
             scratch = ScratchFolder("session")

@@ -40,6 +40,7 @@ def add_to_scene(
     scene, document = core.scene(), core.document
     blobs = {files.sha256(data): data for data in attached}
     shares = split_edits(scene, edits, operation.needs_masks) if edits else [(part, []) for part in scene.parts]
+    # With an asset named only that one takes part, whatever else the picture shows.
     shares = [share for share in shares if asset in (None, share[0].asset.id)]
     selected = getattr(operation, "selection", None)
     # A selection of the scene becomes one of each asset: layers live in the space of theirs.
@@ -105,6 +106,7 @@ def relief_on_asset(core: SessionCore, relief: ReliefLayer) -> tuple[str, Relief
         return MAIN_ASSET_ID, relief
     scene = core.scene()
     splats = scene.state.splats
+    # By the nearest visible Gaussian: an anchor is a point of the surface and names no asset.
     visible = np.flatnonzero(splats.drawable & (splats.opacities > 0))
     numbers = []
     for anchor in (relief.source, relief.target):
@@ -126,6 +128,7 @@ def _target(document: Document, layer: Layer, asset: str, stroke: LayerOperation
     of that name, made where there is none."""
     if layer.id and layer.asset == asset:
         return document, layer.id
+    # A stroke that goes over to another asset again goes on in the layer that it made there before.
     for other in reversed(document.layers if layer.id else ()):
         if other.asset == asset and other.name == layer.name and other.holds_strokes:
             if other.visible and other.opacity > 0:

@@ -75,6 +75,7 @@ class SessionCore:
         self.progress: Progress | None = None
         self.versions = VersionLog()
         try:
+            # Composed before anything is shown: a session that opens at all has a state that can be drawn.
             original = asset_files.restore(project, rule) if splats is None else splats
             table = {**ADJUSTMENTS, **(adjustments or {})}
             load = partial(asset_files.restore_added, project)
@@ -84,10 +85,12 @@ class SessionCore:
             state = self.replay.compose(document)
             original = self.replay.original_of(document)
             self.snapshot = Snapshot(1, state, document, tuple(steps), cursor, original)
+            # What was missing was computed just now; storing it spares the next opening the same work.
             if self.transaction.results:  # of a project that lost some
                 project.move(steps[cursor].id, state.results, self.transaction)
                 self.transaction.clear()
         except BaseException as error:
+            # The lock must not outlive a failed opening, and a stranger's file may raise anything on the way.
             project.close()
             if scratch is not None:
                 scratch.close()
@@ -139,6 +142,7 @@ class SessionCore:
         """Edits of the scene as edits of a layer's asset alone. Raises ValueError where they do not reach it."""
         if not self.document.assets:
             return [edit.relative_to(self.original.offset) for edit in edits]
+        # A picture of a scene may show several assets; a layer takes only what reaches its own.
         for part, pieces in split_edits(self.scene(), edits, layer.operation.needs_masks):
             if part.asset.id == layer.asset:
                 return pieces
@@ -204,6 +208,7 @@ class SessionCore:
         """Show a state that is on disk: from now on it is the snapshot."""
         before = self.snapshot
         version = before.version
+        # A rename is a step and shows the same Gaussians, so viewers fetch nothing.
         if state.key != before.state.key:
             version += 1
             if before.splats.sh.shape[1] != state.splats.sh.shape[1]:  # of other assets: viewers get everything
@@ -216,6 +221,7 @@ class SessionCore:
 
     def fold(self, layer: str) -> None:
         """Let the results of a layer's strokes take no more room than they may."""
+        # Only after the step is on disk: folding loses nothing, and a crash before it costs room alone.
         replay, document = self.replay.of_layer(self.document, layer)
         folding = replay.fold(document, layer, self.transaction.project.result_bytes)
         self.transaction.clear()

@@ -45,6 +45,7 @@ class SessionFileCommands:
 
     def _receipt(self, snapshot: Snapshot, options: WriteOptions = AS_IT_IS) -> Receipt:
         note = ", ".join(layer.name for layer in snapshot.document.layers if layer.visible) or "none"
+        # One word for all: a receipt must not promise more than the roughest layer keeps.
         used = {facts.get("precision", "") for _, facts in snapshot.state.facts}
         precision = next((word for word in ("bfloat16", "float32") if word in used), "")  # the roughest of the layers'
         words = (self._core.painter.preset, f"layers: {note}", precision)
@@ -72,6 +73,7 @@ class SessionFileCommands:
         of the file's numbers (not of a scene), "rub" is y up, "rdf" y down; "auto": as the format usually has them.
         Raises ValueError: the name, an existing file, nothing visible, an option that the format has not;
         RuntimeError: the file does not prove the receipt."""
+        # One snapshot for file and receipt: commands may go on meanwhile.
         snapshot, target = self._exported(asset), Path(path)
         if snapshot.document.assets:
             if remove_hidden:
@@ -80,6 +82,7 @@ class SessionFileCommands:
                 raise ValueError("export: options are for one asset at a time; name it")
             return export_scene(self._core.replay.scene(snapshot.document), self._receipt(snapshot), target, overwrite)
         asset_files.check_target(target, overwrite)
+        # Judged before anything is computed: an option that the format has not is a quick error.
         options.check(FORMATS[format_of_name(target) or ""].write_options, str(target))
         write = asset_files.export_visible if remove_hidden else asset_files.export_asset
         return write(snapshot.original, snapshot.splats, self._receipt(snapshot, options), target, overwrite, axes)

@@ -96,6 +96,7 @@ class SessionLayers(Sequence[Layer]):
         """[N] float32 per Gaussian of the session: 1 where the visible layers of this name paint. Raises ValueError
         where none does."""
         snapshot = self._core.snapshot
+        # A merged layer paints through those inside it, which are what the state lists.
         layers = [layer for layer in snapshot.document.layers if name in (layer.name, layer.id)]
         ids = {layer.id for layer in layers} | {leaf.id for layer in layers for leaf in layer.leaves()}
         out = np.zeros(len(snapshot.splats), np.float32)
@@ -150,6 +151,7 @@ class SessionLayers(Sequence[Layer]):
         `Session.splats` are of Gaussians that follow them."""
         core = self._core
         with core.lock:
+            # Under the lock, as it composes: a command must not publish in between.
             document = core.document
             values = {"opacity": opacity, "blend": blend, "visible": visible}
             fields = {name: value for name, value in values.items() if value is not None}
@@ -183,6 +185,7 @@ class SessionLayers(Sequence[Layer]):
         does, with nothing changed."""
         core = self._core
         with core.command():
+            # The painter of now is written into the layer, so that another one later does not change it.
             operation = operation_from(what, options).repainted(core.painter)
             mixing: dict[str, Any] = {"opacity": opacity, "blend": blend}
             if core.document.assets:
@@ -220,6 +223,7 @@ class SessionLayers(Sequence[Layer]):
             raise ValueError("hide: nothing is selected")
         with core.command():
             document, added = core.document, []
+            # One layer per asset, all in one step: undo takes back what one gesture did.
             for asset, hidden in self._hidden(weights):
                 document, layer = add_layer(document, Layer("", name, hidden, asset=asset), index)
                 added.append(layer)
@@ -248,6 +252,7 @@ class SessionLayers(Sequence[Layer]):
         weights = core.checked_weights(weights)
         if not weights.any():
             raise ValueError("fill: nothing is selected; select what is to be removed, or circle a hole")
+        # The layer keeps which it was: a removed body and a circled hole are found in different ways on replay.
         where: FillWhere = "removed" if remove else "around"
         if remove and body:
             chosen = body_of(core.splats.numpy(), weights >= SELECTED)
@@ -273,6 +278,7 @@ class SessionLayers(Sequence[Layer]):
         core = self._core
         with core.command():
             target = core.layer(layer)
+            # All names are judged before anything is changed, so that a wrong one leaves the layer as it is.
             fields = {name: value for name, value in values.items() if name in SETTABLE}
             options = {name: value for name, value in values.items() if name not in SETTABLE}
             settable = (*SETTABLE, *target.operation.option_names())
@@ -352,6 +358,7 @@ class SessionLayers(Sequence[Layer]):
                 raise ValueError(f"{before.title}: expected a layer of edited pictures")
             operation = before.operation.with_options(options).repainted(core.painter)
             edits = core.edits_of(before, edits)
+            # Judged against what is below, where the layer's pictures will be laid, not against what is shown.
             fresh, blobs = new_layer(self.below(layer), operation, edits, name or before.name)
             core.transaction.blobs = blobs | {files.sha256(data): data for data in attached}
             fields = {"views": fresh.views, "thumbnail": fresh.thumbnail, "operation": operation, "visible": True}
@@ -377,6 +384,7 @@ class SessionLayers(Sequence[Layer]):
                 blobs[files.sha256(data)] = data
                 return files.sha256(data)
 
+            # Masks are asked for before the first picture is encoded: an edit without one fails with nothing stored.
             views, small = [], None
             for edit in edits:
                 if edit.mask is None:
@@ -398,6 +406,7 @@ class SessionLayers(Sequence[Layer]):
         of the transaction."""
         hidden, blobs = [], {}
         for part in self._selections.by_asset(weights):
+            # Stored under its hash with the step: a layer must not depend on what is selected later.
             data = Selection.of(part.weights, part.splats, part.original).to_png()
             blobs[files.sha256(data)] = data
             hidden.append((part.asset, HideLayer(selection=files.sha256(data))))

@@ -48,6 +48,7 @@ class SessionMasks:
         core = self._core
         weights, target = core.checked_weights(weights), core.layer(layer)
         with core.command():
+            # A layer lives on one asset, so only what is selected of that one can be its mask.
             part = next((one for one in self._selections.by_asset(weights) if one.asset == target.asset), None)
             if part is None or not part.weights.any():
                 raise ValueError(f"{target.title}: nothing of its asset is selected")

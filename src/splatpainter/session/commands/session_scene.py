@@ -119,6 +119,7 @@ class SessionScene:
         can be drawn, its colours are of another space; too many assets."""
         splats = asset if isinstance(asset, Splats) else read(asset, frame=frame)
         splats = splats.numpy()
+        # The project keeps the file's bytes, so that exports of this asset can be proved against them.
         path = asset_files.file_of(splats)
         if path is None or splats.source is None:
             raise ValueError("asset: expected one that was read from a file which is still there")
@@ -139,6 +140,7 @@ class SessionScene:
                 existing, new = (rows.world_means[rows.drawable] for rows in (core.splats, splats))
                 placement = Placement(shift_to_the_right(existing, new))
             _check_reach(title, splats, placement, main.offset)
+            # Bytes and original go along with the step: until it is committed the project knows neither.
             stored = META if path.is_dir() else path.name
             added = SceneAsset(
                 str(document.next_id),
@@ -188,6 +190,7 @@ class SessionScene:
             if not any(one.visible for one in rest):
                 raise ValueError(f"asset {before.name}: is the only one that is visible")
             layers = tuple(layer for layer in document.layers if layer.asset != asset)
+            # Policies of layers that go would name ids that are never given again.
             ids = replace(document, layers=layers).leaf_ids()
             policies = tuple(entry for entry in document.policies if entry[0] in ids and entry[1] in ids)
             document = replace(document, layers=layers, policies=policies)
@@ -206,6 +209,7 @@ class SessionScene:
             if moving is None or not neighbours:
                 raise ValueError(f"asset {name}: expected it and another one visible to match their colours")
             placed = [part.placed(part.state.splats) for part in neighbours]
+            # Only as many bands as all have: neighbours of other files may hold fewer.
             fixed = placed[0]
             for more in placed[1:]:
                 bands = min(fixed.sh.shape[1], more.sh.shape[1])  # base colours count
@@ -227,6 +231,7 @@ class SessionScene:
 
 def _with_assets(document: Document, assets: tuple[SceneAsset, ...]) -> Document:
     """The document with these assets; none are listed where the first one is alone and unchanged."""
+    # One asset as it is needs no list: it is composed, and stored, as before there was a second one.
     alone = len(assets) == 1 and assets[0].placement.is_identity and assets[0].visible
     return replace(document, assets=() if alone else assets)
 

@@ -52,6 +52,7 @@ class SessionSelections:
             raise ValueError(
                 f"selection: expected a name of at most {MAX_SELECTION_NAME} characters, and at most {MAX_SELECTIONS}"
             )
+        # As a Selection, which still holds when layers come and go.
         data = Selection.of(core.checked_weights(weights), core.splats, core.original).to_png()
         core.project.set_fact(SELECTION_FACT + name, base64.b64encode(data).decode())
 
@@ -79,6 +80,7 @@ class SessionSelections:
         if not core.document.assets:
             snapshot = core.snapshot
             return [SelectedPart(MAIN_ASSET_ID, weights, snapshot.splats, snapshot.original)]
+        # Weights of the scene are by its ids, those of a layer by its asset's.
         parts = [
             SelectedPart(part.asset.id, weights[part.scene_ids], part.state.splats, part.original)
             for part in core.scene().parts

@@ -104,6 +104,7 @@ class SessionStrokes:
                 layers = full.layers[: full.index(layer) + 1]
                 below = document.layers[: document.index(layer)]
                 before, after = (replay.compose(replace(document, layers=some)).splats for some in (below, layers))
+            # Under the lock up to here; the renders below need only what was taken, and commands may go on.
             edits = [replay.edit_of(view, latest) for view in latest.views if view.picture is not None]
         masks = [np.ones(edit.image.shape[:2], bool) if edit.mask is None else edit.mask for edit in edits]
         views = edit_views(
@@ -130,6 +131,7 @@ class SessionStrokes:
         with core.command():
             if not self.erases_on(layer, [edit.camera for edit in edits]):
                 raise ValueError(f"{core.layer(layer).title}: expected an eraser of the same views")
+            # Masks grow and never shrink: what was erased stays so.
             target, grown = core.layer(layer), []
             for edit in core.edits_of(target, edits):
                 (view,) = (one for one in target.views if same_camera(one.camera, edit.camera))
@@ -159,12 +161,14 @@ class SessionStrokes:
         """Commit a document with one more stroke. below: what it is painted on, if at hand."""
         core = self._core
         target = document.layers[document.index(layer)]
+        # Painting what nobody sees would look as if nothing happened.
         if not target.visible or target.opacity == 0:
             raise ValueError(f"{target.title}: is hidden; show it to paint into it")
         if document.assets:
             return paint_in_scene(core, target, edits, name, operation)
         below = self.painted_on(layer) if below is None else below
         stroke, blobs = new_layer(below, operation, edits, name, cut_out=True)
+        # The layer shows its latest stroke; hundreds of small pictures beside it would only take room.
         stroke, thumbnail = replace(stroke, thumbnail=None), stroke.thumbnail
         document, stroke = add_stroke(document, layer, stroke)
         core.transaction.blobs = blobs

@@ -51,6 +51,7 @@ class SessionSurface:
         core = self._core
         camera = camera.relative_to(core.original.offset)
         document, state = core.document, core.replay.base_state
+        # Only what reshapes the surface counts: paint lies on it and leaves it as it is.
         hiding = tuple(layer for layer in document.layers if layer.operation.reshapes and layer.visible)
         if hiding or document.assets:
             with core.lock:
@@ -77,6 +78,7 @@ class SessionSurface:
     def _under_decal(self, replaces: str | None) -> tuple[Asset, Surface]:
         """What a decal is laid on; replaces: the layer that it takes the place of, which is not there then."""
         core = self._core
+        # A decal that takes the place of another one must not lie on that one.
         splats = core.splats
         if replaces is not None:
             with core.lock:

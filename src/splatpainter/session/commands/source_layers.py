@@ -63,6 +63,7 @@ def add_source_views(
 
     def paint(sourced: SourcedEdit) -> None:
         name = f"{title} ({len(layers) + 1})"
+        # Who made the picture goes into the layer, so that receipts can say it.
         record = source_record(source, brief, [sourced])
         layers.append(
             run(
@@ -86,6 +87,7 @@ def add_source_views(
         keep_when_cancelled=True,
     )
     notes = list(sourced_views.notes)
+    # Merged at the end: each view has to show what those before it painted.
     if one_layer and len(layers) > 1:
         try:
             layers = [run(lambda: session.layers.merge([layer.id for layer in layers], title))]

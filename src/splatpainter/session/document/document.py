@@ -72,6 +72,7 @@ class Layer:
         except UnicodeEncodeError as error:  # halves of surrogate pairs are no text
             reason = printable(str(error), MAX_REASON)
             raise ValueError(f"{self.title}: expected a name that UTF-8 can hold ({reason})") from None
+        # Checked where commands and files both come through: no command makes a layer that cannot be opened.
         if self.operation.merges != bool(self.layers):
             raise ValueError(f"{self.title}: a merged layer, and no other, holds layers")
         if self.strokes and not self.holds_strokes:
@@ -100,6 +101,7 @@ class Layer:
 
     def record(self, strokes: bool = True) -> dict[str, Any]:
         """JSON object of all fields. strokes False: of these only their number."""
+        # A mask, an asset or strokes that are not there are left out: most layers have none.
         names = ("id", "name", "opacity", "blend", "visible", "thumbnail")
         record = {**{name: getattr(self, name) for name in names}, **self._content()}
         if self.mask is not None:
@@ -129,6 +131,7 @@ class Layer:
     def parse(data: dict[str, Any], where: str = "layer", depth: int = 0) -> Layer:
         """The inverse of `record`. Raises ValueError naming `where`."""
         try:
+            # Sizes are judged before the parts are read: the record may be a stranger's.
             if depth > MAX_NESTING:
                 raise ValueError("merged layers are nested too deeply")
             if len(data["views"]) > MAX_VIEWS:
@@ -189,6 +192,7 @@ class Document:
 
     def below(self, layer: str) -> Document:
         """Without a layer, and without those of its asset that lie above it."""
+        # Other assets stay whole: they have no order with this layer, and may stand beside it in view.
         at = self.index(layer)
         asset = self.layers[at].asset
         layers = (entry for k, entry in enumerate(self.layers) if k < at or entry.asset != asset)
@@ -237,6 +241,7 @@ def add_stroke(document: Document, layer: str, stroke: Layer) -> tuple[Document,
     target = document.layers[at]
     if target.layers:
         return _add_stroke_on_top(document, at, stroke)
+    # The settings stay with the layer and the first stroke gets none: they would else count twice.
     if target.views and (holder := _for_strokes(target)) is not None:
         plain: dict[str, Any] = {"opacity": 1.0, "blend": "normal", "visible": True, "thumbnail": None, "mask": None}
         first = replace(target, id=str(document.next_id), **plain)
@@ -276,6 +281,7 @@ def _add_stroke_on_top(document: Document, at: int, stroke: Layer) -> tuple[Docu
     if operation is None:
         raise ValueError(f"{merged.title}: is merged, and nothing can be erased in it; hide parts of it by its mask")
     *rest, top = merged.layers
+    # A stroke under an opacity or mask would not look as it was painted; a new layer on top has neither.
     plain = top.visible and top.opacity == 1 and top.blend == "normal" and top.mask is None
     if not (plain and top.holds_strokes and len(top.strokes) < MAX_STROKES):
         rest = [*merged.layers]
@@ -292,6 +298,7 @@ def delete_layer(document: Document, layer: str) -> Document:
     """The document without a layer."""
     layers = list(document.layers)
     layers.pop(document.index(layer))
+    # A policy of a layer that is gone would stay for good and say nothing: ids are never used again.
     remaining = replace(document, layers=tuple(layers))
     ids = remaining.leaf_ids()
     return replace(remaining, policies=tuple(p for p in document.policies if p[0] in ids and p[1] in ids))
@@ -308,10 +315,12 @@ def merge_layers(document: Document, layers: Sequence[str], name: str | None = N
     """The document with neighbouring layers as one, which shows what they did. They stay inside it, with their ids,
     opacities and pictures, so it is still replayed when something below changes. Raises ValueError: fewer than two,
     gaps between."""
+    # Only neighbours: a layer in between would change its place, and what is shown with it.
     indices = sorted({document.index(layer) for layer in layers})
     if len(indices) < 2 or indices != list(range(indices[0], indices[-1] + 1)):
         raise ValueError("merge: expected two or more layers that lie next to each other; move them together first")
     inner = document.layers[indices[0] : indices[-1] + 1]
+    # Layers of two assets live in two spaces.
     asset = inner[0].asset
     if any(layer.asset != asset for layer in inner):
         raise ValueError("merge: expected layers of one asset")
@@ -331,6 +340,7 @@ def resolve_conflict(document: Document, lower: str, upper: str, policy: Policy)
     if lower not in ids or upper not in ids or lower == upper:
         given = f"{brief(lower)}, {brief(upper)}"
         raise ValueError(f"conflict: expected two of the layers {_listed(sorted(ids))}, got {given}")
+    # "latest" is what happens without an entry, so that choosing it leaves none behind.
     rest = [entry for entry in document.policies if entry[:2] != (lower, upper)]
     new = [] if policy == "latest" else [(lower, upper, policy)]
     return replace(document, policies=tuple(rest + new))

@@ -50,6 +50,7 @@ def new_layer(
     inside their masks only (strokes: what lies beside them is most of the view). Raises ValueError: no view or too
     many, no mask where one is needed, nothing edited."""
     kind = operation.kind
+    # Counts are judged before any picture is encoded, which takes long.
     if not 0 <= len(edits) <= MAX_VIEWS or operation.merges:
         raise ValueError(f"layer: expected at most {MAX_VIEWS} views, and layers that exist to be merged with merge")
     if not edits and operation.needs_views:
@@ -71,6 +72,7 @@ def new_layer(
             mask = changed_pixels(splats, edit)
         if mask is None and not operation.takes_pictures:
             raise ValueError(f"{edit.name}: expected a mask for a view of kind {kind}")
+        # Hashed as they will be stored: replay computes from these bytes, not from the floats that came in.
         inside = mask if cut_out else None
         picture = put(encode_picture(edit.image, splats.color_space, inside)) if operation.takes_pictures else None
         views.append(View(edit.camera, picture, None if mask is None else put(encode_mask(mask))))
@@ -107,6 +109,7 @@ def encode_mask(mask: np.ndarray) -> bytes:
 def decode_picture(data: bytes, camera: Camera, where: str, space: ColorSpace = "srgb") -> np.ndarray:
     """[H, W, 3] float32 0..1 in the asset's colour space. Raises ValueError naming `where`: no PNG, damaged, not of the
     camera's size."""
+    # A table of 256 levels: the same conversion for every pixel, and much quicker than one for each.
     levels = from_display(np.arange(256, dtype=np.float32) / 255, space)
     return levels[_pixels(data, camera, where, "RGB")]
 
@@ -133,6 +136,7 @@ def thumbnail(image: np.ndarray, mask: np.ndarray | None, few_colors: bool = Fal
 
     if mask is not None and mask.any():
         ys, xs = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+        # Some of the surroundings too: a stroke alone says little about where it lies.
         margin = 4 + max(np.ptp(ys), np.ptp(xs)) // 4
         top, left = max(ys[0] - margin, 0), max(xs[0] - margin, 0)
         image = image[top : ys[-1] + margin + 1, left : xs[-1] + margin + 1]
@@ -160,6 +164,7 @@ def _png(pixels: np.ndarray | Image.Image) -> bytes:
     image.save(file, "PNG", compress_level=1)
     data = file.getvalue()
     if isinstance(pixels, np.ndarray) and pixels.nbytes <= MAX_RECENT_BYTES:
+        # Frozen, as whoever reads it later gets this array itself.
         copy = pixels.copy()
         copy.flags.writeable = False
         _recent.append((data, copy))
@@ -169,6 +174,7 @@ def _png(pixels: np.ndarray | Image.Image) -> bytes:
 def _recently_encoded(data: bytes, camera: Camera, mode: str) -> np.ndarray | None:
     """What `_pixels` would read of bytes that `_png` has just made of an array; None where it has not."""
     for png, pixels in tuple(_recent):
+        # By identity of the bytes: equal ones from a file would have to be compared, which costs more than it saves.
         if png is data and pixels.shape[:2] == (camera.height, camera.width):
             channels = 1 if pixels.ndim == 2 else pixels.shape[2]
             if (mode, channels) in (("L", 1), ("LA", 2), ("RGB", 3), ("RGBA", 4)):
@@ -187,6 +193,7 @@ def _pixels(data: bytes, camera: Camera, where: str, mode: str) -> np.ndarray:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Pillow's own size warning: judged here
         try:
+            # One format alone is tried: a stranger's file must not choose its decoder. Sizes are judged before pixels.
             with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
                 if image.width * image.height > MAX_PICTURE_PIXELS:
                     raise ValueError(f"more than {MAX_PICTURE_PIXELS // 10**6} megapixels")

@@ -95,6 +95,7 @@ def by_rule(rule: Rule, low: float, high: float, soft: float = 0.0, axis: Any = 
         raise ValueError("mask: expected finite numbers as low, high, soft and an axis of three")
     if low > high or soft < 0:
         raise ValueError(f"mask: expected low up to high, and soft from 0, got {low:g}, {high:g} and {soft:g}")
+    # Unit length, as the rules measure heights and angles along it.
     length = float(np.linalg.norm(numbers[3:]))
     if length < 1e-9:
         raise ValueError("mask: expected an axis that is not 0")
@@ -107,6 +108,7 @@ def _parsed_part(data: dict[str, Any], where: str) -> MaskPart:
         return by_rule(data["rule"], data["low"], data["high"], data["soft"], data["axis"])
     if "selection" in data:
         return MaskPart(selection=_hash(data["selection"], "selection"))
+    # A picture is named by its hash alone, so that a part of a file names no path.
     camera = Camera.from_record(data["camera"], where)
     return MaskPart(camera, _hash(data["picture"], "picture"))
 
@@ -119,6 +121,7 @@ def _hash(name: Any, what: str) -> str:
 
 def over(shows: np.ndarray, share: np.ndarray, new_shows: np.ndarray, new_share: np.ndarray) -> tuple[Any, Any]:
     """(what to show, how far), [H, W] 0..1 each, of two painted parts of one view, the new one after the other."""
+    # As one layer of paint over another: dabs in a row may then be kept as one part.
     total = share + new_share - share * new_share
     mixed = shows * share * (1 - new_share) + new_shows * new_share
     return np.where(total > 0, mixed / np.maximum(total, 1e-9), 0), total
@@ -132,6 +135,7 @@ def changed_weights(
     if part.rule is None:
         assert picture is not None and part.camera is not None
         return _painted(weights, splats, part.camera, picture)
+    # Weights only shrink here: a rule says where a layer shows, and adds nothing to what hides it elsewhere.
     value = _measured(splats, part, coverage)
     if part.soft > 0:
         rise = (value - part.low) / part.soft + 1
@@ -150,6 +154,7 @@ def _painted(weights: np.ndarray, splats: Splats, camera: Camera, picture: np.nd
     if not share.any():
         return weights
     bare = replace(splats, source=None, origin=None)
+    # Only what the painted tiles show may change; how much of it is painted, its whole footprint says.
     touched = project(bare, camera, tiles=tiles_of_mask(share > 0)).gaussian_ids
     near = np.zeros(len(splats), bool)
     near[touched] = True
@@ -172,6 +177,7 @@ def _measured(splats: Splats, part: MaskPart, coverage: np.ndarray) -> np.ndarra
         return coverage.astype(float)
     if part.rule == "height":
         heights = splats.means.astype(float) @ axis
+        # Emptied Gaussians still have places, and would stretch the scale.
         solid = heights[splats.drawable & (splats.opacities > 0)]
         low, high = (solid.min(), solid.max()) if len(solid) else (0.0, 1.0)
         return (heights - low) / max(high - low, 1e-12)

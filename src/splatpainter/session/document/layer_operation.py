@@ -138,6 +138,7 @@ class LayerOperation:
     def __post_init__(self) -> None:
         """Objects become copies, which nobody else changes. Raises ValueError for what JSON cannot hold, and for
         options that cannot be (`check`)."""
+        # A caller who goes on changing the dictionary would change a layer of the history.
         for entry in dataclasses.fields(self):
             value = getattr(self, entry.name)
             if isinstance(value, dict):
@@ -157,6 +158,7 @@ class LayerOperation:
 
     def changes(self) -> dict[str, Any]:
         """The options that are not at their defaults, by name."""
+        # Defaults are left out, so that a new option does not change the text, and so the key, of older layers.
         default = type(self)()
         values = {entry.name: getattr(self, entry.name) for entry in dataclasses.fields(self)}
         return {name: value for name, value in values.items() if value != getattr(default, name)}
@@ -178,6 +180,7 @@ class LayerOperation:
 
     def with_options(self, options: Mapping[str, Any], where: str = "layer") -> LayerOperation:
         """With other values of some options. Raises ValueError as `build`."""
+        # Through the record, so that every option is judged as when a file is read.
         changes = {name: value for name, value in self.record().items() if name != "kind"}
         return self.build(self.kind, {**changes, **options}, where)
 

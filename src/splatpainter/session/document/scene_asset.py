@@ -59,6 +59,7 @@ class SceneAsset:
         """The inverse of `record`. Raises ValueError."""
         try:
             texts = {name: data[name] for name in ("id", "name", "file", "sha256", "frame")}
+            # Every field is judged, as the project may be a stranger's.
             if not all(isinstance(text, str) and len(text) <= MAX_NAME for text in texts.values()):
                 raise ValueError("expected texts")
             if not isinstance(data["visible"], bool) or texts["frame"] not in FRAMES:
@@ -88,6 +89,7 @@ def parse_assets(records: Any) -> tuple[SceneAsset, ...]:
         raise ValueError(f"expected a list of at most {MAX_ASSETS} assets")
     assets = tuple(SceneAsset.parse(record) for record in records)
     ids = [asset.id for asset in assets]
+    # Layers name assets by id: two of one id would leave open which is meant.
     if len(set(ids)) < len(ids) or (ids and ids[0] != MAIN_ASSET_ID):
         raise ValueError("expected assets of different ids, the first one ahead")
     return assets

@@ -50,7 +50,9 @@ class FillLayer(LayerOperation):
     def result(self, work: LayerWork) -> LayerResult:
         splats, chosen = work.splats, work.selected(self.selection) >= SELECTED
         removed = self.fill == "removed"
+        # What was removed bounds the hole from within, what surrounds it from without.
         filled = fill_hole(splats, removed=chosen) if removed else fill_hole(splats, around=chosen)
+        # Pictures colour only what this layer has appended, whatever else they show.
         pictured = [view for view in work.views if view.picture is not None]
         pictures = [(view.camera, work.edit(view).image, work.mask(view)) for view in pictured]
         appended = painted(splats, filled.appended, pictures) if filled.holes else filled.appended

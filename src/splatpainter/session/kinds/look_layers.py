@@ -73,9 +73,11 @@ class LookLayer(PaintedLayer):
         return replace(self, method="lift") if self.look else super().repainted(painter, method)
 
     def result(self, work: LayerWork) -> LayerResult:
+        # Pictures show what to do and ask the painter; a function by name does not, and is quick.
         if views_with_pictures(work.views):
             return super().result(work)
         adjusted = work.adjusted(self.look, self.settings)
+        # Masks without pictures only limit: beside them the Gaussians stay bit for bit.
         if work.views:
             reached = reached_gaussians(work.splats, [(view.camera, work.mask(view)) for view in work.views])
             adjusted = within(reached, work.splats, adjusted)

@@ -71,6 +71,7 @@ class PaintedLayer(LayerOperation):
         super().__post_init__()
 
     def check(self) -> None:
+        # Refused here: in a layer of mode global they would be stored and mean nothing.
         if self.limits() and self.regrades:
             raise ValueError("expected angle_limit and depth_edge_limit with pictures in modes local and spread only")
         if self.limits():
@@ -143,12 +144,14 @@ class PaintedLayer(LayerOperation):
         return PaintLayer(method=self.method, painter=self.painter)
 
     def repainted(self, painter: Painter, method: Method | None = None) -> LayerOperation:
+        # "auto" is decided once: a painter that gains a network later must not change layers that are there.
         method = painter.choose(self.method if method is None else method, self.mode)[0]
         return replace(self, method=method, painter=fingerprint(painter, method))
 
     # ---- what it does
 
     def result(self, work: LayerWork) -> LayerResult:
+        # All views go to the painter together, as they were given.
         below = work.splats
         spread = self.spread_options() if self.spreads else None
         numbered, asset = work.paint(self.mode, self.method, self._local_options(), spread)
@@ -163,10 +166,12 @@ class PaintedLayer(LayerOperation):
             if not masked:
                 raise ValueError(f"{work.title}: expected a mask in one of its views to stay within")
             splats = within(reached_gaussians(below, masked), below, splats)
+        # A local layer keeps to its masks already; these modes reach Gaussians that no view shows.
         if self.selection is not None and not self.is_local_paint:
             splats = mixed(work.selected(self.selection), below, splats)
         # A receipt lists what changed: comparing every value again takes as long as a stroke.
         proved = asset.receipt is not None and splats is asset.splats and work.proves_changes
+        # Parents are counted in the numbered asset below, so that later layers can follow splits.
         parent_ids = None if asset.splats.origin is None else asset.splats.origin[len(numbered) :]
         delta = between(numbered, splats, parent_ids, asset.receipt.touched if proved and asset.receipt else None)
         painter_state = None if asset.encoding is None else asset.encoding.state
@@ -176,6 +181,7 @@ class PaintedLayer(LayerOperation):
         """What of the painter's LocalOptions is another one for this layer."""
         if self.regrades or self.method == "ttt":  # networks paint without limits
             return {}
+        # The layer's own limits first; how it is painted by hand is no choice of the layer's.
         options: dict[str, Any] = dict(self.limits())
         if self.by_hand:
             options |= STROKE_OPTIONS
@@ -189,6 +195,7 @@ class PaintedLayer(LayerOperation):
             record = receipt.summary()
             facts = {name: record[name] for name in RECEIPT_FACTS if name in record}
             facts["stages"] = record["seconds"]
+        # Said and not refused: the layer is there, though perhaps not as its maker saw it.
         if self.painter != work.fingerprint(self.method):
             facts["note"] = "; ".join(filter(None, (facts.get("note"), OTHER_PAINTER)))
         return facts

@@ -30,6 +30,7 @@ class PixelateLayer(OperationLayer):
 
     @classmethod
     def build(cls, kind: str, options: Mapping[str, Any], where: str) -> LayerOperation:
+        # Judged as the command judges them: options mean the same in both.
         given = {name: value for name, value in options.items() if name != "selection"}
         operation = jsonio.build(Pixelate, given, where, what=f"the options of {kind}", defaults=True)
         try:

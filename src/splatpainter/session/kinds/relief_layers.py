@@ -43,6 +43,7 @@ class CopyAnchor:
     def of(point: np.ndarray, normal: np.ndarray, along: np.ndarray) -> CopyAnchor:
         """along: [3] the first tangent, as far as it is one."""
         up = np.asarray(normal, float) / np.linalg.norm(normal)
+        # Where the first tangent stands on the surface any other does: the copy still needs axes.
         side = along - (along @ up) * up
         if np.linalg.norm(side) < 1e-6 * np.linalg.norm(along):
             side = np.cross(up, np.eye(3)[np.abs(up).argmin()])
@@ -63,6 +64,7 @@ class CopyAnchor:
             point, axes = np.array(data["point"], np.float64), np.array(data["axes"], np.float64)
         except (TypeError, ValueError, KeyError, OverflowError):
             raise ValueError(f"copy: expected a point and axes, got {brief(data)}") from None
+        # No mirror image and no stretch: the copy's quaternions could not follow.
         turned = point.shape == (3,) and axes.shape == (3, 3) and np.isfinite(point).all() and np.isfinite(axes).all()
         if not turned or np.abs(axes @ axes.T - np.eye(3)).max() > 1e-6 or np.linalg.det(axes) < 0:
             raise ValueError("copy: expected a finite point [3] and a rotation [3, 3] as axes")
@@ -109,10 +111,12 @@ class ReliefLayer(LayerOperation):
 
     def weights(self, anchor: CopyAnchor, splats: Splats) -> np.ndarray:
         """[N] float64 how much of each Gaussian is in the disc, 0..1."""
+        # Far away, as positions that are not finite must not reach the distances.
         local = anchor.local(np.where(splats.drawable[:, None], splats.means, 1e30))
         with np.errstate(over="ignore"):
             distance = np.hypot(local[:, 0], local[:, 1]) / self.radius
         height = local[:, 2] / self.radius
+        # What lies behind a thin wall stays: the copy is of the surface that was pointed at.
         soft = np.clip((1 - distance) / EDGE_SHARE, 0, 1)
         below_top = np.clip((HEIGHT_SHARE - height) / EDGE_SHARE, 0, 1)
         return np.where(height > -DEPTH_SHARE, soft * below_top, 0.0)
@@ -126,6 +130,7 @@ class ReliefLayer(LayerOperation):
         if len(parent_ids) > MAX_COPIED:
             many = f"{MAX_COPIED:,} Gaussians, got {len(parent_ids):,}"
             raise ValueError(f"copy: expected at most {many}; use a smaller brush")
+        # The copy appears by the same edge by which what lies there fades, so that together they cover once.
         copies = self.copied(splats.take(parent_ids), weights[parent_ids])
         rest = 1 - self.weights(self.target, splats)
         faded = (splats.opacities * rest).astype(np.float32)

@@ -40,6 +40,7 @@ def bend_degrees(splats: Splats) -> np.ndarray:
         return out
     normals = outward_normals(splats).astype(np.float64)
     means = splats.means.astype(np.float64)
+    # A part stands for all where there are many; the radius grows with their distance.
     chosen = visible[np.unique(np.linspace(0, len(visible) - 1, MAX_SAMPLES).astype(np.int64))]
     _, size = bounding_sphere(splats)
     widths = np.sort(splats.scales[chosen], 1)[:, 1]
@@ -52,6 +53,7 @@ def bend_degrees(splats: Splats) -> np.ndarray:
     samples = cells.sorted_rows(means[chosen], normals[chosen])
     run(kernels.sum_turns, samples, cells.keys, cells.corner, radius, *queries, sums)
     count, turns, squares = sums.T
+    # Too few neighbours say nothing, and a mask should not speckle there.
     curvature = np.where(count >= MIN_SAMPLES, turns / np.maximum(squares, 1e-30), 0.0)  # in units of the radius
     out[drawable] = np.degrees(np.clip(2 * curvature, -math.pi, math.pi))
     return out

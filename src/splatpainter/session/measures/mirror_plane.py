@@ -74,6 +74,7 @@ def find_mirror_plane(splats: Splats, up: tuple[float, float, float]) -> MirrorP
     """The best plane. up: axis that upright planes contain. Raises ValueError where there are too few Gaussians."""
     points, spacing = _thinned(splats)
     middle = points.mean(0)
+    # Axes and principal axes are tried as well: an asset that is symmetric often stands along one of them.
     principal = np.linalg.svd(points - middle, full_matrices=False)[2]
     directions = np.concatenate([np.eye(3), principal, _hemisphere(TRIED_DIRECTIONS)])
     upward = np.asarray(up, float)
@@ -87,6 +88,7 @@ def find_mirror_plane(splats: Splats, up: tuple[float, float, float]) -> MirrorP
 
     first = sorted(((ranked(n, float(n @ middle)), k) for k, n in enumerate(directions)))
     best: tuple[float, np.ndarray, float] | None = None
+    # Several are refined, as the best of the coarse ones need not lead to the best.
     for _, k in first[:REFINED_PLANES]:
         normal, offset = directions[k], float(directions[k] @ middle)
         score = ranked(normal, offset)
@@ -100,6 +102,7 @@ def find_mirror_plane(splats: Splats, up: tuple[float, float, float]) -> MirrorP
             best = score, normal, offset
     assert best is not None
     _, normal, offset = best
+    # One of both normals of a plane, always the same: a plane that is found again is equal.
     if normal[np.abs(normal).argmax()] < 0:
         normal, offset = -normal, -offset
     x, y, z = (float(value) for value in normal)
@@ -112,6 +115,7 @@ def _thinned(splats: Splats) -> tuple[np.ndarray, float]:
     means = splats.means[solid].astype(np.float64)
     if len(means) < 8:
         raise ValueError("mirror: expected an asset of 8 opaque Gaussians or more")
+    # Strays would set the size of the cells, and leave the asset in few of them.
     low, high = np.quantile(means, 0.005, 0), np.quantile(means, 0.995, 0)
     means = means[((means >= low) & (means <= high)).all(1)]
     size = max(float((high - low).max()), 1e-12) / 64
@@ -145,6 +149,7 @@ def _refined(points: np.ndarray, normal: np.ndarray, offset: float, reach: float
     """The plane that brings points nearest to the partners that they have now; None: too few have one."""
     mirrored = points - 2 * (points @ normal - offset)[:, None] * normal
     index, distance = _nearest(mirrored, points)
+    # Points without a partner (a handle on one side) would pull the plane towards them.
     paired = distance < reach
     if paired.sum() < 8:
         return None

@@ -51,6 +51,7 @@ def measure(splats: Splats, up: str | None = None) -> Orientation:
     """The orientation of an asset, numpy. up: that was said already; None: it is measured too."""
     center, radius = bounding_sphere(splats)
     distance = FRAME_MARGIN * radius / math.sin(math.radians(FOV_DEGREES / 2))
+    # Nothing to look at: the habit of the format stands.
     if not (math.isfinite(distance) and distance > 0):
         return Orientation(up or AUTO_UP, habitual_front(up or AUTO_UP))
     sample = thinned(splats)
@@ -63,6 +64,7 @@ def thinned(splats: Splats) -> Splats:
     share = len(splats) / MAX_MEASURED
     if share <= 1:
         return splats
+    # Larger by the share that is missing, so that the picture has no holes, which would count as detail.
     some = splats.take(np.linspace(0, len(splats) - 1, MAX_MEASURED).astype(np.int64))
     return replace(some, scales=some.scales * np.float32(math.sqrt(share)))
 
@@ -79,6 +81,7 @@ def measured_up(splats: Splats, center: np.ndarray, distance: float) -> str:
             smoothness.append((total / pixels, name))
     if len(smoothness) < len(UPS):
         return AUTO_UP  # it has sides that cover nothing: flat
+    # Against the next smooth side, as some assets are smooth all around.
     (least, under), (second, _) = sorted(smoothness)[:2]
     return under.translate(str.maketrans("+-", "-+")) if least < UNDERSIDE_SHARE * second else AUTO_UP
 
@@ -98,6 +101,7 @@ def measured_front(splats: Splats, center: np.ndarray, distance: float, up: str)
         fov=FOV_DEGREES,
     )
     detail = [view_detail(splats, camera.local)[0] for camera in ring]
+    # Habit has the first view: a side has to beat it clearly, or the asset would open turned by chance.
     best = int(np.argmax(detail))
     return (habit + 360.0 * best / VIEWS_AROUND) % 360 if detail[best] > FRONT_FACTOR * detail[0] else habit
 
@@ -107,6 +111,7 @@ def view_detail(splats: Splats, camera: Camera) -> tuple[float, int]:
     from splatpainter.rendering.cpu.projected_view import project
 
     image, alpha, _ = project(splats, camera).rasterize()
+    # Silhouettes are edges of any asset, and say nothing about what a camera saw.
     inner = alpha[1:-1, 1:-1] > COVERED_ALPHA
     around = image[:-2, 1:-1] + image[2:, 1:-1] + image[1:-1, :-2] + image[1:-1, 2:]
     laplacian = np.abs(4 * image[1:-1, 1:-1] - around).sum(-1)

@@ -97,6 +97,7 @@ ANY_FILE = OriginalRule()
 
 def file_of(splats: Splats) -> Path | None:
     """The file that these Gaussians still are, if it is still there and the same."""
+    # Asked anew, as the file may have been written over since it was read.
     if splats.source is None or splats.sha256 != splats.source.sha256:
         return None
     path = Path(splats.source.path)
@@ -130,6 +131,7 @@ def stored_frame(splats: Splats) -> Frame:
 def pieces(splats: Splats, path: Path | None) -> Iterator[tuple[str, bytes]]:
     """(file name, bytes) to be kept in the project, a piece at a time."""
     if path is None:
+        # A delta on nothing: the layout that results have, with its checks, serves here as well.
         none = np.zeros(0, np.int64)
         empty = without_source(splats.take(none))
         everything = Delta(0, none, empty, without_source(splats), np.full(len(splats), -1, np.int64))
@@ -158,6 +160,7 @@ def restore(project: Project, rule: OriginalRule) -> Splats:
         splats = read(_named_file(project.path, facts["path"], rule), frame=frame, lenient=True, offset=offset)
     else:
         splats = _unpacked(project, facts["name"], frame, offset=offset)
+    # Layers name Gaussians by their index: on another original they would paint anywhere.
     if splats.sha256 != facts["sha256"]:
         raise ValueError(f"{project.path}: the original is not the one that the project was made from (sha256 differs)")
     if not splats.drawable.any():
@@ -187,6 +190,7 @@ def write_original(
         if added is not None:
             format = format_of_name(Path(added.file)) or ""
             facts = {"name": added.file, "format": format, "path": "", "frame": added.frame}
+        # The bytes are given back as they are wherever possible: the hash then says that nothing was lost.
         entry = FORMATS.get(facts["format"])
         turned = facts["frame"] and original is None and facts["format"] != "spz"  # of SPZ its bytes are asked, below
         if facts["path"] or entry is None or facts["name"] == META or turned:
@@ -210,6 +214,7 @@ def write_original(
         frame = option(facts["frame"])
         if entry.key != "spz":
             return file, frame
+        # An SPZ file may not say its axes: if reading it as usual gives the same, nobody needs to be told.
         splats, plain = read(file, frame=frame, lenient=True), read(file, lenient=True)
         assert splats.source is not None and plain.source is not None
         if splats.source.frame == plain.source.frame:
@@ -249,6 +254,7 @@ def _named_file(project: Path, name: str, rule: OriginalRule) -> Path:
         raise ValueError(f"{project}: its original is named by a network or device path; load with original=PATH")
     else:
         path = Path(name)
+    # Only now is the disk asked: what the rule refuses has been refused by its name alone.
     name = files.printable(str(path), MAX_PATH_LENGTH)
     try:
         mode = path.stat().st_mode
@@ -264,6 +270,7 @@ def _inside(project: Path, name: str, folder: Path) -> Path:
     outside = ValueError(
         f"{project}: its original lies outside the folder {folder.name}; put both into it, or save it with embed=True"
     )
+    # One error for all of it, so that a stranger's project cannot ask what exists.
     root = folder.resolve()
     path = Path(name)
     if path.is_absolute():
@@ -311,6 +318,7 @@ def numbered(splats: Splats) -> Splats:
 def _unpacked(project: Project, name: str, frame: Frame, stored_under: str = "", offset: Offset = NO_OFFSET) -> Splats:
     if not is_plain_name(name):
         raise ValueError(f"{project.path}: damaged project file (name of the original {name[:40]!r})")
+    # In a folder of its own, under plain names: the project decides about no path.
     with scratch_folder("original") as folder:
         try:
             for file, data in project.original(stored_under):
@@ -476,6 +484,7 @@ def write_layer(path: Path, layer: Layer, blob: Callable[[str], bytes], overwrit
 def read_layer(path: Path) -> tuple[Layer, dict[str, bytes]]:
     """(layer, its pictures by hash) of a layer file. Raises ValueError naming the file and what is wrong with it."""
     try:
+        # Members are judged by what they claim before any is unpacked.
         data = files.read_all(path)
         with zipfile.ZipFile(io.BytesIO(data)) as bundle:
             if sum(info.file_size for info in bundle.infolist()) > len(data):  # they may lie over each other

@@ -106,6 +106,7 @@ class Database:
     def start(self) -> int:
         """Count instructions from here on. Returns the bytes of the database."""
         self._ops, self._max_ops = 0, FREE_OPS
+        # By the size of the file, which a stranger has to send: cost then grows with what was sent.
         pages = self.connection.execute("PRAGMA page_count").fetchone()[0]
         size = pages * self.connection.execute("PRAGMA page_size").fetchone()[0]
         self._max_ops = FREE_OPS + OPS_PER_BYTE * size
@@ -115,6 +116,7 @@ class Database:
         """All rows of a query, no more bytes than the file has. kinds: expected types of the columns.
         Raises ContentError."""
         with one_line(self.path):
+            # Counted while rows come, so that a query without end is stopped and not collected.
             left, out = self.start(), []
             for row in self.connection.execute(query, values):
                 left -= sum(len(value) if isinstance(value, (str, bytes)) else BYTES_PER_VALUE for value in row)
@@ -137,6 +139,7 @@ def one_line(path: Path) -> Iterator[None]:
     try:
         yield
     except (sqlite3.Error, UnicodeDecodeError, OverflowError, RecursionError, ContentError) as error:
+        # Locks first: their errors count as unwritable too, and what helps is another disk, not more room.
         message = files.printable(" ".join(str(error).split()), 300)  # SQLite quotes damaged bytes
         if speaks_of_locks(error) and locks_refused(path.parent):
             message = f"{NO_LOCKS}; {LOCAL_DISK}"
@@ -193,6 +196,7 @@ def _writable(path: Path, shares_maps: bool) -> sqlite3.Connection:
 
 def try_writing(connection: sqlite3.Connection) -> None:
     """Write what is there already. Raises sqlite3.Error where the disk is full or nothing may be written."""
+    # A write that changes nothing still needs room and rights: better asked now than at the first command.
     connection.execute("BEGIN IMMEDIATE")
     try:
         connection.execute("UPDATE facts SET value = value WHERE name = 'cursor'")
@@ -215,6 +219,7 @@ def open_readable(path: Path) -> sqlite3.Connection:
         if not is_unwritable(error):
             raise
         locked, maps = speaks_of_locks(error), speaks_of_maps(error)
+    # Held or refused looks the same to SQLite: one is waited for, the other never ends.
     if locked:
         refused = locks_refused(path.parent)
         try:
@@ -228,6 +233,7 @@ def open_readable(path: Path) -> sqlite3.Connection:
             return _readable(f"{uri}&nolock=1")
     elif maps:
         why = "its file system has no maps that programs can share"
+    # Reading past a log would show an older state as if it were the present one.
     pending = [name for name in (f"{path.name}-wal", f"{path.name}-journal") if _size(path.with_name(name))]
     if pending:
         raise ValueError(f"{path}: was not closed, and {why}; copy it and {pending[0]} to another folder")
@@ -261,6 +267,7 @@ def has_foreign_log(path: Path) -> bool:
     except ValueError:  # half of the log may be in the file already: then it is needed
         return False
     try:
+        # A log that makes the project older than it is alone was brought from elsewhere.
         together = dict(_facts(path, f"{_uri(path)}?mode=ro"))
         return alone.get("sha256") != together.get("sha256") or _edited(alone) > _edited(together)
     except UnwritableError:
@@ -340,6 +347,7 @@ def closed_on_error(connection: sqlite3.Connection) -> Iterator[None]:
 def check_head(path: Path) -> None:
     """Raises ValueError, from the first bytes of the file at `path` alone: no such file, no project, cut short, of a
     version that this package does not read."""
+    # Before SQLite opens it: a file of a newer version is not to be touched.
     head = files.read_head(path, 100)
     if len(head) < 100 or head[:16] != b"SQLite format 3\0":
         raise ValueError(f"{path}: expected a {SUFFIX} file, got another kind of file")
@@ -354,6 +362,7 @@ def check_head(path: Path) -> None:
         )
     if version < VERSION:
         raise ValueError(f"{path}: damaged project file (project version {version}, expected {VERSION})")
+    # A copy that was cut short opens well enough, and would fail at some later page.
     page = number(head[16:18], "big")
     size = number(head[28:32], "big") * (65536 if page == 1 else page)
     logs = (path.with_name(path.name + ending) for ending in ("-wal", "-journal"))  # which may have the rest
@@ -374,6 +383,7 @@ def check_tables(connection: sqlite3.Connection) -> None:
     """Raises ContentError where the database holds anything but the tables and indexes of a project, as `create_tables`
     writes them: views, triggers, virtual tables and computed columns would run when rows are read or written."""
     query = f"SELECT type, name, sql FROM sqlite_master LIMIT {MAX_SCHEMA_ROWS + 1}"
+    # What is not exactly ours might run when rows are read, so forms are compared and not judged.
     present = set()
     for kind, name, text in connection.execute(query).fetchall():
         if kind == "index" and text is None and str(name).startswith("sqlite_autoindex_"):

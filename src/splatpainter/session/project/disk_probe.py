@@ -49,6 +49,7 @@ def locks_refused(folder: Path) -> bool | None:
     path = folder / f".locks.{secrets.token_hex(4)}.part"  # a name that `scratch.sweep_folder` knows
     connection = None
     try:
+        # A new file that nobody else knows: whatever refuses it is the file system, and no other holder.
         connection = sqlite3.connect(path, timeout=0, isolation_level=None)
         connection.execute("PRAGMA journal_mode=OFF")
         connection.execute("BEGIN EXCLUSIVE")

@@ -88,6 +88,7 @@ class OpenFile:
 
     def _is_as_written(self) -> bool:
         """Whether the file alone holds what was written last, as far as that can be said."""
+        # Where the log may hold a part, the file alone says nothing against it.
         if self._content is None or database.has_log(self._path):  # some of it may be there
             return True
         try:

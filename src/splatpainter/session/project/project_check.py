@@ -40,6 +40,7 @@ def find_problems(
     what may be opened as its original."""
     out = []
     try:
+        # Structure first: what follows reads rows, which a broken file may not give.
         lines = [line for (line,) in project.rows("PRAGMA integrity_check")]
         out += [f"{project.path}: {line}" for line in lines if line != "ok"]
     except ValueError as error:
@@ -52,6 +53,7 @@ def find_problems(
         except ValueError as error:
             out.append(str(error))
     try:
+        # With a Replay of its own: the session's caches would only prove themselves.
         original = restore(project, rule)
         stored = _StoredResults(project, repaint)
         load = partial(restore_added, project)

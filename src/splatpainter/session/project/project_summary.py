@@ -56,6 +56,7 @@ def _summary(project: Project, path: Path) -> ProjectSummary:
     query = "SELECT step, sha256 FROM step_layers JOIN layers ON layers.id = layer ORDER BY step, place"
     sha = project.fact("sha256") or ""
     content = hashlib.sha256(f"{sha} {cursor}".encode())
+    # By the texts of the layers: a copy of a project has other times, and the same content.
     for step, layer in project.rows(query, kinds=(int, str)):
         content.update(f" {step} {layer}".encode())
     text = project.fact(PICTURE_FACT) or ""

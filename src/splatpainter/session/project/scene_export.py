@@ -27,6 +27,7 @@ def scene_receipt(scene: Scene, preset: str, note: str, precision: str, key: str
         touched = changed_rows(part.original, part.state.splats)
         sources.append(_source(part.asset.name, one, part.first, len(touched), key))
         edited.append(part.first + touched)
+    # Receipts compare with one asset: the first one, where its bytes stay; else all of it counts as touched.
     lead = scene.parts[0]
     rows = len(lead.original)
     stays = sources[0]["how"] == BYTES and scene.original.sh.shape[1] == lead.original.sh.shape[1]
@@ -82,11 +83,13 @@ def export_scene(scene: Scene, receipt: Receipt, path: Path, overwrite: bool) ->
                 notes = (receipt.note, f"{len(rounded)} rows that no edit touched were rounded anew by {key}")
                 touched = np.union1d(receipt.merge_touched, rounded)
                 receipt = replace(receipt, merge_touched=touched, note="; ".join(filter(None, notes)))
+        # From the written file, which is what people will have: not from the arrays that it was made of.
         checked = check_merge(written, [part.original for part in scene.parts], receipt)
         if not checked.ok:
             raise RuntimeError(f"the written file does not match its receipt: {'; '.join(checked.problems)}")
         with files.writing(receipt_path) as file:
             file.write(receipt.to_json().encode())
+            # Last, so that a file of this name is always one that its receipt proves.
             files.replace(partial, path)
     files.sync_folder(path.parent)
     same = sum(one.same for one in checked.ranges)

@@ -42,6 +42,7 @@ class ScratchFolder:
     can be made."""
 
     def __init__(self, purpose: str) -> None:
+        # Tried again: a sweep of another process may take a new folder for a left-over before it is locked.
         self._lock, failure = None, None
         for _ in range(ATTEMPTS):
             self.path = Path(tempfile.mkdtemp(prefix=f"splatpainter-{purpose}-"))
@@ -82,6 +83,7 @@ def sweep_scratch(root: Path | None = None, old_seconds: float = OLD_SECONDS) ->
     for entry in _entries(root):
         if not (SCRATCH_FOLDER.fullmatch(entry.name) and _is_ours(entry) and entry.is_dir(follow_symlinks=False)):
             continue
+        # A lock that can be taken says that its process is gone, whatever the age of the folder.
         folder = root / entry.name
         if (folder / (OWNER + LOCK_ENDING)).exists():
             with contextlib.suppress(ValueError, OSError):
@@ -113,6 +115,7 @@ def sweep_folder(folder: Path, old_seconds: float = OLD_SECONDS) -> list[str]:
             continue
         if not entry.is_file(follow_symlinks=False):
             continue
+        # Under the project's lock, as another process may just be making or opening it.
         half_made = PARTIAL_PROJECT.fullmatch(name)
         if half_made or name.endswith(SUFFIX + LOCK_ENDING):
             project = folder / (half_made[1] if half_made else name.removesuffix(LOCK_ENDING))

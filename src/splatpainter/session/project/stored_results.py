@@ -35,6 +35,7 @@ def store_result(db: sqlite3.Connection, key: str, result: LayerResult, previous
         row = db.execute("SELECT previous FROM results WHERE key = ?", (key,)).fetchone()
         previous = None if row is None else row[0]
     db.execute("DELETE FROM results WHERE key = ?", (key,))
+    # The parts follow their result: they go with it when it is deleted.
     values = (key, json.dumps(result.facts), confidence, state, previous)
     db.execute("INSERT INTO results (key, facts, confidence, state, previous) VALUES (?, ?, ?, ?, ?)", values)
     for part, data in enumerate(encode(result.delta)):
@@ -44,6 +45,7 @@ def store_result(db: sqlite3.Connection, key: str, result: LayerResult, previous
 def loaded_result(delta: Delta, facts: str, confidence: bytes | None, state: bytes | None) -> LayerResult:
     """The result of which these are the columns. Raises ValueError, TypeError, RecursionError: damaged."""
     values = None if confidence is None else np.frombuffer(confidence, np.uint8)
+    # Damage is found here, where it only means that the result is computed anew.
     count = delta.count + len(delta.appended)
     if values is not None and len(values) != count:
         raise ValueError(f"{len(values)} values of confidence for {count} Gaussians")
@@ -93,6 +95,7 @@ def _facts(text: str) -> dict[str, Any]:
     facts = json.loads(text)
     if not isinstance(facts, dict):
         raise ValueError("its facts are not a JSON object")
+    # Facts are shown and compared by others, who must not meet what a stranger wrote.
     for name, kind in FACT_KINDS.items():
         value = facts.get(name, kind() if isinstance(kind, type) else 0)
         if not isinstance(value, kind) or (isinstance(value, (int, float)) and not 0 <= value < 1e15):

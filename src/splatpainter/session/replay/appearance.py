@@ -27,6 +27,7 @@ def fitted_sh(splats: Splats, editable: np.ndarray, pictures: Sequence[tuple[Cam
 
     sh = splats.sh
     for camera, picture in pictures:
+        # Only tiles that show what may move: the rest of the picture has nothing to fit.
         tiles = project(splats, camera, gaussian_mask=editable).tiles_of(editable)
         if tiles.any():
             view = project(replace(splats, sh=sh), camera, tiles=tiles)
@@ -65,11 +66,13 @@ def with_base(below: Splats, delta: Delta, cameras: Sequence[Camera]) -> Delta:
     """The delta with the SH from which its opacity and blend start: those below, and for Gaussians that moved or came
     the ones with which the cameras see what they saw before; as it is where none moved."""
     after = delta.apply(below)
+    # Where nothing moved, colours below are those of the same index, and there is nothing to fit.
     moved = moved_gaussians(below, after)
     if not moved.any():
         return delta
     n, ids = len(below), delta.gaussian_ids
     start, base = after.sh.copy(), base_of_parents(below, delta)
+    # From the parents' colours, which are near: the rounds then converge.
     start[ids], start[n:] = base[: len(ids)], base[len(ids) :]
     pictures = [(camera, picture_of(below, camera)) for camera in cameras]
     sh = fitted_sh(replace(after, sh=start), moved, pictures)

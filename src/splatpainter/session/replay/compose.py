@@ -120,6 +120,7 @@ class Replay:
         """The asset of a document. strict: id of the layer whose problem is an error (one that is being added).
         Raises ValueError for it, and whatever `progress` raises."""
         count = sum(len(list(layer.leaves())) for layer in document.layers if _is_visible(layer))
+        # Every prefix of layers has a key of its own, so this walks through cached states up to the first change.
         state = self.base_state
         for k, layer in enumerate(document.layers):
             if _is_visible(layer):
@@ -158,6 +159,7 @@ class Replay:
                 result = replace(result, delta=based)
                 self.store.put(result_key, result)
         mask = self._masks.weights(below, result.delta, layer, result_key)
+        # Results hold what layers do in full: opacity, mask and policies come after them and paint nothing anew.
         delta = layer.operation.mix(below.splats, result.delta, layer.opacity, layer.blend, strength, mask)
         splats = (result if delta is result.delta else delta).apply(below.splats)
         span = (len(below.splats), len(splats))
@@ -215,6 +217,7 @@ class Replay:
 
     def _strokes_delta(self, below: LayerState, painted: StrokesState, layer: Layer) -> Delta:
         """What all strokes of a layer did, for an opacity, a blend or a policy; the latest one is cached."""
+        # One is enough: a slider that is dragged asks for the same strokes at one opacity after the other.
         key = (below.key, painted.state.key)
         if self._merged is None or self._merged[0] != key:
             self._merged = (key, with_base(below.splats, painted.delta(below), layer.cameras))
@@ -227,6 +230,7 @@ class Replay:
         at = document.index(layer_id)
         layer, covered = document.layers[at], any(map(_is_visible, document.layers[at + 1 :]))
         seen = _is_visible(now.layers[at])
+        # An uncovered layer that comes or goes is composed at once: nothing above it has to be painted anew.
         if not (covered or (seen and _is_visible(layer))):
             return None
         # These three are cached as a rule: they are what is on the screen.
@@ -235,6 +239,7 @@ class Replay:
         before = self.compose(replace(now, layers=now.layers[: at + 1])).splats if seen else below.splats
         if not _is_visible(layer):
             return where_uncovered(hidden_layer(below.splats, before), before, composed) if seen else None
+        # Without results at hand a preview would cost what composing costs, and there is none.
         delta = self._delta_at_hand(document, layer, below, covered)
         if delta is None:
             return None
@@ -252,6 +257,7 @@ class Replay:
         except _NotAtHand:
             return None
         strength = policy_strength(below.edited, layer, document, len(below.splats))[0]
+        # An uncovered layer whose colours are fitted is composed as quickly as it is previewed.
         unfitted = not fitted and _mixes(layer, strength) and any(map(_has_base, layer.leaves()))
         if delta.count != len(below.splats) or not (covered or unfitted):
             return None
@@ -273,6 +279,7 @@ class Replay:
                 if simple and _is_stored(inner) and not self.store.has(_result_key(state, inner)):
                     raise _NotAtHand
                 state = self._over(state, inner, document, None, None if simple else _refuse, (0, 1))
+            # What a slider cached has its colours fitted already, and saves comparing two whole assets.
             if self._merged is not None and self._merged[0] == (below.key, state.key):
                 return self._merged[1], state.key, True
             return between(below.splats, state.splats, ancestors(state, len(below.splats))), state.key, False
@@ -284,6 +291,7 @@ class Replay:
             if self._merged is not None and self._merged[0] == (below.key, painted.state.key):
                 return self._merged[1], chain.results[-1], True
             return painted.delta(below), chain.results[-1], False
+        # Results that are not stored are cheap by design, and may be computed even for a preview.
         key = _result_key(below, layer)
         result = self.store.get(key) if _is_stored(layer) else self._try(below, layer)
         if result is None or result.problem:
@@ -294,6 +302,7 @@ class Replay:
         """What a stroke makes of the state after those before it. below: the state below its layer."""
         if stroke.operation.reads_below_layer:
             return self._try(state, stroke, below)
+        # Where the stroke read the same in another arrangement, its result is renumbered, not painted again.
         result = self._renumbered(state, stroke) or self._try(state, stroke)
         self._note_placement(state, stroke, StrokeKeys.of(state.key, (stroke,)).results[0])
         return result
@@ -311,6 +320,7 @@ class Replay:
         count = strokes_to_fold(chain.results, sizes)
         if not count:
             return None
+        # These strokes are cached or stored as a rule, so that nothing is painted here.
         first = replace(target, strokes=target.strokes[:count])
         painted = self._strokes.compose(below, first, StrokeKeys.of(below.key, first.strokes), None, lambda _: None)
         return FoldedStrokes(
@@ -341,6 +351,7 @@ class Replay:
         names = ("rows_touched", "rows_appended", "seconds")
         total = {name: sum(facts.get(name, 0) for _, facts in inner_facts) for name in names}
         facts = (*below.facts, (layer.id, total), *inner_facts)
+        # Shown in full, the state of the inner layers is taken as it is: merging changes no bit.
         if not _mixes(layer, None):
             return replace(state, facts=facts)
         delta = self._merged_delta(below, state, layer)
@@ -354,6 +365,7 @@ class Replay:
         key = (below.key, state.key)
         if self._merged is None or self._merged[0] != key:
             delta = between(below.splats, state.splats, ancestors(state, len(below.splats)))
+            # Colours to mix with are fitted for cameras of visible layers alone: hidden ones have painted nothing.
             leaves = [leaf for leaf in layer.leaves() if _is_visible(leaf)]
             if any(map(_has_base, leaves)):
                 cameras = [camera for leaf in leaves if _has_base(leaf) for camera in leaf.cameras]
@@ -371,7 +383,9 @@ class Replay:
     def _renumbered(self, below: LayerState, layer: Layer) -> LayerResult | None:
         """A layer's result of another arrangement, where it read the same there; None: it has to be painted."""
         placements = self._placements.find(layer.key)
+        # The latest arrangement first: it is the likeliest to be stored still, and to have read the same.
         for key, result_key in reversed([] if placements is None else [*placements.items.items()]):
+            # Equal digests mean that the layer read the same bytes there, so that painting again would make the same.
             old = self._read_set(key, layer)
             new = self._read_set(below.key, layer, below) if old is not None else None
             if old is None or new is None or old.digest != new.digest:
@@ -387,12 +401,14 @@ class Replay:
     def _read_set(self, key: str, layer: Layer, state: LayerState | None = None) -> ReadSet | None:
         """What a layer reads of a state; None where that cannot be said (any more)."""
         pair = (key, layer.key)
+        # What read_set_of could not say is remembered as well: a state of this key never changes.
         if pair in self._read_sets:
             return self._read_sets.find(pair)
         state = state or (self.base_state if key == self.base_state.key else self._states.find(key))
         state = state or self._strokes.state(key)
         if state is None:
             return None
+        # Only what its lift reads counts: changes elsewhere leave the layer's result as it is.
         (view,) = layer.views
         grid, splats = self.adapter.grid, state.splats
         read = read_set_of(splats, lambda: grid(splats), view.camera, self.mask(view), len(self.original))
@@ -406,6 +422,7 @@ class Replay:
     def _try(self, below: LayerState, layer: Layer, erased_to: LayerState | None = None) -> LayerResult:
         """What a layer makes of a state, or why it cannot. erased_to: of a stroke that reads what is below its layer,
         the state there."""
+        # A layer that cannot be applied is kept and says why: it works again when what it needs returns.
         start = time.perf_counter()
         try:
             result = self._result(below, layer, erased_to)
@@ -427,6 +444,7 @@ class Replay:
     def edit_of(self, view: View, layer: Layer, below: Splats | None = None) -> Edit:
         """A view of a layer, or of a stroke, as it was given. below: what shows where its picture was cut out."""
         assert view.picture is not None, "a painted layer has pictures"
+        # A picture that is kept inside its mask only shows what is below beside it, as when it was painted.
         data, where = self.store.blob(view.picture), layer.title
         image = decode_picture(data, view.camera, where, self.original.color_space)
         if below is not None and view.mask is not None and is_cut_out(data, view.camera, where):
@@ -441,11 +459,13 @@ class Replay:
 
     def left_out(self, state: LayerState, camera: Camera, limits: Mapping[str, Any]) -> np.ndarray:
         """[H, W] bool: pixels of a view whose paint the limits (of LocalOptions) leave out (lift.view_limits)."""
+        # Limits that a layer does not name are the painter's, as when the layer is computed.
         options = replace(self.painter.settings.local_options or LOCAL_DEFAULTS, **limits)
         return left_out(self.coarse_surface(state, camera), camera, options.angle_limit, options.depth_edge_limit)
 
     def coarse_surface(self, state: LayerState, camera: Camera) -> VisibleSurface:
         """What a view sees of a state's surface, on blocks of pixels (lift.view_limits); the latest ones are cached."""
+        # The camera is a part of the key: a coarse surface is what one view sees.
         key = f"{state.key} {camera.to_json()}"
         return self._seen.get(key, lambda: coarse_surface(self.surface, state.splats, camera))
 

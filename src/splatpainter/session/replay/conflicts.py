@@ -64,6 +64,7 @@ def find_conflicts(edited: Sequence[EditedIds], document: Document) -> list[Conf
         for lower in edited[:k]:
             if not (upper.local and lower.local) or same_views(upper.layer, lower.layer):
                 continue
+            # From one view two layers are strokes one over the other, as a user sees them: no conflict.
             common = overlap(lower, upper.changed)
             if len(common):
                 total = len(lower.changed) + lower.appended[1] - lower.appended[0]
@@ -83,7 +84,9 @@ def policy_strength(
         if upper == layer.id and lower in below and not same_views(below[lower].layer, layer):
             factor = np.ones(count, np.float32) if factor is None else factor
             common = overlap(below[lower], np.arange(count))
+            # Of several policies the strictest: what a lower layer keeps, no other pair gives away.
             factor[common] = np.minimum(factor[common], POLICY_STRENGTH[policy])
+            # The key of the lower result, as the factor holds for the Gaussians that it changed.
             depends.append([below[lower].key, policy])
     return factor, depends
 
@@ -110,6 +113,7 @@ def coverage(edited: Sequence[EditedIds], count: int) -> np.ndarray:
     for entry in edited:
         ids = np.concatenate([entry.changed, np.arange(*entry.appended)])
         operation = entry.layer.operation
+        # In the order of the layers: what is seen later covers what was predicted before.
         if operation.covers == "original":
             out[entry.changed] = ORIGINAL
         elif entry.confidence is not None:

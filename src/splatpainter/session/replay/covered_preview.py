@@ -32,6 +32,7 @@ def changed_layer(below: Splats, delta: Delta) -> Preview:
 def revealed_layer(below: Splats, delta: Delta, composed: Splats) -> Preview:
     """A layer that was hidden, where those above leave what is below: Gaussians that it changes, and behind all others
     those that it makes of such ones. composed: without the layer."""
+    # What layers above have changed hides it: only where they did nothing is it sure what will be seen.
     free = np.ones(len(below), bool)
     free[changed_rows(below, composed)] = False
     changed = free[delta.gaussian_ids]
@@ -46,5 +47,6 @@ def where_uncovered(preview: Preview | None, with_layer: Splats, composed: Splat
     if preview is None or (preview[0] >= len(with_layer)).any():
         return None
     ids, splats = preview
+    # A Gaussian that a layer above wrote is that layer's, whatever this one would make of it.
     same = np.flatnonzero(~np.isin(ids, changed_rows(with_layer, composed, ids), assume_unique=True))
     return ids[same], splats.take(same)

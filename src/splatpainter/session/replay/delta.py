@@ -71,6 +71,7 @@ class Delta:
         """The delta with all values."""
         if self.faded is None or not self.faded.any():
             return self
+        # Zeros in place of values that are not stored pack to nothing, and must not be mixed with.
         ids, values = self.gaussian_ids[self.faded], {}
         for name in (name for name in ATTRIBUTES if name != "opacities"):
             values[name] = getattr(self.values, name).copy()
@@ -82,6 +83,7 @@ class Delta:
         assert len(below) == self.count, f"delta of {self.count} Gaussians on {len(below)}"
         written: dict[str, np.ndarray] = {}
         for name in ATTRIBUTES:
+            # Bits are compared, not numbers: a NaN equals nothing, and -0 equals 0, yet the file has its bytes.
             old, (ids, new) = getattr(below, name), self.written(name)
             same = np.array_equal(float_bits(old[ids]), float_bits(new))
             if same and not len(self.appended):
@@ -124,6 +126,7 @@ def changed_values(before: Splats, after: Splats, ids: np.ndarray) -> tuple[Spla
     """(values and `faded` of a delta) of some Gaussians ([T] int64), whatever of them changed."""
     from splatpainter.kernels.rows import differing, take
 
+    # Where only the opacity differs the rest is not stored: a sheet empties many Gaussians below it.
     faded, values = np.ones(len(ids), bool), {}
     for name in (name for name in ATTRIBUTES if name != "opacities"):
         faded &= ~differing(getattr(before, name), getattr(after, name), ids)
@@ -157,6 +160,7 @@ def encode(delta: Delta) -> Iterator[bytes]:
     def pack(data: bytes) -> bytes:
         return zstd.pack(data, level=3, checksum=True)
 
+    # Counts come first, so that a reader can judge all sizes before it unpacks any of them.
     head = {"count": delta.count, "rows": len(delta.gaussian_ids), "appended": len(delta.appended)}
     head["coefficients"] = int(delta.values.sh.shape[1])
     faded = np.zeros(len(delta.gaussian_ids), bool) if delta.faded is None else delta.faded
@@ -164,6 +168,7 @@ def encode(delta: Delta) -> Iterator[bytes]:
     steps = np.diff(delta.gaussian_ids, prepend=0)  # small numbers, most of them 1
     values = [np.asarray(delta.written(name)[1], "<f4") for name in ATTRIBUTES]
     base = () if delta.base is None else (np.asarray(delta.base, "<f4"),)
+    # In parts of bounded size, so that a delta of any size is written and read in little memory.
     for column in (steps, delta.parent_ids, np.packbits(faded), *values, *_columns(delta.appended), *base):
         data = np.ascontiguousarray(column).reshape(-1).view(np.uint8)
         for start in range(0, max(len(data), 1), PART_BYTES):
@@ -180,9 +185,11 @@ def decode(parts: Iterable[bytes], where: str = "delta") -> Delta:
 
     def unpack(part: bytes) -> bytes:
         nonlocal packed, unpacked
+        # Judged by what the part says of itself, before anything is allocated for it.
         size = zstd.declared_size(part)
         if size is None or size > PART_BYTES:
             raise ValueError("a part is too large")
+        # A file of some kilobytes could claim gigabytes, part by part; real Gaussians pack far less.
         packed, unpacked = packed + len(part), unpacked + size
         if unpacked > max(UNPACKED_FREE_BYTES, UNPACKED_RATIO * packed):
             raise ValueError(f"{packed} bytes unpack to more than {unpacked >> 20} MiB")
@@ -199,6 +206,7 @@ def decode(parts: Iterable[bytes], where: str = "delta") -> Delta:
                 piece = np.frombuffer(piece, np.uint8).reshape(4, -1).T.tobytes()
             pieces.append(piece)
             size_read += len(piece)
+            # Only the last part may be short, so that many tiny parts cannot cost more than their bytes.
             if len(piece) < PART_BYTES and size_read < size:
                 raise ValueError("a part is too short")
         if size_read != size:
@@ -212,6 +220,7 @@ def decode(parts: Iterable[bytes], where: str = "delta") -> Delta:
         n, t, a, k = (int(head[name]) for name in ("count", "rows", "appended", "coefficients"))
         if not (0 <= t <= n <= MAX_GAUSSIANS and 0 <= a <= MAX_GAUSSIANS):
             raise ValueError(f"impossible numbers of Gaussians {head}")
+        # Ids and parents are judged before the floats are read: wrong ones would write beside the arrays.
         gaussian_ids = column(t, "<i8").cumsum()
         parent_ids = column(a, "<i8").copy()
         if t and not (gaussian_ids[0] >= 0 and gaussian_ids[-1] < n and (np.diff(gaussian_ids) > 0).all()):
@@ -224,6 +233,7 @@ def decode(parts: Iterable[bytes], where: str = "delta") -> Delta:
         base = None
         if head["base"]:
             base = column((t + a) * k * 3, "<f4").reshape(t + a, k, 3).copy()
+        # Bytes that nothing reads would still be kept, and copied with the project.
         if next(source, None) is not None:
             raise ValueError("more parts than expected")
         return Delta(n, gaussian_ids, values, appended, parent_ids, base, faded)
@@ -269,6 +279,7 @@ class VersionLog:
 
     def note(self, version: int, before: Splats, after: Splats) -> None:
         """`after` is what `version` shows, `before` what the one before it showed."""
+        # Half the bytes of int64, for up to MAX_VERSION_GAUSSIANS that are kept; indices fit.
         changed = changes(before, after).astype(np.int32)
         recolored = all(getattr(before, name) is getattr(after, name) for name in GEOMETRY)
         step = (version, min(len(before), len(after)), changed, recolored)
@@ -280,10 +291,12 @@ class VersionLog:
     def since(self, version: int | None, now: int, splats: Splats) -> AssetDelta:
         """Change from a version (None or unknown: from nothing) to the present one, `now`, which shows `splats`."""
         with self._lock:
+            # A gap in the log means that changes were forgotten: then all is sent.
             steps = [] if version is None else [step for step in self._steps if version < step[0] <= now]
         if version is None or version > now or len(steps) != now - version:
             version, retained, changed = None, 0, np.zeros(0, np.int64)
         else:
+            # The smallest asset on the way: what was gone once was made anew, whatever its index now.
             retained = min([len(splats), *(step[1] for step in steps)])
             rows = [step[2] for step in steps]
             changed = rows[0] if len(rows) == 1 else np.unique(np.concatenate([np.zeros(0, np.int32), *rows]))

@@ -68,6 +68,7 @@ def erase_delta(below: Splats, original: Splats, views: Views, reached: np.ndarr
     moved[:first] |= (below.opacities[:first] == 0) & (original.opacities > 0)
     visible = below.opacities > 0
     seen = _Seen.of(below, original, views)
+    # Colours count as changed too, where nothing moved: a recoloured original is paint.
     changed = moved.copy()
     changed[:first] |= (below.sh[:first] != original.sh).any((1, 2))
     masks = [mask for _, mask in views]
@@ -82,14 +83,17 @@ def erase_delta(below: Splats, original: Splats, views: Views, reached: np.ndarr
     missing_ones = original.take(lost)
     in_mask = _largest_share(missing_ones, views, masks)
     sticks_out = _largest_share(missing_ones, views, seen.paint) > MAX_OVERLAP
+    # Unseen paint of a family keeps its original away: no view could show that the two are in each other's way.
     blocked = np.zeros(first, bool)
     blocked[source[has_family & unseen_paint]] = True
     erased = np.zeros(first, bool)
     erased[source[has_family & reached]] = True
     orphans = lost[~erased[lost] & ~visible[lost] & (in_mask > MIN_IN_MASK)]
+    # An emptied original has no family in sight: what stands nearest to its place speaks for it.
     stand_ins = np.flatnonzero(visible & moved)
     if len(stand_ins):
         erased[orphans] = reached[stand_ins[_nearest(original.means[orphans], below.means[stand_ins])]]
+    # Hidden ones behind what is reached go with it: they would else be holes under what returns.
     orphans = lost[~erased[lost] & ~visible[lost] & (in_mask > HIDDEN_IN_MASK)]
     erased[orphans] = _is_near(original.take(orphans), front)
     orphans = orphans[~erased[orphans]]
@@ -101,10 +105,12 @@ def erase_delta(below: Splats, original: Splats, views: Views, reached: np.ndarr
     missing = [share_of(original, camera, moved[:first] & ~returns) for camera, _ in views]
     complete = _largest_share(below, views, missing) <= MAX_OVERLAP
     hidden = visible & moved & complete & (reached | (has_family & returns[source] & ~paint))
+    # A sheet's Gaussian may sit at the index of one that returns, and has to stay elsewhere.
     occupants = np.flatnonzero(returns & visible[:first] & moved[:first] & ~hidden[:first])
 
     back = np.flatnonzero(returns)
     arrays = {name: getattr(below, name).copy() for name in ATTRIBUTES}
+    # Starts the colour rounds near: the family's colours in the original.
     old_look = reached & ~hidden & has_family
     arrays["sh"][old_look] = original.sh[source[old_look]]
     tail = without_source(replace(below, sh=arrays["sh"]).take(occupants))
@@ -114,6 +120,7 @@ def erase_delta(below: Splats, original: Splats, views: Views, reached: np.ndarr
     returning[back] = True
     arrays["opacities"][hidden & ~returning] = 0
     joined = without_source(replace(below, **arrays)).append(tail)
+    # Only what was reached, moved and stays is fitted: other colours are the original's, or not to change.
     look = np.append(reached & moved & ~hidden & ~returning, reached[occupants])
     joined = replace(joined, sh=fitted_sh(joined, look, seen.targets))
     return _difference(below, joined, occupants)
@@ -128,6 +135,7 @@ def fade_delta(below: Splats, original: Splats, views: Views, reached: np.ndarra
     changed = moved.copy()
     changed[:first] |= (below.sh[:first] != original.sh).any((1, 2))
     reached, _ = _with_hidden(below, views, reached, changed)
+    # Below full opacity nothing returns or goes: the picture is then the mean of both.
     recolored = reached & (family >= 0)
     sh = below.sh.copy()
     sh[recolored] = original.sh[family[recolored]]
@@ -166,6 +174,7 @@ def _with_hidden(below: Splats, views: Views, reached: np.ndarray, changed: np.n
     in front). changed: [N] bool, Gaussians that are not as in the original."""
     visible = below.opacities > 0
     front = below.take(reached & visible & changed)
+    # Only what an edit changed can lie hidden behind paint; the original's inside stays.
     behind = visible & changed & ~reached
     behind[behind] = _largest_share(below.take(behind), views, [mask for _, mask in views]) > HIDDEN_IN_MASK
     reached = reached.copy()

@@ -116,6 +116,7 @@ def blend_sh(old: np.ndarray, new: np.ndarray, blend: Blend) -> np.ndarray:
     if blend in ("darken", "lighten"):
         replaced = above < below if blend == "darken" else above > below
         return np.where(replaced[:, None], new, old)
+    # Bands above the first follow the linear formula alone: only base colours can be clipped to what is shown.
     hue, light = (new, old) if blend == "color" else (old, new)
     out = hue + _luminosity(light - hue)[..., None]
     colors, lights = (above, below) if blend == "color" else (below, above)
@@ -134,6 +135,7 @@ def _with_luminosity(colors: np.ndarray, luminosity: np.ndarray) -> np.ndarray:
     out = colors + (luminosity - _luminosity(colors))[:, None]
     grey = luminosity[:, None]
     low, high = out.min(1, keepdims=True), out.max(1, keepdims=True)
+    # First from below, then from above, as the standard has it.
     shrink = np.where(low < 0, grey / np.maximum(grey - low, 1e-12), 1)
     out = grey + (out - grey) * shrink
     high = np.where(low < 0, out.max(1, keepdims=True), high)
@@ -159,6 +161,7 @@ def mixed(weights: np.ndarray, below: Splats, above: Splats) -> Splats:
         old, new = getattr(below, name), getattr(above, name)
         old = np.concatenate([old, new[len(old) :]]) if appended else old
         share = weights.reshape(-1, *[1] * (old.ndim - 1))
+        # Halfway between two places nothing was ever seen, so geometry is one or the other.
         if name in ("means", "quats", "scales"):
             values[name] = old if old is new else np.where(share >= 0.5, new, old)
         elif old is not new:
@@ -192,6 +195,7 @@ def adjust_sh(
     its Gaussian could not be drawn any more (MAX_MAGNITUDE) stops before, and one that it makes NaN becomes 0; those
     that were beyond already are taken as they come. Raises ValueError for a function that this session does not have,
     parameters whose powers overflow, and where it gives another shape."""
+    # The name comes out of a file, so it is looked up in this session's table and nowhere else.
     name = parameters.get("look")
     if not isinstance(name, str) or name not in adjustments:
         listed = ", ".join(sorted(adjustments))
@@ -205,6 +209,7 @@ def adjust_sh(
             raise ValueError(f"look: expected SH of shape {list(sh.shape)} back, got {list(out.shape)}")
         limit = MAX_MAGNITUDE / 100  # no sum over 25 coefficients of three channels exceeds MAX_MAGNITUDE
         if out.size and not (-limit <= out.min() and out.max() <= limit):
+            # Only what this function took out of bounds is held: an asset's own odd values are not its business.
             leaving = ~(np.abs(out) <= limit) & (np.abs(sh) <= limit)
             out = np.where(leaving, np.nan_to_num(np.clip(out, -limit, limit)), out).astype(np.float32)
     return out

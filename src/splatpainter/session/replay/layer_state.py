@@ -59,6 +59,7 @@ def ancestors(state: LayerState, count: int) -> np.ndarray:
     none."""
     first = len(state.splats) - len(state.parent_ids)
     out = state.parent_ids[count - first :].copy()
+    # A Gaussian may be split from one that a layer appended, so parents are followed until below.
     while (late := out >= count).any():
         out[late] = state.parent_ids[out[late] - first]
     return out

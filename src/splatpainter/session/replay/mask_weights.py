@@ -33,6 +33,7 @@ class MaskWeights:
         mask = layer.mask
         if mask is None or not mask.enabled:
             return None
+        # A key for every part: a further dab starts from the weights before it.
         keys = _keys(mask, result_key)
         start = next((k for k in range(len(keys) - 1, -1, -1) if keys[k] in self._cache), None)
         # Masks are evaluated on what the layer made, which may be finer than what it lies on.
@@ -54,6 +55,7 @@ class MaskWeights:
             seen = coverage(below.edited, len(splats)) if part.rule == "coverage" else np.zeros(0, np.uint8)
             weights = changed_weights(weights, splats, part, picture, seen)
             self._cache.put(keys[k + 1], weights)
+        # Weights are of all Gaussians, as rules compare heights over all of them; a layer mixes only its own.
         return np.concatenate([weights[delta.gaussian_ids], weights[delta.count :]])
 
     def cached(self, delta: Delta, layer: Layer, result_key: str) -> np.ndarray | None:

@@ -56,10 +56,13 @@ class PainterAdapter:
         results `origin` is the Gaussian of `below` that each comes from. state: what the painter has learnt of the
         edits below; options: those of the painter's local options that are others for this layer; spread: options of
         mode spread. Raises ValueError as Painter.apply does."""
+        # Numbered anew below every layer: `origin` then says the parent in what this layer was given.
         numbered = replace(without_source(below), origin=np.arange(len(below)))
         asset = Asset(numbered, original=self._original, make_grid=self.grid)
+        # The surface of the original, computed once: paint lies on it, whatever was painted before.
         if mode != "global":
             vars(asset)["surface"] = self._bare.surface
+        # The original is encoded once; later Gaussians have the latent of the one that they come from.
         if self._painter.encodes(method, mode):
             base = self._base()
             assert base.encoding is not None and below.origin is not None

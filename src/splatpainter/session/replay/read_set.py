@@ -46,15 +46,18 @@ def read_set_of(
     from splatpainter.rendering.cpu.projected_view import project
     from splatpainter.voxels.raycast import is_inside
 
+    # Such an edit is refused: it reads nothing that could be compared.
     if is_inside(splats, grid, camera.position):
         return None
     try:
         tiles, may_split = read_by_edit(splats, camera, mask)
     except ValueError:
         return None
+    # In the order of the asset, which decides sums in the arithmetic and so the bits.
     gaussian_ids = np.sort(project(splats, camera, tiles=tiles).gaussian_ids)
     if is_wide(mask):  # views from all around count (lift/local/wide_edit.py)
         gaussian_ids = np.arange(len(splats))
+    # How many are the original's counts too: only the indices of the others are free.
     digest = hashlib.sha256(np.packbits(may_split[gaussian_ids]).tobytes())
     digest.update(int(np.searchsorted(gaussian_ids, originals)).to_bytes(8, "little"))
     for name in ATTRIBUTES:
@@ -77,6 +80,7 @@ def _translated(ids: np.ndarray, old: ReadSet, new: ReadSet) -> np.ndarray | Non
     valid = ids >= 0
     if not len(old.gaussian_ids):
         return None if valid.any() else ids
+    # An id beyond the read set would be renumbered to any other: then the layer is painted anew.
     at = np.minimum(np.searchsorted(old.gaussian_ids, ids), len(old.gaussian_ids) - 1)
     if (old.gaussian_ids[at] != ids)[valid].any():
         return None

@@ -35,6 +35,7 @@ def changes(before: Splats, after: Splats) -> np.ndarray:
                 if _is(far, before):
                     return changed
                 over.append((far, changed))
+    # Over a third asset the rows are a superset, which is compared: far fewer than all.
     for middle, changed in over:
         rows = rows if rows is not None else _over(before, middle, changed, min(len(before), len(after)))
     rows = changed_rows(before, after, rows)

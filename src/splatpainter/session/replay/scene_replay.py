@@ -103,6 +103,7 @@ class SceneReplay:
         """Replay of one asset. Raises ValueError: unknown, or its file is damaged."""
         if asset == MAIN_ASSET_ID:
             return self.main
+        # The same bytes read in other axes are another original.
         entry = find_asset(document.assets, asset)
         key = f"{entry.sha256} {entry.frame}"
         return self._replays.get(key, lambda: Replay(self._load(entry), self.painter, self._store, self.adjustments))
@@ -136,6 +137,7 @@ class SceneReplay:
         states, results = [], []
         for asset in document.assets:
             replay, part = self.replay(document, asset.id), document.part(asset.id)
+            # Each asset is told only of its own new layer: another's problem is no error of this one.
             layer_ids = {entry.id for layer in part.layers for entry in (layer, *layer.strokes)}
             state = replay.compose(part, progress, next(iter(names & layer_ids), None))
             results += state.results
@@ -144,6 +146,7 @@ class SceneReplay:
         visible = [entry for entry in states if entry[0].visible]
         if not visible:
             raise ValueError("asset: expected at least one visible one")
+        # Where assets stand decides the scene, and moving one computes no layer anew.
         key = digest(" ".join(f"{state.key} {asset.placement!r}" for asset, _, state in visible))
         scene = self._scenes.get(key, lambda: joined(key, visible, self.main.original.offset))
         # Names, and which layers there are, are no part of the key.
@@ -185,6 +188,7 @@ class SceneReplay:
             return None
         ids, splats = preview
         count, total = len(placed.state.splats), len(scene.state.splats)
+        # Ids beyond the asset's Gaussians become ids beyond the scene's: they are shown, and are in no array yet.
         present = np.searchsorted(ids, count)
         ids = np.concatenate([placed.scene_ids[ids[:present]], total + ids[present:] - count])
         return ids, placed.placed(splats)
@@ -214,6 +218,7 @@ class SceneReplay:
         if not document.assets:
             return self.main
         scene = self.scene(document)
+        # By originals and places alone: the surface is that before all edits, and paint does not change it.
         key = digest(" ".join(f"{part.original.sha256} {part.asset.placement!r}" for part in scene.parts))
         return self._surfaces.get(key, lambda: Replay(scene.original, self.painter, self._store, self.adjustments))
 
@@ -221,6 +226,7 @@ class SceneReplay:
 def joined(key: str, visible: Sequence[tuple[SceneAsset, Splats, LayerState]], offset: Offset = NO_OFFSET) -> Scene:
     """Assets (original and state in their own spaces) as one, with means relative to `offset`."""
     total = sum(len(original) for _, original, _ in visible)
+    # Originals first, as in one asset: a Gaussian's index then does not depend on what any layer appends.
     parts, first, first_appended = [], 0, total
     for asset, original, state in visible:
         parts.append(ScenePart(asset, original, state, first, first_appended, offset))
@@ -229,6 +235,7 @@ def joined(key: str, visible: Sequence[tuple[SceneAsset, Splats, LayerState]], o
     counts = [len(part.original) for part in parts]
     heads = [splats.take(np.arange(n)) for splats, n in zip(placed, counts, strict=True)]
     tails = [splats.take(np.arange(n, len(splats))) for splats, n in zip(placed, counts, strict=True)]
+    # Each asset counts its own originals from 0; in the scene those of the assets before it come first.
     origins = []
     for part, n in zip(parts, counts, strict=True):
         origin = part.state.splats.origin
@@ -237,6 +244,7 @@ def joined(key: str, visible: Sequence[tuple[SceneAsset, Splats, LayerState]], o
     origin = np.concatenate([np.arange(total), *origins])
     splats = replace(concatenated([*heads, *tails]), origin=origin)
     original = concatenated([part.placed(part.original) for part in parts])
+    # Parents may be originals or appended, and so go by the scene's id of either.
     parents = [
         np.where(part.state.parent_ids >= 0, part.scene_ids[np.maximum(part.state.parent_ids, 0)], -1) for part in parts
     ]
@@ -253,10 +261,12 @@ def _edited(part: ScenePart, total: int) -> list[EditedIds]:
     shift = part.first_appended - count
     out = []
     for entry in part.state.edited:
+        # Ids of an asset are no run of the scene's: originals and appended lie in two places.
         confidence = None
         if entry.confidence is not None:
             confidence = np.zeros(total, np.uint8)
             confidence[ids[: len(entry.confidence)]] = entry.confidence
+        # What one layer appended is a run in the scene too, so a shift is enough.
         start, end = entry.appended
         changed = np.sort(ids[entry.changed])
         out.append(replace(entry, changed=changed, appended=(start + shift, end + shift), confidence=confidence))

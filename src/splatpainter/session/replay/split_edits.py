@@ -37,11 +37,13 @@ def split_edits(scene: Scene, edits: Sequence[Edit], masked: bool = True) -> lis
         masks.append(mask)
     if not pixels.any():
         raise ValueError("edit: nothing to do, no asset is under the mask")
+    # The rim of a stroke mixes with what is behind: a few pixels there are no wish to paint it.
     reached = [k for k in np.argsort(-pixels, kind="stable") if pixels[k] >= min(MIN_PIXELS, MIN_SHARE * pixels.sum())]
     out = []
     for k in reached:
         part, pieces = scene.parts[k], []
         for edit, owner, mask in zip(edits, owners, masks, strict=True):
+            # Pixels of no asset stay with each: paint may reach a little beyond a silhouette.
             inside = mask & ((owner == k) | (owner < 0))
             if (inside & (owner == k)).any():
                 pieces.append(Edit(edit.image, part.camera(edit.camera), inside, edit.name))
@@ -55,6 +57,7 @@ def asset_numbers(scene: Scene, camera: Camera) -> np.ndarray:
     numbers = scene.asset_numbers[view.gaussian_ids]
     best = np.full((camera.height, camera.width), MIN_ALPHA, np.float32)
     out = np.full(best.shape, -1, np.int64)
+    # Three assets at a time, one per colour channel: the renderer then says each one's share.
     for first in range(0, len(scene.parts), 3):
         colors = (numbers[:, None] == np.arange(first, first + 3)).astype(np.float32)
         shares = view.rasterize(np.ascontiguousarray(colors))[0]

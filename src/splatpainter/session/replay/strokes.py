@@ -63,6 +63,7 @@ class StrokeKeys:
     def of(below_key: str, strokes: tuple[Layer, ...]) -> StrokeKeys:
         keys, results = [below_key], []
         for stroke in strokes:
+            # What reads the state below the layer depends on it too, which the state before the stroke does not name.
             result, key = _linked(keys[-1], stroke.key, f" {below_key}" if stroke.operation.reads_below_layer else "")
             results.append(result)
             keys.append(key)
@@ -73,6 +74,7 @@ class StrokeKeys:
 def _linked(key: str, stroke_key: str, base: str) -> tuple[str, str]:
     """(name of a stroke's result on a state, name of the state after it); cached, as commands share most strokes."""
     result = digest(f"{key} {stroke_key}{base}")
+    # Named as a layer in full would be (compose.py): within its layer every stroke counts in full.
     return result, digest(f"{result} 1.0 normal []")
 
 
@@ -103,6 +105,7 @@ class StrokesState:
         facts = {**self.facts, "rows_touched": len(self.changed)}
         facts["rows_appended"] = len(self.state.splats) - len(below.splats)
         facts["stroke"] = {name: self.facts.get(name, 0) for name in ("rows_touched", "rows_appended", "seconds")}
+        # One stroke that cannot be painted is a note; only where none can has the layer a problem.
         facts.pop("problem", None)
         if self.problems:
             which = f"{len(self.problems)} of {len(layer.strokes)} strokes cannot be painted here"
@@ -151,6 +154,7 @@ class StrokeChains:
         """The Gaussians after all strokes. strict: id of the stroke whose problem is an error; progress: called with
         the index of each stroke that has to be painted. Raises ValueError for the former, and what `progress` does."""
         count = len(layer.strokes)
+        # From the latest state that is cached: undo asks for one before the last, painting for the last.
         start = next((k for k in range(count, 0, -1) if chain.keys[k] in self._cache), 0)
         if start:
             painted = self._cache.find(chain.keys[start])
@@ -164,13 +168,16 @@ class StrokeChains:
         for k in range(start, count):
             stroke = layer.strokes[k]
             result = self._store.get(chain.results[k])
+            # A result for another number of Gaussians is of a damaged file, and painted again.
             at = len(painted.state.splats) if writer is None else writer.count
             if result is not None and result.delta.count == at:
+                # One more stroke shares the arrays that it does not change; the writer would copy them all.
                 if k == count - 1 and writer is None:
                     painted = _after(painted, below, result, chain, k + 1)
                     continue
                 writer = writer or _Writer(painted, below)
                 writer.write(result)
+                # States in between are dropped: hundreds of strokes would be hundreds of copies.
                 if k == count - 1 - CHECKPOINT_STROKES:
                     self._keep(writer.painted(chain, k + 1))
                 continue
@@ -180,6 +187,7 @@ class StrokeChains:
             result = self._paint(painted.state, stroke, below)
             if result.problem and stroke.id == strict:
                 raise ValueError(result.problem)
+            # It names the stroke before it, which a step then needs as well: a step lists the last result only.
             self._store.put(chain.results[k], result, chain.results[k - 1] if k else None)
             painted = _after(painted, below, result, chain, k + 1)
             self._keep(painted)
@@ -192,12 +200,15 @@ class StrokeChains:
         """(strokes that one stored result stands for, the Gaussians after them), where the results of all others are
         stored; else none."""
         count = len(chain.results)
+        # Strokes with results of their own are skipped from the end: only what is left can be the folded part.
         while count and self._store.has(chain.results[count - 1]):
             count -= 1
+        # A folded result of other strokes has another name, so that a change before them is never shown as if it fit.
         result = self._store.get(folded_key(chain, count)) if count else None
         if result is None or result.delta.count != len(below.splats):
             return 0, StrokesState(below, np.zeros(0, np.int64))
         delta = result.delta
+        # Facts and problems travel with the folded result: the strokes that could say them are not computed again.
         parent_ids = np.concatenate([below.parent_ids, delta.parent_ids])
         splats = delta.apply(below.splats)
         state = replace(below, key=chain.keys[count], splats=splats, parent_ids=parent_ids)
@@ -230,6 +241,7 @@ def strokes_to_fold(results: Sequence[str], size_of: Callable[[str], int]) -> in
     """How many of the first strokes are to become one result. results: their keys; size_of: bytes that one takes, 0
     where it is part of one already, as all before it are then."""
     total, count = 0, 0
+    # From the latest back: those stay by themselves, and a size of 0 ends it, as all before is folded already.
     for latest, key in enumerate(reversed(results)):
         size = size_of(key)
         total += size
@@ -253,6 +265,7 @@ def _after(
         parent_ids=np.concatenate([before.parent_ids, delta.parent_ids]),
         painter_state=before.painter_state if result.painter_state is None else result.painter_state,
     )
+    # Gaussians that earlier strokes appended are the layer's own, and no change of what lies below it.
     ids = delta.gaussian_ids[: np.searchsorted(delta.gaussian_ids, len(below.splats))]
     changed = np.union1d(painted.changed, ids) if len(ids) else painted.changed
     problems = (*painted.problems, result.problem) if result.problem else painted.problems
@@ -264,6 +277,7 @@ class _Writer:
 
     def __init__(self, painted: StrokesState, below: LayerState) -> None:
         self._painted, self._below = painted, below
+        # Copied once: the state that it starts from may be cached, and on the screen.
         splats = painted.state.splats
         self.count = len(splats)
         self._arrays = {name: getattr(splats, name).copy() for name in ATTRIBUTES}
@@ -284,6 +298,7 @@ class _Writer:
             array[ids] = values
             array[count:end] = getattr(delta.appended, name)
         if self._origin is not None:
+            # The origin goes by way of parents, which may be Gaussians that an earlier stroke appended.
             parents = delta.parent_ids
             self._origin[count:end] = np.where(parents >= 0, self._origin[np.maximum(parents, 0)], -1)
         ids = delta.gaussian_ids
@@ -299,6 +314,7 @@ class _Writer:
         room = len(self._arrays["opacities"])
         if end <= room:
             return
+        # With spare room, as appending one stroke after the other would copy everything each time.
         extra = max(end, int(room * (1 + SPARE_ROOM))) - room
 
         def longer(array: np.ndarray) -> np.ndarray:
@@ -310,6 +326,7 @@ class _Writer:
     def painted(self, chain: StrokeKeys, count: int) -> StrokesState:
         """What was written so far, `count` strokes of the chain; it shares nothing with what is written later."""
         before = self._painted.state
+        # Copied, as what is written later would else change a state that is cached under its key.
         arrays = {name: array[: self.count].copy() for name, array in self._arrays.items()}
         origin = None if self._origin is None else self._origin[: self.count].copy()
         splats = replace(before.splats, **arrays, origin=origin)

@@ -61,6 +61,7 @@ class Selection:
     @staticmethod
     def of(weights: np.ndarray, splats: Splats, original: Splats) -> Selection:
         """weights: [N] 0..1 of `splats`, an asset made from `original`."""
+        # Those that moved are kept as points: their index may belong to another place later.
         levels = np.round(np.clip(weights, 0, 1) * 255).astype(np.uint8)
         moved = moved_ids(splats, original)
         first = levels[: len(original)].copy()
@@ -75,6 +76,7 @@ class Selection:
         count = min(len(original), len(splats))
         out[:count] = self.weights[:count]
         moved = moved_ids(splats, original)
+        # Emptied Gaussians lie where they were and must not be selected by their neighbours.
         moved = moved[splats.opacities[moved] > 0]
         if len(moved):
             points = np.concatenate([original.means, self.points])
@@ -94,6 +96,7 @@ class Selection:
     def from_png(data: bytes, count: int, where: str = "selection") -> Selection:
         """The inverse. count: Gaussians of the original. Raises ValueError naming `where`."""
         try:
+            # Bounded by what it can be: the picture may be a stranger's.
             flat = np.frombuffer(bytes_of_png(data, 20 + count + 13 * MAX_POINTS), np.uint8)
             if flat[:4].tobytes() != MAGIC:
                 raise ValueError("it is another picture")
@@ -169,6 +172,7 @@ def in_mask(splats: Splats, camera: Camera, mask: np.ndarray, through: bool = Fa
         return snapped_weights(out)
     real = project(splats, camera)
     _, alpha, depth = real.rasterize()
+    # The visible surface first, then a margin behind it: a fitted surface is a cloud some Gaussians deep.
     sums = real.backproject(np.zeros((*mask.shape, 3), np.float32), np.ones(mask.shape, np.float32))
     visible_ids = real.gaussian_ids[sums.weight > VISIBLE_SHARE * sums.alpha]
     hidden = out > 0
@@ -193,6 +197,7 @@ def by_color(
     image, _, _ = view.rasterize()
     seen = view.backproject(np.ascontiguousarray(image), np.ones(image.shape[:2], np.float32))
     in_view = seen.weight > 0.05 * seen.alpha + 1e-6
+    # As pixels show it, where they do: base colours of shiny Gaussians are not what a user points at.
     looks = base_color(splats.sh)
     ids = view.gaussian_ids[in_view]
     looks[ids] = seen.values[in_view] / seen.weight[in_view, None]
@@ -219,6 +224,7 @@ def attribute_values(splats: Splats, attribute: Attribute, camera: Camera, up: n
     raw = camera.project(means)[1] if attribute == "depth" else means @ np.asarray(up, np.float64)
     if not visible.any():
         return np.zeros(len(splats))
+    # A few strays far off would push everything else to one end.
     low, high = np.quantile(raw[visible], [STRAY_QUANTILE, 1 - STRAY_QUANTILE])
     return np.clip((raw - low) / max(high - low, 1e-12), 0, 1)
 
@@ -260,6 +266,7 @@ def view_and_points(splats: Splats, weights: np.ndarray, camera: Camera) -> tupl
     ids, pixels, z = ids[inside], pixels[inside], z[inside]
     column, line = pixels.astype(np.int64).T
     front = np.where(alpha[line, column] > COVERED_ALPHA, depth[line, column], np.inf)
+    # What is covered stays unmarked: a point in front of it would seem to be of the surface.
     free = z < front + DEPTH_MARGIN_SIZES * splats.scales[ids].max(1)
     points = pixels[free & (shares[line, column] < MARKED_SHARE)].astype(np.float32)
     return shares, points[:: max(-(-len(points) // MAX_MARKS), 1)]

@@ -49,6 +49,7 @@ def feathered(splats: Splats, weights: np.ndarray, radius: float) -> np.ndarray:
     selected, rest = _sides(splats, weights)
     out = np.zeros(len(splats), np.float32)
     out[selected] = 1
+    # From both sides, so that the edge itself has one half.
     for near, far, sign in ((selected, rest, 1), (rest, selected, -1)):
         _, distance = nearest_within(splats.means[far], splats.means[near], radius)
         inside = np.isfinite(distance)
@@ -91,6 +92,7 @@ def floaters(splats: Splats, share: float = FLOATER_SHARE) -> np.ndarray:
     visible = splats.drawable & (splats.opacities > 0)
     if (labels < 0).all():
         return np.zeros(len(splats), np.float32)
+    # By surface and not by number: a floater may be of many small Gaussians.
     area = surface_area(splats)
     totals = np.bincount(labels[labels >= 0], area[labels >= 0])
     small = totals <= share * totals.max()
@@ -119,6 +121,7 @@ def _points(splats: Splats, ids: np.ndarray, size: float) -> tuple[np.ndarray, n
     rows = np.arange(len(ids))
     one, two = axes[rows, :, longest[:, 0]], axes[rows, :, longest[:, 1]]
     reach = REACH_SIGMAS * np.take_along_axis(scales, longest, 1)
+    # Large Gaussians stand for several points, or they would not reach what they touch.
     steps = np.minimum(np.ceil(reach / size - 0.5).clip(0), MAX_STEPS).astype(np.int64)
     points, point_gaussians = [means], [rows]
     for a in range(-MAX_STEPS, MAX_STEPS + 1):
