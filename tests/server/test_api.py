@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 
 from splatpainter.io import read, write
+from splatpainter.lights.skies import SKIES
 from splatpainter.painter import Painter
 from splatpainter.receipts import Receipt, verify
 from splatpainter.rendering import render
@@ -425,6 +426,28 @@ def test_a_file_asset_keeps_its_name_and_format(tmp_path: Path) -> None:
         asset = studio.http.get("/api/state").json()["asset"]
         assert asset["format"] == "spz" and asset["gaussians"] == asset["gaussians_unchanged"] == 600
         assert studio.post("verify")["proved"]
+
+
+def test_the_skies_of_the_light_panel_have_pictures(studio: Live) -> None:
+    skies = studio.post("light.skies")["skies"]
+    assert [one["name"] for one in skies] == list(SKIES)
+    blobs = [one["picture"] for one in skies]
+    sizes = {Image.open(io.BytesIO(studio.http.get(f"/api/blobs/{blob}").content)).size for blob in blobs}
+    assert sizes == {(128, 64)} and len(set(blobs)) == len(blobs)
+
+
+def test_the_options_of_a_light_layer_change_in_gestures(studio: Live) -> None:
+    made = studio.post("layer.add", operation={"kind": "light", "hdri": "dawn"}, name="Light")
+    layer, steps = made["layer"]["id"], len(studio.studio.session.history)
+    for turn in (10, 20, 0):  # 0 is the default, which a layer does not say
+        fields = {"parameters": {"rotate": turn, "sun": ["60,10"]}, "gesture": "a drag"}
+        answer = studio.post("layer.set", layer=layer, **fields)
+        assert answer["layer"]["parameters"].get("rotate", 0) == turn
+    assert len(studio.studio.session.history) == steps + 1
+    wrong = studio.http.post("/api/do/layer.set", json={"layer": layer, "parameters": {"hdri": "sky.hdr"}})
+    assert wrong.status_code == 400 and "without files" in wrong.text
+    studio.post("undo")
+    assert describe.page_parameters(studio.studio.session.layers.by_id(layer).operation) == {"hdri": "dawn"}
 
 
 def test_an_operation_is_a_layer_by_its_own_options(studio: Live) -> None:

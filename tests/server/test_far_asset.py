@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import splatpainter as sp
 from splatpainter import io as splat_io
 from splatpainter.server.uploads.image_registration import png_bytes
 from splatpainter.splats import Splats
@@ -64,6 +65,15 @@ def test_pictures_carry_where_they_were_seen_from(studio: Live, tmp_path: Path) 
         assert checked["camera_source"] == "chunk" and checked["share"] < 0.1
         there = np.array(checked["camera"]["world_to_camera"])
         assert abs(there - view().world_to_camera).max() < 1e-6
+
+
+def test_lamps_stand_where_the_page_is_told_that_its_origin_is(studio: Live, tmp_path: Path) -> None:
+    offset = studio.http.get("/api/state").json()["asset"]["offset"]
+    assert tuple(offset) == studio.studio.session.original.offset != (0, 0, 0)
+    x, y, z = (value + shift for value, shift in zip(offset, (0.5, -1.5, 1), strict=True))
+    studio.post("layer.add", operation={"kind": "light", "point": [f"{x},{y},{z}"]})
+    near = sp.light(splat_io.read(tmp_path / "near_far.ply"), sp.Lights(lamps=(sp.Lamp("point", (0.5, -1.5, 1)),)))
+    assert abs(studio.studio.session.splats.sh - near.splats.sh).max() < 1e-3
 
 
 def test_what_looks_wrong_is_said_when_it_is_opened(tmp_path: Path) -> None:

@@ -66,6 +66,14 @@ def test_clients_see_assets_come_move_and_go(studio: Live, tmp_path: Path) -> No
         assert mirror.columns["sh"].shape == splats.sh.shape
 
 
+def test_a_light_is_for_one_asset_or_for_each(studio: Live, tmp_path: Path) -> None:
+    added = studio.post("scene.add", blob=studio.send(sheet_bytes(tmp_path), "sheet.ply"))["asset"]
+    for asset, reached in ((added, [added]), ("", [""]), (None, ["", added])):
+        studio.post("layer.add", operation={"kind": "light", "hdri": "dawn"}, asset=asset)
+        assert [layer["asset"] for layer in studio.http.get("/api/state").json()["layers"]] == reached
+        studio.post("undo")
+
+
 def test_exports_of_a_scene_and_of_one_asset(studio: Live, tmp_path: Path) -> None:
     data = sheet_bytes(tmp_path)
     added = studio.post("scene.add", blob=studio.send(data, "sheet.ply"))["asset"]

@@ -10,13 +10,14 @@ import {
   isFull,
   isLit,
   lightFields,
+  lightsOf,
   MAX_LIGHTS,
   NO_LIGHT,
   without,
   withLamp,
   withSun,
 } from "../src/lights/lights";
-import { ballPoint, nudged, shownPoint, spokenPlace, sunAt } from "../src/lights/sun-ball";
+import { azimuthOf, ballPoint, nudged, shownPoint, spokenPlace, sunAt } from "../src/lights/sun-ball";
 
 const ASSET = { center: [1, 2, 3], radius: 2, up: [0, -1, 0] };
 
@@ -117,5 +118,53 @@ describe("lights", () => {
     expect(fields.point).toEqual([`1,-1,3,${hexOf({ kelvin: 2700 })},1.92939`]);
     expect(fields.rect[0].split(",").length).toBe(3 + 3 + 2 + 2);
     expect([fields.spot, fields.disk, fields.sphere]).toEqual([[], [], []]);
+  });
+});
+
+describe("a layer of light", () => {
+  const full = () => {
+    let lights = { ...NO_LIGHT, sky: "dawn", rotate: 40, exposure: -1.5, mix: 0.25, add: true, shadows: false };
+    lights = withSun(withSun(lights, -70, 12), 30, -5);
+    for (const kind of ["point", "spot", "rect", "disk", "sphere"] as const) lights = withLamp(lights, kind, ASSET);
+    return { ...lights, lamps: lights.lamps.map((one) => ({ ...one, color: { hex: "#ffe0b0" }, intensity: 3.5 })) };
+  };
+
+  it("is read as it was written, whatever is in it", () => {
+    const lights = full();
+    const { mix, ...options } = lightFields(lights);
+    const back = lightsOf(options, mix);
+    expect(lightFields(back)).toEqual(lightFields(lights));
+    expect({ ...back, suns: [], lamps: [] }).toEqual({ ...lights, suns: [], lamps: [] });
+    const plain = ({ id: _, ...rest }: { id: number }) => rest;
+    expect(back.suns.map(plain)).toEqual(lights.suns.map(plain));
+    const aimless = (one: (typeof lights.lamps)[number]) =>
+      ["point", "sphere"].includes(one.kind) ? { ...one, target: [0, 0, 0] } : one;
+    expect(back.lamps.map(plain)).toEqual(lights.lamps.map(aimless).map(plain));
+    const ids = [...back.suns, ...back.lamps].map(({ id }) => id);
+    expect(new Set(ids).size).toBe(ids.length);
+  });
+
+  it("has lamps where maps have them", () => {
+    const far = { ...ASSET, center: [691234.25, 5334567.5, 512.125] };
+    const [point] = lightFields(withLamp(NO_LIGHT, "point", far)).point;
+    expect(point.split(",").slice(0, 3).map(Number)).toEqual([691234.25, 5334564.5, 512.125]);
+  });
+
+  it("has defaults for what it does not say", () => {
+    expect(lightsOf({}, 1)).toEqual(NO_LIGHT);
+    const [sun] = lightsOf({ sun: ["10,20"] }, 1).suns;
+    expect(sun).toMatchObject({ azimuth: 10, elevation: 20, color: { hex: "#ffffff" }, intensity: 1 });
+    const [warm] = lightsOf({ sun: ["10,20,2"], kelvin: 2700 }, 1).suns;
+    expect(warm).toMatchObject({ color: { kelvin: 2700 }, intensity: 2 });
+  });
+
+  it("has azimuths as cameras have them, whichever way is up", () => {
+    // the rows of views towards the middle, from +z of the axes of lights and a quarter turn counter-clockwise from there
+    const row = (forward: number[]) => [[], [], [...forward, 0]];
+    expect(azimuthOf(row([0, 0, -1]), [0, -1, 0])).toBeCloseTo(0);
+    expect(azimuthOf(row([1, 0, 0]), [0, -1, 0])).toBeCloseTo(90); // from -x, which lies on the right where -y is up
+    expect(azimuthOf(row([-1, 0, 0]), [0, 1, 0])).toBeCloseTo(90);
+    expect(azimuthOf(row([-1, 0, 0]), [0, 0, 1])).toBeCloseTo(0);
+    expect(azimuthOf(row([0, -1, 0]), [0, 0, 1])).toBeCloseTo(90);
   });
 });

@@ -79,6 +79,7 @@ def asset_info(session: Session, name: str) -> protocol.AssetInfo:
         color_space=original.color_space,
         antialiased=original.antialiased,
         center=center.tolist(),
+        offset=list(original.offset),
         radius=radius,
         up=list(up),
         home=protocol.CameraInfo.of(view),

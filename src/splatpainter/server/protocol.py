@@ -97,6 +97,8 @@ class AssetInfo(Message):
     antialiased: bool
     center: Point
     """Centre of nearly all opaque Gaussians, world units."""
+    offset: Point
+    """World coordinates of the page's origin: assets far from the world's are drawn near 0."""
     radius: float
     up: Point
     """Unit vector, world axes, that is up on the screen."""

@@ -1,5 +1,6 @@
 /** New light on an asset, as the light panel sets it, and as the operation `light` takes it (splatpainter light --help). */
 
+import type { LightOptions } from "../messages";
 import { rgb } from "../state/store";
 import { KELVIN_RANGE, kelvinColor } from "./kelvin";
 
@@ -87,6 +88,7 @@ export const SIZE_NAMES: Record<LampKind, readonly (readonly [string, string])[]
   disk: [["Radius", ""]],
   sphere: [["Radius", ""]],
 };
+const LAMP_KINDS = Object.keys(SIZES) as LampKind[];
 /** Kinds that look somewhere. */
 export const AIMED: readonly LampKind[] = ["spot", "rect", "disk"];
 
@@ -172,7 +174,10 @@ export interface LightFields {
   sphere: string[];
 }
 
-const digits = (value: number): string => String(Number(value.toPrecision(6)));
+const digits = (value: number, count = 6): string => String(Number(value.toPrecision(count)));
+/** Places: world coordinates of maps have seven digits before the point. */
+const PLACE_DIGITS = 12;
+const placed = (value: number): string => digits(value, PLACE_DIGITS);
 
 /**
  * `color` of a temperature has luminance 1 in the operation and its brightest channel at 1 here, so the intensity makes up
@@ -189,7 +194,11 @@ export function lightFields(lights: LightSettings): LightFields {
       .filter((one) => one.kind === kind)
       .map((one) => {
         const target = AIMED.includes(kind) ? one.target : [];
-        return [...[...one.position, ...target, ...one.sizes].map(digits), ...colorAndIntensity(one)].join(",");
+        return [
+          ...[...one.position, ...target].map(placed),
+          ...one.sizes.map((size) => digits(size)),
+          ...colorAndIntensity(one),
+        ].join(",");
       });
   const sun = lights.suns.map((one) =>
     [digits(one.azimuth), digits(one.elevation), ...colorAndIntensity(one)].join(","),
@@ -204,6 +213,43 @@ export function lightFields(lights: LightSettings): LightFields {
     disk: lampsOf("disk"),
     sphere: lampsOf("sphere"),
   };
+}
+
+/**
+ * The settings of a layer of light: its options, of which those at their defaults are left out, and its opacity. The inverse
+ * of `lightFields`, but for temperatures, which are colours in words.
+ */
+export function lightsOf(parameters: Partial<LightOptions>, opacity: number): LightSettings {
+  const { hdri = "", rotate = 0, exposure = 0, add = false, shadows = true, kelvin } = parameters;
+  const white: LightColor = kelvin ? { kelvin } : { hex: "#ffffff" };
+  const words = (kind: LampKind | "sun") => parameters[kind] ?? [];
+  let id = 0;
+  const read = (text: string, count: number) => {
+    const parts = text.split(",");
+    const rest = parts.slice(count);
+    const hex = rest[0]?.startsWith("#") ? rest.shift() : undefined;
+    const light = { id: ++id, color: hex ? { hex } : white, intensity: rest.length ? Number(rest[0]) : 1 };
+    return { numbers: parts.slice(0, count).map(Number), light };
+  };
+  const suns = words("sun").map((text): SunLight => {
+    const { numbers, light } = read(text, 2);
+    return { ...light, kind: "sun", azimuth: numbers[0], elevation: numbers[1] };
+  });
+  const lamps = LAMP_KINDS.flatMap((kind) =>
+    words(kind).map((text): LampLight => {
+      const aim = AIMED.includes(kind) ? 3 : 0;
+      const { numbers, light } = read(text, 3 + aim + SIZE_NAMES[kind].length);
+      const vector = (at: number) => numbers.slice(at, at + 3) as [number, number, number];
+      return {
+        ...light,
+        kind,
+        position: vector(0),
+        target: aim ? vector(3) : [0, 0, 0],
+        sizes: numbers.slice(3 + aim),
+      };
+    }),
+  );
+  return { sky: hdri, rotate, suns, lamps, exposure, mix: opacity, add, shadows };
 }
 
 /** The colour as the other kind of setting: a temperature for a colour is the nearest one. */

@@ -58,6 +58,19 @@ export const nudged = ({ azimuth, elevation }: SunPlace, right: number, up: numb
   elevation: Math.max(-90, Math.min(90, elevation + up)),
 });
 
+/**
+ * Azimuth of a view, degrees, as suns have it. world_to_camera: its rows; up: unit vector along an axis of the asset
+ * (axes_of in lights/light_set.py).
+ */
+export function azimuthOf(worldToCamera: readonly (readonly number[])[], up: readonly number[]): number {
+  const back = worldToCamera[2].slice(0, 3).map((value) => -value); // from the middle to the eye
+  const cross = (a: readonly number[], b: readonly number[]) =>
+    [0, 1, 2].map((k) => a[(k + 1) % 3] * b[(k + 2) % 3] - a[(k + 2) % 3] * b[(k + 1) % 3]);
+  const dot = (a: readonly number[], b: readonly number[]) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+  const side = cross(up, Math.abs(up[2]) < 0.9 ? [0, 0, 1] : [1, 0, 0]);
+  return Math.atan2(dot(side, back), dot(cross(side, up), back)) / RADIANS;
+}
+
 /** "from the right, above": for those who do not see the ball. */
 export function spokenPlace({ azimuth, elevation }: SunPlace): string {
   const sides = ["the front", "the right", "behind", "the left"];

@@ -3,7 +3,7 @@
 import { effect } from "@preact/signals";
 
 import { editor, report, run } from "../editor/editor";
-import type { SelectChange } from "../messages";
+import type { PixelateOptions, SelectChange } from "../messages";
 import { blobUrl, pixelsOf, sendBlob } from "../net/blobs";
 import { camera, readOnly, selectedLayer, state, toast } from "../state/store";
 import { sameView, type CameraJson } from "../view/camera";
@@ -60,6 +60,14 @@ export async function fillSelected(remove: boolean): Promise<void> {
   if (!answer) return;
   selectedLayer.value = answer.layer.id;
   if (answer.note) toast("info", answer.note);
+}
+
+/** Make what is selected unreadable from all sides, by a layer. size: edge of a cell, per cent of the asset's diameter. */
+export async function pixelateSelected(size: number, options: Pick<PixelateOptions, "style" | "merge">): Promise<void> {
+  if (readOnly.value || selectedCount.value === 0) return;
+  const operation: PixelateOptions = { kind: "pixelate", size: `${Number(size.toPrecision(3))}%`, ...options };
+  const answer = await sent(() => run("layer.add", { operation, name: "Pixelate" }, "Pixelating"));
+  if (answer) selectedLayer.value = answer.layer.id;
 }
 
 /** Keeps `selection` what the present view shows of it. */

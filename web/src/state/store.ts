@@ -7,7 +7,7 @@ import type { Status } from "../net/connection";
 import type { CameraJson, Pose } from "../view/camera";
 
 export type PaintMode = "normal" | "color" | "darken" | "lighten";
-export type Tab = "brush" | "colors" | "adjust" | "select" | "history" | "views" | "pictures" | "receipt";
+export type Tab = "brush" | "colors" | "adjust" | "light" | "select" | "history" | "views" | "pictures" | "receipt";
 export type SelectKind = "rectangle" | "lasso" | "color" | "brush";
 
 export const status = signal<Status>("connecting");

@@ -21,6 +21,7 @@ import { Help } from "./help";
 import { History } from "./history";
 import { Layers } from "./layers";
 import { Adjustments } from "./adjustments";
+import { LightTab } from "./light-tab";
 import { Options } from "./options";
 import { Pictures } from "./pictures";
 import { ReceiptPanel } from "./receipt";
@@ -36,6 +37,7 @@ const TABS: readonly (readonly [Tab, string, () => preact.JSX.Element | null])[]
   ["colors", "Colours", ColorsPanel],
   ["history", "History", History],
   ["adjust", "Adjust", Adjustments],
+  ["light", "Light", LightTab],
   ["select", "Select", SelectionPanel],
   ["pictures", "Pictures", Pictures],
   ["views", "Views", Views],

@@ -12,7 +12,7 @@ import { nameOfAsset, selectedAsset } from "../state/assets";
 import { openFile } from "./files";
 import { changePlaced } from "../tools/replacing";
 import { FillSettings } from "./fill-layer";
-import { Icon } from "./icons";
+import { Icon, type IconName } from "./icons";
 import { LayerMask, maskOpen, paintMask } from "./layer-mask";
 import { CommandButton } from "./command-button";
 import { Button, Check, Choice, FileButton, Slider } from "./parts";
@@ -147,21 +147,23 @@ function onKey(event: KeyboardEvent, layer: LayerInfo, index: number, count: num
     (void moveLayer(layer.id, index - 1, `Moving ${layer.name}`), handled());
 }
 
+/** Of layers without a picture; all others are painted. */
+const KIND_ICONS: Record<string, IconName> = {
+  look: "lens",
+  hide: "hidden",
+  fill: "heal",
+  light: "sun",
+  delight: "sun",
+  pixelate: "grid",
+};
+
 function Thumbnail({ layer }: { layer: LayerInfo }) {
   const [first] = layer.views;
   const picture = layer.thumbnail ?? first?.picture;
   if (!picture)
     return (
       <span class="thumbnail none">
-        {layer.kind === "look" ? (
-          <Icon name="lens" />
-        ) : layer.kind === "hide" ? (
-          <Icon name="hidden" />
-        ) : layer.kind === "fill" ? (
-          <Icon name="heal" />
-        ) : (
-          <Icon name="brush" />
-        )}
+        <Icon name={KIND_ICONS[layer.kind] ?? "brush"} />
       </span>
     );
   return <img class="thumbnail" src={blobUrl(picture)} alt="" loading="lazy" draggable={false} />;

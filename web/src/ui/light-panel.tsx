@@ -3,6 +3,8 @@
  * server, and asks for nothing.
  */
 
+import type { ComponentChildren } from "preact";
+
 import {
   AIMED,
   asHex,
@@ -13,9 +15,7 @@ import {
   hexOf,
   INTENSITY_RANGE,
   isFull,
-  isLit,
   MIN_MIX,
-  NO_LIGHT,
   SIZE_NAMES,
   without,
   withLamp,
@@ -28,7 +28,7 @@ import {
 } from "../lights/lights";
 import { KELVIN_RANGE } from "../lights/kelvin";
 import "../style/lights.css";
-import { Button, Check, Choice, FileButton, NumberField, Percent, Slider } from "./parts";
+import { Button, Check, Choice, NumberField, Percent, Slider } from "./parts";
 import { SunBall } from "./sun-ball";
 
 export interface Sky {
@@ -41,18 +41,17 @@ export interface Sky {
 
 interface Props {
   lights: LightSettings;
-  /** Skies that need no file, and those that were sent. */
+  /** Skies that need no file. */
   skies: readonly Sky[];
   /** What lamps are placed around: world units. */
   asset: { center: readonly number[]; radius: number; up: readonly number[] };
   /** Azimuth of the view, degrees: the balls are seen from there. */
   viewAzimuth?: number;
   disabled?: boolean;
-  /** While something is dragged, and when it is let go. */
+  /** Also while something is dragged. */
   onChange: (lights: LightSettings) => void;
-  /** A lat-long picture that was chosen as a sky. */
-  onSkyFile: (file: File) => void;
-  onApply: () => void;
+  /** Above everything: what is being set. */
+  children?: ComponentChildren;
 }
 
 const LAMP_NAMES: readonly (readonly [LampKind, string])[] = [
@@ -70,6 +69,7 @@ export function LightPanel(props: Props) {
   const full = disabled || isFull(lights);
   return (
     <div class="light-panel">
+      {props.children}
       <h3>Sky</h3>
       <SkyPicker {...props} />
       {lights.sky !== "" && (
@@ -112,7 +112,7 @@ export function LightPanel(props: Props) {
           key={lamp.id}
           number={k + 1}
           lamp={lamp}
-          radius={asset.radius}
+          asset={asset}
           disabled={disabled}
           onChange={(part) => onChange(changedLamp(lights, lamp.id, part))}
           onRemove={() => onChange(without(lights, lamp.id))}
@@ -156,65 +156,37 @@ export function LightPanel(props: Props) {
         onChange={(add) => set({ add })}
       />
       <Check label="Shadows" value={lights.shadows} disabled={disabled} onChange={(shadows) => set({ shadows })} />
-      <p class="row actions">
-        <Button
-          label="Make it a layer"
-          icon="check"
-          text="Apply as layer"
-          primary
-          disabled={disabled || !isLit(lights)}
-          onClick={props.onApply}
-        />
-        <Button
-          label="No new light"
-          text="Reset"
-          disabled={disabled || lights === NO_LIGHT}
-          onClick={() => onChange(NO_LIGHT)}
-        />
-      </p>
     </div>
   );
 }
 
-function SkyPicker({ lights, skies, disabled, onChange, onSkyFile }: Props) {
-  const own = lights.sky !== "" && !skies.some(({ name }) => name === lights.sky);
+function SkyPicker({ lights, skies, disabled, onChange }: Props) {
   return (
-    <>
-      <div class="skies" role="radiogroup" aria-label="Sky">
+    <div class="skies" role="radiogroup" aria-label="Sky">
+      <button
+        type="button"
+        role="radio"
+        aria-checked={lights.sky === ""}
+        disabled={disabled}
+        onClick={() => onChange({ ...lights, sky: "" })}
+      >
+        <span class="none" aria-hidden="true" />
+        None
+      </button>
+      {skies.map(({ name, label, picture }) => (
         <button
           type="button"
           role="radio"
-          aria-checked={lights.sky === ""}
+          key={name}
+          aria-checked={lights.sky === name}
           disabled={disabled}
-          onClick={() => onChange({ ...lights, sky: "" })}
+          onClick={() => onChange({ ...lights, sky: name })}
         >
-          <span class="none" aria-hidden="true" />
-          None
+          <img src={picture} alt="" />
+          {label}
         </button>
-        {skies.map(({ name, label, picture }) => (
-          <button
-            type="button"
-            role="radio"
-            key={name}
-            aria-checked={lights.sky === name}
-            disabled={disabled}
-            onClick={() => onChange({ ...lights, sky: name })}
-          >
-            <img src={picture} alt="" />
-            {label}
-          </button>
-        ))}
-      </div>
-      <p class="row">
-        <FileButton
-          label="A sky of your own"
-          accept=".hdr,.exr,.png,.jpg,.jpeg"
-          disabled={disabled}
-          onFiles={([file]) => file && onSkyFile(file)}
-        />
-        {own && <span class="quiet">{lights.sky}</span>}
-      </p>
-    </>
+      ))}
+    </div>
   );
 }
 
@@ -344,13 +316,13 @@ function SunRow({ name, sun, viewAzimuth, disabled, onChange, onRemove }: SunPro
 interface LampProps {
   number: number;
   lamp: LampLight;
-  radius: number;
+  asset: Props["asset"];
   disabled?: boolean;
   onChange: (part: Partial<LampLight>) => void;
   onRemove: () => void;
 }
 
-function LampRow({ number, lamp, radius, disabled, onChange, onRemove }: LampProps) {
+function LampRow({ number, lamp, asset: { center, radius }, disabled, onChange, onRemove }: LampProps) {
   const name = `${LAMP_NAMES.find(([kind]) => kind === lamp.kind)![1]} ${number}`;
   const digits = Math.max(0, Math.min(6, 2 - Math.floor(Math.log10(radius))));
   const far = 100 * radius;
@@ -362,8 +334,8 @@ function LampRow({ number, lamp, radius, disabled, onChange, onRemove }: LampPro
           key={axis}
           label={`${label} of ${name}, ${axis}`}
           value={lamp[key][k]}
-          min={-far}
-          max={far}
+          min={center[k] - far}
+          max={center[k] + far}
           digits={digits}
           unit=""
           disabled={disabled}

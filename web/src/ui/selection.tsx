@@ -11,6 +11,7 @@ import { editor, report, run } from "../editor/editor";
 import type { Vec3 } from "../view/camera";
 import { CommandButton } from "./command-button";
 import { Button, Check, Choice, Percent, Slider } from "./parts";
+import { PixelateSelected } from "./pixelate";
 
 const ATTRIBUTES: readonly (readonly [SelectByAttribute["attribute"], string])[] = [
   ["size", "Size (rank)"],
@@ -147,6 +148,7 @@ export function SelectionPanel() {
           />
         </p>
       </details>
+      <PixelateSelected off={off} />
       <CropBox />
       <Kept off={off} />
     </div>

@@ -9,6 +9,7 @@ from splatpainter.server.commands import exports as _exports  # noqa: F401
 from splatpainter.server.commands import files as _files  # noqa: F401
 from splatpainter.server.commands import filling as _filling  # noqa: F401
 from splatpainter.server.commands import layers as _layers  # noqa: F401
+from splatpainter.server.commands import lighting as _lighting  # noqa: F401
 from splatpainter.server.commands import painting as _painting  # noqa: F401
 from splatpainter.server.commands import picture_check as _picture_check  # noqa: F401
 from splatpainter.server.commands import relief as _relief  # noqa: F401

@@ -72,6 +72,8 @@ class LayerAdd(Command):
     operation: OperationOptions
     name: Name | None = None
     opacity: Unit = 1.0
+    asset: str | None = None
+    """Asset, of several, that it is for; None: a layer for each that it reaches."""
 
 
 @command(LayerAdd, writes=True)
@@ -81,9 +83,11 @@ def add_layer(context: CommandContext, request: LayerAdd) -> LayerMade:
     options = record | ({} if stored is None else {"selection": stored[0]})
     operation = operation_of_layer(options, "layer")
     words: dict[str, Any] = {"name": request.name, "opacity": None if request.opacity == 1 else request.opacity}
+    words["asset"] = request.asset
     with progress(context, request.operation.kind):
         attached = [] if stored is None else [stored[1]]
-        layer = session.layers.add(operation, name=request.name, opacity=request.opacity, attached=attached)
+        how: dict[str, Any] = {"name": request.name, "opacity": request.opacity, "asset": request.asset}
+        layer = session.layers.add(operation, attached=attached, **how)
     line = python_line("session.layers.add", operation.kind, **operation.changes(), **words)
     return layer_made(context, layer.id, line)
 

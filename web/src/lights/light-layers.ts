@@ -1,0 +1,134 @@
+/**
+ * Light layers under the panel's hands: what it shows is the chosen light layer, or a draft that becomes a layer as soon as
+ * there is light in it. Each gesture is one step of the history.
+ */
+
+import { computed, signal } from "@preact/signals";
+
+import { run } from "../editor/editor";
+import type { LayerInfo, LightOptions } from "../messages";
+import { chosenAsset } from "../state/assets";
+import { dragged, setLayer, shownLayers } from "../state/pending-layers";
+import { readOnly, selectedLayer, state } from "../state/store";
+import { axisName } from "../state/up-axis";
+import { isLit, lightFields, lightsOf, NO_LIGHT, type LightFields, type LightSettings } from "./lights";
+
+/** The light layer that is chosen. */
+export const lightLayer = computed<LayerInfo | null>(
+  () => shownLayers.value.find((one) => one.id === selectedLayer.value && one.kind === "light") ?? null,
+);
+
+const draft = signal<LightSettings>(NO_LIGHT);
+const making = signal(false);
+/** What is asked for and not done yet. */
+const asked = signal<{ layer: string; lights: LightSettings } | null>(null);
+/** Layer -> its settings as they were made here: a temperature is a colour in the layer. */
+const settingsOf = new Map<string, LightSettings>();
+
+/** Options of the operation that the panel sets. How much of it shows is the layer's opacity. */
+type Options = Omit<LightFields, "mix">;
+function optionsOf(lights: LightSettings): Options {
+  const { mix: _, ...options } = lightFields(lights);
+  return options;
+}
+const same = (a: unknown, b: unknown): boolean => JSON.stringify(a) === JSON.stringify(b);
+
+/** What the panel shows. */
+export const shownLights = computed<LightSettings>(() => {
+  const layer = lightLayer.value;
+  if (!layer) return draft.value;
+  if (asked.value?.layer === layer.id) return asked.value.lights;
+  const lights = lightsOf(layer.parameters as Partial<LightOptions>, layer.opacity);
+  const before = settingsOf.get(layer.id);
+  return before && same(optionsOf(before), optionsOf(lights)) ? { ...before, mix: layer.opacity } : lights;
+});
+
+interface Gesture {
+  layer: string;
+  send: ReturnType<typeof dragged>;
+  start: LightSettings;
+  /** Options that it has changed at some time: those in between are skipped, so each message has all of them. */
+  touched: Set<keyof Options>;
+  faded: boolean;
+}
+const gesture = signal<Gesture | null>(null);
+
+/** The next change is a step of its own. */
+export function endGesture(): void {
+  gesture.value = null;
+}
+
+/** From the panel, also while something is dragged. */
+export async function changeLights(lights: LightSettings): Promise<void> {
+  const layer = lightLayer.value;
+  if (readOnly.value) return;
+  if (!layer) {
+    draft.value = lights;
+    if (isLit(lights) && !making.value) await make();
+    return;
+  }
+  const { rig, sun_at: places } = layer.parameters as Partial<LightOptions>; // not the panel's, and light all the same
+  if (!isLit(lights) && !rig && !places?.length) return remove(layer, lights);
+  const start = shownLights.value;
+  if (gesture.value?.layer !== layer.id)
+    gesture.value = {
+      layer: layer.id,
+      send: dragged(layer.id, `Changing ${layer.name}`),
+      start,
+      touched: new Set(),
+      faded: false,
+    };
+  const now = gesture.value;
+  const [options, before] = [optionsOf(lights), optionsOf(now.start)];
+  for (const name of Object.keys(options) as (keyof Options)[])
+    if (!same(options[name], before[name])) now.touched.add(name);
+  now.faded ||= lights.mix !== now.start.mix;
+  const request = { layer: layer.id, lights };
+  asked.value = request;
+  settingsOf.set(layer.id, lights);
+  try {
+    if (now.touched.size || now.faded)
+      await now.send({
+        ...(now.touched.size && {
+          parameters: Object.fromEntries([...now.touched].map((name) => [name, options[name]])),
+        }),
+        ...(now.faded && { opacity: lights.mix }),
+      });
+  } finally {
+    if (asked.value === request) asked.value = null;
+  }
+}
+
+async function make(): Promise<void> {
+  const sent = draft.value;
+  const up = axisName(state.value?.asset.up);
+  const operation: LightOptions = { kind: "light", ...optionsOf(sent), ...(up && up !== "-y" && { up }) };
+  making.value = true;
+  const fields = { operation, name: "Light", opacity: sent.mix, asset: chosenAsset.value?.id ?? null };
+  const answer = await run("layer.add", fields, "Light").finally(() => (making.value = false));
+  const newest = draft.value;
+  draft.value = NO_LIGHT;
+  if (!answer) return;
+  settingsOf.set(answer.layer.id, newest);
+  selectedLayer.value = answer.layer.id;
+  endGesture();
+  if (newest !== sent) await changeLights(newest);
+}
+
+/** Without any light there is no layer; what else was set is there for the next one. */
+async function remove(layer: LayerInfo, lights: LightSettings): Promise<void> {
+  draft.value = lights;
+  endGesture();
+  await run("layer.delete", { layer: layer.id }, `Deleting ${layer.name}`);
+}
+
+/** Before and after. */
+export const toggleLight = (layer: LayerInfo): Promise<unknown> =>
+  setLayer(layer.id, { visible: !layer.visible }, `${layer.visible ? "Hiding" : "Showing"} ${layer.name}`);
+
+/** Leave the chosen one: the next light is a layer of its own. */
+export function anotherLight(): void {
+  endGesture();
+  draft.value = NO_LIGHT;
+  selectedLayer.value = null;
+}
