@@ -176,7 +176,7 @@ class ProjectTarget(Target):
         actions: list[Callable[[], Any]] = [
             session.undo,
             session.redo,
-            session.bookmarks,
+            lambda: list(session.bookmarks),
             session.layers.conflicts,
             session.files.receipt,
             session.layers.coverage,
