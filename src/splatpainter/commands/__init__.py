@@ -62,6 +62,7 @@ class Outcome:
 
     def as_json(self) -> Outcome:
         """The outcome, its lines replaced by the record as JSON."""
+        # Imported here: only --json needs it, and --help must stay quick.
         from splatpainter.commands.parts.terminal import to_json
 
         return Outcome(self.record, [to_json(self.record)], self.code)

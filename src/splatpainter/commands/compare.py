@@ -100,17 +100,20 @@ class Likeness:
 
 def run(config: Config) -> Outcome:
     """Render, measure, save."""
+    # All that can be refused is refused before two assets are read.
     _check(config)
     given = given_cameras(config.camera, config.size, config.first)
     for camera in given:
         if min(camera.width, camera.height) < MIN_SIDE_PX:
             raise ValueError(f"splatpainter compare: expected views of {MIN_SIDE_PX} pixels or more a side")
+    # Names come before the work, so that a file that is there is refused before anything is rendered.
     total = len(given) or config.views
     names = [f"view_{k:03d}.png" for k in range(total)]
     check_folder(config.out)
     if config.out.is_dir():
         for name in (*names, "sheet.png", "compare.json"):
             check_target(config.out / name, config.overwrite, untouchable=[config.first, config.second])
+    # The cameras are placed around the first asset, and both are seen by the same ones.
     first, second = read(config.first), read(config.second)
     cameras = given or orbit_cameras(
         first,
@@ -121,12 +124,15 @@ def run(config: Config) -> Outcome:
         fov=config.fov,
         background=color(config.background or BACKGROUND, first),
     )
+    # A background that is asked for holds against what cameras carry.
     if given and config.background is not None:
         cameras = [replace(camera, background=color(config.background, first)) for camera in cameras]
     make_folder(config.out)
     results, thumbs = _compared(config, first, second, cameras, names)
+    # By the views' own decibels: the sheet has room for few, and the worst are those to look at.
     worst = sorted(range(total), key=lambda k: results[k].psnr)
     _save_sheet(config, results, names, thumbs, sorted(worst[:MAX_SHEET_VIEWS]))
+    # Errors are pooled before decibels: a mean of decibels would let one good view hide a bad one.
     pooled = _pooled([one.psnr for one in results])
     summary = {
         "psnr": pooled,
@@ -134,6 +140,7 @@ def run(config: Config) -> Outcome:
         "worst_view": names[worst[0]],
         "identical": all(one.differing == 0 and one.largest_difference == 0 for one in results),
     }
+    # Hashes say which bytes were compared, for names of files may be given to others later.
     record = {
         "a": {"file": config.first, "sha256": first.sha256, "rows": len(first)},
         "b": {"file": config.second, "sha256": second.sha256, "rows": len(second)},
@@ -146,11 +153,13 @@ def run(config: Config) -> Outcome:
             for name, camera, one in zip(names, cameras, results, strict=True)
         ],
     }
+    # Written last, when every picture that it names is there.
     write_text(config.out / "compare.json", to_json(record) + "\n")
     lines = [f"{name}  {_words(one)}" for name, one in zip(names, results, strict=True)]
     lines += [
         f"all {count(total, 'view')}: {decibels(pooled)}, SSIM {summary['ssim']:.4f}, worst {names[worst[0]]}",
         f"pictures, sheet.png and compare.json in {config.out}",
+        # Axes are named where they are news, for the two assets may lie differently.
         *frame_news(first, str(config.first)),
         *frame_news(second, str(config.second)),
     ]
@@ -163,19 +172,24 @@ def _compared(
     """(likeness per view, the three pictures per view shrunk for the sheet); saves a picture of each view."""
     from splatpainter.contact_sheet import Strip, sheet, write_sheet
 
+    # Pictures are saved as they are made; of each only a small copy stays in memory, for the sheet.
     results, thumbs = [], []
     for camera, name in progress(zip(cameras, names, strict=True), len(names), "comparing"):
+        # One background on the display, whatever the space of each asset's colours, or it would count as a difference.
         behind = to_display(np.array(camera.background), first.color_space)
         pictures, covered = [], np.zeros((camera.height, camera.width), bool)
         for splats in (first, second):
             same = replace(camera, background=tuple(from_display(behind, splats.color_space).tolist()))
             drawn = render(splats, same, profile=config.profile)
             pictures.append(np.clip(to_display(drawn.colors[0], splats.color_space), 0, 1))
+            # What either asset covers: the background is the same in both and would flatter the figures.
             covered |= drawn.alphas[0, ..., 0] >= COVERED
         likeness = _likeness(pictures[0], pictures[1], covered)
+        # Small differences are made visible; the factor stands in the caption.
         pictures.append(np.clip(config.amplify * np.abs(pictures[0] - pictures[1]), 0, 1))
         labels = _labels(config)
         strip = Strip(f"{name}  {_words(likeness)}", tuple(zip(labels, pictures, strict=True)))
+        # Pictures that are smaller than their captions are enlarged.
         write_sheet(config.out / name, sheet([strip], max(camera.width, camera.height, MIN_CELL_PX)))
         results.append(likeness)
         thumbs.append([_thumb(picture) for picture in pictures])
@@ -193,8 +207,10 @@ def _save_sheet(
 
     labels = _labels(config)
     strips = [Strip(f"{names[k]}  {_words(results[k])}", tuple(zip(labels, thumbs[k], strict=True))) for k in chosen]
+    # The same pooling as in compare.json, so that title and file agree.
     all_in = _pooled([one.psnr for one in results])
     title = f"{config.first.name} and {config.second.name}: {decibels(all_in)} over {count(len(names), 'view')}"
+    # A sheet of some views says so, or it would be taken for all.
     if len(chosen) < len(names):
         title += f", the {len(chosen)} worst"
     write_sheet(config.out / "sheet.png", sheet(strips, SHEET_CELL_PX, title))
@@ -207,10 +223,12 @@ def _labels(config: Config) -> tuple[str, str, str]:
 def _likeness(a: np.ndarray, b: np.ndarray, covered: np.ndarray) -> Likeness:
     from splatpainter.metrics import LpipsUnavailable, lpips, psnr, ssim
 
+    # Weights of LPIPS may be missing, and tiny pictures have none; the other figures are worth having alone.
     try:
         distance = lpips(a, b) if min(a.shape[:2]) >= 32 else None
     except LpipsUnavailable:
         distance = None
+    # The largest channel: a pixel that differs in one only is another colour.
     difference = np.abs(a - b).max(-1)
     inside = psnr(a, b, covered) if covered.any() else None
     differing = float((difference > 0.5 / 255).mean())
@@ -225,6 +243,7 @@ def _words(one: Likeness) -> str:
 
 def _pooled(values: Sequence[float]) -> float:
     """Decibels of the mean squared error of several pictures."""
+    # Identical pictures have infinite decibels and no error.
     error = sum(0.0 if math.isinf(value) else 10 ** (-value / 10) for value in values) / len(values)
     return math.inf if error == 0 else -10 * math.log10(error)
 
@@ -232,12 +251,14 @@ def _pooled(values: Sequence[float]) -> float:
 def _thumb(picture: np.ndarray) -> np.ndarray:
     from PIL import Image
 
+    # Shrunk at once: whole pictures of many views would fill the memory.
     image = Image.fromarray(to_uint8(picture))
     image.thumbnail((SHEET_CELL_PX, SHEET_CELL_PX), Image.Resampling.LANCZOS)
     return np.asarray(image)
 
 
 def _check(config: Config) -> None:
+    # Bounds of the options in one table, so that each refusal reads alike.
     size = 512 if config.size is None else config.size
     values = {
         "--views": (config.views, 1, MAX_VIEWS),

@@ -91,33 +91,42 @@ class Config:
 
 def run(config: Config) -> Outcome:
     """Read, write, and read again to see what arrived."""
+    # A page is written by another way and cannot be read back, so nothing below holds for it.
     options = write_options(config)
     if config.out.suffix.lower() == HTML:
         return _page(config, options)
+    # Options that the format cannot have are refused before the asset is read.
     entry = splat_format(config.out)
     options.check(entry.write_options, str(config.out))
     if config.turning:
         raise ValueError(f"{config.out}: --turning is for OUT.html")
+    # Further columns are a matter of PLY files; other formats have no place for them.
     columns = [name for name in ("normals", "thickness", "occlusion") if getattr(config, name)]
     if columns and entry.key != "ply":
         raise ValueError(f"{config.out}: --{columns[0]} is for OUT.ply")
     check_target(config.out, config.overwrite, [config.asset])
+    # Written aside and read again before it has its name: what is lost is measured and not guessed.
     with stages(3) as bar:
         bar.enter("reading")
         before = read(config.asset, frame=config.frame, lenient=config.lenient)
         before_size = file_size(config.asset)
+        # Until the block ends the file has no name, so a failure leaves nothing behind.
         with placed(config.out) as partial:
             bar.enter("writing")
             chosen = chosen_rows(before, config)
             write(partial, chosen, frame=config.axes, options=options)
             bar.enter("checking")
+            # Read with the axes that it was written with, or the comparison would find everything turned.
             taken = frame_of_target(before, entry.key, config.axes)
+            # They describe the surface of what was written, so they come after the rows and their order.
             if columns:
                 written = read(partial, frame=taken, lenient=True, offset=before.offset).source
                 assert written is not None
                 add_columns(partial, surface_columns(chosen, columns, AXES[written.frame]))
             after = read(partial, frame=taken, lenient=True, offset=before.offset)
+            # Against what was asked for: bands of SH that were left out on purpose are listed by the options.
             measured = measure(options.applied(chosen), after)
+    # Said after the work: an odd asset is converted all the same.
     doubtful = warn_of_doubts(before, config.asset)
     assert before.source is not None and after.source is not None
     record = {
@@ -136,10 +145,12 @@ def run(config: Config) -> Outcome:
             "sha256": after.sha256,
             "frame": after.source.frame,
         },
+        # First what was measured, then what the options left out.
         "lost": losses(before, after, measured, config.sort) + replace(options, **SEEN_IN_THE_FILE).lines(before),
         "losses": measured.record(),
         "doubts": doubtful,
     }
+    # Most files lie as their format usually does; only what is unusual is worth a line.
     show_frame = frame_is_news(before.source) or frame_is_news(after.source)
     lines = [
         f"{config.asset} -> {config.out}",
@@ -165,19 +176,24 @@ def write_options(config: Config) -> WriteOptions:
 
 def chosen_rows(splats: Splats, config: Config) -> Splats:
     """The rows that are written, in their order in OUT. Raises ValueError where all are hidden."""
+    # Too faint to be drawn by any renderer; without them the file shows the same.
     visible = splats.opacities >= MIN_DRAWN_OPACITY
     if config.remove_hidden and not visible.all():
+        # A file of no Gaussians would be the likely sign of a wrong option.
         if not visible.any():
             raise ValueError(f"{config.asset}: all of its Gaussians are hidden, nothing is left to write")
         splats = splats.take(visible)
+    # Nearby rows together: several formats code neighbours by their differences.
     return splats.take(morton_order(splats.means)) if config.sort else splats
 
 
 def surface_columns(splats: Splats, names: list[str], signs: tuple[int, int, int]) -> dict[str, np.ndarray]:
     """Columns of a PLY: normals (nx, ny, nz, in the axes of the file: `signs`), thickness, occlusion."""
+    # One surface for all columns; shadows take the longest and are left out where nobody asks.
     surface = lit_surface(splats, shadows="occlusion" in names)
     out: dict[str, np.ndarray] = {}
     if "normals" in names:
+        # Directions turn with the axes of the file, lengths do not.
         out |= {f"n{axis}": surface.facing.normals[:, k] * np.float32(signs[k]) for k, axis in enumerate("xyz")}
     if "thickness" in names:
         out["thickness"] = thickness(splats, surface.facing.normals)
@@ -188,15 +204,18 @@ def surface_columns(splats: Splats, names: list[str], signs: tuple[int, int, int
 
 def _page(config: Config, options: WriteOptions) -> Outcome:
     """A page that shows the asset; nothing can be read back from it."""
+    # Imported here: converting from file to file needs nothing of the studio's.
     from splatpainter.server.html_viewer import HTML_OPTIONS, html_viewer
 
     options.check(HTML_OPTIONS, str(config.out))
+    # A page shows the asset; which way its numbers point is not to be seen in it.
     if config.axes != "auto":
         raise ValueError(f"{config.out}: a page has no axes of its own; leave out --axes")
     check_target(config.out, config.overwrite, [config.asset])
     with stages(2) as bar:
         bar.enter("reading")
         asset = read(config.asset, frame=config.frame, lenient=config.lenient)
+        # Rows and bands are chosen first, for every byte of a page is loaded before it shows anything.
         splats = options.applied(chosen_rows(asset, config))
         bar.enter("writing")
         (camera,) = orbit_cameras(splats, 1, size=800, background=PAGE_BACKGROUND)
@@ -215,10 +234,13 @@ def losses(before: Splats, after: Splats, measured: Losses, in_other_order: bool
     assert before.source is not None and after.source is not None
     key = after.source.format
     lines = [loss_line(before, key, measured)] if measured.line else []
+    # Positions are coded in blocks of neighbours there, so the order of rows decides how fine they are.
     if key == "compressed.ply" and measured.severity >= 1 and measured.moved_share and not in_other_order:
         in_order, _ = measured_as(before.take(morton_order(before.means)), key)
+        # Only where sorting would help much is it worth a word.
         if in_order.moved_share * 2 < measured.moved_share:
             lines[0] += f" (with --sort {100 * in_order.moved_share:.2g} % move by more than one size)"
+    # From here on what was lost is a matter of fact and needs no measure.
     if in_other_order:
         lines.append("the order of the rows")
     if len(after) != len(before):
@@ -229,6 +251,7 @@ def losses(before: Splats, after: Splats, measured: Losses, in_other_order: bool
         lines.append("the mark that says: trained antialiased")
     if before.color_space != after.color_space:
         lines.append(f"colour space {before.color_space} became {after.color_space}")
+    # Only those that became transparent by writing: others were so before.
     hidden = int((~before.drawable).sum()) - int((~after.drawable).sum())
     if hidden > 0:
         lines.append(f"{count(hidden, 'Gaussian')} with NaN or zero scale became transparent")

@@ -49,30 +49,38 @@ class Config:
 
 def run(config: Config) -> Outcome:
     """Make, render, paint, edit, look."""
+    # Imported here, as torch is: --help must stay quick.
     from splatpainter.demo_asset import BACKGROUND, demo_asset
     from splatpainter.io.axes import flip
 
+    # The size decides how long all of it takes; a mistake is refused before anything is made.
     if not 64 <= config.size <= 2048:
         raise ValueError(f"splatpainter demo: expected --size from 64 to 2048, got {config.size}")
     check_folder(config.out)
     make_folder(config.out)
     out, clock = config.out, _Steps()
+    # Each step is timed apart, for the demo is also what people judge the speed by.
     with stages(6) as bar:
         bar.enter("asset")
+        # As files of captures lie: the demo takes the way that the user's own files take.
         asset = clock.timed("unpack the asset", lambda: flip(demo_asset(), HALF_TURN))
         clock.timed("write it", lambda: write(out / "asset.ply", asset, overwrite=True))
         splats = read(out / "asset.ply")
+        # The picture knows its asset by hash, so that `edit` can find it.
         hero = replace(view(0, 0, config.size, BACKGROUND), asset_sha256=splats.sha256)
         before = clock.timed("render a view", lambda: _shot(splats, hero))
         save_picture(out / "before.png", before, hero)
         bar.enter("paint")
+        # Painted in 2D alone: nothing here knows of Gaussians.
         edited = clock.timed("paint on the picture (2D)", lambda: painted(before, hero))
         save_picture(out / "edited.png", edited, hero)
         bar.enter("edit")
+        # By the command itself, with its checks and receipt, and not by a way of the demo's own.
         local = _edit(out / "asset.ply", out / "edited.png", out / "painted.ply", "local")
         clock.add("local edit", local)
         after = read(out / "painted.ply")
         bar.enter("regrade")
+        # Seen from the sides that the picture did not show: that is where an edit proves itself.
         renders = {
             "after": _shot(after, hero),
             "after_left": _shot(after, view(-38, 2, config.size, BACKGROUND)),
@@ -80,16 +88,19 @@ def run(config: Config) -> Outcome:
         }
         for name, pixels in renders.items():
             save_picture(out / f"{name}.png", pixels)
+        # The second edit goes on from the first one's file, as a person would.
         regraded = evening(renders["after"])
         save_picture(out / "regraded.png", regraded, replace(hero, asset_sha256=after.sha256))
         global_edit = _edit(out / "painted.ply", out / "regraded.png", out / "evening.ply", "global")
         clock.add("global edit", global_edit)
         last = read(out / "evening.ply")
         bar.enter("overview")
+        # From another side and in another light: the whole asset took the regrade.
         renders["evening"] = _shot(last, view(-62, 4, config.size, DUSK, 1.1))
         save_picture(out / "evening.png", renders["evening"])
         save_picture(out / "overview.png", overview(_panels(before, edited, regraded, renders, local["receipt"])))
         bar.enter("turntable")
+        # Half the size: a turn has many views, and the file should stay small.
         frames = [_shot(last, view(360 * k / FRAMES, 4, config.size // 2, DUSK)) for k in range(FRAMES)]
         film, ending = clock.timed(f"turntable, {FRAMES} views", lambda: animation(frames))
         with files.writing(out / f"turntable{ending}") as file:
@@ -106,9 +117,11 @@ def view(
     `elevation` degrees around its target, at `back` times the distance."""
     from splatpainter.demo_asset import HERO_EYE, HERO_FOV, HERO_TARGET
 
+    # The file's axes are turned, so the recommended camera is turned with them.
     eye, target = np.array(HERO_EYE) * HALF_TURN, np.array(HERO_TARGET) * HALF_TURN
     x, y, z = eye - target
     far = float(np.hypot(np.hypot(x, y), z))
+    # Moved by angles about the target, so that the asset stays in the middle.
     side = np.arctan2(x, z) - np.radians(azimuth)  # y points down, so right is towards -x
     rise = np.arcsin(-y / far) + np.radians(elevation)
     moved = back * far * np.array([np.sin(side) * np.cos(rise), -np.sin(rise), np.cos(side) * np.cos(rise)])
@@ -128,6 +141,7 @@ def _edit(asset: Path, picture: Path, out: Path, mode: Any) -> dict[str, Any]:
 def _panels(
     before: np.ndarray, edited: np.ndarray, regraded: np.ndarray, renders: dict[str, np.ndarray], receipt: dict
 ) -> list[Panel]:
+    # Figures come from the receipt and not from the demo: they are what was proved.
     total, touched, added = receipt["asset"]["rows"], receipt["touched_rows"], receipt["appended_rows"]
     spent = receipt["seconds"]["prepare"] + receipt["seconds"]["lift"]
     return [
@@ -174,6 +188,7 @@ class _Steps:
         lines = [
             f"{'':<26}{'seconds':>8}  {'edited part':>20}  {'elsewhere':>9}  {'changed':>8}  {'added':>8}  {'same':>8}"
         ]
+        # Steps that are edits have their figures; the others only took time.
         for step in self.steps:
             line = f"{step['what']:<26}{step['seconds']:>8.2f}"
             if "same_rows" in step:

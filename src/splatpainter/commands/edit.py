@@ -75,20 +75,25 @@ class Segment:
 
 def dispatch(words: Sequence[str]) -> Outcome:
     """Run a command line. Raises ValueError, SystemExit as `option_parsing.parse`."""
+    # Help of an operation by its name, wherever the name stands.
     helped = {"--help", "-h"} & {*words}
     if helped and words[0] in KINDS:
         parse(operation_class(words[0]), f"{PROGRAM} {words[0]}", ["--help"])
+    # Words are split before anything is parsed, for each operation has options of its own.
     of_files, segments = split_words(words)
     named = [segment for segment in segments if segment.is_named]
     if helped and named:
         parse(operation_class(named[-1].kind), named[-1].program, ["--help"])
+    # With a name the list is meant; each part is parsed by its operation's fields.
     if named:
         config = parse(Arguments, PROGRAM, of_files)
         classes = [operation_class(segment.kind) for segment in segments]
         pairs = zip(classes, segments, strict=True)
         operations = [operation_from(parse(kind, segment.program, segment.words), kind) for kind, segment in pairs]
+        # Errors name the part of the line that they are about, in the words of the command line.
         wordings = [spoken(kind, f"{segment.program}: ") for kind, segment in zip(classes, segments, strict=True)]
     elif is_shorthand(words, [option_name(field) for field in dataclasses.fields(Config)]):
+        # Without a name, but with options that paint does not have: the older spelling.
         from splatpainter.commands.parts.edit_shorthand import (
             parse_shorthand,  # which loads what sources and decals need
         )
@@ -96,6 +101,7 @@ def dispatch(words: Sequence[str]) -> Outcome:
         config, operation, wording = parse_shorthand(words, PROGRAM, EditArguments, AssetArguments)
         operations, wordings = [operation], [wording]
     else:
+        # Pictures alone are painted, and then all options are on one help page.
         config = parse(Config, PROGRAM, words)
         operations, wordings = [operation_from(config, Paint)], [spoken(Paint, f"{PROGRAM}: ")]
     outcome = _ran(config, operations, wordings)
@@ -104,6 +110,7 @@ def dispatch(words: Sequence[str]) -> Outcome:
 
 def is_shorthand(words: Sequence[str], names: Sequence[str]) -> bool:
     """Whether a command line has options besides these (without dashes), --help and the old name of --axes."""
+    # Options that paint has itself say nothing about the spelling; --help shows the present one.
     options = {word.split("=", 1)[0].replace("_", "-") for word in words if word.startswith("--") and len(word) > 2}
     plain = {f"--{dash}{name}" for name in names for dash in ("", "no-")} | {"--help", OLD_AXES_OPTION}
     return "--help" not in options and "-h" not in words and not options <= plain
@@ -115,6 +122,7 @@ def run(config: Config) -> Outcome:
 
 
 def _ran(config: Any, operations: Sequence[Operation], wordings: Sequence[Wording]) -> Outcome:
+    # By identity: two operations of a list may be equal and stand in different places.
     by_id = {id(operation): wording for operation, wording in zip(operations, wordings, strict=True)}
     act = plan_operations if config.dry_run else run_operations
     return act(config, operations, lambda operation: by_id[id(operation)])
@@ -123,11 +131,13 @@ def _ran(config: Any, operations: Sequence[Operation], wordings: Sequence[Wordin
 def split_words(words: Sequence[str]) -> tuple[list[str], list[Segment]]:
     """(the words of the file's options and of ASSET, the operations' words in order). The word right behind an option
     that takes a value is its value, whatever it is called."""
+    # Options of the file may stand anywhere, so they are known by name before the rest is dealt out.
     flags, valued = _options_of(Arguments)
     of_files: list[str] = []
     segments: list[tuple[str, list[str], bool]] = []
     leading: list[str] = []
     current, has_asset, value_of = leading, False, None
+    # One word after the other with a note of whose value comes next, so that a value may look like a name.
     for word in words:
         option = word.split("=", 1)[0].replace("_", "-") if word.startswith("--") else ""
         if value_of is not None and not option:
@@ -137,11 +147,13 @@ def split_words(words: Sequence[str]) -> tuple[list[str], list[Segment]]:
             of_files.append(word)
             value_of = of_files if option in valued and "=" not in word else None
         elif option:
+            # Options belong to the operation before them, or to paint at the beginning.
             current.append(word)
             kind = segments[-1][0] if segments else "paint"
             is_flag = option in _options_of(operation_class(kind))[0]
             value_of = None if is_flag or "=" in word else current
         elif not has_asset:
+            # The first free word is the asset, and only after it may an operation's name come.
             of_files.append(word)
             has_asset = True
         elif is_kind(word):
@@ -156,6 +168,7 @@ def split_words(words: Sequence[str]) -> tuple[list[str], list[Segment]]:
 
 def is_kind(word: str) -> bool:
     """Whether a word names an operation. Those of other distributions are looked for only where it may be one."""
+    # Entry points cost a look at all that is installed, so only likely words pay for it.
     return word in KINDS or (word.isidentifier() and word in kinds())
 
 

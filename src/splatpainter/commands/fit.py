@@ -90,21 +90,27 @@ def run(config: Config) -> Outcome:
     """Make the pictures, optimise, write, and judge."""
     from splatpainter.commands.parts.fit_sources import FitPictureSettings, fit_pictures
 
+    # Options and the name of OUT first: fitting takes minutes, and a mistake should cost none of them.
     _check(config)
     entry = splat_format(config.out)
     check_target(config.out, config.overwrite, [config.source])
     clock = time.perf_counter()
     settings = FitPictureSettings(**{field.name: getattr(config, field.name) for field in fields(FitPictureSettings)})
+    # The pictures may be rendered, read, or taken from a mesh; from here on all are alike.
     pictures = fit_pictures(config.source, settings)
     for note in pictures.notes:
         warn(note)
+    # Making pictures and fitting are timed apart: either may be what takes long.
     start, prepared = pictures.start, time.perf_counter() - clock
     fitted = _fitted(config, pictures)
     fitting = time.perf_counter() - clock - prepared
+    # Under its name only once it is whole.
     with placed(config.out) as partial:
         from splatpainter.io import write
 
+        # The fit was made near the origin; the offset puts it back where the pictures' world is.
         write(partial, replace(fitted, offset=pictures.offset))
+    # Training views show whether it converged, held-out ones whether that is worth anything.
     training = _psnr(fitted, list(zip(pictures.cameras, pictures.colors, strict=True)))
     held_out = _psnr(fitted, pictures.held_out) if pictures.held_out else None
     timings = {"pictures": prepared, "fit": fitting}
@@ -139,6 +145,7 @@ def _fitted(config: Config, pictures: FitPictures) -> Splats:
 
     from splatpainter.fit.optimize import FitOptions, TrainingView, optimize
 
+    # Densification is what makes the number of Gaussians unforeseen, so it can be left out.
     options = FitOptions(
         steps=config.steps,
         densify=not config.fixed,
@@ -147,6 +154,7 @@ def _fitted(config: Config, pictures: FitPictures) -> Splats:
         device=config.device,
     )
     views = [TrainingView(camera, color) for camera, color in zip(pictures.cameras, pictures.colors, strict=True)]
+    # The bar appears only where a person looks and after some seconds.
     with tqdm(
         total=config.steps, desc="fitting", delay=BAR_DELAY_SECONDS, leave=False, file=sys.stderr, disable=not watched()
     ) as bar:
@@ -164,6 +172,7 @@ def _psnr(splats: Splats, pictures: list[Any]) -> float:
 
 
 def _check(config: Config) -> None:
+    # All bounds in one table; each refusal names the option as it is typed.
     for name, (low, high) in LIMITS.items():
         value = getattr(config, name)
         if not low <= value <= high:
@@ -173,8 +182,10 @@ def _check(config: Config) -> None:
         raise ValueError(
             f"splatpainter fit: expected --size from {MIN_PICTURE_PX} to {MAX_PICTURE_PX}, got {config.size}"
         )
+    # Fewer at most than at the start could not be.
     if config.most_rows < config.rows:
         raise ValueError(f"splatpainter fit: expected --most-rows of at least --rows, {config.rows:,}")
+    # A missing GPU is told before pictures are made.
     if config.device == "cuda":
         from splatpainter.rendering.cuda import require
 

@@ -45,11 +45,14 @@ class Config:
 def run(config: Config) -> Outcome:
     """Read the file and describe it."""
     with stages(1) as bar:
+        # One stage: reading is all that takes long, and the bar shows that something is going on.
         bar.enter("reading")
         splats = read(config.asset, frame=config.frame, lenient=config.lenient)
         record = describe(splats, config.asset)
+        # A trainer's folder holds more than one asset, and perhaps cameras beside it.
         if config.asset.is_dir():
             record |= describe_folder(config.asset)
+        # Written in every format, aside, so only where it is asked for.
         if config.losses:
             record["losses"] = losses_by_format(splats)
     return Outcome(record, _lines(record))
@@ -59,12 +62,15 @@ def describe(splats: Splats, path: Path) -> dict:
     """The record of `info`: bounds are [2, 3] (min, max) of finite centres; null where there are none."""
     assert splats.source is not None
     entry = FORMATS[splats.source.format]
+    # What edits would lose by rounding matters only in formats that are lossy and can be written.
     edits = loss_of_edits(splats) if entry.lossy and entry.write is not None else Losses()
+    # Damaged Gaussians are counted and left out of the bounds, which they would make infinite.
     with np.errstate(all="ignore"):  # of extreme or damaged Gaussians, which are counted below
         drawable = splats.drawable
         finite = splats.world_means[np.isfinite(splats.means).all(1)]
         center, radius = bounding_sphere(splats)
         center = center + np.array(splats.offset)
+    # The record first and the lines from it, so that --json and text cannot disagree.
     return {
         "file": path,
         "bytes": file_size(path),
@@ -95,6 +101,7 @@ def describe(splats: Splats, path: Path) -> dict:
 
 def losses_by_format(splats: Splats) -> dict[str, dict]:
     """Name ending -> what a new file of that format has and lacks of these Gaussians, by writing it aside."""
+    # Measured by writing and not by rules: each format loses something else.
     out = {}
     for entry in FORMATS.values():
         if entry.write is None:
@@ -103,6 +110,7 @@ def losses_by_format(splats: Splats) -> dict[str, dict]:
             losses, written = measured_as(splats, entry.key)
             out[entry.suffixes[0]] = {**losses.record(), "line": losses.line, "bytes": written, "refused": ""}
         except ValueError as error:
+            # A format that cannot hold the asset is an answer too.
             reason = str(error).partition(": ")[2]
             out[entry.suffixes[0]] = {"line": "", "bytes": 0, "refused": f"cannot hold it: {reason}"}
     return out
@@ -110,6 +118,7 @@ def losses_by_format(splats: Splats) -> dict[str, dict]:
 
 def describe_folder(folder: Path) -> dict:
     """What `info` says besides of a trainer's folder: its iterations, and the cameras beside them."""
+    # What is beside the asset is told, and no reason to refuse it.
     record: dict = {"asset_file": asset_file(folder), "iterations": list(iterations(folder)), "capture": None}
     try:
         if is_capture(folder):
@@ -123,6 +132,7 @@ def describe_folder(folder: Path) -> dict:
 
 def file_size(path: Path) -> int:
     """Bytes of a file, or of the files in a folder (of a SOG asset, by its folder or its meta.json)."""
+    # SOG assets are folders of several files, by whichever of their names they are given.
     path = asset_file(path)
     folder = path.parent if path.name.lower() == META else path
     if folder.is_dir():
@@ -133,6 +143,7 @@ def file_size(path: Path) -> int:
 def _lines(record: dict) -> list[str]:
     bounds, around = record["bounds"], record["reach"]
     reach = around["radius"] if around else 0.0
+    # Words for what is not there, so that every asset has the same lines.
     nowhere, unseen = "no Gaussian has a finite centre", "none can be drawn"
     gaussians = count(record["rows"], "Gaussian")
     if record["rows_not_drawn"]:
@@ -151,10 +162,12 @@ def _lines(record: dict) -> list[str]:
         "kept": record["exact"],
         "lost": f"of edited Gaussians, by rounding: {record['lossy']}" if record["lossy"] else "",
     }
+    # Lines without a text are left out: they would say that nothing is to be said.
     lines = [f"{name:<10} {text}" for name, text in fields.items() if text]
     lines += _folder_lines(record) if "capture" in record else []
     lines += [f"{'problem':<10} {problem}" for problem in record["problems"]]
     lines += [f"{'doubt':<10} {doubt}" for doubt in record["doubts"]]
+    # What a format refuses is listed beside what it would lose: both decide which one to take.
     for ending, entry in record.get("losses", {}).items():
         what = entry["refused"] or f"{size(entry['bytes'])}; lost: {entry['line'] or 'nothing'}"
         lines.append(f"{'as ' + ending:<18} {what}")
@@ -163,10 +176,12 @@ def _lines(record: dict) -> list[str]:
 
 def _positions(record: dict) -> str:
     """What float32 makes of positions so far from 0; "" where it holds them."""
+    # Only where float32 is too coarse for this asset: elsewhere the line would alarm for nothing.
     step = record["float32_step_in_sizes"]
     if step <= MAX_STEP:
         return ""
     coarse = f"float32 at this place has steps of {step:.2g} sizes of a Gaussian"
+    # Without an offset the file has no finer positions either; converting would not help.
     if not any(record["offset"]):
         return f"{coarse}, and this file has no finer positions"
     offset = ", ".join(f"{value:.15g}" for value in record["offset"])
@@ -178,6 +193,7 @@ def _folder_lines(record: dict) -> list[str]:
     which = f"{record['asset_file'].name}, of iteration {steps[-1]:,}" if steps else record["asset_file"].name
     earlier = f" (also there: {', '.join(f'{step:,}' for step in steps[:-1])})" if steps[:-1] else ""
     lines = [f"{'opened':<10} {which}{earlier}"]
+    # Cameras that cannot be read do not matter to the asset, and are told so.
     capture = record["capture"] or {}
     if "problem" in capture:
         return [*lines, f"{'cameras':<10} cannot be read: {capture['problem']}"]
@@ -189,6 +205,7 @@ def _folder_lines(record: dict) -> list[str]:
 
 def _point(values: np.ndarray, reach: float = 0.0) -> str:
     """Three digits, or as many as tell points of an asset apart that is `reach` large."""
+    # Far from the origin three digits are the same for all of the asset.
     if reach > 0 and np.abs(values).max() > 100 * reach:
         decimals = max(0, 2 - math.floor(math.log10(reach)))
         return "(" + ", ".join(f"{value:.{min(decimals, 12)}f}" for value in values) + ")"

@@ -62,28 +62,33 @@ class Config:
 
 def run(config: Config) -> Outcome:
     """Read, place, write, and prove every range."""
+    # Names are checked before any file is read: OUT and the receipt must not replace what they are about.
     receipt_path = config.receipt or receipt_of(config.out)
     splat_format(config.out)
     check_target(config.out, config.overwrite, untouchable=config.assets)
     check_target(receipt_path, config.overwrite, untouchable=config.assets)
     if config.seam_falloff and not config.match_seam:
         raise ValueError("splatpainter merge: expected --match-seam with --seam-falloff")
+    # Placements are read before the assets, for a misspelt one is found in no time.
     transforms = [Placement.parse(text) for text in config.transform] or None
     clock = time.perf_counter()
     with stages(3) as bar:
         bar.enter("reading")
         assets = [read(path, lenient=config.lenient) for path in config.assets]
         timings = {"read": time.perf_counter() - clock}
+        # Only where there is one transform for each; a wrong number of them is refused below, with its own words.
         if config.side_by_side and 2 <= len(assets) and len(transforms or assets) == len(assets):
             transforms = side_by_side(assets, transforms or [Placement()] * len(assets))
         bar.enter("placing")
         parts = parts_of(assets, transforms, config.match_seam, config.seam_falloff)
         placing = time.perf_counter()
+        # The receipt is on the disk before OUT has its name: a merged file without one could not be proved.
         with files.writing(receipt_path) as file, placed(config.out) as partial:
             bar.enter("writing")
             receipt, verification = write_merged(partial, parts)
             timings["write"] = time.perf_counter() - placing
             receipt = replace(receipt, seconds=timings)
+            # Synced, as the receipt has to survive whatever stops the machine next.
             file.write(receipt.to_json().encode())
             file.flush()
             os.fsync(file.fileno())
@@ -111,6 +116,7 @@ def part_lines(parts: Sequence[Part], verification: MergeVerification) -> list[s
     lines = []
     for part, one in zip(parts, verification.ranges, strict=True):
         seam = "" if part.seam is None else f"; colours: {part.seam.text}"
+        # How each range holds its file decides what can be proved of it.
         words = {"bytes": "every byte unchanged", "values": "converted", "transformed": part.placement.text}[one.how]
         lines.append(f"  rows {one.first:,} to {one.first + one.rows - 1:,}: {one.file}, {words}{seam}")
     return lines
@@ -118,6 +124,7 @@ def part_lines(parts: Sequence[Part], verification: MergeVerification) -> list[s
 
 def side_by_side(assets: Sequence[Splats], transforms: Sequence[Placement]) -> list[Placement]:
     """Each asset moved along x to the right of the one before it."""
+    # Along x, each by what the one before it reaches: assets keep their own height and depth.
     out = [transforms[0]]
     left = transforms[0].points(_visible(assets[0]).world_means)
     for splats, transform in zip(assets[1:], transforms[1:], strict=True):
@@ -130,4 +137,5 @@ def side_by_side(assets: Sequence[Splats], transforms: Sequence[Placement]) -> l
 
 
 def _visible(splats: Splats) -> Splats:
+    # What cannot be drawn takes no room; but an asset of nothing else still has to lie somewhere.
     return splats.take(splats.drawable) if splats.drawable.any() else splats

@@ -55,10 +55,12 @@ class Config:
 
 def run(config: Config) -> Outcome:
     """Check, read, fill, cut out, write."""
+    # Another ending would be taken for another format, and only this one is written.
     if config.out.suffix.lower() != ".glb":
         raise ValueError(f"{config.out}: expected a mesh to write (.glb), got {config.out.suffix or 'no suffix'}")
     if config.triangles < MIN_TRIANGLES:
         raise ValueError(f"splatpainter: expected --triangles of {MIN_TRIANGLES} or more, got {config.triangles}")
+    # Refused before the asset is read and meshed.
     check_target(config.out, config.overwrite, [config.asset])
     with stages(3) as bar:
         bar.enter("reading")
@@ -67,9 +69,12 @@ def run(config: Config) -> Outcome:
         bar.enter("meshing")
         mesh = proxy_mesh(splats, config.triangles)
         bar.enter("writing")
+        # The file's axes are a matter of signs; where they mirror, triangles turn over and are turned back.
         signs = np.array(AXES[config.axes], np.float32)
         triangles = mesh.triangles if signs.prod() > 0 else mesh.triangles[:, ::-1]
+        # The offset stays apart, as a translation: the vertices keep small numbers.
         x, y, z = (float(value * sign) for value, sign in zip(splats.offset, signs, strict=True))
+        # glTF wants linear colours at the vertices.
         data = mesh_glb(
             mesh.vertices * signs,
             triangles,

@@ -94,20 +94,26 @@ class Config:
 
 def run(config: Config) -> Outcome:
     """Render and save."""
+    # All that can be refused is refused before the asset is read.
     _check(config)
     options = _options(config)
     given = given_cameras(config.camera, config.size, config.asset)
     stems = [f"view_{k:03d}" for k in range(len(given) or config.views)]
+    # Files that are there may have been painted on, so none is replaced without a word.
     check_folder(config.out)
     if config.out.is_dir():
         for name in (name for stem in stems for name in options.file_names(stem)):
             check_target(config.out / name, config.overwrite)
+    # Only now: what was wrong with options and names cost nothing.
     splats = read(config.asset, frame=config.frame, lenient=config.lenient)
     cameras = given or ring_of_views(config, splats, config.views)
     if given and config.background is not None:
         cameras = [replace(camera, background=color(config.background, splats)) for camera in cameras]
+    # Each picture carries the hash of its asset, by which `edit` warns of another one.
     cameras = [replace(camera.relative_to(splats.offset), asset_sha256=splats.sha256) for camera in cameras]
+    # With the views at hand: some doubts are about a view and not about the asset.
     doubtful = warn_of_doubts(splats, config.asset, list(zip(stems, cameras, strict=True)))
+    # The folder is made last, so that a refusal leaves none behind.
     make_folder(config.out)
     for _ in progress(_save_all(splats, cameras, stems, config.out, options), len(cameras), "rendering"):
         pass
@@ -117,6 +123,7 @@ def run(config: Config) -> Outcome:
         "doubts": doubtful,
         "views": [_files(config.out, stem, camera, options) for stem, camera in zip(stems, cameras, strict=True)],
     }
+    # The first name stands for all of them.
     first = options.file_names(stems[0])
     beside = f", and {', '.join(options.aovs)} beside it" if options.aovs else ""
     lines = [f"{count(len(stems), 'picture')} in {config.out}: {first[0]} ... each with its camera inside{beside}"]
@@ -138,9 +145,11 @@ def _save_all(
     from splatpainter.surface.estimate import Surface
     from splatpainter.view_files import normals_of, view_files
 
+    # Normals and the surface are of the asset, so they are made once for all views.
     normals = normals_of(splats) if "normal" in options.aovs else None
     surface = Surface.of(splats.numpy()) if {"normal", "depth"} & {*options.aovs} else None
     for camera, stem in zip(cameras, stems, strict=True):
+        # Whole or not at all: a painting program may be looking at the folder.
         for name, data in view_files(splats, camera, stem, options, normals=normals, surface=surface).items():
             with files.writing(out / name) as file:
                 file.write(data)
@@ -151,12 +160,14 @@ def _options(config: Config) -> PictureOptions:
     from splatpainter.view_files import PictureOptions
 
     names: Any = tuple(name.strip() for name in config.aov.split(",")) if config.aov.strip() else ()
+    # Named apart from other names, since people will look for it here.
     if "coverage" in names:
         raise ValueError(
             "--aov coverage: only a session records which Gaussians its edits saw; export the view from the studio"
         )
     bits = None if config.bits is None else int(config.bits)
     options = PictureOptions(config.format, bits, config.transparent, names, config.profile)
+    # A library that is missing is told before anything is rendered.
     options.check_installed()
     return options
 

@@ -35,6 +35,7 @@ Pictures: TypeAlias = Annotated[tuple[Path, ...], arg(metavar="PICTURE ...", hel
 
 def dispatch(words: Sequence[str]) -> Outcome:
     """`source NAME ...`. Raises ValueError for another NAME."""
+    # Help by hand: two subcommands do not need a parser above theirs.
     if not words or words[0] in ("-h", "--help"):
         rows = [f"  {name:<5} {line}" for name, line in SUMMARIES.items()]
         head = ["usage: splatpainter source COMMAND ...", "", "Where edited pictures come from.", "", "commands:"]
@@ -100,8 +101,10 @@ class SourceTryConfig:
 
 def listing(config: SourceListConfig) -> Outcome:
     """All sources, or those that were named. Raises ValueError for a name that there is not."""
+    # Each source says for itself what it lacks; one that cannot be loaded does not hide the others.
     statuses = describe_sources()
     names = [status.description.name for status in statuses]
+    # A misspelt name is answered with those that there are.
     for name in config.names:
         if name not in names:
             raise ValueError(f"splatpainter source list: no source {name!r}; available: {', '.join(names)}")
@@ -113,14 +116,17 @@ def listing(config: SourceListConfig) -> Outcome:
 
 def attempt(config: SourceTryConfig) -> Outcome:
     """One picture there and back."""
+    # One picture as it came, so one format, which loses nothing of it.
     if config.out.suffix.lower() != ".png":
         raise ValueError(f"{config.out}: expected a name ending in .png")
     inputs = [config.picture, *config.reference, *([config.mask] if config.mask else [])]
     check_target(config.out, config.overwrite, [], inputs)
+    # The source first, then the picture: a missing key or library is the likelier fault.
     source = open_source(config.name, option_words(config.source_option))
     request = _request(config)
     with source_progress() as progress:
         answer = source.edit(request, progress, threading.Event())
+    # Unchanged: this command is there to see what a source does by itself.
     with writing(config.out) as file:
         file.write(encode_png(quantized(answer.image)))
     height, width = answer.image.shape[:2]
@@ -134,6 +140,7 @@ def attempt(config: SourceTryConfig) -> Outcome:
         "notes": list(answer.notes),
         "size": [width, height],
     }
+    # What a source does not say is left out and not shown as unknown.
     facts = [answer.model, f"seed {answer.seed}" if answer.seed is not None else "", answer.cost]
     summary = ", ".join(filter(None, [config.name, *facts]))
     lines = [
@@ -147,6 +154,7 @@ def attempt(config: SourceTryConfig) -> Outcome:
 @contextlib.contextmanager
 def source_progress() -> Iterator[Progress]:
     """Shows what a source reports, in one line on stderr after BAR_DELAY_SECONDS, where a person is looking."""
+    # Where nobody looks, lines of progress would only fill a log.
     if not watched():
         yield lambda share, words: None
         return
@@ -156,6 +164,7 @@ def source_progress() -> Iterator[Progress]:
     bar = tqdm(total=1.0, delay=BAR_DELAY_SECONDS, leave=False, file=sys.stderr, bar_format=form)
     lock = threading.Lock()  # services report from their thread
 
+    # Sources report from threads, at any rate and in any order.
     def report(share: float, words: str) -> None:
         with lock:
             bar.n = max(0.0, min(share, 1.0))
@@ -174,6 +183,7 @@ def _request(config: SourceTryConfig) -> PictureRequest:
     width, height = picture.size
     mask = None
     if config.mask is not None:
+        # A mask of another size is resampled, one of another shape was made for another picture.
         mask = read_mask(config.mask).astype(np.float32)
         if abs((mask.shape[1] / mask.shape[0]) / (width / height) - 1) > 0.01:
             raise ValueError(f"{config.mask}: expected the size of the picture ({width}x{height})")
@@ -181,11 +191,13 @@ def _request(config: SourceTryConfig) -> PictureRequest:
             mask = (resample(mask, width, height) > 0.25).astype(np.float32)
         if not mask.any():
             raise ValueError(f"{config.mask}: empty mask; expected some pixels that are not black")
+    # A camera is welcome and not needed here.
     camera = None
     with contextlib.suppress(ValueError):  # any picture can be tried
         camera = find_camera(config.picture)
     alpha = np.ones((height, width), np.float32) if picture.alpha is None else picture.alpha
     references = tuple(read_picture(path).colors for path in config.reference)
+    # Sources get colours over black, with the alpha beside them.
     colors = picture.colors * alpha[..., None]
     return PictureRequest(colors, alpha, mask, config.prompt, references, config.seed, config.scale, camera)
 
@@ -207,6 +219,7 @@ def _record(status: SourceStatus) -> dict[str, Any]:
             }
             for option in options_help(description)
         ],
+        # Which variables are looked at, and whether one is set; never a value.
         "keys": {"variables": list(description.keys), "set": bool(description.key_variable)},
         "distribution": status.distribution or "splatpainter",
         "ready": not status.missing,
@@ -224,6 +237,7 @@ def _lines(status: SourceStatus, full: bool) -> list[str]:
         optional = ", not needed everywhere" if description.key_optional else ""
         state = f"in {description.key_variable}" if description.key_variable else "none"
         lines.append(f"{'':<10} key: {state} ({' or '.join(description.keys)}{optional})")
+    # Options make the list long, so they are shown for those that were named.
     for option in options_help(description) if full else ():
         default = "required" if option.required else f"default {option.default}" if option.default else "default: none"
         lines.append(

@@ -44,6 +44,7 @@ class Config:
 
 def run(config: Config) -> Outcome:
     """Serve until interrupted."""
+    # The studio's libraries are an extra; without them one line says what to install.
     try:
         from splatpainter.server.launch import address, listen, make_server, open_session, warm
     except ImportError as error:
@@ -52,10 +53,12 @@ def run(config: Config) -> Outcome:
     from splatpainter.server.studio import Studio, StudioOptions
     from splatpainter.server.uploads.storage import usable_projects
 
+    # The port is taken before the asset is read: a long read for nothing would be worse.
     if config.port is not None and not 0 <= config.port <= 65535:
         raise ValueError(f"splatpainter studio: expected --port from 0 to 65535, got {config.port}")
     access = Access.of(config.host)
     bound = listen(config.host, config.port)
+    # Whatever stops it here, the port and the project must be free again.
     session = None
     try:
         projects, note = usable_projects()
@@ -70,19 +73,23 @@ def run(config: Config) -> Outcome:
             session.close()
         bound.close()
         raise
+    # The address is printed when it answers and holds the token: only whoever sees it may come in.
     url = address(access, bound)
     server = make_server(studio, access)
     warming = warm()
     lines = (f"splatpainter studio: {url}", "Every edit is saved at once; Ctrl-C ends the studio.")
     print(*lines, sep="\n", file=sys.stderr, flush=True)
+    # A moment later, when the server is listening.
     if not config.no_browser:
         import webbrowser
 
         threading.Timer(0.5, webbrowser.open, [url]).start()
+    # Ctrl-C is the usual end and no error; everything is saved already.
     try:
         server.run(sockets=[bound])
     except KeyboardInterrupt:  # uvicorn hands the signal on when all is closed
         pass
     finally:
         warming.join()
+    # Without the token: the record may end in a log.
     return Outcome({"address": url.partition("?")[0]}, ["stopped; everything is saved"])

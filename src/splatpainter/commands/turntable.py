@@ -90,22 +90,27 @@ def run(config: Config) -> Outcome:
     """Render, encode, save."""
     from splatpainter.video.turntable import turn, turntable_bytes
 
+    # Format and options first: an encoder that is missing is told before anything is rendered.
     options = _options(config)
     _check(config)
     given = None if config.camera is None else given_camera(config.camera, config.size, config.asset)
     check_target(config.out, config.overwrite, [config.asset])
+    # The camera may come from a file or from the asset's size, so the asset is read in between.
     splats = read(config.asset, frame=config.frame, lenient=config.lenient)
     first = given.relative_to(splats.offset) if given else ring_of_views(config, splats, 1)[0]
     if given and config.background is not None:
         first = replace(first, background=color(config.background, splats))
     warn_of_doubts(splats, config.asset)
+    # Turned about the centre of nearly all of it: strays would make it wobble.
     center, up = bounding_sphere(splats)[0], UPS[AUTO_UP if config.up == "auto" else config.up]
     cameras = turn(first, center, up, options.frames, config.degrees)
+    # Rendered and encoded in one go, so the bar follows frame by frame.
     with _bar(options.frames) as on_frame:
         data = turntable_bytes(splats, cameras, options, on_frame)
     with files.writing(config.out) as file:
         file.write(data)
     width, height = first.width, first.height
+    # MP4 wants even sides, so the record says what was written and not what was asked for.
     record = {
         "asset": {"file": config.asset, "sha256": splats.sha256, "rows": len(splats)},
         "output": {"file": config.out, "format": options.format, "bytes": len(data)},
@@ -121,6 +126,7 @@ def run(config: Config) -> Outcome:
 @contextmanager
 def _bar(total: int) -> Iterator[Callable[[int, int], None]]:
     """A progress bar, moved by a function of (frames done, frames in all)."""
+    # A generator as a bar: it is stepped from the encoder's callback and closed at the end.
     steps = progress(range(total), total, "turntable")
     yield lambda done, total: (next(steps, None), None)[1]
     for _ in steps:  # it closes where it ends

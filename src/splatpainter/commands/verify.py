@@ -51,6 +51,7 @@ class Config:
 
 def run(config: Config) -> Outcome:
     """Read both files and the receipt."""
+    # A merged asset has several originals, so it is proved by another way.
     if config.against:
         return _against(config)
     edited = config.edited
@@ -58,14 +59,17 @@ def run(config: Config) -> Outcome:
         raise ValueError(
             f"splatpainter verify: expected ORIGINAL and EDITED, or --against, got {config.original} alone"
         )
+    # A receipt beside the file is taken without a word: it is where every command puts it.
     path = config.receipt
     if path is None and receipt_of(edited).exists():
         path = receipt_of(edited)
     receipt = read_receipt(path) if path is not None else None
+    # From the files alone: nothing that a command remembers may enter the proof.
     with stages(1) as bar:
         bar.enter("comparing")
         verification = verify(config.original, edited, receipt, frame=config.frame, out_frame=config.axes)
     record = {"original": config.original, "edited": edited, "receipt": path, **asdict(verification)}
+    # What was compared and what was not stand beside the verdict, which means nothing without them.
     lines = [
         f"{verification.same:,} of {count(verification.rows, 'Gaussian')} {verification.how_same}; "
         f"{verification.changed:,} changed, {verification.appended:,} appended",
@@ -77,6 +81,7 @@ def run(config: Config) -> Outcome:
         *(f"wrong: {problem}" for problem in verification.problems),
         "verified" if verification.ok else "NOT verified",
     ]
+    # The exit code says it to scripts.
     return Outcome(record, lines, 0 if verification.ok else 1)
 
 
@@ -85,17 +90,20 @@ def _against(config: Config) -> Outcome:
     from splatpainter.scene.merge import verify_merge
 
     merged = config.original
+    # Axes of several files cannot be given by one option, so all must say their own.
     if config.edited is not None:
         raise ValueError(f"{config.edited}: expected one merged asset before --against, and its sources after it")
     if (config.frame, config.axes) != ("auto", "auto"):
         raise ValueError("splatpainter verify: --frame and --axes cannot be used with --against")
     path = config.receipt or receipt_of(merged)
+    # Without a receipt nobody knows which rows are whose.
     if config.receipt is None and not path.exists():
         raise ValueError(f"{merged}: no receipt {path.name} that says where its sources lie; give one with --receipt")
     receipt = read_receipt(path)
     with stages(1) as bar:
         bar.enter("comparing")
         verification = verify_merge(merged, config.against, receipt)
+    # Each range on its own line: an edit may have changed one and not the others.
     lines = [
         *(
             f"{one.file}: rows {one.first:,} to {one.first + one.rows - 1:,}: {one.same:,} of {one.rows:,} "

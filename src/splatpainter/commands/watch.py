@@ -96,8 +96,10 @@ class _Watch:
 
     def save(self, path: Path) -> None:
         """Lift a picture that was saved, or say in a line why not; the result stays as it was then."""
+        # A picture that cannot be lifted must not end the watch: it will be saved again.
         try:
             edit = self._edit(path)
+            # The result is of all pictures, so a failed one is taken back and the others stay as they were.
             edits_before = dict(self.edits)
             self.edits[path.name] = edit
             try:
@@ -112,14 +114,17 @@ class _Watch:
             return
         self.lifted += 1
         self.last_line = line
+        # With --json there is one object at the end, and no lines before it.
         if not self.config.json:
             print(line, flush=True)
 
     def _edit(self, path: Path) -> FileEdit:
+        # More pictures than an edit takes: from here on OUT is the asset to go on with.
         if path.name not in self.edits and len(self.edits) >= MAX_VIEWS:
             raise ValueError(f"{path}: more than {MAX_VIEWS} pictures; go on with OUT as the new ASSET")
         mask = path.with_name(path.stem + MASK_ENDING)
         folder = self.config.asset.parent
+        # The same way as `edit` finds cameras, masks and photographs, so that both agree.
         edit = picture_edit(
             path,
             mask=mask if mask.is_file() else None,
@@ -127,9 +132,11 @@ class _Watch:
             folders=(folder, folder / "views"),
         )
         made_for = edit.camera.asset_sha256
+        # Only a picture that names another asset is refused; one that names none may be right.
         if made_for is not None and self.splats.sha256 is not None and made_for != self.splats.sha256:
             raise ValueError(f"{path}: was rendered from another asset (sha256 {made_for[:12]}...)")
         policy = "correct" if self.config.correct else "force" if self.config.force else "refuse"
+        # Photographs are laid over their views first, for the gate compares picture and view.
         painted = laid_over(edit, self.splats, self.config.mode)
         checked = checked_picture(painted, self.splats, self.config.mode, policy)
         if checked.warning:
@@ -139,12 +146,15 @@ class _Watch:
     def _write(self) -> str:
         """All pictures onto the asset, and OUT and the receipt; a line that says so."""
         config = self.config
+        # All pictures on the first asset, and not the last one on the result: each counts as it was saved last.
         edits = [edit.edit(self.splats, config.mode) for edit in self.edits.values()]
         edited = self.painter.apply(self.asset, edits, config.mode, config.method)
         assert edited.receipt is not None
+        # File and receipt appear together: a program that follows OUT must not see one without the other.
         with files.writing(self.receipt_path) as file, placed(config.out) as partial:
             write(partial, edited.splats, frame=config.axes)
             receipt, verification = prove(self.splats, partial, edited.receipt, config.axes, edited.splats)
+            # On the disk before OUT has its name.
             file.write(receipt.to_json().encode())
             file.flush()
             os.fsync(file.fileno())
@@ -161,19 +171,25 @@ def run(config: Config) -> Outcome:
     """Watch until Ctrl-C, `once` or `timeout`. Raises ValueError: options, an asset that cannot be read, a folder that
     is gone; with a timeout also where nothing was lifted."""
     receipt_path = config.receipt or receipt_of(config.out)
+    # Options and names before weights and assets are loaded.
     _check(config, receipt_path)
     painter = Painter.load(config.preset, modes=[config.mode]).with_settings(aside=True)
+    # What is in the folder now was there before and is no edit.
     saved = SavedPictures(config.folder)
     splats = read(config.asset, frame=config.frame)
+    # Doubts of the asset are told once, and not with every picture.
     warn_of_doubts(splats, config.asset, editing=True)
     watch = _Watch(config, receipt_path, splats, painter, painter.encode(splats, config.method, [config.mode]))
+    # The asset is encoded once: every save edits it anew from there.
     until = None if config.timeout is None else time.monotonic() + config.timeout
     if not config.json:
         print(*frame_news(splats), f"watching {config.folder}; Ctrl-C ends it", sep="\n", flush=True)
     ended = "timeout"
     try:
+        # Looked at again and again: not every file system tells of changes.
         while until is None or time.monotonic() < until:
             for path in saved.take():
+                # Files that belong to a picture, and OUT itself, are no edits.
                 if any(part in path.name for part in SIDE_FILES) or _same(path, config.out):
                     continue
                 watch.save(path)
@@ -185,6 +201,7 @@ def run(config: Config) -> Outcome:
             time.sleep(LOOK_SECONDS)
     except KeyboardInterrupt:
         ended = "interrupted"
+    # A script that waits for a picture wants to know that none came.
     if ended == "timeout" and not watch.lifted:
         raise ValueError(f"splatpainter watch: no picture was lifted within {config.timeout:g} seconds")
     record = {
@@ -202,11 +219,13 @@ def run(config: Config) -> Outcome:
 def _check(config: Config, receipt_path: Path) -> None:
     if not config.folder.is_dir():
         raise ValueError(f"{config.folder}: no such folder; expected the folder to watch")
+    # Opposite ways to treat a picture that differs everywhere.
     if config.correct and config.force:
         raise ValueError("splatpainter watch: expected one of --correct and --force")
     if config.timeout is not None and not config.timeout > 0:
         raise ValueError(f"splatpainter watch: expected --timeout of more than 0 seconds, got {config.timeout:g}")
     splat_format(config.out)
+    # OUT and the receipt are written many times; what they may replace is settled once.
     check_target(config.out, config.overwrite, [], [config.asset])
     check_target(receipt_path, config.overwrite, [], [config.asset])
     if clash(receipt_path, config.out):

@@ -43,10 +43,12 @@ class LayDecal(ViewLimits):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        # A pixel in words becomes two numbers already here, so that equal operations compare equal.
         with contextlib.suppress(ValueError):  # which `check` raises again
             object.__setattr__(self, "at", self._pixel())
 
     def check(self, wording: Wording = AS_PYTHON) -> None:
+        # In this order: what is laid, who paints it, where it lies, how large it is. The first that is wrong is named.
         name = wording.option
         if self.picture is not None and self.text:
             raise wording.error(self.kind, f"expected {name('picture')} or {name('text')}, got both")
@@ -62,6 +64,7 @@ class LayDecal(ViewLimits):
             raise wording.error(self.kind, line)
         if not isinstance(self.width, str | int | float) or isinstance(self.width, bool):
             raise wording.error(self.kind, f"expected {name('width')} as a number or like 20%, got {self.width!r:.40}")
+        # Imported this late: decals load much that other operations never need.
         from splatpainter.decals.decals import parse_width
 
         parse_width(self.width)
@@ -76,22 +79,27 @@ class LayDecal(ViewLimits):
         from splatpainter.decals.decals import Decal, text_picture  # which load what only decals need
         from splatpainter.pictures.edit_files import camera_from
 
+        # `check` refused what is missing here; these lines only say so to the type checker.
         rgb = from_hex(self.color)
         assert self.camera is not None and rgb is not None
+        # A text is drawn to a picture once, so both kinds are laid by the same code from here on.
         picture = text_picture(self.text, rgb, self.font) if self.picture is None else self.picture
         name = str(self.picture) if self.picture is not None else f"decal '{self.text[:40]}'"
         camera = camera_from(self.camera, tools.asset)
         decal = Decal(picture, self._pixel(), camera, str(self.width), self.angle, self.wrap, name)
+        # Here auto is the lift: a decal is an edit of mode local by lift or fit alone (`check`).
         method: Method = "lift" if self.method == "auto" else self.method
         painter = tools.painter or self.limited(Painter.load(modes=["local"]).with_settings(aside=tools.aside))
 
         def lay(asset: Asset, report: Report) -> Asset:
+            # An asset that an operation before this one made keeps the surface that it had when it was read.
             asset = painter.encode(asset.splats, method, ["local"]) if asset.receipt is None else asset
             laid = decal.laid(asset)
             edited = painter.apply(asset, laid.edits, "local", method)
             assert edited.receipt is not None
             note = "; ".join(filter(None, [laid.note, edited.receipt.note]))
             report.views += [ReportedView(edit.name) for edit in laid.edits]
+            # The decal's own remarks stand in the receipt: how it lies is part of what was done.
             return replace(edited, receipt=replace(edited.receipt, note=note))
 
         return lay

@@ -42,10 +42,12 @@ class Fill(PictureSourceOptions):
 
     def check(self, wording: Wording = AS_PYTHON) -> None:
         name = wording.option
+        # Removing a part and filling a hole that is there are two tasks; with both it is open which is meant.
         if bool(self.where) == bool(self.around):
             given = "both" if self.where else "none"
             line = f"expected {name('where')} (what to remove) or {name('around')} (what surrounds a hole), got {given}"
             raise wording.error(self.kind, line)
+        # Options of a source without one would be silently without effect.
         self.refuse_options_without_source(wording, ("prompt", "view", "size", "seed", "options"))
 
     def viewpoints(self) -> tuple[Path, ...]:
@@ -55,6 +57,7 @@ class Fill(PictureSourceOptions):
         from splatpainter.pictures.edit_files import camera_from
         from splatpainter.source_edits.fill import fill
 
+        # Files are read and the source is opened before any asset is: what is wrong with them is known at once.
         region = Region.parse(self.where or self.around)
         source = self.opened_source(tools) if self.source else None
         camera = None if self.view is None else camera_from(self.view, tools.asset)
@@ -63,6 +66,7 @@ class Fill(PictureSourceOptions):
 
         def filled(asset: Asset, report: Report) -> Asset:
             splats = asset.splats
+            # The region is weighed on the asset as it is now: operations before this one may have moved it.
             weights = region.weights(splats)
             with tools.progress() as progress:
                 edited = fill(
@@ -78,6 +82,7 @@ class Fill(PictureSourceOptions):
                     progress=progress,
                     cancel=tools.cancel,
                 )
+            # Kept for the report: a service was paid for these, whatever becomes of the asset.
             report.answers += [answer for _, answer in getattr(source, "answers", ())]
             return replace(edited, original=None)  # its new Gaussians are surface, too
 

@@ -71,8 +71,10 @@ class Generate(PictureSourceOptions, PaintingOptions):
 
         if not self.source:
             refuse(f"expected {name('source')} NAME, the picture source that is asked")
+        # A view is named by a file or by angles; with both, one of them would be ignored.
         if self.view is not None and (self.azimuth is not None or self.elevation is not None):
             refuse(f"expected {name('view')}, or {name('azimuth')} and {name('elevation')}, got both")
+        # The plan makes a mask for each of its views, of what no earlier view showed.
         if self.mask is not None and self.views:
             refuse(f"expected no {name('mask')} with {name('views')} auto, which makes its own, got 1")
         if self.views and self.mode != "local":
@@ -80,6 +82,7 @@ class Generate(PictureSourceOptions, PaintingOptions):
             refuse(line)
         if self.max_views is not None and not (self.views and 1 <= self.max_views <= MAX_VIEWS):
             refuse(f"expected {name('max_views')} from 1 to {MAX_VIEWS}, with {name('views')} auto")
+        # Out of range is refused here, before a service is asked, and not by a renderer afterwards.
         if not 16 <= (self.size or USUAL_PX) <= MAX_SIDE_PX:
             refuse(f"expected {name('size')} from 16 to {MAX_SIDE_PX}, got {self.size}")
         if not -90 <= (self.elevation or 0) <= 90:
@@ -100,9 +103,11 @@ class Generate(PictureSourceOptions, PaintingOptions):
         from splatpainter.pictures.edit_files import camera_from
         from splatpainter.pictures.picture_reader import read_picture
 
+        # Every file is read before the source is opened: a wrong path must cost no call.
         references = tuple(read_picture(path).colors for path in self.references)
         brief = SourceBrief(self.prompt, references, self.seed, self.enlarge, self.strictness)
         camera = None if self.view is None else camera_from(self.view, tools.asset)
+        # The answer is laid over this view, so the size is settled before anything is rendered.
         if camera is not None and self.size is not None:
             camera = camera.with_longest_side(self.size)
         mask = None if self.mask is None else _mask(self.mask)
@@ -126,6 +131,7 @@ class SourceTask:
         if self.camera is not None:
             return self.camera.relative_to(splats.offset)
         options = self.options
+        # The same default view as `render` makes first, so that what is seen there is what is sent.
         return orbit_cameras(
             splats,
             1,
@@ -138,6 +144,7 @@ class SourceTask:
     def plan(self, splats: Splats) -> ViewPlan:
         """The views of `views` auto, or the one view."""
         options = self.options
+        # A camera that is given begins the plan: the view that the user cares for most is painted first.
         first = None if self.camera is None else self.camera.relative_to(splats.offset)
         if first is None and (options.azimuth is not None or options.elevation is not None):
             first = self.view_camera(splats)
@@ -153,12 +160,14 @@ class SourceTask:
 
     def planned(self, splats: Splats) -> tuple[dict[str, Any], list[str]]:
         """(record, lines): which views would be sent, and how many calls that are; nothing is asked."""
+        # Nothing is asked: this is what a dry run shows, with the price in calls.
         plan, auto = self.plan(splats), self.options.views
         paid = self.source.capabilities.paid
         calls = count(len(plan.cameras), "paid call" if paid else "call")
         lines = [f"{self.source.name}: {calls}{'' if paid else ', not paid'}; nothing was sent"]
         record: dict[str, Any] = {"source": self.source.name, "calls": len(plan.cameras), "paid": paid, "views": []}
         for number, (camera, gain) in enumerate(zip(plan.cameras, plan.gains, strict=True), 1):
+            # In the file's own coordinates, as people read them in other programs.
             eye = [round(float(value), 3) for value in camera.relative_to((0.0, 0.0, 0.0)).position]
             view = {"width": camera.width, "height": camera.height, "eye": eye, "adds": round(gain, 4)}
             record["views"].append(view)
@@ -173,7 +182,9 @@ class SourceTask:
     def painted(self, asset: Asset, painter: Painter, tools: Tools, report: Report) -> Asset:
         """The edited asset. Raises SourceError and what `Painter.apply` raises."""
         options, method = self.options, self.options.method
+        # An asset that an operation before this one made keeps the surface that it had when it was read.
         asset = painter.encode(asset.splats, method, [options.mode]) if asset.receipt is None else asset
+        # A refused picture must leave its report: that is what it is looked at for.
         try:
             with tools.progress() as progress:
                 how: dict[str, Any] = {"method": method, "progress": progress, "cancel": tools.cancel}
@@ -187,6 +198,7 @@ class SourceTask:
             self._write_report(())
             raise
         self._write_report(sourced.edits)
+        # Notes that all views share are listed once, so that what is special about one of them is seen.
         notes = notes_of_views(sourced.edits)
         report.views += [ReportedView(edit.edit.name, lines) for edit, lines in zip(sourced.edits, notes, strict=True)]
         report.answers += [edit.answer for edit in sourced.edits]
@@ -197,11 +209,13 @@ class SourceTask:
         from splatpainter.contact_sheet import write_sheet
         from splatpainter.gatekeeper.gate_report import report_page
 
+        # Also without any edit: then the sheet shows what came back and was refused.
         answers = getattr(self.source, "answers", ())
         if self.options.report is None or not answers:
             return
         views = []
         for sent, answer in answers:
+            # An answer that was painted is shown as it was used, any other as it came.
             edit = next((edit for edit in edits if edit.answer is answer), None)
             views.append((sent, answer, None) if edit is None else (edit.request, answer, edit.admitted))
         title = f"{self.source.name}: {self.brief.prompt}".rstrip(": ")
@@ -225,6 +239,7 @@ def _mask(path: Path) -> np.ndarray:
     from splatpainter.pictures.picture_reader import read_picture
 
     picture = read_picture(path)
+    # Either way of drawing a mask is common: black and white, or transparent where nothing may change.
     mask = picture.colors.mean(-1) if picture.alpha is None else picture.alpha
     if not (mask > 0).any():
         raise ValueError(f"{path}: empty mask; expected some pixels that are not black (or not transparent)")
@@ -239,6 +254,7 @@ def _fitted(mask: np.ndarray | None, camera: Camera, wording: Wording) -> np.nda
     from splatpainter.pictures.picture_reader import resample
 
     height, width = mask.shape
+    # Another size is no mistake, another shape is one: the mask would lie elsewhere on the view.
     if abs(width * camera.height / (height * camera.width) - 1) > MAX_ASPECT_ERROR:
         size = f"{camera.width}x{camera.height}"
         line = f"expected {wording.option('mask')} of the view's shape ({size}), got {width}x{height}"

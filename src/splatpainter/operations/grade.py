@@ -100,6 +100,7 @@ class Grade(Operation):
 
     def check(self, wording: Wording = AS_PYTHON) -> None:
         where = "grade: " if wording.where is None else wording.where
+        # The look's file is not read here: jobs of a batch are checked before any of their files is there.
         one_look(vars(self), where, wording.dashes)
         if self.recolor:
             hex_color(self.recolor, where, wording.dashes)
@@ -110,10 +111,12 @@ class Grade(Operation):
 
     def ready(self, tools: Tools) -> ReadyOperation:
         look = self.colors()
+        # Look and region are read once; the function that is returned may meet an asset much later.
         region = Region.parse(self.where) if self.where else None
 
         def graded(asset: Asset, report: Report) -> Asset:
             edited = adjust(asset.splats, look, region, strength=self.strength)
+            # The first asset stays beside the new one: its surface is what operations after this one work on.
             return replace(edited, original=asset.original or asset.splats)
 
         return graded
@@ -121,6 +124,7 @@ class Grade(Operation):
     def colors(self) -> Look:
         """The look that is asked for; its file is read. Raises ValueError: one that cannot be read."""
         values = one_look(vars(self))
+        # Hue is no slider of the settings: turning all of them is a band over all hues.
         turn = values.pop("hue", 0.0)
         if self.look is not None:
             return read_look(self.look)
@@ -136,8 +140,10 @@ class Grade(Operation):
 
 def read_look(path: Path) -> Look:
     """Settings of an adjustment layer: a JSON file, or a layer of the studio. Raises ValueError naming it."""
+    # A layer of the studio is read by the session's room, which stands above this one (session_files.py).
     if path.suffix.lower() == LAYER_SUFFIX:
         return session_files(str(path)).look(path)
+    # One byte above the limit is enough to see that a file is too long.
     data = load_object(files.read_head(path, MAX_LOOK_BYTES + 1), path, "a look", MAX_LOOK_BYTES)
     try:
         return GradeSettings.from_dict(data)
@@ -152,6 +158,7 @@ def one_look(given: Mapping[str, Any], where: str = "", mark: str = "") -> dict[
         if not -limit <= given[name] <= limit:
             raise ValueError(f"{where}expected {mark}{name} from {-limit:g} to {limit:g}, got {given[name]}")
     values = {name: float(given[name]) for name in SLIDERS if given[name]}
+    # Sliders count as one look together, so that they cannot be mixed with a file without a word.
     looks = [f"{mark}{name}" for name in LOOKS if given[name]] + (["sliders"] if values else [])
     if len(looks) != 1:
         choices = ", ".join(f"{mark}{name}" for name in (*SLIDERS, *LOOKS))
@@ -174,23 +181,29 @@ def adjust(splats: Splats, look: Look, region: Region | None = None, *, strength
     if not 0 < strength <= 1:
         raise ValueError(f"grade: expected a strength above 0, up to 1, got {strength:g}")
     splats = splats.numpy()
+    # Weights, then the look fitted to them: a look that matches colours counts those alone that it will change.
     weights = None if region is None else region.weights(splats)
     function = fitted(splats, look, weights)
+    # Only rows of the region are computed; all others keep their bytes.
     chosen = np.arange(len(splats)) if weights is None else np.flatnonzero(weights)
     try:
         graded = apply_to_sh(splats.sh[chosen], _weaker(function, strength), splats.color_space)
     except OverflowError as error:  # of Python's own floats
         raise ValueError(f"grade: expected smaller settings ({error})") from None
+    # At weight 1 the result is taken as it is: a mix would round it.
     if weights is not None:
         share = weights[chosen][:, None, None]
         graded = np.where(share == 1, graded, splats.sh[chosen] + share * (graded - splats.sh[chosen]))
     sh = splats.sh.copy()
     sh[chosen] = graded
     edited = replace(splats, sh=sh.astype(np.float32))
+    # Compared bit by bit, so that the receipt lists what did change and not what was aimed at.
     touched = changed_rows(splats, edited)
+    # A file that is the old one under a new name would look like a success.
     if not len(touched):
         raise ValueError(f"grade: nothing to do, {describe(look)} changes no Gaussian")
     before, after = untouched_hashes(splats, edited, touched)
+    # The receipt says in words what was asked for: from it the look can be made again.
     what = [describe(look), f"strength {strength:g}" if strength != 1 else "", f"where {region.text}" if region else ""]
     receipt = Receipt(
         asset_sha256=splats.sha256,
@@ -215,8 +228,10 @@ grade = adjust
 
 def fitted(splats: Splats, look: Look, weights: np.ndarray | None) -> ColorMap:
     """The look as a function of display colours. weights: [N] of the region, None: all."""
+    # Most looks are the same for every asset; only those that match colours have to see it first.
     if not isinstance(look, FittedLook):
         return look
+    # Gaussians inside would pull the mean towards colours that nobody sees.
     seen = seen_weights(splats)
     counted = seen if weights is None else seen * weights
     if not counted.sum() > 0:  # nothing of it is seen from outside
@@ -231,6 +246,7 @@ def describe(look: Look) -> str:
     default = GradeSettings()
     names = ("exposure", "temperature", "tint", "contrast", "saturation", "curve", "hues", "strength")
     parts = []
+    # Only what was moved, in the order of the sliders on the page.
     for name in names:
         value = getattr(look, name)
         if value != getattr(default, name):

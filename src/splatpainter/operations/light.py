@@ -61,6 +61,7 @@ class LightBefore(Operation):
         return None
 
     def ready(self, tools: Tools) -> ReadyOperation:
+        # Read once for all assets, and its remarks kept: each asset's report gets them.
         remarks: list[str] = []
         lights = self.lights(Report(warn=remarks.append))
         source: SkyMap | None = read_sky(self.source_light, self.full_range) if self.source_light else None
@@ -69,6 +70,7 @@ class LightBefore(Operation):
         def lit(asset: Asset, report: Report) -> Asset:
             for line in remarks:
                 report.warn(line)
+            # Without new lights the old one is only taken out; both ways share what they know of the light before.
             how = {"mix": self.mix, "shadows": self.shadows, "source": source}
             if lights is None:
                 edited = delight(asset.splats, region, up=self.up, **how)
@@ -141,10 +143,12 @@ class Relight(LightBefore):
     def check(self, wording: Wording = AS_PYTHON) -> None:
         # A rig may bring everything; whether its lights go together is said once it is read.
         lights = self._added_to(Lights(up=self.up))
+        # Without a file that may bring more lights, what is there must be enough; the sky's file is not read for that.
         if not (self.rig or self.match or self.match_asset):
             replace(lights, sky=ANY_SKY if self.hdri else None).check()
         if self.save_rig is not None and self.save_rig.suffix.lower() not in WRITTEN_RIGS:
             raise ValueError(f"{self.save_rig}: expected a rig to write ({', '.join(WRITTEN_RIGS)})")
+        # Endings are looked at before the work: a picture at the end of it that cannot be written would waste it.
         for path, suffixes in ((self.balls, (".png",)), (self.save_light, SKY_FILES), (self.save_source, SKY_FILES)):
             if path is not None and path.suffix.lower() not in suffixes:
                 raise ValueError(f"{path}: expected a name that ends in {' or '.join(suffixes)}")
@@ -157,6 +161,7 @@ class Relight(LightBefore):
             raise wording.error(self.kind, f"expected {name('hdri')} or {name('match_asset')}, got both")
         if not self.match:
             return
+        # A match finds all of the light from pictures, so each option that sets a part of it contradicts it.
         mixed = {
             name("where"): self.where,
             name("mix"): self.mix != 1,
@@ -167,16 +172,19 @@ class Relight(LightBefore):
         if wrong := [option for option, value in mixed.items() if value]:
             line = f"{name('match')} finds all of the light; expected it without {', '.join(wrong)}"
             raise wording.error(self.kind, line)
+        # Cameras belong to pictures by their order, so there are none or as many.
         if self.match_cameras and len(self.match_cameras) != len(self.match):
             expected = f"{len(self.match)} {name('match_cameras')}, one for each picture"
             raise wording.error(self.kind, f"expected {expected}, got {len(self.match_cameras)}")
 
     def files(self) -> tuple[Path, ...]:
+        # Names of skies and rigs that come with the package are words here and no files.
         named = [(self.hdri, SKIES), (self.rig, RIGS)]
         return (*super().files(), *(Path(name) for name, names in named if name and name not in names))
 
     def lights(self, report: Report) -> Lights:
         lights = Lights(up=self.up)
+        # The rig first and the options over it, so that a rig can be varied from the command line.
         if self.rig:
             lights, passed_over = read_rig(self.rig, self.up, self.full_range)
             lights = lights if self.up == "auto" else replace(lights, up=self.up)
@@ -184,16 +192,19 @@ class Relight(LightBefore):
                 report.warn(line)
         lights = self._added_to(lights)
         lights = replace(lights, sky=parse_sky(self.hdri, self.full_range)) if self.hdri else lights
+        # The light of another asset is estimated from its colours and then used like any environment.
         if self.match_asset is not None:
             captured = captured_light(read(self.match_asset), self.shadows)
             lights = replace(lights, sky=sky_of(captured.coefficients, self.up, self.match_asset.name))
             report.warn(f"{self.match_asset.name}: {captured.note}")
+        # Only now all lights are there, so only now it can be said whether they go together.
         lights.check()
         return lights
 
     def ready(self, tools: Tools) -> ReadyOperation:
         if self.match:
             return self._matched(tools)
+        # Light from options and rigs; what was asked for as files is written beside the edit, from the same lights.
         relit = super().ready(tools)
 
         def lit(asset: Asset, report: Report) -> Asset:
@@ -208,6 +219,7 @@ class Relight(LightBefore):
         """The light of --match: found in pictures, and the painter beside it where that is better."""
         from splatpainter.pictures import edit_from_files
 
+        # Pictures may carry their cameras, or lie with them beside the asset, as those of `render` do.
         cameras = self.match_cameras or (None,) * len(self.match)
         folders = () if tools.asset is None else (tools.asset.parent, tools.asset.parent / "views")
         pictures = [edit_from_files(*files, folders=folders) for files in zip(self.match, cameras, strict=True)]
@@ -216,10 +228,12 @@ class Relight(LightBefore):
         axes = axes_of(self.up)
 
         def lit(asset: Asset, report: Report) -> Asset:
+            # What was odd about a picture is said before the result that it led to.
             for picture in pictures:
                 for note in picture.notes:
                     report.warn(f"{picture.path.name}: {note}")
             result = match_light(
+                # Pictures that are meant to light the whole asset are edits of mode global: all of it may change.
                 asset.splats,
                 [picture.edit(asset.splats, "global") for picture in pictures],
                 (tools.painter or Painter.load(modes=("global",))) if self.painter else None,
@@ -227,6 +241,7 @@ class Relight(LightBefore):
                 source=None if source is None else turned_sky(source, axes),
                 target=None if target is None else turned_sky(target, axes, self.rotate),
             )
+            # The light that was found is what the user may want to keep; it is written for --hdri.
             self._write_lights(result.before.coefficients, result.after)
             return replace(result.asset, original=asset.original or asset.splats)
 
@@ -237,6 +252,7 @@ class Relight(LightBefore):
             for line in write_rig(self.save_rig, lights, splats.offset):
                 report.warn(line)
         if self.balls or self.save_light or self.save_source:
+            # Both environments are given in the asset's axes, so that they can be compared and used again.
             axes = axes_of(lights.up)
             if self.source_light is None:
                 before = captured_light(splats, self.shadows).coefficients
@@ -255,10 +271,12 @@ class Relight(LightBefore):
 
     def _added_to(self, lights: Lights) -> Lights:
         """Other lights with the options' own, but for the environment. Raises ValueError: words that are no light."""
+        # Suns and lamps that name no colour get that of --kelvin.
         white = white_of(self.kelvin)
         suns = [parse_sun(text, self.sun_size, white) for text in self.sun]
         suns += [parse_sun_at(text, self.north, self.sun_size, white) for text in self.sun_at]
         lamps = [parse_lamp(kind, text, white) for kind in FORMS for text in getattr(self, kind)]
+        # Added to those of a rig and not in place of them; a fill that is given holds against the rig's.
         return replace(
             lights,
             suns=(*lights.suns, *suns),

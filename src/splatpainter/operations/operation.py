@@ -64,6 +64,7 @@ def parameter(
     of a pixel "X,Y"); `__post_init__` makes of the words what the field is. file: it names files that are read; output:
     a file that is written. shared: it is declared in a base class, too, and comes after the fields of its own.
     holds: of a file, "picture" or "camera", for hosts that have these at hand; "region" of words that say one."""
+    # Everything that other programs build from a field travels in its metadata, so nothing lists options a second time.
     metadata = {"metavar": metavar, "option": option, "positional": positional, "words": words, "holds": holds}
     return field(default=default, metadata={**metadata, "file": file, "output": output}, kw_only=shared or MISSING)
 
@@ -80,6 +81,7 @@ class Wording:
 
     def option(self, name: str) -> str:
         """A field's name: "angle_limit", or "--angle-limit"."""
+        # The same error has to name an option as its reader wrote it: by dashes, by a key, or as Python.
         plain = f"{self.dashes}{name.replace('_', '-')}" if self.dashes else name
         return self.names.get(name, plain)
 
@@ -161,6 +163,7 @@ class Operation:
 
     def __post_init__(self) -> None:
         """Names of files become paths, lists tuples."""
+        # Values come from YAML, JSON, words and Python; from here on each field has one form alone.
         for entry in dataclasses.fields(self):
             value = getattr(self, entry.name)
             is_file = entry.metadata.get("file") or entry.metadata.get("output")
@@ -169,7 +172,9 @@ class Operation:
             if is_file and isinstance(value, tuple):
                 value = tuple(map(Path, value))
             elif is_file and isinstance(value, str):
+                # An empty name is no file; Path("") would be the working folder.
                 value = Path(value) if value else None
+            # The dataclass is frozen, and this is still its construction.
             object.__setattr__(self, entry.name, value)
 
     def check(self, wording: Wording = AS_PYTHON) -> None:
@@ -183,6 +188,7 @@ class Operation:
     def apply(self, asset: Asset, tools: Tools | None = None, report: Report | None = None) -> Asset:
         """The asset afterwards, with the receipt of this operation; `asset` itself does not change. Raises ValueError:
         options, files, or an operation that this asset cannot have."""
+        # Checked here too: from Python nobody has called `check` before.
         self.check()
         return self.ready(tools or Tools())(asset, report or Report())
 
@@ -190,6 +196,7 @@ class Operation:
         """The files that it reads, also those that terms of its regions name."""
         regions = [entry.name for entry in dataclasses.fields(self) if entry.metadata.get("holds") == "region"]
         words = [word for name in regions for word in getattr(self, name)]
+        # Most operations name no region, and what reads terms takes a while to import.
         if not words:
             return tuple(Path(path) for path in self._paths("file"))
         from splatpainter.operations.region import files_of_terms
@@ -218,6 +225,7 @@ class Operation:
     def changes(self) -> dict[str, Any]:
         """The options that are not at their defaults, by name."""
         fields = {entry.name: entry.default for entry in dataclasses.fields(self)}
+        # A default may be given in one form and kept in another, so an instance is compared and not the declaration.
         default = type(self)()  # whose __post_init__ may have made other values of them
         values = {name: getattr(self, name) for name in fields}
         return {name: value for name, value in values.items() if value != getattr(default, name)}
@@ -249,6 +257,7 @@ def option_texts(kind: type) -> dict[str, str]:
     import docstring_parser  # which parses the source, and is there for help alone
 
     texts: dict[str, str] = {}
+    # From the base downwards: a class that explains an option anew has the last word.
     for base in reversed(kind.__mro__[:-1]):
         if base.__doc__ is not None and dataclasses.is_dataclass(base):
             options = docstring_parser.parse_from_object(base).params
@@ -271,10 +280,12 @@ def kinds() -> list[str]:
 
 def operation_class(kind: str) -> type[Operation]:
     """The dataclass of a kind. Raises ValueError: there is none of that name."""
+    # The package's own come first: another distribution cannot take the name of one of them.
     if kind in KINDS:
         module, _, name = KINDS[kind].partition(":")
         return getattr(importlib.import_module(f"splatpainter.operations.{module}"), name)
     points = [point for point in _entry_points() if point.name == kind]
+    # Two distributions with one name: neither is taken, for nobody could tell which one it was.
     if len(points) != 1:
         raise ValueError(f"expected an operation of {', '.join(kinds())}, got {ascii(kind[:60])}")
     return points[0].load()
@@ -282,10 +293,12 @@ def operation_class(kind: str) -> type[Operation]:
 
 def operation_of(record: Any, where: str) -> Operation:
     """The operation that `Operation.record` describes. Raises ValueError naming `where` and the key that is wrong."""
+    # A record comes from a file that anybody may have written; its kind is looked at before a class is imported.
     if not isinstance(record, Mapping) or not isinstance(record.get("kind"), str):
         raise ValueError(f"{where}: expected an operation with its kind, got {jsonio.brief(record)}")
     values = {name: value for name, value in record.items() if name != "kind"}
     operation = jsonio.build(operation_class(record["kind"]), values, where, defaults=True)
+    # Checked with the place it came from, so that an error names the line of the job and not Python.
     operation.check(Wording(f"{where}: "))
     return operation
 

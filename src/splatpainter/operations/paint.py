@@ -56,6 +56,7 @@ class Paint(PaintingOptions):
 
     def check(self, wording: Wording = AS_PYTHON) -> None:
         name = wording.option
+        # Options of one mode are refused in the others, where they would be silently without effect.
         if self.mode != "spread" and (self.spread_threshold, self.spread_confidence) != (None, None):
             threshold, confidence = name("spread_threshold"), name("spread_confidence")
             raise wording.error(self.kind, f"{threshold} and {confidence} are for {name('mode')} spread")
@@ -64,6 +65,7 @@ class Paint(PaintingOptions):
         if not 1 <= len(self.pictures) <= MAX_VIEWS:
             count = len(self.pictures) or "none"
             raise wording.error(self.kind, f"expected 1 to {MAX_VIEWS} pictures (VIEW.png) after ASSET, got {count}")
+        # Cameras and masks belong to pictures by their order, so each list is absent or complete.
         for what, given in (("cameras", self.camera_of_each), ("masks", self.masks)):
             if given and len(given) != len(self.pictures):
                 expected = f"as many {name(what)} files as pictures ({len(self.pictures)})"
@@ -74,14 +76,17 @@ class Paint(PaintingOptions):
         """The cameras; one capture serves for all, each picture finds its view there by its name."""
         from splatpainter.captures import is_capture
 
+        # A capture holds many views, and each picture finds its own by name; a camera file is of one picture.
         if len(self.cameras) == 1 and is_capture(self.cameras[0]):
             return self.cameras * max(len(self.pictures), 1)
         return self.cameras
 
     def viewpoints(self) -> tuple[Path, ...]:
+        # A camera that was named is surer than one that a picture carries.
         return (*self.cameras[:1], *self.pictures[:1])
 
     def ready(self, tools: Tools) -> ReadyOperation:
+        # Pictures are read before the painter loads its weights: a wrong file is the cheaper fault to meet.
         pictures = self._read(tools)
         painter = self.painter(self.mode, tools)
         if self.spread_threshold is not None:
@@ -99,6 +104,7 @@ class Paint(PaintingOptions):
 
         cameras = self.camera_of_each or (None,) * len(self.pictures)
         masks = self.masks or (None,) * len(self.pictures)
+        # People keep edited views beside the asset or in the folder that `render` writes.
         beside = () if tools.asset is None else (tools.asset.parent, tools.asset.parent / "views")
         return [
             picture_edit(*files, tools.asset, beside)
@@ -113,12 +119,16 @@ class Paint(PaintingOptions):
 
     def _painted(self, asset: Asset, pictures: list[FileEdit], painter: Painter, report: Report) -> Asset:
         splats = asset.splats
+        # Looked at before anything is encoded: a camera that sees nothing makes an edit of nothing.
         _check_views(pictures, splats)
+        # Only a warning: what differs from the other asset counts as paint, and may be meant so.
         _warn_of_other_assets(pictures, splats, report)
+        # Pictures are put right, refused or let through first; after that the painter takes them as they are.
         pictures = self._checked(pictures, splats, report)
         asset = painter.encode(splats, self.method, [self.mode]) if asset.receipt is None else asset
         edits = [picture.edit(splats, self.mode) for picture in self._of_size(pictures, painter)]
         edited = painter.apply(asset, edits, self.mode, self.method)
+        # The confidence belongs to the first asset's Gaussians; the edit may have appended others.
         if self.spread_confidence is not None:
             self._write_confidence(self.spread_confidence, splats, edited, pictures, painter)
         report.views += [ReportedView(str(picture.path), picture.notes) for picture in pictures]
@@ -130,6 +140,7 @@ class Paint(PaintingOptions):
         from splatpainter.gatekeeper.picture_gate import checked_picture
 
         policy = "correct" if self.correct else "force" if self.force else "refuse"
+        # Photographs are laid over their views first, for the check compares picture and view pixel by pixel.
         painted = [laid_over(picture, splats, self.mode, self.strictness) for picture in pictures]
         checked = [checked_picture(picture, splats, self.mode, policy, self.strictness) for picture in painted]
         for picture in checked:
@@ -146,12 +157,14 @@ class Paint(PaintingOptions):
 
         assert edited.confidence is not None
         arrays, threshold = splats.numpy(), (painter.settings.spread_options or SPREAD_DEFAULTS).threshold
+        # Appended Gaussians have no confidence of their own, and the picture shows the asset as it was.
         confidence = edited.confidence[: len(arrays)]
         write_png(path, confidence_picture(arrays, confidence, threshold, pictures[0].camera.within(splats.offset)))
 
 
 def _warn_of_other_assets(pictures: Sequence[FileEdit], splats: Splats, report: Report) -> None:
     for picture in pictures:
+        # A picture says by its hash what it was rendered from; without one nothing can be said.
         made_for = picture.camera.asset_sha256
         if made_for is not None and made_for != splats.sha256:
             other = f"another asset (sha256 {made_for[:12]}...)"

@@ -55,19 +55,23 @@ class PaintingOptions(ViewLimits):
     def painter(self, mode: Mode, tools: Tools) -> Painter:
         """Who paints in a mode. Raises ValueError: weights that are missing or wrong, networks that would leave the
         edit to the lift."""
+        # A host that has a painter (the studio, a batch) has loaded its weights already, with its own settings.
         if tools.painter is not None:
             return tools.painter
         from splatpainter.painter import Painter
 
+        # Before any weights are read, which takes seconds: networks that would not be used are refused by their files.
         self._refuse_idle_networks(mode, tools.wording)
         painter = Painter.load(self.preset, modes=[mode], polish=self.polish, precision=self.precision)
         painter = self.limited(painter).with_settings(aside=tools.aside)
         method, reason = painter.choose(self.method, mode)
+        # On a copy of the asset no Gaussian could be verified, and every file is verified that is written here.
         if method == "ttt" and painter.model is not None and painter.model.config.representation == "copy":
             raise ValueError(
                 f"preset '{painter.preset}': paints on a copy of the asset (representation copy), of which no "
                 "Gaussian could be verified; use it from Python, or a preset of representation native"
             )
+        # Rounds of the lift after the lift are the lift: the option would do nothing.
         if self.polish and method != "ttt":
             remark = f" ({reason})" if self.method == "ttt" else ""
             polish = tools.wording.option("polish")
@@ -80,13 +84,16 @@ class PaintingOptions(ViewLimits):
         read for that."""
         from splatpainter.models import checkpoint, weights
 
+        # Global edits and other methods have their networks, or want none.
         if self.method != "ttt" or mode != "local":
             return
+        # The local weights serve any preset of this package, so it is enough that they are whole.
         local = weights.find(weights.LOCAL)
         if local is not None and self.preset in ("auto", weights.LOCAL, *weights.NAMES):
             checkpoint.check_files(local)
             return
         folder = weights.find("compact" if self.preset == "auto" else self.preset) or Path(self.preset)
+        # No such folder, which loading says in its own words; or weights that do make local edits.
         if not (folder / checkpoint.INDEX).is_file() or weights.is_local(folder):
             return
         if not checkpoint.config(folder).edits_locally:
@@ -116,8 +123,10 @@ class PictureSourceOptions(Operation):
         from splatpainter.sources.source_options import option_words
 
         super().__post_init__()
+        # Options come as words from the command line and as a mapping from YAML; the rest of the code knows mappings.
         if not isinstance(self.options, Mapping):
             object.__setattr__(self, "options", option_words(self.options))
+        # YAML also has lists, dates and null; a source gets words.
         for key, value in self.options.items():
             if not isinstance(value, str | int | float):
                 raise ValueError(f"expected text or a number as the option {key!r:.40}")
@@ -133,6 +142,7 @@ class PictureSourceOptions(Operation):
     def refuse_options_without_source(self, wording: Wording, names: tuple[str, ...]) -> None:
         """Raises ValueError where one of these fields is set although no source is named."""
         for name in names:
+            # Only what was set is named: defaults are no mistake.
             if not self.source and name in self.changes():
                 line = f"{wording.option(name)} is for pictures that a source makes; give {wording.option('source')} "
                 raise wording.error(self.kind, f"{line}NAME too")

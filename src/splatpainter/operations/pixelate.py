@@ -88,6 +88,7 @@ class Pixelate(Operation):
         parse_width(self.size)
         if self.color and from_hex(self.color) is None:
             raise wording.error(self.kind, f"expected {name('color')} like #808080, got {ascii(self.color[:40])}")
+        # Each further cell around costs a pass over 27 neighbours, so their number is bounded.
         if not 0 <= self.margin <= 100:
             raise wording.error(self.kind, f"expected {name('margin')} from 0 to 100 cells, got {self.margin}")
 
@@ -101,6 +102,7 @@ class Pixelate(Operation):
     def apply_selected(self, asset: Asset, weights: np.ndarray) -> Asset:
         """All of what is selected at all: half of an old look is a look."""
         region = Region.parse(self.where)
+        # Within each group, so that the selection limits every `or` of the region.
         groups = tuple((*group, lambda _: weights) for group in region.groups)
         return self._pixelated(asset, Region(f"{region.text}, of a selection", groups), None)
 
@@ -130,29 +132,37 @@ def pixelate(
 
     Raises ValueError: a region that reaches nothing, cells so small that they cannot be counted, nothing that would
     change."""
+    # The time is part of the receipt, as with every edit.
     start = time.perf_counter()
     splats = splats.numpy()
     edge = _edge(splats, size)
+    # Whole cells, so that no border of the region shows through a cell that was cut.
     cells = _cells_of(splats, edge, camera)
     chosen, inner = _chosen(splats, region, cells, edge, margin)
     order, keys = np.flatnonzero(chosen), _keys(cells[chosen])
+    # Rows sorted by cell: every step below works on cells by number.
     _, firsts, labels = np.unique(keys, return_index=True, return_inverse=True)
     colors = _cell_colors(splats, order, labels, len(firsts))
+    # One colour for all leaves nothing of the means; a mean is still a hint of what was there.
     if color is not None:
         colors = np.broadcast_to(from_display(np.array([color]), splats.color_space), colors.shape)
     painted = _blurred(splats, order, labels, firsts, colors, edge) if style == "blur" else colors[labels]
     values = {name: getattr(splats, name).copy() for name in ATTRIBUTES}
+    # SH above degree 0 is what is seen from aside, and would tell what the cells hide.
     values["sh"][order] = 0
     values["sh"][order, 0] = sh_from_color(painted.astype(np.float32))
     removed = np.zeros(0, np.int64)
+    # Places and sizes can spell words too; the option makes one Gaussian of all in a cell.
     if merge:
         removed = _merge(values, splats, order, labels, firsts, edge)
     edited = replace(splats, **values)
     touched = changed_rows(splats, edited)
     if not len(touched):
         raise ValueError("pixelate: nothing to do, the region is of one colour in each cell already")
+    # Everything outside is hashed before and after: that part of the claim is proved like any edit.
     before, after = untouched_hashes(splats, edited, touched)
     distinct = len(np.unique(edited.sh[order, 0], axis=0))
+    # What verify checks on the written file: rows, cells, colours, cleared SH.
     claim = Pixelation(order, len(firsts), distinct, style, float(edge), inner, merge)
     receipt = Receipt(
         asset_sha256=splats.sha256,
@@ -176,8 +186,10 @@ def pixelate(
 
 def _edge(splats: Splats, size: float | str) -> float:
     value, percent = parse_width(size)
+    # A percentage is of the diameter, so that one setting suits assets of any scale.
     edge = value / 100 * 2 * bounding_sphere(splats)[1] if percent else value
     extent = float(np.ptp(splats.means[splats.drawable], axis=0).max()) if splats.drawable.any() else 0.0
+    # Cells are numbered by 21 bits an axis; smaller ones would share numbers and so colours.
     if not extent <= edge * MAX_CELLS_ALONG / 4:
         raise ValueError(f"pixelate: expected cells of at least {4 * extent / MAX_CELLS_ALONG:g}, got {edge:g}")
     return edge
@@ -187,10 +199,12 @@ def _cells_of(splats: Splats, edge: float, camera: Camera | None) -> np.ndarray:
     """[N, 3] int64: the cell of each Gaussian, of a grid through the world's origin; those that are nowhere (NaN) lie
     in one far off."""
     points = splats.world_means.astype(np.float64)
+    # Along a camera's axes, so that cells look like pixels from there; computed alike on every machine.
     if camera is not None:
         points = portable.matmul(np.nan_to_num(points), camera.world_to_camera[:3, :3].T)
     with np.errstate(invalid="ignore", over="ignore"):
         cells = np.floor(points / edge)
+    # Counted from the middle, so that assets far from the origin keep small numbers.
     middle = np.floor(np.median(cells[splats.drawable], axis=0)) if splats.drawable.any() else np.zeros(3)
     far = MAX_CELLS_ALONG - 1
     return np.nan_to_num(np.clip(cells - middle, -far, far), nan=far).astype(np.int64) + MAX_CELLS_ALONG
@@ -206,16 +220,20 @@ def _chosen(splats: Splats, region: Region, cells: np.ndarray, edge: float, marg
     region reaches, also those that cannot be drawn; and what no view from outside shows, up to HIDDEN_CELLS from what
     changes."""
     reached = region.weights(splats) > 0
+    # Cells and not Gaussians: what shares a cell with the region would show its colours in the mean.
     keys, region_keys = _keys(cells), np.unique(_keys(cells[reached]))
+    # One ring of neighbours for each cell of margin.
     for _ in range(margin):
         grown = [_keys(_unpacked(region_keys) + step) for step in NEIGHBOURS]
         region_keys = np.unique(np.concatenate(grown))
     chosen = np.isin(keys, region_keys)
+    # Hidden ones are looked for from all sides, and only near the region: a whole room's inside is hidden, too.
     points = splats.means[chosen & splats.drawable].astype(np.float64)
     reach = min(math.sqrt(float((np.ptp(points, axis=0) ** 2).sum())) / 2, HIDDEN_CELLS * edge)
     hidden = np.flatnonzero(~chosen & splats.drawable & ~_is_visible(splats))
     near, _ = nearest_within(points, splats.means[hidden].astype(np.float64), reach)
     behind = hidden[near >= 0]
+    # They change with the region, since whoever opens the file can take away what covers them.
     chosen[behind] = True
     return chosen, len(behind)
 
@@ -225,8 +243,10 @@ def _is_visible(splats: Splats) -> np.ndarray:
     center, radius = bounding_sphere(splats)
     out = np.zeros(len(splats), bool)
     size = MATCHING.view_px
+    # Black and white pictures: only the weights of a view matter here, not its colours.
     black, everywhere = np.zeros((size, size, 3), np.float32), np.ones((size, size), np.float32)
     for camera in spherical_cameras(center, VIEW_DISTANCE_RADII * radius, MATCHING.views, size=size):
+        # One view that shows it is enough, so views are joined and none is decisive.
         view = project(splats, camera.local)
         sums = view.backproject(black, everywhere)
         out[view.gaussian_ids[sums.weight > MIN_VISIBLE * sums.alpha]] = True
@@ -241,14 +261,17 @@ def _unpacked(keys: np.ndarray) -> np.ndarray:
 
 def _shares(splats: Splats, order: np.ndarray) -> np.ndarray:
     """[M] > 0: how much of a picture each Gaussian makes, up to a factor: its opacity times its area."""
+    # The two larger sides: the area that a flat Gaussian shows.
     scales = np.sort(np.nan_to_num(splats.scales[order].astype(np.float64), posinf=0), axis=1)
     shares = splats.opacities[order] * scales[:, 1] * scales[:, 2]
+    # Never 0, so that a cell of faint ones alone still has a mean.
     return np.where(splats.drawable[order], np.maximum(np.nan_to_num(shares), 0), 0) + 1e-300
 
 
 def _cell_colors(splats: Splats, order: np.ndarray, labels: np.ndarray, count: int) -> np.ndarray:
     """[count, 3] float64: the mean colour of each cell, by what its Gaussians make of a picture."""
     shares = _shares(splats, order)
+    # Clipped to what a screen shows: one colour far outside would tint its whole cell.
     colors = np.clip(np.nan_to_num(base_color(splats.sh[order]).astype(np.float64)), 0, 1)
     return _means(colors, labels, shares, count)
 
@@ -266,15 +289,18 @@ def _blurred(
     """[M, 3] colours that run between the means of a Gaussian's cell and of those around it: a Gaussian of BLUR_CELLS
     about its place, over the middles of the cells' Gaussians."""
     points = np.nan_to_num(splats.means[order].astype(np.float64))
+    # Measured from the middles of what lies in a cell, since Gaussians fill cells unevenly.
     middles = _means(points, labels, np.ones(len(order)), len(firsts))
     sums, weights = np.zeros((len(order), 3)), np.zeros(len(order))
     near = _neighbours_of(middles, edge)
+    # Neighbour by neighbour over all rows at once: 27 passes in place of a loop over Gaussians.
     for column in near.T:
         there = column[labels]
         distance = ((points - middles[np.maximum(there, 0)]) ** 2).sum(1) / (BLUR_CELLS * edge) ** 2
         weight = np.where(there >= 0, portable.exp(-0.5 * np.minimum(distance, 200.0)), 0)
         sums += weight[:, None] * colors[np.maximum(there, 0)]
         weights += weight
+    # Far from all middles the weights vanish; the cell's own colour is left there.
     return np.where(weights[:, None] > 1e-30, sums / np.maximum(weights, 1e-30)[:, None], colors[labels])
 
 
@@ -282,6 +308,7 @@ def _neighbours_of(middles: np.ndarray, edge: float) -> np.ndarray:
     """[C, 27] cells around each, -1 where there is none; of several in one cube the first."""
     cubes = np.floor((middles - middles.min(0)) / edge).astype(np.int64) + 1
     keys = _keys(cubes)
+    # Sorted once, so that each of the 27 neighbours is a binary search.
     order = np.argsort(keys, kind="stable")
     out = np.full((len(keys), len(NEIGHBOURS)), -1, np.int64)
     for k, step in enumerate(NEIGHBOURS):
@@ -302,11 +329,13 @@ def _merge(
 ) -> np.ndarray:
     """Make one Gaussian of all in a cell, by their moments, in the row of the cell's first; the others' rows get its
     values and opacity 0. Returns these rows, ascending."""
+    # Moments by what each Gaussian makes of a picture, so that the merged one looks like them from afar.
     shares, count = _shares(splats, order), len(firsts)
     points = np.nan_to_num(splats.means[order].astype(np.float64))
     means = _means(points, labels, shares, count)
     turns = quat_to_matrix(np.nan_to_num(splats.quats[order].astype(np.float64)))
     scales = np.nan_to_num(splats.scales[order].astype(np.float64), posinf=0)
+    # Covariance of a mixture: that within each Gaussian and that of their places.
     apart = points - means[labels]
     axes = turns * scales[:, None, :]
     spread = (axes[:, :, None, :] * axes[:, None, :, :]).sum(-1) + apart[:, :, None] * apart[:, None, :]
@@ -314,13 +343,17 @@ def _merge(
     variances, axes = principal_axes(covariances)
     deviations = np.sqrt(np.maximum(variances, 0))
     area = np.maximum(deviations[:, 1] * deviations[:, 2], 1e-300)
+    # Its opacity covers the same area as they did, before gaps between cells are closed below.
     opacities = np.clip(np.bincount(labels, shares, count) / area, 0, MAX_MERGED_OPACITY)
+    # At least so wide that no gap shows between neighbouring cells, and thick enough to be drawn.
     deviations[:, 1:] = np.maximum(deviations[:, 1:], MERGED_CELLS * edge)
     deviations[:, 0] = np.maximum(deviations[:, 0], MIN_THICKNESS_CELLS * edge)
     quats = matrix_to_quat(axes)
     for name, merged in (("means", means), ("scales", deviations), ("quats", quats), ("opacities", opacities)):
         values[name][order] = merged[labels].astype(np.float32)
+    # All rows of a cell get one Gaussian's values, so that nothing of the old ones is left in the file.
     values["sh"][order] = values["sh"][order[firsts]][labels]
+    # Rows are emptied and not removed: old Gaussians keep their indices (docs/ARCHITECTURE.md).
     emptied = np.ones(len(order), bool)
     emptied[firsts] = False
     values["opacities"][order[emptied]] = 0
@@ -332,6 +365,7 @@ def _notes(region: Region, claim: Pixelation, one_color: bool) -> list[str]:
     what = "one colour" if one_color else f"{claim.colors} colours"
     hidden = f", {claim.inner} of them hidden behind the region" if claim.inner else ""
     left = "" if claim.merged else "places, sizes and opacities of the Gaussians are as they were (merge changes them)"
+    # Words of the user's end up in a file that others open; only what can be printed goes in.
     text = "".join(c if c.isprintable() else "?" for c in region.text[:1000])
     return [
         f"{claim.style} of {claim.size:.4g}: {len(claim.rows)} Gaussians in {claim.cells} cells have {what}{hidden}",

@@ -35,10 +35,12 @@ class Refine(PictureSourceOptions):
 
     def check(self, wording: Wording = AS_PYTHON) -> None:
         name = wording.option
+        # A file for each view: without any there is nothing to enlarge, and networks and memory bound the number.
         if not 1 <= len(self.views) <= MAX_VIEWS:
             given = len(self.views) or "none"
             line = f"expected 1 to {MAX_VIEWS} cameras ({name('views')} CAM.json ...), got {given}"
             raise wording.error(self.kind, line)
+        # The model belongs to the source that loads models; another one would ignore it.
         if self.upscale is not None and self.source != "upscale":
             raise wording.error(self.kind, f"{name('upscale')} is the model of source upscale, not of {self.source}")
 
@@ -53,15 +55,19 @@ class Refine(PictureSourceOptions):
         from splatpainter.source_edits.edit import refine_views, usual_scale
         from splatpainter.source_edits.view_edit import SourceBrief
 
+        # The model's path goes in as an option, so that `upscale` is a source like any other.
         source = self.opened_source(tools, **({} if self.upscale is None else {"model": str(self.upscale)}))
         cameras = [camera_from(path, tools.asset) for path in self.views]
         if self.size is not None:
             cameras = [camera.with_longest_side(self.size) for camera in cameras]
+        # Without weights: this operation has the methods lift and fit alone.
         painter = tools.painter or Painter.load("lift").with_settings(aside=tools.aside)
 
         def refined(asset: Asset, report: Report) -> Asset:
+            # Unless a factor is asked for: some sources only sharpen and cannot enlarge.
             brief = SourceBrief(self.prompt, scale=self.scale or usual_scale(source))
             asset = painter.encode(asset.splats, self.method, ["local"]) if asset.receipt is None else asset
+            # All views in one edit, so that detail in which they disagree is settled between them.
             with tools.progress() as progress:
                 result = refine_views(
                     painter,
@@ -76,6 +82,7 @@ class Refine(PictureSourceOptions):
             for path, edit in zip(self.views, result.edits, strict=True):
                 size = f"{edit.edit.camera.width} x {edit.edit.camera.height}"
                 against = f"the picture of {edit.answer.model or source.name}, {size}"
+                # There is no picture of the user's to compare with: the score is against what the source drew.
                 report.views.append(ReportedView(str(path), edit.notes, against))
             report.answers += [edit.answer for edit in result.edits]
             return result.asset

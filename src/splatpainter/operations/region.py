@@ -65,6 +65,7 @@ class Region:
     @staticmethod
     def parse(words: Sequence[str]) -> Region:
         """Raises ValueError naming the term: unknown, numbers that are none, a mask that cannot be read."""
+        # Bounded: each term is a pass over all Gaussians.
         terms = _terms(words)
         if not terms or len(terms) > MAX_TERMS:
             raise ValueError(f"--where: expected 1 to {MAX_TERMS} terms, got {len(terms)}")
@@ -82,8 +83,10 @@ class Region:
         """[N] float32 0..1: how much of each Gaussian belongs to the region; 0 for what cannot be drawn. Raises
         ValueError: it reaches none."""
         out = np.zeros(len(splats), np.float32)
+        # Fuzzy logic: `or` is the largest weight, `and` the smallest, `not` the rest.
         for group in self.groups:
             out = np.maximum(out, np.minimum.reduce([term(splats) for term in group]))
+        # What cannot be drawn cannot be meant; and a region of nothing is a mistake in its words.
         out[~splats.drawable] = 0
         if not out.any():
             raise ValueError(f"--where {self.text}: reaches none of {len(splats)} Gaussians; widen it")
@@ -93,6 +96,7 @@ class Region:
 def check_terms(words: Sequence[str]) -> None:
     """Raises ValueError as `Region.parse`, where that needs no file; terms that hold {asset} or {variant} pass."""
     for term in _terms(words):
+        # Placeholders of batches ({asset}, {variant}) get their values later, and files are not read here.
         if term != "or" and "{" not in term:
             name, value, _ = _split(term)
             if name not in OF_FILES:
@@ -117,6 +121,7 @@ def _terms(words: Sequence[str]) -> list[str]:
 
 def _split(text: str) -> tuple[str, str, bool]:
     """(name, value, whether it is turned round)."""
+    # The name is looked at before the value, so that a misspelt one is answered with those that exist.
     inverted = text.startswith("not:")
     name, equals, value = text.removeprefix("not:").partition("=")
     if name not in _TERMS or not equals or not value:
@@ -132,10 +137,12 @@ def _term(text: str) -> Weigh:
 
 def _range(name: str, text: str) -> tuple[float, float]:
     low, dots, high = text.partition("..")
+    # One end may be open, but a range without any says nothing.
     if not dots or not (low or high):
         raise wrong_term(name, "A..B, ..B or A..", text)
     start = _number(name, low) if low else -math.inf
     end = _number(name, high) if high else math.inf
+    # Only hues go round: 340..20 is a range through red.
     if start > end and name != "hue":
         raise wrong_term(name, "a range from its lower to its higher end", text)
     return start, end
@@ -145,6 +152,7 @@ def _number(name: str, text: str) -> float:
     try:
         value = float(text)
     except ValueError:
+        # NaN and infinity are numbers to Python and would quietly select nothing or all.
         value = math.nan
     if not math.isfinite(value):
         raise wrong_term(name, "a number", text)
@@ -172,6 +180,7 @@ def _hue(name: str, text: str) -> Weigh:
     start, end = _range(name, text)
     if math.isinf(start) or math.isinf(end):
         raise wrong_term(name, "A..B, two angles", text)
+    # An angle from start to end the positive way, so that ranges through 0 need no special case.
     width = (end - start) % 360 if end - start < 360 else 360.0
     middle = start + width / 2
 
@@ -179,6 +188,7 @@ def _hue(name: str, text: str) -> Weigh:
         colors = display_colors(splats)
         high, low = colors.max(1), colors.min(1)
         chroma = high - low
+        # The shorter way round the circle. What is nearly grey has a hue by chance, and counts less.
         distance = np.abs((hues(colors) - middle + 180) % 360 - 180)
         return _faded(distance - width / 2, FADE[name]) * np.minimum(chroma / np.float32(MIN_CHROMA), 1)
 
@@ -189,6 +199,7 @@ def hues(colors: np.ndarray) -> np.ndarray:
     """[N] degrees 0..360 of display colours [N, 3] as the hexagon of HSV has them; 0 of greys."""
     red, green, blue = colors.T.astype(np.float64)
     high, low = colors.max(1), colors.min(1)
+    # Greys have no chroma to divide by; their sextant is 0 in any case.
     chroma = np.where(high > low, high - low, 1)
     sextant = np.select(
         [high == red, high == green],
@@ -217,6 +228,7 @@ def _color(name: str, text: str) -> Weigh:
     color = from_hex(code)
     if color is None:
         raise wrong_term(name, "#RRGGBB or #RRGGBB~DISTANCE", text)
+    # Around one colour, in a space where equal distances look about equal.
     limit = _number(name, distance_text) if tilde else DEFAULT_DISTANCE
     if limit <= 0:
         raise wrong_term(name, "a distance above 0", text)
@@ -236,6 +248,7 @@ def _attribute(name: str, text: str) -> Weigh:
         if name == "opacity":
             value = splats.opacities
         else:
+            # World coordinates, as `splatpainter info` prints them, whatever offset the file keeps apart.
             value = splats.scales.max(1) if name == "size" else splats.world_means[:, "xyz".index(name)]
         return ((value >= low) & (value <= high)).astype(np.float32)
 
@@ -256,11 +269,13 @@ def _sphere(name: str, text: str) -> Weigh:
 
 
 def _mask(name: str, text: str) -> Weigh:
+    # Without @CAM.json the picture itself has to carry its camera.
     picture, at, camera_name = text.rpartition("@")
     if not at:
         picture, camera_name = text, ""
     camera = camera_from(Path(camera_name)) if camera_name else find_camera(Path(picture))
     mask = read_mask(Path(picture))
+    # A mask of another shape was drawn on another view; of another size it only has to be resampled.
     if abs(mask.shape[1] * camera.height - mask.shape[0] * camera.width) > max(mask.shape):
         size = f"{mask.shape[1]}x{mask.shape[0]}"
         raise ValueError(
@@ -272,6 +287,7 @@ def _mask(name: str, text: str) -> Weigh:
     def weigh(splats: Splats) -> np.ndarray:
         from splatpainter.lift.masked_gaussians import reached_gaussians
 
+        # By what shows inside the mask, as the studio selects, and not by where centres lie.
         return reached_gaussians(splats, [(camera.relative_to(splats.offset), mask)]).astype(np.float32)
 
     return weigh

@@ -44,6 +44,7 @@ class InterruptibleSource:
         """Edit as the source does. An interrupt cancels it, waits for its end and goes on."""
         stop, done, outcome = threading.Event(), threading.Event(), []
 
+        # Either side may cancel: the user at the keyboard, or whoever runs the operation.
         class AnyCancelFlag:
             def is_set(self) -> bool:
                 return stop.is_set() or cancel.is_set()
@@ -55,17 +56,20 @@ class InterruptibleSource:
                 outcome.append(error)
             done.set()
 
+        # A thread of its own, so that Ctrl-C is heard here at once and reaches the source as `cancel`.
         threading.Thread(target=work, name=f"source {self.name}", daemon=True).start()
         try:
             while not done.wait(POLL_SECONDS):  # and not join, which forgets a thread when it is interrupted
                 pass
         except BaseException:
+            # The source is asked to stop and is waited for, since it may hold a connection or a program.
             stop.set()
             done.wait(CANCEL_SECONDS)
             raise
         (result,) = outcome
         if isinstance(result, BaseException):
             raise result
+        # Kept even if what follows fails: the picture was made, and often paid for.
         self.answers.append((request, result))
         return result
 
@@ -74,12 +78,15 @@ class InterruptibleSource:
         over no file that is there. Returns their names; none where they cannot be written."""
         paths: list[Path] = []
         for request, answer in self.answers:
+            # What went onto the asset needs no second place.
             if any(one is answer for one in painted):
                 continue
+            # The first name that is free: nothing of an earlier failure is overwritten.
             stem = brief_name(out.name)
             names = (out.with_name(f"{stem}.answer_{number}.png") for number in range(1, MAX_ANSWER_FILES))
             path = next((name for name in names if not name.exists()), None)
             carried = {CAMERA_KEYWORD: request.camera.to_json()} if request.camera is not None else None
+            # Saving is a courtesy after a failure; it must not hide that failure behind its own.
             with contextlib.suppress(OSError, ValueError):
                 if path is not None:
                     with writing(path) as file:
@@ -110,8 +117,10 @@ def keeping_answers(
     except BaseException as error:
         from splatpainter.gatekeeper.gatekeeper import RefusedPicture  # which takes a while to load
 
+        # Written in any case, also after Ctrl-C: the pictures are what cost time and money.
         paths = [path for source in sources for path in source.write_answers(out)]
         lines = answers_line(paths)
+        # Errors of ours carry the line themselves; of any other the type and text stay as they are.
         if lines and type(error) in (ValueError, SourceError, RefusedPicture):
             raise type(error)(f"{error}; {lines[0]}") from None
         for line in lines:

@@ -177,6 +177,7 @@ def check_to_file(
 ) -> None:
     """Raises ValueError: options that cannot be, names of files that may not be written."""
     check_operations(operations, wording)
+    # Files that are read must not be overwritten, whichever operation reads them.
     inputs = [path for operation in operations for path in operation.files()]
     for path in (path for operation in operations for path in operation.outputs()):
         check_target(path, options.overwrite, [asset], inputs)
@@ -192,6 +193,7 @@ def receipt_of_all(before: Splats, after: Splats, steps: Sequence[AppliedOperati
     """One receipt of operations that were applied one after the other; of one alone, its own."""
     from splatpainter.source_edits.edit import joined_receipt
 
+    # One operation has its own receipt, with all that it says; several need one for all.
     receipts = [step.receipt for step in steps]
     if len(steps) == 1:
         return receipts[0]
@@ -213,6 +215,7 @@ def receipt_of_all(before: Splats, after: Splats, steps: Sequence[AppliedOperati
 
 def _entry(step: AppliedOperation) -> dict[str, Any]:
     """What a receipt of several says of one."""
+    # Enough to see what each did; its full receipt would repeat the hashes of the whole.
     receipt = step.receipt
     entry = {"kind": step.operation.kind, "mode": receipt.mode, "method": receipt.method, "preset": receipt.preset}
     entry |= {"touched_rows": len(receipt.touched), "appended_rows": receipt.appended_rows, "note": receipt.note}
@@ -221,9 +224,11 @@ def _entry(step: AppliedOperation) -> dict[str, Any]:
 
 def check_outputs(out: Path, receipt: Path, overwrite: bool, asset: Path, inputs: Sequence[Path]) -> None:
     """Refuse OUT and the receipt before any work is done. inputs: other files that are read. Raises ValueError."""
+    # Inputs are protected from both outputs; OUT may replace what --overwrite allows.
     splat_format(out)
     check_target(out, overwrite, [asset], inputs)
     check_target(receipt, overwrite, [], [asset, *inputs])
+    # Names that differ in case alone are one file on some systems.
     if clash(receipt, out):
         raise ValueError(f"{receipt}: OUT and the receipt need different names, not only in upper and lower case")
 
@@ -261,9 +266,11 @@ def write_proved(
 
 def _receipt_beside(original: Splats) -> Receipt | None:
     """The receipt of the asset that is edited; None where there is none that can be read."""
+    # An asset without a file has no receipt beside it.
     if original.source is None:
         return None
     path = receipt_of(Path(original.source.path))
+    # One that cannot be read is no history; the edit itself must not fail for it.
     try:
         return read_receipt(path) if path.is_file() else None
     except (ValueError, OSError):

@@ -57,9 +57,11 @@ def create_app(studio: Studio, access: Access | None = None) -> FastAPI:
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         watching = asyncio.create_task(watched_folder.watch(hub))
         publish_batches(hub)
+        # Batches and the folder's pictures concern every page, so they are watched once, not for each connection.
         try:
             yield
         finally:
+            # In this order: nothing new may arrive, long work is asked to end, and only then may the session be closed.
             watching.cancel()
             hub.stop()
             await asyncio.wait([watching, *hub.closing])  # whatever they end with
@@ -78,24 +80,28 @@ def create_app(studio: Studio, access: Access | None = None) -> FastAPI:
     app.state.hub = hub
     _add_commands(app)
     _add_data(app, hub)
+    # Exports of batches are downloads like any other, so their routes stand beside those of the commands.
     add_batch_routes(app, hub, _failed, NO_STORE)
 
     @app.websocket("/ws")
     async def socket(connection: WebSocket) -> None:
         await serve(hub, connection)
 
+    # A checkout without the built page still serves the API: scripts and tests need no Node.
     if (STATIC / "index.html").is_file():
         for ending, kind in PAGE_TYPES.items():  # the registry of Windows may call scripts text/plain
             mimetypes.add_type(kind, ending)
         app.mount("/", PageFiles(STATIC))
     else:
         app.get("/", include_in_schema=False)(lambda: PlainTextResponse(UNBUILT))
+    # The guard is added last and so runs first: who may not come in is refused before any byte of a body is counted.
     app.add_middleware(BodyLimit, limit=body_limit)
     app.add_middleware(AccessGuard, access=access or Access())
     return app
 
 
 def _add_commands(app: FastAPI) -> None:
+    # HTTP has no connection that names its page, so all its callers are one page; the lock keeps their strokes apart.
     app.state.http_page, app.state.strokes = PageState("http"), asyncio.Lock()
     app.router.routes.extend(_command_routes())
 
@@ -107,6 +113,7 @@ def _add_commands(app: FastAPI) -> None:
 
     @app.exception_handler(RequestValidationError)
     async def invalid(request: Request, error: RequestValidationError) -> Response:
+        # One line about the first fault, shortened: the message repeats what the client sent, which may be anything.
         fault = error.errors()[0]
         field = ".".join(str(part) for part in fault["loc"] if part != "body")
         text = f"{request.url.path}: {field}: {fault['msg']}"[:300]
@@ -122,15 +129,18 @@ def _command_routes() -> tuple[BaseRoute, ...]:
         async def run(request: Request, command: Any) -> Response:
             state = request.app.state
             try:
+                # Strokes of that one shared page wait for one another; other commands are ordered by the queue alone.
                 async with state.strokes if name.startswith("paint.") else contextlib.nullcontext():
                     answer = await state.hub.execute(command, state.http_page, Ticket(), None)
             except CommandError as error:
                 return _failed(error.problem)
             return Response(answer.model_dump_json(), media_type="application/json", headers=NO_STORE)
 
+        # The class is known only at run time, and FastAPI reads it from the annotations; so they are set by hand.
         run.__annotations__ = {"request": Request, "command": kind, "return": Response}
         if not any(field.is_required() for field in kind.model_fields.values()):
             run.__defaults__ = (kind(),)  # no body is needed
+        # A class without a docstring inherits the base's, which describes no command in particular.
         about = " ".join((kind.__doc__ or "").split()) if kind.__doc__ != Command.__doc__ else ""
         router.add_api_route(
             f"/api/do/{name}",
@@ -144,6 +154,7 @@ def _command_routes() -> tuple[BaseRoute, ...]:
             route_class_override=CommandRoute,
         )
 
+    # What belongs to a connection (hello, sync, cancel) has no meaning in a request that stands alone.
     for name, kind in COMMANDS.items():
         if kind not in SOCKET_ONLY:
             add(name, kind)
@@ -165,18 +176,21 @@ def _add_data(app: FastAPI, hub: Hub) -> None:
 
     @app.get("/api/splats", response_class=Response, summary="All Gaussians as one binary frame (frames.py)")
     async def splats() -> Response:
+        # Taken once: the session may go on while the frame is made, and its version must be that of its Gaussians.
         snapshot = studio.session.snapshot
         data = await asyncio.to_thread(frames.snapshot, snapshot.splats, snapshot.version)
         return Response(data, media_type="application/octet-stream", headers=NO_STORE)
 
     @app.get("/api/view.png", response_class=Response, summary="A render from a camera (JSON), which the PNG carries")
     async def view(camera: str, which: Literal["now", "original"] = "now") -> Response:
+        # The camera comes as JSON within the address, so it is checked here by the model that the socket's command has.
         try:
             command = ViewRender.model_validate({"camera": json.loads(camera), "which": which})
         except ValidationError as error:
             return _failed(Problem(kind="input", message=first_fault(error, "view")))
         except (ValueError, RecursionError):
             return _failed(Problem(kind="input", message="view: expected a camera as JSON"))
+        # A page state of its own: a picture that is asked for by its address must not touch anybody's strokes.
         context = CommandContext(studio, PageState("http"), Ticket())
         try:
             rendered = await hub.queue.run("read", lambda: render_view(context, command), context.ticket)
@@ -188,9 +202,11 @@ def _add_data(app: FastAPI, hub: Hub) -> None:
     @app.post("/api/blobs", summary="Send a picture, a splat file, a project or a layer: the body is the file")
     async def upload(request: Request, name: str = "") -> Response:
         try:
+            # The length that is declared refuses a large file before it is sent; what is written is counted as well.
             declared = request.headers.get("content-length", "0")
             if declared.isdigit() and int(declared[:20]) > studio.blobs.limits.upload:
                 raise TooLarge(f"{name[:200] or 'upload'}: expected at most {studio.blobs.limits.upload >> 20} MiB")
+            # Piece by piece, on threads: the file is never whole in memory, and a slow disk holds up no other client.
             with studio.blobs.receive(name) as incoming:
                 async for piece in request.stream():
                     await asyncio.to_thread(incoming.write, piece)
@@ -200,6 +216,7 @@ def _add_data(app: FastAPI, hub: Hub) -> None:
         except Exception as error:
             problem = studio.public_problem(problem_of(error))
             return _failed(problem, 413 if isinstance(error, TooLarge) else None)
+        # The page learns what the file is from the server's reading of it, never from its name.
         info = blob.info
         values = {"blob": blob.sha256, "kind": info.kind, "bytes": blob.size, "name": blob.name}
         return JSONResponse({**values, "width": info.width, "height": info.height, "gaussians": info.gaussians})
@@ -210,6 +227,7 @@ def _add_data(app: FastAPI, hub: Hub) -> None:
             data, media = await asyncio.to_thread(studio.picture_bytes, blob)
         except ValueError as error:
             return _failed(studio.public_problem(problem_of(error)), 404)
+        # Only pictures are shown in place: any other upload of a stranger must not run as a document of this site.
         extra = {} if media.startswith("image/") else {"content-disposition": "attachment"}
         return Response(data, media_type=media, headers={**FOREVER, **extra})
 

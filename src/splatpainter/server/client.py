@@ -67,15 +67,19 @@ async def serve(hub: Hub, socket: WebSocket) -> None:
     client = Client(hub, socket)
     hub.clients.add(client)
     reader = CommandReader(hub, client)
+    # The reader's work is no part of the tasks that end with the connection: commands that came are carried out.
     worker = asyncio.create_task(reader.work_all())
+    # Whichever ends first ends the connection: sending breaks, the client leaves, or it reads too little.
     tasks = [asyncio.create_task(work) for work in (client.send_all(), reader.read_all(socket), client.overrun.wait())]
     try:
         await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
     finally:
+        # Out of the list first, so that nothing more is queued for it while its tasks end.
         hub.clients.discard(client)
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
+        # The hub waits for the rest of its commands when the server is closed; the other clients learn the new count.
         hub.closing.add(worker)
         worker.add_done_callback(hub.closing.discard)
         reader.close()
@@ -122,6 +126,7 @@ class Client:
     def end_previews(self) -> None:
         """Show the true colours of all that was previewed; previews that have not been sent yet never are."""
         self.page.clear_preview = True
+        # A preview that waits would otherwise be shown after the true colours and stay on the screen.
         self._unsent_bytes -= sum(item.size for item in self._unsent if isinstance(item, _Preview))
         self._unsent = [item for item in self._unsent if not isinstance(item, _Preview)]
         self._wake.set()
@@ -129,8 +134,10 @@ class Client:
     def _append(self, item: str | _Preview | Greeting) -> None:
         if self._closed:
             return
+        # Greetings are counted as messages only: their text is made when they are sent.
         self._unsent.append(item)
         self._unsent_bytes += item.size if isinstance(item, _Preview) else len(item) if isinstance(item, str) else 0
+        # First the client's own commands are held back; only one that goes on growing is given up.
         if len(self._unsent) >= BACKPRESSURE_MESSAGES or self._unsent_bytes >= BACKPRESSURE_BYTES:
             self._writable.clear()
         if len(self._unsent) > MAX_UNSENT_MESSAGES:
@@ -150,6 +157,7 @@ class Client:
     async def send_all(self) -> None:
         """Send until cancelled or the connection breaks."""
         while True:
+            # All that came since the last round is taken together, so many changes cost one state and one delta.
             await self._wake.wait()
             self._wake.clear()
             items, self._unsent = self._unsent, []
@@ -157,12 +165,14 @@ class Client:
             self._writable.set()
             # As it is now: what follows while Gaussians are sent may speak of others.
             state, due, self._state_due = self.hub.studio.state, self._state_due, False
+            # Gaussians before the state, the state before messages, as the module says; neither before the greeting.
             if self.greeted:
                 await self._send_gaussians([item for item in items if isinstance(item, _Preview)])
                 if due and self._state is not None:
                     text = self.hub.state_diff(self._state, state)
                     self._state = state
                     await self.socket.send_text(text)
+            # Messages keep their order; a preview is dropped where the asset has moved on: it shows what was before.
             for item in items:
                 if isinstance(item, str):
                     await self.socket.send_text(item)
@@ -171,6 +181,7 @@ class Client:
                     greeting = item.model_copy(update={"state": self.hub.with_clients(state)})
                     await self.socket.send_text(greeting.model_dump_json())
                 elif item.session == self.session and item.version == self.version:
+                    # What was previewed is noted, for these Gaussians must be put back when the preview ends.
                     old = self.page.previewed_ids
                     self.page.previewed_ids = np.union1d(old, item.gaussian_ids) if len(old) else item.gaussian_ids
                     self.page.previewed_shapes |= frames.has_shapes(item.frame)
@@ -179,15 +190,19 @@ class Client:
     async def _send_gaussians(self, previews: list[_Preview]) -> None:
         """Those that changed since this client's version, and the true colours of those whose preview is over."""
         studio, page = self.hub.studio, self.page
+        # Read and cleared before anything waits: a preview that ends meanwhile is then due for another round.
         clear, page.clear_preview = page.clear_preview, False
         version, session_id = studio.session.snapshot.version, studio.session_id
         if self.session == session_id and self.version == version and not clear:
             return
+        # Taken away while frames are made, and put back below where the preview goes on.
         old, page.previewed_ids = page.previewed_ids, np.zeros(0, np.int64)
         stale_ids, shapes = old if clear else np.zeros(0, np.int64), page.previewed_shapes
+        # Only one that changes colours on this very version can follow without a gap.
         due = previews[-1] if clear and previews and not shapes and previews[-1].version == version else None
         if due is not None:  # Gaussians that are about to be previewed anew need not flicker
             stale_ids = np.setdiff1d(stale_ids, due.gaussian_ids, assume_unique=True)
+        # A delta needs a version of this session; after another project was opened only a snapshot will do.
         since = self.version if self.session == session_id and self.version >= 0 else None
         version, packed = await self.hub.frames(since, stale_ids, shapes)
         if clear:
@@ -198,6 +213,7 @@ class Client:
             page.previewed_ids = np.setdiff1d(old, stale_ids, assume_unique=True)
             page.clear_preview = True
             self._wake.set()
+        # The version is noted after the last frame: where sending breaks, the client is taken to have nothing of it.
         for frame in packed:
             await self.socket.send_bytes(frame)
         self.session, self.version = session_id, version
@@ -231,6 +247,7 @@ class CommandReader:
     async def _take(self, text: str) -> None:
         number = 0
         try:
+            # The number is looked for before the rest is checked, so that even a malformed command gets its answer.
             try:
                 data = await parse_json(text)
             except ValueError as error:
@@ -238,11 +255,14 @@ class CommandReader:
             if isinstance(data, dict) and is_id(data.get("id")):
                 number = data["id"]
             number, command = parse(data)
+            # At once and past the queue: a cancel that waits behind the command it is to stop would be of no use.
             if isinstance(command, Cancel):
                 self._cancel(number, command)
                 return
+            # Before hello it is not known which page speaks, so an outcome could be stored for nobody.
             if not self.client.greeted and not isinstance(command, Hello):
                 raise CommandError(Problem(kind="input", message="expected hello as the first message"))
+            # Refused, not held back: the reader must go on reading, or it would never see a cancel.
             if number in self._active or self._commands.qsize() >= MAX_QUEUED_COMMANDS:
                 reason = "is still in progress" if number in self._active else "came too fast"
                 raise CommandError(
@@ -255,20 +275,24 @@ class CommandReader:
             self._greet(number, command)
             return
         ticket = Ticket(throttled_progress(self.client, number, asyncio.get_running_loop()))
+        # The ticket is kept with the page and not the connection, so that a page that returns can still cancel.
         self._active.add(number)
         self.client.page.tickets.setdefault(number, ticket)
         self._commands.put_nowait((number, command, ticket))
 
     def _greet(self, number: int, command: Hello) -> None:
         """Answer `hello`; Gaussians go out before it by themselves."""
+        # Checked before all else: a page of another version could misread whatever else it is sent.
         if command.schema_hash != protocol_hash():
             text = "This page is of another version than the studio."
             problem = Problem(kind="schema", message=text, hint="Reload the page.")
             self.client.send(Failure(re=number, error=problem))
             return
         studio, client = self.hub.studio, self.client
+        # What the page has already is taken on its word, so that a short break costs a delta and no snapshot.
         if command.session == studio.session_id and command.since is not None and command.since >= 0:
             client.session, client.version = studio.session_id, command.since
+        # The state in it is made anew when it is sent (see `send`), after the Gaussians that it speaks of.
         greeting = Greeting(
             re=number,
             version=studio.session.version,
@@ -277,10 +301,12 @@ class CommandReader:
             returning=self.hub.pages.attach(client, command.page),
             state=self.hub.with_clients(studio.state),
         )
+        # From here on this client gets states, and whoever returns has seen the notes before.
         client.greeted = True
         client.send(greeting)
         for note in () if greeting.returning else studio.notes():
             client.send(ToastEvent(level="warning", message=note))
+        # The number of open windows is part of what everybody is shown.
         for other in self.hub.clients - {client}:
             other.mark_dirty()
 
@@ -294,13 +320,16 @@ class CommandReader:
         """Execute commands, one after the other; long ones that change nothing run beside the rest."""
         while (entry := await self._commands.get()) is not None:
             number, command, ticket = entry
+            # Whoever does not read gets no further work done, or its answers would fill the memory.
             await self.client.backpressure()
+            # Here and not by a handler: which Gaussians a client has is known to its connection alone.
             if isinstance(command, Sync):
                 self.client.version = -1 if command.since is None else command.since
                 self.client.send(Answer(re=number, version=self.hub.studio.session.version))
                 self._done(number, ticket)
             elif (handler := self.hub.handlers[type(command)]).background:
                 task = asyncio.create_task(self._work(number, command, ticket))
+                # What must not be done twice outlives its connection; the rest is cancelled with it (`close`).
                 if handler.once:
                     ticket.ends_with_page = True
                     self.hub.closing.add(task)
@@ -336,8 +365,10 @@ class CommandReader:
     def close(self) -> None:
         """The connection has ended. Its commands are still done (the page may come back for the answers), but for long
         ones that change nothing."""
+        # Only what may be asked for again is stopped; a command that changes the asset is finished.
         for ticket in self._background.values():
             ticket.cancel()
+        # None wakes the worker at the end of what is queued already.
         self._commands.put_nowait(None)
         self.client.closed()
         self.hub.pages.detach(self.client)
@@ -353,6 +384,7 @@ def throttled_progress(client: Client, number: int, loop: asyncio.AbstractEventL
         if now - last_time < PROGRESS_SECONDS and stage == last_stage:
             return
         last_time, last_stage = now, stage
+        # The page may have come back by another connection since the command began.
         receiver = client.page.client or client
         with contextlib.suppress(RuntimeError):  # the loop has ended
             loop.call_soon_threadsafe(receiver.send, CommandProgress(re=number, progress=share, stage=stage))

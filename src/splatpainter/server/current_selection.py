@@ -51,6 +51,7 @@ class CurrentSelection:
         if selection is None:
             return None
         cached = self._weights
+        # Kept for one revision and one version: every tool asks for them, and placing them costs a pass over all.
         if cached is None or cached[:2] != (self.revision, snapshot.version):
             weights = selection.on(snapshot.splats, self.session.original)
             cached = self._weights = (self.revision, snapshot.version, weights)
@@ -61,11 +62,13 @@ class CurrentSelection:
         splats = self.session.splats
         selection = None
         if weights is not None and (weights > 0).any():
+            # Weights of the original, points elsewhere: layers that come and go change which Gaussians there are.
             selection = Selection.of(weights, splats, self.session.original)
         self._set(selection, 0 if weights is None else int((weights >= 0.5).sum()), None)
 
     def choose_area(self, weights: np.ndarray, camera: Camera, mask: np.ndarray, how: Combine) -> None:
         """Apply what a mask on a view selects. weights: [N]; mask: [H, W] 0..1."""
+        # The view is asked for before the choice changes it, and the drawn edge is kept only if anything was selected.
         before = self.view(camera)
         drawn = combined(before, mask, how)
         self.choose(combined(self.weights(), weights, how))
@@ -96,9 +99,11 @@ class CurrentSelection:
         weights, drawn, key = self.weights(), self._drawn, _key(camera)
         if weights is None:
             return None
+        # On the view that it was drawn on, the drawn edge itself answers, and nothing has to be rendered.
         if drawn is not None and drawn[0] == key:
             return drawn[1], np.zeros((0, 2), np.float32)
         version = self.session.version
+        # Pages ask for the same view at the same time; it is rendered once for all of them.
         with self._lock:
             cached = self._view
             if cached is None or cached[:3] != (key, self.revision, version):
@@ -113,6 +118,7 @@ class CurrentSelection:
         if selection is None:
             return None
 
+        # Nothing of this object is read later: the selection is bound now, the Gaussians when a view is asked for.
         def of_view(camera: Camera) -> np.ndarray:
             splats = session.splats
             return _sharpened(view_of(splats, selection.on(splats, session.original), camera))
@@ -122,6 +128,7 @@ class CurrentSelection:
     def note(self) -> None:
         """After a command: what is selected belongs to the step of the history that is in effect."""
         state = self._state
+        # The same object as long as nothing changed, for the history tells selections apart by identity.
         if state.selection is not self._selection or state.drawn is not self._drawn:
             self._state = SelectionState(self._selection, self.gaussians, self._drawn)
         step, steps = self._step, [step.id for step in self.session.snapshot.history]
@@ -154,6 +161,7 @@ class CurrentSelection:
 
     def _restore(self, state: SelectionState | None) -> bool:
         if state is not None and state is not self._state:
+            # `_set` counts up the revision, so pages ask for the new outline; the state is the stored one itself.
             self._set(state.selection, state.gaussians, state.drawn)
             self._state = state
         return state is not None
@@ -166,6 +174,7 @@ class CurrentSelection:
         return files.sha256(data), data
 
     def _set(self, selection: Selection | None, gaussians: int, drawn: tuple[bytes, np.ndarray] | None) -> None:
+        # An empty selection is no place to come back to.
         if self._selection is not None:
             self._previous = self._selection
         self._selection, self.gaussians, self._drawn = selection, gaussians, drawn
@@ -176,6 +185,7 @@ def limited(splats: Splats, weights: np.ndarray | None, sh: np.ndarray) -> np.nd
     """[N, K, 3] new colours as far as Gaussians are selected. weights: [N] or None: all."""
     if weights is None:
         return sh
+    # Mixed only where partly selected: 0 and 1 must leave or take colours bit for bit, without rounding.
     part = weights[:, None, None]
     mixed = np.where(part == 1, sh, splats.sh + part * (sh - splats.sh))
     return np.where(part == 0, splats.sh, mixed).astype(np.float32)

@@ -42,6 +42,7 @@ def up_axis(session: Session) -> tuple[int, int, int]:
 
 def home_view(splats: Splats, up: tuple[int, int, int], start: float) -> tuple[np.ndarray, float, cameras.Camera]:
     """([3] centre and radius of nearly all opaque Gaussians, a view of their front). start: degrees around up."""
+    # So far away that the sphere fits between the edges of the field of view, with a margin.
     center, radius = bounding_sphere(splats)
     distance = FRAME_MARGIN * radius / math.sin(math.radians(HOME_VIEW["fov"] / 2))
     view = cameras.orbit(
@@ -64,6 +65,7 @@ def drawn(splats: Splats, camera: cameras.Camera) -> np.ndarray:
 
 def asset_info(session: Session, name: str) -> protocol.AssetInfo:
     """What there is to say of the asset as it was opened; `counted` says how it is now."""
+    # Counts and doubts cost a pass over all Gaussians; they are made once, and `counted` replaces what changes.
     original = session.original
     up = up_axis(session)
     center, radius, view = home_view(original, up, session.scene.front)
@@ -100,10 +102,12 @@ def counted(info: protocol.AssetInfo, original: Splats, now: Splats) -> protocol
 def scene_assets(session: Session, name: str) -> list[protocol.SceneAssetInfo]:
     """All assets. name: of the one that was opened."""
     out = []
+    # Centres are given in the scene: the page places its handles without the assets' Gaussians.
     for asset in session.scene.assets:
         rows = session.scene.original_of(asset.id)
         placement = asset.placement.between(rows.offset, session.original.offset)
         center = placement.points(rows.middle[None])[0]
+        # The first asset has the name of the file that was opened, unless the document lists assets by name.
         is_main = asset.id == MAIN_ASSET_ID and not session.snapshot.document.assets
         out.append(
             protocol.SceneAssetInfo(
@@ -124,6 +128,7 @@ def scene_assets(session: Session, name: str) -> list[protocol.SceneAssetInfo]:
 def layer_info(session: Session, layer: Layer) -> protocol.LayerInfo:
     """A layer with the figures of its last computation."""
     facts = session.layers.facts(layer.id)
+    # A layer of strokes shows the view of the latest one; a view without figures yet still has its place.
     latest_views = layer.strokes[-1].views if layer.strokes else layer.views
     scores: list[dict[str, Any]] = [*facts.get("views", ()), *({} for _ in latest_views)]
     views = [
@@ -144,6 +149,7 @@ def layer_info(session: Session, layer: Layer) -> protocol.LayerInfo:
         opacity=layer.opacity,
         blend=layer.blend,
         mode=getattr(layer.operation, "mode", "global"),
+        # What made the layer, where it was computed, is truer than what was asked for.
         method=facts.get("method", getattr(layer.operation, "method", "lift")),
         views=views,
         strokes=sum(len(leaf.strokes) for leaf in layer.leaves()) if takes_strokes(layer) else None,
@@ -161,6 +167,7 @@ def layer_info(session: Session, layer: Layer) -> protocol.LayerInfo:
 
 def latest_edit(session: Session) -> protocol.EditFigures | None:
     """Figures of the newest stroke or layer that is in effect: ids only ever go up."""
+    # Layers may stand in any order, so the newest is found by its id and not by its place.
     latest: tuple[int, Layer, str, dict[str, Any]] | None = None
     for layer in (leaf for one in session.layers if one.visible for leaf in one.leaves()):
         facts = session.layers.facts(layer.id)
@@ -171,6 +178,7 @@ def latest_edit(session: Session) -> protocol.EditFigures | None:
             latest = number, layer, name, facts
     if latest is None:
         return None
+    # Of a stroke its own share is shown, not the sum of the whole layer.
     _, layer, name, facts = latest
     counts = facts.get("stroke", facts)
     score = next(iter(facts.get("views", ())), {})
@@ -242,6 +250,7 @@ def changes(before: protocol.State, now: protocol.State, clients: int) -> protoc
     present = protocol.Present.model_validate(
         {k: getattr(now, k) for k in protocol.Present.model_fields} | {"clients": clients}
     )
+    # Long lists go as differences: they grow with a project's age, while the rest of the state is bounded.
     history = history_change(before.history, now.history)
     marks = None if _same(before.bookmarks, now.bookmarks) else now.bookmarks
     return protocol.StateEvent(state=present, history=history, bookmarks=marks)
@@ -251,6 +260,7 @@ def history_change(before: list[protocol.StepInfo], now: list[protocol.StepInfo]
     """How one list of steps (of one Lists) became the other; None: it did not change."""
     if _same(before, now):
         return None
+    # Old steps fall off at the front and new ones replace the end, so two numbers and the rest say everything.
     dropped = next((k for k, step in enumerate(before) if now and step is now[0]), len(before))
     common = sum(1 for _ in takewhile(lambda pair: pair[0] is pair[1], zip(before[dropped:], now, strict=False)))
     return protocol.HistoryChange(dropped=dropped, kept=common, steps=now[common:])

@@ -26,9 +26,11 @@ def fine_detail(splats: Splats, camera: Camera) -> float:
     """Median absolute Laplacian (luma 0..1) of a view, drawn VIEW_PX wide; 0 where the asset covers nothing."""
     from splatpainter.rendering.cpu.projected_view import project
 
+    # One small size for all: the Laplacian of a picture depends on its scale.
     height = max(round(camera.height * VIEW_PX / camera.width), 3)
     small = replace(camera.resized(VIEW_PX, height), background=(0.0, 0.0, 0.0))
     image, alpha, _ = project(replace(thinned(splats), source=None, origin=None), small).rasterize()
+    # Over covered pixels alone: what the picture does against the background is no detail of the asset.
     luma = image @ LUMA
     around = luma[:-2, 1:-1] + luma[2:, 1:-1] + luma[1:-1, :-2] + luma[1:-1, 2:]
     laplacian = np.abs(4 * luma[1:-1, 1:-1] - around)[alpha[1:-1, 1:-1] > COVERED_ALPHA]

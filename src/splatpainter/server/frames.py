@@ -90,8 +90,10 @@ def preview_colors(sh: np.ndarray, gaussian_ids: np.ndarray, total: int, version
     """Colours to show for given Gaussians ([C] ascending) of `total`, as near as a screen shows them. sh: [C, K, 3], or
     [C, 1, 3] where only base colours change."""
     head = HEADER.pack(MAGIC, FORMAT, PREVIEW | PACKED, version, version, total, len(gaussian_ids), sh.shape[1])
+    # A frame of all Gaussians leaves its indices out: they are 0 to total - 1.
     index = b"" if len(gaussian_ids) == total else np.asarray(gaussian_ids, "<u4").tobytes()
     base = pack_base(sh).astype("<f2").tobytes()
+    # Whole words before the codes, so that a page can view the bytes as arrays where they lie.
     return b"".join([head, index, base, b"\0" * (-len(base) % 4), pack_harmonics(sh).astype("<u4").tobytes()])
 
 
@@ -118,6 +120,7 @@ def pack(
 
 def unpack(data: bytes) -> SplatFrame:
     """The inverse of `pack`. Raises ValueError where the bytes are no frame."""
+    # Checked to the byte before anything is viewed: frames may come from another program or another version.
     if len(data) < HEADER.size:
         raise ValueError(f"frame: expected at least {HEADER.size} bytes, got {len(data)}")
     magic, form, flags, first, last, total, count, coefficients = HEADER.unpack_from(data)
@@ -132,6 +135,7 @@ def unpack(data: bytes) -> SplatFrame:
     expected = HEADER.size + 4 * count * sum(widths)
     if len(data) != expected:
         raise ValueError(f"frame: expected {expected} bytes for {count} Gaussians, got {len(data)}")
+    # Arrays follow one another without gaps, so the widths alone say where each begins; what is absent has width 0.
     ends = HEADER.size + 4 * count * np.cumsum([0, *widths])
     kinds = ["<u4", *["<f4"] * 5]
     arrays = [
@@ -149,6 +153,7 @@ def _unpack_colors(data: bytes) -> SplatFrame:
     index = 0 if count == total else 4 * count
     base = 6 * count + (-6 * count) % 4
     expected = HEADER.size + index + base + 4 * count * (coefficients - 1)
+    # The same check as in `unpack`, for what the packed form holds.
     if len(data) != expected:
         raise ValueError(f"frame: expected {expected} bytes for {count} Gaussians, got {len(data)}")
     at = HEADER.size + index
@@ -175,6 +180,7 @@ def pack_base(sh: np.ndarray) -> np.ndarray:
 def pack_harmonics(sh: np.ndarray) -> np.ndarray:
     """[N, K, 3] SH -> [N, K - 1] uint32, one per coefficient but the first: three 8-bit magnitudes over a shared power
     of two, value = byte / 255 * 2^(exponent - 15), the exponent's 5 bits and three sign bits (red lowest)."""
+    # Nothing to pack where only base colours travel; chunks go to threads, for each fits a processor's cache.
     if not len(sh) or sh.shape[1] == 1:
         return np.zeros((len(sh), sh.shape[1] - 1), np.uint32)
     return np.concatenate(each(_codes, [sh[start : start + CHUNK_SIZE] for start in range(0, len(sh), CHUNK_SIZE)]))
@@ -182,11 +188,13 @@ def pack_harmonics(sh: np.ndarray) -> np.ndarray:
 
 def _codes(sh: np.ndarray) -> np.ndarray:
     red, green, blue = (np.nan_to_num(np.ascontiguousarray(sh[:, 1:, k], np.float32)) for k in range(3))
+    # One exponent for the three channels, of the largest: as the screen's textures hold them.
     largest = np.maximum(np.maximum(np.abs(red), np.abs(green)), np.abs(blue))
     share, power = np.frexp(largest)
     exponent = np.clip(power - (share == 0.5) + 15, 0, 31)  # ceil(log2(largest)) + 15
     scale = np.ldexp(np.float32(255), 15 - exponent)
     code = exponent.astype(np.uint32) << 27
+    # Half a step is added before the cut, so that values are rounded; signs lie apart, in bits of their own.
     for k, channel in enumerate((red, green, blue)):
         magnitude = np.minimum(np.abs(channel) * scale + np.float32(0.5), 255)
         code |= magnitude.astype(np.uint32) << (8 * k)

@@ -86,6 +86,7 @@ def html_viewer(splats: Splats, camera: Camera, up: tuple[int, int, int], name: 
     turned. name: shown, and the window's title. turning: whether it turns until it is touched.
 
     Raises ValueError: too many Gaussians, or the page is not built."""
+    # The limit is checked on numbers alone, before anything is packed.
     degree_coefficients = min(splats.sh.shape[1], MAX_COEFFICIENTS)
     size = len(splats) * row_bytes(degree_coefficients)
     if size > MAX_BYTES:
@@ -93,6 +94,7 @@ def html_viewer(splats: Splats, camera: Camera, up: tuple[int, int, int], name: 
         raise ValueError(f"HTML: expected at most {limit}; export an .spz or .sog, which viewers of the web open")
     center, radius = bounding_sphere(splats)
     background = np.clip(to_display(np.array(camera.background), splats.color_space), 0, 1)
+    # As the page's module reads it; Gaussians and scripts come as blocks of their own below.
     scene = {
         "name": name,
         "count": len(splats),
@@ -105,7 +107,9 @@ def html_viewer(splats: Splats, camera: Camera, up: tuple[int, int, int], name: 
         "turning": turning,
     }
     color = "#" + "".join(f"{round(255 * value):02x}" for value in background.tolist())
+    # A name of the user's stands in HTML and in a script element; neither may end the element it is in.
     title, described = html.escape(name), json.dumps(scene).replace("<", "\\u003c")
+    # mtime=0 leaves the time out of gzip: the same asset gives the same file.
     return "\n".join(
         [
             "<!doctype html>",
@@ -132,6 +136,7 @@ def html_viewer(splats: Splats, camera: Camera, up: tuple[int, int, int], name: 
 
 def estimated_html_bytes(splats: Splats) -> int:
     """Bytes of the HTML file, about: a sample of the Gaussians is packed."""
+    # Scripts are the same in every file; base64 makes four characters of three bytes.
     fixed = 4 / 3 * sum(len(_script(STATIC / name)) for name in ("engine.js", "viewer.js"))
     some = sample(splats, SAMPLE_ROWS)
     packed = len(gzip.compress(packed_gaussians(some), GZIP_LEVEL)) / max(len(some), 1)
@@ -147,15 +152,18 @@ def packed_gaussians(splats: Splats) -> bytes:
     """The tables, see above. Gaussians that cannot be drawn get opacity 0."""
     splats = splats.numpy()
     drawable, count = splats.drawable, len(splats)
+    # The screen shows no more coefficients, so none are stored.
     sh = splats.sh[:, :MAX_COEFFICIENTS]
     with np.errstate(all="ignore"):  # values of those that are not drawn
         logs = np.log(splats.scales.astype(np.float64))
         quats = splats.quats / np.linalg.norm(splats.quats, axis=1, keepdims=True)
+    # What cannot be drawn gets plain numbers: a NaN is nothing that a screen's tables should hold.
     means = np.where(drawable[:, None], splats.means, 0).astype("<f4")
     opacities = np.where(drawable, np.clip(splats.opacities, 0, 1), 0).astype("<f2")
     scales = np.clip(np.where(drawable[:, None], logs, 0), -MAX_HALF, MAX_HALF).astype("<f2")
     rotations = pack_rotations(np.where(drawable[:, None], quats, (1, 0, 0, 0))).astype("<u4")
     tables = (means, opacities, scales, rotations, pack_base(sh).astype("<f2"), pack_harmonics(sh).astype("<u4"))
+    # Plane by plane: first bytes resemble one another more than the bytes of one number do, and gzip uses that.
     return b"".join(
         np.ascontiguousarray(table).reshape(count, -1).view(np.uint8).reshape(count, -1).T.tobytes()
         for table in tables
@@ -165,13 +173,16 @@ def packed_gaussians(splats: Splats) -> bytes:
 
 def pack_rotations(quats: np.ndarray) -> np.ndarray:
     """[N, 4] unit quaternions (w, x, y, z) -> [N] uint32 as `encodeRotation` of web/src/splats/texels.ts."""
+    # q and -q are one rotation; the half with w >= 0 leaves an angle of 0 to pi.
     w, x, y, z = (np.where(quats[:, 0] < 0, -1, 1) * quats.T.astype(np.float64)).astype(np.float64)
     sine = np.sqrt(x * x + y * y + z * z)
     angle = 2 * np.arctan2(sine, w)
     still = sine < 1e-6
+    # Without a turn there is no axis; any will do, but 0 / 0 would not.
     x, y, z = np.where(still, 1, x), np.where(still, 0, y), np.where(still, 0, z)
     total = np.abs(x) + np.abs(y) + np.abs(z)
     u, v = x / total, y / total
+    # Octahedral: the lower half of the sphere is folded over the upper one, so two numbers say the axis.
     fold = z < 0
     u, v = (
         np.where(fold, (1 - np.abs(v)) * np.where(u >= 0, 1, -1), u),

@@ -56,6 +56,7 @@ class Hub:
     def state_diff(self, before: State, now: State) -> str:
         """The event that turns one state into another; made once for all clients that have the first."""
         clients = len(self.clients)
+        # All clients that lag by the same state get the same text, so it is made once for all of them.
         if self._diffs is None or self._diffs[0] is not now:
             self._diffs = (now, {})
         cached, key = self._diffs[1], (id(before), clients)
@@ -68,12 +69,14 @@ class Hub:
         `stale_ids` back). shapes: previews have moved Gaussians too, or added some. The last delta is kept, for mostly
         all clients want the same one."""
         session, now = self.studio.session, self.studio.session.version
+        # What concerns one page's previews is of no use to another, so it is not kept.
         if len(stale_ids) or shapes or since is None:
             return await asyncio.to_thread(_frames, session, since, stale_ids, shapes)
         cached = self._delta
         if cached is None or cached[0] is not session or cached[1] != since or cached[2] != now:
             task = asyncio.ensure_future(asyncio.to_thread(_frames, session, since, stale_ids, False))
             cached = self._delta = (session, since, now, task)
+        # Shielded: the first to ask may leave, and others wait for the same frames.
         return await asyncio.shield(cached[3])
 
     def mark_dirty(self) -> None:
@@ -89,8 +92,10 @@ class Hub:
 
     async def execute(self, command: Command, page: PageState, ticket: Ticket, client: Connection | None) -> Answer:
         """Run a command and return its answer. Raises CommandError where it failed; nothing has changed then."""
+        # A context of its own for each command: what it previews or says belongs to this one alone.
         handler = self.handlers[type(command)]
         context = CommandContext(self.studio, page, ticket)
+        # Long commands that only read run beside the rest; what they write after all goes through the writer's queue.
         if handler.background:
             context.writer = self._writer(asyncio.get_running_loop())
             self._background.add(ticket)
@@ -104,18 +109,21 @@ class Hub:
 
             context.show = show
 
+        # Runs on the queue's thread. The session may be another one afterwards, which all other clients must learn.
         def job() -> Answer:
             nonlocal seconds, opened, before
             start, before = time.perf_counter(), self.studio.session_id
             try:
                 answer = handler.run(context, command)
                 opened = self.studio.session_id != before
+                # Before the answer: whoever reads it may ask for the state that it speaks of.
                 if handler.writes:
                     self.studio.refresh()
                 return answer.model_copy(update={"version": self.studio.session.version})
             finally:
                 seconds = time.perf_counter() - start
 
+        # Whatever fails becomes one line for the client; its preview would otherwise stay for good.
         try:
             answer = await self.queue.run(handler.lane, job, ticket)
         except Exception as error:
@@ -129,8 +137,10 @@ class Hub:
             if context.clear_preview:
                 receiver.end_previews()
             receiver.show_preview(context.preview, context.previewed_ids, before)
+        # Whatever it was that changed: each client's own loop finds out what that client lacks.
         if handler.writes:
             self.mark_dirty()
+        # The others are told that their asset was replaced; without a word they would think it a fault.
         notice = f"Another window opened {self.studio.name}." if handler.writes and opened else context.notice
         for other in self.clients - {client} if notice else ():
             if other.greeted:
@@ -144,6 +154,7 @@ class Hub:
 
         def write(work: Callable[[], Any]) -> Any:
             def job() -> Any:
+                # Refreshed whether it worked or not: clients are to see what is so.
                 try:
                     return work()
                 finally:
@@ -169,19 +180,23 @@ class Hub:
 
 def _frames(session: Session, since: int | None, stale_ids: np.ndarray, shapes: bool) -> tuple[int, list[bytes]]:
     while True:
+        # Taken first and compared after the delta was made: the two must speak of the same version.
         snapshot = session.snapshot
         if since is None:
             return snapshot.version, [frames.snapshot(snapshot.splats, snapshot.version)]
         delta = session.delta(since)
         if delta.version == snapshot.version:  # else a writer was faster: look again
             break
+    # The history does not reach back that far, so all Gaussians go out.
     if delta.since is None:
         return snapshot.version, [frames.snapshot(snapshot.splats, snapshot.version)]
     count, out = len(snapshot.splats), []
+    # New rows are changed rows to a client that has never seen them.
     changed_ids = np.concatenate([delta.gaussian_ids, np.arange(delta.retained, count)])
     if since != snapshot.version:
         out.append(frames.delta(snapshot.splats, changed_ids, since, snapshot.version, delta.recolored and not shapes))
     added = bool((stale_ids >= count).any()) and not out  # they go with whatever frame says how many there are
+    # Those that changed anyway need no second frame to lose their preview.
     stale_ids = np.setdiff1d(stale_ids[stale_ids < count], changed_ids, assume_unique=True)
     if len(stale_ids) or added:
         out.append(frames.preview(snapshot.splats.take(stale_ids), stale_ids, count, snapshot.version, shapes))
@@ -190,11 +205,13 @@ def _frames(session: Session, since: int | None, stale_ids: np.ndarray, shapes: 
 
 def parse(data: object) -> tuple[int, Command]:
     """(id, command) from a message of a client. Raises CommandError."""
+    # The frame of the message first, so that a wrong command can be answered by its number.
     if not isinstance(data, dict) or not is_id(data.get("id")) or not isinstance(data.get("do"), str):
         raise CommandError(Problem(kind="input", message='expected {"id": number, "do": name, ...}'))
     kind = COMMANDS.get(data["do"])
     if kind is None:
         raise CommandError(Problem(kind="input", message=f"unknown command {data['do'][:40]!r}"))
+    # id and do belong to the connection; a command's model refuses fields that it does not know.
     fields = {key: value for key, value in data.items() if key not in ("id", "do")}
     try:
         return data["id"], kind.model_validate(fields)
@@ -209,6 +226,7 @@ def is_id(value: object) -> bool:
 
 def problem_of(error: Exception) -> Problem:
     """A failure as clients get it. Wrong input speaks for itself: its last part says what to do."""
+    # From the special to the general: some of these are ValueErrors as well.
     if isinstance(error, CommandError):
         return error.problem
     if isinstance(error, Cancelled):
@@ -222,10 +240,12 @@ def problem_of(error: Exception) -> Problem:
         return Problem(kind="input", message="Out of memory.", hint=hint)
     if isinstance(error, ValidationError):
         return Problem(kind="input", message=first_fault(error, "studio"))
+    # Our own errors end with what to do after the last semicolon; pages show that apart.
     if isinstance(error, ValueError) and not isinstance(error, sqlite3.Error):
         text = " ".join(str(error).encode("utf-8", "replace").decode().split())
         message, _, hint = text.rpartition("; ")
         kind = "storage" if isinstance(error, UnwritableError) else "input"
         return Problem(kind=kind, message=message or hint, hint=hint if message else "")
+    # Everything else is ours: it goes to the log whole, and to the client in one shortened line.
     log.error("fault", exc_info=error)
     return Problem(kind="fault", message=f"Fault in the studio: {type(error).__name__}: {error}"[:300])

@@ -32,6 +32,7 @@ def open_session(
     """(a session, its name) of an asset, a splat file, a project, or (None) the demo asset; the project of a new one
     lies in `projects` (None: the user's data folder). frame: of a splat file, as in io.read.
     Raises ValueError for what cannot be read."""
+    # A project brings its layers and stays where it is; anything else gets a new project of its own.
     if isinstance(asset, str | Path) and Path(asset).suffix.lower() == PROJECT:
         return Session.load(asset), Path(asset).stem
     name = "demo" if asset is None else "asset" if isinstance(asset, Splats) else Path(asset).absolute().name
@@ -42,6 +43,7 @@ def open_session(
 def listen(host: str, port: int | None) -> socket.socket:
     """A bound socket. port None: DEFAULT_PORT or one of the next, 0: any. Raises ValueError where none is free."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    # A port that was asked for is taken or refused; another one without a word would not be found.
     candidates = range(DEFAULT_PORT, DEFAULT_PORT + PORT_TRIES) if port is None else [port]
     reason = ""
     for number in candidates:
@@ -58,12 +60,14 @@ def listen(host: str, port: int | None) -> socket.socket:
         except OSError as error:
             bound.close()
             reason = error.strerror or str(error)
+    # The last reason is named with the first port: that is the one that people know.
     raise ValueError(f"studio: cannot listen on {host} port {candidates[0]} ({reason}); choose another --port")
 
 
 def address(access: Access, bound: socket.socket) -> str:
     """What to open in a browser, the token included."""
     port = bound.getsockname()[1]
+    # An address that listens on everything is none that a browser can open.
     host = "localhost" if access.host in ("0.0.0.0", "::") else access.host
     host = f"[{host}]" if ":" in host else host
     return f"http://{host}:{port}/" + (f"?token={access.token}" if access.token else "")
@@ -73,6 +77,7 @@ def warm() -> threading.Thread:
     """Load what edits are made of beside everything else, so that the first stroke need not wait for it. To be joined
     before the process ends."""
 
+    # Imported within the thread: that loading is what takes the time.
     def load() -> None:
         from splatpainter.kernels import library
         from splatpainter.lift import edits  # noqa: F401
@@ -86,6 +91,7 @@ def warm() -> threading.Thread:
 
 def make_server(studio: Studio, access: Access, limits: ConnectionLimits | None = None) -> uvicorn.Server:
     """A uvicorn server of the studio; run it with `server.run(sockets=[bound])`."""
+    # The limits are part of uvicorn's connection classes, for by the time of the application a body is half read.
     http, socket_class = bounded(limits or ConnectionLimits())
     config = uvicorn.Config(
         create_app(studio, access),
@@ -137,6 +143,7 @@ def studio(
     asset: splats, a splat file, a project, or None: the demo asset. folder: what clients may open and save; watched for
     pictures. frame: of a splat file, as in io.read. Raises ValueError as `open_session` and `listen`."""
     access = Access.of("127.0.0.1")
+    # The port is taken before the asset is read: a long read that ends without a port would be for nothing.
     bound = listen(access.host, port)
     session = None
     try:
@@ -145,11 +152,13 @@ def studio(
         options = StudioOptions(None if folder is None else Path(folder), projects_path, note=note)
         opened = Studio(session, name, options)
     except BaseException:
+        # Whatever stops it, the port and the project file must not stay taken in a notebook that goes on.
         if session is not None:
             session.close()
         bound.close()
         raise
     server = make_server(opened, access)
+    # A daemon, so that a notebook ends without `stop`; the session has everything on disk already.
     thread = threading.Thread(target=server.run, kwargs={"sockets": [bound]}, name="splatpainter-studio", daemon=True)
     thread.start()
     warming = warm()

@@ -45,16 +45,19 @@ class BodyLimit:
         self.app, self.limit = app, limit
 
     async def __call__(self, scope: MutableMapping[str, Any], receive: Any, send: Any) -> None:
+        # Sockets have limits of their own (ws_max_size), and uploads count while they are written.
         limit = None if scope["type"] != "http" else self.limit(scope["path"])
         if limit is None:
             await self.app(scope, receive, send)
             return
+        # What the header says is refused before a byte is read; a length that is no number is no length.
         declared = next((value for name, value in scope["headers"] if name == b"content-length"), b"0")
         if not declared.isdigit() or int(declared[:20]) > limit:
             await _refuse(send, limit)
             return
         total, started = 0, False
 
+        # Chunked bodies state no length, and a header may be wrong: bytes are counted as they come.
         async def counted() -> MutableMapping[str, Any]:
             nonlocal total
             message = await receive()
@@ -68,6 +71,7 @@ class BodyLimit:
             started = True
             await send(message)
 
+        # Once an answer has begun no other may follow; then the connection simply ends.
         try:
             await self.app(scope, counted, noted)
         except BadBody:
@@ -90,6 +94,7 @@ def body_limit(path: str) -> int | None:
 
 async def parse_json(text: str | bytes) -> Any:
     """The values of a command's text. Raises ValueError of one line: no JSON, too many values."""
+    # Short text is parsed sooner than a thread would start; long text must not hold up everybody else.
     if len(text) <= MAX_INLINE_JSON_BYTES:
         return _parsed(text)
     return await asyncio.to_thread(_parsed, text)
@@ -97,12 +102,14 @@ async def parse_json(text: str | bytes) -> Any:
 
 def _parsed(text: str | bytes) -> Any:
     separators = b",[{" if isinstance(text, bytes) else ",[{"
+    # Counted before parsing: the separators bound the number of Python objects that can come of it.
     if sum(text.count(separators[k : k + 1]) for k in range(3)) > MAX_JSON_SEPARATORS:  # type: ignore[arg-type]
         raise ValueError(f"expected JSON of at most {MAX_JSON_SEPARATORS} values")
     try:
         data = json.loads(text)
     except (ValueError, RecursionError):
         raise ValueError("expected JSON") from None
+    # On the socket every command comes by the same way, so the smaller limit is held here.
     if len(text) > MAX_COMMAND_BYTES and isinstance(data, dict) and data.get("do", DAB) != DAB:
         raise ValueError(f"expected a command of at most {MAX_COMMAND_BYTES} bytes, got {len(text)}")
     return data
@@ -176,23 +183,28 @@ class _Watchdog:
         self._timer = self.loop.call_later(self.limits.check_seconds, self._check)
 
     def _is_idle(self, now: float) -> bool:
+        # What waits may be large and constant: a client that reads at all either shrinks it or empties it.
         waiting = self.protocol.transport.get_write_buffer_size()
         sent = (waiting, self.drained)
         if not waiting or sent != self._sent:
             self._sent, self._sent_since = sent, now
         if now - self._sent_since > self.limits.send_seconds:
             return True
+        # Sockets of pages may be silent for hours; only HTTP owes a request.
         return isinstance(self.protocol, BoundedHttp) and self._receives_nothing(self.protocol, now)
 
     def _receives_nothing(self, http: BoundedHttp, now: float) -> bool:
+        # Between requests nothing is due but the next head, in its time.
         if http.conn.their_state is h11.IDLE:
             self._body_since, self._body_from = now, self.received
             return now - self._head_since > self.limits.head_seconds
+        # Not sending a body, or held back by us: the clock of the body starts anew.
         if http.conn.their_state is not h11.SEND_BODY or http.flow.read_paused:
             self._body_since, self._body_from = now, self.received
             return False
         if now - self._body_since <= self.limits.body_seconds:
             return False
+        # Judged in spans and not from the start: a long upload may be slow at times, but never stop.
         slow = self.received - self._body_from < self.limits.body_bytes
         self._body_since, self._body_from = now, self.received
         return slow
@@ -206,6 +218,7 @@ class BoundedHttp(H11Protocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
+        # One connection too many is answered in plain bytes; the application never hears of it.
         if len(self.connections) > self.limits.connections:
             transport.write(b"HTTP/1.1 503 Service Unavailable\r\nconnection: close\r\ncontent-length: 0\r\n\r\n")
             transport.close()
@@ -217,6 +230,7 @@ class BoundedHttp(H11Protocol):
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
+        # What comes after the end is thrown away and not counted.
         if self.transport.is_closing():
             return
         if self.watchdog is not None:
@@ -234,6 +248,7 @@ class BoundedHttp(H11Protocol):
         super().resume_writing()
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
+        # A WebSocket has a class and a watchdog of its own.
         self._stop_watchdog()
         super().handle_websocket_upgrade(event)
 

@@ -25,12 +25,14 @@ from splatpainter.system.jsonio import field_types
 def options_message(name: str, operation: type, options: Sequence[str], doc: str) -> Any:
     """A message of some options of an operation (a dataclass). name, doc: of the message. Raises KeyError for an option
     that the operation does not have."""
+    # Types and texts are read once for all fields: both cost a look into the source.
     declared = {entry.name: entry for entry in dataclasses.fields(operation)}
     docs, types = option_docs(operation), field_types(operation)
     fields: dict[str, Any] = {}
     for option in options:
         entry = declared[option]
         default = entry.default_factory() if callable(entry.default_factory) else entry.default
+        # The ranges of the dataclass hold for the page too, so both refuse the same values.
         limits = {word: entry.metadata[word] for word in ("ge", "le", "gt", "lt") if word in entry.metadata}
         spelled = entry.metadata.get("words") or types[option]
         fields[option] = (spelled, Field(default=default, description=docs.get(option, ""), **limits))
@@ -48,11 +50,13 @@ def layer_options(operation: type) -> list[str]:
 def option_docs(operation: type) -> dict[str, str]:
     """Option -> the text that stands under it in its dataclass, or in one that that one is made from."""
     docs: dict[str, str] = {}
+    # From the base downwards, so that a class that explains an option anew has the last word.
     for kind in reversed(operation.__mro__):
         if not dataclasses.is_dataclass(kind):
             continue
         (body,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
         assert isinstance(body, ast.ClassDef)
+        # Python keeps no docstrings of fields, so they are read from the source: the text after its declaration.
         for before, after in zip(body.body, body.body[1:], strict=False):
             if isinstance(before, ast.AnnAssign) and isinstance(before.target, ast.Name) and _is_text(after):
                 docs[before.target.id] = inspect.cleandoc(after.value.value)  # type: ignore[attr-defined]

@@ -23,6 +23,7 @@ class PageFiles(StaticFiles):
 
     def lookup_path(self, path: str) -> tuple[str, os.stat_result | None]:
         plain = super().lookup_path(path)
+        # Plain first, as in `page_file`; only wheels have the packed file alone.
         return plain if plain[1] is not None else super().lookup_path(path + PACKED)
 
     def file_response(
@@ -30,10 +31,13 @@ class PageFiles(StaticFiles):
     ) -> Response:
         response = super().file_response(full_path, stat_result, scope, status_code)
         path = Path(full_path)
+        # A .gz that was asked for by its name is a file like any other.
         if path.suffix != PACKED or scope["path"].endswith(PACKED):
             return response
+        # Unpacked here for the few programs that take no gzip: wheels hold no second copy.
         if not _takes_gzip(Headers(scope=scope).get("accept-encoding", "")):
             return Response(gzip.decompress(path.read_bytes()), status_code, media_type=response.media_type)
+        # Caches between must keep the two forms apart.
         response.headers["content-encoding"] = "gzip"
         response.headers["vary"] = "accept-encoding"
         return response

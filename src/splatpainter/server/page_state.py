@@ -66,10 +66,12 @@ class PageState:
 
     async def once(self, number: int, work: Callable[[], Awaitable[Answer]]) -> Answer:
         """What `work` returns, or raises; for a number that came before, the outcome of that time."""
+        # Shielded: the connection that asks again may break as well, and the outcome must outlive it.
         earlier = self._outcomes.get(number)
         if earlier is not None:
             return await asyncio.shield(earlier)
         outcome = self._outcomes[number] = asyncio.get_running_loop().create_future()
+        # More than can wait at a time, so what may still be asked for again is always there.
         while len(self._outcomes) > MAX_OUTCOMES:
             self._outcomes.popitem(last=False)
         try:
@@ -98,11 +100,13 @@ class PageStates:
         """A connection says whose it is; returns whether the page has been here before. name: the page's; None: it has
         none, and will not come back."""
         returning = name is not None and name in self._pages
+        # Moved to the end: the order is what decides which page is forgotten first.
         if name is not None:
             client.page = self._pages.pop(name) if returning else PageState(name)
             self._pages[name] = client.page  # the latest last
         before, client.page.client = client.page.client, client
         client.page.attachments += 1
+        # A page has one connection; an older one is dead even where its end has not been noticed.
         if before is not None and before is not client:
             before.closed()
         return returning
@@ -110,9 +114,11 @@ class PageStates:
     def detach(self, client: Connection) -> None:
         """Forget a connection that was closed."""
         page = client.page
+        # A late end of an old connection must not take the new one away.
         if page.client is not client:
             return
         page.client = None
+        # Names are free to make up, so those who never come back are bounded in number and in time.
         absent = [page for page in self._pages.values() if page.client is None]
         for oldest in absent[: max(len(absent) - MAX_ABSENT_PAGES, 0)]:
             self._forget(oldest, oldest.attachments)
@@ -120,6 +126,7 @@ class PageStates:
 
     def _forget(self, page: PageState, attachments: int) -> None:
         """Unless it has been back meanwhile."""
+        # Called by a timer: the page may have come back and left again, which begins another wait.
         if page.client is None and page.attachments == attachments and self._pages.get(page.name) is page:
             del self._pages[page.name]
             for ticket in page.tickets.values():

@@ -72,6 +72,7 @@ class CameraInfo(Message):
 
     def to_camera(self, most_pixels: int = MAX_VIEW_PIXELS) -> Camera:
         """Raises ValueError: not rigid, not finite, or more than `most_pixels`."""
+        # Checked before a camera is made: its size decides how much memory a render takes.
         if self.width * self.height > most_pixels:
             limit, size = most_pixels / 1e6, f"{self.width}x{self.height}"
             raise ValueError(f"camera: expected at most {limit:.3g} megapixels, got {size}; zoom out")
@@ -533,6 +534,7 @@ class BatchEvent(Message):
 
 def first_fault(error: ValidationError, where: str) -> str:
     """One line about the first field that is wrong."""
+    # Without input and context: they may be as large as the message, or hold what is private.
     fault = error.errors(include_url=False, include_context=False, include_input=False)[0]
     field_path = printable(".".join(map(str, fault["loc"])))  # a client's own words
     return f"{where}: {field_path}: {fault['msg']}" if field_path else f"{where}: {fault['msg']}"

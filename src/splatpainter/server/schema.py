@@ -44,7 +44,9 @@ def definitions() -> dict[str, dict[str, Any]]:
     """Name -> JSON schema of every model that travels."""
     received = [*{kind.ANSWER for kind in COMMANDS.values()}, *EVENTS, CommandProgress, Failure]
     requests: list[tuple[Any, JsonSchemaMode]] = [(kind, "validation") for kind in COMMANDS.values()]
+    # What clients send and what they get differ in which fields are optional, so each kind is described its way.
     sent = models_json_schema(requests)[1]["$defs"]
+    # Sorted by name, so that the text and the hash are the same whenever nothing changed.
     received = sorted(received, key=lambda kind: kind.__name__)
     answers: list[tuple[Any, JsonSchemaMode]] = [(kind, "serialization") for kind in received]
     return models_json_schema(answers)[1]["$defs"] | sent
@@ -52,6 +54,7 @@ def definitions() -> dict[str, dict[str, Any]]:
 
 def schema_hash() -> str:
     """16 hex digits that change with every change of commands, answers, events or frames."""
+    # The pairs too: a command that answers with another class changes the protocol without a new definition.
     pairs = {name: [kind.__name__, kind.ANSWER.__name__] for name, kind in COMMANDS.items()}
     text = json.dumps([definitions(), pairs, FRAME], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
@@ -62,11 +65,13 @@ def typescript() -> str:
     parts = [HEAD, f'export const SCHEMA_HASH = "{schema_hash()}";']
     parts += [f"export const {name} = 0x{value:x};" for name, value in FRAME.items()]
     parts += [f"/** Most pixels of a view. */\nexport const MAX_VIEW_PIXELS = {MAX_VIEW_PIXELS:_};"]
+    # Interfaces by name: in the order of the classes a moved class would change the generated file.
     parts += [_interface(name, shape) for name, shape in sorted(definitions().items())]
     lines = [f'  "{name}": [{kind.__name__}, {kind.ANSWER.__name__}];' for name, kind in COMMANDS.items()]
     parts.append(
         "\n".join(["/** Name -> what is sent and what is answered. */", "export interface Commands {", *lines, "}"])
     )
+    # The page has to know them, to grey out what changes a project that is read only.
     writing = [f'  "{name}",' for name, kind in COMMANDS.items() if kind in HANDLERS and HANDLERS[kind].writes]
     start = "export const WRITING: ReadonlySet<keyof Commands> = new Set<keyof Commands>(["
     parts.append("\n".join(["/** Commands that may change the project. */", start, *writing, "]);"]))
@@ -77,6 +82,7 @@ def typescript() -> str:
 def _interface(name: str, shape: dict[str, Any]) -> str:
     required, base = set(shape.get("required", ())), ""
     fields = dict(shape.get("properties", {}))
+    # Fields that every answer has are declared once there as well.
     if name != "Answer" and fields.keys() >= Answer.model_fields.keys():
         base = " extends Answer"
         fields = {key: field for key, field in fields.items() if key not in Answer.model_fields}
@@ -105,6 +111,7 @@ def _type(field: dict[str, Any]) -> str:
     if field.get("type") == "array":
         if "prefixItems" in field:
             return f"[{', '.join(map(_type, field['prefixItems']))}]"
+        # A union within an array needs brackets, or [] would bind to its last part alone.
         one = _type(field["items"])
         return f"({one})[]" if " " in one else f"{one}[]"
     if field.get("type") == "object":

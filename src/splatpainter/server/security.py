@@ -65,15 +65,18 @@ class Access:
     def of(host: str, token: str | None = None) -> Access:
         """Access to a server on `host`: on any but a loopback address a token is needed, and made where none is given.
         Raises ValueError where `host` is neither an address nor a name."""
+        # A whole URL is the likely mistake here; it is named before anything listens.
         if not host or any(sign in host for sign in "/@ \\"):
             raise ValueError(f"studio: expected --host as an address or a name, got {host!r}")
         if is_loopback(host):
             return Access(host, token)
+        # Reachable from other machines: then nobody comes in without a token, whether one was asked for or not.
         return Access(host, token or secrets.token_urlsafe(32), (*LOCAL, host.lower()))
 
     def knows_host(self, header: str | None) -> bool:
         """Whether a Host header is one of ours."""
         name = _name_of(header or "")
+        # From other machines the studio has addresses that it does not know; a rebound name is never one.
         if name in self.names:
             return True
         return not is_loopback(self.host) and _is_address(name)
@@ -99,6 +102,7 @@ class AccessGuard:
             await self.app(scope, receive, send)
             return
         headers = _headers(scope)
+        # Who may not talk at all is refused first, whatever token it brings.
         refusal = self._refusal(scope, headers)
         if scope["type"] == "websocket":
             if refusal is None and not self._authorised(scope, headers):
@@ -109,6 +113,7 @@ class AccessGuard:
                 await receive()
                 await send({"type": "websocket.close", "code": 1008})
             return
+        # From here on HTTP: each answer, refusals included, carries the headers.
         outgoing = _with_headers(send)
         if refusal is not None:
             await _answer(outgoing, *refusal)
@@ -119,12 +124,15 @@ class AccessGuard:
 
     def _refusal(self, scope: MutableMapping[str, Any], headers: dict[str, str]) -> tuple[int, str] | None:
         host = headers.get("host")
+        # DNS rebinding: the browser believes it talks to another site, and only the Host header shows it.
         if not self.access.knows_host(host):
             return 400, "This server does not go by that name (Host header). Use the address that the studio printed."
+        # Cross-site requests: a browser names the site of the page that sends them, and no page can change that.
         origin = headers.get("origin")
         scheme = "https" if scope["scheme"] in ("https", "wss") else "http"
         if origin is not None and origin.lower() != f"{scheme}://{host}".lower():
             return 403, "Requests from other sites are not answered (Origin header)."
+        # A link from another site may open the page, which shows nothing of ours to that site; nothing else may.
         linked = scope["type"] == "http" and scope["method"] in SAFE_METHODS
         navigating = linked and headers.get("sec-fetch-mode") == "navigate"
         if headers.get("sec-fetch-site") in ("cross-site", "same-site") and not navigating:
@@ -132,6 +140,7 @@ class AccessGuard:
         return None
 
     def _authorised(self, scope: MutableMapping[str, Any], headers: dict[str, str]) -> bool:
+        # Without a token everybody on this machine may come in, so nothing has to be shown.
         if self.access.token is None:
             return True
         kind, _, value = headers.get("authorization", "").partition(" ")
@@ -140,13 +149,16 @@ class AccessGuard:
 
     async def _ask(self, scope: MutableMapping[str, Any], send: Any) -> None:
         """A page address with the right ?token= gets the cookie and is sent on without it; everything else is 401."""
+        # Only a page address is taken, for a browser will follow it; programs send the token as a header.
         query = parse_qsl(scope["query_string"].decode("latin-1"))
         given = dict(query).get("token")
         if scope["method"] != "GET" or given is None or not self.access.knows_token(given):
             await _answer(send, 401, "This studio needs its token: open the address that it printed when it started.")
             return
+        # The token leaves the address, or it would stay in the browser's history and on the screen.
         rest = urlencode([pair for pair in query if pair[0] != "token"])
         location = "/" + quote(scope["path"].lstrip("/")) + (f"?{rest}" if rest else "")
+        # SameSite=Strict: no other site's request carries it. HttpOnly: no script reads it.
         cookie = f"{cookie_name(scope)}={self.access.token}; Path=/; HttpOnly; SameSite=Strict"
         await _answer(send, 303, "", {"location": location, "set-cookie": cookie})
 
@@ -160,6 +172,7 @@ def cookie_name(scope: MutableMapping[str, Any]) -> str:
 def _headers(scope: MutableMapping[str, Any]) -> dict[str, str]:
     """Lower-case name -> value. Of a name that comes twice both are kept, and then fit nothing."""
     out: dict[str, str] = {}
+    # Latin-1 takes any byte, so that no header can fail to be read before it is judged.
     for raw, value in scope["headers"]:
         name, text = raw.decode("latin-1").lower(), value.decode("latin-1")
         out[name] = f"{out[name]}, {text}" if name in out else text
@@ -196,6 +209,7 @@ def _with_headers(send: Any) -> Any:
     extra = [(name.encode(), value.encode()) for name, value in HEADERS.items()]
 
     async def outgoing(message: MutableMapping[str, Any]) -> None:
+        # Only where an answer has not set its own, as downloads may.
         if message["type"] == "http.response.start":
             present = {name.lower() for name, _ in message.get("headers", ())}
             message["headers"] = [*message.get("headers", ()), *(pair for pair in extra if pair[0] not in present)]

@@ -50,9 +50,11 @@ class SelectionHistory:
     def note(self, step: int, steps: Sequence[int], present: SelectionState, is_new: bool) -> None:
         """After a command: `step` is in effect, `steps` are there, `present` is selected. is_new: the command made the
         step."""
+        # Steps that fell out of the document are never in effect again.
         for gone in self._tracks.keys() - set(steps):
             del self._tracks[gone]
         track = self._tracks.get(step)
+        # A new step begins with what its command left; a selection made since then cuts off what was undone.
         if track is None or is_new:
             self._tracks[step] = _Track([present])
         elif track.states[track.at] is not present:
@@ -80,6 +82,7 @@ class SelectionHistory:
         return None if track is None else track.states[track.at]
 
     def _forget(self, present: int) -> None:
+        # Whole steps go first, the oldest before all; of the step in effect only what undo would reach last.
         total = sum(state.bytes for track in self._tracks.values() for state in track.states)
         for step, track in list(self._tracks.items()):
             while total > MAX_BYTES and (step != present and track.states or track.at > 0):

@@ -71,6 +71,7 @@ class Studio:
         self.options = options
         self.folder = None if options.folder is None else Folder(options.folder)
         self.projects = Projects(options.projects or projects_folder())
+        # Before anything of this studio's is made: what a killed one left behind is no longer anybody's.
         sweep_scratch()
         folders = {self.projects.root, self.folder and self.folder.root, session.path and session.path.parent}
         for folder in folders - {None}:
@@ -81,6 +82,7 @@ class Studio:
         self.batches = Batches(self.scratch.path)
         self._scene: tuple[Any, list[SceneAssetInfo]] | None = None
         self._preparing: threading.Thread | None = None
+        # A project that has a picture of this version needs no other.
         self._drawn: int | None = None
         """Version of the session of which its project has a picture; None: it has none."""
         self.exports: deque[NamedView] = deque(maxlen=MAX_EXPORTED_VIEWS)
@@ -90,6 +92,7 @@ class Studio:
         """What `open` found of the project that it closed and of the one that it opened, for people."""
         self.written: dict[str, str] = {}
         """Pictures that the studio itself wrote into the folder: name -> sha256, to be told from saved ones."""
+        # The folders exist by now, so a session that cannot be described has to leave none of them behind.
         try:
             self._adopt(session, name)
         except BaseException:
@@ -104,8 +107,10 @@ class Studio:
     def open(self, make: Callable[[], Session], name: str) -> None:
         """Close the session and go on with another. Where `make` raises, or what it made cannot be described to
         clients, everything stays as it was."""
+        # Made while the old session is still whole: a file that cannot be read must change nothing.
         fresh = make()
         old = self.session
+        # Drawn before the old session goes, for lists of recent projects.
         self.draw_picture()
         try:
             self._adopt(fresh, name)
@@ -114,12 +119,14 @@ class Studio:
             raise
         self.exports.clear()
         before = old.note
+        # Closing may find something out about the old project; only what is new is said to people.
         _close(old, self.projects)
         self.news = [self.public(note) for note in (old.note if old.note != before else "", fresh.note) if note]
 
     def prepare_edit(self, camera: Camera) -> None:
         """Make what the next local edit, in this view, needs in a thread of its own, unless one is at it; `close` waits
         for it."""
+        # One at a time: preparing only saves time, and an edit does without it as well.
         if self._preparing is None or not self._preparing.is_alive():
             self._preparing = threading.Thread(
                 target=self.session.surface.prepare, args=(camera,), name="studio-prepare", daemon=True
@@ -127,10 +134,13 @@ class Studio:
             self._preparing.start()
 
     def _adopt(self, session: Session, name: str) -> None:
+        # All is made aside and put in place at the end, so that readers on other threads never see half of it.
         session_id, lists, snapshot = secrets.token_hex(8), describe.Lists(), session.snapshot
         selection = CurrentSelection(session)
         selection.note()
+        # Only while nothing was done in it: then earlier work on the same original may be what is looked for.
         self._earlier = [] if len(snapshot.history) > 1 else self._earlier_of(session)
+        # Values of a damaged project show here, where its old session is still the studio's.
         with _one_line_errors(name):
             asset = describe.counted(describe.asset_info(session, name), session.original, snapshot.splats)
             state = self._state_of(session, session_id, name, asset, lists, selection)
@@ -146,16 +156,19 @@ class Studio:
         """Describe the session anew; cheap where the Gaussians are the same."""
         session, snapshot = self.session, self.session.snapshot
         self.selection.note()
+        # What says the first view has changed, so all of the asset's description is made anew.
         if self._asset.up != list(describe.up_axis(session)) or self._front != session.scene.front:
             self._asset, self._counted = describe.asset_info(session, self._asset.name), 0
             self._front = session.scene.front
         if len(snapshot.history) > 1:
             self._earlier = []
         if self._original is not snapshot.original:  # assets came, went, or moved
+            # A selection is of Gaussians by number; with other assets the numbers mean others.
             if len(self._original) != len(snapshot.original):
                 self.selection.choose(None)
             self._asset, self._counted = describe.asset_info(session, self._asset.name), 0
             self._original = snapshot.original
+        # Counting compares every Gaussian, so it is done once for each version.
         if self._counted != snapshot.version:
             self._asset = describe.counted(self._asset, session.original, snapshot.splats)
             self._counted = snapshot.version
@@ -164,6 +177,7 @@ class Studio:
 
     def _scene_assets(self, session: Session, name: str) -> list[SceneAssetInfo]:
         """Described anew where something about them changed."""
+        # Whatever the description is made of, and nothing else: strokes leave it as it is.
         key = (id(session), session.scene.assets, tuple(layer.asset for layer in session.layers), name)
         if self._scene is None or self._scene[0] != key:
             self._scene = (key, describe.scene_assets(session, name))
@@ -206,6 +220,7 @@ class Studio:
 
     def _project(self, session: Session, name: str) -> ProjectInfo:
         path = session.path
+        # Clients know files of the studio's folder alone; another place is none of theirs.
         inside = path is not None and self.folder is not None and path.resolve().parent == self.folder.root
         name = name if path is None or not inside else path.stem
         file = path.name if path is not None and inside else None
@@ -220,6 +235,7 @@ class Studio:
     def recent_info(self, project: RecentProject) -> RecentInfo:
         """A project as clients see it; its picture is a blob."""
         summary, picture = project.summary, None
+        # A list of projects must not fail for the picture of one of them.
         if summary is not None and summary.picture is not None:
             with contextlib.suppress(ValueError):  # damaged, or nothing can be kept
                 picture = self.blobs.put(summary.picture, f"{project.id}.png").sha256
@@ -240,8 +256,10 @@ class Studio:
         """Leave a small picture of the asset in its project, for lists. listed: also where nothing was done in it yet;
         such a project goes when it is left."""
         session = self.session
+        # Nothing to show of one in which nothing was done, unless it is listed while it is open.
         if session.read_only or session.version == self._drawn or (len(session.history) < 2 and not listed):
             return
+        # Noted before it is drawn: if the disk is full it would be tried again at every turn.
         self._drawn = session.version
         camera = describe.small_view(self._asset)
         with contextlib.suppress(ValueError):  # a full disk
@@ -249,6 +267,7 @@ class Studio:
 
     def public(self, text: str) -> str:
         """A message without the folders that clients have no business with; names of files in them stay."""
+        # Every folder of this machine that a message could name; what lies in them keeps its name.
         folders = [self.projects.root, self.blobs.folder, self.scratch.path]
         folders += [] if self.folder is None else [self.folder.root]
         session = getattr(self, "session", None)
@@ -265,6 +284,7 @@ class Studio:
     def note_source(self, picture: str, record: dict[str, Any] | None) -> None:
         """A picture of a source, by its hash; record: what receipts say of it, None: nothing."""
         if record is not None:
+            # The latest ones only: a picture may be kept for a long time and never be painted with.
             self._sourced[picture] = record
             while len(self._sourced) > MAX_SOURCED_PICTURES:
                 self._sourced.popitem(last=False)
@@ -272,12 +292,14 @@ class Studio:
     def source_of(self, pictures: Sequence[str]) -> dict[str, Any] | None:
         """What receipts say of the sources of some pictures, all in one; None: no source made them."""
         records = [self._sourced[picture] for picture in pictures if picture in self._sourced]
+        # All views of a layer may come from one source; its record then lists them together.
         if not records:
             return None
         return {**records[0], "views": [view for record in records for view in record["views"]]}
 
     def picture_bytes(self, sha256: str) -> tuple[bytes, str]:
         """(bytes, content type) of a picture that was sent or made, or that a layer holds. Raises ValueError."""
+        # Uploads may be gone by now, and a layer keeps its pictures in the project.
         with contextlib.suppress(ValueError):
             blob = self.blobs.get(sha256)
             return blob.path.read_bytes(), blob.info.media
@@ -287,6 +309,7 @@ class Studio:
 
     def close(self) -> None:
         """Leave nothing but the project file: no thread and no program either."""
+        # Programs and threads first, for they may still use the files that go next.
         self.batches.close()
         if self._preparing is not None:
             self._preparing.join()
@@ -299,6 +322,7 @@ class Studio:
 def _close(session: Session, projects: Projects) -> None:
     """Close a session; a project of the studio's own folder in which nothing was done is removed."""
     path = session.path
+    # All of these hold only for a project that nobody has touched; anything else is somebody's work.
     unused = path is not None and path.parent == projects.root and not session.read_only
     unused = unused and len(session.history) == 1 and not session.bookmarks and not session.scene.is_oriented
     unused = unused and session.files.is_in_place

@@ -61,9 +61,11 @@ class WorkQueue:
 
     async def run(self, lane: Lane, job: Callable[[], Result], ticket: Ticket) -> Result:
         """The result of a job. Raises what it raises, Cancelled and Busy."""
+        # Refused and not kept waiting: a client that sends without end must not fill the memory.
         if self._waiting >= self._max_jobs:
             raise Busy
 
+        # Looked at when its turn comes: a job that was cancelled while it waited costs nothing.
         def checked() -> Result:
             ticket.check()
             return job()
@@ -77,6 +79,7 @@ class WorkQueue:
     def write(self, job: Callable[[], Result]) -> Result:
         """The result of a job on the lane `write`, for a job of the lane `background`, which waits for it here. Raises
         what it raises, and Cancelled where the queue is being closed."""
+        # The writer's lane has one thread, so what a background job writes keeps its place in the order.
         try:
             future = self._lanes["write"].submit(job)
         except RuntimeError:  # closed
@@ -88,5 +91,6 @@ class WorkQueue:
 
     def close(self) -> None:
         """Wait for the jobs in work; those that have not begun are dropped."""
+        # In order to end soon: what has begun is finished, what has not is dropped.
         for executor in self._lanes.values():
             executor.shutdown(wait=True, cancel_futures=True)

@@ -121,9 +121,12 @@ def check_request(request: PictureRequest, capabilities: Capabilities, name: str
     Raises: SourceError naming what was asked and what the source takes.
     """
     sides = request.image.shape[:2]
+    # A refusal says how the source can be made to take it, where that is possible.
     hint = f"; {capabilities.hint}" if capabilities.hint else ""
+    # Seeds differ in range from service to service; out of it they would be cut off in silence.
     if capabilities.seed and request.seed is not None and not 0 <= request.seed <= capabilities.max_seed:
         raise SourceError(f"source {name}: expected a seed of 0 to {capabilities.max_seed}, got {request.seed}")
+    # Whatever the source would have to ignore: the user would take the answer for what was asked for.
     demands = {
         "a prompt": bool(request.prompt) and not capabilities.prompt,
         "a mask": request.mask is not None and not capabilities.mask,
@@ -135,12 +138,14 @@ def check_request(request: PictureRequest, capabilities: Capabilities, name: str
     for what, refused in demands.items():
         if refused:
             raise SourceError(f"source {name}: does not take {what}; it takes {describe(capabilities)}{hint}")
+    # Not every source can do something without words; the call would be paid for and useless.
     if capabilities.needs_prompt and not request.prompt.strip():
         raise SourceError(f"source {name}: needs a prompt (--prompt TEXT)")
 
 
 def describe(capabilities: Capabilities) -> str:
     """What a source takes, in words for one line."""
+    # In the order in which people think of them; what a source does not take is left out.
     parts = [
         "a prompt" if capabilities.prompt else "",
         "a mask" if capabilities.mask else "",

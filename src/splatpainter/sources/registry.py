@@ -54,11 +54,13 @@ class SourceStatus:
     @property
     def missing(self) -> tuple[str, ...]:
         """What it needs and is not there, one phrase each; keys by the name of their variable."""
+        # Everything at once: whoever sets up a source should not learn of one lack after another.
         lines = [self.problem] if self.problem else []
         if names := self.description.missing_modules:
             extra = self.description.extra
             install = f": pip install 'splatpainter[{extra}]'" if extra else ""
             lines.append(f"{', '.join(names)} not installed{install}")
+        # Variables are named and their values never shown.
         if self.description.keys and not self.description.key_variable and not self.description.key_optional:
             lines.append(f"no key: set {' or '.join(self.description.keys)}")
         return tuple(lines)
@@ -75,9 +77,11 @@ class CheckedSource:
     def edit(self, request: PictureRequest, progress: Progress, cancel: CancelFlag) -> PictureAnswer:
         """The source's answer, checked. Raises SourceError: the request is more than the source takes, any failure of
         the source, an answer that is no picture; SourceCancelled."""
+        # Refused before the source is asked: afterwards it would have cost time and money.
         check_request(request, self.capabilities, self.name)
         if cancel.is_set():
             raise SourceCancelled
+        # Whatever another's code raises becomes one line; keys are taken out of it, for errors quote requests.
         try:
             return self._checked(self._source.edit(request, progress, cancel))
         except (SourceCancelled, MemoryError):
@@ -91,15 +95,18 @@ class CheckedSource:
         raise SourceError(without_secrets(line))  # outside of the handler: the first one may hold an address or a key
 
     def _checked(self, answer: PictureAnswer) -> PictureAnswer:
+        # An answer may come from any distribution: its type is not taken on trust.
         image = answer.image if isinstance(answer, PictureAnswer) else None
         if not isinstance(image, np.ndarray) or image.ndim != 3 or image.shape[2] not in (3, 4) or 0 in image.shape:
             actual = f"shape {list(image.shape)}" if isinstance(image, np.ndarray) else type(answer).__name__
             raise SourceError(f"source {self.name}: expected a picture [h, w, 3 or 4] as its answer, got {actual}")
+        # After the shape, before any copy is made of it.
         if image.shape[0] * image.shape[1] > MAX_PICTURE_PIXELS:
             raise SourceError(f"source {self.name}: answered more than {MAX_PICTURE_PIXELS // 10**6} megapixels")
         values = image.astype(np.float32) / 255 if image.dtype == np.uint8 else image
         if values.dtype.kind != "f" or not np.isfinite(values).all():
             raise SourceError(f"source {self.name}: expected finite numbers 0..1 in its picture")
+        # Words of the source's go into receipts and files, so keys are taken out of them as well.
         return replace(
             answer,
             image=np.clip(values, 0, 1).astype(np.float32),
@@ -116,23 +123,28 @@ def open_source(name: str, options: Mapping[str, str] | None = None) -> CheckedS
     install), options that it does not have or that are wrong. A missing key is an error of `edit`, so that plans can be
     made without one."""
     values = dict(options or {})
+    # This package's own first: another distribution cannot take the name of one of them.
     if name in BUILT_IN:
         module = importlib.import_module(f"splatpainter.sources.backends.{name}")
         description: SourceDescription = module.DESCRIPTION
         assert description.options is not None
         parsed = parse_options(description.options, name, values)
+        # Options were checked before: a wrong option is worth knowing although the library is missing.
         if description.missing_modules:
             raise SourceError(f"source {name}: {SourceStatus(replace(description, keys=())).missing[0]}")
         return CheckedSource(module.open_source(parsed), name)
     points = [point for point in _entry_points() if point.name == name]
+    # The names that there are, with the nearest one first: most wrong names are misspelt.
     if not points:
         names = source_names()
         near = difflib.get_close_matches(name, names, 1)
         hint = f"; perhaps you meant {near[0]}" if near else ""
         raise SourceError(f"source {name[:80]!r}: no such source{hint}; available: {', '.join(names)}")
+    # With two of one name it would be chance which one gets the picture.
     if len(points) > 1:
         brought = " and ".join(sorted(_distribution(point) for point in points))
         raise SourceError(f"source {name}: comes with {brought}; uninstall one of them")
+    # Another's code runs from here on; its failures are told with the distribution that they came with.
     try:
         source = points[0].load()(values)
     except SourceError as error:
@@ -141,6 +153,7 @@ def open_source(name: str, options: Mapping[str, str] | None = None) -> CheckedS
         where = _distribution(points[0])
         line = f"source {name}: cannot be opened ({type(error).__name__}: {error}); it comes with {where}"
     else:
+        # Looked at now, so that a wrong object fails here and not in the middle of an edit.
         if callable(getattr(source, "edit", None)) and hasattr(source, "capabilities"):
             return CheckedSource(source, name)
         line = f"source {name}: expected an object with edit and capabilities, got {type(source).__name__}"
@@ -157,6 +170,7 @@ def describe_sources() -> list[SourceStatus]:
     statuses = [
         SourceStatus(importlib.import_module(f"splatpainter.sources.backends.{name}").DESCRIPTION) for name in BUILT_IN
     ]
+    # A list must not fail for one entry: what cannot be loaded says why in its place.
     for point in sorted(_entry_points(), key=lambda point: point.name):
         distribution = _distribution(point)
         if point.name in BUILT_IN:
@@ -166,6 +180,7 @@ def describe_sources() -> list[SourceStatus]:
         try:
             factory = point.load()
             description = getattr(factory, "description", None)
+            # A description is optional; the first line of the docstring says enough for a list.
             if not isinstance(description, SourceDescription):
                 summary = next(iter((factory.__doc__ or "").strip().splitlines()), "")
                 description = SourceDescription(point.name, summary)
@@ -178,12 +193,14 @@ def describe_sources() -> list[SourceStatus]:
 
 def secret_variables() -> set[str]:
     """Environment variables whose values are keys: those of the sources, and whatever is called so."""
+    # By their usual endings too: keys of other programs may stand in an error as well.
     endings = ("_API_KEY", "_API_TOKEN", "_TOKEN", "_SECRET", "_PASSWORD", "_KEY")
     return {name for name in os.environ if name.upper().endswith(endings)}
 
 
 def without_secrets(text: str) -> str:
     """One line without any key of the environment, shortened."""
+    # Short values are words that may stand anywhere; taking them out would hide plain text.
     for name in secret_variables():
         value = os.environ[name].strip()
         if len(value) >= MIN_SECRET_CHARACTERS:

@@ -114,10 +114,12 @@ def option_words(words: Iterable[str]) -> dict[str, str]:
     """KEY=VALUE words as a dict. Raises ValueError: no "=", no key, a key that stands there twice."""
     options: dict[str, str] = {}
     for word in words:
+        # Dashes or underscores: people type both, and fields have only the one.
         key, equals, value = word.partition("=")
         key = key.strip().replace("-", "_")
         if not equals or not key:
             raise ValueError(f"--source-option: expected KEY=VALUE, got {word[:80]!r}")
+        # Twice is a mistake; the later one would win in silence.
         if key in options:
             raise ValueError(f"--source-option: {key} was given twice")
         options[key] = value
@@ -129,6 +131,7 @@ def parse_options(kind: type[_T], source: str, given: Mapping[str, str]) -> _T:
 
     Raises SourceError in one line: an unknown option (with those that exist), a missing one, a value of another type
     or out of its range."""
+    # Unknown names first: a misspelt option is the likeliest reason for a missing one.
     fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
     for name in given:
         if name not in fields:
@@ -138,6 +141,7 @@ def parse_options(kind: type[_T], source: str, given: Mapping[str, str]) -> _T:
             raise SourceError(f"source {source}: no option {name[:80]!r}{hint}; it has {listed}")
     hints = get_type_hints(kind)
     values: dict[str, Any] = {}
+    # Given options, then the environment, then defaults: the nearest to the user wins.
     for name, field in fields.items():
         variables = environment_names(source, name, field.metadata.get("environment", ()))
         variable = next((variable for variable in variables if os.environ.get(variable)), None)
@@ -146,6 +150,7 @@ def parse_options(kind: type[_T], source: str, given: Mapping[str, str]) -> _T:
         elif variable is not None:
             values[name] = _value(hints[name], os.environ[variable], field.metadata, f"source {source}: {variable}")
         elif field.default is MISSING:
+            # The line says both ways to give it, since one of them suits scripts and the other people.
             meaning = field.metadata.get("meaning", "").rstrip(".")
             raise SourceError(
                 f"source {source}: needs the option {name} ({meaning}): --source-option {name}=..., or {variables[0]}"
@@ -162,6 +167,7 @@ def options_help(description: SourceDescription) -> tuple[OptionHelp, ...]:
     """The options of a source."""
     if description.options is None:
         return ()
+    # From the fields themselves, so that help and parser cannot differ.
     return tuple(
         OptionHelp(
             field.name,
@@ -179,9 +185,11 @@ def _plain(value: Any) -> str:
 
 
 def _value(hint: Any, text: str, metadata: Mapping[str, Any], where: str) -> Any:
+    # Of an option that may be None only the other kind can be written down.
     kinds = [kind for kind in (get_args(hint) or (hint,)) if kind is not type(None)]
     kind = kinds[0]
     text = text.strip()
+    # Before anything is parsed: text may come from a file or a page.
     if len(text) > MAX_OPTION_CHARACTERS or "\0" in text:
         raise SourceError(f"{where}: expected at most {MAX_OPTION_CHARACTERS:,} characters and none of them NUL")
     if kind is bool:
@@ -190,6 +198,7 @@ def _value(hint: Any, text: str, metadata: Mapping[str, Any], where: str) -> Any
         return TRUTH_VALUES[text.lower()]
     if kind in (int, float):
         return _number(kind, text, metadata, where)
+    # Choices are words and compared as such; bounds belong to numbers.
     choices = metadata.get("choices", ())
     if choices and text not in choices:
         raise SourceError(f"{where}: expected {' or '.join(choices)}, got {text[:80]!r}")
@@ -204,10 +213,12 @@ def _number(kind: type, text: str, metadata: Mapping[str, Any], where: str) -> i
     least, most = metadata.get("least"), metadata.get("most")
     try:
         number = kind(text)
+        # NaN fails every comparison, so it is refused by being finite and not by the bounds.
         inside = math.isfinite(number) and (least is None or number >= least) and (most is None or number <= most)
     except (ValueError, OverflowError):
         number, inside = 0, False
     if not inside:
+        # The line names only the bounds that there are.
         low = [f"at least {least}"] if least is not None else []
         high = [f"at most {most}"] if most is not None else []
         span = " and ".join(low + high)

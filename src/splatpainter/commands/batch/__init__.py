@@ -67,6 +67,7 @@ def run(config: Config) -> Outcome:
     from splatpainter.commands.batch.work import COMMON, BatchWork
     from splatpainter.output_paths import check_folder, make_folder
 
+    # Options that do not go together are refused before the file of jobs is read.
     if config.workers < 1:
         raise ValueError(f"{COMMAND}: expected --workers of at least 1, got {config.workers}")
     if config.ray is not None and len(config.ray) > 1:
@@ -74,8 +75,10 @@ def run(config: Config) -> Outcome:
     if config.events and config.ray is not None:
         raise ValueError(f"{COMMAND}: expected --events or --ray, not both")
     plan = read_jobs(config.jobs, config.overwrite)
+    # The folder is looked at before anything is loaded that takes long.
     check_folder(plan.out)
     if config.dry_run:
+        # A dry run needs neither the folder nor what draws the page.
         return _dry_run(plan)
     from splatpainter.commands.batch.page import require_jinja, write_page
 
@@ -97,10 +100,12 @@ def run_jobs(work: Callable[[int], dict[str, Any]], jobs: tuple[Job, ...], confi
     """Run the jobs here; returns their records, in order; jobs that no worker survived have failed."""
     records: list[dict[str, Any]] = [{}] * len(jobs)
     results = _results(work, len(jobs), config)
+    # Records keep the order of the jobs, whichever ends first.
     try:
         for number, record in progress(results, len(jobs), "jobs"):
             records[number] = _record(jobs[number], record)
     finally:
+        # Closed in any case: workers must not outlive an interruption.
         results.close()
     return records
 
@@ -115,10 +120,12 @@ def follow_jobs(work: Callable[[int], dict[str, Any]], jobs: tuple[Job, ...], co
     stopped = threading.Event()
     threading.Thread(target=_wait_for_end_of_stdin, args=(stopped,), daemon=True).start()
     waiting, started = list(range(len(jobs))), set[int]()
+    # All are taken for cancelled until something else is known, so that an early end leaves no job without a word.
     records = [{**facts(job), "status": "cancelled", "error": "cancelled"} for job in jobs]
     results = cluster.run_in_pool(work, range(len(jobs)), config.workers, RETRIES, stopped.is_set)
     try:
         _say_started(waiting[: config.workers], started)
+        # A place in the pool is free now, so the next of those that wait has begun.
         for number, record in results:
             records[number] = _record(jobs[number], record)
             waiting.remove(number)
@@ -133,6 +140,7 @@ def _record(job: Job, result: Any) -> dict[str, Any]:
     from splatpainter.batch.cluster import LostTask
     from splatpainter.commands.batch.work import failure
 
+    # A worker that died said nothing; its job has failed like any other.
     if isinstance(result, LostTask):
         return {**failure(job, result.reason), "warnings": [], "seconds": 0.0}
     return result
@@ -161,6 +169,7 @@ def _results(work: Callable[[int], dict[str, Any]], total: int, config: Config) 
     from splatpainter.batch import cluster
 
     numbers = range(total)
+    # A local Ray has as many workers as were asked for; a cluster as many as it has places, unless told otherwise.
     if config.ray is not None:
         local = not config.ray
         workers = config.workers if local or config.workers > 1 else None
@@ -190,12 +199,15 @@ def count_states(records: list[dict[str, Any]]) -> dict[str, int]:
 
 def _outcome(plan: JobList, records: list[dict[str, Any]], config: Config) -> Outcome:
     if config.events:
+        # The program that follows reads lines, and this is the last one.
         counts = count_states(records)
         return Outcome({}, [json.dumps({"event": "end", **counts})], 0 if counts["done"] == len(records) else 1)
+    # A job that failed stops no other, but the exit code says that there was one.
     failed = [record for record in records if record["status"] != "done"]
     before = sum(bool(record.get("resumed")) for record in records)
     note = f", {before:,} of them there before" if before else ""
     lines = [f"{len(records) - len(failed):,} of {count(len(records), 'job')} done{note}"]
+    # The first ones only; the page and the summary name all.
     lines += [f"failed: {record['name']}: {record['error']}" for record in failed[:MAX_LISTED]]
     lines += [f"... and {len(failed) - MAX_LISTED:,} more"] if len(failed) > MAX_LISTED else []
     lines.append(f"-> {plan.out / PAGE}")
@@ -212,6 +224,7 @@ def _dry_run(plan: JobList) -> Outcome:
     jobs, lines, totals = [], [], {True: 0, False: 0}
     counted: set[Path] = set()
     for job in plan.jobs:
+        # Jobs are planned one by one, and one that cannot be done must not hide the others.
         calls: list[dict[str, Any]] = []
         try:
             # A job that cannot be done says so here, before anything is paid for the others.
@@ -226,6 +239,7 @@ def _dry_run(plan: JobList) -> Outcome:
         entry["calls"] = [{name: call[name] for name in ("source", "calls", "paid")} for call in calls]
         jobs.append(entry | ({"error": reason} if reason else {}))
         lines.append(f"{state}: {job.asset} -> {job.out} ({', '.join(kinds)}){': ' + reason if reason else ''}")
+    # Only what is left to do costs anything: what is done stays done.
     waiting = sum(entry["state"] == "to do" for entry in jobs)
     sources = [count(number, "paid call" if paid else "free call") for paid, number in totals.items() if number]
     lines.append(f"{waiting:,} of {count(len(jobs), 'job')} to do{': ' + ', '.join(sources) if sources else ''}")
@@ -240,6 +254,7 @@ class _locked:
     def __init__(self, folder: Path) -> None:
         from splatpainter.session.project.lock import ProjectLock
 
+        # Taken for the whole run and not for each job: steps of several jobs lie side by side.
         lock = ProjectLock.take(folder / LOCK)
         if lock is None:
             raise ValueError(f"{folder}: another batch is writing there; wait for it, or name another out")

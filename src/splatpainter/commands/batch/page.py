@@ -32,16 +32,19 @@ def write_page(plan: JobList, records: list[dict[str, Any]]) -> None:
     """OUT/index.html."""
     import jinja2
 
+    # Names of files come from the user, so the template escapes all that it shows; a missing value is an error.
     template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(
         resources("splatpainter.commands.batch").joinpath("page.html.j2").read_text("utf-8")
     )
     jobs = [_entry(plan, job, record) for job, record in zip(plan.jobs, records, strict=True)]
     states = Counter(record["status"] for record in records)
+    # A count of nothing is shown too, so the page looks alike for all batches.
     text = template.render(title=plan.file.stem, jobs=jobs, **{name: states[name] for name in STATES})
     write_text(plan.out / "index.html", text)
 
 
 def _entry(plan: JobList, job: Job, record: dict[str, Any]) -> dict[str, Any]:
+    # What a failed job made is no result, so nothing of it is linked.
     done = record["status"] == "done"
     return {
         "name": job.name,
@@ -62,12 +65,14 @@ def _entry(plan: JobList, job: Job, record: dict[str, Any]) -> dict[str, Any]:
 
 
 def _link(plan: JobList, path: Path) -> str:
+    # Relative, so that the folder of results can be moved or sent as it is.
     return Path(os.path.relpath(path, plan.out)).as_posix()
 
 
 def _picture(path: Path) -> str:
     """A data: URL; "" where there is none."""
     try:
+        # Inside the page: it has to show everything without another file.
         return "data:image/webp;base64," + base64.b64encode(files.read_head(path, MAX_PREVIEW_BYTES)).decode()
     except ValueError:
         return ""

@@ -67,6 +67,7 @@ class BatchWork:
     def __call__(self, number: int) -> dict[str, Any]:
         job, start = self.jobs[number], time.perf_counter()
         lines = io.StringIO()
+        # Lines of workers are caught and kept with their job, or nobody could tell whose they are.
         with contextlib.redirect_stderr(lines):  # bars and warnings of several workers on one terminal
             try:
                 result = run_job(job, self.run)
@@ -74,6 +75,7 @@ class BatchWork:
                 result = failure(job, f"{error}" if not isinstance(error, MemoryError) else "out of memory")
             except Exception as error:  # one bad asset stops nothing
                 result = failure(job, f"fault in splatpainter: {type(error).__name__}: {error}")
+        # Only warnings are kept: bars that were drawn over and over are no lines.
         warnings = [" ".join(line.split()) for line in lines.getvalue().splitlines() if "warning: " in line]
         return {**result, "warnings": warnings, "seconds": round(time.perf_counter() - start, 3)}
 
@@ -92,10 +94,12 @@ def finished(job: Job, hashes: list[str]) -> dict[str, Any] | None:
     try:
         record = json.loads(files.read_head(job.folder / RECORD, MAX_RECORD_BYTES))
         receipt = read_receipt(receipt_of(job.out))
+        # The very bytes: a result that was changed by hand is no longer what the receipt proves.
         if record["job_sha256"] != hashes[-1] or files.file_sha256(job.out) != receipt.output_sha256:
             return None
         return {**record, **facts(job)} if isinstance(record, dict) else None
     except (ValueError, OSError, KeyError, TypeError, RecursionError):
+        # Whatever is wrong with a record, the job is simply done again.
         return None
 
 
@@ -152,9 +156,11 @@ def run_job(job: Job, run: str) -> dict[str, Any]:
 
 def run_step(step: JobStep, asset: Path, target: Path, frame: Frame) -> None:
     """One edit, from file to file with a receipt beside it."""
+    # Layers are replayed by a session; all other steps are operations on files.
     if isinstance(step.step, LayersEdit):
         replay_layers(step.step, asset, target, frame)
         return
+    # A step may be left over from a run that was killed, so its file is replaced.
     options = FileOptions(frame=frame, overwrite=True)
     tools, report = Tools(aside=True), Report(warn)
     apply_to_file(asset, [step.step], target, options, tools=tools, report=report, complain=complain)
@@ -169,10 +175,12 @@ def make_common(job: Job, k: int, digest: str, asset: Path, frame: Frame, run: s
     # Whoever comes first makes it; the others wait here, in other processes.
     while (lock := ProjectLock.take(target)) is None:
         time.sleep(TURN_SECONDS)
+    # From here on nobody else makes this step, whatever happens in it.
     try:
         # A source that refused once would refuse, and be paid, for every variant.
         if failed.exists():
             raise ValueError(failed.read_text(encoding="utf-8"))
+        # Another worker may have made it while this one waited.
         if not is_proved(target):
             try:
                 run_step(job.steps[k], asset, target, frame)
@@ -186,11 +194,13 @@ def make_common(job: Job, k: int, digest: str, asset: Path, frame: Frame, run: s
 
 def common_file(job: Job, k: int, digest: str) -> Path:
     """Where it lies: by its hash, and in the format that this job wants."""
+    # The ending decides the format, and variants may differ in it.
     _, _, ending = _step_file(job, k).name.partition(".")
     return job.folder.parent / COMMON / f"{digest[:32]}.{ending}"
 
 
 def _copy(source: Path, target: Path) -> None:
+    # The receipt goes with the file: without it the copy would count as not proved.
     shutil.copyfile(source, target)
     shutil.copyfile(receipt_of(source), receipt_of(target))
 
@@ -205,6 +215,7 @@ def calls_of(job: Job, counted: set[Path]) -> list[dict[str, Any]]:
         common = common_file(job, k, digest)
         if _step_done(job, k, digest) or (k < job.common and (common in counted or is_proved(common))):
             continue
+        # Only sources are asked; other operations cost time and no money.
         operation = step.step
         if isinstance(operation, Generate):
             operation.check(IN_FILES)
@@ -213,6 +224,7 @@ def calls_of(job: Job, counted: set[Path]) -> list[dict[str, Any]]:
         elif isinstance(operation, PictureSourceOptions) and operation.source:
             calls, paid = operation.calls(), operation.opened_source(Tools()).capabilities.paid
             out.append({"source": operation.source, "calls": calls, "paid": paid})
+        # Counted once for all variants, as it will be asked once.
         if k < job.common:
             counted.add(common)
     return out
@@ -221,9 +233,11 @@ def calls_of(job: Job, counted: set[Path]) -> list[dict[str, Any]]:
 def replay_layers(step: LayersEdit, asset: Path, target: Path, frame: Frame) -> None:
     """A project's visible layers on another asset, from the same cameras, with the winners that it names where layers
     disagree. Raises ValueError: no such layers, one that cannot be applied to this asset."""
+    # Read only: the project may be open in the studio.
     with Session.load(step.project, readonly=True) as source, tempfile.TemporaryDirectory() as folder:
         asset_id = _asset_of(source, step)
         layers = [layer for layer in source.layers if layer.asset == asset_id]
+        # Names that are missing are told, or a layer would be left out without a word.
         missing = sorted(set(step.only) - {layer.name for layer in layers})
         chosen = [layer for layer in layers if layer.visible and (not step.only or layer.name in step.only)]
         if missing or not chosen:
@@ -233,10 +247,12 @@ def replay_layers(step: LayersEdit, asset: Path, target: Path, frame: Frame) -> 
             # What the layers make of it is in the project.
             source.files.export(target, overwrite=True, asset=asset_id if len(source.scene.assets) > 1 else None)
             return
+        # On another asset the layers are painted anew, by their own pictures and cameras.
         with Session(asset, frame=frame) as session:
             ids: dict[str, str] = {}
             for k, layer in enumerate(chosen):
                 path = Path(folder) / f"{k}.splatlayer"
+                # By way of a file, as people carry layers from project to project.
                 source.files.export_layer(layer.id, path)
                 try:
                     new = session.files.import_layer(path)
@@ -255,6 +271,7 @@ def replay_layers(step: LayersEdit, asset: Path, target: Path, frame: Frame) -> 
 def _asset_of(source: Session, step: LayersEdit) -> str:
     """The id of the asset of a project whose layers are meant. Raises ValueError: several, and none of them named."""
     for number, one in enumerate(source.scene.assets, 1):
+        # By name or by number: names need not be unique, and one asset needs neither.
         if step.asset in (one.name, str(number)) or (not step.asset and len(source.scene.assets) == 1):
             return one.id
     names = ", ".join(repr(one.name) for one in source.scene.assets)
@@ -263,9 +280,11 @@ def _asset_of(source: Session, step: LayersEdit) -> str:
 
 def _is_original(original: Splats, asset: Path, frame: Frame) -> bool:
     """Whether a project's original is this very file, read alike."""
+    # Folders of several files have no hash of one file to compare.
     single = not asset.is_dir() and asset.name.lower() != META
     if not single or original.sha256 != files.file_sha256(asset):
         return False
+    # Only SPZ leaves its axes open in a way that projects settle.
     if original.source is None or original.source.format != "spz":
         return frame_of(original) == frame
     source = read(asset, frame=frame).source  # projects name the axes that an SPZ file leaves open
@@ -274,15 +293,18 @@ def _is_original(original: Splats, asset: Path, frame: Frame) -> bool:
 
 def _receipt(job: Job, original: Splats, last: Path) -> Receipt:
     """Receipt from the asset to the result: of one edit that of the command, of several one that is proved anew."""
+    # One edit has its own receipt already.
     if len(job.steps) == 1:
         return read_receipt(receipt_of(last))
 
     receipts = [read_receipt(receipt_of(_step_file(job, k))) for k in range(len(job.steps))]
+    # Numbers of one format keep their axes from file to file; another format has its own.
     same = format_of_name(last) == format_of_name(job.asset)
     edited = read(last, frame=job.frame if same else "auto")
     notes = [f"{step.kind}: {receipt.note}" for step, receipt in zip(job.steps, receipts, strict=True) if receipt.note]
     # Proved anew and not summed up: a later edit may have put back what an earlier one changed.
     total = receipt_between(original, edited, receipts[-1].preset, f"{len(receipts)} edits; {'; '.join(notes)}"[:2000])
+    # Each edit keeps its time, so that it can be seen which one was slow.
     seconds = {f"edit {k + 1}": sum(receipt.seconds.values()) for k, receipt in enumerate(receipts)}
     views = tuple(view for receipt in receipts for view in receipt.views)
     total = replace(total, mode="batch", method="edits", views=views, seconds=seconds)
@@ -291,9 +313,11 @@ def _receipt(job: Job, original: Splats, last: Path) -> Receipt:
 
 def _step_file(job: Job, k: int) -> Path:
     """The file of a step: in the result's format at the end, before that in the asset's."""
+    # The last step has the name that the result will have, so that only the folder changes.
     if k == len(job.steps) - 1:
         return job.folder / f"result.{job.out.name.removeprefix(job.name + '.')}"
     key = format_of_name(job.asset) or "ply"
+    # A format that cannot be written, or a folder, goes on as PLY, which holds all of it.
     single = FORMATS[key].write is not None and not job.asset.is_dir()
     return job.folder / f"step-{k}{FORMATS[key].suffixes[0] if single else '.ply'}"
 
@@ -304,6 +328,7 @@ def _step_done(job: Job, k: int, digest: str) -> bool:
         mark = files.read_head(job.folder / f"step-{k}.done", 100).decode(errors="replace")
     except (ValueError, OSError):
         return False
+    # The mark alone is not enough: the file may have been changed or cut off since.
     return mark == digest and is_proved(_step_file(job, k))
 
 
@@ -312,6 +337,7 @@ def is_proved(target: Path) -> bool:
     try:
         return files.file_sha256(target) == read_receipt(receipt_of(target)).output_sha256
     except (ValueError, OSError):
+        # What cannot be read proves nothing.
         return False
 
 
@@ -324,6 +350,7 @@ def _clear(job: Job, hashes: list[str]) -> None:
             break
         target = _step_file(job, k)
         valid |= {target.name, receipt_of(target).name, f"step-{k}.done"}
+    # The record and the pictures of the last run stay until new ones are made.
     valid |= {RECORD, BEFORE, AFTER}
     for path in job.folder.iterdir():
         if path.name not in valid:
@@ -336,6 +363,7 @@ def _clear(job: Job, hashes: list[str]) -> None:
 def _previews(job: Job, before: Splats, after: Splats) -> None:
     from PIL import Image
 
+    # One camera and background for both, so that what differs is the edit.
     camera = replace(_preview_camera(job, before), background=(0.25, 0.25, 0.25))
     for name, splats in ((BEFORE, before), (AFTER, after)):
         pixels = to_uint8(to_display(render(splats, camera).colors[0].clip(0, 1), splats.color_space))
@@ -349,6 +377,7 @@ def _preview_camera(job: Job, splats: Splats) -> Camera:
     for step in job.steps:
         names += list(step.step.viewpoints()) if isinstance(step.step, Operation) else []
     for name in filter(None, names):
+        # A camera that cannot be read here is no reason to have no picture; the edit itself will say so.
         with contextlib.suppress(ValueError):
             return camera_from(Path(name)).with_longest_side(job.preview_px).relative_to(splats.offset)
     return orbit_cameras(splats, 1, size=job.preview_px)[0]

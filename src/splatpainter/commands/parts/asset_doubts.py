@@ -17,6 +17,7 @@ def warn_of_doubts(
     """One warning for each doubt about an asset that was read, and about each of these views (name, camera) in which
     nothing is seen; returns the lines. editing: an edit follows, which refuses an asset of which nothing can be drawn
     in a line of its own."""
+    # The refusal says it already, in words about the edit.
     if editing and not splats.drawable.any():
         return []
     lines = [doubt.line for doubt in doubts(splats)]

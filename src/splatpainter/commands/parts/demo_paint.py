@@ -36,9 +36,11 @@ def lettering(size: int, text: str, center: tuple[float, float], height: float, 
     """[size, size] alpha of a line of text around `center` (x, y), letters `height` tall, its ends lifted by `bend`."""
     from PIL import ImageFont
 
+    # Drawn larger and averaged: Pillow's letters have edges of one step.
     big = size * SUPERSAMPLING
     font, weight_px = ImageFont.load_default(height * big), round(0.02 * height * big)
     flat = centered_text((big, big), text, (center[0] * big, center[1] * big), font, weight_px)
+    # The ends are lifted, so that the line seems to go around the pot.
     columns = np.arange(big)
     lift = np.round(bend * big * ((columns / big - center[0]) / 0.15) ** 2).astype(int)
     rows = np.clip(columns[:, None] + lift[None], 0, big - 1)
@@ -48,9 +50,11 @@ def lettering(size: int, text: str, center: tuple[float, float], height: float, 
 def stroke(size: int, start: tuple[float, float], end: tuple[float, float], width: float, wave: float) -> np.ndarray:
     """[size, size] alpha of one pull of a flat brush from left to right: pressure swells and fades, hairs run dry one
     after the other, edges are soft. width: at full pressure; wave: how far the path swings."""
+    # In parts of the picture's size, so that it looks the same at any.
     y, x = (np.mgrid[:size, :size] + 0.5) / size
     t = (x - start[0]) / (end[0] - start[0])
     s = np.clip(t, 1e-3, 0.999)
+    # A hand does not draw straight: it swings, and less towards the end.
     path = start[1] + (end[1] - start[1]) * s + wave * np.sin(math.pi * (2.1 * s - 0.15)) * (1 - 0.35 * s)
     pressure = 0.2 + 0.8 * np.sin(math.pi * s**0.6) ** 0.6
     cap = np.sqrt(1 - (1 - np.minimum(s / 0.03, 1)) ** 2)  # the brush touches down round
@@ -58,6 +62,7 @@ def stroke(size: int, start: tuple[float, float], end: tuple[float, float], widt
     across = (y - path) / radius  # -1..1 over the width
     soft = np.clip((1 - np.abs(across)) * radius * size / 1.5, 0, 1)  # an edge of 1.5 pixels
     soft *= (t > 0) * np.clip((1 - t) * 40, 0, 1)
+    # A fixed seed: the demo looks the same each time.
     hairs = np.random.default_rng(4).uniform(0, 1, 15)  # how late each runs dry
     position = np.clip((across + 1) / 2 * (len(hairs) - 1), 0, len(hairs) - 1.001)
     left = position.astype(int)
@@ -72,6 +77,7 @@ def sun() -> Image:
 
     big = STICKER * 2
     middle = big / 2
+    # Drawn twice as large as it is used, for smooth edges.
     picture = Image.new("RGBA", (big, big))
     draw = ImageDraw.Draw(picture)
     rays, outer, inner = 12, 0.43 * big, 0.30 * big
@@ -87,6 +93,7 @@ def sun() -> Image:
         _disc(draw, middle + side * 0.165 * big, middle + 0.045 * big, 0.043 * big, (250, 140, 90, 255))
     smile = [middle - 0.12 * big, middle - 0.09 * big, middle + 0.12 * big, middle + 0.13 * big]
     draw.arc(smile, 25, 155, fill=(70, 36, 20, 255), width=round(0.026 * big))
+    # The border is the silhouette grown by a blur, as stickers are cut.
     silhouette = picture.getchannel("A").resize((STICKER, STICKER), Image.Resampling.BOX)
     blurred = np.asarray(silhouette.filter(ImageFilter.GaussianBlur(0.02 * STICKER)))
     grown = Image.fromarray(np.where(blurred > 20, 255, 0).astype(np.uint8))
@@ -101,6 +108,7 @@ def laid_down(
     center: [3] and radius: world units; facing: degrees by which its foot is turned from +z towards +x."""
     from PIL import Image
 
+    # Laid on the board and seen in perspective: a flat picture would float before it.
     turn = math.radians(facing)
     right, near = np.array([math.cos(turn), 0, -math.sin(turn)]), np.array([math.sin(turn), 0, math.cos(turn)])
     middle = np.array(center)
@@ -109,6 +117,7 @@ def laid_down(
     flat = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * sticker.width
     solution = _homography(seen, flat)
     big = (camera.width * SUPERSAMPLING, camera.height * SUPERSAMPLING)
+    # Colours times alpha before anything is averaged, or the border would turn dark.
     straight = np.asarray(sticker, np.float32) / 255
     straight[..., :3] *= straight[..., 3:]  # averaging wants colours times alpha
     packed = Image.fromarray((straight * 255 + 0.5).astype(np.uint8), "RGBA")
@@ -120,6 +129,7 @@ def evening(picture: np.ndarray) -> np.ndarray:
     """[H, W, 3] 0..1 in the light of a low sun from the left: golden there, dim and violet on the other side."""
     width = picture.shape[1]
     x = (np.arange(width) + 0.5) / width
+    # From warm to cool across the picture, as a low sun from one side lights it.
     light = 1 / (1 + np.exp(8 * (x - 0.56)))  # 1 left .. 0 right
     warm, cool = np.array([1.20, 0.94, 0.62]), np.array([0.62, 0.52, 0.66])
     gain = cool + light[None, :, None] * (warm - cool)
@@ -131,6 +141,7 @@ def painted(picture: np.ndarray, camera: Camera) -> np.ndarray:
     on the board."""
     size = camera.width
     out = np.clip(picture, 0, 1).astype(np.float64)
+    # In order: what is painted later lies above.
     out = over(out, RED, lettering(size, "tea time", (0.497, 0.487), 0.088, 0.0085))
     out = over(out, TEAL, stroke(size, (0.358, 0.562), (0.645, 0.548), 0.028, 0.010))
     sticker = laid_down(sun(), camera, STICKER_POSITION, 0.215, -6)
@@ -144,6 +155,7 @@ def _disc(draw: ImageDraw, x: float, y: float, radius: float, fill: tuple[int, .
 def _homography(source: np.ndarray, target: np.ndarray) -> np.ndarray:
     """[8] coefficients of Pillow's perspective transform that takes four points [4, 2] to four others."""
     rows = []
+    # Two equations for each point; four points give the eight unknowns.
     for (x, y), (u, v) in zip(source, target, strict=True):
         rows.append([x, y, 1, 0, 0, 0, -u * x, -u * y])
         rows.append([0, 0, 0, x, y, 1, -v * x, -v * y])

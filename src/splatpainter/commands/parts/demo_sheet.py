@@ -35,6 +35,7 @@ def overview(panels: Sequence[Panel], columns: int = 3, width: int = 1600) -> np
     """[H, width, 3] uint8: the panels in rows, each with its captions below."""
     from PIL import Image, ImageDraw, ImageFont
 
+    # All sizes follow from the width, so that the sheet looks alike at any.
     gap = width // 64
     cell = (width - gap * (columns + 1)) // columns
     high = round(cell * (CROP[3] - CROP[1]))
@@ -45,10 +46,12 @@ def overview(panels: Sequence[Panel], columns: int = 3, width: int = 1600) -> np
     draw = ImageDraw.Draw(sheet)
     for k, panel in enumerate(panels):
         x, y = gap + k % columns * (cell + gap), gap + k // columns * (high + caption + gap)
+        # The same part of every panel, so that they can be compared.
         side = panel.pixels.shape[0]
         box = (side * CROP[0], side * CROP[1], side * CROP[2], side * CROP[3])
         picture = Image.fromarray(to_uint8(panel.pixels))
         sheet.paste(picture.resize((cell, high), Image.Resampling.LANCZOS, box), (x, y))
+        # What the edit was made from stands in the corner of what it led to.
         if panel.inset is not None:
             w, h = round(0.24 * cell), round(0.24 * high)
             draw.rectangle([x + 9, y + 9, x + 14 + w, y + 14 + h], fill=PAPER)
@@ -67,6 +70,7 @@ def animation(frames: Sequence[np.ndarray]) -> tuple[bytes, str]:
     pictures = [Image.fromarray(to_uint8(frame)) for frame in frames]
     out = io.BytesIO()
     rest = {"save_all": True, "append_images": pictures[1:], "duration": FRAME_MILLISECONDS, "loop": 0}
+    # WebP is smaller and has all colours; not every Pillow can write it.
     if features.check("webp"):
         pictures[0].save(out, "WEBP", quality=82, method=4, **rest)
         return out.getvalue(), ".webp"

@@ -32,14 +32,19 @@ OF_DECALS = ("at", "width", "font", "color", "angle", "wrap")
 def parse_shorthand(words: Sequence[str], program: str, *bases: type) -> tuple[Any, Operation, Wording]:
     """(the options of the file, the one operation, how errors name its options). bases: dataclasses of the former.
     Raises ValueError as `option_parsing.parse`, and where options do not go together."""
+    # One parser for all three: in this spelling the options stand side by side.
     config = parse(_shorthand(bases), program, words)
     where = f"{program}: "
+    # What is given says which operation is meant; pictures are what is left.
     kind: type[Operation] = Generate if config.source else LayDecal if _has_decal(config) else Paint
     names = {field: f"--{name.replace('_', '-')}" for field, name in DECAL_NAMES.items()}
+    # Errors have to name the options as they are called here.
     wording = spoken(kind, where, names if kind is LayDecal else {"cameras": "--camera"})
+    # What belongs to one of them alone is refused beside the others before any value is used.
     _refuse_strays(config, where)
     _refuse_company(config, where)
     values = {field.name: _value(config, kind, field.name) for field in dataclasses.fields(kind)}
+    # Cameras and masks are lists among the options of pictures; the others take one at most.
     if kind is Generate:
         if len(config.masks) > 1:
             raise ValueError(f"{where}expected at most one --mask, got {len(config.masks)}")
@@ -59,6 +64,7 @@ def _shorthand(bases: Sequence[type]) -> type:
         hints = get_type_hints(kind)
         for entry in dataclasses.fields(kind):
             name = DECAL_NAMES.get(entry.name, entry.name) if kind is LayDecal else entry.name
+            # The first one to bring an option declares it, so none stands there twice.
             if name in fields or name in ("camera", "mask"):  # one of each is among those of pictures
                 continue
             metadata = {**entry.metadata, "positional": entry.name == "pictures"}
@@ -85,6 +91,7 @@ def _refuse_strays(config: Any, where: str) -> None:
     """Raises ValueError for an option of sources without a source, of decals without a decal."""
     options = spoken(Generate, where)
     for name in OF_SOURCES if not config.source else ():
+        # With mode spread a dry run is of pictures, and needs no source.
         if _is_given(config, Generate, name) and not (name == "dry_run" and config.mode == "spread"):
             line = f"{options.option(name)} is for pictures that a source makes; give --source NAME too"
             raise ValueError(f"{where}{line}")
@@ -98,6 +105,7 @@ def _refuse_strays(config: Any, where: str) -> None:
 def _refuse_company(config: Any, where: str) -> None:
     """Raises ValueError where pictures, a decal and a source, or what is for one of them, stand beside each other."""
     decal = _has_decal(config)
+    # A source makes its own pictures, and a decal is one: together it would be open what is painted.
     if config.source and (decal or config.pictures or config.cameras):
         raise ValueError(
             f"{where}a source takes the place of pictures (VIEW.png), their --camera and decals; the view that is sent "

@@ -74,9 +74,11 @@ def run_operation(config: Any, kind: type[Operation], command: str) -> Outcome:
 def run_operations(config: Any, operations: Sequence[Operation], wording: Worder) -> Outcome:
     """Check, read, apply, write, verify. config: has AssetArguments and FileArguments."""
     check_operations(operations, wording)
+    # Imported after the options were checked: most mistakes need not wait for it.
     from splatpainter.operations.to_file import FileOptions, apply_to_file  # which a refusal need not load
 
     options = FileOptions(config.frame, config.axes, config.lenient, config.receipt, config.overwrite)
+    # Reading, writing and verifying, and one stage for each operation.
     with stages(3 + len(operations)) as bar:
         done = apply_to_file(
             config.asset,
@@ -94,6 +96,7 @@ def run_operations(config: Any, operations: Sequence[Operation], wording: Worder
 
 def plan_operations(config: Any, operations: Sequence[Operation], wording: Worder) -> Outcome:
     """What --dry-run prints: which views a source would be sent, or how far an edit of mode spread reaches."""
+    # Checked as for the real run, so that a plan is not of something that will be refused.
     check_operations(operations, wording)
     from splatpainter.io import read
     from splatpainter.operations.generate import Generate

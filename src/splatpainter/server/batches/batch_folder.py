@@ -55,12 +55,16 @@ class BatchFolder:
 
     def stem(self, name: str, ending: str = "") -> Path:
         """A path in `assets`, without its ending, for an asset that its owner calls `name`; no two are alike."""
+        # Only the last part of a name counts, whichever system it comes from.
         base = re.split(r"[/\\]", name)[-1]
         if ending and base.lower().endswith(ending):
             base = base[: -len(ending)]
         base = _fit(base)
+        # Cut by bytes, as file systems count them, and never within a letter.
         base = base.encode("utf-8", "replace")[:MAX_STEM_BYTES].decode("utf-8", "ignore").strip(" .") or "asset"
+        # Some names are devices on Windows, whatever their ending.
         base = f"asset-{base}" if windows_refuses(f"{base}.ply") else base
+        # Alike but for the case is the same file on some systems, so stems are compared without it.
         number, free = 1, base
         while free.casefold() in self._stems:
             number += 1
@@ -71,6 +75,7 @@ class BatchFolder:
     def add_file(self, source: Path, name: str, ending: str) -> None:
         """An asset, by a link where the system has them. name: what its owner calls it; ending: of its format. Raises
         ValueError: it cannot be kept."""
+        # The ending is the content's own, so that the reader does not trust the name.
         stem = self.stem(name, ending)
         target = stem.with_name(stem.name + ending)
         _link(source, target, name)
@@ -78,6 +83,7 @@ class BatchFolder:
 
     def look_file(self, number: int, source: Path, name: str, ending: str) -> str:
         """A LUT, or a picture to match, of a variant; its name in the JOBS.yaml."""
+        # Each variant has a folder of its own: two files of one name may differ.
         folder = self.root / LOOKS / str(number)
         folder.mkdir(parents=True, exist_ok=True)
         stem = Path(re.split(r"[/\\]", name)[-1]).stem
@@ -89,10 +95,12 @@ class BatchFolder:
     def plan(self, format: str, camera: str | None) -> JobList:
         """Write the JOBS.yaml and read it as `splatpainter batch` does. camera: JSON of that of the previews; None:
         from the front. Raises ValueError of one line."""
+        # Counted before anything is written: assets times variants grow quickly.
         count = len(self.assets) * max(len(self.variants), 1)
         if count > MAX_JOBS:
             raise ValueError(f"batch: expected at most {MAX_JOBS} results, got {count}; make several batches of it")
         preview: dict[str, Any] = {"size": PREVIEW_PX}
+        # The same file that `splatpainter batch` reads, so that the studio has no second way to run one.
         try:
             if camera is not None:
                 (self.root / PREVIEW).write_text(camera, encoding="utf-8")
@@ -109,6 +117,7 @@ class BatchFolder:
             (self.root / JOBS).write_text(json.dumps(jobs, ensure_ascii=False), encoding="utf-8")
         except OSError as error:
             raise ValueError(f"batch: cannot be kept ({error.strerror or error})") from None
+        # Errors name the JOBS.yaml by its lines, which clients have never seen.
         try:
             return read_jobs(self.root / JOBS)
         except ValueError as error:
@@ -121,6 +130,7 @@ def _fit(name: str) -> str:
 
 def _link(source: Path, target: Path, name: str) -> None:
     try:
+        # A link costs no room; a batch may have hundreds of assets.
         try:
             os.link(source, target)
         except OSError:  # another disk, or a system without links

@@ -43,6 +43,7 @@ def add_batch_routes(
     """Downloads below /api/batch. failed: an answer that says what is wrong; headers: of what may change."""
     studio = hub.studio
 
+    # A batch may be replaced between the page's look and the request, so what is gone is answered in words.
     def existing(id: str, find: Callable[[StudioBatch], Path]) -> Path | Response:
         try:
             path = find(studio.batches.get(id))
@@ -57,8 +58,10 @@ def add_batch_routes(
         path = existing(id, lambda batch: result_file(batch, name))
         if isinstance(path, Response):
             return path
+        # The page is ours, but names in it are not: it may run no script.
         if name == PAGE:
             return FileResponse(path, media_type="text/html", headers={**headers, "content-security-policy": PAGE_CSP})
+        # Everything else is a download, so that no result is opened by the browser as a document.
         return FileResponse(path, media_type="application/octet-stream", filename=name, headers=headers)
 
     @app.get("/api/batch/{id}/all.zip", response_class=Response, summary="All results, streamed")
@@ -68,8 +71,10 @@ def add_batch_routes(
             name = f"{batch.title}.zip"
         except ValueError as error:
             return failed(studio.public_problem(problem_of(error)), 404)
+        # Names of any language need the second form; the first one is for programs that do not know it.
         disposition = f"attachment; filename=\"batch.zip\"; filename*=UTF-8''{quote(name)}"
         extra = {**headers, "content-disposition": disposition}
+        # Streamed: all results together may be larger than memory or disk.
         return StreamingResponse(zipped(batch), media_type="application/zip", headers=extra)
 
     @app.get(
@@ -85,14 +90,17 @@ def publish_batches(hub: Hub) -> None:
     loop, studio = asyncio.get_running_loop(), hub.studio
 
     def changed(batch: StudioBatch | None, number: int | None) -> None:
+        # Read before the batch is described: what is described may be newer than the number, never older.
         revision = studio.batches.revision
         if batch is None:
             event = BatchEvent(revision=revision)
         elif number is None:
+            # One job's change is sent alone, for a batch may have a thousand.
             event = BatchEvent(revision=revision, batch=batch_info(studio, batch), id=batch.id)
         else:
             job, archive = job_info(studio, batch, number), zip_url(batch)
             event = BatchEvent(revision=revision, id=batch.id, job=job, zip_url=archive)
+        # Called from the batch's thread; sockets belong to the loop.
         with contextlib.suppress(RuntimeError):  # the loop has ended
             loop.call_soon_threadsafe(hub.publish, event)
 

@@ -95,6 +95,7 @@ class Batches:
     def make(self, prepare: Callable[[Path], tuple[JobList, list[str], str]]) -> StudioBatch:
         """Plan another batch; the results of the one before are removed. prepare: fills a new folder and returns the
         jobs, what is done for each, and the title. Raises ValueError: one is at work, and what `prepare` refuses."""
+        # Held only while it is decided: copying projects takes long, and other commands must not wait for it.
         with self._lock:
             if self._preparing or (self._present is not None and self._present.at_work):
                 raise ValueError("batch: another one is running; cancel it, or wait for its end")
@@ -106,11 +107,13 @@ class Batches:
             jobs = [BatchJob(job, word) for job, word in zip(plan.jobs, words, strict=True)]
             batch = StudioBatch(id, folder, title, plan, jobs)
         except BaseException:
+            # Half a folder is no batch; the one before stays where it was.
             shutil.rmtree(folder, ignore_errors=True)
             raise
         finally:
             with self._lock:
                 self._preparing = False
+        # Replaced in one step, and the old results go only when nobody can ask for them any more.
         with self._lock:
             before, self._present = self._present, batch
         if before is not None:
@@ -120,11 +123,13 @@ class Batches:
 
     def start(self, id: str) -> StudioBatch:
         """Raises ValueError: not planned, or the program cannot be started."""
+        # State and child change together, so that two pages cannot start it twice.
         with self._lock:
             batch = self.get(id)
             if batch.state != "planned":
                 raise ValueError(f"batch: is {batch.state} already; plan another one")
             try:
+                # What the program complains of goes to a file, whose last line explains an early end.
                 with open(batch.folder / ERRORS, "wb") as errors:
                     batch.child = processes.begin_background(
                         PROGRAM, cwd=batch.folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors
@@ -132,6 +137,7 @@ class Batches:
             except OSError as error:
                 raise ValueError(f"batch: cannot be started ({error.strerror or error})") from None
             batch.state = "running"
+            # A thread reads its events, so that no command has to wait for it.
             batch.follower = threading.Thread(target=self._follow, args=(batch,), name="studio-batch", daemon=True)
             batch.follower.start()
         self._tell(batch, None)
@@ -143,11 +149,13 @@ class Batches:
             batch = self.get(id)
             if batch.state != "running":
                 raise ValueError(f"batch: is {batch.state}; there is nothing to cancel")
+            # Its stdin is closed: the program ends by itself and leaves whole files.
             batch.state = "cancelling"
             assert batch.child is not None
             child = batch.child
             with contextlib.suppress(OSError):
                 child.stdin.close()  # type: ignore[union-attr]
+            # One that does not listen is ended; results that are done stay either way.
             batch.deadline = threading.Timer(CANCEL_SECONDS, processes.kill, (child,))
             batch.deadline.daemon = True
             batch.deadline.start()
@@ -161,6 +169,7 @@ class Batches:
             if batch.at_work:
                 raise ValueError("batch: is at work; cancel it first")
             self._present = None
+        # Outside of the lock: removing many files takes a while.
         shutil.rmtree(batch.folder, ignore_errors=True)
         self._tell(None, None)
 
@@ -168,9 +177,11 @@ class Batches:
         """End whatever is at work, and remove everything."""
         with self._lock:
             batch, self._present = self._present, None
+            # Clients are gone by now, so nobody is told.
             self.changed = lambda batch, number: None
         if batch is None:
             return
+        # The studio ends, so the program is not asked but ended; finished jobs are on the disk.
         if batch.child is not None:
             processes.kill(batch.child)
         if batch.follower is not None:
@@ -182,6 +193,7 @@ class Batches:
     def _tell(self, batch: StudioBatch | None, number: int | None) -> None:
         """Report a change to `changed`."""
         with self._lock:
+            # Counted up before it is told, so that each event has a number of its own.
             self.revision += 1
         self.changed(batch, number)
 
@@ -190,11 +202,13 @@ class Batches:
         child = batch.child
         assert child is not None and child.stdout is not None and child.stdin is not None
         ended = False
+        # Only what the program says in its own format; libraries print lines of theirs.
         for event in _events(child.stdout):
             if event.get("event") == "end":
                 ended = True
                 continue
             number = event.get("job")
+            # A number that is none of ours is a fault of the program's and must not stop the reading.
             if not isinstance(number, int) or not 0 <= number < len(batch.jobs):
                 continue
             job = batch.jobs[number]
@@ -204,10 +218,12 @@ class Batches:
                 job.record = event["record"]
                 job.state = "done" if job.record.get("status") == "done" else "failed"
             self._tell(batch, number)
+        # Both ends are closed and the child is reaped, or it would stay as a zombie until the studio ends.
         child.stdout.close()
         with contextlib.suppress(OSError):
             child.stdin.close()
         processes.reap(child)
+        # Jobs that were not done by then will not be; each one gets the reason.
         with self._lock:
             if batch.deadline is not None:
                 batch.deadline.cancel()

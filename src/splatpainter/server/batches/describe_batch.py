@@ -28,6 +28,7 @@ def batch_info(studio: Studio, batch: StudioBatch) -> BatchInfo:
         state=batch.state,
         title=batch.title,
         jobs=[job_info(studio, batch, number) for number in range(len(batch.jobs))],
+        # The page is complete only when the work has ended.
         page_url=f"{_address(batch)}/out/{PAGE}" if not batch.at_work and page.is_file() else None,
         zip_url=zip_url(batch),
     )
@@ -38,9 +39,11 @@ def job_info(studio: Studio, batch: StudioBatch, number: int) -> BatchJobInfo:
     entry = batch.jobs[number]
     done, out, address = entry.state == "done", entry.job.out, _address(batch)
 
+    # Lines come from a program that names its folders; users know the results by name alone.
     def public(text: str) -> str:
         return studio.public(BELOW.sub("", text))
 
+    # Addresses only of what is there: a job that failed has no file.
     return BatchJobInfo(
         number=number,
         name=out.name,
@@ -68,6 +71,7 @@ def _line(entry: BatchJob) -> str:
         return ""
     if entry.state != "done":
         return str(record.get("error", ""))
+    # A line of proof and not of success: what did not change, of how many.
     rows, touched = int(record.get("rows", 0)), int(record.get("touched", 0))
     appended = f", {int(record['appended']):,} appended" if record.get("appended") else ""
     return f"{rows - touched:,} of {rows:,} Gaussians unchanged{appended}, verified"
@@ -79,6 +83,7 @@ def _address(batch: StudioBatch) -> str:
 
 def result_file(batch: StudioBatch, name: str) -> Path:
     """A result, its receipt, or the summary page. Raises ValueError for any other name."""
+    # Only names that this batch made; a client's name never becomes a path.
     for entry in batch.jobs:
         if entry.state == "done" and name in (entry.job.out.name, entry.job.out.name + RECEIPT):
             return batch.folder / OUT / name
@@ -96,6 +101,7 @@ def picture_file(batch: StudioBatch, number: int, name: str) -> Path:
 
 def zipped(batch: StudioBatch) -> Iterator[bytes]:
     """Pieces of a ZIP of all results with their receipts, and the page. Not packed: splat files hardly get smaller."""
+    # Each result with its receipt, for a file without it proves nothing.
     names = [entry.job.out.name + ending for entry in batch.jobs if entry.state == "done" for ending in ("", RECEIPT)]
     if not batch.at_work and (batch.folder / OUT / PAGE).is_file():
         names.append(PAGE)
@@ -103,6 +109,7 @@ def zipped(batch: StudioBatch) -> Iterator[bytes]:
     with zipfile.ZipFile(pieces, "w", zipfile.ZIP_STORED) as bundle:  # type: ignore[arg-type]
         for name in names:
             info = zipfile.ZipInfo.from_file(batch.folder / OUT / name, name)
+            # Piece by piece, so that a file of a gigabyte passes through little memory.
             with open(batch.folder / OUT / name, "rb") as file, bundle.open(info, "w") as target:
                 while piece := file.read(ZIP_PIECE_BYTES):
                     target.write(piece)

@@ -111,32 +111,38 @@ class BatchStatus(Command):
 
 @command(BatchPlan, background=True, once=True)
 def plan_batch(context: CommandContext, request: BatchPlan) -> BatchAnswer:
+    # Two kinds of batches by one command; with both it is open which layers are meant.
     if bool(request.assets) == bool(request.variants):
         raise ValueError("batch: expected assets or variants; choose at least one asset, or fill in one row")
     studio = context.studio
     camera = None if request.camera is None else request.camera.to_camera().to_json()
 
+    # Fills the folder of the new batch; where it refuses, that folder goes and the batch before stays.
     def prepare(folder: Path) -> tuple[JobList, list[str], str]:
         batch = BatchFolder(folder)
         context.ticket.report(0, "copying the project")
         session = studio.session
         present, number = _present_asset(session, request.asset)
         name = present.name if number else studio.state.asset.name
+        # A copy of the project: the layers may change while the batch is at work.
         session.files.save_copy(batch.project)
         visible = [layer.name for layer in session.layers if layer.visible and layer.asset == present.id]
         replay = [{"layers": {"project": batch.project.name, "asset": number}}] if visible else []
         names = f"{', '.join(visible[:MAX_LISTED_LAYERS])}{', ...' if len(visible) > MAX_LISTED_LAYERS else ''}"
         if request.assets:
+            # Without a visible layer every result would be its asset.
             if not replay:
                 on = f" of {name}" if number else ""
                 raise ValueError(f"batch: no visible layer{on} to put onto other assets; paint something first")
             batch.edits = replay
+            # Assets are linked or copied now: uploads go with the studio, and files of the folder may change.
             for number, asset in enumerate(request.assets):
                 context.ticket.report(number / len(request.assets), "collecting assets")
                 _add_asset(context, batch, asset)
             title = f"Layers of {name} on {_count(len(request.assets), 'asset')}"
             words = [f"layers: {names}"] * len(request.assets)
         else:
+            # The present asset is written out as it was read; variants begin from there.
             added = present if present.id != MAIN_ASSET_ID else None
             format = studio.state.asset.format if added is None else format_of_name(Path(added.file))
             original = session.scene.original_of(present.id)
@@ -180,6 +186,7 @@ def _answer(studio: Studio, batch: StudioBatch) -> BatchAnswer:
 def _present_asset(session: Session, asset: str | None) -> tuple[SceneAsset, str]:
     """The asset whose layers or variants are meant, and its number among several, or "". Raises ValueError: none of
     several is chosen; unknown."""
+    # One asset needs no name; of several none is taken by chance.
     if len(session.scene.assets) == 1:
         return session.scene.assets[0], ""
     if asset is None:
@@ -191,12 +198,14 @@ def _present_asset(session: Session, asset: str | None) -> tuple[SceneAsset, str
 
 def _add_asset(context: CommandContext, batch: BatchFolder, asset: BatchAsset) -> None:
     studio = context.studio
+    # Each says where its bytes come from, so exactly one.
     if sum(source is not None for source in (asset.blob, asset.recent, asset.file)) != 1:
         raise ValueError("batch: expected one of blob, recent or file for each asset")
     if asset.blob is not None:
         blob = studio.blobs.get(asset.blob, "asset")
         batch.add_file(blob.path, asset.name or blob.name, blob.info.ending)
     elif asset.recent is not None:
+        # Of a recent project its asset is meant, as it was read, without its layers.
         path = studio.projects.find(asset.recent)
         name = asset.recent.rsplit("_", 1)[0]
         with naming_errors(path, name):
@@ -205,6 +214,7 @@ def _add_asset(context: CommandContext, batch: BatchFolder, asset: BatchAsset) -
         name = asset.file or ""
         if studio.folder is None:
             raise ValueError(f"{name}: the studio was started without a folder; drop the file into the page instead")
+        # A project is no asset; its layers would silently be left out.
         if name.lower().endswith(PROJECT):
             raise ValueError(f"{name}: is a project; expected a splat file")
         path = studio.folder.file(name)
@@ -216,6 +226,7 @@ def _variants(
     context: CommandContext, batch: BatchFolder, variants: list[BatchVariant], replay: list[dict[str, Any]]
 ) -> tuple[list[dict[str, Any]], list[str]]:
     """(as a JOBS.yaml has them, what is done for each)."""
+    # Variants often share a region; it is stored once in the batch's project.
     regions: dict[tuple[str, str], tuple[list[str], str]] = {}
     entries, words = [], []
     for number, variant in enumerate(variants):
@@ -225,6 +236,7 @@ def _variants(
         where, region_words = regions[key]
         grade, look_words = _grade(context, batch, variant, number)
         edits = [*replay, *([{"grade": {**grade, "where": where}}] if grade else [])]
+        # A variant like the asset without a layer either would be a copy under another name.
         if not edits:
             raise ValueError(f"batch: {variant.name}: changes nothing; give it a colour or an adjustment")
         entries.append({"name": variant.name.strip(), "edits": edits})
@@ -240,6 +252,7 @@ def _region(context: CommandContext, batch: BatchFolder, variant: BatchVariant, 
     if variant.on == "layer":
         layer = studio.session.layers.by_id(variant.of)
         return [f"layer={layer.id}@{batch.project.name}"], layer.name
+    # What is selected now has no name; it is kept under one in the batch's copy, not in the user's project.
     if variant.on == "selected":
         stored = studio.selection.stored()
         if stored is None:
@@ -255,6 +268,7 @@ def _grade(
 ) -> tuple[dict[str, Any], str]:
     """(keys of `grade`, words); without any: it stays as it is."""
     transfer = variant.transfer
+    # Sliders and colours from elsewhere are two looks, and one variant has one.
     if variant.look is not None and transfer is not None:
         raise ValueError(f"batch: {variant.name}: expected either sliders or colours from elsewhere")
     if variant.look is not None:
@@ -266,6 +280,7 @@ def _grade(
             raise ValueError(f"batch: cannot be kept ({error.strerror or error})") from None
         return {"look": f"{LOOKS}/{number}/look.json"}, "adjustment"
     if transfer is None:
+        # Without a look the variant is the asset as it is, perhaps with its layers.
         return {}, ""
     shared = {"strength": transfer.strength}
     if transfer.kind == "recolor":
@@ -274,6 +289,7 @@ def _grade(
         return {"recolor": transfer.color, **shared}, f"new colour {transfer.color}"
     if transfer.file is None:
         raise ValueError(f"batch: {variant.name}: expected a file: a .cube table, or a reference picture")
+    # The kind of the upload is checked, for the batch reads the file much later.
     blob = context.studio.blobs.get(transfer.file, "lut" if transfer.kind == "lut" else "picture")
     file = batch.look_file(number, blob.path, blob.name, blob.info.ending)
     return {transfer.kind: file, **shared}, f"{'LUT' if transfer.kind == 'lut' else 'colours of'} {blob.name}"

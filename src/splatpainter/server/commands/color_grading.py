@@ -101,7 +101,9 @@ class GradePreview(Command):
 @command(GradePreview)
 def preview_grade(context: CommandContext, request: GradePreview) -> Previewed:
     context.page.strokes.clear()
+    # A new preview replaces the one before, also where it shows nothing.
     context.clear_preview = True
+    # Neither sliders nor colours: the preview is over.
     if request.look is None and request.transfer is None:
         return Previewed(gaussians=0)
     snapshot = context.studio.session.snapshot
@@ -112,10 +114,13 @@ def preview_grade(context: CommandContext, request: GradePreview) -> Previewed:
         reached = reached_gaussians(splats, [(camera, mask_from_upload(context, request.mask, camera))])
     settings, attached = _parameters(context, request, splats, reached)
     tables = {files.sha256(data): data for data in attached}
+    # Tables are looked up by their hash, as a layer would do it, so that preview and layer agree.
     sh = adjust_sh(splats.sh, with_table(settings, tables.__getitem__), ADJUSTMENTS)
     if reached is not None:
         sh = np.where(reached[:, None, None], sh, splats.sh)
+    # Limited by the mask and by what is selected, each as far as it reaches.
     sh = limited(splats, context.studio.selection.weights(), sh)
+    # Only what differs is sent, and of that only base colours where the rest is unchanged.
     ids = changed_rows(splats, replace(splats, sh=sh))
     if len(ids):
         every = len(ids) == len(splats)  # as a rule; 100,000 Gaussians need not be copied for it
@@ -145,10 +150,12 @@ def commit_grade(context: CommandContext, request: GradeCommit) -> LayerMade:
     if request.mask is not None:
         camera = _mask_camera(request)
         mask = mask_from_upload(context, request.mask, camera)
+        # A mask needs a view and no picture: what is inside it is what the look changes.
         black = np.zeros((camera.height, camera.width, 3), np.float32)  # only the mask counts
         edits, reached = [Edit(black, camera, mask, request.name)], reached_gaussians(session.splats, [(camera, mask)])
     settings, attached = _parameters(context, request, session.splats, reached)
     stored = context.studio.selection.stored()
+    # The selection as it is now belongs to the layer; what is selected later does not move it.
     if stored is not None:
         attached = [*attached, stored[1]]
     look = look_of(settings, None if stored is None else stored[0])
@@ -164,15 +171,18 @@ def _parameters(
     context: CommandContext, request: GradePreview | GradeCommit, splats: Splats, reached: np.ndarray | None
 ) -> tuple[dict[str, Any], list[bytes]]:
     """(parameters of the layer, the pictures that it keeps). reached: [N] bool the Gaussians that a mask reaches."""
+    # Sliders are the same for every asset and need no fitting.
     if request.transfer is None and request.look is not None:
         return settings_of(context.studio, request.look), []
     if request.transfer is None or request.look is not None:
         raise ValueError("look: expected either sliders or colours from elsewhere")
     transfer, studio = request.transfer, context.studio
+    # Fitted to what it will change: the colours of the rest have no say.
     weights = studio.selection.weights()
     if reached is not None:
         weights = reached.astype(np.float32) if weights is None else weights * reached
     look, name = _look(context, transfer)
+    # Fitting looks at all Gaussians; a slider of strength asks for it many times a second.
     key = (studio.session.version, studio.selection.revision, transfer.kind, transfer.file, transfer.color)
     cached = _latest_fits.get(studio.session)
     if cached is None or cached[0] != key or reached is not None:
@@ -190,6 +200,7 @@ def _look(context: CommandContext, transfer: ColorTransfer) -> tuple[CubeLut | C
     """(what is fitted, its name for people)."""
     if transfer.kind == RECOLOR:
         color = None if transfer.color is None else from_hex(transfer.color)
+        # From one colour or from a file; both together would leave one without effect.
         if transfer.color is None or color is None or transfer.file is not None:
             raise ValueError("look: expected a colour, and no file, to recolour with")
         return Recolor(color), transfer.color

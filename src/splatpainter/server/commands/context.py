@@ -86,6 +86,7 @@ def command(
 ) -> Callable[[Function], Function]:
     """Register the function for a command; the words are those of Handler."""
 
+    # The registry is filled by importing the modules, so a new command needs no other list.
     def register(run: Function) -> Function:
         HANDLERS[kind] = Handler(run, writes, background, once)
         return run
@@ -102,6 +103,7 @@ class RawExpr(str):
 def python_line(function: str, *args: Any, **kwargs: Any) -> str:
     """A call as one would write it; keywords that are None are left out."""
     parts = [repr(value) for value in args]
+    # As one would type it: what is at its default is not said.
     parts += [f"{name}={value!r}" for name, value in kwargs.items() if value is not None]
     return f"{function}({', '.join(parts)})"
 
@@ -112,6 +114,7 @@ def naming_errors(path: Path, name: str) -> Iterator[None]:
     try:
         yield
     except ValueError as error:
+        # Uploads lie under their hash, which says nothing to people.
         if str(path) not in str(error):
             raise
         raise ValueError(str(error).replace(str(path), name)) from None
@@ -132,6 +135,7 @@ def progress(context: CommandContext, stage: str) -> Iterator[None]:
     """Let the session report what it computes, and stop it where the command was cancelled."""
     session = context.studio.session
     context.ticket.report(0, stage)
+    # The session's progress goes to this command alone; jobs that write run one after the other.
     session.progress = lambda done, total, name: context.ticket.report(done / max(total, 1), name)
     try:
         yield
@@ -149,11 +153,13 @@ def mask_from_upload(context: CommandContext, blob: str, camera: Camera) -> np.n
     """[H, W] bool of an uploaded mask. Raises ValueError where it is empty or of another shape than the camera."""
     stored = context.studio.blobs.get(blob, "picture")
     name, size = stored.name or "mask", (camera.width, camera.height)
+    # Errors name the file as its owner knows it.
     with naming_errors(stored.path, name):
         mask = read_mask(stored.path)
     check_shape(name, (mask.shape[1], mask.shape[0]), size)
     if not mask.any():
         raise ValueError(f"{name}: is empty; expected some pixels that are not black")
+    # A quarter and not half, so that a thin line of a larger mask does not vanish.
     return mask if mask.shape[::-1] == size else resample(mask.astype(np.float32), *size) > 0.25
 
 

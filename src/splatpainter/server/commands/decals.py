@@ -78,11 +78,14 @@ class DecalLay(Command):
 def lay_decal(context: CommandContext, request: DecalLay) -> DecalLaid:
     studio, session = context.studio, context.studio.session
     blob = studio.blobs.get(request.picture, "picture")
+    # The picture is read before anything is laid: a damaged one must change nothing.
     with naming_errors(blob.path, blob.name or "picture"):
         picture = read_picture(blob.path)
     at, camera = (request.x, request.y), request.camera.to_camera()
+    # Up is the world's, so that a decal on what lies flat stands as the view does.
     level = up_axis(session)
     decal = Decal(picture, at, camera, request.width, request.angle, request.wrap, request.name, level)
+    # What can be changed later is stored with the layer, its picture included.
     attached: list[bytes] = []
     options: dict[str, Any] = request.limits.options()
     if request.placed is not None:
@@ -91,9 +94,11 @@ def lay_decal(context: CommandContext, request: DecalLay) -> DecalLaid:
             attached = [studio.picture_bytes(request.placed.image)[0]]
     with progress(context, "laying it on the surface"):
         laid = session.surface.laid(decal, replaces=request.replaces)
+        # Cut to what is selected; views in which nothing of that is seen are left out.
         edits = [part for edit in laid.edits if (part := within_selection(studio, edit, required=False)) is not None]
         if not edits:
             raise ValueError(f"{request.name}: nothing of it lies on what is selected; deselect first")
+        # In place of an old content the layer keeps its position, opacity and blend.
         if request.replaces is not None:
             layer = session.layers.replace_views(
                 request.replaces,
@@ -107,6 +112,7 @@ def lay_decal(context: CommandContext, request: DecalLay) -> DecalLaid:
             layer = session.layers.add(
                 "paint", edits, name=request.name, method=request.method, attached=attached, **options
             )
+    # The page previewed the decal itself; the layer takes its place.
     context.clear_preview = True
     decal_line = python_line(
         "sp.Decal", RawExpr("picture"), at, RawExpr("camera"), request.width, request.angle, request.wrap, level=level
@@ -118,6 +124,7 @@ def lay_decal(context: CommandContext, request: DecalLay) -> DecalLaid:
         python=line,
         coverage=laid.coverage,
         views=len(edits),
+        # Only where a good part hangs over the edges: else the note would be said each time.
         note=laid.note if laid.coverage < LITTLE_COVERAGE else "",
     )
 
@@ -162,6 +169,7 @@ def show_decal(context: CommandContext, request: DecalShow) -> DecalMap:
     at, width = (request.x, request.y), request.width
     decal = Decal(np.ones((*shape, 3), np.float32), at, camera, width, request.angle, request.wrap, level=level)
     view, block = blocks_of(request.view.to_camera())
+    # On blocks: the page needs the place of each to draw the preview, not every pixel's.
     table = session.surface.decal_map(decal, view, replaces=request.replaces)
     rows, columns = table.shape[:2]
     data = base64.b64encode(table.astype("<f4").tobytes()).decode()

@@ -58,14 +58,17 @@ class ExportEstimate(Command):
 
 @command(ExportEstimate, background=True)
 def estimate(context: CommandContext, request: ExportEstimate) -> ExportSizes:
+    # The file of an export may have fewer Gaussians than the screen, so its size is estimated from those.
     splats = context.studio.session.files.exported(remove_hidden=request.remove_hidden, asset=request.asset)
     options, sizes = request.options.chosen(), {}
     for ending in [*endings(), HTML] if request.ending is None else [request.ending]:
+        # The page of its own shows everything together, whichever asset is asked for.
         if ending == HTML:
             sizes[ending] = estimated_html_bytes(options.applied(context.studio.session.splats))
             continue
         with contextlib.suppress(ValueError):  # an asset that this format cannot hold
             sizes[ending] = estimated_bytes(splats, ending, options)
+    # All formats' options at once, so that the page need not ask for each.
     choices = {entry.suffixes[0]: list(entry.write_options) for entry in FORMATS.values() if entry.suffixes}
     return ExportSizes(sizes=sizes, choices={**choices, HTML: list(HTML_OPTIONS)})
 
@@ -91,12 +94,15 @@ class AssetExport(Command):
 def export_asset(context: CommandContext, request: AssetExport) -> Exported:
     studio = context.studio
     context.ticket.report(0, "writing and verifying")
+    # A folder for each export: the receipt goes beside it, under a fixed name.
     path = studio.downloads.folder() / Path(request.file).name
     options = request.options.chosen()
+    # Written, read again and proved, as the command line does it.
     _, proof = studio.session.files.export(
         path, remove_hidden=request.remove_hidden, asset=request.asset, options=options, axes=request.axes
     )
     receipt = receipt_of(path)
+    # Addresses are secret keys and end with the studio; the folder's path is not told.
     return Exported(
         url=studio.downloads.add(path),
         file=path.name,
@@ -131,9 +137,11 @@ class HtmlExport(Command):
 def export_html(context: CommandContext, request: HtmlExport) -> Exported:
     studio = context.studio
     context.ticket.report(0, "packing the Gaussians")
+    # The page shows an edited asset; the hash of the original would be wrong in it.
     camera = replace(request.camera.to_camera(), asset_sha256=None)
     title = studio.state.asset.name
     options = request.options.chosen()
+    # Options that a page cannot follow are refused instead of ignored.
     options.check(HTML_OPTIONS, request.file)
     splats = options.applied(studio.session.splats)
     data = html_viewer(splats, camera, up_axis(studio.session), title, turning=request.turning)

@@ -80,6 +80,7 @@ class AssetOpen(Command):
 
 @command(AssetOpen, writes=True)
 def open_asset(context: CommandContext, request: AssetOpen) -> Answer:
+    # One asset replaces another for all windows, so it has to be clear which.
     studio = context.studio
     if (request.blob is not None) + (request.file is not None) + request.demo != 1:
         raise ValueError("asset: expected one of blob, file or demo")
@@ -90,6 +91,7 @@ def open_asset(context: CommandContext, request: AssetOpen) -> Answer:
         name, path = blob.name or f"asset{blob.info.ending}", blob.path
     elif request.file is not None:
         name, path = request.file, folder_file(studio, request.file)
+    # The new session is made by the studio, which keeps the old one if the file cannot be read.
     with contextlib.nullcontext() if path is None else naming_errors(path, name):
         studio.open(lambda: Session(demo() if path is None else read(path), studio.projects.fresh(name)), name)
     return Answer(python=python_line("session = sp.Session", name))
@@ -134,14 +136,17 @@ class ProjectOpen(Command):
 @command(ProjectOpen, writes=True)
 def open_project(context: CommandContext, request: ProjectOpen) -> Answer:
     studio = context.studio
+    # As with assets: exactly one place.
     if sum(source is not None for source in (request.blob, request.file, request.recent)) != 1:
         raise ValueError("project: expected one of file, recent or blob")
     context.ticket.report(0, "opening")
+    # An upload has no place of its own yet; the others stay where they are.
     if request.blob is not None:
         blob = studio.blobs.get(request.blob, "project")
         name = Path(blob.name).stem or "project"
         studio.open(lambda: _open_upload(studio, blob, name), name)
         return Answer(python=python_line("session = sp.Session.load", f"{name}{PROJECT}"))
+    # A project could name any file of this machine as its original; one of a stranger's must not.
     options: dict[str, Any] = {"embedded": True}
     if request.recent is not None:
         path = studio.projects.find(request.recent)
@@ -151,6 +156,7 @@ def open_project(context: CommandContext, request: ProjectOpen) -> Answer:
         name = path.stem
         assert studio.folder is not None
         options = {"folder": studio.folder.root}
+    # One that is open already is not opened a second time.
     if studio.session.path is None or path.resolve() != studio.session.path.resolve():
         studio.open(lambda: Session.load(path, **options), name)
     return Answer(python=python_line("session = sp.Session.load", path.name))
@@ -159,6 +165,7 @@ def open_project(context: CommandContext, request: ProjectOpen) -> Answer:
 def _open_upload(studio: Studio, blob: StoredBlob, name: str) -> Session:
     """A session on an uploaded project, which then lies in the studio's own folder. Only one that opens gets there."""
     title = blob.name or "the project"
+    # Opened aside first: what cannot be read must not come to the user's projects.
     with scratch_folder("studio") as folder:
         copy = folder / f"upload{PROJECT}"
         try:
@@ -188,10 +195,12 @@ def save_as(context: CommandContext, request: ProjectSaveAs) -> Answer:
     studio = context.studio
     if studio.folder is None:
         raise ValueError("project: the studio was started without a folder; export it as a download instead")
+    # The ending is added where it was left out: without it the project would not be found again.
     name = request.file if request.file.lower().endswith(PROJECT) else request.file + PROJECT
     path = studio.folder.file(name, new=True)
     before, is_there = studio.session.path, studio.session.files.is_in_place
     studio.session.files.save_as(path, overwrite=request.overwrite)
+    # Only one that lived in the studio's own folder moves; any other place is the user's.
     if before is not None and before.parent == studio.projects.root and is_there:
         files.remove(before)  # it moved
     studio.name = path.stem
@@ -244,6 +253,7 @@ class ProjectMove(Command):
 @command(ProjectMove, writes=True)
 def move_project(context: CommandContext, request: ProjectMove) -> ProjectMoved:
     studio = context.studio
+    # The list was made a while ago; the disk may have filled since.
     roomy = _roomy_folders(studio)
     if request.folder not in roomy:
         raise ValueError("project: that folder has no room for it any more; choose another one")
@@ -251,6 +261,7 @@ def move_project(context: CommandContext, request: ProjectMove) -> ProjectMoved:
     before, is_there = studio.session.path, studio.session.files.is_in_place
     file = before.name if before is not None else studio.projects.fresh(studio.name).name
     studio.session.files.save_as(folder / file)
+    # The old file goes only when the new one is written.
     if before is not None and before.parent == studio.projects.root and is_there:
         with contextlib.suppress(OSError):  # the disk that refuses to be written
             files.remove(before)
@@ -269,6 +280,7 @@ def _roomy_folders(studio: Studio) -> dict[FolderKey, tuple[str, Path, int]]:
     if studio.folder is not None:
         named = {"studio": (f"the folder {studio.folder.root.name}", studio.folder.root), **named}
     out: dict[FolderKey, tuple[str, Path, int]] = {}
+    # Room, rights and locks: a project needs all three to be saved.
     for key, (name, folder) in named.items():
         with contextlib.suppress(OSError):
             free = shutil.disk_usage(folder).free
@@ -289,6 +301,7 @@ class ProjectDownload(Command):
 @command(ProjectDownload)
 def download_project(context: CommandContext, request: ProjectDownload) -> Exported:
     studio = context.studio
+    # A name of plain words, for it becomes a file on the user's disk.
     path = studio.downloads.folder() / f"{Path(studio.state.project.name).stem or 'project'}{PROJECT}"
     studio.session.files.save_copy(path)
     url = studio.downloads.add(path)
@@ -312,6 +325,7 @@ class ProjectRecent(Command):
 @command(ProjectRecent, writes=True)
 def recent_projects(context: CommandContext, request: ProjectRecent) -> RecentProjects:
     studio = context.studio
+    # Lists show the present project too, so it gets its picture now.
     studio.draw_picture(listed=True)
     recent = [studio.recent_info(project) for project in studio.projects.recent(studio.session.path)]
     return RecentProjects(recent=recent, files=[] if studio.folder is None else studio.folder.names())
@@ -332,6 +346,7 @@ class ReceiptShow(Command):
 @command(ReceiptShow, background=True)
 def show_receipt(context: CommandContext, request: ReceiptShow) -> ReceiptMade:
     receipt = context.studio.session.files.receipt()
+    # The proof in one line; the receipt itself is for programs.
     appended = f", {receipt.appended_rows:,} appended" if receipt.appended_rows else ""
     text = f"{receipt.untouched_rows:,} of {receipt.asset_rows:,} Gaussians byte-identical{appended}"
     return ReceiptMade(receipt=json.loads(receipt.to_json()), text=text, python="session.files.receipt()")
@@ -359,11 +374,14 @@ class AssetVerify(Command):
 def verify_asset(context: CommandContext, request: AssetVerify) -> Verified:
     session = context.studio.session
     source = session.opened.source
+    # In the asset's own format where that can be written, so that bytes can be compared with bytes.
     entry = None if source is None else FORMATS.get(source.format)
     ending = ".ply" if entry is None or entry.write is None or not entry.suffixes else entry.suffixes[0]
     context.ticket.report(0, "writing and reading again")
+    # Written and read again: the proof is of a file and not of what is in memory.
     with scratch_folder("verify") as folder:
         _, proof = session.files.export(folder / f"asset{ending}")
+    # Replayed as well: stored results must be what the layers say.
     context.ticket.report(0.5, "replaying the layers")
     problems = [*proof.problems, *session.verify()]
     return Verified(

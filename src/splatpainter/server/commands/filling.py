@@ -37,12 +37,15 @@ class FillSelection(Command):
 @command(FillSelection, writes=True)
 def fill_selection(context: CommandContext, request: FillSelection) -> FillMade:
     current, session = context.studio.selection, context.studio.session
+    # The weights of this moment: what is selected is cleared afterwards.
     weights = current.weights()
     if weights is None:
         raise ValueError("selection: nothing is selected; select something first")
     with progress(context, request.name):
         layer = session.layers.fill(weights, remove=request.remove, body=request.body, name=request.name)
+    # The part that was selected is hidden or covered now.
     current.choose(None)
+    # Only what differs from the defaults belongs in the line.
     remove = True if request.remove else None
     body = True if request.remove and request.body else None
     line = python_line("session.layers.fill", RawExpr("weights"), remove=remove, body=body)
@@ -83,7 +86,9 @@ def fill_from_source(context: CommandContext, request: FillSource) -> LayerMade:
     studio, source, flag = context.studio, open_source(request.source), TicketFlag(context)
     session, brief = studio.session, SourceBrief(request.prompt, seed=request.seed)
     camera = within_limits(request.camera.to_camera(), source.capabilities.max_side_px)
+    # What the source is sent is of this moment; the layer may change while it works.
     new, splats = session.layers.filled_by(request.layer), session.splats.numpy()
+    # Looked at before the source is asked, which may cost money.
     if session.read_only:
         raise ValueError(f"{studio.name}: {session.read_only}")
     try:
@@ -91,6 +96,7 @@ def fill_from_source(context: CommandContext, request: FillSource) -> LayerMade:
     except SourceCancelled:
         raise Cancelled from None
 
+    # Runs with the commands that write: only there may the session be changed.
     def paint() -> LayerMade:
         if studio.session is not session:
             raise Cancelled  # another project was opened

@@ -56,6 +56,7 @@ class LayerNew(Command):
 def new_layer(context: CommandContext, request: LayerNew) -> LayerMade:
     session = context.studio.session
     at, asset = None, request.asset
+    # Above a layer: in the same asset as that one, or it would show nothing.
     if request.above is not None:
         asset = session.layers.by_id(request.above).asset
         at = 1 + [layer.id for layer in session.layers].index(request.above)
@@ -79,7 +80,9 @@ class LayerAdd(Command):
 @command(LayerAdd, writes=True)
 def add_layer(context: CommandContext, request: LayerAdd) -> LayerMade:
     session, stored = context.studio.session, context.studio.selection.stored()
+    # Only what is not at its default is stored, as everywhere in a project.
     record = request.operation.model_dump(exclude_defaults=True)
+    # The selection of this moment goes with the layer.
     options = record | ({} if stored is None else {"selection": stored[0]})
     operation = operation_of_layer(options, "layer")
     words: dict[str, Any] = {"name": request.name, "opacity": None if request.opacity == 1 else request.opacity}
@@ -116,10 +119,12 @@ def set_layer(context: CommandContext, request: LayerSet) -> LayerMade:
         if getattr(request, name) is not None
     }
     session = context.studio.session
+    # Options are those of the layer's kind, so the layer is looked up first.
     layer = session.layers.by_id(request.layer)
     if request.parameters is not None:
         values |= _options(layer.operation, request.parameters, session.original.color_space)
     with progress(context, "layers"):
+        # What is slow to compute is shown at once in a simpler way.
         _preview_blend(context, request)
         session.layers.set(request.layer, gesture=request.gesture, **values)
     return layer_made(context, request.layer, python_line("session.layers.set", request.layer, **values))
@@ -127,6 +132,7 @@ def set_layer(context: CommandContext, request: LayerSet) -> LayerMade:
 
 def _options(operation: LayerOperation, given: dict[str, Any], space: ColorSpace) -> dict[str, Any]:
     """What a page says of a layer's kind, as options of it: sliders of a grade are its settings."""
+    # Sliders travel one by one and are stored as one value.
     if isinstance(operation, LookLayer) and operation.look == GRADE:
         sliders = {name: value for name, value in given.items() if name not in ("look", "selection")}
         return {"settings": look_of(GradeSettings.from_dict({**sliders, "space": space}).to_dict()).settings}
@@ -136,6 +142,7 @@ def _options(operation: LayerOperation, given: dict[str, Any], space: ColorSpace
 
 def _preview_blend(context: CommandContext, request: LayerSet) -> None:
     """Show a layer hidden, or with another opacity or blend, at once, where all that changes with it takes time."""
+    # Other changes are too quick, or too different, to be previewed.
     if request.opacity is None and request.blend is None and request.visible is None:
         return
     snapshot = context.studio.session.snapshot
@@ -144,8 +151,10 @@ def _preview_blend(context: CommandContext, request: LayerSet) -> None:
     )
     if preview is None or not len(preview[0]):
         return
+    # Appended Gaussians may be among them, which the page does not know yet.
     (ids, splats), count = preview, len(snapshot.splats)
     total = max(count, int(ids[-1]) + 1)
+    # Shapes are sent only where something moved: they are most of the bytes.
     shapes = total > count or any(
         not np.array_equal(getattr(splats, name), getattr(snapshot.splats, name)[ids]) for name in GEOMETRY
     )
@@ -182,6 +191,7 @@ def set_mask(context: CommandContext, request: MaskSet) -> LayerMade:
     session = context.studio.session
     before = session.layers.by_id(request.layer).mask
     with progress(context, "mask"):
+        # Masks come in three ways: drawn on a view, from what is selected, or by a rule of the surface.
         if request.mask == "area":
             if request.camera is None or request.area is None:
                 raise ValueError("mask: expected a camera and an area; select something on a view")
@@ -201,6 +211,7 @@ def set_mask(context: CommandContext, request: MaskSet) -> LayerMade:
             if request.mask == "remove":
                 mask = None
             elif request.mask in ("on", "off"):
+                # On and off keep the mask: switching it off to look must not lose it.
                 mask = replace(before or LayerMask(), enabled=request.mask == "on")
             elif request.mask in ("height", "slope", "coverage", "curvature"):
                 axis = up_axis(session)
@@ -276,6 +287,7 @@ class LayerExport(Command):
 @command(LayerExport)
 def export_layer(context: CommandContext, request: LayerExport) -> Exported:
     studio = context.studio
+    # The name becomes a file, so anything but letters and digits goes.
     name = "".join(c if c.isalnum() or c in "-_ " else "_" for c in studio.session.layers.by_id(request.layer).name)
     path = studio.downloads.folder() / f"{name.strip()[:60] or 'layer'}.splatlayer"
     studio.session.files.export_layer(request.layer, path)
@@ -307,13 +319,16 @@ class Undo(Command):
 
 @command(Undo, writes=True)
 def undo(context: CommandContext, request: Undo) -> Answer:
+    # Selections lie between the steps, so they are gone through first.
     if context.studio.selection.undo():
         return Answer()
     session = context.studio.session
     label = session.history[session.history.cursor].label
     with progress(context, "undo"):
         if session.undo():
+            # Another window's screen changes without its doing; it is told why.
             context.notice = f"Another window undid: {label}."
+    # What was selected at that step is selected again.
     context.studio.selection.follow()
     return Answer(python="session.undo()")
 

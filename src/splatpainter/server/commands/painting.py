@@ -100,18 +100,22 @@ class PaintBegin(Command):
 @command(PaintBegin)
 def begin(context: CommandContext, request: PaintBegin) -> StrokeStarted:
     session = context.studio.session
+    # An eraser within a layer shows what is below it; without one, the original.
     beneath = None if request.layer is None or request.kind != "erase" else session.layers.below(request.layer)
     camera = request.camera.to_camera()
     selected = context.studio.selection.view(camera)
     stroke = Stroke(camera, request.kind == "erase", session, beneath, selected)
     stroke.masks = request.kind == "mask"
     snapshot = session.snapshot
+    # Projected when the pen goes down, so that the first dab is as quick as the others.
     stroke.prepare(snapshot.splats, session.original, snapshot.version)
     context.studio.prepare_edit(camera)  # ready when the pen goes up
     context.clear_preview = True
     name = secrets.token_hex(6)
+    # One stroke for each page: a new one replaces what was not ended.
     context.page.strokes, context.page.mirrored = {name: stroke}, {}
     if request.mirror is not None and not stroke.masks:
+        # The other half is a stroke on the mirrored view, with its own projection.
         plane = parsed_plane(request.mirror.normal, request.mirror.offset)
         other = mirrored_camera(camera, plane)
         half = MirroredStroke(other, stroke.erase, session, beneath, context.studio.selection.view(other))
@@ -140,16 +144,19 @@ class PaintDab(Command):
 @command(PaintDab)
 def dab(context: CommandContext, request: PaintDab) -> Previewed:
     session = context.studio.session
+    # A stroke of another session would change the wrong Gaussians.
     stroke = _stroke(context, request.stroke, session)
     try:
         rgba = base64.b64decode(request.rgba, validate=True)
     except binascii.Error:
         raise ValueError("dab: expected base64 of RGBA bytes") from None
     box = stroke.patch(request.x, request.y, request.width, request.height, rgba)
+    # Masks have no preview: they change what a layer shows and not a colour.
     if stroke.masks:
         return Previewed(gaussians=0)
     snapshot = session.snapshot
     ids, sh = stroke.preview(snapshot.splats, session.original, snapshot.version, box)
+    # The other half follows dab by dab, so that both sides grow together.
     half = context.page.mirrored.get(request.stroke)
     if half is not None:
         mirrored_box = half.follow(stroke, box, snapshot.splats, session.original, snapshot.version)
@@ -193,21 +200,26 @@ class PaintEnd(Command):
 def end(context: CommandContext, request: PaintEnd) -> LayerMade:
     session = context.studio.session
     stroke = _stroke(context, request.stroke, session)
+    # An empty stroke is told, with the likeliest reason.
     if not stroke.mask.any():
         where = " where something is selected" if context.studio.selection else ""
         raise ValueError(f"stroke: nothing was painted{where}")
+    # A stroke goes to one place; more than one given is a fault of the page's.
     if (request.layer, request.into_new, request.replaces).count(None) < 2:
         raise ValueError("stroke: expected one of layer, into_new and replaces")
     if request.placed is not None and (request.layer or request.into_new):
         raise ValueError("stroke: a text or a picture that can be changed is a layer of its own")
+    # Masks go their own way: there is no picture to lift.
     if stroke.masks:
         return _masked(context, request, stroke)
+    # Another window may have removed the layer meanwhile; the paint must not be lost for it.
     request = _with_present_layer(session, request, stroke.erase)
     alone = (request.layer, request.into_new, request.replaces, request.placed) == (None,) * 4
     if request.spread is not None and (stroke.erase or not alone):
         raise ValueError("stroke: one that spreads is a new layer of its own")
     target = None if request.layer is None else session.layers.by_id(request.layer).operation
     goes_on_erasing = isinstance(target, EraseLayer)
+    # Painted over what the layer has below it, so that the difference is the stroke and nothing else.
     with progress(context, "painting"):
         if request.layer is not None and not goes_on_erasing:
             splats = session.strokes.painted_on(request.layer)
@@ -216,6 +228,7 @@ def end(context: CommandContext, request: PaintEnd) -> LayerMade:
         else:
             splats = session.splats
         snapshot = session.snapshot
+        # The view that the stroke was drawn on is projected already; another base has to be rendered.
         if splats is snapshot.splats:
             picture = stroke.picture(snapshot.splats, session.original, snapshot.version)
         else:
@@ -223,16 +236,19 @@ def end(context: CommandContext, request: PaintEnd) -> LayerMade:
         image = from_display(picture.astype(np.float32), splats.color_space)
         edits = [Edit(image, stroke.camera, stroke.mask, request.name)]
         half = context.page.mirrored.get(request.stroke) if request.spread is None else None  # it goes all around
+        # Under the other half there may be nothing of the asset to paint on.
         if half is not None and (half.mask & (render_alpha(splats, half.camera) > MIN_MIRRORED_ALPHA)).any():
             image = half.over(render_display(splats, half.camera)).astype(np.float32)
             edits.append(Edit(from_display(image, splats.color_space), half.camera, half.mask, request.name))
         if request.layer is not None and goes_on_erasing:
+            # An eraser goes on in its layer only on the same view; elsewhere it is a new one, with a free name.
             if not session.strokes.erases_on(request.layer, [edit.camera for edit in edits]):
                 taken = {layer.name for layer in session.layers}
                 names = (f"{request.name} {k}" if k > 1 else request.name for k in count(1))
                 name = next(name for name in names if name not in taken)
                 request = request.model_copy(update={"layer": None, "name": name})
         layer, line = _committed(context, request, edits, stroke.erase)
+    # Taken off only now: where the edit failed the page can try again.
     context.page.strokes.pop(request.stroke, None)
     context.page.mirrored.pop(request.stroke, None)
     context.clear_preview = True
@@ -242,6 +258,7 @@ def end(context: CommandContext, request: PaintEnd) -> LayerMade:
 def _with_present_layer(session: Session, request: PaintEnd, erase: bool) -> PaintEnd:
     """The request where another window took its layer away, or hid it, while the pen was down: paint goes into a new
     layer, so that no stroke is lost. Raises ValueError for an eraser, which has nothing to erase then."""
+    # A layer that shows nothing counts as gone: paint in it would not be seen.
     present = {layer.id for layer in session.layers if layer.visible and layer.opacity > 0}
     if request.layer is not None and request.layer not in present:
         if erase:
@@ -270,10 +287,12 @@ def _committed(context: CommandContext, request: PaintEnd, edits: list[Edit], er
     how: dict[str, Any] = {} if erase else {"method": request.method, **request.limits.options()}
     words = [RawExpr(f"sp.Edit(picture{k or ''}, camera{k or ''}, mask{k or ''})") for k in range(len(edits))]
     attached: list[bytes] = []
+    # A text's picture is stored with it, so that it can be changed when the upload is gone.
     if request.placed is not None:
         if request.placed.image is not None:
             attached = [context.studio.picture_bytes(request.placed.image)[0]]
         how["placed"] = request.placed.model_dump()
+    # Its other options stay; the limits are of this picture.
     if request.replaces is not None:
         but_method = {name: value for name, value in how.items() if name != "method"}
         options: dict[str, Any] = {"name": request.name, **NO_LIMITS, **but_method}
@@ -293,7 +312,9 @@ def _committed(context: CommandContext, request: PaintEnd, edits: list[Edit], er
         else:
             session.strokes.paint(layer, edits, **options)
         return layer, line + python_line("session.strokes.paint", layer, words, **options)
+    # Neither a layer nor a name for one: a layer of its own.
     options = {"name": request.name, "opacity": request.opacity, "blend": request.blend, **how}
+    # The selection limits how far the material spreads, so it is kept with the layer.
     if request.spread is not None:
         options |= {"mode": "spread", "method": "auto", "spread_threshold": request.spread}
         if (stored := context.studio.selection.stored()) is not None:
@@ -362,12 +383,14 @@ def add_edit(context: CommandContext, request: EditAdd) -> LayerMade:
     edits = [upload(context, view, request.mode) for view in request.views]
     if operation.needs_masks:
         edits = [edit for edit in (within_selection(studio, edit) for edit in edits) if edit is not None]
+    # A look of the whole is limited by masks that were drawn, where that is wanted.
     if how.get("within"):
         edits = [edit for edit in edits if edit.mask is not None]
         if not edits:
             raise ValueError("edit: expected a mask in one of the views; select an area on one of them")
     if attached:
         options["attached"] = attached
+    # In place of old content: position, opacity and method stay as they are.
     if request.replaces is not None:
         name = session.layers.by_id(request.replaces).name
         with progress(context, name):
@@ -378,6 +401,7 @@ def add_edit(context: CommandContext, request: EditAdd) -> LayerMade:
         return layer_made(context, layer.id, line)
     with progress(context, "editing"):
         layer = session.layers.add(request.kind, edits, **options, **how)
+    # The stroke that this picture was made of is done with.
     if request.stroke is not None:
         context.page.strokes.pop(request.stroke, None)
     context.clear_preview = True
@@ -387,6 +411,7 @@ def add_edit(context: CommandContext, request: EditAdd) -> LayerMade:
 
 def _options_of(context: CommandContext, request: EditAdd) -> tuple[dict[str, Any], list[bytes]]:
     """(options of the new layer's kind, the pictures that they name)."""
+    # An eraser has neither method nor limits.
     if not layer_class(request.kind, "edit")().takes_pictures:
         return {}, []
     how: dict[str, Any] = {"mode": request.mode, "method": request.method}
@@ -408,11 +433,13 @@ def _options_of(context: CommandContext, request: EditAdd) -> tuple[dict[str, An
 
 def within_selection(studio: Studio, edit: Edit, required: bool = True) -> Edit | None:
     """A local edit of what is selected. Where none of it is: raises ValueError if `required`, else None."""
+    # Cut in the view: there paint ends at the edge as it was drawn.
     part = studio.selection.view(edit.camera)
     if part is None:
         return edit
     mask = edit.mask
     if mask is None:
+        # Without a mask all that differs was edited, and that is what is cut.
         mask = change_mask(edit.image, render(studio.session.splats, edit.camera).colors[0])
     if (mask & (part > 0.5)).any():
         return replace(edit, mask=mask & (part > 0.5))
@@ -427,10 +454,12 @@ def edit_from_upload(context: CommandContext, view: EditedView, mode: Mode) -> E
     blob = context.studio.blobs.get(view.picture, "picture")
     name = Path(blob.name or "picture")
     with naming_errors(blob.path, str(name)):
+        # Inks are refused: their colours on a screen are a matter of choice.
         picture = read_picture(blob.path, inks=False)
     check_shape(str(name), picture.size, (camera.width, camera.height))
     mask = None if view.mask is None else mask_from_upload(context, view.mask, camera)
     alpha = find_alpha(blob.path)
+    # Colours that were multiplied by alpha would be painted too dark.
     resized = unmultiplied(picture, alpha).resized(camera.width, camera.height)
     source = FileEdit(name, resized, picture.size, camera, mask, picture.notes, cut_out=alpha is not None)
     return source.edit(context.studio.session.splats, mode)
@@ -439,12 +468,14 @@ def edit_from_upload(context: CommandContext, view: EditedView, mode: Mode) -> E
 def _eraser_from_upload(context: CommandContext, view: EditedView, mode: Mode) -> Edit:
     """An eraser's edit from an upload: only its mask counts, the mask given, else the picture as one."""
     camera = view.camera.to_camera()
+    # An eraser's picture is only a shape.
     mask = mask_from_upload(context, view.mask or view.picture, camera)
     return Edit(np.zeros((camera.height, camera.width, 3), np.float32), camera, mask, "erase")
 
 
 def _stroke(context: CommandContext, name: str, session: Session) -> Stroke:
     """A page's stroke on this session. Raises ValueError where there is none: another asset may have been opened."""
+    # The stroke is dropped with the session that it was on, so that the page begins a new one.
     stroke = context.page.strokes.get(name)
     if stroke is None or not stroke.belongs_to(session):
         context.page.strokes.pop(name, None)

@@ -83,10 +83,12 @@ def check_picture(context: CommandContext, request: PictureCheck) -> PictureChec
     studio = context.studio
     blob = studio.blobs.get(request.picture, "picture")
     name = request.name or blob.name or "picture"
+    # A painted photograph lies over the asset by its capture's camera; nothing below applies to it.
     photograph = _photograph(context, request, blob, name)
     if photograph is not None:
         return photograph
     picture = read_picture(blob.path, inks=False)
+    # Without a camera nothing can be compared, so it is looked for first.
     camera, source = _camera(context, request, blob, name, picture)
     alpha = _alpha_kind(context, blob, name)
     picture = unmultiplied(picture, alpha)
@@ -94,12 +96,14 @@ def check_picture(context: CommandContext, request: PictureCheck) -> PictureChec
     size = (camera.width, camera.height)
     render = _render(context, camera)
     crop = _crop(picture, render)
+    # Another shape that is no part of the view was made for another view.
     if crop is None and not same_shape(picture.size, size):
         actual, expected = f"{picture.size[0]}x{picture.size[1]}", f"{size[0]}x{size[1]}"
         raise ValueError(
             f"{name}: expected the shape of its view ({expected}) or a part of it, got {actual}, which matches "
             "no part; resize without cropping"
         )
+    # Either a part of the view, or all of it: moved, larger or smaller, but never both.
     shift, larger = (0, 0), None
     if crop is not None:
         colors = render.copy()
@@ -107,6 +111,7 @@ def check_picture(context: CommandContext, request: PictureCheck) -> PictureChec
         notes.append(f"a part of its view: {crop.width}x{crop.height} at {crop.x}, {crop.y}; the rest is unchanged")
     else:
         colors = _flat(picture, render, size) if alpha is None else _cut_out(context, picture, render, camera)
+        # A shift is looked for only in whole pictures; a part has its place by now.
         shift = find_shift(colors, render)
         if shift == (0, 0) and alpha is None:
             larger = larger_view(camera, *picture.size, MAX_VIEW_PIXELS)
@@ -114,12 +119,14 @@ def check_picture(context: CommandContext, request: PictureCheck) -> PictureChec
         if picture.size != size:
             notes.append(change.format(*picture.size, *size))
     view_render = render
+    # A larger picture is compared at its own size, or its detail would be lost.
     if larger is not None:
         camera, render = larger, _render(context, larger)
         colors = _flat(picture, render, (camera.width, camera.height))
     if shift != (0, 0):
         colors = undo_shift(colors, render, *shift)
         notes.append(f"moved back by {shift[0]}, {shift[1]} pixels")
+    # What counts as edited depends on where the picture's noise comes from: enlarging, compression, or neither.
     cover = render_alpha(studio.session.splats, camera)
     if larger is not None and request.threshold is None:
         mask = edited_in_larger(colors, render, view_render, cover)
@@ -129,6 +136,7 @@ def check_picture(context: CommandContext, request: PictureCheck) -> PictureChec
             edited = edited_in_encoded(colors, render, cover, picture.encoding)
             mask = np.ones(mask.shape, bool) if edited is None else edited
     share = float(mask.mean())
+    # From here on only warnings: the picture may be used all the same.
     if camera.asset_sha256 not in (None, studio.session.opened.sha256):
         text = "The picture was rendered from another asset: every difference counts as an edit."
         warnings.append(PictureWarning(message=text))
@@ -136,6 +144,7 @@ def check_picture(context: CommandContext, request: PictureCheck) -> PictureChec
         text = f"{100 * share:.0f} % of the picture changed. If it was regraded as a whole, use it as a global edit."
         warnings.append(PictureWarning(message=text))
     elif larger is None:  # what enlarging alone changed is no drift
+        # Small differences all over are a program's doing; they are left alone, and people see where.
         faint = registration.faint_changes(colors, render, mask)
         if faint.mean() > registration.FAINT_WARNING_SHARE * (1 - share):
             text = (
@@ -143,12 +152,14 @@ def check_picture(context: CommandContext, request: PictureCheck) -> PictureChec
             )
             overlay = studio.blobs.put(registration.png_bytes(registration.overlay(faint)), "outside.png").sha256
             warnings.append(PictureWarning(message=text, picture=overlay))
+    # A mistake that explains the whole difference is named: another gamma, a mirror.
     explanation = explain(colors, render, cover)
     if explanation is not None and explanation.cause != "look":
         differs = f"differs from its view on {100 * (1 - explanation.agreeing):.0f} % of what they show"
         warnings.append(PictureWarning(message=f"The picture {differs}; most likely it is {explanation.words}."))
     if not mask.any():
         warnings.append(PictureWarning(message="The picture does not differ from the asset as it is now."))
+    # The straightened picture is a new one; what made the first made this one too.
     straight = studio.blobs.put(registration.png_bytes(colors), name).sha256
     studio.note_source(straight, studio.source_of([request.picture]))
     return PictureChecked(
@@ -169,9 +180,11 @@ def _photograph(context: CommandContext, request: PictureCheck, blob: StoredBlob
     studio = context.studio
     opened = studio.session.opened.source
     capture = None if opened is None or request.camera is not None else capture_of(Path(opened.path))
+    # A camera in the picture is surer than a name, and without a capture there is no photograph.
     if opened is None or capture is None or carries_camera(blob.path):
         return None
     views = named_views(capture, Path(opened.path), Path(Path(name).name or "picture"))
+    # The name has to be that of one photograph exactly.
     if len(views) != 1 or not views[0].is_called(Path(name).name):
         return None
     with naming_errors(blob.path, name):
@@ -198,6 +211,7 @@ def _camera(
     camera, source = _find_camera(context, request, blob, name, picture)
     camera = camera.relative_to(context.studio.session.original.offset)
     pixels = camera.width * camera.height
+    # Larger than may be painted: picture and view shrink together.
     if pixels > MAX_VIEW_PIXELS:  # a view that was exported larger than one is painted: the picture is shrunk with it
         scale = (MAX_VIEW_PIXELS / pixels) ** 0.5
         camera = camera.resized(max(1, int(scale * camera.width)), max(1, int(scale * camera.height)))
@@ -207,6 +221,7 @@ def _camera(
 def _alpha_kind(context: CommandContext, blob: StoredBlob, name: str) -> Alpha | None:
     """How a picture that was exported without a background keeps its colours, as it or its sidecar says."""
     kind = find_alpha(blob.path)
+    # Painting programs drop what a picture says of itself; the sidecar beside the export still says it.
     if kind is None and context.studio.folder is not None:
         with contextlib.suppress(ValueError):
             kind = find_alpha(blob.path, context.studio.folder.file(f"{Path(Path(name).name).stem}.json"))
@@ -219,6 +234,7 @@ def _cut_out(context: CommandContext, picture: Picture, render: np.ndarray, came
     if resized.alpha is None:
         return resized.colors
     splats = context.studio.session.splats
+    # Over the view where the asset is half transparent, or the edge would show a seam.
     cover = render_alpha(splats, camera)
     red, green, blue = to_display(np.array(camera.background), splats.color_space).tolist()
     return over_render(resized.colors, resized.alpha, render, cover, (red, green, blue))
@@ -228,6 +244,7 @@ def _find_camera(
     context: CommandContext, request: PictureCheck, blob: StoredBlob, name: str, picture: Picture
 ) -> tuple[Camera, CameraSource]:
     studio = context.studio
+    # From the surest to the vaguest: given, in the picture, beside it, by name, by likeness, as a part of a view.
     if request.camera is not None:
         return request.camera.to_camera(), "given"
     with contextlib.suppress(ValueError):
@@ -237,6 +254,7 @@ def _find_camera(
         with contextlib.suppress(ValueError):
             sidecar = studio.folder.file(f"{stem}.json")
             return find_camera(blob.path, sidecar), "sidecar"
+    # An export of this name is meant, unless it is the name that all exports have.
     candidates = [e for e in studio.exports if same_shape(picture.size, (e.camera.width, e.camera.height))]
     for export in reversed(candidates):
         if Path(export.name).stem == stem and stem != "view":
@@ -246,6 +264,7 @@ def _find_camera(
     if best is None and studio.folder is not None:
         root = studio.folder.root
         best = most_alike(colors, views_in([root], picture.size, besides=root / Path(name).name), stem)
+    # Last: it may be a part of a view, which is the slowest to find.
     if best is None:
         camera = _cropped_from(context, colors)
         if camera is not None:
@@ -259,6 +278,7 @@ def _crop(picture: Picture, render: np.ndarray) -> Crop | None:
     height, width = render.shape[:2]
     if picture.size == (width, height):
         return None
+    # A picture of the view's shape may still be a part of it, but only if that fits far better.
     crop = find_crop(_flat(picture, 0.0, picture.size), render)
     if crop is not None and same_shape(picture.size, (width, height)):
         uncropped_error = error_at(_flat(picture, 0.0, (width, height)), render)
@@ -268,6 +288,7 @@ def _crop(picture: Picture, render: np.ndarray) -> Crop | None:
 
 def _cropped_from(context: CommandContext, colors: np.ndarray) -> Camera | None:
     """The latest exported view that a picture is a part of."""
+    # The latest first, for what comes back went out not long ago.
     for export in list(context.studio.exports)[: -MAX_CROP_CANDIDATES - 1 : -1]:
         context.ticket.check()
         if find_crop(colors, _render(context, export.camera)) is not None:

@@ -34,8 +34,10 @@ class ReliefStamp(Command):
 @command(ReliefStamp, writes=True)
 def stamp(context: CommandContext, request: ReliefStamp) -> LayerMade:
     session, camera = context.studio.session, request.camera.to_camera()
+    # Both points on the surface as it is trusted, so that relief goes from surface to surface.
     source, _ = surface_point(session, request.source_camera.to_camera(), request.source_x, request.source_y, "source")
     target, depth = surface_point(session, camera, request.x, request.y, "target")
+    # The brush is a circle on the screen; in the world it grows with depth.
     relief = ReliefLayer(source, target, request.radius * depth / camera.fx)
     with progress(context, request.name):
         layer = session.layers.copy_relief(relief, request.name)
@@ -52,6 +54,7 @@ def surface_point(session: Session, camera: Camera, x: float, y: float, what: st
     _, hit = picking.pick(splats, camera, x, y)
     if hit is None:
         raise ValueError(f"copy: there is nothing of the asset at the {what}; click on the asset")
+    # The trusted surface of the view; where there is none, the Gaussian itself.
     table, block = session.surface.blocks(camera)
     seen = table[min(int(y / block), len(table) - 1), min(int(x / block), table.shape[1] - 1)]
     ray = camera.sight_lines(np.array([x, y]))

@@ -44,6 +44,7 @@ class AssetAdd(Command):
 @command(AssetAdd, writes=True)
 def add_asset(context: CommandContext, request: AssetAdd) -> AssetAdded:
     studio = context.studio
+    # As with `asset.open`: exactly one place.
     if sum(one is not None for one in (request.blob, request.file, request.recent)) + request.demo != 1:
         raise ValueError("asset: expected one of blob, file, recent or demo")
     with contextlib.ExitStack() as stack, progress(context, "reading"):
@@ -53,12 +54,14 @@ def add_asset(context: CommandContext, request: AssetAdd) -> AssetAdded:
         elif request.file is not None:
             asset, name, frame = folder_file(studio, request.file), request.file, "auto"
         elif request.recent is not None:
+            # Its asset as it was read, not as its layers left it.
             project = studio.projects.find(request.recent)
             folder = stack.enter_context(scratch_folder("added"))
             asset, frame = write_original(project, folder / "asset")
             name = request.recent.rsplit("_", 1)[0]
         else:
             asset, name, frame = demo(), "demo", "auto"
+        # Errors name the file as its owner knows it, not the copy.
         if not request.demo:
             stack.enter_context(naming_errors(asset, name))  # type: ignore[arg-type]
         added = studio.session.scene.add(asset, name=name, frame=frame)
@@ -83,6 +86,7 @@ class AssetSet(Command):
 @command(AssetSet, writes=True)
 def set_asset(context: CommandContext, request: AssetSet) -> Answer:
     session = context.studio.session
+    # The page works relative to the offset, the scene in the world.
     offsets = session.scene.original_of(request.asset).offset, session.original.offset  # the page works beside them
     before = session.scene.asset(request.asset).placement.between(*offsets)
     values: dict[str, Any] = {}
@@ -90,6 +94,7 @@ def set_asset(context: CommandContext, request: AssetSet) -> Answer:
         (x, y, z), (a, b, c) = request.move or before.move, request.turn or before.turn
         scale = before.scale if request.scale is None else request.scale
         placement = Placement.of((x, y, z), (a, b, c), scale)
+        # The rotation is kept as it is stored: through angles and back it would drift.
         if request.turn is None:
             placement = Placement((x, y, z), before.quat, scale)
         values["placement"] = placement.in_world(*offsets)

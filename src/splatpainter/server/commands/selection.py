@@ -54,6 +54,7 @@ class SelectArea(Command):
 def select_area(context: CommandContext, request: SelectArea) -> Selected:
     studio, camera = context.studio, request.camera.to_camera()
     mask = _grey(context, request.mask, camera)
+    # Weights of the Gaussians and the mask itself: the drawn edge holds on this view.
     weights = tools.in_mask(studio.session.splats, camera, mask, request.through)
     studio.selection.choose_area(weights, camera, mask, request.how)
     keyword = ", through=True" if request.through else ""
@@ -79,6 +80,7 @@ class SelectColor(Command):
 def select_color(context: CommandContext, request: SelectColor) -> Selected:
     session, camera = context.studio.session, request.camera.to_camera()
     color, _ = picking.pick(session.splats, camera, request.x, request.y)
+    # As it is shown: colours are picked on the screen.
     color = np.clip(to_display(color, session.splats.color_space), 0, 1)
     weights = tools.by_color(session.splats, camera, color, request.tolerance, request.everywhere)
     _apply(context, weights, request.how)
@@ -163,6 +165,7 @@ def change_selection(context: CommandContext, request: SelectChange) -> Selected
     elif request.to == "connected":
         current.choose(space.connected(splats, weights))
     else:
+        # Bounded: a radius of many assets would take long and select everything or nothing.
         limit = MAX_RADIUS_SHARE * context.studio.state.asset.radius
         if not 0 < request.radius <= limit:
             raise ValueError(f"selection: expected a radius above 0 and up to {limit:g}, got {request.radius:g}")
@@ -235,6 +238,7 @@ class SelectionView(Command):
 @command(SelectionView)
 def view_selection(context: CommandContext, request: SelectionView) -> SelectionViewed:
     studio = context.studio
+    # Read first: the answer may be newer than the number, never older.
     revision = studio.selection.revision
     seen = studio.selection.view_and_points(request.camera.to_camera())
     if seen is None:
@@ -242,6 +246,7 @@ def view_selection(context: CommandContext, request: SelectionView) -> Selection
     mask, points = seen
     grey = np.round(np.clip(mask, 0, 1) * 255).astype(np.uint8)
     blob = studio.blobs.put(png_bytes(np.repeat(grey[..., None], 3, 2)), "selection.png")
+    # A tenth of a pixel is enough to draw a mark.
     marks = np.round(points.astype(np.float64), 1).ravel().tolist()
     return SelectionViewed(mask=blob.sha256, points=marks, revision=revision)
 
@@ -262,6 +267,7 @@ def hide_selection(context: CommandContext, request: SelectionHide) -> LayerMade
     weights = current.weights()
     if weights is None:
         raise ValueError("selection: nothing is selected; select something first")
+    # A crop hides the rest; what is selected stays.
     if request.rest:
         weights = tools.inverted(session.splats, weights)
     with progress(context, request.name):
@@ -272,6 +278,7 @@ def hide_selection(context: CommandContext, request: SelectionHide) -> LayerMade
 
 def _apply(context: CommandContext, weights: np.ndarray, how: Combine) -> None:
     current = context.studio.selection
+    # Combined in one place, so that all tools add and subtract alike.
     current.choose(tools.combined(current.weights(), weights, how))
 
 

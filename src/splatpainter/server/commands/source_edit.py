@@ -113,6 +113,7 @@ def list_sources(context: CommandContext, request: SourceList) -> Sources:
 def _info(status: SourceStatus) -> SourceInfo:
     description, missing = status.description, "; ".join(status.missing)
     accepts, capabilities = description.accepts, description.capabilities
+    # Opened to see what it takes here: options of the environment may change that.
     if not missing:
         try:
             capabilities = open_source(description.name).capabilities
@@ -137,6 +138,7 @@ def _info(status: SourceStatus) -> SourceInfo:
 @command(SourceEdit, background=True, once=True)
 def edit_by_source(context: CommandContext, request: SourceEdit) -> SourceEdited:
     studio, source = context.studio, open_source(request.source)
+    # Smaller views where the answer is enlarged, so that the enlarged one can still be painted.
     camera = within_limits(
         request.camera.to_camera(), source.capabilities.max_side_px, MAX_VIEW_PIXELS // request.enlarge**2
     )
@@ -151,15 +153,19 @@ def edit_by_source(context: CommandContext, request: SourceEdit) -> SourceEdited
     except SourceCancelled:
         raise Cancelled from None
     except RefusedPicture as refusal:
+        # A refused picture was made and perhaps paid for, so people see it and judge.
         if (refused := _refused(context, source, request.prompt, refusal)) is None:
             raise
         return refused
+    # Cancelled meanwhile: nobody waits for the picture any more.
     context.ticket.check()
     image = to_display(sourced.edit.image, splats.color_space)
+    # The picture carries camera and asset, as an export would, so that it can be saved and come back.
     camera = replace(sourced.edit.camera, asset_sha256=studio.session.opened.sha256)
     picture = studio.blobs.put(registration.png_bytes(image, camera), f"{name_of(source, request.prompt)}.png").sha256
     studio.note_source(picture, source_record(source, brief, [sourced]))
     changed = sourced.admitted.changed
+    # Enlarged without a mask all of it counts, for the sharpness is the edit.
     if request.enlarge > 1 and mask is None:
         changed = np.ones_like(changed)
     cost = (sourced.answer.cost,) if sourced.answer.cost else ()
@@ -188,9 +194,11 @@ def _refused(
     height, width = request.image.shape[:2]
     colors = resample(np.ascontiguousarray(answer.image[..., :3]), width, height)
     if answer.image.shape[2] == 4:
+        # Transparent parts show the view, as if the picture had been laid over it.
         alpha = resample(np.ascontiguousarray(answer.image[..., 3]), width, height)[..., None]
         colors = alpha * colors + (1 - alpha) * request.image
     changed = registration.changed_mask(colors, request.image, request.alpha, None)
+    # Outside of the mask it would be cut anyway.
     if request.mask is not None:
         changed &= request.mask > 0
     if not changed.any():
@@ -274,6 +282,7 @@ def plan_source_views(context: CommandContext, request: SourcePlan) -> SourcePla
         None if request.camera is None else within_limits(request.camera.to_camera(), source.capabilities.max_side_px)
     )
     context.ticket.report(0, "planning")
+    # The selection as a function, since the plan looks from cameras that are not known yet.
     plan = plan_views(
         studio.session.splats.numpy(),
         size=min(PLAN_PX, source.capabilities.max_side_px),
@@ -294,10 +303,12 @@ def cover_by_source(context: CommandContext, request: SourceCover) -> SourceCove
     studio, source, flag = context.studio, open_source(request.source), TicketFlag(context)
     session, brief = studio.session, SourceBrief(request.prompt, seed=request.seed)
     cameras = tuple(within_limits(view.to_camera(), source.capabilities.max_side_px) for view in request.views)
+    # Before the first call: what cannot be written should not be paid for.
     if session.read_only:
         raise ValueError(f"{studio.name}: {session.read_only}")
 
     def write(work: Callable[[], Layer]) -> Layer:
+        # Views that are painted after another project was opened would go to the wrong one.
         def checked() -> Layer:
             if studio.session is not session:
                 raise SourceCancelled  # another project was opened
@@ -320,6 +331,7 @@ def cover_by_source(context: CommandContext, request: SourceCover) -> SourceCove
         )
     except SourceCancelled:
         raise Cancelled from None
+    # Costs are told even where nothing was painted.
     notes, costs = list(added.notes), [edit.answer.cost for edit in added.sourced_views.edits if edit.answer.cost]
     if studio.session is not session:
         notes.append("another project was opened meanwhile; the painted layers are in the previous one")
@@ -345,6 +357,7 @@ def name_of(source: PictureSource, prompt: str) -> str:
 
 def within_limits(camera: Camera, max_side_px: int, max_pixels: int = MAX_VIEW_PIXELS) -> Camera:
     """The same view, no larger than a source takes."""
+    # Limited by side and by pixels, the shape kept.
     scale = min(max_side_px / max(camera.width, camera.height), (max_pixels / (camera.width * camera.height)) ** 0.5)
     if scale >= 1:
         return camera

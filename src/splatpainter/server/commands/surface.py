@@ -34,6 +34,7 @@ class ViewSurface(Command):
 
 @command(ViewSurface)
 def view_surface(context: CommandContext, request: ViewSurface) -> SurfaceSeen:
+    # On blocks: tools want to know where the surface lies, not how each pixel looks.
     table, block = context.studio.session.surface.blocks(request.camera.to_camera())
     rows, columns = table.shape[:2]
     data = base64.b64encode(table.astype("<f4").tobytes()).decode()
@@ -100,6 +101,7 @@ class AsideScored(Command):
 @command(AsideScored, background=True)
 def score_aside(context: CommandContext, request: AsideScored) -> AsideSeen:
     scores = context.studio.session.strokes.side_scores(request.layer)
+    # Views that see hardly anything of the paint would score by chance.
     values = [score.psnr for score in scores if score.psnr is not None and score.covered > MIN_ASIDE_COVERED]
     worst = min(values, default=None)
     return AsideSeen(psnr=worst, low=worst is not None and worst < LOW_ASIDE_DB)

@@ -49,11 +49,13 @@ class Turntable(Command):
 @command(Turntable, background=True)
 def turntable(context: CommandContext, request: Turntable) -> Exported:
     studio, camera = context.studio, request.camera.to_camera(MAX_EXPORT_PIXELS)
+    # Frames may be given in place of seconds, for programs that count them.
     seconds = request.seconds if request.frames is None else request.frames / request.fps
     options = TurntableOptions(
         request.format, seconds, request.fps, request.transparent, request.quality, request.profile
     )
     sized = camera if request.size is None else resized(camera, request.size)
+    # The centre of the asset as it was opened, so that the turn does not depend on the edits.
     center, splats = np.array(studio.state.asset.center), studio.session.splats
     cameras = turn(sized, center, up_axis(studio.session), options.frames, request.degrees)
     data = turntable_bytes(splats, cameras, options, lambda k, n: context.ticket.report(k / n, f"frame {k + 1} of {n}"))

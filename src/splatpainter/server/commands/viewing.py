@@ -68,6 +68,7 @@ def render_view(context: CommandContext, request: ViewRender) -> PictureMade:
     studio, camera = context.studio, request.camera.to_camera()
     splats = studio.session.splats if request.which == "now" else studio.original
     if request.below is not None:
+        # Without the layer and what is above: what a stroke in it is painted over.
         splats = studio.session.layers.below(request.below)
     blob = studio.blobs.put(png_bytes(render_display(splats, camera, request.profile), camera), "render.png")
     keyword = "" if request.profile == "inria" else f", profile={request.profile!r}"
@@ -112,11 +113,13 @@ def export_view(context: CommandContext, request: ViewExport) -> ViewExported:
     options = PictureOptions(request.format, bits, request.transparent, aovs, request.profile, PNG_LEVEL)
     sized = camera if request.size is None else resized(camera, request.size)
     preview_camera = camera
+    # Larger than may be painted: the page gets a smaller picture to compare with.
     if camera.width * camera.height > MAX_VIEW_PIXELS:
         preview_camera = resized(camera, round(max(camera.width, camera.height) * PREVIEW_SHARE))
     image = render_display(snapshot.splats, preview_camera, request.profile)
     context.ticket.report(0, "rendering the view")
     outputs = view_files_of(snapshot.splats, snapshot.state.edited, sized, request.name, options)
+    # One picture alone is sent as it is; with files beside it they go together.
     first, file, url, download = next(iter(outputs)), None, None, ""
     if request.to == "folder":
         file = _write_to_folder(context, outputs)
@@ -133,6 +136,7 @@ def export_view(context: CommandContext, request: ViewExport) -> ViewExported:
     plain = (options.format, options.depth, options.transparent, sized) == ("png", 8, None, preview_camera)
     preview = outputs[first] if plain else png_bytes(image, preview_camera)
     blob = studio.blobs.put(preview, f"{request.name}.png")
+    # Remembered, so that the picture is known again when it comes back without its camera.
     studio.exports.append(NamedView(first, sized, thumbnail(image)))
     keywords = {"bits": bits, "transparent": request.transparent, "aovs": list(aovs) or None}
     keywords["profile"] = None if request.profile == "inria" else request.profile

@@ -19,7 +19,9 @@ class MirroredStroke(Stroke):
     def follow(self, first: Stroke, box: Box, splats: Splats, original: Splats, version: int) -> Box:
         """Take over new pixels of the first stroke; returns where they lie here."""
         left, top, right, bottom = box
+        # The same pixels as the first half, so that both sides are one stroke.
         rgba = first.rgba[top:bottom, left:right]
+        # Paint that keeps shading is a difference to what is below; the other side has other shading.
         if self.keep > 0:
             first.prepare(splats, original, version)
             self.prepare(splats, original, version)
@@ -30,6 +32,7 @@ class MirroredStroke(Stroke):
             )
             moved = np.clip(rgba[..., :3] + 255 * self.keep * base, 0, 255).round()
             rgba = np.concatenate([moved.astype(np.uint8), rgba[..., 3:]], -1)
+        # Left and right change places: the mirrored view sees it from the other side.
         flipped = np.ascontiguousarray(rgba[:, ::-1])
         return self.patch(self.camera.width - right, top, right - left, bottom - top, flipped.tobytes())
 
@@ -39,5 +42,6 @@ def merged(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Two previews ([C] ascending Gaussians, [C, K, 3] their SH) as one; where both have a Gaussian, the first's."""
     ids = np.concatenate([first[0], second[0]])
+    # unique keeps the first of each: on the plane itself both halves have the same Gaussians.
     unique, index = np.unique(ids, return_index=True)
     return unique, np.concatenate([first[1], second[1]])[index]

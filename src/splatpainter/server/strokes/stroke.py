@@ -86,12 +86,15 @@ class Stroke:
 
     def prepare(self, splats: Splats, original: Splats, version: int) -> None:
         """Project the asset (numpy) as it now is, unless that was done for this version."""
+        # Projecting is the expensive part, so it is done once for each version of the asset.
         if self._canvas is not None and self._canvas.version == version:
             return
         frame = project(splats, self.camera)
+        # The edit at the end of the stroke takes the same view and need not project it again.
         note_view(splats, frame)
         base = frame.rasterize()[0]
         erased = project(self._beneath or original, self.camera).rasterize()[0] if self.erase else base
+        # The weights of the whole view say later how much of a Gaussian lies under the stroke.
         everywhere = np.ones(base.shape[:2], np.float32)
         weights = frame.backproject(np.zeros_like(base), everywhere).weight
         colors = np.maximum(frame.unclamped_colors, 0)
@@ -104,6 +107,7 @@ class Stroke:
     def patch(self, x: int, y: int, width: int, height: int, rgba: bytes) -> Box:
         """Put pixels (straight alpha, 8 bits) in their rectangle; returns it. Raises
         ValueError where it is not inside the view, or the bytes are not that many."""
+        # Checked against the view before anything is written: the numbers come from a page.
         if x + width > self.camera.width or y + height > self.camera.height:
             size = f"{self.camera.width}x{self.camera.height}"
             corner = f"{brief(x)}, {brief(y)}"
@@ -111,6 +115,7 @@ class Stroke:
         if len(rgba) != width * height * 4:
             raise ValueError(f"dab: expected {width * height * 4} bytes of RGBA, got {len(rgba)}")
         patch = np.frombuffer(rgba, np.uint8).reshape(height, width, 4)
+        # Outside of what is selected nothing is painted, however the page drew it.
         if self._selected is not None:
             patch, part = patch.copy(), self._selected[y : y + height, x : x + width]
             patch[..., 3] = np.round(patch[..., 3] * part)
@@ -120,6 +125,7 @@ class Stroke:
     def preview(self, splats: Splats, original: Splats, version: int, box: Box) -> tuple[np.ndarray, np.ndarray]:
         """([C] int64 ascending Gaussians whose colours changed since the last preview, [C, K, 3] their SH), after new
         pixels in `box`. A changed asset (another version) is projected again, and all of the stroke shown on it."""
+        # Another version has other Gaussians: all of the stroke is shown anew on them.
         if self._canvas is None or self._canvas.version != version:
             self.prepare(splats, original, version)
             box = (0, 0, self.camera.width, self.camera.height)
@@ -129,12 +135,15 @@ class Stroke:
         inside = _slices(box)
         alpha = self.rgba[inside][..., 3:].astype(np.float32) / 255
         painted = canvas.erased[inside]
+        # Erasing shows the original there; paint shows its own colour.
         if not self.erase:
             painted = from_display(self.rgba[inside][..., :3].astype(np.float32) / 255, splats.color_space)
         canvas.target[inside] = (1 - alpha) * canvas.base[inside] + alpha * painted
         entries = self._lift(canvas, _grown(box, self.camera))
+        # Only what changed visibly is sent: previews go out with every dab.
         changed = entries[np.abs(canvas.colors[entries] - canvas.sent[entries]).max(1) > MIN_COLOR_CHANGE]
         canvas.sent[changed] = canvas.colors[changed]
+        # Frames want their Gaussians in ascending order.
         changed = changed[np.argsort(frame.gaussian_ids[changed])]
         ids = frame.gaussian_ids[changed]
         return ids, recolor(splats.sh[ids], frame.unclamped_colors[changed], canvas.colors[changed])
@@ -143,18 +152,22 @@ class Stroke:
         """SIRT steps on the colours within a window of the view. Returns [E] the frame's entries that it shows."""
         frame, window = canvas.frame, _slices(box)
         everywhere, painted = np.zeros((2, *self.rgba.shape[:2]), np.float32)
+        # The window limits the work, the painted pixels what is to change.
         everywhere[window], painted[window] = 1, self.rgba[window][..., 3] > 0
         tiles = np.zeros(frame.tiles.shape, bool)
         tiles[box[1] // TILE : -(-box[3] // TILE), box[0] // TILE : -(-box[2] // TILE)] = True
+        # Only the tiles around the dab: the rest of the view has not changed.
         small = frame.part(tiles=tiles)
         entries, target = canvas.entries[small.gaussian_ids], canvas.target
         sums = small.backproject(target, painted)
+        # A Gaussian moves if the paint reaches it visibly and enough of it lies inside; else colour would leak.
         reached = (sums.peak > MIN_PIXEL_SHARE) & (sums.weight > MIN_VISIBLE_SHARE * sums.alpha)
         canvas.movable[entries] |= reached & (sums.weight > MIN_INSIDE_SMALL * canvas.weights[entries])
         movable = canvas.movable[entries]
         sirt = sirt_steps(small, target, everywhere, movable)
         step, moved = 1 / np.maximum(sirt.weight, 1e-6)[:, None], entries[movable]
         colors, ceiling = canvas.colors[moved], np.maximum(frame.unclamped_colors[moved], MAX_COLOR)
+        # A few steps are enough for a preview; the next dab goes on from there.
         for _ in range(SIRT_STEPS):
             colors = np.clip(colors + step * sirt.residual(colors), 0, ceiling).astype(np.float32)
         canvas.colors[moved] = colors

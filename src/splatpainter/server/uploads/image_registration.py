@@ -29,6 +29,7 @@ def png_bytes(image: np.ndarray, camera: Camera | None = None) -> bytes:
 def changed_mask(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray, threshold: float | None) -> np.ndarray:
     """[H, W] bool: pixels that were edited; alpha: [H, W] of the render; threshold: the difference (0..1) from which
     one counts, None: as in `edited_mask`."""
+    # A threshold that is given holds for every pixel; without one the picture's own noise decides.
     if threshold is None:
         return edited_mask(picture, render, alpha)
     return np.abs(np.clip(picture, 0, 1) - np.clip(render, 0, 1)).max(-1) > threshold
@@ -37,6 +38,7 @@ def changed_mask(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray, thr
 def faint_changes(picture: np.ndarray, render: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """[H, W] bool: pixels outside the mask that differ although they count as not edited; a generator's or a
     compressor's doing. Averaged over 5 x 5 pixels, so that grain does not count."""
+    # Signed, so that grain cancels in the mean and a drift does not.
     signed = np.where(mask[..., None], 0, np.clip(picture, 0, 1) - np.clip(render, 0, 1))
     padded = np.pad(signed, ((2, 2), (2, 2), (0, 0)), mode="edge")
     height, width = mask.shape

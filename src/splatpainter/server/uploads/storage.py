@@ -54,10 +54,12 @@ class Folder:
 
     def file(self, name: str, *, new: bool = False) -> Path:
         """The file of that name. Raises ValueError: no plain name, hidden, outside (a link), missing."""
+        # A plain name and nothing else: no folders, no hidden files, no drives or streams of Windows.
         if not name or name.startswith(".") or Path(name).name != name or re.search(r"[/\\:\x00-\x1f]", name):
             raise ValueError(f"{name!r}: expected a plain file name")
         if len(name.encode(errors="surrogatepass")) > MAX_NAME_BYTES:
             raise ValueError(f"{brief(name)}: expected a file name of at most {MAX_NAME_BYTES} bytes")
+        # Resolved first: a link could lead anywhere.
         try:
             path = (self.root / name).resolve()
         except (OSError, RuntimeError):  # a circle of links
@@ -96,10 +98,12 @@ class Summaries:
         self._cache: OrderedDict[Path, tuple[object, ProjectSummary | None]] = OrderedDict()
 
     def get(self, path: Path) -> ProjectSummary | None:
+        # The log beside the file too: edits may be in it alone for a while.
         key = tuple(_stamp(path.with_name(path.name + ending)) for ending in ("", "-wal"))
         with self._lock:
             entry = self._cache.get(path)
         if entry is None or entry[0] != key:
+            # Outside of the lock: reading a file must not hold up other threads.
             entry = key, summarize(path)
         with self._lock:
             self._cache[path] = entry
@@ -122,6 +126,7 @@ class Projects:
 
     def __init__(self, root: Path) -> None:
         """Raises ValueError where it cannot be made."""
+        # Made at once, so that a studio that cannot save says so when it starts.
         try:
             root.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -131,6 +136,7 @@ class Projects:
 
     def fresh(self, name: str) -> Path:
         """A file name for a new project about something called `name`."""
+        # Words of the asset's name, for people; time and chance, so that no two projects meet.
         stem = re.sub(r"[^\w-]+", "-", Path(name).name.split(".")[0]).strip("-")[:40] or "asset"
         stamp = time.strftime("%Y%m%d-%H%M%S")
         return self.root / f"{stem}_{stamp}-{secrets.token_hex(2)}{PROJECT}"
@@ -140,12 +146,14 @@ class Projects:
         present one."""
         out = []
         for path in self._paths():
+            # Every opened asset has a project at once; those that nobody worked in are not worth a line.
             summary = self.summaries.get(path)
             if summary is not None and summary.is_untouched and path != present:
                 continue
             changed = path.stat().st_mtime if summary is None else summary.edited
             out.append(RecentProject(path.stem, path.stem.rsplit("_", 1)[0], path, changed, summary))
         out.sort(key=lambda project: -project.changed)
+        # Copies hold the same work; the latest stands for all.
         contents: set[str] = set()
         latest = []
         for project in out:
@@ -182,11 +190,13 @@ def usable_projects(named: Path | None = None) -> tuple[Path, str]:
     """(folder of new projects, a line on why it is not the user's data folder; "" where it is). named: that one and no
     other. Raises ValueError where none can be used: it cannot be made or written, its disk is full, or its file system
     refuses file locks."""
+    # Looked at before the first edit: a folder that cannot hold projects would lose it.
     root = named or projects_folder()
     why = _why_unusable(root)
     if not why:
         return root, ""
     what_helps = f"set {PROJECTS_VARIABLE} to a folder on a local disk"
+    # A folder that was named is taken or refused; only the usual one has a substitute.
     if named is None and not os.environ.get(PROJECTS_VARIABLE):
         other = _temporary_projects()
         if other is not None and not _why_unusable(other):
@@ -197,6 +207,7 @@ def usable_projects(named: Path | None = None) -> tuple[Path, str]:
 
 def _why_unusable(root: Path) -> str:
     """Why projects cannot be saved in a folder, which is made where it is missing; "" where they can."""
+    # Tried by writing: what a system says of room and rights is not always so.
     probe = root / f".room.{secrets.token_hex(4)}.part"  # a name that the sweep knows
     try:
         root.mkdir(parents=True, exist_ok=True)
@@ -211,6 +222,7 @@ def _why_unusable(root: Path) -> str:
 
 def _temporary_projects() -> Path | None:
     """A folder of this user alone among the system's temporary ones, the same each time; None where there is none."""
+    # Others of this machine can write to the temporary folder, so it must be this user's and closed to the rest.
     user = getattr(os, "getuid", lambda: "")()  # Windows: its temporary folder is the user's own
     path = Path(tempfile.gettempdir()) / f"splatpainter-projects{user}"
     with contextlib.suppress(OSError):
@@ -237,6 +249,7 @@ class Downloads:
     def add(self, path: Path) -> str:
         """The address to download it from; the oldest goes where there are too many."""
         key = secrets.token_urlsafe(16)
+        # Exports are large, and most are fetched once and at once.
         self._files[key] = path
         while len(self._files) > MAX_DOWNLOADS:
             _, oldest = self._files.popitem(last=False)
@@ -306,6 +319,7 @@ class Blobs:
     def get(self, sha256: str, kind: str | None = None) -> StoredBlob:
         """What was put. Raises ValueError where it is not (or no longer) here, or of another kind."""
         with self._lock:
+            # Taken again is used again: the oldest to go is the one that nobody asks for.
             blob = self._blobs.get(sha256)
             if blob is not None:
                 self._blobs.move_to_end(sha256)
@@ -338,25 +352,30 @@ class Blobs:
 
     def _count_incoming(self, count: int, name: str) -> None:
         """Count bytes on their way in (negative: they have ended). Raises TooLarge where there are too many."""
+        # Together, too: many uploads at a time would pass a limit for each.
         with self._lock:
             if count > 0 and self._incoming + count > self.limits.total:
                 raise TooLarge(f"{name}: expected at most {self.limits.total >> 20} MiB of uploads at a time")
             self._incoming += count
 
     def _add(self, partial: Path, sha256: str, name: str, size: int) -> StoredBlob:
+        # Judged from its header and on the disk: nothing is decoded before that.
         try:
             info = sniff(partial, name, self.limits.gaussians)
         except ValueError as error:
             raise ValueError(str(error).replace(str(partial), name or "the upload")) from None
         if info.kind == "picture" and size > self.limits.picture:
             raise TooLarge(f"{name or 'picture'}: expected at most {self.limits.picture >> 20} MiB, got {size >> 20}")
+        # The name on the disk is the hash and an ending of ours; what its owner calls it stays a word.
         blob = StoredBlob(sha256, self.folder / (sha256 + info.ending), name, size, info)
+        # In one step with the list, so that no other thread removes it in between.
         with self._lock:
             if not blob.path.exists():  # the same bytes; and Windows replaces no file that is being read
                 files.replace(partial, blob.path)
             self._blobs[sha256] = blob
             self._blobs.move_to_end(sha256)
             total = sum(blob.size for blob in self._blobs.values())
+            # The newest stays, even where it is larger than all that may be kept.
             while total > self.limits.total and len(self._blobs) > 1:
                 _, oldest = self._blobs.popitem(last=False)
                 total -= oldest.size
@@ -372,6 +391,7 @@ class Incoming:
     """Bytes on their way in; leaving the block without `finish` drops them."""
 
     def __init__(self, store: Blobs, name: str) -> None:
+        # The name is only shown, so it is cut and made text.
         self._store, self._name = store, name[:200].encode("utf-8", "replace").decode()
         self._partial = store._partial()
         self._digest, self._size = hashlib.sha256(), 0
@@ -383,6 +403,7 @@ class Incoming:
     def __enter__(self) -> Incoming:
         return self
 
+    # Whatever ended the block, nothing of it stays: neither the file nor its share of the limit.
     def __exit__(self, *_: object) -> None:
         try:
             self._file.close()
@@ -395,10 +416,12 @@ class Incoming:
     def write(self, piece: bytes) -> None:
         """Raises TooLarge where it gets too long, ValueError where the disk is full."""
         limit = self._store.limits.upload
+        # Before it is written: a header may have stated another length.
         if self._size + len(piece) > limit:
             raise TooLarge(f"{self._name or 'upload'}: expected at most {limit >> 20} MiB; use a file in the folder")
         self._store._count_incoming(len(piece), self._name or "uploads")
         self._size += len(piece)
+        # Hashed while it passes, so that the file need not be read again.
         self._digest.update(piece)
         try:
             self._file.write(piece)
@@ -410,6 +433,7 @@ class Incoming:
         if not self._size:
             raise ValueError(f"{self._name or 'upload'}: is empty")
         try:
+            # Closed first: a full disk may only show then.
             self._file.close()
             return self._store._add(self._partial, self._digest.hexdigest(), self._name, self._size)
         except OSError as error:
@@ -422,6 +446,7 @@ class Incoming:
 def demo(cache: Path | None = None) -> Splats:
     """The bundled still life, kept as a PLY in `cache` (None: the user's cache folder) under the hash of the file that
     it was unpacked from."""
+    # By the hash of the bundled file: another version unpacks its own.
     path = (cache or cache_folder()) / f"demo-{_demo_hash()}.ply"
     with contextlib.suppress(ValueError):  # not there yet, or damaged: it is unpacked anew
         return read(path)

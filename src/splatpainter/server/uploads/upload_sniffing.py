@@ -41,15 +41,18 @@ class UploadInfo:
 def sniff(path: Path, name: str, max_gaussians: int) -> UploadInfo:
     """Judge the file at `path`; `name` is what its owner called it (splat formats without a magic need its ending).
     Raises ValueError: neither picture, splat file nor project, or more pixels or Gaussians than are allowed."""
+    # From what is surest to what needs the name: some formats have nothing at their beginning to know them by.
     head = read_head(path, 16)
     if head == SQLITE:
         return UploadInfo("project", ".splatproj", "application/octet-stream")
     picture = _picture(path, name) or _layered(path, name)
     if picture is not None:
         return picture
+    # Many formats are ZIP files; what is inside says which one.
     if head[:4] == ZIP and _is_layer(path):
         return UploadInfo("layer", ".splatlayer", "application/octet-stream")
     title = name or "the upload"
+    # A table is text without a magic, so its name has to say it.
     if name.lower().endswith(CUBE_ENDING) and b"\0" not in head:
         if path.stat().st_size > MAX_CUBE_BYTES:
             raise ValueError(f"{title}: expected a .cube table of at most {MAX_CUBE_BYTES >> 20} MiB, got more")
@@ -58,6 +61,7 @@ def sniff(path: Path, name: str, max_gaussians: int) -> UploadInfo:
     if key is None:
         raise ValueError(f"{title}: expected a picture (PNG, JPEG, WebP, TIFF), a splat file or a project")
 
+    # The count is read from the header: a small file may claim more than any memory holds.
     try:
         count = _declared_count(path, key)
         if count < 0:
@@ -91,6 +95,7 @@ def _picture(path: Path, name: str) -> UploadInfo | None:
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Pillow's own size warning: judged here
+        # Opened with the kinds that are meant alone: Pillow knows many more, each with a decoder.
         try:
             with Image.open(path, formats=PICTURE_KINDS) as image:
                 width, height, kind = image.width, image.height, str(image.format)
@@ -100,6 +105,7 @@ def _picture(path: Path, name: str) -> UploadInfo | None:
             raise ValueError(f"{name or 'picture'}: expected {SIZE_LIMIT}") from None
         except Exception as error:  # decoders of damaged files raise anything
             raise ValueError(f"{name or 'picture'}: cannot be read as a picture ({str(error)[:120]})") from None
+    # By the header's size, before a pixel is decoded.
     if width * height > MAX_PICTURE_PIXELS:
         raise ValueError(f"{name or 'picture'}: expected {SIZE_LIMIT}, got {width}x{height}")
     return UploadInfo("picture", ENDINGS[kind], MEDIA[kind], width, height)
@@ -110,6 +116,7 @@ def _layered(path: Path, name: str) -> UploadInfo | None:
     psd = is_psd(path)
     if not psd and not holds_merged(path):
         return None
+    # Such files go to the reader and never to a browser, which is why they have no picture's content type.
     try:
         width, height = (psd_size(path) if psd else declared_size(path)) or (0, 0)
     except ValueError as error:
@@ -120,6 +127,7 @@ def _layered(path: Path, name: str) -> UploadInfo | None:
 def _declared_count(path: Path, key: str) -> int:
     """Gaussians that the header declares."""
     size = path.stat().st_size
+    # Each format says its number in another place; none has to be unpacked for it.
     if key in ("ply", "compressed.ply"):
         with reading(path) as file:
             vertex = read_header(file, path).element("vertex")

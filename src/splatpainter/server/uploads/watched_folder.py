@@ -38,9 +38,11 @@ async def watch(hub: Hub, retry_seconds: float = RETRY_SECONDS) -> None:
     if studio.folder is None:
         return
     saved, last_warning = None, ""
+    # A folder that cannot be watched now may come back: another disk, a network.
     while True:
         began = time.monotonic()
         try:
+            # Made anew after a failure, so that what is there then is no news.
             if saved is None:
                 saved = await asyncio.to_thread(SavedPictures, studio.folder.root)
             for path in await asyncio.to_thread(saved.take):
@@ -48,6 +50,7 @@ async def watch(hub: Hub, retry_seconds: float = RETRY_SECONDS) -> None:
         except Exception as error:
             log.warning("the watched folder: %s", error)
             text = f"The folder {studio.folder.root.name} cannot be watched."
+            # Once for each reason and not every few seconds.
             if text != last_warning:
                 hub.publish(ToastEvent(level="warning", message=text, hint="Drop pictures into the page instead."))
             last_warning = text
@@ -60,6 +63,7 @@ async def watch(hub: Hub, retry_seconds: float = RETRY_SECONDS) -> None:
 async def offer(hub: Hub, name: str, read: Callable[[Studio, str], StoredBlob | None] | None = None) -> None:
     """Offer the file of that name to every client, or say what is wrong with it. Raises nothing. read: default
     saved_picture."""
+    # Whatever is wrong with one file, the watch goes on.
     title = name.encode("utf-8", "replace").decode()  # names need not be text
     try:
         blob = await asyncio.to_thread(read or saved_picture, hub.studio, name)
@@ -68,6 +72,7 @@ async def offer(hub: Hub, name: str, read: Callable[[Studio, str], StoredBlob | 
     except FileNotFoundError:
         pass  # it was there for a moment only
     except Exception as error:
+        # A file that is gone again, as programs write beside and rename, is no fault of anybody's.
         folder = hub.studio.folder
         if folder is None or not os.path.lexists(folder.root / name):
             return
@@ -80,6 +85,7 @@ def saved_picture(studio: Studio, name: str) -> StoredBlob | None:
     """The picture in the folder, None where the file is no picture by its name, or is what the studio wrote there or
     offered before. Raises FileNotFoundError where it is gone; ValueError: no regular file, too large, no whole
     picture."""
+    # Hidden files are how programs write before they rename.
     if studio.folder is None or name.startswith(".") or not name.lower().endswith(SUFFIXES):
         return None
     try:
@@ -88,6 +94,7 @@ def saved_picture(studio: Studio, name: str) -> StoredBlob | None:
         raise
     except OSError as error:
         raise ValueError(f"cannot be read ({error.strerror or error})") from None
+    # A pipe would be waited for without end.
     if not stat.S_ISREG(status.st_mode):
         raise ValueError("expected a picture, got a folder, a pipe or a device")
     path = studio.folder.file(name)
@@ -96,11 +103,13 @@ def saved_picture(studio: Studio, name: str) -> StoredBlob | None:
         raise ValueError(f"expected at most {limit >> 20} MiB")
     data = files.read_all(path)
     sha256 = files.sha256(data)
+    # What the studio wrote there itself, or offered already, is no edit.
     if studio.written.get(name) == sha256:
         return None
     blob = studio.blobs.put(data, name)
     if blob.info.kind != "picture":
         raise ValueError("expected a picture")
+    # Whole or not: only reading all of it tells.
     with naming_errors(blob.path, name):
         read_picture(blob.path, inks=False)  # half a file has a whole header
     studio.written[name] = sha256

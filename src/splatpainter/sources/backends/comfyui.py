@@ -119,17 +119,21 @@ class ComfyUISource:
 
     def edit(self, request: PictureRequest, progress: Progress, cancel: CancelFlag) -> PictureAnswer:
         """Run the workflow once. Raises SourceError with what the server says; SourceCancelled."""
+        # The key is optional (`key_optional`): without one no header says so.
         key = os.environ.get(KEYS[0], "").strip()
         headers = {"Authorization": f"Bearer {key}"} if key else {}
         job = ComfyJob(Service("comfyui", self.url, headers, progress, KEYS), headers, progress)
+        # One loop for all of it: upload, queue, progress and answer share one timeout and one cancel.
         body = run(lambda: job.run(self.workflow, self.slots, request), "comfyui", self.options.timeout, cancel)
         image, notes = read_answer(body, "comfyui")
         notes = (*notes, *job.notes)
+        # A key by plain http can be read on its way; that is said and not refused.
         if key and is_open(self.url):
             notes = (
                 *notes,
                 f"the key went to {job.service.host} by http, which anybody on the way can read; use https",
             )
+        # Only a workflow with a node for it has used the seed.
         seed = request.seed if "seed" in self.slots else None
         return PictureAnswer(image, model=f"ComfyUI workflow {self.options.workflow.name}", seed=seed, notes=notes)
 
@@ -137,6 +141,7 @@ class ComfyUISource:
 def read_workflow(path: Path) -> dict[str, Any]:
     """Node number -> node. Raises SourceError: unreadable, no JSON, the editor's format, no workflow."""
     try:
+        # The size is looked at first: a workflow is JSON, and JSON of any length would fill the memory.
         if not path.is_file():
             raise SourceError(f"source comfyui: {path}: no such file; expected a workflow in API format")
         if path.stat().st_size > MAX_WORKFLOW_BYTES:
@@ -148,13 +153,16 @@ def read_workflow(path: Path) -> dict[str, Any]:
         raise
     except (ValueError, RecursionError):
         raise SourceError(f"source comfyui: {path}: expected a workflow as JSON") from None
+    # Files are saved in several shapes; what was posted to the server has the workflow one level deeper.
     if isinstance(data, dict) and isinstance(data.get("prompt"), dict) and "class_type" not in data["prompt"]:
         data = data["prompt"]  # as it was posted
+    # The editor's format is what people save by habit; the line says what to export instead.
     if isinstance(data, dict) and isinstance(data.get("nodes"), list):
         raise SourceError(
             f"source comfyui: {path}: is saved for the editor; export it for the API (File > Export (API))"
         )
     nodes = data if isinstance(data, dict) else {}
+    # Every node is looked at here, so that all code below may rely on class_type and inputs.
     if not nodes or not all(isinstance(at(node, "class_type"), str) for node in nodes.values()):
         raise SourceError(f"source comfyui: {path}: expected a workflow in API format (class_type, inputs)")
     if not all(isinstance(node.get("inputs"), dict) for node in nodes.values()):
@@ -165,25 +173,30 @@ def read_workflow(path: Path) -> dict[str, Any]:
 def find_slots(workflow: dict[str, Any], name: str) -> dict[str, list[str]]:
     """Slot -> the numbers of its nodes. Raises SourceError: no image or no out (with the titles that there are), a
     title that is no slot, a node that cannot take what its title says."""
+    # Titles are what people can set in the editor and see again; numbers change with every export.
     titles = {number: str(at(node, "_meta", "title") or node["class_type"]) for number, node in workflow.items()}
     slots: dict[str, list[str]] = {}
     for number, title in titles.items():
         words = title.strip().lower()
         if words.startswith(PREFIX):
             slot = words.removeprefix(PREFIX).strip()
+            # A title with the prefix is meant for us, so a misspelt one is an error and not a node to pass over.
             if slot not in SLOTS:
                 listed = ", ".join(PREFIX + slot for slot in SLOTS)
                 raise SourceError(f"source comfyui: {name}: no slot {title.strip()[:60]!r}; there are {listed}")
             slots.setdefault(slot, []).append(number)
     missing = [PREFIX + slot for slot in ("image", "out") if slot not in slots]
     if missing:
+        # The titles that there are show what was misspelt or not exported.
         listed = ", ".join(dict.fromkeys(title.strip()[:40] for title in titles.values()))[:300]
         raise SourceError(
             f"source comfyui: {name}: no node is titled {' or '.join(missing)}; there are {listed}; "
             "give the nodes these titles in ComfyUI and export again"
         )
+    # With two outputs it would be chance which picture is the answer.
     if len(slots["out"]) > 1:
         raise SourceError(f"source comfyui: {name}: {len(slots['out'])} nodes are titled {PREFIX}out; expected one")
+    # A node that cannot take its slot would leave the picture out without a word.
     for slot, numbers in slots.items():
         for number in numbers:
             node = workflow[number]
@@ -198,6 +211,7 @@ def find_slots(workflow: dict[str, Any], name: str) -> dict[str, list[str]]:
 
 def _inputs(node: dict[str, Any], slot: str) -> list[str]:
     """Inputs of a node that a slot is written to; links, which are lists, are left alone."""
+    # A picture's input holds a file name; a link in its place says that another node feeds it.
     if slot in PICTURES:
         return [name for name in ("image",) if isinstance(node["inputs"].get(name), str)]
     kinds = (str,) if slot == "prompt" else (int, float)
@@ -217,15 +231,19 @@ class ComfyJob:
     async def run(self, workflow: dict[str, Any], slots: dict[str, list[str]], request: PictureRequest) -> bytes:
         """The picture file of the slot `out`."""
         try:
+            # Pictures are uploaded first: the graph names them by what the server called them.
             self._progress(0.0, f"sending to {self.service.host}")
             graph = await self._filled(workflow, slots, request)
             client = uuid.uuid4().hex
+            # The socket is open before the run is queued, or its first messages would be missed.
             async with self._socket(client) as socket:
                 answer = await self.service.json("POST", "/prompt", json={"prompt": graph, "client_id": client})
                 self._prompt_id, self._nodes = str(at(answer, "prompt_id") or ""), len(graph)
+                # Taken or not is known at once; waiting for a run that was refused would last until the timeout.
                 await self._check_taken(answer, slots["out"][0])
                 history = await self._finished(socket, graph)
         except asyncio.CancelledError:
+            # A run that nobody waits for would still hold the server's GPU.
             if self._prompt_id:
                 with contextlib.suppress(Exception):
                     await self._give_up()
@@ -237,11 +255,13 @@ class ComfyJob:
         Raises SourceError: it did not take the part of `out`; the rest is taken back."""
         errors = node_errors(answer)
         entries = at(answer, "node_errors")
+        # Only errors that the output depends on matter; the server leaves out the rest of the workflow.
         taken = self._prompt_id and not any(
             number == out or out in (at(entry, "dependent_outputs") or [out])
             for number, entry in (entries.items() if isinstance(entries, dict) else ())
         )
         if not taken:
+            # A part that was taken although the output was not is taken back.
             if self._prompt_id:
                 await self._give_up()
             raise self.service.error(f"refused the workflow: {errors or 'it gave no number'}")
@@ -251,6 +271,7 @@ class ComfyJob:
     async def _filled(
         self, workflow: dict[str, Any], slots: dict[str, list[str]], request: PictureRequest
     ) -> dict[str, Any]:
+        # A copy: one workflow serves many requests.
         graph = copy.deepcopy(workflow)
         contents = {
             "image": lambda: image_png(request),
@@ -258,6 +279,7 @@ class ComfyJob:
             "depth": lambda: depth_png(request),
             "normal": lambda: normal_png(request),
         }
+        # Each picture is uploaded once, however many nodes want it.
         for slot, numbers in slots.items():
             name = await self._upload(contents[slot](), slot) if slot in PICTURES else ""
             for number in numbers:
@@ -268,16 +290,20 @@ class ComfyJob:
                     elif slot == "prompt":
                         inputs[key] = request.prompt
                     elif request.seed is not None:
+                        # Without a seed the workflow keeps its own.
                         inputs[key] = request.seed
+                # Grey is the same in every channel but alpha, where it is the other way round.
                 if slot == "mask" and isinstance(inputs.get("channel"), str):
                     inputs["channel"] = "red"
         return graph
 
     async def _upload(self, png: bytes, slot: str) -> str:
+        # Named by its contents: the same picture sent again takes no further room on the server.
         name = f"splatpainter_{slot}_{hashlib.sha256(png).hexdigest()[:16]}.png"
         files = {"image": (name, png, "image/png")}
         answer = await self.service.json("POST", "/upload/image", files=files, data={"overwrite": "true"})
         stored, folder = at(answer, "name"), at(answer, "subfolder")
+        # The server may store under another name; what it says is what nodes have to name.
         if not isinstance(stored, str) or not stored:
             raise self.service.error("accepted a picture without naming it; is this a ComfyUI server?")
         return f"{folder}/{stored}" if isinstance(folder, str) and folder else stored
@@ -285,6 +311,7 @@ class ComfyJob:
     @contextlib.asynccontextmanager
     async def _socket(self, client: str) -> AsyncIterator[Any]:
         """The web socket, or None where there is none: then only the history says how far it is."""
+        # Progress is a comfort: without the library or the socket the history still says when it ends.
         try:
             from websockets.asyncio.client import connect
         except ImportError:
@@ -292,6 +319,7 @@ class ComfyJob:
             return
         url = "ws" + self.service.base_url.removeprefix("http") + f"/ws?clientId={client}"
         try:
+            # A socket that does not open in time must not hold up the run.
             connection = await connect(
                 url,
                 max_size=MAX_MESSAGE_BYTES,
@@ -306,6 +334,7 @@ class ComfyJob:
         try:
             yield connection
         finally:
+            # A server that does not say goodbye must not hold the answer back.
             try:
                 with contextlib.suppress(Exception):
                     await connection.close()
@@ -316,6 +345,7 @@ class ComfyJob:
         """The history of the run once it ended well."""
         while True:
             if socket is not None:
+                # Messages say when to look; only the history says what came of it.
                 try:
                     message = await asyncio.wait_for(socket.recv(), HISTORY_SECONDS)
                 except TimeoutError:
@@ -326,29 +356,36 @@ class ComfyJob:
                     continue
             else:
                 await asyncio.sleep(HISTORY_SECONDS)
+            # Looked at after silence too: a message of the end may have been lost on the way.
             entry = at(await self.service.json("GET", f"/history/{quote(self._prompt_id)}"), self._prompt_id)
             if isinstance(entry, dict):
                 status = at(entry, "status", "status_str")
                 if status == "error":
                     raise self.service.error(f"stopped{_history_error(entry)}")
+                # Servers differ in what they say of success; outputs are proof enough.
                 if status == "success" or at(entry, "status", "completed") or entry.get("outputs"):
                     return entry
 
     def is_end(self, message: str | bytes, graph: dict[str, Any]) -> bool:
         """Whether a message ends the run. Reports progress; raises SourceError where it says that the run failed."""
+        # Binary messages are previews.
         try:
             data = json.loads(message) if isinstance(message, str) else None
         except (ValueError, RecursionError):
             return False
         kind, content = at(data, "type"), at(data, "data")
+        # Other clients' runs pass by on the same socket.
         if at(content, "prompt_id") not in (None, self._prompt_id):
             return False
+        # Failures are raised as they come and not when the history has them.
         if kind == "execution_error":
             raise self.service.error(f"stopped{_execution_error(content)}")
         if kind == "execution_interrupted":
             raise self.service.error("was interrupted on the server")
+        # A run ends by success or by a node that is none; either has to name this run.
         if kind == "execution_success" or (kind == "executing" and at(content, "node") is None):
             return at(content, "prompt_id") is not None
+        # What is cached is done already, so the bar does not begin at nothing.
         if kind == "execution_cached":
             cached = at(content, "nodes")
             self._done = len(cached) if isinstance(cached, list) else 0
@@ -357,10 +394,12 @@ class ComfyJob:
             if isinstance(value, int | float) and isinstance(most, int | float) and most > 0:
                 self._report(min(max(value / most, 0.0), 1.0), f"step {value:g} of {most:g}")
         elif kind == "executing":
+            # A node that begins ends the one before.
             self._done += bool(self._node)
             self._node = str(at(content, "node"))
             self._report(0.0, str(graph.get(self._node, {}).get("class_type", "working")))
         elif kind == "status" and not self._node:
+            # Only before it begins: afterwards the queue is of others.
             waiting = at(content, "status", "exec_info", "queue_remaining")
             if isinstance(waiting, int) and waiting > 1:
                 self._progress(0.0, f"{waiting} in the queue")
@@ -371,6 +410,7 @@ class ComfyJob:
         self._progress(min((self._done + share) / self._nodes, 1.0), words)
 
     async def _picture(self, history: Any, number: str, graph: dict[str, Any]) -> bytes:
+        # A node may save several pictures or another kind of file; only those with a name can be fetched.
         pictures = at(history, "outputs", number, "images")
         files = (
             [entry for entry in pictures if isinstance(at(entry, "filename"), str)]
@@ -383,6 +423,7 @@ class ComfyJob:
                 f"ended without a picture from {PREFIX}out (node {number}, {kind}); expected a node that saves or "
                 "previews one"
             )
+        # One picture is the answer; of several, the last.
         query = {key: str(files[-1].get(key) or "") for key in ("filename", "subfolder", "type")}
         url = f"{self.service.base_url}/view?{urlencode(query)}"
         body, _ = await self.service.send("GET", url, MAX_FILE_BYTES)
@@ -390,9 +431,11 @@ class ComfyJob:
 
     async def _give_up(self) -> None:
         """Take the run out of the queue; interrupt it where it is the one that runs, and no other."""
+        # Out of the queue first: were it looked at before, it could begin in between.
         await self._post("/queue", {"delete": [self._prompt_id]})
         queue = await self.service.json("GET", "/queue")
         running = at(queue, "queue_running")
+        # Only ours is interrupted: the server may be shared.
         if isinstance(running, list) and any(at(item, 1) == self._prompt_id for item in running):
             await self._post("/interrupt", {"prompt_id": self._prompt_id})
 
@@ -412,6 +455,7 @@ def _execution_error(content: Any) -> str:
 
 
 def _history_error(entry: Any) -> str:
+    # The history keeps messages in their order; the first that explains the end is the reason.
     messages = at(entry, "status", "messages")
     for message in messages if isinstance(messages, list) else ():
         if at(message, 0) == "execution_error":

@@ -93,7 +93,9 @@ class CommandSource:
 
     def __init__(self, options: CommandOptions) -> None:
         self.options = options
+        # Split once and before anything is put in, so that no value can become a second word.
         self.words = split(options.run)
+        # What the template names is what the program takes: there is no other list.
         names = {name for word in self.words for name in PLACEHOLDER.findall(word)}
         allowed = [*FILES, *WORDS]
         if unknown := sorted(names - {*allowed}):
@@ -101,13 +103,16 @@ class CommandSource:
             raise SourceError(f"source command: run has no {{{unknown[0]}}}; there are {listed}")
         if "out" not in names:
             raise SourceError("source command: run needs {out}, the file that the program writes its picture to")
+        # The program is fixed by whoever wrote the template, never by a prompt.
         if PLACEHOLDER.search(self.words[0]):
             raise SourceError("source command: run has to begin with a program, not with a placeholder")
         if any("{references}" in word and word != "{references}" for word in self.words):
             raise SourceError("source command: {references} has to be an argument of its own; it becomes one per file")
+        # Looked for now: a missing program is known before a view is rendered.
         program = shutil.which(self.words[0])
         if program is None:
             raise SourceError(f"source command: program {self.words[0][:200]!r} not found; give its path")
+        # On Windows batch files go through a shell whatever we do, and it would read the prompt.
         if sys.platform == "win32" and program.lower().endswith((".bat", ".cmd")) and "prompt" in names:
             raise SourceError("source command: a shell reads batch files, and prompts with it; run a program")
         self.names = names
@@ -124,12 +129,14 @@ class CommandSource:
 
     def edit(self, request: PictureRequest, progress: Progress, cancel: CancelFlag) -> PictureAnswer:
         """Run the program once. Raises SourceError with the last line that it printed; SourceCancelled."""
+        # A folder of its own for each run: programs write files beside their input, and it goes with them.
         with tempfile.TemporaryDirectory(prefix="splatpainter-command-") as name:
             folder = Path(name)
             out = folder / f"out.{self.options.ending}"
             command = self._command(request, folder, out)
             progress(0.0, Path(self.words[0]).name)
             self._run(command, folder / "printed.txt", progress, cancel)
+            # Ended well without a picture: what it printed last says more than any guess.
             if not out.exists():
                 line = last_line(folder / "printed.txt")
                 raise SourceError(f"source command: {self._program} ended well and wrote no picture to {{out}}{line}")
@@ -145,6 +152,7 @@ class CommandSource:
 
     def _command(self, request: PictureRequest, folder: Path, out: Path) -> list[str]:
         """The words with everything put in; writes the files that they name."""
+        # As functions: maps are rendered only where the template names them.
         contents = {
             "image": lambda: image_png(request),
             "alpha": lambda: alpha_png(request),
@@ -153,17 +161,20 @@ class CommandSource:
             "normal": lambda: normal_png(request),
             "camera": lambda: (request.camera.to_json() if request.camera else "{}").encode(),
         }
+        # Only what is named is written; a program need not find what it did not ask for.
         for name in FILES:
             if name in self.names:
                 (folder / FILES[name]).write_bytes(contents[name]())
         references = [folder / f"reference_{index}.png" for index in range(len(request.references))]
         for path, picture in zip(references, request.references, strict=True):
             path.write_bytes(reference_png(picture))
+        # A prompt may be anybody's text; an option of the program it must not become.
         if "{prompt}" in self.words and request.prompt.startswith("-"):
             raise SourceError(
                 "source command: a prompt that begins with '-' would be read as an option; write {prompt} as part of "
                 "an argument in run (--prompt={prompt}), or begin the prompt with a letter"
             )
+        # Values without a file; NUL ends a word on every system.
         values = {
             **{name: str(folder / file) for name, file in FILES.items()},
             "out": str(out),
@@ -172,6 +183,7 @@ class CommandSource:
             "scale": str(request.scale),
         }
         words: list[str] = []
+        # References are the one placeholder that becomes several words.
         for word in self.words:
             if word == "{references}":
                 words += map(str, references)
@@ -180,14 +192,17 @@ class CommandSource:
         return words
 
     def _run(self, command: list[str], printed: Path, progress: Progress, cancel: CancelFlag) -> None:
+        # Its own clock: a wall clock may be set while the program runs.
         until = time.monotonic() + self.options.timeout
         with open(printed, "wb") as file:
             try:
+                # What it prints goes to a file: a pipe that nobody reads would stop it when full.
                 child = processes.begin(command, stdin=subprocess.DEVNULL, stdout=file, stderr=file)
             except OSError as error:
                 reason = error.strerror or type(error).__name__
                 raise SourceError(f"source command: {self._program} cannot be started ({reason})") from None
         try:
+            # Looked at again and again: it may be cancelled, run out of time, or have something to say.
             while True:
                 try:
                     code = child.wait(POLL_SECONDS)
@@ -201,6 +216,7 @@ class CommandSource:
                     raise SourceError(f"source command: {self._program} did not end within {seconds}{line}")
                 _report(printed, progress)
         except BaseException:
+            # Whatever ends the wait ends the program too, with all that it has started.
             processes.end(child)
             raise
         processes.kill(child)  # what it may have left behind
@@ -212,6 +228,7 @@ class CommandSource:
 def split(template: str) -> list[str]:
     """The words of a template, as a shell would split them; on Windows backslashes are parts of paths. Raises
     SourceError."""
+    # As a shell splits, without a shell: quotes work, and nothing is expanded.
     lexer = shlex.shlex(template, posix=True)
     lexer.whitespace_split, lexer.commenters = True, ""
     if sys.platform == "win32":
@@ -233,6 +250,7 @@ def last_line(printed: Path) -> str:
 
 def _last_words(printed: Path, limit: int = 300) -> str:
     with open(printed, "rb") as file:
+        # Only the end: programs may print megabytes.
         file.seek(max(0, printed.stat().st_size - TAIL_BYTES))
         text = file.read(TAIL_BYTES).decode("utf-8", "replace")
     lines = [" ".join(line.split()) for line in re.split(r"[\r\n]+", text)]
@@ -242,6 +260,7 @@ def _last_words(printed: Path, limit: int = 300) -> str:
 def _report(printed: Path, progress: Progress) -> None:
     """The last line, and the share that it names ("45%")."""
     if line := _last_words(printed, 80):
+        # Programs show their progress in many ways; a share in per cent is what most have in common.
         percent = re.findall(r"(\d{1,3}(?:\.\d+)?) ?%", line)
         progress(min(float(percent[-1]) / 100, 1.0) if percent else 0.0, line)
 

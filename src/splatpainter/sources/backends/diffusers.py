@@ -87,14 +87,17 @@ class DiffusersSource:
         loaded or fails, a picture that its safety checker took out; SourceCancelled."""
         import torch
 
+        # A mask needs a pipeline that takes one; a model for inpainting is used as such, with all white.
         inpaints = request.mask is not None or self.options.task == "inpaint" or self._is_inpainting
         if self.options.task == "img2img":
             inpaints = False
         progress(0.0, f"loading {self.options.model.name}")
         pipeline = self._pipeline("inpaint" if inpaints else "img2img")
+        # Loading may take long, and nothing in it looks at `cancel`.
         if cancel.is_set():
             raise SourceCancelled
         height, width = request.image.shape[:2]
+        # Pipelines differ in what they accept; what one does not know is left out below.
         accepted = inspect.signature(pipeline.__call__).parameters
 
         def step_ended(_: Any, step: int, timestep: Any, values: dict[str, Any]) -> dict[str, Any]:
@@ -105,6 +108,7 @@ class DiffusersSource:
             progress(min((step + 1) / total, 1.0), f"step {step + 1} of {total}")
             return values
 
+        # Sides in multiples that the model takes; the answer is cut to the view again.
         image = padded(quantized(request.image))
         values: dict[str, Any] = {
             "prompt": request.prompt,
@@ -117,12 +121,15 @@ class DiffusersSource:
             "callback_on_step_end": step_ended,
         }
         if inpaints:
+            # An inpainting pipeline without a mask may change everything.
             mask = np.ones((height, width), np.float32) if request.mask is None else request.mask
             values["mask_image"] = _picture(padded(quantized(mask)))
         if self.options.negative:
             values["negative_prompt"] = self.options.negative
+        # On the CPU, so that a seed gives the same start on every device.
         if request.seed is not None:
             values["generator"] = torch.Generator("cpu").manual_seed(request.seed)
+        # Code of a model's: its errors are told as a source's, and the memory's with what helps.
         try:
             result = pipeline(**{name: value for name, value in values.items() if name in accepted})
         except SourceCancelled:
@@ -131,6 +138,7 @@ class DiffusersSource:
             raise SourceError(
                 "source diffusers: out of memory on the GPU; set offload=yes, or send a smaller view"
             ) from None
+        # What the checker puts in its place is no edit of the view.
         if any(getattr(result, "nsfw_content_detected", None) or ()):
             raise SourceError("source diffusers: its safety checker removed the picture; change the prompt")
         return PictureAnswer(
@@ -157,14 +165,17 @@ class DiffusersSource:
             diffusers: Any = importlib.import_module("diffusers")
         except ImportError:
             raise SourceError("source diffusers: needs diffusers; pip install 'splatpainter[diffusers]'") from None
+        # The device and precision are chosen when the model is loaded, for torch takes long to import.
         chosen = self.options.device
         if chosen == "auto":
             chosen = "cuda" if torch.cuda.is_available() else "cpu"
         precision = self.options.precision
+        # Half precision is for GPUs; CPUs are slow at it or cannot do it.
         if precision == "auto":
             precision = "float16" if chosen == "cuda" else "float32"
         _silence(diffusers)
         kind = diffusers.AutoPipelineForInpainting if task == "inpaint" else diffusers.AutoPipelineForImage2Image
+        # Local files, safetensors and no code: a model's folder must not be able to run anything.
         try:
             pipeline = kind.from_pretrained(
                 str(self.options.model),
@@ -176,6 +187,7 @@ class DiffusersSource:
         except Exception as error:
             line = " ".join(str(error).split())[:300]
             raise SourceError(f"source diffusers: {self.options.model}: cannot be loaded ({line})") from None
+        # Offloading moves the parts itself; moved before, all of them would be on the GPU at once.
         if self.options.offload and chosen == "cuda":
             pipeline.enable_model_cpu_offload()
         else:
@@ -194,6 +206,7 @@ def _silence(library: Any) -> None:
 
 def check_model_folder(path: Path) -> str:
     """The pipeline's class by its index. Raises SourceError: no folder on this machine, no index, pickled weights."""
+    # A name of the hub looks like a relative path; nothing is fetched for it.
     if not path.is_dir():
         raise SourceError(
             f"source diffusers: {path}: no such folder; expected a pipeline on this machine, nothing is fetched"
@@ -209,11 +222,13 @@ def check_model_folder(path: Path) -> str:
         raise
     except (ValueError, RecursionError):
         raise SourceError(f"source diffusers: {index}: is not JSON") from None
+    # A list in its place names code that came with the model.
     name = data.get("_class_name") if isinstance(data, dict) else None
     if isinstance(name, list):
         raise SourceError(f"source diffusers: {path}: comes with code of its own for the pipeline, which is not run")
     if not isinstance(name, str):
         raise SourceError(f"source diffusers: {index}: expected _class_name, the pipeline's class")
+    # Pickles can run any code when they are opened, so they are named and refused.
     if not any(path.rglob("*.safetensors")):
         pickled = next((str(file.relative_to(path)) for kind in PICKLED_WEIGHTS for file in path.rglob(kind)), "")
         given = f"; {pickled} is a pickle, which can run any code" if pickled else ""
@@ -223,12 +238,14 @@ def check_model_folder(path: Path) -> str:
 
 def padded(pixels: np.ndarray) -> np.ndarray:
     """[H, W(, 3)] with its right and lower edge repeated up to a multiple of MULTIPLE_PX."""
+    # At the right and lower edge, so that pixels stay where they are; repeated, so that no border appears.
     missing = [-side % MULTIPLE_PX for side in pixels.shape[:2]]
     return np.pad(pixels, [(0, missing[0]), (0, missing[1]), *[(0, 0)] * (pixels.ndim - 2)], "edge")
 
 
 def cropped(image: np.ndarray, height: int, width: int) -> np.ndarray:
     """[h, w, C] without the padding of a view of that size, also where the pipeline answered at another scale."""
+    # In the answer's own scale: pipelines may answer larger than they were asked.
     full_height, full_width = height + -height % MULTIPLE_PX, width + -width % MULTIPLE_PX
     return image[
         : max(1, round(image.shape[0] * height / full_height)), : max(1, round(image.shape[1] * width / full_width))
@@ -237,6 +254,7 @@ def cropped(image: np.ndarray, height: int, width: int) -> np.ndarray:
 
 def _pixels(result: Any) -> np.ndarray:
     """[h, w, 3 or 4] float32 of a pipeline's first picture."""
+    # Pipelines answer with Pillow pictures; anything else is told here and not by numpy.
     pictures = getattr(result, "images", None)
     if not isinstance(pictures, list) or not pictures or not hasattr(pictures[0], "convert"):
         raise SourceError("source diffusers: the pipeline answered without a picture")

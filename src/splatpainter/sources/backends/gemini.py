@@ -87,9 +87,11 @@ class GeminiSource:
     name = "gemini"
 
     def __init__(self, options: GeminiOptions) -> None:
+        # Looked for before a view is rendered, as the address and the model's name are.
         require_httpx("gemini")
         self.base_url = check_url("gemini", "base_url", options.base_url)
         self.model = options.model.removeprefix("models/")
+        # The name becomes a part of the address, so it must be a name and nothing else.
         if not MODEL_NAME.fullmatch(self.model):
             raise SourceError(f"source gemini: option model: expected a name, got {options.model[:80]!r}")
         if options.size not in ("", "512", "1K", "2K", "4K"):
@@ -99,6 +101,7 @@ class GeminiSource:
 
     def edit(self, request: PictureRequest, progress: Progress, cancel: CancelFlag) -> PictureAnswer:
         """One call. Raises SourceError, also where the answer is text or was blocked; SourceCancelled."""
+        # The key is read for each request and kept in no object (http.py).
         headers = {"x-goog-api-key": read_key("gemini", KEYS)}
         service = Service("gemini", self.base_url, headers, progress, KEYS)
         body = self._body(request)
@@ -109,11 +112,13 @@ class GeminiSource:
 
         data = run(work, "gemini", self.options.timeout, cancel)
         image, notes = read_answer(picture_of(data), "gemini")
+        # The note comes first: it says how far the answer can be relied on.
         if request.mask is not None:
             notes = (
                 "takes no mask: it was sent as a second picture, and nothing holds the model to it",
                 *notes,
             )
+        # What it cost and which version answered stand in the receipt, where the service says it.
         tokens = at(data, "usageMetadata", "totalTokenCount")
         version = at(data, "modelVersion")
         return PictureAnswer(
@@ -125,14 +130,17 @@ class GeminiSource:
         )
 
     def _body(self, request: PictureRequest) -> dict[str, Any]:
+        # The view comes first and the mask second: the sentences call them so.
         words = [request.prompt, FRAME_WORDS]
         pictures = [image_png(request)]
         if request.mask is not None:
             words.insert(1, MASK_WORDS)
             pictures.append(mask_png(request))
+        # References come last, and their sentence counts them: the model has no other way to tell pictures apart.
         if request.references:
             words.append(REFERENCE_WORDS.format(count=len(request.references)))
             pictures += [reference_png(picture) for picture in request.references]
+        # Text is allowed beside the picture: it says why where none came.
         config: dict[str, Any] = {"responseModalities": ["TEXT", "IMAGE"]}
         if request.seed is not None:
             config["seed"] = request.seed
@@ -147,10 +155,12 @@ class GeminiSource:
 
 def picture_of(data: Any) -> bytes:
     """The last picture of an answer (models that think draw drafts first). Raises SourceError: blocked, text, none."""
+    # From the refusal to the answer: a blocked prompt has no candidates at all.
     if finish_reason := at(data, "promptFeedback", "blockReason"):
         raise SourceError(f"source gemini: refused the prompt or the picture ({finish_reason}); change the prompt")
     parts = at(data, "candidates", 0, "content", "parts")
     parts = [part for part in parts if isinstance(part, dict)] if isinstance(parts, list) else []
+    # Thoughts are drafts; the picture behind them is the answer.
     inline = [part.get("inlineData") or part.get("inline_data") for part in parts if not part.get("thought")]
     drawn = [part["data"] for part in inline if isinstance(part, dict) and "data" in part]
     if drawn:
@@ -159,9 +169,11 @@ def picture_of(data: Any) -> bytes:
         at(data, "candidates", 0, "finishReason"),
         at(data, "candidates", 0, "finishMessage"),
     )
+    # An end for another reason than being done explains the missing picture.
     if isinstance(finish_reason, str) and finish_reason not in ("STOP", "FINISH_REASON_UNSPECIFIED"):
         explanation = f": {finish_message}" if isinstance(finish_message, str) and finish_message else ""
         raise SourceError(f"source gemini: gave no picture ({finish_reason}{explanation}); change the prompt")
+    # Words in place of a picture are shown: mostly they say why.
     text = " ".join(part["text"] for part in parts if isinstance(part.get("text"), str))
     if text.strip():
         raise SourceError(f"source gemini: answered with text instead of a picture: {' '.join(text.split())[:200]!r}")

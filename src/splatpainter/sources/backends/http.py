@@ -61,6 +61,7 @@ class Service:
         """The JSON that a request is answered with. content: json=, data= and files= as httpx takes them. Raises
         SourceError: refused, out of time, too long, a web page, no JSON."""
         body, kind = await self.send(method, self.base_url + path, MAX_JSON_BYTES, **content)
+        # A web page means a wrong address or a proxy's login, whatever the status says.
         if "html" in kind or body.lstrip()[:1] == b"<":
             raise self.error(f"answered with a web page{_title(body)} in place of JSON; is this its address?")
         try:
@@ -71,6 +72,7 @@ class Service:
     async def picture(self, url: str) -> bytes:
         """A picture file at an address that the service gave: on its own host, or by https elsewhere (without the
         key), or in the address itself (data:)."""
+        # The picture may be in the address itself, on the same host, or elsewhere; each has its own risk.
         if url.startswith("data:"):
             head, _, data = url.partition(",")
             if not head.endswith(";base64"):
@@ -80,6 +82,7 @@ class Service:
             parts = urlsplit(self.base_url)
             url = f"{parts.scheme}://{parts.netloc}{url}"
         parts = urlsplit(url)
+        # The key goes to the host that it is for and to no other.
         same_host = parts.netloc == self.host
         if not same_host and parts.scheme != "https":
             raise self.error("answered with the address of a picture that is neither https nor its own")
@@ -94,20 +97,24 @@ class Service:
         """(body, content type) of a request that succeeds; sent again where the service is busy."""
         import httpx
 
+        # No compression: a small answer could unpack to any size.
         headers = {"Accept-Encoding": "identity", **({} if keyless else self._headers)}
         limits = httpx.Timeout(None, connect=CONNECT_SECONDS)  # `run` has the whole time
+        # Services on this machine are asked directly, whatever proxy the environment names.
         direct = (urlsplit(url).hostname or "") in LOOPBACK
         problem = ""
         verify = _certificates(not direct)
         async with httpx.AsyncClient(
             timeout=limits, trust_env=not direct, verify=verify, follow_redirects=False
         ) as client:
+            # Services that are busy are asked again, after a while and not for ever.
             for attempt in range(MAX_TRIES):
                 try:
                     async with client.stream(method, url, headers=headers, **content) as response:
                         kind = response.headers.get("content-type", "").lower()
                         if response.is_success:
                             return await self._body(response, max_bytes), kind
+                        # Only the beginning of an error is of use.
                         body = await self._body(response, MAX_ERROR_BYTES, cut=True)
                         status, retry_after = response.status_code, response.headers.get("retry-after")
                         target = response.headers.get("location", "")
@@ -116,6 +123,7 @@ class Service:
                 except httpx.InvalidURL:
                     problem = "was given an invalid address"
                 else:
+                    # What is not busy is refused for good, and so is the last of the tries.
                     if status not in BUSY or attempt == MAX_TRIES - 1:
                         raise self._refusal(status, body, kind, target)
                     await self._wait(status, retry_after, attempt, body, kind)
@@ -125,13 +133,16 @@ class Service:
 
     async def _body(self, response: Any, max_bytes: int, cut: bool = False) -> bytes:
         """The body while it is read. cut: what is longer is cut off, else refused."""
+        # A server that packs in spite of the header is refused: its bytes could not be bounded.
         encoding = response.headers.get("content-encoding", "identity").lower()
         if encoding not in ("identity", ""):
             raise self.error(f"answered in the encoding {encoding[:40]}, which was not accepted")
+        # What the header says is refused before a byte is read; a header may be missing or wrong.
         size = response.headers.get("content-length", "")
         if size.isdecimal() and int(size) > max_bytes and not cut:
             raise self.error(f"answers with {int(size) >> 20:,} MiB; expected at most {max_bytes >> 20} MiB")
         chunks, count = [], 0
+        # Counted while it comes, and given up as soon as it is too much.
         async for chunk in response.aiter_raw():
             chunks.append(chunk)
             count += len(chunk)
@@ -142,6 +153,7 @@ class Service:
         return b"".join(chunks)[: max_bytes if cut else None]
 
     async def _wait(self, status: int, retry_after: str | None, attempt: int, body: bytes, kind: str) -> None:
+        # The service says how long, within reason; else each wait is twice the one before.
         seconds = retry_seconds(retry_after)
         if seconds is None:
             seconds = FIRST_WAIT_SECONDS * 2**attempt
@@ -153,6 +165,7 @@ class Service:
 
     def _refusal(self, status: int, body: bytes, kind: str, target: str) -> SourceError:
         message = _message(body, kind)
+        # Some services answer a wrong key with 400 and say so in words alone.
         is_key = status in (401, 403) or (status == 400 and re.search(r"api[ _]?key", message, re.IGNORECASE))
         if is_key and self._key_variables:
             variable = next((name for name in self._key_variables if os.environ.get(name)), "")
@@ -160,6 +173,7 @@ class Service:
             return self.error(f"refused {key} ({status}{message}); is it right, paid for and not expired?")
         if status in BUSY:
             return self.error(f"{BUSY[status]} ({status}{message}), {MAX_TRIES} times; try again later")
+        # Redirects are not followed, for they could carry the key to another host; the user is told the address.
         if 300 <= status < 400:
             where = urlsplit(target).netloc or "another address"
             return self.error(f"redirects to {where} ({status}); give the address that answers")
@@ -178,6 +192,7 @@ def run(work: Callable[[], Awaitable[_T]], source: str, seconds: float, cancel: 
     abandoned = threading.Event()
     until = time.monotonic() + seconds
 
+    # The loop looks up several times a second, for the work itself may wait for the network alone.
     async def supervise() -> None:
         task = asyncio.ensure_future(work())
         while not task.done():
@@ -185,6 +200,7 @@ def run(work: Callable[[], Awaitable[_T]], source: str, seconds: float, cancel: 
             if task.done():
                 break
             if cancel.is_set() or abandoned.is_set() or time.monotonic() > until:
+                # The work gets a moment to clean up: a run on a server wants to be taken back.
                 task.cancel()
                 await asyncio.wait([task], timeout=CLEANUP_SECONDS)
                 if cancel.is_set() or abandoned.is_set():
@@ -198,9 +214,11 @@ def run(work: Callable[[], Awaitable[_T]], source: str, seconds: float, cancel: 
         except BaseException as error:
             errors.append(error)
 
+    # A thread of its own: the caller may already be within an event loop, as in a notebook.
     thread = threading.Thread(target=in_thread, name=f"source {source}", daemon=True)
     try:
         thread.start()
+        # Joined in short steps, so that Ctrl-C is heard while the thread waits.
         while thread.is_alive():
             thread.join(POLL_SECONDS)
     except BaseException:  # Ctrl-C
@@ -229,6 +247,7 @@ def read_key(source: str, variables: tuple[str, ...]) -> str:
     """The first key that is set. Raises SourceError: none is set, or it is not a valid one."""
     for name in variables:
         if value := os.environ.get(name, "").strip():
+            # A key with blanks or other letters is a paste gone wrong; as a header it would fail less clearly.
             if not value.isascii() or not value.isprintable() or " " in value:
                 raise SourceError(f"source {source}: {name} is not a valid key: it has characters that no key has")
             return value
@@ -237,6 +256,7 @@ def read_key(source: str, variables: tuple[str, ...]) -> str:
 
 def check_url(source: str, name: str, url: str) -> str:
     """The address without a slash at its end. Raises SourceError: no http address, or one with a user, a query."""
+    # A key in an address would stand in every error and log.
     parts = urlsplit(url.strip())
     try:
         good = parts.scheme in ("http", "https") and bool(parts.hostname) and (parts.port or 1) > 0
@@ -259,6 +279,7 @@ def is_open(url: str) -> bool:
 
 def decode_base64(data: Any, source: str) -> bytes:
     """The bytes. Raises SourceError: not base64, too many."""
+    # The size is known from the text, before it is decoded.
     if not isinstance(data, str) or len(data) * 3 // 4 > MAX_FILE_BYTES:
         raise SourceError(f"source {source}: expected a picture as base64 of at most {MAX_FILE_BYTES >> 20} MiB")
     try:
@@ -271,6 +292,7 @@ def retry_seconds(header: str | None) -> float | None:
     """Seconds of a Retry-After header, a number or a date (RFC 9110, 10.2.3); None: there is none that can be read."""
     if header is None:
         return None
+    # Services send seconds or a date; either may be nonsense, and then it counts as absent.
     if header.strip().isdecimal():
         return float(header.strip()[:12])
     try:
@@ -281,6 +303,7 @@ def retry_seconds(header: str | None) -> float | None:
 
 def at(value: Any, *path: str | int) -> Any:
     """The value at a path of keys and indices into JSON, or None where it leads nowhere."""
+    # Answers of services are not taken on trust: any step may be missing or of another type.
     for step in path:
         if isinstance(step, int) and isinstance(value, list) and -len(value) <= step < len(value):
             value = value[step]
@@ -294,6 +317,7 @@ def at(value: Any, *path: str | int) -> Any:
 def node_errors(data: Any) -> str:
     """What ComfyUI says of the nodes of a workflow that it does not take, or ""."""
     entries = at(data, "node_errors")
+    # All nodes at once: a workflow is mended in one go.
     lines = []
     for number, entry in entries.items() if isinstance(entries, dict) else ():
         errors = at(entry, "errors")
@@ -305,6 +329,7 @@ def node_errors(data: Any) -> str:
 
 def _message(body: bytes, kind: str) -> str:
     """ ": ..." with what the body of an error says, or ""."""
+    # Services explain their errors in different places; the first text that there is, is used.
     try:
         data = json.loads(body)
     except (ValueError, RecursionError):
@@ -318,6 +343,7 @@ def _message(body: bytes, kind: str) -> str:
         text = f"{text} ({details.strip()})"
     if nodes := node_errors(data):
         text = f"{text}: {nodes}"
+    # No JSON: perhaps a proxy's page, or plain text.
     if not text and data is None:
         if "html" in kind or body.lstrip()[:1] == b"<":
             return f": a web page{_title(body)}"

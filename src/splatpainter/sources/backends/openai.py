@@ -82,13 +82,16 @@ class OpenAISource:
     name = "openai"
 
     def __init__(self, options: OpenAIOptions) -> None:
+        # Looked for before a view is rendered.
         require_httpx("openai")
         self.base_url = check_url("openai", "base_url", options.base_url)
         self.options = options
+        # A service on this machine costs nothing, so dry runs count no paid calls.
         self.capabilities = replace(CAPABILITIES, paid=not is_loopback(self.base_url))
 
     def edit(self, request: PictureRequest, progress: Progress, cancel: CancelFlag) -> PictureAnswer:
         """One call. Raises SourceError; SourceCancelled."""
+        # Only OpenAI's own service surely wants a key; local ones mostly look for none.
         elsewhere = self.base_url != OPENAI_URL
         try:
             key = read_key("openai", KEYS)
@@ -103,6 +106,7 @@ class OpenAISource:
         async def work() -> tuple[bytes, Any]:
             data = await service.json("POST", "/images/edits", data=fields, files=files)
             entry = at(data, "data", 0)
+            # The picture comes in the answer or at an address, as the service likes.
             if isinstance(text := at(entry, "b64_json"), str) and text:
                 return decode_base64(text, "openai"), data
             if isinstance(url := at(entry, "url"), str) and url:
@@ -112,6 +116,7 @@ class OpenAISource:
 
         body, data = run(work, "openai", self.options.timeout, cancel)
         image, notes = read_answer(body, "openai")
+        # What the service made of the prompt is what was painted; the receipt should say so.
         if isinstance(revised := at(data, "data", 0, "revised_prompt"), str) and revised:
             notes = (*notes, f"the service reworded the prompt: {revised[:300]}")
         if key != NO_KEY and is_open(self.base_url):
@@ -126,6 +131,7 @@ class OpenAISource:
 
     def _form(self, request: PictureRequest) -> tuple[dict[str, str], list[tuple[str, tuple[str, bytes, str]]]]:
         """(fields, files) of the form."""
+        # Only what was set is sent: services refuse fields that they do not know.
         chosen = {
             "size": self.options.size,
             "quality": self.options.quality,
@@ -134,6 +140,7 @@ class OpenAISource:
         }
         fields = {"model": self.options.model, "prompt": request.prompt, "n": "1"}
         fields |= {name: value for name, value in chosen.items() if value}
+        # The name of the field changes with the number of pictures.
         several = "image[]" if request.references else "image"
         files = [(several, ("view.png", image_png(request), "image/png"))]
         for index, picture in enumerate(request.references):
@@ -145,6 +152,7 @@ class OpenAISource:
 
 def transparent_mask(request: PictureRequest) -> bytes:
     """RGBA PNG of the view's size: transparent where it may change, opaque where it may not."""
+    # Its masks are the inverse of ours: transparent says "edit here".
     assert request.mask is not None
     pixels = np.concatenate([quantized(request.image), quantized(1 - request.mask)[..., None]], -1)
     return encode_png(pixels)

@@ -68,6 +68,7 @@ class UpscaleSource:
 
     def __init__(self, options: UpscaleOptions) -> None:
         self.options = options
+        # The file is looked at before a view is rendered; the model is loaded when it is first used.
         if options.model is not None:
             check_model_file(options.model, options.pickles)
         self.capabilities = Capabilities(
@@ -80,6 +81,7 @@ class UpscaleSource:
         """The picture, `request.scale` times wider and higher. Looks at `cancel` between tiles. Raises SourceError: too
         many pixels, a model that cannot be used; SourceCancelled."""
         height, width = request.image.shape[:2]
+        # Bounded before anything is enlarged.
         if height * width * request.scale**2 > MAX_PICTURE_PIXELS:
             raise SourceError(
                 f"source upscale: {width}x{height} enlarged by {request.scale} is more than "
@@ -92,12 +94,15 @@ class UpscaleSource:
         progress(0.0, f"loading {self.options.model.name}")
         model = self.model
         result = image
+        # A model has one factor; a larger one is reached by several passes.
         for _ in range(MAX_PASSES):
             result = model(result, self.options, progress, cancel)
             if result.shape[0] >= height * request.scale or model.scale == 1:
                 break
+        # A model of another factor is brought to the size that was asked for.
         if result.shape[:2] != (height * request.scale, width * request.scale):
             result = resample(result, width * request.scale, height * request.scale)
+        # That code could have run belongs into the receipt.
         notes = ("opened as a pickle",) if self.options.model.suffix.lower() in PICKLES else ()
         return PictureAnswer(result, model=f"{self.options.model.name} ({model.kind})", notes=notes)
 
@@ -122,22 +127,27 @@ class UpscaleModel:
     ) -> np.ndarray:
         """[H, W, 3] enlarged by `scale`, tile by tile."""
         height, width = image.shape[:2]
+        # Not more than a quarter of a tile, or tiles would be mostly overlap.
         overlap = min(options.overlap, options.tile // 4)
         boxes = [(y, x) for y in tile_starts(height, options.tile) for x in tile_starts(width, options.tile)]
+        # Sums and weights: where tiles overlap, both count, fading into each other.
         total = np.zeros((height * self.scale, width * self.scale, 3), np.float32)
         weight = np.zeros((*total.shape[:2], 1), np.float32)
         for index, (y, x) in enumerate(boxes):
             if cancel.is_set():
                 raise SourceCancelled
             progress(index / len(boxes), f"tile {index + 1} of {len(boxes)}")
+            # Each tile sees more than it has to give, so that the model knows what lies around.
             top, left = max(y - overlap, 0), max(x - overlap, 0)
             bottom, right = min(y + options.tile + overlap, height), min(x + options.tile + overlap, width)
             tile = self.run(image[top:bottom, left:right])
             rows, columns = (bottom - top) * self.scale, (right - left) * self.scale
+            # A model's answer is looked at before it is blended: one NaN would spread to the neighbours.
             if tile.shape != (rows, columns, 3) or not np.isfinite(tile).all():
                 raise SourceError(
                     f"source upscale: the model answered {list(tile.shape)}, not finite [{rows}, {columns}, 3]"
                 )
+            # No fading at the picture's own edges: there is no other tile.
             feather = np.outer(
                 _ramp(rows, overlap * self.scale, top > 0, bottom < height),
                 _ramp(columns, overlap * self.scale, left > 0, right < width),
@@ -157,11 +167,13 @@ def load_model(path: Path, device: str) -> UpscaleModel:
         raise SourceError("source upscale: models need spandrel; pip install 'splatpainter[upscale]'") from None
     except Exception as error:  # torchvision of another torch
         raise SourceError(f"source upscale: spandrel cannot be used here ({type(error).__name__}: {error})") from None
+    # Chosen here and not before: torch is imported with the model alone.
     chosen = ("cuda" if torch.cuda.is_available() else "cpu") if device == "auto" else device
     try:
         descriptor = spandrel.ModelLoader(device=torch.device(chosen)).load_from_file(str(path))
     except Exception as error:
         raise SourceError(f"source upscale: {path}: cannot be loaded ({type(error).__name__}: {error})") from None
+    # spandrel opens other kinds of models too, whose answers are no enlarged view.
     if not isinstance(descriptor, spandrel.ImageModelDescriptor):
         raise SourceError(
             f"source upscale: {path}: expected a model that enlarges or restores pictures, got another kind"
@@ -173,6 +185,7 @@ def load_model(path: Path, device: str) -> UpscaleModel:
 
     def run(tile: np.ndarray) -> np.ndarray:
         batch = torch.from_numpy(np.ascontiguousarray(tile.transpose(2, 0, 1)))[None]
+        # No gradients: they would hold the memory of every layer.
         with torch.inference_mode():
             out: Any = descriptor(batch.to(device=descriptor.device, dtype=descriptor.dtype))
         return out[0].float().cpu().numpy().transpose(1, 2, 0)
@@ -185,6 +198,7 @@ def check_model_file(path: Path, pickles: bool) -> None:
     if not path.is_file():
         raise SourceError(f"source upscale: {path}: no such file; expected a model (.safetensors)")
     ending = path.suffix.lower()
+    # A pickle can run any code: only with a word of the user's.
     if ending in PICKLES and not pickles:
         raise SourceError(
             f"source upscale: {path}: is a pickle, which can run any code; use a .safetensors file, or set "
@@ -201,8 +215,10 @@ def enlarge(image: np.ndarray, scale: int, amount: float) -> np.ndarray:
 
     height, width = image.shape[0] * scale, image.shape[1] * scale
     large = resample(image, width, height)
+    # Nothing to sharpen: Lanczos alone.
     if amount <= 0:
         return large
+    # An unsharp mask, held within the colours around each pixel, so that no edge gets a halo.
     sharp = large + amount * (large - _blurred(large, 0.5 * scale))
     padded = np.pad(image, ((1, 1), (1, 1), (0, 0)), "edge")
     around = [padded[y : y + image.shape[0], x : x + image.shape[1]] for y in range(3) for x in range(3)]
@@ -225,6 +241,7 @@ def tile_starts(length: int, tile: int) -> list[int]:
 
 def _ramp(length: int, overlap: int, rises: bool, falls: bool) -> np.ndarray:
     """[length] weights above 0: 1, linear over both sides' overlap where another tile lies there."""
+    # Over both tiles' share of the overlap, so that the sum of both is smooth.
     ends = min(2 * overlap, length)
     slope = (np.arange(ends, dtype=np.float32) + 0.5) / max(ends, 1)
     weights = np.ones(length, np.float32)

@@ -70,9 +70,11 @@ class WatchSource:
     def edit(self, request: PictureRequest, progress: Progress, cancel: CancelFlag) -> PictureAnswer:
         """Wait for one picture. What cannot be read is said in `progress`, and waited on. Raises SourceError: nothing
         in time; SourceCancelled."""
+        # The folder is looked at before the view is put there: what is in it already is no answer.
         try:
             saved = SavedPictures(self.options.folder)
             stem, sent = self._put(request)
+            # Our own files are no answers until somebody saves over them.
             for name in sent:
                 saved.seen(self.options.folder / name)
             return self._await(stem, sent, saved, progress, cancel)
@@ -84,9 +86,11 @@ class WatchSource:
     def _put(self, request: PictureRequest) -> tuple[str, dict[str, bytes]]:
         """(stem, file name -> contents) as they lie in the folder: under a new name, the view itself last."""
         folder = self.options.folder
+        # Taken by making a file: of two that watch one folder only one gets the name.
         stem = next((name for name in map("view_{:03d}".format, range(MAX_VIEWS)) if _reserve(folder, name)), None)
         if stem is None:
             raise SourceError(f"source watch: {folder}: is full; remove the views that are done")
+        # The view comes last, when all that belongs to it is there: its appearance is the sign to begin.
         contents = {f"{stem}.mask.png": mask_png(request)} if request.mask is not None else {}
         for index, picture in enumerate(request.references):
             contents[f"{stem}.reference_{index}.png"] = reference_png(picture)
@@ -94,6 +98,7 @@ class WatchSource:
         if request.camera is not None:
             contents = {f"{stem}.json": request.camera.to_json().encode() + b"\n", **contents}
         contents = {f"{stem}.txt": (request.prompt + "\n").encode(), **contents}
+        # Whole or not at all, for a painting program may open them at once.
         for name, data in contents.items():
             with writing(folder / name) as file:
                 file.write(data)
@@ -107,13 +112,16 @@ class WatchSource:
         progress(0.0, f"waiting for {view}")
         while True:
             for path in saved.take():
+                # Whatever begins with the name counts, so that "save as" may add to it; view_0001 is another view.
                 if not re.match(rf"{stem}(?!\d)", path.name) or (path.name in sent and path != view):
                     continue
                 try:
+                    # A file that was only touched is no answer yet.
                     if path.read_bytes() == sent[view.name]:
                         continue
                     image, notes = read_answer_file(path, "watch")
                 except (SourceError, OSError) as error:
+                    # Often half written: said, and waited on, until it can be read.
                     problem = f"{path.name}: {str(error).removeprefix('source watch: its picture: ')}"
                     progress(0.0, problem)
                 else:
@@ -130,6 +138,7 @@ class WatchSource:
 
 def _reserve(folder: Path, stem: str) -> bool:
     """Whether this process took the name; two that watch one folder do not share a view."""
+    # A view that lies there is somebody's work.
     if (folder / f"{stem}.png").exists():
         return False
     try:
