@@ -360,7 +360,7 @@ def test_the_example_of_the_guide_is_a_batch(folder: Path) -> None:
     jobs = read_jobs(jobs_file(folder, example)).jobs
     assert [job.name for job in jobs[:3]] == ["shoe0-blue", "shoe0-autumn", "shoe0-plain"] and len(jobs) == 6
     for kind in (schema.Batch, schema.Variant, schema.Preview, schema.JobEdit, *schema.STEPS.values()):
-        assert not [field.name for field in fields(kind) if f"`{field.name}`" not in guide], kind
+        assert not [field.name for field in fields(kind) if f"`{field.name}`" not in guide], kind  # pyright: ignore[reportArgumentType]
 
 
 def test_assets_of_one_name_take_that_of_their_folder(folder: Path) -> None:

@@ -210,7 +210,7 @@ def shell(rng: np.random.Generator, count: int, share: float):
     scales = np.tile([1.6 / np.sqrt(count), 1.6 / np.sqrt(count), 1e-3], (count, 1)) * np.exp(rng.normal(0, 0.2))
     sh = rng.normal(0, 0.3, (count, int(rng.choice([1, 4])), 3))
     values = (where, quats, scales, rng.uniform(0.5, 1, count), sh)
-    return Splats(*(extreme(rng, value.astype(np.float32), share) for value in values))
+    return Splats(*(extreme(rng, value.astype(np.float32), share) for value in values))  # pyright: ignore[reportArgumentType]
 
 
 def painting(rng: np.random.Generator, dtype: type) -> None:
@@ -234,7 +234,7 @@ def painting(rng: np.random.Generator, dtype: type) -> None:
     if rng.random() < 0.3:  # colours that two pictures agree on
         other = look_at(eye + rng.normal(0, 0.4, 3), [0, 0, 0], width=40, height=40, fov=50)
         edits.append(Edit(np.full((40, 40, 3), rng.random(), np.float32), other, rng.random((40, 40)) < 0.3))
-    edited = Painter(settings=EditSettings(aside=bool(rng.random() < 0.3))).apply(Asset(splats), edits, mode)
+    edited = Painter(settings=EditSettings(aside=bool(rng.random() < 0.3))).apply(Asset(splats), edits, mode)  # pyright: ignore[reportArgumentType]
     assert edited.receipt is not None
     assert edited.receipt.untouched_sha256_before == edited.receipt.untouched_sha256_after
 

@@ -396,7 +396,7 @@ def test_operations_do_what_they_do_elsewhere(pack: types.ModuleType, values: An
     defaults = {slot.id: slot.options["default"] for slot in nodes["SplatPainterGrade"].inputs if slot.options}
     inputs = {**defaults, "exposure": 0.5, "where": "y=..0 x=0.."}
     graded, receipt = nodes["SplatPainterGrade"].function(splat, **inputs)
-    expected = Grade(exposure=0.5, where=["y=..0", "x=0.."]).apply(Asset(values.splats_of(splat)))
+    expected = Grade(exposure=0.5, where=["y=..0", "x=0.."]).apply(Asset(values.splats_of(splat)))  # pyright: ignore[reportArgumentType]
     assert expected.receipt is not None and json.loads(receipt)["touched_rows"] == len(expected.receipt.touched)
     assert (values.splats_of(graded).sh == expected.splats.sh).all()
     picture = torch.full((1, 8, 16, 3), 0.9)

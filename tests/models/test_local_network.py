@@ -87,7 +87,7 @@ def decibels(colors: np.ndarray, truth: np.ndarray) -> float:
 def test_cosines_are_the_dct_and_read_the_pixels_that_they_were_made_of() -> None:
     patches = np.random.default_rng(0).uniform(0, 1, (5, PATCH_PX, PATCH_PX, 3)).astype(np.float32)
     coefficients = cosines(patches)
-    expected = dctn(patches, axes=(1, 2), norm="ortho").reshape(5, BANDS, 3)
+    expected = dctn(patches, axes=(1, 2), norm="ortho").reshape(5, BANDS, 3)  # pyright: ignore[reportAttributeAccessIssue]
     np.testing.assert_allclose(coefficients, expected, atol=1e-6)
     # Pixel (row 2, column 1): its centre, from the patch's middle.
     (basis,) = cosine_basis(np.array([[1.5 / 4 - 0.5, 2.5 / 4 - 0.5]]))
@@ -177,7 +177,7 @@ def test_a_ridge_memory_is_the_regression_and_adds_up() -> None:
         expected = queried @ solved @ mixer.out.weight.double().numpy().T
     np.testing.assert_allclose(mixer.read_gaussian_tokens(memory, queries).detach().numpy(), expected, atol=2e-5)
     nothing = mixer.update(mixer.initial(), tokens, None, 0.0)
-    assert not nothing.any() and not mixer.read_gaussian_tokens(nothing, queries).any()
+    assert not nothing.any() and not mixer.read_gaussian_tokens(nothing, queries).any()  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def test_the_picture_decides_where_it_can_and_the_network_where_it_is_sure() -> None:
@@ -200,7 +200,7 @@ def test_rounds_count_pixels_by_their_variance(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(local_edit_colors, "MAX_HOLD", 1e9)
     camera = look_at((0, 0, 3.0), (0, 0, 0), width=16, height=16, fov=40)
     one = Splats(
-        *(np.array(x, np.float32) for x in ([[0, 0, 0]], [[1, 0, 0, 0]], [[9, 9, 0.01]], [0.9], [[[0, 0, 0]]]))
+        *(np.array(x, np.float32) for x in ([[0, 0, 0]], [[1, 0, 0, 0]], [[9, 9, 0.01]], [0.9], [[[0, 0, 0]]]))  # pyright: ignore[reportArgumentType]
     )
     (view,) = edit_views(one, [camera], [np.full((16, 16, 3), 0.8, np.float32)], [np.ones((16, 16), bool)])
     view = replace(view, edited=np.asarray(render(replace(one, sh=np.ones((1, 1, 3), np.float32)), camera).colors[0]))

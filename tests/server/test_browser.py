@@ -186,7 +186,7 @@ def test_limits_are_shown_while_painting_and_go_with_the_layer(opened: tuple[stu
     page.wait("the layer", page.names)
     page.settled()
     (stroke,) = live.studio.session.layers[-1].strokes
-    assert stroke.operation.limits() == {"angle_limit": 40.0, "depth_edge_limit": 3.0}
+    assert stroke.operation.limits() == {"angle_limit": 40.0, "depth_edge_limit": 3.0}  # pyright: ignore[reportAttributeAccessIssue]
     page.tab.keyboard.press("e")  # the eraser has no limits
     page.wait("no hatch", lambda: hatch.count() == 0)
 

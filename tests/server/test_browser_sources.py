@@ -96,7 +96,7 @@ def test_views_all_around_are_planned_and_cancelled_on_the_way_and_a_lut_becomes
         "what was done", lambda: "1 of 3 views painted, then cancelled" in page.tab.locator(".toasts").inner_text()
     )
     page.settled()
-    assert page.names() == ["command (1)"] and live.studio.session.layers[0].operation.source["name"] == "command"
+    assert page.names() == ["command (1)"] and live.studio.session.layers[0].operation.source["name"] == "command"  # pyright: ignore[reportAttributeAccessIssue]
     page.tab.get_by_role("button", name="Undo").first.click()
     page.wait("no layer", lambda: page.names() == [])
 
@@ -113,4 +113,4 @@ def test_views_all_around_are_planned_and_cancelled_on_the_way_and_a_lut_becomes
         page.tab.screenshot(path=f"{folder}/lut.png")
     panel.get_by_role("button", name="Apply as layer").click()
     page.wait("the layer", lambda: page.names() == ["inverted.cube"])
-    assert live.studio.session.layers[0].operation.look == "lut"
+    assert live.studio.session.layers[0].operation.look == "lut"  # pyright: ignore[reportAttributeAccessIssue]

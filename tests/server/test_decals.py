@@ -62,7 +62,7 @@ def test_a_decal_is_a_layer_that_can_be_changed(live: Live) -> None:
     rows, columns = np.nonzero(turned > 0.1)
     assert np.ptp(rows) > 1.5 * np.ptp(columns)
     live.post("undo")
-    assert session.layers.by_id(layer).operation.placed["text"] == "one"
+    assert session.layers.by_id(layer).operation.placed["text"] == "one"  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def test_a_decal_keeps_to_what_is_selected(live: Live) -> None:

@@ -148,7 +148,7 @@ def test_strokes_pictures_and_looks_keep_to_the_selection(live: Live) -> None:
     different = (old.sh != now.sh).any((1, 2))
     assert different.any() and not different[old.means[:, 0] > 0].any()
     live.post("layer.set", layer=layer["id"], parameters={"exposure": 1.0})
-    assert live.studio.session.layers.by_id(layer["id"]).operation.selection
+    assert live.studio.session.layers.by_id(layer["id"]).operation.selection  # pyright: ignore[reportAttributeAccessIssue]
     again = (old.sh != live.studio.session.splats.sh).any((1, 2))
     assert again.any() and not again[old.means[:, 0] > 0].any()
     live.post("look.preview", look={"exposure": -2})

@@ -77,7 +77,7 @@ def test_a_fill_is_a_layer_over_what_it_removed(tmp_path: Path) -> None:
     with Session(project) as session:
         assert same_bits(session.splats, filled)
         session.files.export_layer(layer.id, tmp_path / "chip.splatlayer")
-        assert read_layer(tmp_path / "chip.splatlayer")[0].operation.fill == "removed"
+        assert read_layer(tmp_path / "chip.splatlayer")[0].operation.fill == "removed"  # pyright: ignore[reportAttributeAccessIssue]
         receipt, _ = session.files.export(tmp_path / "filled.ply")
         assert receipt.appended_rows == count and "Chip" in receipt.note
         assert verify(asset, tmp_path / "filled.ply").ok

@@ -151,7 +151,7 @@ def test_a_layer_names_no_file_that_the_project_does_not_hold() -> None:
             {"sun": ["40,30"], "where": ["mask=/dev/zero@/dev/zero"]},
         ):
             with pytest.raises(ValueError, match="^layer: expected (options of light without files|a selection or)"):
-                session.layers.add("light", **hostile)
+                session.layers.add("light", **hostile)  # pyright: ignore[reportArgumentType]
         assert not session.layers
 
 
@@ -169,7 +169,7 @@ def test_pixels_over_what_is_selected_are_a_layer(tmp_path: Path) -> None:
         assert len(np.unique(session.splats.sh[changed, 0], axis=0)) == 1
         for wrong in ({"size": "0%"}, {"color": "grey"}, {"margin": -1}, {"where": ["box=0,0,0,1,1,1"]}):
             with pytest.raises(ValueError, match="^layer: ") as error:
-                session.layers.set(layer.id, **wrong)
+                session.layers.set(layer.id, **wrong)  # pyright: ignore[reportArgumentType]
             assert "\n" not in str(error.value)
         session.undo()
         session.undo()

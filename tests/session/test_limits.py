@@ -97,7 +97,7 @@ def test_bad_limits_are_refused(parameters: dict[str, Any], reason: str):
         layer = session.layers.add("paint", [edit]).id
         with pytest.raises(ValueError, match=reason):
             session.layers.set(layer, **parameters)
-        assert session.layers.by_id(layer).operation.limits() == {} and len(session.history) == 2
+        assert session.layers.by_id(layer).operation.limits() == {} and len(session.history) == 2  # pyright: ignore[reportAttributeAccessIssue]
         with pytest.raises(ValueError, match="with pictures in modes local and spread only"):
             session.layers.add("picture", [edit], mode="global", angle_limit=60)
         with pytest.raises(ValueError, match="layer: unknown key 'angle_limit'"):

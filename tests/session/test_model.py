@@ -51,7 +51,7 @@ def test_layers_are_the_painter_applied_again_and_again(config, tmp_path: Path):
         for edit in EDITS[:2]:
             layer = session.layers.add("paint", [edit])
         expected = straight(painter, EDITS[:2])
-        assert layer.operation.method == "ttt" and session.layers.facts(layer.id)["method"] == "ttt"
+        assert layer.operation.method == "ttt" and session.layers.facts(layer.id)["method"] == "ttt"  # pyright: ignore[reportAttributeAccessIssue]
         assert same_bits(session.splats, expected.splats)
         assert same_state(session.snapshot.state.painter_state, expected)
     with Session.load(path, painter=painter) as session:
@@ -109,7 +109,7 @@ def test_without_the_weights_results_stay_and_only_new_ones_are_missing(tmp_path
         assert "needs a preset with trained weights" in session.layers.facts("2")["problem"]
         session.undo()
         assert same_bits(session.splats, composed)
-        assert session.layers.set("2", method="lift").operation.method == "lift"
+        assert session.layers.set("2", method="lift").operation.method == "lift"  # pyright: ignore[reportAttributeAccessIssue]
         assert session.layers.facts("2")["method"] == "lift" and "note" in session.layers.facts("2")
         assert "another painter" not in session.layers.facts("2")["note"]
 

@@ -131,7 +131,7 @@ def test_looks_are_functions_of_each_row():
         assert session._core.project.rows("SELECT count(*) FROM results") == [(0,)]
         for wrong in ({"look": "sepia"}, {"look": "gain", "settings": {"gain": [1, 2]}}):
             with pytest.raises(ValueError, match="^look: expected "):
-                session.layers.add("look", **wrong)
+                session.layers.add("look", **wrong)  # pyright: ignore[reportArgumentType]
         half = disk(CAMERA, 16, 16, 40)
         half[:, :16] = False
         session.layers.delete(layer.id)

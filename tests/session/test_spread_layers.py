@@ -30,7 +30,7 @@ def changed_behind(session: Session) -> int:
 def test_another_threshold_solves_the_layer_again_and_undo_is_exact(tmp_path: Path) -> None:
     with Session(SPLATS, tmp_path / "one.splatproj", painter=Painter()) as session:
         layer = session.layers.add("paint", [edit()], mode="spread")
-        assert layer.operation.spread_threshold == 0.5 and session.layers.facts(layer.id)["method"] == "lift"
+        assert layer.operation.spread_threshold == 0.5 and session.layers.facts(layer.id)["method"] == "lift"  # pyright: ignore[reportAttributeAccessIssue]
         counts, prints = [changed_behind(session)], [rows_sha256(session.splats)]
         assert counts[0] > 0.95 * (LEFT & BACK).sum()
         session.layers.set(layer.id, spread_threshold=1.0)
@@ -44,7 +44,7 @@ def test_another_threshold_solves_the_layer_again_and_undo_is_exact(tmp_path: Pa
         assert not differing(SPLATS, session.splats).any()
         assert session.verify(repaint=True) == []
     with Session.load(tmp_path / "one.splatproj", painter=Painter()) as session:
-        assert session.layers.by_id(layer.id).operation.spread_threshold == 0.02 and session.verify(repaint=True) == []
+        assert session.layers.by_id(layer.id).operation.spread_threshold == 0.02 and session.verify(repaint=True) == []  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def test_coverage_tells_painted_from_predicted() -> None:

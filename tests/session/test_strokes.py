@@ -288,7 +288,7 @@ def test_words_are_changed_in_place() -> None:
         assert [one.name for one in session.layers] == ["Text: milk", "Paint"]
         assert len(session.history) == 4  # hidden and changed are one step
         session.undo()
-        assert print_of(session) == before and session.layers.by_id(words.id).operation.placed["text"] == "tea"
+        assert print_of(session) == before and session.layers.by_id(words.id).operation.placed["text"] == "tea"  # pyright: ignore[reportAttributeAccessIssue]
         with pytest.raises(ValueError, match="expected a layer of edited pictures"):
             session.layers.replace_views(session.layers.new().id, [dab(BLUE)])
 

@@ -72,7 +72,7 @@ def test_the_truth_of_a_gaussian_is_the_mean_of_the_surfels_under_it() -> None:
     )  # fmt: skip
     truth = truth.torch("cpu")
     gaussian = Splats(
-        *(np.array(x, np.float32) for x in ([[2.2, 3.1, 0]], [[1, 0, 0, 0]], [[0.6, 0.6, 0.01]], [1], [[[0, 0, 0]]]))
+        *(np.array(x, np.float32) for x in ([[2.2, 3.1, 0]], [[1, 0, 0, 0]], [[0.6, 0.6, 0.01]], [1], [[[0, 0, 0]]]))  # pyright: ignore[reportArgumentType]
     )
     squared = ((points - gaussian.means) ** 2).sum(1)
     nearest = np.argsort(squared)[:16]

@@ -115,7 +115,7 @@ def test_a_stage_of_another_distribution_says_what_brings_it(
     find = importlib.metadata.entry_points
 
     def without_stages(**select: str) -> Sequence[importlib.metadata.EntryPoint]:
-        return [] if select["group"] == ENTRY_POINTS else list(find(**select))  # the command comes by one, too
+        return [] if select["group"] == ENTRY_POINTS else list(find(**select))  # the command comes by one, too  # pyright: ignore[reportReturnType]
 
     monkeypatch.setattr(importlib.metadata, "entry_points", without_stages)
     assert run("densify", "--data", "procedural:2") == 2
