@@ -233,7 +233,7 @@ def served() -> Iterator[str]:
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "splatpainter", "studio", str(ASSET), "--no-browser"]
         environment = {**os.environ, "SPLATPAINTER_PROJECTS": folder}
-        server = subprocess.Popen(command, stderr=subprocess.PIPE, env=environment, text=True)
+        server = subprocess.Popen(command, stderr=subprocess.PIPE, env=environment, encoding="utf-8")
         assert server.stderr is not None
         try:
             yield next(found[0] for line in server.stderr if (found := re.search(r"http://\S+", line)))

@@ -41,7 +41,9 @@ def main(words: list[str]) -> int:
 
 
 def documents() -> list[Path]:
-    names = subprocess.run(["git", "ls-files", "*.md"], cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    names = subprocess.run(
+        ["git", "ls-files", "*.md"], cwd=ROOT, check=True, capture_output=True, encoding="utf-8"
+    ).stdout
     return [ROOT / name for name in names.splitlines() if name not in GENERATED and (ROOT / name).is_file()]
 
 
