@@ -1,4 +1,4 @@
-"""docs/reference/cli.md from the commands' own help: python scripts/cli_reference.py [FILE]"""
+"""docs/reference/cli.md from the commands' own help: python scripts/cli_reference.py"""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import contextlib
 import io
 import os
 import re
-import sys
 from pathlib import Path
 
 os.environ |= {"COLUMNS": "100", "NO_COLOR": "1", "TERM": "dumb"}  # before tyro looks
@@ -49,4 +48,4 @@ def reference() -> str:
 
 
 if __name__ == "__main__":
-    Path(sys.argv[1] if len(sys.argv) > 1 else TARGET).write_text(reference(), encoding="utf-8", newline="\n")
+    TARGET.write_text(reference(), encoding="utf-8", newline="\n")

@@ -17,6 +17,7 @@ from splatpainter.commands.demo import HALF_TURN
 from splatpainter.demo_asset import demo_asset
 from splatpainter.io.axes import flip
 from splatpainter.receipts import Pixelation, Receipt, ViewScore
+from tests.support.cli_scenes import Capture, run
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = [
@@ -83,6 +84,15 @@ def test_the_readmes_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert isinstance(asset, sp.Asset) and asset.receipt is not None
     assert len(asset.receipt.touched) > 100, "the painted rectangle lies on the asset"
     assert sp.verify("demo/asset.ply", "by_hand.ply", asset.receipt).ok
+
+
+def test_the_readme_shows_what_verify_prints(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Capture) -> None:
+    monkeypatch.chdir(tmp_path)
+    for words in ("demo --out demo", "edit demo/asset.ply demo/edited.png --out painted.ply"):
+        assert run(capfd, *words.split()).code == 0
+    printed = run(capfd, "verify", "demo/asset.ply", "painted.ply").out.splitlines()
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert "\n".join(f"    {line}" for line in printed) + "\n" in readme
 
 
 def test_sources_cite_only_documents_of_the_repository() -> None:

@@ -10,6 +10,7 @@ import pytest
 
 import splatpainter as sp
 from splatpainter.io import read, write
+from splatpainter.operations.pixelate import Pixelate
 from splatpainter.receipts import Receipt
 from splatpainter.splats import ATTRIBUTES, SH_C0, Splats
 from tests.support.cli_scenes import Capture, ball, run
@@ -121,6 +122,40 @@ def test_cells_of_a_view_and_a_margin() -> None:
     for cell in np.unique(cells[rows[1]], axis=0)[:20]:
         ids = np.flatnonzero((cells == cell).all(1) & np.isin(np.arange(len(splats)), rows[1]))
         assert len(np.unique(turned.splats.sh[ids, 0], axis=0)) == 1
+
+
+def test_a_margin_is_of_cells_on_all_sides() -> None:
+    """Of each corner's neighbours as well; compared with distances of cells, counted by hand."""
+    splats, cells = checkered(), cells_of(checkered())
+    edited = sp.pixelate(splats, sp.Region.parse(["sphere=0.6,0.6,-0.5,0.1"]), size=SIZE, margin=1)
+    assert edited.receipt is not None and edited.receipt.pixelation is not None
+    reached = np.unique(cells[((splats.means - (0.6, 0.6, -0.5)) ** 2).sum(1) <= 0.01], axis=0)
+    assert len(reached) > 0
+    within = (np.abs(cells[:, None] - reached[None]).max(-1) <= 1).any(1)
+    outer = np.arange(len(splats)) < 3000  # the smaller ball is hidden, and changes by another rule
+    changed = np.isin(np.arange(len(splats)), edited.receipt.pixelation.rows)
+    assert np.array_equal(changed[outer], within[outer])
+
+
+def test_what_is_selected_a_little_changes_whole() -> None:
+    """Half of an old look is a look."""
+    splats = checkered()
+    weights = np.where(region_of(splats), 0.2, 0).astype(np.float32)
+    little = Pixelate(where=("x=-9..",), size=SIZE).apply_selected(sp.Asset(splats), weights)
+    whole = sp.pixelate(splats, sp.Region.parse(REGION), size=SIZE)
+    assert little.receipt is not None and whole.receipt is not None
+    assert np.array_equal(little.receipt.touched, whole.receipt.touched)
+    assert np.array_equal(little.splats.sh, whole.splats.sh)
+
+
+def test_cells_are_those_of_the_world_whatever_positions_are_relative_to() -> None:
+    splats = checkered()
+    splats = replace(splats, means=np.round(splats.means * 1024) / np.float32(1024))  # so that moving them is exact
+    offset = (0.125, -3.0625, 1000.0)
+    moved = replace(splats, means=(splats.means - np.array(offset)).astype(np.float32), offset=offset)
+    everywhere = sp.Region.parse(["x=-9.."])
+    near, far = (sp.pixelate(one, everywhere, size=SIZE) for one in (splats, moved))
+    assert np.array_equal(near.splats.sh, far.splats.sh)
 
 
 def test_verify_checks_the_claim_in_the_file(tmp_path: Path, capfd: Capture) -> None:
