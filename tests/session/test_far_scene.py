@@ -51,6 +51,16 @@ def test_tiles_are_seen_and_painted_where_they_are(tmp_path: Path) -> None:
             far.scene.set(made.id, placement=Placement.of((4e6, 0.0, 0.0)))
 
 
+def test_one_tile_alone_is_painted_where_it_is(tmp_path: Path) -> None:
+    far_ply(tmp_path / "west.ply", asset(10, degree=0))
+    with flat(tmp_path / "west.ply") as far, flat(tmp_path / "near_west.ply") as near:
+        edit = wide(RED, 32)
+        near.layers.add("paint", [edit])
+        far.layers.add("paint", [replace(edit, camera=moved_camera(edit.camera, UTM))])
+        painted = has_color(near.splats, RED)
+        assert painted.any() and (has_color(far.splats, RED) == painted).all()
+
+
 def test_exports_keep_the_doubles_of_every_tile(tmp_path: Path) -> None:
     far, near = scenes(tmp_path)
     with far, near:
