@@ -35,6 +35,16 @@ def test_a_surface_is_computed_once_for_equal_shapes(monkeypatch: pytest.MonkeyP
     assert prepared.lit_surface(splats, shadows=False) is not first
 
 
+@pytest.mark.parametrize("name", ["means", "scales", "quats", "opacities"])
+def test_a_change_of_any_part_of_the_shape_is_another_surface(name: str) -> None:
+    splats = ball(400)
+    values = getattr(splats, name).copy()
+    values[0] = values[1]
+    if np.array_equal(values, getattr(splats, name)):  # all Gaussians of the ball are equal in it
+        values[0] *= np.float32(0.5)
+    assert prepared.lit_surface(replace(splats, **{name: values})) is not prepared.lit_surface(splats)
+
+
 def test_light_before_is_estimated_anew_where_colours_changed() -> None:
     splats = ball(900)
     darker = replace(splats, sh=splats.sh - np.float32(0.3))

@@ -142,10 +142,10 @@ def test_what_is_selected_a_little_changes_whole() -> None:
     splats = checkered()
     weights = np.where(region_of(splats), 0.2, 0).astype(np.float32)
     little = Pixelate(where=("x=-9..",), size=SIZE).apply_selected(sp.Asset(splats), weights)
-    whole = sp.pixelate(splats, sp.Region.parse(REGION), size=SIZE)
-    assert little.receipt is not None and whole.receipt is not None
-    assert np.array_equal(little.receipt.touched, whole.receipt.touched)
-    assert np.array_equal(little.splats.sh, whole.splats.sh)
+    expected = sp.pixelate(splats, sp.Region.parse(REGION), size=SIZE)
+    assert little.receipt is not None and expected.receipt is not None
+    assert np.array_equal(little.receipt.touched, expected.receipt.touched)
+    assert np.array_equal(little.splats.sh, expected.splats.sh)
 
 
 def test_cells_are_those_of_the_world_whatever_positions_are_relative_to() -> None:
