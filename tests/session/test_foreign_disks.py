@@ -336,6 +336,19 @@ def test_a_log_of_a_killed_session_is_played(path: Path, monkeypatch: pytest.Mon
             assert [layer.name for layer in other.layers] == ["red"] and other.note == ""
 
 
+@pytest.mark.parametrize("left", [b"", bytes(512), bytes(4096)])
+def test_a_journal_with_nothing_to_roll_back_does_not_stay(
+    path: Path, monkeypatch: pytest.MonkeyPatch, left: bytes
+) -> None:
+    """A writer killed between making its journal and writing to it leaves one; SQLite lets it lie until it writes."""
+    refuse_maps(monkeypatch)
+    state = two_layers(path)
+    path.with_name(f"{path.name}-journal").write_bytes(left)
+    with load(path) as session:
+        assert print_of(session) == state
+    assert names(path.parent) == [path.name]
+
+
 def test_a_rollback_journal_that_is_needed_is_not_passed_over(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Killed in the middle of a commit where maps cannot be shared, looked at in a folder without rights."""
     state = two_layers(path)

@@ -191,12 +191,17 @@ def _writable(path: Path, shares_maps: bool) -> sqlite3.Connection:
         connection.execute(f"PRAGMA journal_size_limit={MAX_LOG_BYTES}").fetchall()
         connection.execute("PRAGMA fullfsync=ON")  # macOS: past the disk's own cache; nothing elsewhere
         connection.execute("SELECT name FROM sqlite_master LIMIT 1").fetchall()  # the log's index is mapped, or refused
+        if mode == "delete":
+            # What had to be rolled back was, by that read. A journal that is still there is of a writer that was killed
+            # before it had anything to roll back, or after its commit; SQLite would leave it until the next write.
+            files.remove(path.with_name(path.name + "-journal"))
         return connection
 
 
 def try_writing(connection: sqlite3.Connection) -> None:
-    """Write what is there already. Raises sqlite3.Error where the disk is full or nothing may be written."""
-    # A write that changes nothing still needs room and rights: better asked now than at the first command.
+    """Begin to write what is there already. Raises sqlite3.Error where nothing may be written, or somebody else writes.
+    A full disk is met by the first command: pages that stay the same are not written."""
+    # Better asked now than at the first command. Opening alone leaves every byte, so that copies need not be renewed.
     connection.execute("BEGIN IMMEDIATE")
     try:
         connection.execute("UPDATE facts SET value = value WHERE name = 'cursor'")
