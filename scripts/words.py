@@ -70,6 +70,15 @@ RULES = (
         constants=True,
     ),
     Rule(
+        frozenset({"frame", "frames"}),
+        "a frame is a picture of a film, a message of the socket or a compressed stream of zstd",
+        "axes: where x, y and z of a file point",
+        rooms=tuple(
+            f"src/splatpainter/{room}"
+            for room in ("io/", "splats.py", "comparison.py", "receipts.py", "operations/", "session/", "batch/")
+        ),
+    ),
+    Rule(
         frozenset({"sticker", "stickers"}),
         "a picture on the surface is a decal, everywhere",
         "decal (a sticker is laid flat on a picture: pictures/drawing.py)",
@@ -78,6 +87,11 @@ RULES = (
 )  # fmt: skip
 EXCEPTIONS = {
     ("session.py", "shown"): "an old public name that still answers",
+    ("zstd.py", "frame"): "a compressed stream",
+    ("splats.py", "frame"): "an old public name that still answers",
+    ("splats.py", "frame_from"): "an old public name that still answers",
+    ("receipts.py", "frame"): "an old public name that still answers",
+    ("receipts.py", "frame_is_news"): "an old public name that still answers",
     ("predictor.py", "own"): "a name of parameters in stored weights",
     ("protocol.py", "kept"): "a key of messages",
     ("edits.py", "_shown_again"): "a function that says what it asks",

@@ -96,4 +96,4 @@ def test_the_promised_names_are_there() -> None:
         for part, names in PROMISED_PARTS.items():
             assert set(names.split()) <= set(dir(getattr(session, part))), part
     words = inspect.signature(Session.__init__).parameters
-    assert {"asset", "project", "painter", "adjustments", "embed", "overwrite", "frame"} <= set(words)
+    assert {"asset", "project", "painter", "adjustments", "embed", "overwrite", "axes"} <= set(words)

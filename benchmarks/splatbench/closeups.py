@@ -181,7 +181,7 @@ def _best_windows(splats: Splats, axis: np.ndarray, count: int) -> list[_Window]
 
 
 def default_up(splats: Splats) -> np.ndarray:
-    """[3] what is up where nobody says: -y for assets from files (every reader turns them into the frame of PLY
+    """[3] what is up where nobody says: -y for assets from files (every reader turns them into the axes of PLY
     captures), +y for those that come from no file."""
     return np.array([0.0, 1.0 if splats.source is None else -1.0, 0.0])
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from splatpainter.io import read, write
 from splatpainter.io.write_options import WriteOptions
-from splatpainter.splats import SH_C0, Frame, Splats
+from splatpainter.splats import SH_C0, Axes, Splats
 
 ARMS = {  # direction in the axes of PLY files (y down), length, colour
     "up": ((0.0, -1.0, 0.0), 1.0, (0.15, 0.80, 0.20)),
@@ -27,7 +27,7 @@ class Trial:
     name: str
     says: str
     """What is special about it, for the table."""
-    frame: Frame = "auto"
+    axes: Axes = "auto"
     options: WriteOptions = WriteOptions()
 
 
@@ -73,6 +73,6 @@ def write_trials(folder: Path) -> dict[str, Splats]:
     """All files into `folder`; their names -> the rows that we read in them, in the axes of PLY files."""
     rows = {}
     for trial in TRIALS:
-        write(folder / trial.name, arrow(), overwrite=True, frame=trial.frame, options=trial.options)
+        write(folder / trial.name, arrow(), overwrite=True, axes=trial.axes, options=trial.options)
         rows[trial.name] = replace(read(folder / trial.name), source=None, origin=None)
     return rows

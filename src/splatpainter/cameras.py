@@ -26,7 +26,7 @@ UPS = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z
 UpAxis = Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"]
 AUTO_UP = "-y"
 """Up of every asset in memory unless its maker thought otherwise: structure from motion has y down, so do INRIA's PLY
-files, and the readers of formats with y up (SPZ, GLB) turn what they read into that frame (io/axes.py)."""
+files, and the readers of formats with y up (SPZ, GLB) turn what they read into these axes (io/axes.py)."""
 
 
 @dataclass(frozen=True)

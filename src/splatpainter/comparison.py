@@ -59,7 +59,7 @@ def compare(original: Splats, edited: Splats, options: WriteOptions = AS_IT_IS) 
     if (
         original.source is None
         or original.source.format != edited.source.format
-        or original.source.frame != edited.source.frame
+        or original.source.axes != edited.source.axes
         or options != AS_IT_IS
     ):
         return _compare_converted(original, edited, options)
@@ -114,7 +114,7 @@ def _compare_converted(original: Splats, edited: Splats, options: WriteOptions) 
     key, source = edited.source.format, original.source
     # The original is written as the edited one is, so that what the format rounds is rounded on both sides.
     before = _converted(original, edited, options)
-    turned = source is not None and source.format == key and source.frame != edited.source.frame
+    turned = source is not None and source.format == key and source.axes != edited.source.axes
     words = [f"the original converted to {key}", "of the same axes" if turned else ""]
     words.append("with the same options" if options != AS_IT_IS else "")
     how = " ".join(filter(None, words)) + ", then "
@@ -141,17 +141,17 @@ def _converted(before: Splats, after: Splats, options: WriteOptions) -> Splats:
     entry = FORMATS[after.source.format]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / ("converted" + (entry.suffixes[0] if entry.suffixes else ""))
-        # Words are rounded in the frame of the edited file: -1 and 1 are not rounded alike.
-        frame = option(after.source.frame)
+        # Words are rounded in the axes of the edited file: -1 and 1 are not rounded alike.
+        axes = option(after.source.axes)
         try:
-            write(path, before, frame=frame, options=options)
+            write(path, before, axes=axes, options=options)
         except ValueError as error:
             reason = str(error).removeprefix(f"{path}: ").partition("; write ")[0]
             name = before.source.path if before.source is not None else "the original"
             raise ValueError(
                 f"{name}: cannot be compared with {after.source.path} as {after.source.format}: {reason}"
             ) from None
-        return read(path, frame=frame, offset=after.offset)
+        return read(path, axes=axes, offset=after.offset)
 
 
 def _stored_rows(

@@ -22,20 +22,21 @@ import numpy as np
 from splatpainter.comparison import Comparison, compare, listed
 from splatpainter.io import (
     FORMATS,
+    axes_are_news,
+    axes_line,
     files,
     format_of_name,
-    frame_is_news,
-    frame_line,
-    frame_of_target,
     option,
     read,
+    written_axes,
 )
 from splatpainter.io.formats.sog_container import META
 from splatpainter.io.losses import loss_line, measure
 from splatpainter.io.write_options import AS_IT_IS, WriteOptions
 from splatpainter.kernels import library
-from splatpainter.splats import ATTRIBUTES, Frame, Splats, row_blocks, rows_sha256
+from splatpainter.splats import ATTRIBUTES, Axes, Splats, row_blocks, rows_sha256
 from splatpainter.system.atomic import MAX_NAME_BYTES, brief_name
+from splatpainter.system.old_names import formerly, formerly_called
 
 RECEIPT_ENDING = ".receipt.json"
 MAX_RECEIPT_BYTES = 256 << 20
@@ -414,10 +415,12 @@ class Verification:
     """What was compared besides the rows."""
     not_compared: tuple[str, ...] = ()
     """What was not."""
-    frame: str = ""
+    axes: str = ""
     """Which way the numbers of the edited file point, and who says so."""
-    frame_is_news: bool = False
-    """Whether people should hear of it (`io.frame_is_news`)."""
+    axes_are_news: bool = False
+    """Whether people should hear of it (`io.axes_are_news`)."""
+    frame = formerly_called("axes")
+    frame_is_news = formerly_called("axes_are_news")
     lost: str = ""
     """What the file does not hold of what was written into it (io/losses.py), where that was measured."""
 
@@ -427,13 +430,14 @@ class Verification:
         return "byte-identical" if "byte" in self.exact else "identical in value, bit for bit"
 
 
+@formerly(axes="frame", out_axes="out_frame")
 def verify(
     original: str | os.PathLike[str],
     edited: str | os.PathLike[str],
     receipt: Receipt | None = None,
     *,
-    frame: Frame = "auto",
-    out_frame: Frame = "auto",
+    axes: Axes = "auto",
+    out_axes: Axes = "auto",
 ) -> Verification:
     """Compare two files: rows as they are stored, header, other elements, trailing bytes.
 
@@ -442,27 +446,27 @@ def verify(
     receipt is of other files. Without a receipt rows whose Gaussians differ are only counted.
     Files of different formats are compared by converting the original to the edited file's format first; then only
     rows are.
-    frame, out_frame: axes of the numbers in the original and in the edited file, as in io.read. Where only one of two
+    axes, out_axes: axes of the numbers in the original and in the edited file, as in io.read. Where only one of two
     files of one format says them (or is told), they are those of the other too, unless more rows are the same where it
     is taken for what it would be taken for alone: then the one is a copy of the other in other axes.
     Raises ValueError when a file cannot be read."""
     # Both relative to one offset, so that equal positions are equal numbers.
-    before = read(original, frame=frame, lenient=True)
-    after = read(edited, frame=out_frame, lenient=True, offset=before.offset)
+    before = read(original, axes=axes, lenient=True)
+    after = read(edited, axes=out_axes, lenient=True, offset=before.offset)
     assert before.source is not None and after.source is not None
     options = AS_IT_IS if receipt is None else receipt.options
     # Where axes cannot be in doubt, there is one way to compare.
-    if before.source.format != after.source.format or before.source.frame == after.source.frame:
+    if before.source.format != after.source.format or before.source.axes == after.source.axes:
         return check(compare(before, after, options), receipt)
     # One of the two says its axes and the other only has its format's default: taken for those of the first, they would
     # be alike if the one was made from the other.
-    if out_frame == "auto" and after.source.frame_from == "format":
+    if out_axes == "auto" and after.source.axes_from == "format":
         alike = compare(
-            before, read(edited, frame=option(before.source.frame), lenient=True, offset=before.offset), options
+            before, read(edited, axes=option(before.source.axes), lenient=True, offset=before.offset), options
         )
-    elif frame == "auto" and before.source.frame_from == "format":
+    elif axes == "auto" and before.source.axes_from == "format":
         alike = compare(
-            read(original, frame=option(after.source.frame), lenient=True, offset=after.offset), after, options
+            read(original, axes=option(after.source.axes), lenient=True, offset=after.offset), after, options
         )
     else:
         return check(compare(before, after, options), receipt)
@@ -477,7 +481,7 @@ def verify(
 def check(comparison: Comparison, receipt: Receipt | None = None) -> Verification:
     """Judge a comparison, against the receipt of the edit where there is one."""
     before, after, differs = comparison.before, comparison.after, comparison.differs
-    frame = "" if after.source is None else frame_line(after.source)
+    axes = "" if after.source is None else axes_line(after.source)
     # First whether the receipt speaks of these files at all, then rows, then what no edit may change.
     problems = _wrong_files(receipt, comparison.original_sha256, after) if receipt is not None else []
     if before.sh.shape[1] != after.sh.shape[1]:
@@ -510,8 +514,8 @@ def check(comparison: Comparison, receipt: Receipt | None = None) -> Verificatio
         comparison.differences,
         comparison.compared,
         comparison.not_compared,
-        frame,
-        after.source is not None and frame_is_news(after.source),
+        axes,
+        after.source is not None and axes_are_news(after.source),
     )
 
 
@@ -534,22 +538,22 @@ def _wrong_files(receipt: Receipt, original: str, after: Splats) -> list[str]:
 
 
 def prove(
-    original: Splats, written: Path, receipt: Receipt, frame: Frame = "auto", intended: Splats | None = None
+    original: Splats, written: Path, receipt: Receipt, axes: Axes = "auto", intended: Splats | None = None
 ) -> tuple[Receipt, Verification]:
     """The receipt of the file at `written`, which has `receipt.options`, and the outcome of checking the one against
     the other.
 
     A format that rounds may encode rows anew that the edit left alone. Such rows are different in the file, so they
     are listed as touched, and the note says how many and why. For a format that keeps everything this is a fault.
-    An original that is no file, and any for a file with options, is compared as that format holds it. frame: what the
+    An original that is no file, and any for a file with options, is compared as that format holds it. axes: what the
     file was written with. intended: what was written into it, to be measured against what the file holds; the receipt's
     note says what is lost.
     Raises RuntimeError where the file does not prove the receipt."""
     # The file is read anew from the disk: what was meant to be written proves nothing.
     key = format_of_name(written)
-    taken = frame if key is None else frame_of_target(original, key, frame)
+    taken = axes if key is None else written_axes(original, key, axes)
     # Lenient: what a lenient original had cut off is kept. Of one offset, so that equal positions have equal means.
-    edited = read(written, frame=taken, lenient=True, offset=original.offset)
+    edited = read(written, axes=taken, lenient=True, offset=original.offset)
     assert edited.source is not None
     entry = FORMATS[edited.source.format]
     comparison = compare(original, edited, receipt.options)

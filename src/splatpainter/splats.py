@@ -13,11 +13,13 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
+from splatpainter.system.old_names import formerly_called
+
 Array: TypeAlias = Any
 """numpy.ndarray or torch.Tensor, float32 or float64; all attributes of one Splats are of one kind, dtype and device."""
 
 ColorSpace = Literal["srgb", "linear"]
-Frame = Literal["auto", "rub", "rdf"]
+Axes = Literal["auto", "rub", "rdf"]
 """Axes of a file's numbers: right-up-back, right-down-front (as INRIA's PLY files and everything in memory), or auto:
 what the file says, else what its format has by default."""
 SH_COUNTS = {1: 0, 4: 1, 9: 2, 16: 3, 25: 4}
@@ -189,12 +191,14 @@ class Source:
     """The reader's own record (header bytes, row block, tail, codebooks ...); opaque outside its io module."""
     problems: tuple[str, ...] = ()
     """What the reader found odd, one line each, for `info`."""
-    frame: str = "rdf"
+    axes: str = "rdf"
     """Axes of the file's numbers, three letters as in io.axes.AXES; in memory it is always "rdf"."""
-    frame_from: Literal["file", "format", "choice"] = "format"
+    axes_from: Literal["file", "format", "choice"] = "format"
     """Who says so: the file itself, its format by default, or whoever opened it."""
     flips: tuple[int, int, int] = (1, 1, 1)
-    """Axes reversed (-1) since the reader of the format had its say, because a frame was chosen."""
+    """Axes reversed (-1) since the reader of the format had its say, because axes were chosen."""
+    frame = formerly_called("axes")
+    frame_from = formerly_called("axes_from")
 
 
 def rows_sha256(splats: Splats, ids: Array | None = None) -> str:

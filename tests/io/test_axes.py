@@ -13,13 +13,14 @@ import numpy as np
 import pytest
 
 from splatpainter import io
+from splatpainter.batch.plan import read_jobs
 from splatpainter.io.axes import AXES, flip
 from splatpainter.io.formats.spz import write_spz
 from splatpainter.io.write_options import WriteOptions
 from splatpainter.receipts import verify
 from splatpainter.session import Session
 from splatpainter.session.project.asset_files import write_original
-from splatpainter.splats import Frame, Splats
+from splatpainter.splats import Axes, Splats
 from tests.support.cli_scenes import BOX, Capture, ball, paint, run
 from tests.support.io_assets import disagreement, float_columns, random_splats
 from tests.support.io_packed import alone, quats_apart, same_bits
@@ -29,13 +30,13 @@ if TYPE_CHECKING:
 
 pytest_plugins = ["tests.support.node_oracle"]
 
-FRAMES: tuple[Frame, ...] = ("rub", "rdf")
+AXES_CHOICES: tuple[Axes, ...] = ("rub", "rdf")
 EVERY = ["a.ply", "a.compressed.ply", "a.splat", "a.spz", "a.sog", "a.glb"]
 RECORD = 0xADBE0003
 
 
 def axis_of(path: Path) -> int | None:
-    """The frame that an SPZ file of version 4 names, without the package."""
+    """The axes that an SPZ file of version 4 names, without the package."""
     data = path.read_bytes()
     (table,) = struct.unpack_from("<I", data, 16)
     extensions = {kind: value for kind, _, value in struct.iter_unpack("<III", data[32:table])}
@@ -51,36 +52,68 @@ def silent(path: Path) -> None:
     path.write_bytes(bytes(data[:32] + data[table:]))
 
 
+def test_old_spellings_mean_the_same(tmp_path: Path, capfd: Capture) -> None:
+    """What was called frame before: keywords and attributes of Python, options of commands, both in one command too."""
+    old: dict[str, Any] = {"frame": "rub"}
+    both: dict[str, Any] = {"frame": "rub", "out_frame": "rub"}
+    path, edited = tmp_path / "a.spz", tmp_path / "b.spz"
+    io.write(path, random_splats(20, 1), **old)
+    splats = io.read(path, **old)
+    assert splats.source is not None and splats.source.axes == splats.source.frame == "rub"
+    assert splats.source.axes_from == splats.source.frame_from == "choice"
+    io.write(edited, splats, **old)
+    done = verify(path, edited, **both)
+    assert done.ok and done.frame == done.axes and done.frame_is_news and done.axes.startswith("right-up-back")
+    with Session(path, tmp_path / "a.splatproj", **old) as session:
+        session.scene.add(path, **old)
+        taken = [session.scene.original_of(asset.id).source for asset in session.scene.assets]
+        assert [source and source.axes for source in taken] == ["rub", "rub"]
+    with pytest.raises(TypeError, match="read: axes was given twice, also by its old name frame"):
+        io.read(path, axes="rub", **old)
+    (tmp_path / "JOBS.yaml").write_text("assets: [a.spz]\nframe: rub\nedits: [{grade: {exposure: 1}}]\n")
+    assert [job.axes for job in read_jobs(tmp_path / "JOBS.yaml").jobs] == ["rub"]
+
+    new = run(capfd, "convert", path, tmp_path / "new.ply", "--in-axes", "rub", "--axes", "rub")
+    before = run(capfd, "convert", path, tmp_path / "old.ply", "--frame", "rub", "--out-frame=rub")
+    assert (new.code, before.code) == (0, 0) and "axes: right-up-back, as chosen" in before.out
+    assert (tmp_path / "new.ply").read_bytes() == (tmp_path / "old.ply").read_bytes()
+    words = ("grade", path, "--out", tmp_path / "c.spz", "--exposure", "1", "--frame", "rub")
+    assert "as chosen" in run(capfd, *words).out
+    listed = run(capfd, "edit", path, "grade", "--exposure", "1", "--frame", "rub", "--out", tmp_path / "d.spz")
+    assert listed.code == 0 and (tmp_path / "c.spz").read_bytes() == (tmp_path / "d.spz").read_bytes()
+    assert "--in-axes was given twice" in run(capfd, *words, "--in-axes", "rub").error
+
+
 @pytest.mark.parametrize("name", EVERY)
-@pytest.mark.parametrize("frame", FRAMES)
-def test_a_chosen_frame_is_kept_byte_for_byte(name: str, frame: Frame, tmp_path: Path) -> None:
+@pytest.mark.parametrize("axes", AXES_CHOICES)
+def test_chosen_axes_are_kept_byte_for_byte(name: str, axes: Axes, tmp_path: Path) -> None:
     """Whatever was chosen: untouched assets are saved byte for byte, untouched rows of edited ones bit for bit."""
     io.write(tmp_path / name, random_splats(300, 1))
-    splats = io.read(tmp_path / name, frame=frame)
-    assert splats.source is not None and (splats.source.frame, splats.source.frame_from) == (frame, "choice")
+    splats = io.read(tmp_path / name, axes=axes)
+    assert splats.source is not None and (splats.source.axes, splats.source.axes_from) == (axes, "choice")
     io.write(tmp_path / f"b{name}", splats)
     assert (tmp_path / f"b{name}").read_bytes() == (tmp_path / name).read_bytes()
     opacities = splats.opacities.copy()
     opacities[7] = 1 - opacities[7]
     edited = replace(splats, opacities=opacities)
     io.write(tmp_path / f"c{name}", edited)
-    back = io.read(tmp_path / f"c{name}", frame=frame)
+    back = io.read(tmp_path / f"c{name}", axes=axes)
     rest = np.delete(np.arange(300), 7)
     assert same_bits(back, edited, rest) and np.abs(back.opacities - opacities).max() < 0.01
-    verification = verify(tmp_path / name, tmp_path / f"c{name}", frame=frame)
+    verification = verify(tmp_path / name, tmp_path / f"c{name}", axes=axes)
     assert verification.ok and (verification.same, verification.changed) == (299, 1)
-    assert verification.frame.startswith("right-up-back" if frame == "rub" else "right-down-front")
+    assert verification.axes.startswith("right-up-back" if axes == "rub" else "right-down-front")
 
 
-def test_frames_are_half_turns_of_each_other(tmp_path: Path) -> None:
-    """rub is half a turn about x away from rdf, in every format; the reader's own frame is found again."""
+def test_axes_are_half_turns_of_each_other(tmp_path: Path) -> None:
+    """rub is half a turn about x away from rdf, in every format; the reader's own axes are found again."""
     for name in EVERY:
         io.write(tmp_path / name, random_splats(60, 1))
-        rub, rdf = (io.read(tmp_path / name, frame=frame) for frame in FRAMES)
+        rub, rdf = (io.read(tmp_path / name, axes=axes) for axes in AXES_CHOICES)
         assert np.array_equal(rub.means, rdf.means * np.array([1, -1, -1], np.float32)), name
         natural = io.read(tmp_path / name)
-        assert natural.source is not None and natural.source.frame == io.FORMATS[natural.source.format].frame
-        signs = AXES[natural.source.frame]
+        assert natural.source is not None and natural.source.axes == io.FORMATS[natural.source.format].axes
+        signs = AXES[natural.source.axes]
         assert np.array_equal(natural.means, rdf.means * np.array(signs, np.float32)), name
 
 
@@ -96,19 +129,19 @@ def test_new_spz_files_have_the_axes_of_ply_files(
     version: int, tmp_path: Path, spz_reference: Callable[[list[Path]], list[Splats]]
 ) -> None:
     """And do not say so, in every version; those of other axes say it, and any may be marked or not by choice. The
-    reference implementation reads either marked frame as the same asset."""
+    reference implementation reads either marked way as the same asset."""
     splats = random_splats(200, 3)
-    cases: dict[str, tuple[Frame, bool | None]] = {
+    cases: dict[str, tuple[Axes, bool | None]] = {
         "auto": ("auto", None),
         "rdf": ("rdf", None),
         "rub": ("rub", None),
         "marked": ("rdf", True),
         "unmarked": ("rub", False),
     }
-    for name, (frame, mark) in cases.items():
-        write_spz(tmp_path / f"{name}.spz", splats, version, frame, mark=mark)
+    for name, (axes, mark) in cases.items():
+        write_spz(tmp_path / f"{name}.spz", splats, version, axes, mark=mark)
     rows = {name: io.read(tmp_path / f"{name}.spz") for name in cases}
-    assert {name: s.source and (s.source.frame, s.source.frame_from) for name, s in rows.items()} == {
+    assert {name: s.source and (s.source.axes, s.source.axes_from) for name, s in rows.items()} == {
         "auto": ("rdf", "format"),
         "rdf": ("rdf", "format"),
         "rub": ("rub", "file"),
@@ -116,7 +149,7 @@ def test_new_spz_files_have_the_axes_of_ply_files(
         "unmarked": ("rdf", "format"),  # as nothing says otherwise
     }
     assert (tmp_path / "auto.spz").read_bytes() == (tmp_path / "rdf.spz").read_bytes()
-    turned = io.read(tmp_path / "unmarked.spz", frame="rub")
+    turned = io.read(tmp_path / "unmarked.spz", axes="rub")
     for name, s in {**rows, "unmarked": turned}.items():
         assert np.array_equal(s.means, rows["auto"].means) and quats_apart(s.quats, splats.quats) < 0.15, name
     if version == 4:
@@ -149,7 +182,7 @@ def test_marks_come_and_go_by_choice(tmp_path: Path, capfd: Capture) -> None:
     for words, code in (((), None), (("--axes", "rub"), 4), (("--out-frame", "rub", "--mark-axes", "no"), None)):
         done = run(capfd, "convert", tmp_path / "a.ply", tmp_path / "b.spz", "--spz-version", 4, "--overwrite", *words)
         assert done.code == 0 and axis_of(tmp_path / "b.spz") == code, done
-    run(capfd, "convert", tmp_path / "b.spz", tmp_path / "c.spz", "--frame", "rub", "--mark-axes", "yes")
+    run(capfd, "convert", tmp_path / "b.spz", tmp_path / "c.spz", "--in-axes", "rub", "--mark-axes", "yes")
     assert axis_of(tmp_path / "c.spz") == 4
     run(capfd, "convert", tmp_path / "c.spz", tmp_path / "d.spz", "--mark-axes", "no")
     assert (tmp_path / "d.spz").read_bytes() == (tmp_path / "b.spz").read_bytes()
@@ -162,33 +195,33 @@ def test_marks_come_and_go_by_choice(tmp_path: Path, capfd: Capture) -> None:
     )
 
 
-def test_an_edit_says_a_chosen_frame(tmp_path: Path) -> None:
+def test_an_edit_says_chosen_axes(tmp_path: Path) -> None:
     """A file that says nothing stays so where it was taken for what it would be taken for, and says it otherwise."""
     path = tmp_path / "a.spz"
     write_spz(path, random_splats(100, 1), 4)
     silent(path)
-    cases: list[tuple[Frame, int | None]] = [("auto", None), ("rdf", None), ("rub", 4)]
-    for frame, code in cases:
-        splats = io.read(path, frame=frame)
+    cases: list[tuple[Axes, int | None]] = [("auto", None), ("rdf", None), ("rub", 4)]
+    for axes, code in cases:
+        splats = io.read(path, axes=axes)
         io.write(tmp_path / "b.spz", replace(splats, opacities=splats.opacities[::-1].copy()), overwrite=True)
         back = io.read(tmp_path / "b.spz")
         assert axis_of(tmp_path / "b.spz") == code
         assert same_bits(replace(back, opacities=splats.opacities), splats)
         verification = verify(path, tmp_path / "b.spz")  # only one of them says it: it counts for both
         assert verification.same + verification.changed == 100 and verification.changed <= 100
-        assert ("right-up-back" in verification.frame) == (frame == "rub")
-    wrong = io.read(tmp_path / "b.spz", frame="rdf")
+        assert ("right-up-back" in verification.axes) == (axes == "rub")
+    wrong = io.read(tmp_path / "b.spz", axes="rdf")
     assert wrong.source is not None and "the file says right-up-back" in wrong.source.problems[0]
     (tmp_path / "b.spz").unlink()
     io.write(tmp_path / "b.spz", wrong)  # untouched: the file's own bytes, whatever they say
     assert axis_of(tmp_path / "b.spz") == 4
 
 
-def test_another_frame_changes_signs_alone(tmp_path: Path) -> None:
-    """SPZ from one frame into the other and back: the same words of position, colour, scale and opacity."""
+def test_other_axes_change_signs_alone(tmp_path: Path) -> None:
+    """SPZ from one kind of axes into the other and back: the same words of position, colour, scale and opacity."""
     write_spz(tmp_path / "a.spz", random_splats(200, 2), 4)
     splats = io.read(tmp_path / "a.spz")
-    io.write(tmp_path / "b.spz", splats, frame="rub")
+    io.write(tmp_path / "b.spz", splats, axes="rub")
     turned = io.read(tmp_path / "b.spz")
     assert axis_of(tmp_path / "b.spz") == 4
     for name in ("means", "scales", "opacities"):
@@ -196,20 +229,20 @@ def test_another_frame_changes_signs_alone(tmp_path: Path) -> None:
     assert np.abs(turned.sh - splats.sh).max() <= 1 / 128 and quats_apart(turned.quats, splats.quats) < 1e-6
     verification = verify(tmp_path / "a.spz", tmp_path / "b.spz")
     assert verification.same == 200 and "of the same axes" in verification.exact
-    io.write(tmp_path / "c.spz", turned, frame="rdf")
+    io.write(tmp_path / "c.spz", turned, axes="rdf")
     assert axis_of(tmp_path / "c.spz") is None  # turned to the PLY's axes: unmarked like any new file
     again = io.read(tmp_path / "c.spz")
     assert np.array_equal(again.means, splats.means)
 
 
-def test_bytes_behind_the_rows_are_no_place_for_a_frame(tmp_path: Path) -> None:
-    """Spark puts a tree there, under a flag of its own; a file with one cannot say its frame."""
+def test_bytes_behind_the_rows_are_no_place_for_axes(tmp_path: Path) -> None:
+    """Spark puts a tree there, under a flag of its own; a file with one cannot say its axes."""
     write_spz(tmp_path / "a.spz", random_splats(50, 0), 3)
     data = bytearray(gzip.decompress((tmp_path / "a.spz").read_bytes()))
     data[14] = 0x80
     data += bytes(range(12))
     (tmp_path / "a.spz").write_bytes(gzip.compress(bytes(data)))
-    splats = io.read(tmp_path / "a.spz", frame="rub")
+    splats = io.read(tmp_path / "a.spz", axes="rub")
     edited = replace(splats, opacities=splats.opacities[::-1].copy())
     io.write(tmp_path / "b.spz", edited)
     assert gzip.decompress((tmp_path / "b.spz").read_bytes())[-12:] == bytes(range(12))
@@ -221,10 +254,10 @@ def test_wrong_words(tmp_path: Path) -> None:
     splats = random_splats(5, 0)
     io.write(tmp_path / "a.ply", splats)
     wrong: Any = "up"
-    with pytest.raises(ValueError, match="frame: expected one of auto, rub, rdf, got 'up'"):
-        io.read(tmp_path / "a.ply", frame=wrong)
-    with pytest.raises(ValueError, match="frame: expected one of auto, rub, rdf, got 'up'"):
-        io.write(tmp_path / "b.ply", splats, frame=wrong)
+    with pytest.raises(ValueError, match="axes: expected one of auto, rub, rdf, got 'up'"):
+        io.read(tmp_path / "a.ply", axes=wrong)
+    with pytest.raises(ValueError, match="axes: expected one of auto, rub, rdf, got 'up'"):
+        io.write(tmp_path / "b.ply", splats, axes=wrong)
     assert not (tmp_path / "b.ply").exists()
 
 
@@ -233,60 +266,54 @@ def test_wrong_words(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("degree", [0, 3])
 def test_spz_files_of_theirs_are_upright_here(degree: int, tmp_path: Path, splat_transform: SplatTransform) -> None:
-    """They say nothing of their frame; said by the caller, both versions' files are the asset they were made from."""
-    oracle, frame = splat_transform, splat_transform.spz_frame
+    """They say nothing of their axes; said by the caller, both versions' files are the asset they were made from."""
+    oracle, axes = splat_transform, splat_transform.spz_axes
     truth = random_splats(300, degree)
     io.write(tmp_path / "a.ply", truth)
     oracle(tmp_path / "a.ply", tmp_path / "theirs.spz")
     silently = io.read(tmp_path / "theirs.spz")
     assert (
         silently.source is not None
-        and silently.source.frame_from == "format"
+        and silently.source.axes_from == "format"
         and axis_of(tmp_path / "theirs.spz") is None
     )
-    splats = io.read(tmp_path / "theirs.spz", frame=frame)
-    if frame == "rdf":  # version 3, the newest: no word is needed, and ours stands upright there as it is written
+    splats = io.read(tmp_path / "theirs.spz", axes=axes)
+    if axes == "rdf":  # version 3, the newest: no word is needed, and ours stands upright there as it is written
         assert np.array_equal(silently.means, splats.means)
         io.write(tmp_path / "ours.spz", truth)
         oracle(tmp_path / "ours.spz", tmp_path / "ours.ply")
         assert disagreement(truth, float_columns(tmp_path / "ours.ply"))["means"] < 1e-3
     nearest = np.argmin(((splats.means[:, None] - truth.means[None]) ** 2).sum(-1), 1)
     assert np.abs(splats.means - truth.means[nearest]).max() < 1e-3
-    wrong = io.read(tmp_path / "theirs.spz", frame="rdf" if frame == "rub" else "rub")
+    wrong = io.read(tmp_path / "theirs.spz", axes="rdf" if axes == "rub" else "rub")
     assert np.abs(wrong.means * (1, -1, -1) - splats.means).max() == 0
     edited = replace(splats, opacities=splats.opacities[::-1].copy())
     io.write(tmp_path / "b.spz", edited)
     oracle(tmp_path / "b.spz", tmp_path / "oracle.ply")
-    difference = disagreement(io.read(tmp_path / "b.spz", frame=frame), float_columns(tmp_path / "oracle.ply"))
+    difference = disagreement(io.read(tmp_path / "b.spz", axes=axes), float_columns(tmp_path / "oracle.ply"))
     assert difference["means"] == difference["rest"] == 0 and max(difference.values()) < 5e-4, difference
 
 
 # ---- the command line and the session
 
 
-def test_commands_say_and_take_frames(tmp_path: Path, capfd: Capture) -> None:
+def test_commands_say_and_take_axes(tmp_path: Path, capfd: Capture) -> None:
     write_spz(tmp_path / "a.spz", random_splats(100, 1), 4)
     silent(tmp_path / "a.spz")
     out = run(capfd, "info", tmp_path / "a.spz").out
-    line = "right-down-front, as in PLY files; the file does not say (--frame rub, if it stands upside down)"
-    assert f"frame      {line}" in out
-    frame_name = run(capfd, "info", tmp_path / "a.spz", "--frame", "rub", "--json").json["frame"]
-    assert (frame_name["axes"], frame_name["from"]) == ("rub", "choice")
-    line = run(capfd, "convert", tmp_path / "a.spz", tmp_path / "b.spz", "--frame", "rub").out
-    assert "frame: right-up-back, as chosen -> right-up-back, as chosen" in line
+    line = "right-down-front, as in PLY files; the file does not say (--in-axes rub, if it stands upside down)"
+    assert f"axes       {line}" in out
+    axes_record = run(capfd, "info", tmp_path / "a.spz", "--in-axes", "rub", "--json").json["frame"]
+    assert (axes_record["axes"], axes_record["from"]) == ("rub", "choice")
+    line = run(capfd, "convert", tmp_path / "a.spz", tmp_path / "b.spz", "--in-axes", "rub").out
+    assert "axes: right-up-back, as chosen -> right-up-back, as chosen" in line
     assert (tmp_path / "b.spz").read_bytes() == (tmp_path / "a.spz").read_bytes()
-    done = run(
-        capfd, "convert", tmp_path / "a.spz", tmp_path / "c.ply", "--frame", "rdf", "--out-frame", "rub", "--json"
-    )
+    done = run(capfd, "convert", tmp_path / "a.spz", tmp_path / "c.ply", "--in-axes", "rdf", "--axes", "rub", "--json")
     assert done.json["input"]["frame"] == "rdf" and done.json["output"]["frame"] == "rub"
-    assert np.array_equal(
-        io.read(tmp_path / "c.ply", frame="rub").means, io.read(tmp_path / "a.spz", frame="rdf").means
-    )
-    done = run(
-        capfd, "verify", tmp_path / "a.spz", tmp_path / "c.ply", "--frame", "rdf", "--out-frame", "rub", "--json"
-    )
+    assert np.array_equal(io.read(tmp_path / "c.ply", axes="rub").means, io.read(tmp_path / "a.spz", axes="rdf").means)
+    done = run(capfd, "verify", tmp_path / "a.spz", tmp_path / "c.ply", "--in-axes", "rdf", "--axes", "rub", "--json")
     assert done.code == 0 and done.json["same"] == 100, done
-    assert "--frame" in run(capfd, "info", tmp_path / "a.spz", "--frame", "up").error
+    assert "--in-axes" in run(capfd, "info", tmp_path / "a.spz", "--in-axes", "up").error
 
 
 def test_every_command_says_what_it_took_an_spz_file_for(tmp_path: Path, capfd: Capture) -> None:
@@ -307,14 +334,14 @@ def test_every_command_says_what_it_took_an_spz_file_for(tmp_path: Path, capfd: 
     ):
         done = run(capfd, *words)
         assert done.code == 0 and line in done.out, done
-        assert ("--frame rub" in done.out) == (words[0] not in ("merge", "compare")), done
+        assert ("--in-axes rub" in done.out) == (words[0] not in ("merge", "compare")), done
 
 
-def test_a_project_remembers_the_frame_and_what_is_up(tmp_path: Path) -> None:
+def test_a_project_remembers_the_axes_and_what_is_up(tmp_path: Path) -> None:
     write_spz(tmp_path / "a.spz", random_splats(100, 1), 4)
     silent(tmp_path / "a.spz")
     before = (tmp_path / "a.spz").read_bytes()
-    with Session(tmp_path / "a.spz", tmp_path / "a.splatproj", frame="rub") as session:
+    with Session(tmp_path / "a.spz", tmp_path / "a.splatproj", axes="rub") as session:
         means = session.splats.means.copy()
         assert session.scene.up == "-y"
         session.scene.set_up("+z")
@@ -323,14 +350,14 @@ def test_a_project_remembers_the_frame_and_what_is_up(tmp_path: Path) -> None:
         assert len(session.history) == 1
     with Session.load(tmp_path / "a.splatproj") as session:
         assert session.scene.up == "+z" and np.array_equal(session.splats.means, means)
-        assert session.original.source is not None and session.original.source.frame == "rub"
+        assert session.original.source is not None and session.original.source.axes == "rub"
         _, verification = session.files.export(tmp_path / "b.spz")
         assert verification.ok and verification.same == 100
     assert (tmp_path / "b.spz").read_bytes() == before
 
 
 @pytest.mark.parametrize("embed", [True, False])
-def test_projects_keep_the_frame_that_an_spz_file_was_taken_for(embed: bool, tmp_path: Path) -> None:
+def test_projects_keep_the_axes_that_an_spz_file_was_taken_for(embed: bool, tmp_path: Path) -> None:
     """Files of this format differ and do not say: a project names what it took, whatever readers take them for."""
     import contextlib
     import sqlite3
@@ -341,18 +368,16 @@ def test_projects_keep_the_frame_that_an_spz_file_was_taken_for(embed: bool, tmp
     with Session.load(tmp_path / "a.splatproj") as session:
         assert np.array_equal(session.splats.means, means)
     if embed:  # as an asset of another project or of a batch: its own bytes while any reader takes them alike
-        file, frame = write_original(tmp_path / "a.splatproj", tmp_path / "new")
-        assert (file.suffix, frame) == (".spz", "auto") and np.array_equal(io.read(file).means, means)
+        file, axes = write_original(tmp_path / "a.splatproj", tmp_path / "new")
+        assert (file.suffix, axes) == (".spz", "auto") and np.array_equal(io.read(file).means, means)
     with contextlib.closing(sqlite3.connect(tmp_path / "a.splatproj")) as db, db:
         assert db.execute("SELECT value FROM facts WHERE name = 'frame'").fetchall() == [("rdf",)]
         db.execute("UPDATE facts SET value = 'rub' WHERE name = 'frame'")
     with Session.load(tmp_path / "a.splatproj") as session:
         assert np.array_equal(session.splats.means, means * np.array([1, -1, -1], np.float32))
         if embed:
-            file, frame = write_original(tmp_path / "a.splatproj", tmp_path / "turned")
-            assert (file.suffix, frame) == (".ply", "auto") and np.array_equal(
-                io.read(file).means, session.splats.means
-            )
+            file, axes = write_original(tmp_path / "a.splatproj", tmp_path / "turned")
+            assert (file.suffix, axes) == (".ply", "auto") and np.array_equal(io.read(file).means, session.splats.means)
         _, verification = session.files.export(tmp_path / "b.spz")
         assert verification.ok
     assert (tmp_path / "b.spz").read_bytes() == (tmp_path / "a.spz").read_bytes()
@@ -371,16 +396,16 @@ def test_a_project_that_says_no_up_has_the_usual_one(tmp_path: Path) -> None:
         assert session.scene.up == "-y"
 
 
-def test_edit_in_a_chosen_frame(tmp_path: Path, capfd: Capture) -> None:
+def test_edit_in_chosen_axes(tmp_path: Path, capfd: Capture) -> None:
     """A painted SPZ file that was opened as right-up-back says so, and `verify` needs no word."""
     write_spz(tmp_path / "a.spz", ball(800), 4, "rub")
     silent(tmp_path / "a.spz")
-    assert run(capfd, "render", tmp_path / "a.spz", "--frame", "rub", "--out", tmp_path / "v", "--size", 96).code == 0
+    assert run(capfd, "render", tmp_path / "a.spz", "--in-axes", "rub", "--out", tmp_path / "v", "--size", 96).code == 0
     picture = paint(tmp_path / "v" / "view_000.png", tmp_path / "p.png", BOX)
     done = run(
-        capfd, "edit", tmp_path / "a.spz", picture, "--frame", "rub", "--method", "lift", "--out", tmp_path / "b.spz"
+        capfd, "edit", tmp_path / "a.spz", picture, "--in-axes", "rub", "--method", "lift", "--out", tmp_path / "b.spz"
     )
-    assert done.code == 0 and "frame: right-up-back, as chosen" in done.out, done
+    assert done.code == 0 and "axes: right-up-back, as chosen" in done.out, done
     assert axis_of(tmp_path / "b.spz") == 4
     done = run(capfd, "verify", tmp_path / "a.spz", tmp_path / "b.spz")
-    assert done.code == 0 and "frame: right-up-back, as the file says" in done.out, done
+    assert done.code == 0 and "axes: right-up-back, as the file says" in done.out, done

@@ -66,9 +66,9 @@ def packed(data: bytes, count: int, node: dict[str, Any] | None = None, form: st
 @pytest.mark.parametrize("version", [2, 3])
 @pytest.mark.parametrize("degree", [0, 3])
 def test_the_asset_is_the_one_of_the_stream(version: int, degree: int, tmp_path: Path) -> None:
-    """Packed from left-up-front as the text says, in the frame of PLY files it is the asset that was packed."""
+    """Packed from left-up-front as the text says, in the axes of PLY files it is the asset that was packed."""
     data = stream(tmp_path, random_splats(150, degree), version)
-    truth = io.read(tmp_path / "stream.spz", frame="rub")
+    truth = io.read(tmp_path / "stream.spz", axes="rub")
     (tmp_path / "a.glb").write_bytes(packed(data, 150))
     splats = io.read(tmp_path / "a.glb")
     assert splats.sh_degree == degree and splats.source is not None and not splats.source.problems
@@ -81,7 +81,7 @@ def test_the_asset_is_the_one_of_the_stream(version: int, degree: int, tmp_path:
 def test_files_of_the_drafts_face_the_other_way(form: str, tmp_path: Path) -> None:
     """CesiumJS takes their numbers as they are: half a turn about the vertical, and it is said."""
     data = stream(tmp_path, random_splats(50, 1))
-    truth = io.read(tmp_path / "stream.spz", frame="rub")
+    truth = io.read(tmp_path / "stream.spz", axes="rub")
     (tmp_path / "a.glb").write_bytes(packed(data, 50, form=form))
     splats = io.read(tmp_path / "a.glb")
     assert np.array_equal(splats.means, flip(truth, (-1, 1, -1)).means)

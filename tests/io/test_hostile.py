@@ -323,12 +323,12 @@ def test_projects_of_cut_files_still_open(tmp_path: Path) -> None:
             assert len(again.splats) == 50
 
 
-def test_untouched_by_turned_frames(tmp_path: Path) -> None:
-    """`lenient` goes together with `frame`."""
+def test_untouched_by_turned_axes(tmp_path: Path) -> None:
+    """`lenient` goes together with `axes`."""
     cut = tmp_path / "cut.splat"
     io.write(cut, random_splats(2, 0))
     cut.write_bytes(cut.read_bytes() + b"\x07")
-    turned = io.read(cut, frame="rub", lenient=True)
+    turned = io.read(cut, axes="rub", lenient=True)
     io.write(tmp_path / "b.splat", turned)
     assert (tmp_path / "b.splat").read_bytes() == cut.read_bytes()
 

@@ -100,12 +100,12 @@ def test_other_formats_round_to_float32_world_coordinates(tmp_path: Path) -> Non
 
 def test_turned_axes_turn_the_offset(tmp_path: Path) -> None:
     splats, truth = far_ball(tmp_path / "far.ply")
-    turned = io.read(tmp_path / "far.ply", frame="rub")
+    turned = io.read(tmp_path / "far.ply", axes="rub")
     assert turned.offset == (splats.offset[0], -splats.offset[1], -splats.offset[2])
     assert abs(turned.world_means - truth * (1, -1, -1)).max() < 1e-6
     io.write(tmp_path / "again.ply", turned)
     assert (tmp_path / "again.ply").read_bytes() == (tmp_path / "far.ply").read_bytes()
-    given = io.read(tmp_path / "far.ply", frame="rub", offset=(0.0, 1.0, 2.0))
+    given = io.read(tmp_path / "far.ply", axes="rub", offset=(0.0, 1.0, 2.0))
     assert given.offset == (0, 1, 2) and abs(given.world_means - turned.world_means).max() < 0.6
 
 

@@ -59,7 +59,7 @@ def test_their_spz_files_stand_upright_here(program: str, degree: int, version: 
     path = tmp_path / "theirs.spz"
     write_with(program, path, splats, version)
     ours = io.read(path)
-    assert ours.source is not None and (ours.source.frame, ours.source.frame_from) == ("rdf", "format")
+    assert ours.source is not None and (ours.source.axes, ours.source.axes_from) == ("rdf", "format")
     assert np.abs(ours.means - splats.means).max() <= 0.51 / 4096
     assert quats_apart(ours.quats, splats.quats) < 3e-3 and np.abs(ours.opacities - splats.opacities).max() < 0.003
     assert np.abs(ours.sh[:, 1:] - np.clip(splats.sh[:, 1:], -1, 1)).max(initial=0) < 0.1  # they keep 5 and 4 bits

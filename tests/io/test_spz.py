@@ -17,7 +17,7 @@ import zstandard
 from splatpainter import io
 from splatpainter.io.formats import spz
 from splatpainter.io.formats.spz import SpzFile, read_spz, write_spz
-from splatpainter.splats import Frame, Splats
+from splatpainter.splats import Axes, Splats
 from splatpainter.transforms import sh_basis
 from tests.support.io_assets import disagreement, float_columns, random_splats
 from tests.support.io_packed import alone, covariances, damages, quats_apart, same_bits, survives
@@ -29,7 +29,7 @@ pytest_plugins = ["tests.support.node_oracle"]
 
 FILES = {"biker.v4": (152746, 0, 4), "massa.v2": (58649, 0, 2), "playbot_lod3.v2": (31000, 2, 2)}
 FILES["playbot_lod3.v3"] = (31000, 2, 3)
-MADE_AS: Frame = "rub"
+MADE_AS: Axes = "rub"
 """Axes of these files, which splat-transform 2 made; they do not say."""
 STEPS = {"quats": 0.5 * np.sqrt(0.5) / 511, "scales": 1 / 32, "opacities": 1 / 510, "base": 1 / (510 * 0.15)}
 """Half of a quantisation step of each attribute (log-scales; quaternions from version 3)."""
@@ -77,7 +77,7 @@ def test_by_hand(version: int, tmp_path: Path) -> None:
     assert len(splats) == 2 and splats.sh_degree == 1 and splats.antialiased and splats.color_space == "srgb"
     expected = np.array(FIXED) / 4096 if version > 1 else np.array([[1, -2, 0.5], [0, 0.25, 65504]])
     assert np.array_equal(splats.means, expected.astype(np.float32))
-    turned = io.read(path, frame="rub")  # y and z reversed: y up, z back
+    turned = io.read(path, axes="rub")  # y and z reversed: y up, z back
     assert np.array_equal(turned.means, (expected * (1, -1, -1)).astype(np.float32))
     assert np.array_equal(splats.opacities, np.array([1, 0.2], np.float32))
     assert np.allclose(np.log(splats.scales), np.array([[0, -1, 1], [-10, 5.9375, -4]]), atol=1e-6)
@@ -108,7 +108,7 @@ def test_extensions_and_tail_are_kept(version: int, tmp_path: Path) -> None:
     else:
         path.write_bytes(gzip.compress(head(3, flags=2) + b"".join(streams) + EXTENSIONS) + b"tail")
     splats = read_spz(path)
-    assert np.array_equal(splats.means, (np.array(FIXED) / 4096).astype(np.float32))  # PLY's own frame: not turned
+    assert np.array_equal(splats.means, (np.array(FIXED) / 4096).astype(np.float32))  # PLY's own axes: not turned
     write_spz(tmp_path / "b.spz", replace(splats, sh=splats.sh * np.float32(0.5)))
     data, back = (tmp_path / "b.spz").read_bytes(), read_spz(tmp_path / "b.spz")
     assert data.endswith(b"tail") and detail(back).extensions == EXTENSIONS and detail(back).flags == 2
@@ -148,7 +148,7 @@ def test_every_coordinate_system(tmp_path: Path, spz_reference: Callable[[list[P
 @pytest.mark.parametrize("name", FILES)
 def test_real_files(name: str, shared: Path, tmp_path: Path, splat_transform: SplatTransform) -> None:
     path = shared / "data" / "splats" / f"{name}.spz"
-    splats = io.read(path, frame=splat_transform.spz_frame)
+    splats = io.read(path, axes=splat_transform.spz_axes)
     assert splats.source is not None and not splats.source.problems
     assert (len(splats), splats.sh_degree, detail(splats).version) == FILES[name]
     splat_transform(path, tmp_path / "oracle.ply")
@@ -170,9 +170,9 @@ def test_real_files(name: str, shared: Path, tmp_path: Path, splat_transform: Sp
     ],
 )
 def test_siblings(packed: str, sibling: str, shared: Path) -> None:
-    """The same asset as PLY: the frame, the signs of SH bands, and every value within the quantisation."""
+    """The same asset as PLY: the axes, the signs of SH bands, and every value within the quantisation."""
     folder = shared / "data" / "splats"
-    splats, truth = io.read(folder / packed, frame=MADE_AS), io.read(folder / sibling)
+    splats, truth = io.read(folder / packed, axes=MADE_AS), io.read(folder / sibling)
     assert np.abs(splats.means - truth.means).max() <= 0.5 / 4096 + 1e-6
     assert np.abs(splats.opacities - truth.opacities).max() <= STEPS["opacities"] + 1e-6
     inside = np.clip(truth.sh[:, 0], -0.5 / 0.15, 0.5 / 0.15)  # some of playbot's colours are far beyond
@@ -195,7 +195,7 @@ def test_biker(shared: Path) -> None:
     from scipy.spatial import KDTree
 
     folder = shared / "data" / "splats"
-    packed, other = io.read(folder / "biker.v4.spz", frame=MADE_AS), io.read(folder / "biker.compressed.ply")
+    packed, other = io.read(folder / "biker.v4.spz", axes=MADE_AS), io.read(folder / "biker.compressed.ply")
     distance, match = KDTree(other.means).query(packed.means)
     assert distance.max() < 4e-4
     clear = np.abs(packed.sh[:, 0] - other.sh[match, 0]).max(1) < 0.03  # some places hold more than one row
@@ -210,7 +210,7 @@ def test_biker(shared: Path) -> None:
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_what_we_write(version: int, degree: int, tmp_path: Path, splat_transform: SplatTransform) -> None:
     path, splats = tmp_path / "a.spz", replace(random_splats(500, degree), antialiased=True)
-    write_spz(path, splats, version, splat_transform.spz_frame)
+    write_spz(path, splats, version, splat_transform.spz_axes)
     splat_transform(path, tmp_path / "oracle.ply")
     table = float_columns(tmp_path / "oracle.ply")
     back = read_spz(path)
@@ -229,7 +229,7 @@ def test_what_we_write(version: int, degree: int, tmp_path: Path, splat_transfor
 def test_degree_4_beside_the_reference(tmp_path: Path, spz_reference: Callable[[list[Path]], list[Splats]]) -> None:
     """Band 4 needs version 4; splat-transform stops at band 3, the reference reads it."""
     splats = random_splats(300, 4)
-    write_spz(tmp_path / "a.spz", splats, frame="rub")  # the reference takes it so, marked or not
+    write_spz(tmp_path / "a.spz", splats, axes="rub")  # the reference takes it so, marked or not
     (truth,) = spz_reference([tmp_path / "a.spz"])
     back = read_spz(tmp_path / "a.spz")
     assert detail(back).version == 4

@@ -360,12 +360,12 @@ def test_turning_an_asset_over_is_kept(studio: Live, tmp_path: Path) -> None:
     kept."""
     digest = rows_sha256(studio.studio.session.splats)
     asset = studio.http.get("/api/state").json()["asset"]
-    assert asset["up"] == [0, -1, 0] and asset["frame_stated"] and asset["frame"] == ""
+    assert asset["up"] == [0, -1, 0] and asset["axes_stated"] and asset["axes"] == ""
     write(tmp_path / "shared" / "other.ply", ball(100, seed=5))
     studio.post("asset.open", file="other.ply")
     assert studio.post("asset.up", up="+y")["python"] == "session.scene.set_up('+y')"
     turned = studio.http.get("/api/state").json()["asset"]
-    assert turned["up"] == [0, 1, 0] and turned["frame"].startswith("right-down-front")
+    assert turned["up"] == [0, 1, 0] and turned["axes"].startswith("right-down-front")
     down, eye = np.array(turned["home"]["world_to_camera"])[1, :3], turned["home"]["world_to_camera"][2][3]
     assert down[1] < -0.9 and eye > 0
     assert studio.http.post("/api/do/asset.up", json={"up": "up"}).status_code == 400

@@ -212,7 +212,7 @@ def test_assets_of_recent_projects_stand_as_they_do_there(tmp_path: Path) -> Non
     """One whose file has y up by choice, and one that came from no file; both are read without being told anything."""
     studio = make_studio(tmp_path)
     (tmp_path / "y-up.ply").write_bytes(splat_bytes(tmp_path, 1))
-    turned = read(tmp_path / "y-up.ply", frame="rub")
+    turned = read(tmp_path / "y-up.ply", axes="rub")
     for name, splats in (("up_1", turned), ("rows_1", ball(50, 3))):
         with Session(splats, studio.projects.root / f"{name}.splatproj") as session:
             session.layers.add("look", look="grade", settings={"exposure": 0.5})

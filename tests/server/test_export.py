@@ -169,7 +169,7 @@ def test_an_asset_is_written_in_the_axes_that_are_asked_for(studio: Live, tmp_pa
     for axes, answer in made.items():
         path = tmp_path / answer["file"]
         path.write_bytes(studio.http.get(answer["url"]).content)
-        means[axes] = read(path, frame="rdf").means  # the file's numbers as they are, whatever they mean
+        means[axes] = read(path, axes="rdf").means  # the file's numbers as they are, whatever they mean
     assert np.abs(means["auto"]).max(axis=0).min() > 0.1
     np.testing.assert_allclose(means["rub"] * (1, -1, -1), means["auto"], atol=1e-6)
     assert studio.http.get(made["rub"]["receipt_url"]).status_code == 200, "proved as it was written"

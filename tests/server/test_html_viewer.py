@@ -89,7 +89,7 @@ def test_convert_makes_a_page(tmp_path: Path, capfd: Capture) -> None:
     packed = base64.b64decode(re.search(r'id="gaussians">(.*?)</script>', text).group(1))  # type: ignore[union-attr]
     assert len(gzip.decompress(packed)) == scene["count"] * html_viewer.row_bytes(scene["coefficients"])
     assert "already exists" in run(capfd, "convert", asset, tmp_path / "ball.html").error
-    assert "no axes" in run(capfd, "convert", asset, tmp_path / "b.html", "--out-frame", "rub").error
+    assert "no axes" in run(capfd, "convert", asset, tmp_path / "b.html", "--axes", "rub").error
 
 
 @pytest.mark.parametrize("count", [700, 40_000])

@@ -102,7 +102,7 @@ def test_what_is_selected_ends_with_the_assets_that_it_was_of(studio: Live, tmp_
 
 def test_assets_of_recent_projects_are_added_as_they_were_read(tmp_path: Path) -> None:
     studio = make_studio(tmp_path)
-    turned = read(write_sheet(tmp_path), frame="rub")
+    turned = read(write_sheet(tmp_path), axes="rub")
     for name, splats in (("up_1", turned), ("rows_1", ball(50, 3))):
         with Session(splats, studio.projects.root / f"{name}.splatproj") as session:
             session.layers.add("look", look="grade", settings={"exposure": 0.5})

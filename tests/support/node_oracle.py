@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from splatpainter.splats import Frame, Splats
+from splatpainter.splats import Axes, Splats
 
 NODE = Path(__file__).resolve().parent / "node"
 PATIENCE_SECONDS = 120
@@ -79,7 +79,7 @@ class SplatTransform:
     """run(*arguments) -> standard output of splat-transform, called with -q -w; an error of its fails the test."""
 
     server: Server
-    spz_frame: Frame
+    spz_axes: Axes
     """Axes of the numbers in the SPZ files that it reads and writes; they do not say."""
 
     def __call__(self, *arguments: object) -> str:
@@ -94,13 +94,13 @@ def splat_transform(
     request: pytest.FixtureRequest, node_modules: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[SplatTransform]:
     """Version 2 turns SPZ files to right-up-back, as the format has it; version 3 leaves them right-down-front."""
-    packages: dict[str, tuple[str, Frame]]
+    packages: dict[str, tuple[str, Axes]]
     packages = {"2": ("@playcanvas/splat-transform", "rub"), "3": ("splat-transform-3", "rdf")}
-    name, frame = packages[request.param]
+    name, axes = packages[request.param]
     script = tmp_path_factory.mktemp("splat-transform") / "serve.mjs"
     script.write_text(_SERVE)
     server = Server(script, (node_modules / name / "dist" / "cli.mjs").as_uri())
-    yield SplatTransform(server, frame)
+    yield SplatTransform(server, axes)
     server.close()
 
 
@@ -162,8 +162,8 @@ require("readline").createInterface({ input: process.stdin }).on("line", async (
 def spz_reference(
     node_modules: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Callable[[list[Path]], list[Splats]]]:
-    """run(files) -> what the reference implementation (WebAssembly, @adobe/spz) reads from SPZ files, turned to the PLY
-    frame."""
+    """run(files) -> what the reference implementation (WebAssembly, @adobe/spz) reads from SPZ files, turned to the
+    PLY's axes."""
     script = tmp_path_factory.mktemp("spz") / "load.mjs"
     script.write_text(_LOAD_SPZ)
     server = Server(script, node_modules / "@adobe" / "spz" / "dist" / "spz.js")

@@ -11,12 +11,12 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-from splatpainter.batch.schema import Batch, LayersEdit, OperationStep, file_paths, with_values
+from splatpainter.batch.schema import OLD_KEYS, Batch, LayersEdit, OperationStep, file_paths, with_values
 from splatpainter.io import FORMATS, format_of_name
 from splatpainter.io.files import file_sha256
 from splatpainter.io.formats.sog_container import META
 from splatpainter.operations.operation import Operation
-from splatpainter.splats import Frame
+from splatpainter.splats import Axes
 from splatpainter.system.atomic import check_name
 from splatpainter.system.yamlio import Lines, read
 
@@ -60,7 +60,7 @@ class Job:
     folder: Path
     """Folder of its record, its pictures, and what is not finished yet."""
     steps: tuple[JobStep, ...]
-    frame: Frame = "auto"
+    axes: Axes = "auto"
     preview_camera: str = ""
     preview_px: int = 320
     overwrite: bool = False
@@ -73,7 +73,7 @@ class Job:
         ValueError: a file is missing."""
         for step in self.steps:
             step.check()
-        digest = _hash(f"{_asset_digest(self.asset)} {self.frame}")
+        digest = _hash(f"{_asset_digest(self.asset)} {self.axes}")
         out = []
         for step in self.steps:
             digest = _hash(f"{digest} {json.dumps(step.describe(), sort_keys=True)}")
@@ -94,7 +94,7 @@ def read_jobs(path: Path, overwrite: bool = False) -> JobList:
     """Raises ValueError `FILE:LINE: ...`: what `yamlio.read` refuses, assets and files that are missing (those whose
     name holds {asset} or {variant} fail their own jobs only), results that would have one name."""
     # Everything is checked before the first job begins: a mistake in line 200 must not cost a night.
-    batch, lines = read(Batch, path)
+    batch, lines = read(Batch, path, OLD_KEYS)
     folder = path.parent
     out = folder / batch.out
     asset_keys = {}  # an asset that two patterns name is one asset
@@ -133,7 +133,7 @@ def read_jobs(path: Path, overwrite: bool = False) -> JobList:
                 *(_step(e, f"{extra_path}[{k}]", folder, lines, asset_name, variant) for k, e in enumerate(extra)),
             ]
             jobs.append(
-                Job(name, asset, variant, target, out / "jobs" / name, tuple(steps), batch.frame, preview,
+                Job(name, asset, variant, target, out / "jobs" / name, tuple(steps), batch.axes, preview,
                     batch.preview.size, overwrite, len(batch.edits) if len(variants) > 1 else 0)
             )  # fmt: skip
     return JobList(path, out, tuple(jobs))

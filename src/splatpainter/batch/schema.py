@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_type_hints
 
 from splatpainter.operations.operation import Operation, Wording, kinds, operation_class
-from splatpainter.splats import Frame
+from splatpainter.splats import Axes
 
 FILE = {"file": True}
 """Metadata of fields that name files."""
@@ -128,6 +128,10 @@ class Preview:
             raise ValueError(f"expected size from {MIN_PREVIEW_PX} to {MAX_PREVIEW_PX}, got {self.size}")
 
 
+OLD_KEYS = {"frame": "axes"}
+"""Keys of a JOBS.yaml as files may still spell them -> their names."""
+
+
 @dataclass(frozen=True)
 class Batch:
     """A JOBS.yaml: assets times variants, each a job of one or more edits."""
@@ -142,8 +146,8 @@ class Batch:
     """None: one result per asset."""
     format: Literal["", "ply", "compressed.ply", "splat", "spz", "sog", "glb"] = ""
     """Format of the results; "": that of each asset."""
-    frame: Frame = "auto"
-    """Axes of the assets' numbers, as `--frame`."""
+    axes: Axes = "auto"
+    """Axes of the assets' numbers, as `--in-axes`."""
     preview: Preview = Preview()
 
     def __post_init__(self) -> None:

@@ -18,7 +18,7 @@ from splatpainter.commands.parts.option_parsing import CameraFiles
 from splatpainter.commands.parts.terminal import count, decibels, progress, to_json
 from splatpainter.commands.parts.view_options import BACKGROUND, MAX_VIEWS, check_ranges, color, given_cameras, rgb
 from splatpainter.image_files import to_uint8
-from splatpainter.io import frame_news, read
+from splatpainter.io import axes_news, read
 from splatpainter.output_paths import check_folder, check_target, make_folder
 from splatpainter.rendering import MAX_SIDE_PX, render
 from splatpainter.rendering.profiles import Profile
@@ -160,8 +160,8 @@ def run(config: Config) -> Outcome:
         f"all {count(total, 'view')}: {decibels(pooled)}, SSIM {summary['ssim']:.4f}, worst {names[worst[0]]}",
         f"pictures, sheet.png and compare.json in {config.out}",
         # Axes are named where they are news, for the two assets may lie differently.
-        *frame_news(first, str(config.first)),
-        *frame_news(second, str(config.second)),
+        *axes_news(first, str(config.first)),
+        *axes_news(second, str(config.second)),
     ]
     return Outcome(record, lines)
 

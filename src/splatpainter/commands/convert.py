@@ -13,9 +13,9 @@ from splatpainter.cameras import AUTO_UP, UPS, orbit_cameras
 from splatpainter.commands import Outcome
 from splatpainter.commands.info import file_size
 from splatpainter.commands.parts.asset_doubts import warn_of_doubts
-from splatpainter.commands.parts.option_parsing import AssetFile, AxesOption, FrameOption
+from splatpainter.commands.parts.option_parsing import AssetFile, AxesOption, InAxesOption
 from splatpainter.commands.parts.terminal import count, size, stages
-from splatpainter.io import files, frame_is_news, frame_line, frame_of_target, read, write
+from splatpainter.io import axes_are_news, axes_line, files, read, write, written_axes
 from splatpainter.io.axes import AXES
 from splatpainter.io.formats.packing import morton_order
 from splatpainter.io.losses import MIN_DRAWN_OPACITY, Losses, loss_line, measure, measured_as
@@ -50,7 +50,7 @@ class Config:
     """The file to read."""
     out: Annotated[Positional[Path], arg(metavar="OUT")]
     """The file to write."""
-    frame: FrameOption = "auto"
+    in_axes: InAxesOption = "auto"
     """Axes of the file's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
     axes: AxesOption = "auto"
     """Axes of OUT's numbers; auto: those of ASSET if both are of one format, else what OUT's format has."""
@@ -66,8 +66,8 @@ class Config:
     sh_palette: Annotated[int | None, arg(metavar="64-65536")] = None
     """Most SH vectors of a .sog; fewer make it smaller; default: half as many as rows, or more."""
     mark_axes: Annotated[Literal["auto", "yes", "no"], arg(metavar="auto|yes|no")] = "auto"
-    """Whether an .spz names its axes; few programs obey that, and some turn it twice. auto: those of another frame than
-    the PLY's, and of ASSET's own where it does."""
+    """Whether an .spz names its axes; few programs obey that, and some turn it twice. auto: those that are not the
+    PLY's, and of ASSET's own where it does."""
     sort: bool = False
     """Put rows that are near to each other together (Morton order): a .compressed.ply of an asset with a scattered sky
     becomes far finer, other files a little smaller. Row numbers are then others, so that no receipt of ASSET fits."""
@@ -108,22 +108,22 @@ def run(config: Config) -> Outcome:
     # Written aside and read again before it has its name: what is lost is measured and not guessed.
     with stages(3) as bar:
         bar.enter("reading")
-        before = read(config.asset, frame=config.frame, lenient=config.lenient)
+        before = read(config.asset, axes=config.in_axes, lenient=config.lenient)
         before_size = file_size(config.asset)
         # Until the block ends the file has no name, so a failure leaves nothing behind.
         with placed(config.out) as partial:
             bar.enter("writing")
             chosen = chosen_rows(before, config)
-            write(partial, chosen, frame=config.axes, options=options)
+            write(partial, chosen, axes=config.axes, options=options)
             bar.enter("checking")
             # Read with the axes that it was written with, or the comparison would find everything turned.
-            taken = frame_of_target(before, entry.key, config.axes)
+            taken = written_axes(before, entry.key, config.axes)
             # They describe the surface of what was written, so they come after the rows and their order.
             if columns:
-                written = read(partial, frame=taken, lenient=True, offset=before.offset).source
+                written = read(partial, axes=taken, lenient=True, offset=before.offset).source
                 assert written is not None
-                add_columns(partial, surface_columns(chosen, columns, AXES[written.frame]))
-            after = read(partial, frame=taken, lenient=True, offset=before.offset)
+                add_columns(partial, surface_columns(chosen, columns, AXES[written.axes]))
+            after = read(partial, axes=taken, lenient=True, offset=before.offset)
             # Against what was asked for: bands of SH that were left out on purpose are listed by the options.
             measured = measure(options.applied(chosen), after)
     # Said after the work: an odd asset is converted all the same.
@@ -135,7 +135,7 @@ def run(config: Config) -> Outcome:
             "format": before.source.format,
             "bytes": before_size,
             "rows": len(before),
-            "frame": before.source.frame,
+            "frame": before.source.axes,
         },
         "output": {
             "file": config.out,
@@ -143,7 +143,7 @@ def run(config: Config) -> Outcome:
             "bytes": file_size(config.out),
             "rows": len(after),
             "sha256": after.sha256,
-            "frame": after.source.frame,
+            "frame": after.source.axes,
         },
         # First what was measured, then what the options left out.
         "lost": losses(before, after, measured, config.sort) + replace(options, **SEEN_IN_THE_FILE).lines(before),
@@ -151,11 +151,11 @@ def run(config: Config) -> Outcome:
         "doubts": doubtful,
     }
     # Most files lie as their format usually does; only what is unusual is worth a line.
-    show_frame = frame_is_news(before.source) or frame_is_news(after.source)
+    show_axes = axes_are_news(before.source) or axes_are_news(after.source)
     lines = [
         f"{config.asset} -> {config.out}",
         f"{count(len(after), 'Gaussian')}; {size(before_size)} -> {size(record['output']['bytes'])}",
-        *([f"frame: {frame_line(before.source)} -> {frame_line(after.source)}"] if show_frame else []),
+        *([f"axes: {axes_line(before.source)} -> {axes_line(after.source)}"] if show_axes else []),
         *(f"lost: {line}" for line in record["lost"] or ["nothing"]),
     ]
     return Outcome(record, lines)
@@ -214,7 +214,7 @@ def _page(config: Config, options: WriteOptions) -> Outcome:
     check_target(config.out, config.overwrite, [config.asset])
     with stages(2) as bar:
         bar.enter("reading")
-        asset = read(config.asset, frame=config.frame, lenient=config.lenient)
+        asset = read(config.asset, axes=config.in_axes, lenient=config.lenient)
         # Rows and bands are chosen first, for every byte of a page is loaded before it shows anything.
         splats = options.applied(chosen_rows(asset, config))
         bar.enter("writing")

@@ -24,7 +24,7 @@ FRAMES = 36
 DUSK = (0.150, 0.125, 0.165)
 """Background of the evening pictures, display sRGB."""
 HALF_TURN = (-1, -1, 1)
-"""The bundled asset is made with y up; files in the frame of captures, as every other program expects, have y down."""
+"""The bundled asset is made with y up; files in the axes of captures, as every other program expects, have y down."""
 _Made = TypeVar("_Made")
 
 
@@ -113,7 +113,7 @@ def run(config: Config) -> Outcome:
 def view(
     azimuth: float, elevation: float, size: int, background: tuple[float, float, float], back: float = 1.0
 ) -> Camera:
-    """The recommended view of the bundled asset, in the frame of its file, moved to the right by `azimuth` and up by
+    """The recommended view of the bundled asset, in the axes of its file, moved to the right by `azimuth` and up by
     `elevation` degrees around its target, at `back` times the distance."""
     from splatpainter.demo_asset import HERO_EYE, HERO_FOV, HERO_TARGET
 

@@ -24,7 +24,7 @@ from splatpainter.commands.parts.edited_file import (
     run_operations,
     spoken,
 )
-from splatpainter.commands.parts.option_parsing import OLD_AXES_OPTION, option_name, parse
+from splatpainter.commands.parts.option_parsing import OLD_OPTIONS, option_name, parse
 from splatpainter.operations.operation import KINDS, Operation, Wording, kinds, operation_class
 from splatpainter.operations.paint import Paint
 
@@ -109,10 +109,10 @@ def dispatch(words: Sequence[str]) -> Outcome:
 
 
 def is_shorthand(words: Sequence[str], names: Sequence[str]) -> bool:
-    """Whether a command line has options besides these (without dashes), --help and the old name of --axes."""
+    """Whether a command line has options besides these (without dashes), --help and the old names of options."""
     # Options that paint has itself say nothing about the spelling; --help shows the present one.
     options = {word.split("=", 1)[0].replace("_", "-") for word in words if word.startswith("--") and len(word) > 2}
-    plain = {f"--{dash}{name}" for name in names for dash in ("", "no-")} | {"--help", OLD_AXES_OPTION}
+    plain = {f"--{dash}{name}" for name in names for dash in ("", "no-")} | {"--help", *OLD_OPTIONS.values()}
     return "--help" not in options and "-h" not in words and not options <= plain
 
 
@@ -178,4 +178,5 @@ def _options_of(kind: type) -> tuple[frozenset[str], frozenset[str]]:
     names = {option_name(field): field.type in ("bool", bool) for field in dataclasses.fields(kind)}
     flags = {f"--{dash}{name}" for name, is_flag in names.items() if is_flag for dash in ("", "no-")}
     valued = {f"--{name}" for name, is_flag in names.items() if not is_flag}
-    return frozenset({*flags, "--help"}), frozenset(valued | ({OLD_AXES_OPTION} if "axes" in names else set()))
+    old = {OLD_OPTIONS[option] for option in valued & set(OLD_OPTIONS)}
+    return frozenset({*flags, "--help"}), frozenset(valued | old)

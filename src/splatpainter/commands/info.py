@@ -11,10 +11,10 @@ import numpy as np
 from splatpainter.cameras import bounding_sphere
 from splatpainter.captures import captured_views, is_capture
 from splatpainter.commands import Outcome
-from splatpainter.commands.parts.option_parsing import AssetFile, FrameOption
+from splatpainter.commands.parts.option_parsing import AssetFile, InAxesOption
 from splatpainter.commands.parts.terminal import count, size, stages
 from splatpainter.doubts import doubts
-from splatpainter.io import FORMATS, asset_file, frame_line, read
+from splatpainter.io import FORMATS, asset_file, axes_line, read
 from splatpainter.io.folders import iterations
 from splatpainter.io.formats.sog_container import META
 from splatpainter.io.losses import Losses, loss_of_edits, measured_as
@@ -32,7 +32,7 @@ class Config:
 
     asset: AssetFile
     """A splat file, a SOG folder, or a folder of INRIA's trainer (point_cloud/iteration_N)."""
-    frame: FrameOption = "auto"
+    in_axes: InAxesOption = "auto"
     """Axes of the file's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
     lenient: bool = False
     """Also open a file that was cut off after its last complete row; what is left of the cut part is kept."""
@@ -47,7 +47,7 @@ def run(config: Config) -> Outcome:
     with stages(1) as bar:
         # One stage: reading is all that takes long, and the bar shows that something is going on.
         bar.enter("reading")
-        splats = read(config.asset, frame=config.frame, lenient=config.lenient)
+        splats = read(config.asset, axes=config.in_axes, lenient=config.lenient)
         record = describe(splats, config.asset)
         # A trainer's folder holds more than one asset, and perhaps cameras beside it.
         if config.asset.is_dir():
@@ -83,9 +83,9 @@ def describe(splats: Splats, path: Path) -> dict:
         "color_space": splats.color_space,
         "antialiased": splats.antialiased,
         "frame": {
-            "axes": splats.source.frame,
-            "from": splats.source.frame_from,
-            "description": frame_line(splats.source),
+            "axes": splats.source.axes,
+            "from": splats.source.axes_from,
+            "description": axes_line(splats.source),
         },
         "bounds": [finite.min(0), finite.max(0)] if len(finite) else None,
         "offset": splats.offset,
@@ -154,7 +154,7 @@ def _lines(record: dict) -> list[str]:
         "Gaussians": gaussians,
         "SH degree": str(record["sh_degree"]),
         "colours": f"{record['color_space']}{', antialiased (2D filter)' if record['antialiased'] else ''}",
-        "frame": record["frame"]["description"],
+        "axes": record["frame"]["description"],
         "bounds": f"{_point(bounds[0], reach)} to {_point(bounds[1], reach)}" if bounds else nowhere,
         "most of it": f"within {around['radius']:.3g} of {_point(around['center'], reach)}" if around else unseen,
         "positions": _positions(record),

@@ -14,7 +14,7 @@ from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
 from splatpainter.commands.parts.terminal import count, seconds, stages
-from splatpainter.io import files, frame_news, read
+from splatpainter.io import axes_news, files, read
 from splatpainter.output_paths import check_target, placed, splat_format
 from splatpainter.receipts import receipt_of
 from splatpainter.scene.merge import MergeVerification, Part, parts_of, write_merged
@@ -102,7 +102,7 @@ def run(config: Config) -> Outcome:
     lines = [
         f"{config.out}: {count(receipt.output_rows, 'Gaussian')} of {len(parts)} assets",
         *part_lines(parts, verification),
-        *(line for path, asset in zip(config.assets, assets, strict=True) for line in frame_news(asset, str(path))),
+        *(line for path, asset in zip(config.assets, assets, strict=True) for line in axes_news(asset, str(path))),
         *([f"note: {receipt.note}"] if receipt.note else []),
         f"receipt: {receipt_path}",
         seconds(timings),

@@ -12,7 +12,7 @@ from tyro.conf import arg
 from splatpainter.color import srgb_to_linear
 from splatpainter.commands import Outcome
 from splatpainter.commands.parts.asset_doubts import warn_of_doubts
-from splatpainter.commands.parts.option_parsing import AssetFile, FrameOption
+from splatpainter.commands.parts.option_parsing import AssetFile, InAxesOption
 from splatpainter.commands.parts.terminal import count, stages
 from splatpainter.io import files, read
 from splatpainter.io.axes import AXES
@@ -43,7 +43,7 @@ class Config:
     """Colours of the asset at the vertices."""
     axes: Literal["rub", "rdf"] = "rub"
     """Axes of the numbers: rub is y up, as glTF wants it; rdf those of a PLY."""
-    frame: FrameOption = "auto"
+    in_axes: InAxesOption = "auto"
     """Axes of ASSET's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
     lenient: bool = False
     """Also open a file that was cut off after its last complete row."""
@@ -64,7 +64,7 @@ def run(config: Config) -> Outcome:
     check_target(config.out, config.overwrite, [config.asset])
     with stages(3) as bar:
         bar.enter("reading")
-        splats = read(config.asset, frame=config.frame, lenient=config.lenient)
+        splats = read(config.asset, axes=config.in_axes, lenient=config.lenient)
         doubts = warn_of_doubts(splats, config.asset)
         bar.enter("meshing")
         mesh = proxy_mesh(splats, config.triangles)

@@ -12,7 +12,7 @@ from tyro.conf import arg
 from splatpainter.cameras import Camera, UpAxis
 from splatpainter.commands import Outcome
 from splatpainter.commands.parts.asset_doubts import warn_of_doubts
-from splatpainter.commands.parts.option_parsing import AssetFile, CameraFiles, FrameOption
+from splatpainter.commands.parts.option_parsing import AssetFile, CameraFiles, InAxesOption
 from splatpainter.commands.parts.terminal import count, progress
 from splatpainter.commands.parts.view_options import (
     MAX_VIEWS,
@@ -22,7 +22,7 @@ from splatpainter.commands.parts.view_options import (
     given_cameras,
     ring_of_views,
 )
-from splatpainter.io import files, frame_news, read
+from splatpainter.io import axes_news, files, read
 from splatpainter.output_paths import check_folder, check_target, make_folder
 from splatpainter.rendering.profiles import Profile
 from splatpainter.splats import Splats
@@ -74,7 +74,7 @@ class Config:
     those of the surface that edits are painted on; weighted means over Gaussians where no surface is trusted."""
     profile: Profile = "inria"
     """Which renderer to match: inria, as most assets were trained, or playcanvas (about 1 % darker)."""
-    frame: FrameOption = "auto"
+    in_axes: InAxesOption = "auto"
     """Axes of the file's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
     lenient: bool = False
     """Also open a file that was cut off after its last complete row; what is left of the cut part is kept."""
@@ -105,7 +105,7 @@ def run(config: Config) -> Outcome:
         for name in (name for stem in stems for name in options.file_names(stem)):
             check_target(config.out / name, config.overwrite)
     # Only now: what was wrong with options and names cost nothing.
-    splats = read(config.asset, frame=config.frame, lenient=config.lenient)
+    splats = read(config.asset, axes=config.in_axes, lenient=config.lenient)
     cameras = given or ring_of_views(config, splats, config.views)
     if given and config.background is not None:
         cameras = [replace(camera, background=color(config.background, splats)) for camera in cameras]
@@ -127,7 +127,7 @@ def run(config: Config) -> Outcome:
     first = options.file_names(stems[0])
     beside = f", and {', '.join(options.aovs)} beside it" if options.aovs else ""
     lines = [f"{count(len(stems), 'picture')} in {config.out}: {first[0]} ... each with its camera inside{beside}"]
-    lines += frame_news(splats)
+    lines += axes_news(splats)
     if hidden:
         lines.append(f"{count(hidden, 'Gaussian')} of {len(splats):,} cannot be drawn")
     return Outcome(record, lines)

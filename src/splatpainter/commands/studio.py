@@ -11,7 +11,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
-from splatpainter.commands.parts.option_parsing import FrameOption
+from splatpainter.commands.parts.option_parsing import InAxesOption
 from splatpainter.commands.parts.terminal import complain
 
 
@@ -27,7 +27,7 @@ class Config:
 
     asset: Annotated[Positional[Path | None], arg(metavar="ASSET|PROJECT")] = None
     """A splat file, a folder of INRIA's trainer or a .splatproj project; without one, the demo asset."""
-    frame: FrameOption = "auto"
+    in_axes: InAxesOption = "auto"
     """Axes of a splat file's numbers: rub is y up, rdf y down; auto: what it says, else what its format has. In the
     page, one click turns an asset that is upside down."""
     port: Annotated[int | None, arg(metavar="PORT", help_behavior_hint="")] = None
@@ -64,7 +64,7 @@ def run(config: Config) -> Outcome:
         projects, note = usable_projects()
         if note:
             complain(note)
-        session, name = open_session(config.asset, projects, config.frame)
+        session, name = open_session(config.asset, projects, config.in_axes)
         if session.note:
             complain(session.note)
         studio = Studio(session, name, StudioOptions(config.folder, projects, note=note))

@@ -13,10 +13,10 @@ from tyro.conf import arg
 from splatpainter.cameras import AUTO_UP, UPS, UpAxis, bounding_sphere
 from splatpainter.commands import Outcome
 from splatpainter.commands.parts.asset_doubts import warn_of_doubts
-from splatpainter.commands.parts.option_parsing import AssetFile, FrameOption, OutFile
+from splatpainter.commands.parts.option_parsing import AssetFile, InAxesOption, OutFile
 from splatpainter.commands.parts.terminal import progress, size
 from splatpainter.commands.parts.view_options import check_ranges, check_ring, color, given_camera, ring_of_views
-from splatpainter.io import files, frame_news, read
+from splatpainter.io import axes_news, files, read
 from splatpainter.output_paths import check_target
 from splatpainter.rendering.profiles import Profile
 
@@ -68,7 +68,7 @@ class Config:
     """Quality of the encoding, 1 to 100."""
     profile: Profile = "inria"
     """Which renderer to match: inria, as most assets were trained, or playcanvas (about 1 % darker)."""
-    frame: FrameOption = "auto"
+    in_axes: InAxesOption = "auto"
     """Axes of the file's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
     lenient: bool = False
     """Also open a file that was cut off after its last complete row; what is left of the cut part is kept."""
@@ -96,7 +96,7 @@ def run(config: Config) -> Outcome:
     given = None if config.camera is None else given_camera(config.camera, config.size, config.asset)
     check_target(config.out, config.overwrite, [config.asset])
     # The camera may come from a file or from the asset's size, so the asset is read in between.
-    splats = read(config.asset, frame=config.frame, lenient=config.lenient)
+    splats = read(config.asset, axes=config.in_axes, lenient=config.lenient)
     first = given.relative_to(splats.offset) if given else ring_of_views(config, splats, 1)[0]
     if given and config.background is not None:
         first = replace(first, background=color(config.background, splats))
@@ -120,7 +120,7 @@ def run(config: Config) -> Outcome:
         "height": height - height % 2 * (options.format == "mp4"),
     }
     line = f"{config.out}: {options.frames} frames of {record['width']}x{record['height']}, {size(len(data))}"
-    return Outcome(record, [line, *frame_news(splats)])
+    return Outcome(record, [line, *axes_news(splats)])
 
 
 @contextmanager

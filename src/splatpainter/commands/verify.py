@@ -9,7 +9,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
-from splatpainter.commands.parts.option_parsing import AxesOption, FrameOption
+from splatpainter.commands.parts.option_parsing import AxesOption, InAxesOption
 from splatpainter.commands.parts.terminal import count, stages
 from splatpainter.receipts import read_receipt, receipt_of, verify
 
@@ -41,7 +41,7 @@ class Config:
     """The files that a merged asset was made of, in any order."""
     receipt: Annotated[Path | None, arg(metavar="R.json", help_behavior_hint="")] = None
     """The receipt; default: EDITED.receipt.json where it exists."""
-    frame: FrameOption = "auto"
+    in_axes: InAxesOption = "auto"
     """Axes of ORIGINAL's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
     axes: AxesOption = "auto"
     """Axes of EDITED's numbers; auto: those of ORIGINAL if both are of one format, else what EDITED says."""
@@ -67,8 +67,11 @@ def run(config: Config) -> Outcome:
     # From the files alone: nothing that a command remembers may enter the proof.
     with stages(1) as bar:
         bar.enter("comparing")
-        verification = verify(config.original, edited, receipt, frame=config.frame, out_frame=config.axes)
-    record = {"original": config.original, "edited": edited, "receipt": path, **asdict(verification)}
+        verification = verify(config.original, edited, receipt, axes=config.in_axes, out_axes=config.axes)
+    values = asdict(verification)
+    # Programs read these keys, which stay.
+    values["frame"], values["frame_is_news"] = values.pop("axes"), values.pop("axes_are_news")
+    record = {"original": config.original, "edited": edited, "receipt": path, **values}
     # What was compared and what was not stand beside the verdict, which means nothing without them.
     lines = [
         f"{verification.same:,} of {count(verification.rows, 'Gaussian')} {verification.how_same}; "
@@ -77,7 +80,7 @@ def run(config: Config) -> Outcome:
         *verification.differences,
         f"compared: {'; '.join((verification.exact, *verification.compared))}",
         *(f"not compared: {part}" for part in verification.not_compared),
-        *([f"frame: {verification.frame}"] if verification.frame_is_news else []),
+        *([f"axes: {verification.axes}"] if verification.axes_are_news else []),
         *(f"wrong: {problem}" for problem in verification.problems),
         "verified" if verification.ok else "NOT verified",
     ]
@@ -93,8 +96,8 @@ def _against(config: Config) -> Outcome:
     # Axes of several files cannot be given by one option, so all must say their own.
     if config.edited is not None:
         raise ValueError(f"{config.edited}: expected one merged asset before --against, and its sources after it")
-    if (config.frame, config.axes) != ("auto", "auto"):
-        raise ValueError("splatpainter verify: --frame and --axes cannot be used with --against")
+    if (config.in_axes, config.axes) != ("auto", "auto"):
+        raise ValueError("splatpainter verify: --in-axes and --axes cannot be used with --against")
     path = config.receipt or receipt_of(merged)
     # Without a receipt nobody knows which rows are whose.
     if config.receipt is None and not path.exists():

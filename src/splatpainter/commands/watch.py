@@ -12,11 +12,11 @@ from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
 from splatpainter.commands.parts.asset_doubts import warn_of_doubts
-from splatpainter.commands.parts.option_parsing import AxesOption, FrameOption
+from splatpainter.commands.parts.option_parsing import AxesOption, InAxesOption
 from splatpainter.commands.parts.terminal import complain, count, decibels, warn
 from splatpainter.gatekeeper.photographs import laid_over, picture_edit
 from splatpainter.gatekeeper.picture_gate import checked_picture
-from splatpainter.io import files, frame_news, read, write
+from splatpainter.io import axes_news, files, read, write
 from splatpainter.output_paths import check_target, placed, splat_format
 from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
 from splatpainter.pictures import FileEdit
@@ -63,7 +63,7 @@ class Config:
     """Method of the edit, as in splatpainter edit."""
     preset: Annotated[str, arg(metavar="NAME|DIR")] = "auto"
     """Weights, as in splatpainter edit."""
-    frame: FrameOption = "auto"
+    in_axes: InAxesOption = "auto"
     """Axes of ASSET's numbers."""
     axes: AxesOption = "auto"
     """Axes of OUT's numbers."""
@@ -152,7 +152,7 @@ class _Watch:
         assert edited.receipt is not None
         # File and receipt appear together: a program that follows OUT must not see one without the other.
         with files.writing(self.receipt_path) as file, placed(config.out) as partial:
-            write(partial, edited.splats, frame=config.axes)
+            write(partial, edited.splats, axes=config.axes)
             receipt, verification = prove(self.splats, partial, edited.receipt, config.axes, edited.splats)
             # On the disk before OUT has its name.
             file.write(receipt.to_json().encode())
@@ -176,14 +176,14 @@ def run(config: Config) -> Outcome:
     painter = Painter.load(config.preset, modes=[config.mode]).with_settings(aside=True)
     # What is in the folder now was there before and is no edit.
     saved = SavedPictures(config.folder)
-    splats = read(config.asset, frame=config.frame)
+    splats = read(config.asset, axes=config.in_axes)
     # Doubts of the asset are told once, and not with every picture.
     warn_of_doubts(splats, config.asset, editing=True)
     watch = _Watch(config, receipt_path, splats, painter, painter.encode(splats, config.method, [config.mode]))
     # The asset is encoded once: every save edits it anew from there.
     until = None if config.timeout is None else time.monotonic() + config.timeout
     if not config.json:
-        print(*frame_news(splats), f"watching {config.folder}; Ctrl-C ends it", sep="\n", flush=True)
+        print(*axes_news(splats), f"watching {config.folder}; Ctrl-C ends it", sep="\n", flush=True)
     ended = "timeout"
     try:
         # Looked at again and again: not every file system tells of changes.

@@ -37,7 +37,7 @@ NEVER_MEANT = ("turned", "axes", "other")
 LOOKS = ("colors", "tone")
 """Causes that may be a look of the asset."""
 OTHER_AXES = (
-    ("of the asset with its axes read another way (try --frame rub or --frame rdf)", np.diag([1.0, -1.0, -1.0])),
+    ("of the asset with its axes read another way (try --in-axes rub or --in-axes rdf)", np.diag([1.0, -1.0, -1.0])),
     ("of the asset turned by a quarter (z up in place of y)", np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])),
     ("of the asset turned by a quarter (y up in place of z)", np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])),
 )

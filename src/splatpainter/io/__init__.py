@@ -15,17 +15,19 @@ from typing import Any, get_args
 
 import numpy as np
 
-from splatpainter.io import axes, files, folders
+from splatpainter.io import files, folders
+from splatpainter.io.axes import describe, flipped_offset, to_file_axes, to_memory_axes
 from splatpainter.io.foreign_files import check_not_foreign
 from splatpainter.io.formats import sog_container
 from splatpainter.io.write_options import AS_IT_IS, WriteOptions
-from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Frame, Source, Splats
+from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Axes, Source, Splats
+from splatpainter.system.old_names import formerly
 
 Reader = Callable[..., Splats]
 Writer = Callable[..., None]
 
 
-FRAMES: tuple[Frame, ...] = get_args(Frame)
+AXES_CHOICES: tuple[Axes, ...] = get_args(Axes)
 
 
 @dataclass(frozen=True)
@@ -49,12 +51,12 @@ class Format:
     """Keywords of `io.read` that `read` takes, too."""
     write_options: tuple[str, ...] = ()
     """Fields of WriteOptions that a file of this format can follow."""
-    frame: str = "rdf"
+    axes: str = "rdf"
     """Axes of a file's numbers unless it says otherwise (key of axes.AXES)."""
     holds_offset: bool = False
     """Whether positions are kept that float32 cannot hold (Splats.offset); others are written rounded."""
     names_axes: bool = False
-    """Whether a file can say which axes its numbers have: `read` and `write` take `frame` and turn what they must. One
+    """Whether a file can say which axes its numbers have: `read` and `write` take `axes` and turn what they must. One
     that does not say may well have others, as programs differ."""
 
 
@@ -146,7 +148,7 @@ FORMATS: dict[str, Format] = {
             "glTF 2.0 binary with KHR_gaussian_splatting",
             "Every byte outside the values that changed.",
             options=("offset",),
-            frame="luf",
+            axes="luf",
             write_options=HOLDS_SH,
             holds_offset=True,
         ),
@@ -156,10 +158,11 @@ FORMATS: dict[str, Format] = {
 _MAGIC = {b"glTF": "glb", b"PK\x03\x04": "sog", b"NGSP": "spz"}
 
 
+@formerly(axes="frame")
 def read(
     path: str | os.PathLike[str],
     *,
-    frame: Frame = "auto",
+    axes: Axes = "auto",
     lenient: bool = False,
     offset: tuple[float, float, float] | None = None,
 ) -> Splats:
@@ -167,7 +170,7 @@ def read(
     `source` and `origin` are filled in.
 
     The content decides where it is unmistakable (PLY, compressed PLY, GLB, SOG bundle, SPZ), the name otherwise.
-    frame: axes of the file's numbers, "rub" (right-up-back) or "rdf" (right-down-front), whatever the file or its
+    axes: of the file's numbers, "rub" (right-up-back) or "rdf" (right-down-front), whatever the file or its
     format says; "auto" believes them. Rows always come out right-down-front, so that an asset is upright; `source`
     says how the file was taken, and writing the same format turns them back (signs only, so every bit survives).
     lenient: also open files that were cut off after their last complete row (a .splat of 33 bytes, a PLY without the
@@ -177,39 +180,40 @@ def read(
     Raises ValueError with one line: no such file, unknown format, truncated or contradictory content.
     """
     # A folder stands for a file in it; the content says which format that is.
-    check_frame(frame)
+    check_axes(axes)
     location = asset_file(Path(path))
     key = detect(location)
     entry = FORMATS[key]
     options: dict[str, Any] = {"lenient": lenient} if "lenient" in entry.options else {}
     # An offset is in memory's axes, and the reader works in the file's.
     if offset is not None and "offset" in entry.options:
-        options["offset"] = axes.flipped_offset(offset, entry.frame, frame)
+        options["offset"] = flipped_offset(offset, entry.axes, axes)
     if entry.names_axes:
-        return entry.read(location, frame=frame)
-    return axes.to_memory_axes(entry.read(location, **options), frame)
+        return entry.read(location, axes=axes)
+    return to_memory_axes(entry.read(location, **options), axes)
 
 
+@formerly(axes="frame")
 def write(
     path: str | os.PathLike[str],
     splats: Splats,
     *,
     overwrite: bool = False,
-    frame: Frame = "auto",
+    axes: Axes = "auto",
     options: WriteOptions = AS_IT_IS,
 ) -> None:
     """Write `splats` (numpy or torch attributes) in the format that the name of `path` says.
 
     Where `splats.source` is of that format, everything that did not change keeps its bytes (see Format.exact).
-    frame: axes of the file's numbers, "rub" or "rdf"; "auto": those of `splats.source` if it is of that format, else
+    axes: of the file's numbers, "rub" or "rdf"; "auto": those of `splats.source` if it is of that format, else
     the format's own. SPZ files of other axes than the PLY's say it; other formats cannot, and need
-    `read(path, frame=...)`.
+    `read(path, axes=...)`.
     options: what the file shall hold less or otherwise; `Format.write_options` says which a format has.
     Raises ValueError: the target exists and overwrite is False, unknown or read-only format, inconsistent shapes, an
     option that the format has not.
     """
     # Refused by name and option before anything is computed or made.
-    check_frame(frame)
+    check_axes(axes)
     location = Path(path)
     key = format_of_name(location)
     if key is None:
@@ -223,9 +227,9 @@ def write(
     # Rows as this format has them: whole arrays, options, offset, and last the axes.
     rows = _at_offset(canonical(options.applied(canonical(splats))), FORMATS[key])
     if FORMATS[key].names_axes:
-        writer(location, rows, frame=frame, **options.keywords())
+        writer(location, rows, axes=axes, **options.keywords())
     else:
-        writer(location, axes.to_file_axes(rows, key, frame, FORMATS[key].frame), **options.keywords())
+        writer(location, to_file_axes(rows, key, axes, FORMATS[key].axes), **options.keywords())
 
 
 def _at_offset(rows: Splats, entry: Format) -> Splats:
@@ -236,31 +240,31 @@ def _at_offset(rows: Splats, entry: Format) -> Splats:
     return rows if entry.holds_offset else rows.relative_to((0.0, 0.0, 0.0))
 
 
-def check_frame(frame: str) -> None:
-    """Raises ValueError for anything but the values of Frame."""
-    if frame not in FRAMES:
-        raise ValueError(f"frame: expected one of {', '.join(FRAMES)}, got {str(frame)[:40]!r}")
+def check_axes(axes: str) -> None:
+    """Raises ValueError for anything but the values of Axes."""
+    if axes not in AXES_CHOICES:
+        raise ValueError(f"axes: expected one of {', '.join(AXES_CHOICES)}, got {str(axes)[:40]!r}")
 
 
-def frame_of(splats: Splats) -> Frame:
-    """What `read` and `write` need to be told for rows in the frame of this source: "auto" where there is no need."""
+def chosen_axes(splats: Splats) -> Axes:
+    """What `read` and `write` need to be told for rows in the axes of this source: "auto" where there is no need."""
     source = splats.source
-    return option(source.frame) if source is not None and source.frame_from == "choice" else "auto"
+    return option(source.axes) if source is not None and source.axes_from == "choice" else "auto"
 
 
-def option(axes: str) -> Frame:
-    """The value of Frame that names these axes; "auto" where none does."""
+def option(axes: str) -> Axes:
+    """The value of Axes that names these axes; "auto" where none does."""
     return "rub" if axes == "rub" else "rdf" if axes == "rdf" else "auto"
 
 
-def frame_of_target(splats: Splats, key: str, frame: Frame) -> Frame:
-    """What `read` needs to be told of the file of format `key` that `write(..., splats, frame=frame)` made."""
-    if frame != "auto":
-        return frame
-    return frame_of(splats) if splats.source is not None and splats.source.format == key else "auto"
+def written_axes(splats: Splats, key: str, axes: Axes) -> Axes:
+    """What `read` needs to be told of the file of format `key` that `write(..., splats, axes=axes)` made."""
+    if axes != "auto":
+        return axes
+    return chosen_axes(splats) if splats.source is not None and splats.source.format == key else "auto"
 
 
-def frame_line(source: Source, hint: bool = True) -> str:
+def axes_line(source: Source, hint: bool = True) -> str:
     """One line for people: which axes the file's numbers have, and who says so. hint: also how to turn a file that
     might have others."""
     reasons = {
@@ -268,30 +272,30 @@ def frame_line(source: Source, hint: bool = True) -> str:
         "choice": "as chosen",
         "format": "the default of this format; the file does not say",
     }
-    line = f"{axes.describe(source.frame)}, {reasons[source.frame_from]}"
-    if not frame_is_open(source):
+    line = f"{describe(source.axes)}, {reasons[source.axes_from]}"
+    if not axes_are_open(source):
         return line
-    line = f"{axes.describe(source.frame)}, as in PLY files; the file does not say"
-    return f"{line} (--frame rub, if it stands upside down)" if hint else line
+    line = f"{describe(source.axes)}, as in PLY files; the file does not say"
+    return f"{line} (--in-axes rub, if it stands upside down)" if hint else line
 
 
-def frame_is_open(source: Source) -> bool:
+def axes_are_open(source: Source) -> bool:
     """Whether a file may well have other axes than those that it was taken to have: it could say, and does not."""
-    return source.frame_from == "format" and FORMATS[source.format].names_axes
+    return source.axes_from == "format" and FORMATS[source.format].names_axes
 
 
-def frame_is_news(source: Source) -> bool:
-    """Whether people should hear of a file's axes: programs differ about the format, or a frame was chosen."""
-    return source.frame_from != "format" or FORMATS[source.format].names_axes
+def axes_are_news(source: Source) -> bool:
+    """Whether people should hear of a file's axes: programs differ about the format, or somebody chose them."""
+    return source.axes_from != "format" or FORMATS[source.format].names_axes
 
 
-def frame_news(splats: Splats, of: str = "") -> list[str]:
+def axes_news(splats: Splats, of: str = "") -> list[str]:
     """What commands say of a file's axes: one line, or none where there is no news. of: the file, where a command has
-    no --frame of its own."""
+    no --in-axes of its own."""
     source = splats.source
-    if source is None or not frame_is_news(source):
+    if source is None or not axes_are_news(source):
         return []
-    return [f"frame of {of}: {frame_line(source, hint=False)}" if of else f"frame: {frame_line(source)}"]
+    return [f"axes of {of}: {axes_line(source, hint=False)}" if of else f"axes: {axes_line(source)}"]
 
 
 def asset_file(path: Path) -> Path:

@@ -1,7 +1,7 @@
-"""The axes of files: rows turned from one coordinate frame into another by axis flips (exact) and rotations.
+"""The axes of files: rows turned from one kind of axes into another by axis flips (exact) and rotations.
 
-Every asset in memory uses the frame of INRIA PLY files (usually x right, y down, z forward). Formats that store another
-frame convert here, in their reader, and back in their writer. Knows no format.
+Every asset in memory has the axes of INRIA PLY files (usually x right, y down, z forward). Formats that store others
+convert here, in their reader, and back in their writer. Knows no format.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from splatpainter.splats import SH_COUNTS, Frame, Source, Splats
+from splatpainter.splats import SH_COUNTS, Axes, Source, Splats
 from splatpainter.transforms import matrix_to_quat, sh_rotations, snapped
 
 _LETTERS = {"l": "left", "r": "right", "u": "up", "d": "down", "f": "front", "b": "back"}
@@ -21,7 +21,7 @@ AXES = {
     for up in "du"
     for depth in "bf"
 }
-"""Where x, y and z of a frame point -> the sign of each axis in the PLY frame, "rdf"."""
+"""Where x, y and z point -> the sign of each axis in the PLY's axes, "rdf"."""
 NO_FLIP = (1, 1, 1)
 
 
@@ -42,10 +42,10 @@ def flip(splats: Splats, signs: tuple[int, int, int]) -> Splats:
     )
 
 
-def flipped_offset(offset: tuple[float, float, float], natural: str, frame: Frame) -> tuple[float, float, float]:
-    """What a reader of numbers in the frame `natural` takes as the offset that is asked for in memory's axes, where
+def flipped_offset(offset: tuple[float, float, float], natural: str, axes: Axes) -> tuple[float, float, float]:
+    """What a reader of numbers in the axes `natural` takes as the offset that is asked for in memory's axes, where
     `to_memory_axes` follows."""
-    return _signed(offset, NO_FLIP if frame == "auto" else _between(natural, frame))
+    return _signed(offset, NO_FLIP if axes == "auto" else _between(natural, axes))
 
 
 def _signed(offset: tuple[float, float, float], signs: tuple[int, int, int]) -> tuple[float, float, float]:
@@ -66,41 +66,41 @@ def describe(name: str) -> str:
     return "-".join(_LETTERS[letter] for letter in name)
 
 
-def to_memory_axes(splats: Splats, frame: Frame) -> Splats:
-    """Rows as a reader gave them -> as they are when the file's numbers are in `frame`, whatever the reader thought.
+def to_memory_axes(splats: Splats, axes: Axes) -> Splats:
+    """Rows as a reader gave them -> as they are when the file's numbers are in `axes`, whatever the reader thought.
 
     Signs only; `source` follows, so that `to_file_axes` gives back every bit. Nothing happens for "auto".
     """
     source = splats.source
-    if frame == "auto" or source is None:
+    if axes == "auto" or source is None:
         return splats
-    flips = _between(source.frame, frame)
+    flips = _between(source.axes, axes)
     if flips != NO_FLIP:
         splats = flip(splats, flips)
     rows = replace(splats, source=None, origin=None)
-    return replace(splats, source=replace(source, splats=rows, frame=frame, frame_from="choice", flips=flips))
+    return replace(splats, source=replace(source, splats=rows, axes=axes, axes_from="choice", flips=flips))
 
 
-def to_file_axes(splats: Splats, format: str, frame: Frame, natural: str) -> Splats:
-    """The inverse of `to_memory_axes`, for the writer of `format`, whose numbers are by default in frame `natural`.
+def to_file_axes(splats: Splats, format: str, axes: Axes, natural: str) -> Splats:
+    """The inverse of `to_memory_axes`, for the writer of `format`, whose numbers are by default in axes `natural`.
 
-    frame: what the file's numbers are to be in; "auto": what the source's were if it is of that format, else `natural`.
+    axes: of the file's numbers; "auto": what the source's were if it is of that format, else `natural`.
     """
     source = splats.source
     before = source if source is not None and source.format == format else None
     plain = natural if before is None else _before(before)
-    flips = before.flips if before is not None and frame == "auto" else NO_FLIP
-    if frame != "auto":
-        flips = _between(plain, frame)
+    flips = before.flips if before is not None and axes == "auto" else NO_FLIP
+    if axes != "auto":
+        flips = _between(plain, axes)
     if before is not None and before.flips != NO_FLIP:
         rows = flip(before.splats, before.flips)
-        splats = replace(splats, source=replace(before, splats=rows, frame=plain, flips=NO_FLIP))
+        splats = replace(splats, source=replace(before, splats=rows, axes=plain, flips=NO_FLIP))
     return splats if flips == NO_FLIP else flip(splats, flips)
 
 
 def _before(source: Source) -> str:
-    """The frame that the reader took the file's numbers to be in, before one was chosen."""
-    signs = tuple(a * b for a, b in zip(AXES[source.frame], source.flips, strict=True))
+    """The axes that the reader took the file's numbers to be in, before some were chosen."""
+    signs = tuple(a * b for a, b in zip(AXES[source.axes], source.flips, strict=True))
     return next(name for name, axes in AXES.items() if axes == signs)
 
 

@@ -199,13 +199,13 @@ def _splat(record: Any) -> Contents:
 
 
 def _spz(file: Any) -> Contents:
-    """The frame in which the rows were read is a setting; the extension that says it is no other difference."""
+    """The axes in which the rows were read is a setting; the extension that says it is no other difference."""
     tables = []
     for name, words in file.streams.items():
         fields = tuple((f"{name} byte {k}", "u1") for k in range(words.shape[1]))
         tables.append(StoredTable(words, fields, frozenset(n for n, _ in fields)))
     settings = {"version": file.version, "fractional bits": file.fractional_bits, "flags": file.flags & ~spz.EXTENDED}
-    settings["axes"] = spz.NAMES[file.frame - 1]
+    settings["axes"] = spz.NAMES[file.axes - 1]
     settings["reserved bytes"] = bytes(file.reserved)
     blocks = {"extensions": spz.other_extensions(file), "trailing bytes": bytes(file.tail)}
     return Contents(tuple(tables), settings, blocks, unseen="how the streams are packed (gzip or zstd)")

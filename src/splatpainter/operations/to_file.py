@@ -34,7 +34,7 @@ from splatpainter.output_paths import check_target, placed, splat_format
 from splatpainter.painter import Asset
 from splatpainter.receipts import Receipt, Verification, prove, read_receipt, receipt_of
 from splatpainter.scene.merge import carried
-from splatpainter.splats import Frame, Splats
+from splatpainter.splats import Axes, Splats
 from splatpainter.system.atomic import clash
 
 MODE_OF_SEVERAL, MAX_NOTE = "operations", 2000
@@ -45,9 +45,9 @@ MODE_OF_SEVERAL, MAX_NOTE = "operations", 2000
 class FileOptions:
     """How an asset is read and written."""
 
-    frame: Frame = "auto"
+    in_axes: Axes = "auto"
     """Axes of the numbers in the file that is read."""
-    axes: Frame = "auto"
+    axes: Axes = "auto"
     """Axes of the numbers in the file that is written."""
     lenient: bool = False
     """Also open a file that was cut off after its last complete row."""
@@ -152,7 +152,7 @@ def apply_to_asset(
     ready = [operation.ready(replace(tools, wording=wording(operation))) for operation in operations]
     stage("reading")
     clock = time.perf_counter()
-    splats = read(asset, frame=options.frame, lenient=options.lenient)
+    splats = read(asset, axes=options.in_axes, lenient=options.lenient)
     read_seconds = time.perf_counter() - clock
     doubtful = doubts_of(splats)
     for line in doubtful:
@@ -238,7 +238,7 @@ def write_proved(
     edited: Asset,
     out: Path,
     receipt_path: Path,
-    axes: Frame = "auto",
+    axes: Axes = "auto",
     stage: Callable[[str], None] = lambda name: None,
     read_seconds: float = 0.0,
 ) -> tuple[Receipt, Verification]:
@@ -249,7 +249,7 @@ def write_proved(
     # Left in reverse order: OUT takes its name first, the receipt, which is on disk by then, after it.
     with files.writing(receipt_path) as file, placed(out) as partial:
         stage("writing")
-        write(partial, edited.splats, frame=axes)
+        write(partial, edited.splats, axes=axes)
         written = time.perf_counter()
         stage("verifying")
         receipt, verification = prove(original, partial, edited.receipt, axes, edited.splats)
@@ -285,6 +285,6 @@ def proved_record(out: Path, receipt_path: Path, receipt: Receipt, verification:
         "verified": verification.ok,
         "same_rows": verification.same,
         "compared": verification.exact,
-        "frame": verification.frame,
+        "frame": verification.axes,
         "receipt": json.loads(receipt.to_json()),
     }

@@ -15,7 +15,7 @@ from splatpainter import cameras
 from splatpainter.cameras import FRAME_MARGIN, UPS, bounding_sphere
 from splatpainter.color import to_display
 from splatpainter.doubts import doubts
-from splatpainter.io import FORMATS, frame_is_open, frame_line
+from splatpainter.io import FORMATS, axes_are_open, axes_line
 from splatpainter.server import protocol
 from splatpainter.server.fine_detail import has_fine_detail
 from splatpainter.session import Layer, Session
@@ -85,8 +85,8 @@ def asset_info(session: Session, name: str) -> protocol.AssetInfo:
         radius=radius,
         up=list(up),
         home=protocol.CameraInfo.of(view),
-        frame="" if source is None else frame_line(source, hint=False),
-        frame_stated=source is None or not frame_is_open(source),
+        axes="" if source is None else axes_line(source, hint=False),
+        axes_stated=source is None or not axes_are_open(source),
         problems=[] if source is None else list(source.problems),
         doubts=[doubt.line for doubt in doubts(original)],
         fine_detail=has_fine_detail(original, view),

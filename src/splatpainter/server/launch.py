@@ -18,7 +18,8 @@ from splatpainter.server.security import Access
 from splatpainter.server.studio import Studio, StudioOptions
 from splatpainter.server.uploads.storage import PROJECT, Projects, demo, usable_projects
 from splatpainter.session import Session
-from splatpainter.splats import Frame, Splats
+from splatpainter.splats import Axes, Splats
+from splatpainter.system.old_names import formerly
 from splatpainter.system.user_folders import projects_folder
 
 DEFAULT_PORT = 8750
@@ -27,16 +28,16 @@ PORT_TRIES = 20
 
 
 def open_session(
-    asset: Splats | str | Path | None, projects: Path | None = None, frame: Frame = "auto"
+    asset: Splats | str | Path | None, projects: Path | None = None, axes: Axes = "auto"
 ) -> tuple[Session, str]:
     """(a session, its name) of an asset, a splat file, a project, or (None) the demo asset; the project of a new one
-    lies in `projects` (None: the user's data folder). frame: of a splat file, as in io.read.
+    lies in `projects` (None: the user's data folder). axes: of a splat file, as in io.read.
     Raises ValueError for what cannot be read."""
     # A project brings its layers and stays where it is; anything else gets a new project of its own.
     if isinstance(asset, str | Path) and Path(asset).suffix.lower() == PROJECT:
         return Session.load(asset), Path(asset).stem
     name = "demo" if asset is None else "asset" if isinstance(asset, Splats) else Path(asset).absolute().name
-    splats = demo() if asset is None else asset if isinstance(asset, Splats) else read(asset, frame=frame)
+    splats = demo() if asset is None else asset if isinstance(asset, Splats) else read(asset, axes=axes)
     return Session(splats, Projects(projects or projects_folder()).fresh(name)), name
 
 
@@ -129,6 +130,7 @@ class Running:
         return f"studio at {self.url}"
 
 
+@formerly(axes="frame")
 def studio(
     asset: Splats | str | Path | None = None,
     *,
@@ -136,19 +138,19 @@ def studio(
     folder: str | Path | None = None,
     projects: str | Path | None = None,
     browser: bool = False,
-    frame: Frame = "auto",
+    axes: Axes = "auto",
 ) -> Running:
     """Start the studio on 127.0.0.1 in the background, from a notebook or a script: `s = sp.studio("vase.ply"); s.url`.
 
     asset: splats, a splat file, a project, or None: the demo asset. folder: what clients may open and save; watched for
-    pictures. frame: of a splat file, as in io.read. Raises ValueError as `open_session` and `listen`."""
+    pictures. axes: of a splat file, as in io.read. Raises ValueError as `open_session` and `listen`."""
     access = Access.of("127.0.0.1")
     # The port is taken before the asset is read: a long read that ends without a port would be for nothing.
     bound = listen(access.host, port)
     session = None
     try:
         projects_path, note = usable_projects(None if projects is None else Path(projects))
-        session, name = open_session(asset, projects_path, frame)
+        session, name = open_session(asset, projects_path, axes)
         options = StudioOptions(None if folder is None else Path(folder), projects_path, note=note)
         opened = Studio(session, name, options)
     except BaseException:

@@ -105,9 +105,9 @@ class AssetInfo(Message):
     """Unit vector, world axes, that is up on the screen."""
     home: CameraInfo
     """A good first view; keep its field of view and change its size to that of the window."""
-    frame: str
+    axes: str
     """Which way the numbers in the file point, and who says so; "" without a file."""
-    frame_stated: bool
+    axes_stated: bool
     """False: files of this format differ in it and this one does not say, so it may be upside down (`asset.up`)."""
     problems: list[str]
     """What the reader found odd, one line each."""

@@ -39,7 +39,8 @@ from splatpainter.session.replay.delta import AssetDelta, without_source
 from splatpainter.session.replay.layer_blending import AdjustmentFunction
 from splatpainter.session.replay.layer_state import Progress
 from splatpainter.session.replay.snapshot import Snapshot
-from splatpainter.splats import Frame, Splats
+from splatpainter.splats import Axes, Splats
+from splatpainter.system.old_names import formerly
 
 
 class Session:
@@ -64,6 +65,7 @@ class Session:
     files: SessionFileCommands
     """Exports, receipts, layer files, the project under another name."""
 
+    @formerly(axes="frame")
     def __init__(
         self,
         asset: Splats | str | Path,
@@ -73,21 +75,21 @@ class Session:
         adjustments: Mapping[str, AdjustmentFunction] | None = None,
         embed: bool = True,
         overwrite: bool = False,
-        frame: Frame = "auto",
+        axes: Axes = "auto",
     ) -> None:
         """asset: a splat file, its Gaussians as read, those of any origin, or a project file (then as `load`).
 
         project: the project file to make; None: a temporary one, which `save_as` moves to a name and `close` deletes.
         painter: default Painter.load(). adjustments: functions of adjustment layers by name, besides
         layer_blending.ADJUSTMENTS. embed: the project holds the original's bytes; False: only its path and
-        hash. frame: of a splat file, as in io.read. Raises ValueError for what cannot be read, an asset of
+        hash. axes: of a splat file, as in io.read. Raises ValueError for what cannot be read, an asset of
         which nothing can be drawn, and a project that exists (unless overwrite)."""
         if not isinstance(asset, Splats) and Path(asset).suffix.lower() == SUFFIX:
             if project is not None:
                 raise ValueError(f"{asset}: is a project already; open it alone, then save_as")
             self._set_parts(SessionCore(Project.open(Path(asset)), painter, adjustments, ANY_FILE))
             return
-        splats = asset if isinstance(asset, Splats) else read(asset, frame=frame)
+        splats = asset if isinstance(asset, Splats) else read(asset, axes=axes)
         splats = asset_files.numbered(splats.numpy())
         if not splats.drawable.any():
             reasons = "NaN, zero scale or zero quaternion"

@@ -10,6 +10,7 @@ numbers, truth values, null and anchors; `1e-3` is a number, `1:30` is text, and
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -42,8 +43,9 @@ class Lines:
         return f"{self.file}:{self.of[path]}" if path in self.of else str(self.file)
 
 
-def read(kind: type[_Dataclass], path: Path) -> tuple[_Dataclass, Lines]:
-    """The dataclass `kind` from a YAML file, defaults for what it leaves out, and its lines.
+def read(kind: type[_Dataclass], path: Path, aliases: Mapping[str, str] | None = None) -> tuple[_Dataclass, Lines]:
+    """The dataclass `kind` from a YAML file, defaults for what it leaves out, and its lines. aliases: as of
+    `jsonio.build`.
 
     Raises ValueError naming file and line: unreadable, no YAML, unknown or missing keys, values of another kind; and
     without PyYAML what to install."""
@@ -53,7 +55,9 @@ def read(kind: type[_Dataclass], path: Path) -> tuple[_Dataclass, Lines]:
     except ValueError as error:
         raise ValueError(f"{error}{_comment_hint(path)}") from None
     try:
-        return jsonio.build(kind, values, path, what="a mapping of keys and values", defaults=True), lines
+        return jsonio.build(
+            kind, values, path, what="a mapping of keys and values", defaults=True, aliases=aliases
+        ), lines
     except jsonio.FieldError as error:
         raise ValueError(f"{lines.at(error.path)}: {error.reason}{_comment_hint(path)}") from None
 

@@ -1,6 +1,6 @@
 """Textured triangle meshes: the frozen types, reading GLB/glTF/OBJ through trimesh, and repair of what files get wrong.
 
-World frame as glTF has it: y up. Knows no splats, no light.
+World axes as glTF has them: y up. Knows no splats, no light.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from splattrain.data.meshes import Mesh
 
 @dataclass(frozen=True)
 class Surfels:
-    """N flat Gaussians, torch float32 on one device, world frame y up. All fields have length N: see `take`."""
+    """N flat Gaussians, torch float32 on one device, world axes y up. All fields have length N: see `take`."""
 
     means: Any
     """[N, 3] centres, world units."""

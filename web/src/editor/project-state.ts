@@ -71,10 +71,10 @@ function showAsset(editor: Shown, before: State | null, { asset, session }: Stat
   document.title = `${asset.name} – SplatPainter`;
   if (!stays) resetView(editor, asset);
   for (const doubt of asset.doubts) toast("warning", `${asset.name}: ${doubt}`);
-  if (!asset.frame_stated)
+  if (!asset.axes_stated)
     toast(
       "info",
-      `${asset.name} does not say which way is up: opened as ${asset.frame.split(",")[0]}.`,
+      `${asset.name} does not say which way is up: opened as ${asset.axes.split(",")[0]}.`,
       "Upside down? The arrows at the top turn it over; the project remembers it.",
     );
 }

@@ -98,7 +98,7 @@ export function Views() {
           onChange={(up) => void run("asset.up", { up }, "Turn")}
         />
       </p>
-      <p class="quiet">{now.asset.frame && `The file's axes: ${now.asset.frame}.`}</p>
+      <p class="quiet">{now.asset.axes && `The file's axes: ${now.asset.axes}.`}</p>
       <h3>Coverage</h3>
       <p class="row">
         <Button

@@ -26,7 +26,7 @@ from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.color import to_display
 from splatpainter.commands.parts.terminal import complain, warn
 from splatpainter.image_files import to_uint8
-from splatpainter.io import FORMATS, files, format_of_name, frame_of, read
+from splatpainter.io import FORMATS, chosen_axes, files, format_of_name, read
 from splatpainter.io.formats.sog_container import META
 from splatpainter.operations.generate import Generate
 from splatpainter.operations.operation import Operation, Report, Tools
@@ -38,7 +38,7 @@ from splatpainter.rendering import render
 from splatpainter.session import Session
 from splatpainter.session.project.asset_files import receipt_between
 from splatpainter.session.project.lock import ProjectLock
-from splatpainter.splats import Frame, Splats
+from splatpainter.splats import Axes, Splats
 from splatpainter.system.atomic import replace as replace_file
 from splatpainter.system.atomic import sync_folder, write_text
 
@@ -117,22 +117,22 @@ def run_job(job: Job, run: str) -> dict[str, Any]:
     job.folder.mkdir(parents=True, exist_ok=True)
     _clear(job, hashes)
     # Each step reads the file of the one before: a killed batch goes on at the first step that is not proved.
-    asset, frame = job.asset, job.frame
+    asset, axes = job.asset, job.axes
     for k, (step, digest) in enumerate(zip(job.steps, hashes, strict=True)):
         target = _step_file(job, k)
         if not _step_done(job, k, digest):
             if k < job.common:
-                _copy(make_common(job, k, digest, asset, frame, run), target)
+                _copy(make_common(job, k, digest, asset, axes, run), target)
             else:
-                run_step(step, asset, target, frame)
+                run_step(step, asset, target, axes)
             write_text(job.folder / f"step-{k}.done", digest)
         # Numbers of one format keep their axes from file to file; another format has its own.
-        frame = frame if format_of_name(target) == format_of_name(asset) else "auto"
+        axes = axes if format_of_name(target) == format_of_name(asset) else "auto"
         asset = target
-    original = read(job.asset, frame=job.frame)
+    original = read(job.asset, axes=job.axes)
     # One receipt from the user's file to the result, whatever lay between.
     receipt = _receipt(job, original, asset)
-    _previews(job, original, read(asset, frame=frame))
+    _previews(job, original, read(asset, axes=axes))
     record = {
         **facts(job),
         "status": "done",
@@ -154,19 +154,19 @@ def run_job(job: Job, run: str) -> dict[str, Any]:
     return {**record, "resumed": False}
 
 
-def run_step(step: JobStep, asset: Path, target: Path, frame: Frame) -> None:
+def run_step(step: JobStep, asset: Path, target: Path, axes: Axes) -> None:
     """One edit, from file to file with a receipt beside it."""
     # Layers are replayed by a session; all other steps are operations on files.
     if isinstance(step.step, LayersEdit):
-        replay_layers(step.step, asset, target, frame)
+        replay_layers(step.step, asset, target, axes)
         return
     # A step may be left over from a run that was killed, so its file is replaced.
-    options = FileOptions(frame=frame, overwrite=True)
+    options = FileOptions(in_axes=axes, overwrite=True)
     tools, report = Tools(aside=True), Report(warn)
     apply_to_file(asset, [step.step], target, options, tools=tools, report=report, complain=complain)
 
 
-def make_common(job: Job, k: int, digest: str, asset: Path, frame: Frame, run: str) -> Path:
+def make_common(job: Job, k: int, digest: str, asset: Path, axes: Axes, run: str) -> Path:
     """The file of a step that variants have in common, with its receipt; made by whoever comes first. Errors as of
     `run_step`; what failed in this run fails for all variants, and no source is asked again."""
     target = common_file(job, k, digest)
@@ -183,7 +183,7 @@ def make_common(job: Job, k: int, digest: str, asset: Path, frame: Frame, run: s
         # Another worker may have made it while this one waited.
         if not is_proved(target):
             try:
-                run_step(job.steps[k], asset, target, frame)
+                run_step(job.steps[k], asset, target, axes)
             except ValueError as error:
                 write_text(failed, str(error))
                 raise
@@ -220,7 +220,7 @@ def calls_of(job: Job, counted: set[Path]) -> list[dict[str, Any]]:
         if isinstance(operation, Generate):
             operation.check(IN_FILES)
             task = operation.task(Tools(asset=job.asset))
-            out.append(task.planned(read(job.asset, frame=job.frame).numpy())[0])
+            out.append(task.planned(read(job.asset, axes=job.axes).numpy())[0])
         elif isinstance(operation, PictureSourceOptions) and operation.source:
             calls, paid = operation.calls(), operation.opened_source(Tools()).capabilities.paid
             out.append({"source": operation.source, "calls": calls, "paid": paid})
@@ -230,7 +230,7 @@ def calls_of(job: Job, counted: set[Path]) -> list[dict[str, Any]]:
     return out
 
 
-def replay_layers(step: LayersEdit, asset: Path, target: Path, frame: Frame) -> None:
+def replay_layers(step: LayersEdit, asset: Path, target: Path, axes: Axes) -> None:
     """A project's visible layers on another asset, from the same cameras, with the winners that it names where layers
     disagree. Raises ValueError: no such layers, one that cannot be applied to this asset."""
     # Read only: the project may be open in the studio.
@@ -243,12 +243,12 @@ def replay_layers(step: LayersEdit, asset: Path, target: Path, frame: Frame) -> 
         if missing or not chosen:
             raise ValueError(f"{step.project}: expected visible layers, got none called {', '.join(missing) or 'so'}")
         # The project's own asset: its layers' results are stored, nothing has to be painted anew.
-        if not step.only and _is_original(source.scene.original_of(asset_id), asset, frame):
+        if not step.only and _is_original(source.scene.original_of(asset_id), asset, axes):
             # What the layers make of it is in the project.
             source.files.export(target, overwrite=True, asset=asset_id if len(source.scene.assets) > 1 else None)
             return
         # On another asset the layers are painted anew, by their own pictures and cameras.
-        with Session(asset, frame=frame) as session:
+        with Session(asset, axes=axes) as session:
             ids: dict[str, str] = {}
             for k, layer in enumerate(chosen):
                 path = Path(folder) / f"{k}.splatlayer"
@@ -278,7 +278,7 @@ def _asset_of(source: Session, step: LayersEdit) -> str:
     raise ValueError(f"{step.project}: expected asset to be one of {names}, got {step.asset!r:.80}")
 
 
-def _is_original(original: Splats, asset: Path, frame: Frame) -> bool:
+def _is_original(original: Splats, asset: Path, axes: Axes) -> bool:
     """Whether a project's original is this very file, read alike."""
     # Folders of several files have no hash of one file to compare.
     single = not asset.is_dir() and asset.name.lower() != META
@@ -286,9 +286,9 @@ def _is_original(original: Splats, asset: Path, frame: Frame) -> bool:
         return False
     # Only SPZ leaves its axes open in a way that projects settle.
     if original.source is None or original.source.format != "spz":
-        return frame_of(original) == frame
-    source = read(asset, frame=frame).source  # projects name the axes that an SPZ file leaves open
-    return source is not None and source.frame == original.source.frame
+        return chosen_axes(original) == axes
+    source = read(asset, axes=axes).source  # projects name the axes that an SPZ file leaves open
+    return source is not None and source.axes == original.source.axes
 
 
 def _receipt(job: Job, original: Splats, last: Path) -> Receipt:
@@ -300,7 +300,7 @@ def _receipt(job: Job, original: Splats, last: Path) -> Receipt:
     receipts = [read_receipt(receipt_of(_step_file(job, k))) for k in range(len(job.steps))]
     # Numbers of one format keep their axes from file to file; another format has its own.
     same = format_of_name(last) == format_of_name(job.asset)
-    edited = read(last, frame=job.frame if same else "auto")
+    edited = read(last, axes=job.axes if same else "auto")
     notes = [f"{step.kind}: {receipt.note}" for step, receipt in zip(job.steps, receipts, strict=True) if receipt.note]
     # Proved anew and not summed up: a later edit may have put back what an earlier one changed.
     total = receipt_between(original, edited, receipts[-1].preset, f"{len(receipts)} edits; {'; '.join(notes)}"[:2000])
@@ -308,7 +308,7 @@ def _receipt(job: Job, original: Splats, last: Path) -> Receipt:
     seconds = {f"edit {k + 1}": sum(receipt.seconds.values()) for k, receipt in enumerate(receipts)}
     views = tuple(view for receipt in receipts for view in receipt.views)
     total = replace(total, mode="batch", method="edits", views=views, seconds=seconds)
-    return prove(original, last, total, job.frame if same else "auto")[0]
+    return prove(original, last, total, job.axes if same else "auto")[0]
 
 
 def _step_file(job: Job, k: int) -> Path:

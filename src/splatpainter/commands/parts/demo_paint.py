@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 RED = (196, 44, 38)
 TEAL = (14, 124, 122)
 STICKER_POSITION = (-0.02, 0.45, 0.80)
-"""Where the sticker lies: on the board's top, in front of the pot (frame of demo.py: y down)."""
+"""Where the sticker lies: on the board's top, in front of the pot (axes of demo.py: y down)."""
 SUPERSAMPLING = 4
 """Drawn this much larger, then averaged down: Pillow's own shapes have hard edges."""
 STICKER = 768

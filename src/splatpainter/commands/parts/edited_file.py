@@ -12,7 +12,7 @@ from tyro.conf import arg
 
 import splatpainter.session  # noqa: F401 - whose files regions and looks may name
 from splatpainter.commands import Outcome
-from splatpainter.commands.parts.option_parsing import AssetFile, AxesOption, FrameOption, OutFile, option_name
+from splatpainter.commands.parts.option_parsing import AssetFile, AxesOption, InAxesOption, OutFile, option_name
 from splatpainter.commands.parts.terminal import SourceBar, complain, count, decibels, seconds, stages, warn
 from splatpainter.operations.operation import Operation, Report, ReportedView, Tools, Wording, check_operations
 
@@ -37,7 +37,7 @@ class AssetArguments:
 class FileArguments:
     """How the files are read and written."""
 
-    frame: FrameOption = "auto"
+    in_axes: InAxesOption = "auto"
     """Axes of ASSET's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
     axes: AxesOption = "auto"
     """Axes of OUT's numbers; auto: those of ASSET if both are of one format, else what OUT's format has."""
@@ -77,7 +77,7 @@ def run_operations(config: Any, operations: Sequence[Operation], wording: Worder
     # Imported after the options were checked: most mistakes need not wait for it.
     from splatpainter.operations.to_file import FileOptions, apply_to_file  # which a refusal need not load
 
-    options = FileOptions(config.frame, config.axes, config.lenient, config.receipt, config.overwrite)
+    options = FileOptions(config.in_axes, config.axes, config.lenient, config.receipt, config.overwrite)
     # Reading, writing and verifying, and one stage for each operation.
     with stages(3 + len(operations)) as bar:
         done = apply_to_file(
@@ -103,12 +103,12 @@ def plan_operations(config: Any, operations: Sequence[Operation], wording: Worde
     from splatpainter.operations.paint import Paint
     from splatpainter.operations.to_file import FileOptions, apply_to_asset, check_to_file
 
-    options = FileOptions(config.frame, config.axes, config.lenient, config.receipt, config.overwrite)
+    options = FileOptions(config.in_axes, config.axes, config.lenient, config.receipt, config.overwrite)
     check_to_file(config.asset, operations, config.out, options, wording)
     asking = [operation for operation in operations if isinstance(operation, Generate)]
     if asking:
         tasks = [operation.task(Tools(asset=config.asset)) for operation in asking]
-        splats = read(config.asset, frame=config.frame, lenient=config.lenient).numpy()
+        splats = read(config.asset, axes=config.in_axes, lenient=config.lenient).numpy()
         records, lines = zip(*(task.planned(splats) for task in tasks), strict=True)
         record = records[0] if len(records) == 1 else {"sources": list(records)}
         return Outcome(record, [line for part in lines for line in part])
@@ -154,7 +154,7 @@ def _lines(config: Any, done: EditedFile) -> list[str]:
     rounded = len(receipt.touched) - len(done.applied.touched)
     lines = [f"{config.asset} -> {config.out}"]
     lines += [f"{view.name}: {note}" for view in views for note in view.notes]
-    lines += [f"frame: {verification.frame}"] if verification.frame_is_news else []
+    lines += [f"axes: {verification.axes}"] if verification.axes_are_news else []
     if len(done.steps) == 1:
         lines += receipt_lines(receipt, views, rounded)
     else:

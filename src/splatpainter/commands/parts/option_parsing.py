@@ -18,16 +18,16 @@ import tyro
 from tyro.conf import Positional, arg
 
 from splatpainter.operations.operation import option_texts
-from splatpainter.splats import Frame
+from splatpainter.splats import Axes
 
-OLD_AXES_OPTION = "--out-frame"
-"""What --axes was called; scripts may still say it."""
+OLD_OPTIONS = {"--axes": "--out-frame", "--in-axes": "--frame"}
+"""What options were called; scripts may still say it."""
 AssetFile: TypeAlias = Annotated[Positional[Path], arg(metavar="ASSET")]
 OutFile: TypeAlias = Annotated[Path, arg(metavar="OUT")]
 CameraFiles: TypeAlias = Annotated[tuple[Path, ...], arg(metavar="CAM.json[:N] ...", help_behavior_hint="")]
-FrameOption: TypeAlias = Annotated[Frame, arg(metavar="auto|rub|rdf")]
+InAxesOption: TypeAlias = Annotated[Axes, arg(metavar="auto|rub|rdf", aliases=(OLD_OPTIONS["--in-axes"],))]
 """Which way the numbers of a file point: rub is right-up-back (y up), rdf right-down-front (y down)."""
-AxesOption: TypeAlias = Annotated[Frame, arg(metavar="auto|rub|rdf", aliases=(OLD_AXES_OPTION,))]
+AxesOption: TypeAlias = Annotated[Axes, arg(metavar="auto|rub|rdf", aliases=(OLD_OPTIONS["--axes"],))]
 """The same of a file that is written."""
 UNWRAPPED_COLUMNS = "4000"
 """Columns: tyro breaks no line where they are joined again."""
@@ -105,7 +105,9 @@ def _refuse_repeats_and_typos(kind: type, program: str, words: Sequence[str]) ->
     options = [word.split("=", 1)[0].replace("_", "-") for word in words if word.startswith("--") and len(word) > 2]
     names = [option_name(field) for field in dataclasses.fields(kind)]
     valid_options = {f"{dashes}{name}" for name in ["help", *names] for dashes in ("--", "--no-")}
-    valid_options |= {OLD_AXES_OPTION} if "axes" in names else set()
+    present = {old: option for option, old in OLD_OPTIONS.items() if option in valid_options}
+    valid_options |= set(present)
+    options = [present.get(option, option) for option in options]
     for option in options:
         if option not in valid_options and "." not in option:
             near = difflib.get_close_matches(option, sorted(valid_options), 1)

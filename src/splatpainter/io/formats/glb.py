@@ -10,8 +10,8 @@
 Extension object: kernel "ellipse", colorSpace "srgb_rec709_display" or "lin_rec709_display"; the standard has no word
 for antialiased training, so `extras.antialiased` there is ours.
 
-Frame: glTF is y up. Rows in memory are in the PLY frame, half a turn about z away (x and y reversed), which is how
-splat-transform writes it; so PLY -> GLB -> PLY gives back the frame. The transform of the node that shows the mesh is
+Axes: glTF is y up. Rows in memory have the PLY's, half a turn about z away (x and y reversed), which is how
+splat-transform writes it; so PLY -> GLB -> PLY gives back the axes. The transform of the node that shows the mesh is
 applied when it is a rotation, uniform scale and translation. A translation that float32 positions could not follow
 becomes the offset of the rows (Splats.offset), and the offset the translation of a new file's node. Reading is lenient:
 attribute names without the prefix, or with `_`, and COLOR_0 in place of OPACITY and SH degree 0 are accepted.
@@ -68,7 +68,7 @@ class GaussianPrimitive:
     names: dict[str, str]
     """ROTATION, SCALE, ... -> the attribute name the file uses."""
     turn: np.ndarray
-    """[3, 3] rotation from the PLY frame to the primitive's own; `scale` and `shift` [3] go with it (axes.move)."""
+    """[3, 3] rotation from the PLY's axes to the primitive's own; `scale` and `shift` [3] go with it (axes.move)."""
     scale: float
     shift: np.ndarray
     first: int = 0
@@ -174,7 +174,7 @@ class Bound:
 def read_local(
     glb: gltf.Glb, one: GaussianPrimitive, path: Path, problems: list[str], bound: Bound | None = None
 ) -> Splats:
-    """The rows in the primitive's own frame, bit for bit what the file says (integers as float32). bound: of rows that
+    """The rows in the primitive's own axes, bit for bit what the file says (integers as float32). bound: of rows that
     were not read before."""
     # What the extension says of all rows.
     primitive = glb.doc["meshes"][one.mesh]["primitives"][one.index]
@@ -294,7 +294,7 @@ def _check_primitive(primitive: dict[str, Any], path: Path, problems: list[str])
 def _placement(
     doc: dict[str, Any], mesh: int, parents: gltf.Parents, path: Path, problems: list[str]
 ) -> tuple[np.ndarray, float, np.ndarray]:
-    """Rotation, scale and shift from the PLY frame to the mesh's own, by the node that shows it."""
+    """Rotation, scale and shift from the PLY's axes to the mesh's own, by the node that shows it."""
     # Rows are opened where the first node puts them, and written back the way they came.
     showing = parents.showing.get(mesh, [])
     nothing = HALF_TURN, 1.0, np.zeros(3)
@@ -322,8 +322,8 @@ def _placement(
 
 
 def _offset(glb: gltf.Glb, one: GaussianPrimitive, path: Path, bound: Bound, log_scales: bool) -> positions.Offset:
-    """Where a node puts the zero of its mesh, if float32 is too coarse there for the primitive's Gaussians, in the PLY
-    frame; else no offset."""
+    """Where a node puts the zero of its mesh, if float32 is too coarse there for the primitive's Gaussians, in the axes
+    of PLY files; else no offset."""
     origin = -(one.turn.T @ one.shift) / one.scale
     if not origin.any():
         return positions.NO_OFFSET
@@ -361,7 +361,7 @@ def write_glb(path: Path, splats: Splats) -> None:
 
 
 def _fresh(splats: Splats) -> gltf.Glb:
-    """A file with nothing but the rows, in glTF's frame, with the fallback colours the standard asks for."""
+    """A file with nothing but the rows, in glTF's axes, with the fallback colours the standard asks for."""
     # The standard allows no NaN and asks for unit quaternions.
     local = _unit(axes.move(drawable_rows(splats, row_by_row=True), HALF_TURN))
     local = replace(local, scales=np.maximum(local.scales, 0))
@@ -451,7 +451,7 @@ def _part_of(same: Unchanged, mask: np.ndarray, one: GaussianPrimitive) -> Uncha
 def _edit_primitive(
     work: _Work, one: GaussianPrimitive, rows: Splats, same: Unchanged, log_scales: bool = False
 ) -> None:
-    """The primitive with `rows` (PLY frame) as its rows. log_scales: the file holds logarithms as SCALE."""
+    """The primitive with `rows` (PLY's axes) as its rows. log_scales: the file holds logarithms as SCALE."""
     # In the primitive's own axes and place, where unchanged values have the file's own bits.
     before = read_local(work.source, one, work.path, [])
     local = _unit(axes.move(rows, one.turn, one.scale, one.shift))

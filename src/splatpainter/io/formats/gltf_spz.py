@@ -27,7 +27,7 @@ NESTED = ("KHR_gaussian_splatting_compression_spz_2", "KHR_gaussian_splatting_co
 BESIDE = ("KHR_spz_gaussian_splats_compression",)
 """Names beside it, in the primitive's extensions."""
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])
-"""About z: between the PLY frame and left-up-front."""
+"""About z: between the PLY's axes and left-up-front."""
 
 
 def _holder(primitive: dict[str, Any]) -> tuple[dict[str, Any], str] | None:
@@ -45,7 +45,7 @@ def is_packed(primitive: dict[str, Any]) -> bool:
 
 
 def unpack(glb: gltf.Glb, primitive: dict[str, Any], path: Path, problems: list[str]) -> Splats:
-    """The rows in the primitive's own frame. Raises ValueError: no such stream, a damaged one, a wrong count."""
+    """The rows in the primitive's own axes. Raises ValueError: no such stream, a damaged one, a wrong count."""
     parent, name = _holder(primitive) or ({}, "")
     stream = parent.get(name)
     index = stream.get("bufferView") if isinstance(stream, dict) else None

@@ -9,7 +9,7 @@
     shN_labels         R + 256 G: entry of the palette of SH bands 1 to meta.shN.bands
     shN_centroids      the palette, 64 entries a line, one pixel per coefficient, R G B: entries of a third codebook
 
-Rows run left to right, top to bottom; pixels beyond meta.count mean nothing. The frame is that of PLY files.
+Rows run left to right, top to bottom; pixels beyond meta.count mean nothing. The axes are those of PLY files.
 Antialiased: `antialias` true or `model` "antialiased" in meta.json. Linear colours: our own note in `extras`.
 
 New assets: positions take the range of the rows; scales, sh0 and the palette get fitted codebooks; SH vectors get a

@@ -17,7 +17,7 @@ Axes: those of PLY files, as nearly every program writes and reads SPZ (docs/int
 names others or the caller does; the format's README says right-up-back. New files do not say it: a program that obeys
 the extension and turns SPZ files on top would turn them twice. Files of other axes are marked by the extension.
 
-Writing over a source of this format keeps its version, fractional bits, frame, extensions and trailing bytes, and the
+Writing over a source of this format keeps its version, fractional bits, axes, extensions and trailing bytes, and the
 packed words of every value that did not change; only changed values are quantised. An untouched asset is written back
 byte for byte. Other sources become version 3, which every current reader opens (4 holds the same words, better packed,
 but is newer), or version 4 for SH degree 4.
@@ -33,12 +33,13 @@ from pathlib import Path
 
 import numpy as np
 
-from splatpainter.io import axes, files
+from splatpainter.io import files
+from splatpainter.io.axes import describe, flip, move, move_back
 from splatpainter.io.bounded import BOUNDS, Gunzip, allow_rows, unzstd
 from splatpainter.io.formats import activations
 from splatpainter.io.formats.reuse import Unchanged, drawable_rows, row_problems, unchanged
 from splatpainter.kernels.parallel import each
-from splatpainter.splats import Frame, Source, Splats
+from splatpainter.splats import Axes, Source, Splats
 
 MAGIC = b"NGSP"
 STREAMS = ("positions", "alphas", "colors", "scales", "rotations", "sh")
@@ -56,7 +57,7 @@ CODES = {name: code for code, name in enumerate(NAMES, 1)}
 """Codes of COORDINATE_SYSTEM. Less 1, bits 0-2 say right, up, front; bit 3 says that y and z are exchanged."""
 RDF = CODES["rdf"]
 QUARTER_TURN = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], float)
-"""About x, (x, y, z) -> (x, z, -y): from the frames of bit 3 to the others."""
+"""About x, (x, y, z) -> (x, z, -y): from the axes of bit 3 to the others."""
 SH_BITS = (7, 7)
 """Precision of the SH bytes that we quantise. The reference keeps (5, 4); on a view-dependent asset that costs 6.0/255
 of colour (rms over directions), (7, 7) costs 0.75/255 and 26 % more file, (8, 8) 0.3/255 and 35 %."""
@@ -85,50 +86,50 @@ class SpzFile:
     """What follows the last stream or the gzip member."""
     data: bytes
     """The file."""
-    frame: int = RDF
-    """Code of the frame that the words are in."""
+    axes: int = RDF
+    """Code of the axes that the words are in."""
 
 
-def read_spz(path: Path, frame: Frame = "auto") -> Splats:
-    """Read any version. frame: of the file's words, whatever the file says; "auto": what it says, else as in PLY files.
+def read_spz(path: Path, axes: Axes = "auto") -> Splats:
+    """Read any version. axes: of the file's words, whatever the file says; "auto": what it says, else as in PLY files.
     Raises ValueError: truncated, damaged, unknown version, or a size that cannot be honest."""
     # The whole file, as its streams are packed and its hash is wanted anyway.
     data = files.read_all(path)
     file = _parse(data, path)
     problems: list[str] = []
     # Programs differ about the axes of SPZ: the file's own word comes first, and a choice before it is reported.
-    stated = _stated_frame(file, problems)
-    code = (stated or RDF) if frame == "auto" else CODES[frame]
+    stated = _stated_axes(file, problems)
+    code = (stated or RDF) if axes == "auto" else CODES[axes]
     if stated and stated != code:
-        problems.append(f"the file says {axes.describe(NAMES[stated - 1])}; read as {axes.describe(frame)}, as chosen")
-    file = replace(file, frame=code)
-    rows = _to_ply_frame(_decode(file), code)
+        problems.append(f"the file says {describe(NAMES[stated - 1])}; read as {describe(axes)}, as chosen")
+    file = replace(file, axes=code)
+    rows = _to_ply_axes(_decode(file), code)
     problems += row_problems(rows)
     source = Source(str(path), "spz", rows, files.sha256(data), file, tuple(problems), NAMES[code - 1])
-    source = replace(source, frame_from="choice" if frame != "auto" else "file" if stated else "format")
+    source = replace(source, axes_from="choice" if axes != "auto" else "file" if stated else "format")
     return replace(rows, source=source, origin=np.arange(len(rows)))
 
 
-def unpack_spz(data: bytes, path: Path, frame: str) -> Splats:
-    """Rows of an SPZ stream inside another file, in the PLY frame. frame: key of CODES, of words that do not say it."""
+def unpack_spz(data: bytes, path: Path, axes: str) -> Splats:
+    """Rows of an SPZ stream inside another file, in the PLY's axes. axes: key of CODES, of words that do not say it."""
     file = _parse(data, path)
-    return _to_ply_frame(_decode(file), _stated_frame(file, []) or CODES[frame])
+    return _to_ply_axes(_decode(file), _stated_axes(file, []) or CODES[axes])
 
 
 def write_spz(
     path: Path,
     splats: Splats,
     version: int | None = None,
-    frame: Frame = "auto",
+    axes: Axes = "auto",
     sh_bits: int | None = None,
     mark: bool | None = None,
 ) -> None:
     """Write `splats`. version: 2, 3 or 4; None keeps the source's, and is 3 for other formats (4 for SH degree 4).
-    frame: of the words in the file; "auto" keeps the source's, and is that of PLY files for other formats.
+    axes: of the words in the file; "auto" keeps the source's, and are those of PLY files for other formats.
     sh_bits: 4 to 8, precision of all SH bytes (4: band 1 has 5, as the reference writes); None: SH_BITS for those that
     changed, the file's own for the others.
-    mark: whether the file names its frame by the extension; None: as the source where its frame stays, and else where
-    the frame is not that of PLY files.
+    mark: whether the file names its axes by the extension; None: as the source where its axes stay, and else where
+    they are not those of PLY files.
 
     Raises ValueError: a position that 24 bits cannot hold, SH degree 4 below version 4, a version not writable, or no
     room for the mark.
@@ -138,10 +139,10 @@ def write_spz(
     same = unchanged(splats, "spz")
     old: SpzFile | None = splats.source.detail if same and splats.source else None
     before = (same, old) if same and old else None
-    code = CODES[frame] if frame != "auto" else old.frame if old else RDF
-    untouched = same is not None and same.identity and old is not None and code == old.frame and sh_bits is None
+    code = CODES[axes] if axes != "auto" else old.axes if old else RDF
+    untouched = same is not None and same.identity and old is not None and code == old.axes and sh_bits is None
     if mark is not None and old is not None:
-        untouched = untouched and mark == (_stated_frame(old, []) is not None)
+        untouched = untouched and mark == (_stated_axes(old, []) is not None)
     # The version stays as long as it can hold the asset.
     if version is None:
         version = old.version if old else 3
@@ -162,7 +163,7 @@ def write_spz(
         if mark and not room:
             raise ValueError(f"{path}: bytes behind its rows leave no room to mark its axes; write it unmarked")
         if mark is None:
-            stays = old is not None and code == old.frame and _stated_frame(old, []) is not None
+            stays = old is not None and code == old.axes and _stated_axes(old, []) is not None
             mark = bool(room) and (stays or code != RDF)
         file = _marked(file) if mark else _unmarked(file)
         out = _plain_bytes(file) if version >= 4 else _gzip_bytes(file)
@@ -246,7 +247,7 @@ def _parse_plain(data: bytes, path: Path) -> SpzFile:
 
 
 def _decode(file: SpzFile) -> Splats:
-    """Rows in the file's own frame."""
+    """Rows in the file's own axes."""
     streams, count = file.streams, len(file.streams["alphas"])
     unpack_quats = unpack_quats_first_three if file.version < 3 else unpack_quats_smallest_three
     out = Splats(
@@ -277,11 +278,11 @@ def _encode(
     splats: Splats, before: tuple[Unchanged, SpzFile] | None, version: int, code: int, path: Path, sh_bits: int | None
 ) -> SpzFile:
     old = before[1] if before else SpzFile(version, 0, 0, 0, b"", {}, b"", b"", b"", code)
-    rows = _from_ply_frame(drawable_rows(splats), code)
+    rows = _from_ply_axes(drawable_rows(splats), code)
     # Version 1 has no fixed point; 2 shares all words but the rotations with 3 and 4.
     keeps = {"positions": (old.version == 1) == (version == 1), "rotations": (old.version < 3) == (version < 3)}
     bits = old.fractional_bits if before and keeps["positions"] else _fractional_bits(rows)
-    turned = code != old.frame
+    turned = code != old.axes
     if turned:
         keeps = {"positions": False, "rotations": False, "sh": False}
     bits_of_bands = (8, 8) if turned else SH_BITS  # a word with its sign changed needs all 8
@@ -370,9 +371,9 @@ def _plain_bytes(file: SpzFile) -> bytes:
     return b"".join([header, reserved[:12], file.extensions, table, *packed, file.tail])
 
 
-def _stated_frame(file: SpzFile, problems: list[str]) -> int | None:
-    """Code of the frame that the file names, None where it names none."""
-    for at in _frame_records(file):
+def _stated_axes(file: SpzFile, problems: list[str]) -> int | None:
+    """Code of the axes that the file names, None where it names none."""
+    for at in _axes_records(file):
         (code,) = struct.unpack_from("<I", file.extensions, at + 8)
         if 1 <= code <= len(NAMES):
             return code
@@ -380,7 +381,7 @@ def _stated_frame(file: SpzFile, problems: list[str]) -> int | None:
     return None
 
 
-def _frame_records(file: SpzFile) -> Iterator[int]:
+def _axes_records(file: SpzFile) -> Iterator[int]:
     """Where records of COORDINATE_SYSTEM begin in the extensions."""
     at, data = 0, file.extensions if file.flags & EXTENDED else b""
     while len(data) - at >= 8:
@@ -391,29 +392,29 @@ def _frame_records(file: SpzFile) -> Iterator[int]:
 
 
 def other_extensions(file: SpzFile) -> bytes:
-    """The extensions without the records of the frame."""
+    """The extensions without the records of the axes."""
     data, at = bytearray(), 0
-    for record in _frame_records(file):
+    for record in _axes_records(file):
         data += file.extensions[at:record]
         at = record + 12
     return bytes(data + file.extensions[at:])
 
 
 def _marked(file: SpzFile) -> SpzFile:
-    """The file with its frame in the extension. In versions 1 to 3 that stands behind the rows, where some readers
+    """The file with its axes in the extension. In versions 1 to 3 that stands behind the rows, where some readers
     (spz-js) refuse bytes."""
     extensions = bytearray(file.extensions)
-    records = list(_frame_records(file))
+    records = list(_axes_records(file))
     for at in records:
-        struct.pack_into("<I", extensions, at + 8, file.frame)
+        struct.pack_into("<I", extensions, at + 8, file.axes)
     if not records:
-        extensions[:0] = struct.pack("<III", COORDINATE_SYSTEM, 4, file.frame)
+        extensions[:0] = struct.pack("<III", COORDINATE_SYSTEM, 4, file.axes)
     return replace(file, extensions=bytes(extensions), flags=file.flags | EXTENDED)
 
 
 def _unmarked(file: SpzFile) -> SpzFile:
-    """The file without its frame in the extension; other records, and bytes that no flag calls extensions, stay."""
-    if not list(_frame_records(file)):
+    """The file without its axes in the extension; other records, and bytes that no flag calls extensions, stay."""
+    if not list(_axes_records(file)):
         return file
     rest = other_extensions(file)
     return replace(file, extensions=rest, flags=file.flags if rest else file.flags & ~EXTENDED)
@@ -424,19 +425,19 @@ def _flips(code: int) -> tuple[int, int, int]:
     return (-1 if differ & 1 else 1, -1 if differ & 2 else 1, -1 if differ & 4 else 1)
 
 
-def _to_ply_frame(rows: Splats, code: int) -> Splats:
+def _to_ply_axes(rows: Splats, code: int) -> Splats:
     rows = _flip(rows, code)
-    return axes.move(rows, QUARTER_TURN) if code > 8 else rows
+    return move(rows, QUARTER_TURN) if code > 8 else rows
 
 
-def _from_ply_frame(rows: Splats, code: int) -> Splats:
-    rows = axes.move_back(rows, QUARTER_TURN) if code > 8 else rows
+def _from_ply_axes(rows: Splats, code: int) -> Splats:
+    rows = move_back(rows, QUARTER_TURN) if code > 8 else rows
     return _flip(rows, code)
 
 
 def _flip(rows: Splats, code: int) -> Splats:
     signs = _flips(code)
-    rows = axes.flip(rows, signs)
+    rows = flip(rows, signs)
     if signs[1] < 0 and rows.sh.shape[1] == 25:
         # The reference reverses the last coefficient of band 4 with y, although Y_44 is even in y; it made the files.
         rows.sh[:, 24] *= -1

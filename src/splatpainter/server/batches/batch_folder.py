@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from splatpainter.batch.plan import JobList, read_jobs
-from splatpainter.splats import Frame
+from splatpainter.splats import Axes
 from splatpainter.system.atomic import windows_refuses
 
 JOBS, PROJECT, PREVIEW = "batch.yaml", "project.splatproj", "preview.json"
@@ -38,7 +38,7 @@ class BatchFolder:
     """Filled step by step; then `plan`."""
 
     root: Path
-    frame: Frame = "auto"
+    axes: Axes = "auto"
     """Axes of the assets' numbers."""
     assets: list[Path] = field(default_factory=list)
     edits: list[dict[str, Any]] = field(default_factory=list)
@@ -111,7 +111,7 @@ class BatchFolder:
                 "edits": self.edits,
                 "variants": self.variants,
                 "format": format,
-                "frame": self.frame,
+                "axes": self.axes,
                 "preview": preview,
             }
             (self.root / JOBS).write_text(json.dumps(jobs, ensure_ascii=False), encoding="utf-8")

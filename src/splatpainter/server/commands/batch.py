@@ -146,7 +146,7 @@ def plan_batch(context: CommandContext, request: BatchPlan) -> BatchAnswer:
             added = present if present.id != MAIN_ASSET_ID else None
             format = studio.state.asset.format if added is None else format_of_name(Path(added.file))
             original = session.scene.original_of(present.id)
-            asset, batch.frame = write_original(batch.project, batch.stem(name, f".{format}"), original, added)
+            asset, batch.axes = write_original(batch.project, batch.stem(name, f".{format}"), original, added)
             batch.assets.append(asset)
             batch.variants, words = _variants(context, batch, request.variants, replay)
             title = f"{_count(len(request.variants), 'variant')} of {name}"

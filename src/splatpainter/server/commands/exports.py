@@ -17,7 +17,7 @@ from splatpainter.server.commands.context import CommandContext, RawExpr, comman
 from splatpainter.server.describe import endings, up_axis
 from splatpainter.server.html_viewer import HTML_OPTIONS, estimated_html_bytes, html_viewer
 from splatpainter.server.protocol import Answer, CameraInfo, Command, Exported, FileName, Message
-from splatpainter.splats import Frame
+from splatpainter.splats import Axes
 
 HTML = ".html"
 
@@ -85,7 +85,7 @@ class AssetExport(Command):
     """One of several assets alone, in its own space; None: all that are visible, each in its own range of rows."""
     options: ExportOptions = ExportOptions()
     """Options of the file; for one asset at a time."""
-    axes: Frame = "auto"
+    axes: Axes = "auto"
     """Axes of the file's numbers, of one asset at a time: "rub" is y up, "rdf" y down; "auto": as its format usually
     has them, or as the asset's own file if that is of the same format."""
 

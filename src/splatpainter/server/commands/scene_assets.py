@@ -50,21 +50,21 @@ def add_asset(context: CommandContext, request: AssetAdd) -> AssetAdded:
     with contextlib.ExitStack() as stack, progress(context, "reading"):
         if request.blob is not None:
             blob = studio.blobs.get(request.blob, "asset")
-            asset, name, frame = blob.path, blob.name or f"asset{blob.info.ending}", "auto"
+            asset, name, axes = blob.path, blob.name or f"asset{blob.info.ending}", "auto"
         elif request.file is not None:
-            asset, name, frame = folder_file(studio, request.file), request.file, "auto"
+            asset, name, axes = folder_file(studio, request.file), request.file, "auto"
         elif request.recent is not None:
             # Its asset as it was read, not as its layers left it.
             project = studio.projects.find(request.recent)
             folder = stack.enter_context(scratch_folder("added"))
-            asset, frame = write_original(project, folder / "asset")
+            asset, axes = write_original(project, folder / "asset")
             name = request.recent.rsplit("_", 1)[0]
         else:
-            asset, name, frame = demo(), "demo", "auto"
+            asset, name, axes = demo(), "demo", "auto"
         # Errors name the file as its owner knows it, not the copy.
         if not request.demo:
             stack.enter_context(naming_errors(asset, name))  # type: ignore[arg-type]
-        added = studio.session.scene.add(asset, name=name, frame=frame)
+        added = studio.session.scene.add(asset, name=name, axes=axes)
     return AssetAdded(asset=added.id, python=python_line("session.scene.add", name))
 
 

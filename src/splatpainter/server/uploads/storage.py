@@ -40,7 +40,7 @@ MAX_DOWNLOADS = 16
 PROBE_BYTES = 1 << 20
 """Room that a folder of projects has to have when the studio starts."""
 DEMO_FLIP = (-1, -1, 1)
-"""The bundled asset is made with y up; the studio shows the frame of captures, y down."""
+"""The bundled asset is made with y up; the studio shows the axes of captures, y down."""
 
 
 class Folder:

@@ -27,7 +27,7 @@ from splatpainter.session.project.project_file import Project
 from splatpainter.session.project.project_summary import PICTURE_FACT
 from splatpainter.session.project.scene_export import export_scene, scene_receipt
 from splatpainter.session.replay.snapshot import Snapshot
-from splatpainter.splats import Frame, Splats
+from splatpainter.splats import Axes, Splats
 from splatpainter.view_files import Aov
 
 
@@ -63,7 +63,7 @@ class SessionFileCommands:
         remove_hidden: bool = False,
         asset: str | None = None,
         options: WriteOptions = AS_IT_IS,
-        axes: Frame = "auto",
+        axes: Axes = "auto",
     ) -> tuple[Receipt, Verification]:
         """Write the asset as it is now and its receipt (NAME.receipt.json), proved by reading it again; the name says
         the format. Of several assets all that are visible, each in its own range of rows, or one of them alone (asset:

@@ -30,7 +30,8 @@ from splatpainter.session.kinds.look_layers import look_of
 from splatpainter.session.measures.orientation import Orientation, azimuth_of, measure, parsed_direction
 from splatpainter.session.project import asset_files
 from splatpainter.session.selection.selection import Selection
-from splatpainter.splats import Frame, Splats
+from splatpainter.splats import Axes, Splats
+from splatpainter.system.old_names import formerly
 
 SETTABLE = ("name", "placement", "visible")
 """What `set` can change of an asset."""
@@ -106,18 +107,19 @@ class SessionScene:
 
     # ---- the list of assets
 
+    @formerly(axes="frame")
     def add(
         self,
         asset: Splats | str | Path,
         *,
         name: str | None = None,
         placement: Placement | None = None,
-        frame: Frame = "auto",
+        axes: Axes = "auto",
     ) -> SceneAsset:
         """Another asset in the scene: a splat file, or its Gaussians as read. The project keeps its bytes. placement:
         None: as it is, but to the right of what is there. Raises ValueError: it cannot be read, has no Gaussians that
         can be drawn, its colours are of another space; too many assets."""
-        splats = asset if isinstance(asset, Splats) else read(asset, frame=frame)
+        splats = asset if isinstance(asset, Splats) else read(asset, axes=axes)
         splats = splats.numpy()
         # The project keeps the file's bytes, so that exports of this asset can be proved against them.
         path = asset_files.file_of(splats)
@@ -149,7 +151,7 @@ class SessionScene:
                 True,
                 stored,
                 splats.sha256,
-                asset_files.stored_frame(splats),
+                asset_files.stored_axes(splats),
                 splats.offset,
             )
             core.transaction.files = ((added.folder + file, data) for file, data in asset_files.pieces(splats, path))

@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from splatpainter.io import FRAMES
+from splatpainter.io import AXES_CHOICES
 from splatpainter.io.files import printable
 from splatpainter.io.positions import NO_OFFSET, Offset
 from splatpainter.scene.placement import Placement
-from splatpainter.splats import MAX_MAGNITUDE, Frame
+from splatpainter.splats import MAX_MAGNITUDE, Axes
 from splatpainter.system.jsonio import brief
 
 MAIN_ASSET_ID = ""
@@ -39,7 +39,7 @@ class SceneAsset:
     """Name of its file; of MAIN_ASSET_ID "": the project's facts name it."""
     sha256: str = ""
     """Hash of the asset's file."""
-    frame: Frame = "auto"
+    axes: Axes = "auto"
     """Axes with which its file is read."""
     offset: Offset = NO_OFFSET
     """What its positions are relative to (Splats.offset), as they were when it was added: so layers hold them."""
@@ -50,8 +50,8 @@ class SceneAsset:
 
     def record(self) -> dict[str, Any]:
         """JSON object of all fields."""
-        fields = ("id", "name", "visible", "file", "sha256", "frame")
-        record = {**{name: getattr(self, name) for name in fields}, "placement": self.placement.record()}
+        record: dict[str, Any] = {name: getattr(self, name) for name in ("id", "name", "visible", "file", "sha256")}
+        record |= {"frame": self.axes, "placement": self.placement.record()}
         return record | {"offset": list(self.offset)} if any(self.offset) else record
 
     @staticmethod
@@ -62,12 +62,13 @@ class SceneAsset:
             # Every field is judged, as the project may be a stranger's.
             if not all(isinstance(text, str) and len(text) <= MAX_NAME for text in texts.values()):
                 raise ValueError("expected texts")
-            if not isinstance(data["visible"], bool) or texts["frame"] not in FRAMES:
-                raise ValueError("expected visible as a truth value, and a frame")
+            if not isinstance(data["visible"], bool) or texts["frame"] not in AXES_CHOICES:
+                raise ValueError("expected visible as a truth value, and axes")
             if texts["id"] != MAIN_ASSET_ID and not (
                 len(texts["sha256"]) == 64 and set(texts["sha256"]) <= set("0123456789abcdef")
             ):
                 raise ValueError("expected the SHA-256 of its file")
+            texts["axes"] = texts.pop("frame")
             placement = Placement.from_record(data["placement"])
             x, y, z = data.get("offset", NO_OFFSET)
             if not all(isinstance(one, int | float) and abs(one) <= MAX_MAGNITUDE for one in (x, y, z)):

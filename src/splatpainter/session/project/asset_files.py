@@ -29,14 +29,14 @@ from splatpainter.cameras import Camera
 from splatpainter.image_files import Alpha
 from splatpainter.io import (
     FORMATS,
+    axes_are_open,
+    chosen_axes,
     files,
     format_of_name,
-    frame_is_open,
-    frame_of,
-    frame_of_target,
     option,
     read,
     write,
+    written_axes,
 )
 from splatpainter.io.formats.sog_container import META
 from splatpainter.io.positions import NO_OFFSET, Offset
@@ -49,7 +49,7 @@ from splatpainter.session.project.project_file import Project, check_free
 from splatpainter.session.project.scratch import scratch_folder
 from splatpainter.session.replay import conflicts
 from splatpainter.session.replay.delta import MAX_REASON, PART_BYTES, Delta, decode, encode, without_source
-from splatpainter.splats import Frame, Splats, changed_rows
+from splatpainter.splats import Axes, Splats, changed_rows
 from splatpainter.system.atomic import MAX_NAME_BYTES, brief_name
 from splatpainter.view_files import Aov, PictureOptions, view_files
 
@@ -116,16 +116,16 @@ def describe(splats: Splats, path: Path | None, embed: bool) -> dict[str, str]:
         facts["offset"] = json.dumps(splats.offset)
     if path is None or splats.source is None:
         return {**facts, "name": "asset", "format": NO_FILE, "path": ""}
-    if stored_frame(splats) != "auto":
-        facts["frame"] = stored_frame(splats)
+    if stored_axes(splats) != "auto":
+        facts["frame"] = stored_axes(splats)
     name = META if path.is_dir() else path.name
     return {**facts, "name": name, "format": splats.source.format, "path": "" if embed else str(path.absolute())}
 
 
-def stored_frame(splats: Splats) -> Frame:
+def stored_axes(splats: Splats) -> Axes:
     """The axes that a project keeps of its original: as chosen or, where an SPZ file does not say, as taken."""
     source = splats.source
-    return option(source.frame) if source is not None and frame_is_open(source) else frame_of(splats)
+    return option(source.axes) if source is not None and axes_are_open(source) else chosen_axes(splats)
 
 
 def pieces(splats: Splats, path: Path | None) -> Iterator[tuple[str, bytes]]:
@@ -149,7 +149,7 @@ def restore(project: Project, rule: OriginalRule) -> Splats:
     Raises ValueError: the file is gone or may not be opened, its bytes are not those that the project was made from,
     none of its Gaussians can be drawn."""
     facts = {name: project.fact(name) or "" for name in ("name", "format", "sha256", "path", "color_space")}
-    frame, offset = option(project.fact("frame") or ""), _stored_offset(project)
+    axes, offset = option(project.fact("frame") or ""), _stored_offset(project)
     if facts["format"] == NO_FILE:
         delta = decode((data for _, data in project.original()), f"{project.path}: the original")
         linear, antialiased = facts["color_space"] == "linear", project.fact("antialiased") == "1"
@@ -157,9 +157,9 @@ def restore(project: Project, rule: OriginalRule) -> Splats:
         splats = replace(splats, offset=offset)
     elif facts["path"]:
         # Lenient: the project was made when it opened.
-        splats = read(_named_file(project.path, facts["path"], rule), frame=frame, lenient=True, offset=offset)
+        splats = read(_named_file(project.path, facts["path"], rule), axes=axes, lenient=True, offset=offset)
     else:
-        splats = _unpacked(project, facts["name"], frame, offset=offset)
+        splats = _unpacked(project, facts["name"], axes, offset=offset)
     # Layers name Gaussians by their index: on another original they would paint anywhere.
     if splats.sha256 != facts["sha256"]:
         raise ValueError(f"{project.path}: the original is not the one that the project was made from (sha256 differs)")
@@ -180,16 +180,16 @@ def _stored_offset(project: Project) -> Offset:
 
 def write_original(
     path: Path, target: Path, original: Splats | None = None, added: SceneAsset | None = None
-) -> tuple[Path, Frame]:
+) -> tuple[Path, Axes]:
     """The original of the project at `path` as a file: `target` with the ending of its format, else PLY. Returns that
-    file and the `frame` to read it with. A file's bytes stay what they are where the project holds them. original: the
-    Gaussians, where they are known: then no file that a project names is opened. Without them the frame is "auto".
+    file and the `axes` to read it with. A file's bytes stay what they are where the project holds them. original: the
+    Gaussians, where they are known: then no file that a project names is opened. Without them the axes are "auto".
     added: that of an asset that was added, of a project with several. Raises ValueError."""
     with contextlib.closing(Project.open(path, readonly=True)) as project:
         facts = {name: project.fact(name) or "" for name in ("name", "format", "path", "frame")}
         if added is not None:
             format = format_of_name(Path(added.file)) or ""
-            facts = {"name": added.file, "format": format, "path": "", "frame": added.frame}
+            facts = {"name": added.file, "format": format, "path": "", "frame": added.axes}
         # The bytes are given back as they are wherever possible: the hash then says that nothing was lost.
         entry = FORMATS.get(facts["format"])
         turned = facts["frame"] and original is None and facts["format"] != "spz"  # of SPZ its bytes are asked, below
@@ -197,11 +197,11 @@ def write_original(
             splats = restore(project, OriginalRule(embedded=True)) if original is None else original
             if original is None or entry is None or entry.write is None or facts["name"] == META:
                 file = target.with_name(f"{target.name}.ply")
-                write(file, splats, frame="rdf")
+                write(file, splats, axes="rdf")
                 return file, "auto"
             file = target.with_name(target.name + entry.suffixes[0])
             write(file, splats)
-            return file, frame_of_target(splats, entry.key, "auto")
+            return file, written_axes(splats, entry.key, "auto")
         file = target.with_name(target.name + (entry.suffixes[0] if entry.suffixes else ".ply"))
         try:
             with open(file, "xb") as stream:
@@ -211,25 +211,25 @@ def write_original(
                     stream.write(data)
         except OSError as error:
             raise ValueError(f"{file}: cannot be written ({error.strerror or error})") from None
-        frame = option(facts["frame"])
+        axes = option(facts["frame"])
         if entry.key != "spz":
-            return file, frame
+            return file, axes
         # An SPZ file may not say its axes: if reading it as usual gives the same, nobody needs to be told.
-        splats, plain = read(file, frame=frame, lenient=True), read(file, lenient=True)
+        splats, plain = read(file, axes=axes, lenient=True), read(file, lenient=True)
         assert splats.source is not None and plain.source is not None
-        if splats.source.frame == plain.source.frame:
+        if splats.source.axes == plain.source.axes:
             return file, "auto"
         if original is not None:
-            return file, option(splats.source.frame)
+            return file, option(splats.source.axes)
         file.unlink()
         file = target.with_name(f"{target.name}.ply")
-        write(file, splats, frame="rdf")
+        write(file, splats, axes="rdf")
         return file, "auto"
 
 
 def restore_added(project: Project, asset: SceneAsset) -> Splats:
     """The original of an asset that was added, with `origin`. Raises ValueError: damaged, other bytes than it had."""
-    splats = _unpacked(project, asset.file, asset.frame, asset.folder, asset.offset)
+    splats = _unpacked(project, asset.file, asset.axes, asset.folder, asset.offset)
     if splats.sha256 != asset.sha256:
         raise ValueError(
             f"{project.path}: the file of asset {asset.name} is not the one that was added (sha256 differs)"
@@ -315,7 +315,7 @@ def numbered(splats: Splats) -> Splats:
     return splats if splats.origin is not None else replace(splats, origin=np.arange(len(splats)))
 
 
-def _unpacked(project: Project, name: str, frame: Frame, stored_under: str = "", offset: Offset = NO_OFFSET) -> Splats:
+def _unpacked(project: Project, name: str, axes: Axes, stored_under: str = "", offset: Offset = NO_OFFSET) -> Splats:
     if not is_plain_name(name):
         raise ValueError(f"{project.path}: damaged project file (name of the original {name[:40]!r})")
     # In a folder of its own, under plain names: the project decides about no path.
@@ -326,7 +326,7 @@ def _unpacked(project: Project, name: str, frame: Frame, stored_under: str = "",
                     raise ValueError(f"{project.path}: damaged project file (name of the original {file[:40]!r})")
                 with open(folder / file, "ab") as target:
                     target.write(data)
-            splats = read(folder / name, frame=frame, lenient=True, offset=offset)
+            splats = read(folder / name, axes=axes, lenient=True, offset=offset)
         except OSError as error:
             raise ValueError(f"{project.path}: its original cannot be unpacked ({error.strerror or error})") from None
         except ValueError as error:
@@ -377,7 +377,7 @@ def receipt_between(
 
 
 def export_asset(
-    original: Splats, edited: Splats, receipt: Receipt, path: Path, overwrite: bool, axes: Frame = "auto"
+    original: Splats, edited: Splats, receipt: Receipt, path: Path, overwrite: bool, axes: Axes = "auto"
 ) -> tuple[Receipt, Verification]:
     """Write an asset in the format that the name says, with the receipt's options and its numbers in `axes`, read it
     again, compare it with the original, and only then let it and its receipt (NAME.receipt.json) appear. Raises
@@ -386,7 +386,7 @@ def export_asset(
     receipt_path = receipt_of(path)
     with partial_folder(path) as folder:
         partial = Path(folder) / path.name
-        write(partial, edited, frame=axes, options=receipt.options)
+        write(partial, edited, axes=axes, options=receipt.options)
         proved, verification = prove(original, partial, receipt, axes, edited)
         with files.writing(receipt_path) as file:
             file.write(proved.to_json().encode())
@@ -396,7 +396,7 @@ def export_asset(
 
 
 def export_visible(
-    original: Splats, edited: Splats, receipt: Receipt, path: Path, overwrite: bool, axes: Frame = "auto"
+    original: Splats, edited: Splats, receipt: Receipt, path: Path, overwrite: bool, axes: Axes = "auto"
 ) -> tuple[Receipt, Verification]:
     """`export_asset` without the Gaussians of opacity 0. receipt: of the asset with them. What remains is compared with
     what remains of the original, in the same order. Raises ValueError where nothing is visible."""

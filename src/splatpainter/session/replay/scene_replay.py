@@ -105,12 +105,12 @@ class SceneReplay:
             return self.main
         # The same bytes read in other axes are another original.
         entry = find_asset(document.assets, asset)
-        key = f"{entry.sha256} {entry.frame}"
+        key = f"{entry.sha256} {entry.axes}"
         return self._replays.get(key, lambda: Replay(self._load(entry), self.painter, self._store, self.adjustments))
 
     def remember(self, asset: SceneAsset, original: Splats) -> None:
         """An asset whose file is not in the project yet."""
-        key = f"{asset.sha256} {asset.frame}"
+        key = f"{asset.sha256} {asset.axes}"
         self._replays.put(key, Replay(original, self.painter, self._store, self.adjustments))
 
     def of_layer(self, document: Document, layer: str) -> tuple[Replay, Document]:
