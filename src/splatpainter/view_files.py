@@ -101,12 +101,12 @@ def draw_passes(
     normal = gaussian_ids = parts = None
     # Other passes are blends of other values with the same weights, so geometry is projected once. Black behind them,
     # as a background is no part of a sum.
-    frame = project(splats, replace(camera, background=(0.0, 0.0, 0.0)))
+    view = project(splats, replace(camera, background=(0.0, 0.0, 0.0)))
 
     def blend(values: np.ndarray) -> np.ndarray:
         """[H, W, 3] sum_i w_i v_i of values [N, 3]."""
         image, weight, distance = np.empty_like(colors), np.empty_like(alpha), np.empty_like(depth)
-        frame.rasterize_into(image, weight, distance, values[frame.gaussian_ids].astype(colors.dtype), profile)
+        view.rasterize_into(image, weight, distance, values[view.gaussian_ids].astype(colors.dtype), profile)
         return image
 
     if "normal" in aovs:
@@ -117,7 +117,7 @@ def draw_passes(
     if surface is not None and on_surface:
         # Where the estimated surface is trusted, it takes the place of blends, whose depth lies between layers.
         ys, xs = np.nonzero(alpha > MIN_SURFACE_ALPHA)
-        lattice = visible_surface(surface, splats, frame, alpha > MIN_SURFACE_ALPHA)
+        lattice = visible_surface(surface, splats, view, alpha > MIN_SURFACE_ALPHA)
         seen = lattice.at(np.stack([xs, ys], 1) + 0.5)
         trusted = seen.depth > 0
         ys, xs = ys[trusted], xs[trusted]
@@ -125,7 +125,7 @@ def draw_passes(
         if normal is not None:
             normal[ys, xs] = seen.normals[trusted] @ camera.world_to_camera[:3, :3]
     if "gaussian-ids" in aovs:
-        gaussian_ids = frame.heaviest_gaussians(profile)
+        gaussian_ids = view.heaviest_gaussians(profile)
     if "coverage" in aovs and coverage is not None:
         predicted, seen = coverage
         parts = blend(np.stack([predicted, seen, ~(predicted | seen)], -1))

@@ -29,14 +29,14 @@ def reached_gaussians(splats: Splats, views: Sequence[tuple[Camera, np.ndarray]]
         if not mask.any():
             raise ValueError("edit: nothing to do, the mask is empty")
         visible = gaussians_in_mask(splats, camera, mask, editable_gaussians(grid, splats, camera, mask))
-        frame = project(splats, camera)
+        view = project(splats, camera)
         black = np.zeros((*mask.shape, 3), np.float32)
-        inside = frame.backproject(black, mask.astype(np.float32))
-        total = frame.backproject(black, np.ones(mask.shape, np.float32))
+        inside = view.backproject(black, mask.astype(np.float32))
+        total = view.backproject(black, np.ones(mask.shape, np.float32))
         reached = np.zeros(len(splats), bool)
-        reached[frame.gaussian_ids] = visible[frame.gaussian_ids] & (inside.weight >= MIN_INSIDE_SHARE * total.weight)
+        reached[view.gaussian_ids] = visible[view.gaussian_ids] & (inside.weight >= MIN_INSIDE_SHARE * total.weight)
         if splats.origin is not None:
-            under = frame.gaussian_ids[(inside.alpha > 0) & (inside.alpha >= MIN_INSIDE_SHARE * total.alpha)]
+            under = view.gaussian_ids[(inside.alpha > 0) & (inside.alpha >= MIN_INSIDE_SHARE * total.alpha)]
             family = splats.origin[under]
             reached[under] |= np.isin(family, splats.origin[reached]) & (family >= 0)
         out |= reached

@@ -41,16 +41,16 @@ def pick(splats: Splats, camera: Camera, x: float, y: float) -> tuple[np.ndarray
         raise ValueError(f"pick: expected a pixel of the {camera.width}x{camera.height} view, got {x:g}, {y:g}")
     # A view of this pixel alone, cropped out of the camera: nothing else has to be drawn.
     pixel = camera.cropped(column, line, 1, 1)
-    frame = project(splats, pixel)
-    image, alpha, depth = frame.rasterize()
+    view = project(splats, pixel)
+    image, alpha, depth = view.rasterize()
     # Where the background shows through, the depth is a mean of nothing.
     if alpha[0, 0] < 0.5:
         return image[0, 0], None
     # The same weights that the pixel was composited with say whose colour it is.
-    sums = frame.backproject(np.zeros((1, 1, 3), np.float32), np.ones((1, 1), np.float32))
+    sums = view.backproject(np.zeros((1, 1, 3), np.float32), np.ones((1, 1), np.float32))
     z = float(depth[0, 0])
     point = camera.unproject(np.array(z), np.array([x, y]))
-    return image[0, 0], Hit(z, point, int(frame.gaussian_ids[sums.weight.argmax()]))
+    return image[0, 0], Hit(z, point, int(view.gaussian_ids[sums.weight.argmax()]))
 
 
 def coverage_picture(splats: Splats, coverage: np.ndarray, camera: Camera) -> np.ndarray:
@@ -92,7 +92,7 @@ def next_view(
 
 def _shares(splats: Splats, coverage: np.ndarray, camera: Camera) -> np.ndarray:
     """[H, W, 3] parts of each pixel: Gaussians seen, predicted, all others."""
-    frame = before_black(splats, camera)
-    kinds = coverage[frame.gaussian_ids]
+    view = before_black(splats, camera)
+    kinds = coverage[view.gaussian_ids]
     colors = np.stack([kinds == SEEN, kinds == PREDICTED, np.ones(len(kinds), bool)], -1)
-    return frame.rasterize(colors.astype(frame.projected.dtype))[0]
+    return view.rasterize(colors.astype(view.projected.dtype))[0]

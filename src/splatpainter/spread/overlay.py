@@ -24,14 +24,14 @@ RAMP = ((40, 60, 160), (235, 70, 60), (250, 200, 40), (60, 200, 90))
 def confidence_overlay(splats: Splats, confidence: np.ndarray, threshold: float, camera: Camera) -> np.ndarray:
     """[H, W, 4] uint8, straight alpha: the ramp where the view shows Gaussians, transparent where confidence is 0.
     splats: numpy, N; confidence: [N] 0..1."""
-    frame = project(splats, replace(camera, background=(0.0, 0.0, 0.0)))
-    relative = confidence[frame.gaussian_ids] / max(threshold, 1e-3)
+    view = project(splats, replace(camera, background=(0.0, 0.0, 0.0)))
+    relative = confidence[view.gaussian_ids] / max(threshold, 1e-3)
     amount = np.clip(2 * relative, 0, 1)
     ramp = [portable.interp(relative, RAMP_AT, [color[k] for color in RAMP]) for k in range(3)]
-    dtype = frame.projected.dtype
+    dtype = view.projected.dtype
     # Premultiplied, then divided by what was drawn: blending Gaussians blends colours, not their alpha.
-    colors = frame.rasterize((np.stack(ramp, 1) * amount[:, None]).astype(dtype))[0]
-    total = frame.rasterize(np.repeat(amount[:, None], 3, 1).astype(dtype))[0][..., :1]
+    colors = view.rasterize((np.stack(ramp, 1) * amount[:, None]).astype(dtype))[0]
+    total = view.rasterize(np.repeat(amount[:, None], 3, 1).astype(dtype))[0][..., :1]
     alpha = 255 * OPACITY * np.clip(total, 0, 1)
     return np.concatenate([colors / np.maximum(total, 1e-6), alpha], 2).clip(0, 255).round().astype(np.uint8)
 

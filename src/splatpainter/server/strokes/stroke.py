@@ -40,7 +40,7 @@ class _Canvas:
     """The stroke on one version of the asset. M Gaussians are in the view."""
 
     version: int
-    frame: ProjectedView
+    view: ProjectedView
     base: np.ndarray
     """[H, W, 3] the render without the stroke."""
     erased: np.ndarray
@@ -89,19 +89,19 @@ class Stroke:
         # Projecting is the expensive part, so it is done once for each version of the asset.
         if self._canvas is not None and self._canvas.version == version:
             return
-        frame = project(splats, self.camera)
+        view = project(splats, self.camera)
         # The edit at the end of the stroke takes the same view and need not project it again.
-        note_view(splats, frame)
-        base = frame.rasterize()[0]
+        note_view(splats, view)
+        base = view.rasterize()[0]
         erased = project(self._beneath or original, self.camera).rasterize()[0] if self.erase else base
         # The weights of the whole view say later how much of a Gaussian lies under the stroke.
         everywhere = np.ones(base.shape[:2], np.float32)
-        weights = frame.backproject(np.zeros_like(base), everywhere).weight
-        colors = np.maximum(frame.unclamped_colors, 0)
-        movable, entries = np.zeros(len(frame), bool), np.empty(len(splats), np.int32)
-        entries[frame.gaussian_ids] = np.arange(len(frame))
+        weights = view.backproject(np.zeros_like(base), everywhere).weight
+        colors = np.maximum(view.unclamped_colors, 0)
+        movable, entries = np.zeros(len(view), bool), np.empty(len(splats), np.int32)
+        entries[view.gaussian_ids] = np.arange(len(view))
         self._canvas = _Canvas(
-            version, frame, base, erased, base.copy(), weights, colors.copy(), colors.copy(), movable, entries
+            version, view, base, erased, base.copy(), weights, colors.copy(), colors.copy(), movable, entries
         )
 
     def patch(self, x: int, y: int, width: int, height: int, rgba: bytes) -> Box:
@@ -131,7 +131,7 @@ class Stroke:
             box = (0, 0, self.camera.width, self.camera.height)
         canvas = self._canvas
         assert canvas is not None
-        frame = canvas.frame
+        view = canvas.view
         inside = _slices(box)
         alpha = self.rgba[inside][..., 3:].astype(np.float32) / 255
         painted = canvas.erased[inside]
@@ -144,20 +144,20 @@ class Stroke:
         changed = entries[np.abs(canvas.colors[entries] - canvas.sent[entries]).max(1) > MIN_COLOR_CHANGE]
         canvas.sent[changed] = canvas.colors[changed]
         # Frames want their Gaussians in ascending order.
-        changed = changed[np.argsort(frame.gaussian_ids[changed])]
-        ids = frame.gaussian_ids[changed]
-        return ids, recolor(splats.sh[ids], frame.unclamped_colors[changed], canvas.colors[changed])
+        changed = changed[np.argsort(view.gaussian_ids[changed])]
+        ids = view.gaussian_ids[changed]
+        return ids, recolor(splats.sh[ids], view.unclamped_colors[changed], canvas.colors[changed])
 
     def _lift(self, canvas: _Canvas, box: Box) -> np.ndarray:
-        """SIRT steps on the colours within a window of the view. Returns [E] the frame's entries that it shows."""
-        frame, window = canvas.frame, _slices(box)
+        """SIRT steps on the colours within a window of the view. Returns [E] the view's entries that it shows."""
+        view, window = canvas.view, _slices(box)
         everywhere, painted = np.zeros((2, *self.rgba.shape[:2]), np.float32)
         # The window limits the work, the painted pixels what is to change.
         everywhere[window], painted[window] = 1, self.rgba[window][..., 3] > 0
-        tiles = np.zeros(frame.tiles.shape, bool)
+        tiles = np.zeros(view.tiles.shape, bool)
         tiles[box[1] // TILE : -(-box[3] // TILE), box[0] // TILE : -(-box[2] // TILE)] = True
         # Only the tiles around the dab: the rest of the view has not changed.
-        small = frame.part(tiles=tiles)
+        small = view.part(tiles=tiles)
         entries, target = canvas.entries[small.gaussian_ids], canvas.target
         sums = small.backproject(target, painted)
         # A Gaussian moves if the paint reaches it visibly and enough of it lies inside; else colour would leak.
@@ -166,7 +166,7 @@ class Stroke:
         movable = canvas.movable[entries]
         sirt = sirt_steps(small, target, everywhere, movable)
         step, moved = 1 / np.maximum(sirt.weight, 1e-6)[:, None], entries[movable]
-        colors, ceiling = canvas.colors[moved], np.maximum(frame.unclamped_colors[moved], MAX_COLOR)
+        colors, ceiling = canvas.colors[moved], np.maximum(view.unclamped_colors[moved], MAX_COLOR)
         # A few steps are enough for a preview; the next dab goes on from there.
         for _ in range(SIRT_STEPS):
             colors = np.clip(colors + step * sirt.residual(colors), 0, ceiling).astype(np.float32)
