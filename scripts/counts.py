@@ -42,7 +42,10 @@ CAPABILITIES = {
     ),
     "source": ("prompt", "max_views", "seed", "enlarge", "strictness", "references", "azimuth", "elevation"),
 }
-"""Options that belong to one capability each; names that say other things as well are left out."""
+"""Options that belong to one capability each. Some of their names say other things, too (a picture has a width, a fit
+a seed): these count where a class or function declares two of the capability's options at least (AMBIGUOUS)."""
+AMBIGUOUS = {"at", "width", "angle", "match", "strength", "seed", "elevation", "exposure", "hue", "saturation"}
+"""Options whose names say other things elsewhere: one of them alone is no declaration."""
 NUMERIC_CALLS = {"float32", "float64", "int64", "uint32", "uint64", "array", "log", "sqrt", "radians", "cos"}
 LONG_FUNCTION, LONGEST_FUNCTION = 40, 80
 """Lines above which a function wants a comment for each phase, and above which it wants to be two."""
@@ -216,17 +219,26 @@ def declarations_per_option(sources: Sources) -> str:
         if path.partition("/")[0] not in OPTION_ROOMS:
             continue
         for node in ast.walk(tree):
-            if isinstance(node, ast.ClassDef):
-                declared.update(part.target.id for part in node.body if is_field(part))  # type: ignore[attr-defined]
-                declared.update(part.name for part in node.body if is_property(part))  # type: ignore[attr-defined]
-            elif isinstance(node, ast.FunctionDef):
-                defaulted = node.args.args[len(node.args.args) - len(node.args.defaults) :]
-                declared.update(part.arg for part in [*defaulted, *node.args.kwonlyargs])
+            names = set(names_declared(node))
+            for options in CAPABILITIES.values():
+                found = names.intersection(options)
+                # One alone is a declaration where its name says nothing else (an option that several classes share).
+                declared.update(found if len(found) > 1 else found - AMBIGUOUS)
     means = {
         capability: sum(declared[option] for option in options) / len(options)
         for capability, options in CAPABILITIES.items()
     }
     return ", ".join(f"{capability} {mean:.1f}" for capability, mean in means.items())
+
+
+def names_declared(node: ast.AST) -> Iterator[str]:
+    """Fields and properties of a class, arguments with defaults of a function."""
+    if isinstance(node, ast.ClassDef):
+        yield from (part.target.id for part in node.body if is_field(part))  # type: ignore[attr-defined]
+        yield from (part.name for part in node.body if is_property(part))  # type: ignore[attr-defined]
+    elif isinstance(node, ast.FunctionDef):
+        defaulted = node.args.args[len(node.args.args) - len(node.args.defaults) :]
+        yield from (part.arg for part in [*defaulted, *node.args.kwonlyargs])
 
 
 def is_field(node: ast.stmt) -> bool:

@@ -16,6 +16,7 @@ from splatpainter.image_files import write_png
 from splatpainter.operations.operation import Operation, kinds, operation_class, option_texts
 from splatpainter.operations.painting_options import PictureSourceOptions
 from splatpainter.system.atomic import write_text
+from splatpainter.system.ranges import bounds_of
 
 from .lineage import asset_of, with_lineage
 from .operations import input_file
@@ -23,11 +24,12 @@ from .schemas import Node, Slot
 from .values import camera_of, picture_of
 
 WITHOUT_NODES = ("paint", "generate", "refine")
-OF_SOURCES = {field.name for field in dataclasses.fields(PictureSourceOptions)} | {"view", "seed", "strictness"}
+OF_SOURCES = {field.name for field in dataclasses.fields(PictureSourceOptions)} | {"view"}
 """Options of operations that may ask a picture source."""
 LINKS = {"picture": "IMAGE", "camera": "LOAD3D_CAMERA"}
 """What an option's file holds -> the link that stands for it."""
-MAX_PX = 4096
+MAX_PX, FAR = 4096, 36000
+"""Most pixels of a view; the range of a number that has none of its own."""
 
 
 def operation_nodes() -> tuple[Node, ...]:
@@ -70,7 +72,10 @@ def _slot(operation: type[Operation], field: dataclasses.Field, text: str) -> Sl
         return Slot(field.name, "BOOLEAN", True, text, {"default": default})
     if hint in (int, float):
         kind, step = ("INT", 1) if hint is int else ("FLOAT", 0.01)
-        return Slot(field.name, kind, True, text, {"default": default, "min": -36000, "max": 36000, "step": step})
+        bounds = bounds_of(field)
+        # Widgets know no open ends: a value at one is refused by the operation, in its own words.
+        low, high = bounds.get("ge", bounds.get("gt", -FAR)), bounds.get("le", bounds.get("lt", FAR))
+        return Slot(field.name, kind, True, text, {"default": default, "min": low, "max": high, "step": step})
     return Slot(field.name, "STRING", True, text, {"default": "" if default in (None, ()) else str(default)})
 
 

@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     from splatpainter.source_edits.edit import edit_with_source as edit_with_source
     from splatpainter.source_edits.edit import refine as refine
     from splatpainter.source_edits.fill import fill as fill
+    from splatpainter.source_edits.view_edit import SourceBrief as SourceBrief
     from splatpainter.splats import Splats as Splats
 
 _HOME = {
@@ -89,6 +90,7 @@ _HOME = {
     "Decal": "decals.decals",
     "edit_with_source": "source_edits.edit",
     "refine": "source_edits.edit",
+    "SourceBrief": "source_edits.view_edit",
     "fill": "source_edits.fill",
     "adjust": "operations.grade",
     "grade": "operations.grade",
@@ -137,6 +139,7 @@ __all__ = [
     "Relight",
     "Render",
     "Session",
+    "SourceBrief",
     "Splats",
     "Sun",
     "WriteOptions",

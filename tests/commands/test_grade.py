@@ -74,7 +74,7 @@ def test_every_other_look_grades(asset: Path, tmp_path: Path, capfd: Capture) ->
         (["--exposure", "nan"], "expected --exposure from -10 to 10, got nan"),
         (["--exposure", "1", "--where", "hue=red"], "--where hue: expected A..B, ..B or A.., got 'red'"),
         (["--exposure", "1", "--where", "x=9.."], "reaches none of 1200 Gaussians"),
-        (["--exposure", "1", "--strength", "0"], "expected a strength above 0, up to 1, got 0"),
+        (["--exposure", "1", "--strength", "0"], "expected --strength above 0, up to 1, got 0.0"),
     ],
 )
 def test_what_cannot_be_graded_is_one_line_and_writes_nothing(

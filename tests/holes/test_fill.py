@@ -138,7 +138,7 @@ def test_a_source_colours_the_fill_and_nothing_else() -> None:
     splats = plate()
     removed = within(splats, (0, 0, 0), 0.3)
     source = FunctionSource(lambda image: np.clip(image * (0.6, 1.1, 0.6), 0, 1))
-    by_source = sp.fill(splats, removed, source=source, prompt="moss", strictness="loose")
+    by_source = sp.fill(splats, removed, source=source, prompt=sp.SourceBrief("moss", strictness="loose"))
     plain = sp.fill(splats, removed)
     (request,) = source.requests
     assert request.mask is not None and 0.02 < request.mask.mean() < 0.5 and request.prompt == "moss"

@@ -43,15 +43,15 @@ def patterned(count: int = 2500) -> Splats:
     return replace(splats, sh=((colors - 0.5) / SH_C0)[:, None].astype(np.float32))
 
 
-def edit(splats: Splats, source: FunctionSource, **options):
-    return edit_with_source(splats, source, "exchange", painter=LIFT, size=128, **options)
+def edit(splats: Splats, source: FunctionSource, prompt: str | SourceBrief = "exchange", **options):
+    return edit_with_source(splats, source, prompt, painter=LIFT, size=128, **options)
 
 
 def test_one_view_is_edited_and_the_receipt_says_by_whom() -> None:
     splats, source = patterned(), FunctionSource(exchanged)
     mask = np.zeros((128, 128), np.float32)
     mask[50:80, 50:80] = 1
-    result = edit(splats, source, mask=mask, seed=3)
+    result = edit(splats, source, SourceBrief("exchange", seed=3), mask=mask)
     assert result.receipt is not None and result.receipt.source is not None
     (request,) = source.requests
     assert request.mask is not None and np.array_equal(request.mask, mask)
@@ -233,7 +233,8 @@ def test_views_are_refined_from_python() -> None:
         return large + 0.15 * (-1.0) ** (np.arange(large.shape[1]) // 2)[None, :, None]
 
     source = FunctionSource(striped, without_masks())
-    refined = refine(splats, [camera], source=source, prompt="finer", painter=LIFT, strictness="loose")
+    brief = SourceBrief("finer", strictness="loose")
+    refined = refine(splats, [camera], source=source, prompt=brief, scale=2, painter=LIFT)
     assert refined.receipt is not None and refined.receipt.source is not None
     (score,) = refined.receipt.views
     assert score.psnr_after is not None and score.psnr_before is not None

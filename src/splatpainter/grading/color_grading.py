@@ -22,6 +22,7 @@ from splatpainter.color import LUMA, base_color, linear_to_srgb, luminance, srgb
 from splatpainter.kernels.parallel import each
 from splatpainter.splats import SH_C0, Array, ColorSpace
 from splatpainter.system import jsonio
+from splatpainter.system.ranges import out_of_range, ranged
 
 PIVOT = 0.461
 """Display value of 18 % grey: contrast turns around it."""
@@ -29,6 +30,8 @@ MIN_CURVE_STEP = 1e-6
 """Smallest distance of a tone curve's points along its input, 0..1: slopes of nearer ones overflow."""
 GRADE = "grade"
 """The name of `grade_sh` in the parameters of an adjustment layer ({"look": "grade", ...})."""
+ALL_HUES_DEGREES = 1e6
+"""To either side: a band of hues that fades out nowhere."""
 JACOBIAN_STEP = 1 / 64
 """Step of the finite differences, display units."""
 MAX_JACOBIAN_ENTRY = 4.0
@@ -144,39 +147,55 @@ def tone_curve(values: Array, points: Sequence[tuple[float, float]]) -> Array:
 class HueBand:
     """A change of one range of hues; greys have no hue and stay."""
 
-    hue: float
+    hue: float = ranged(ge=0, lt=360)
     """Middle of the range, degrees (0 red, 120 green, 240 blue)."""
-    width: float = 60.0
-    """Degrees to either side over which the change fades out (a raised cosine)."""
-    shift: float = 0.0
+    width: float = ranged(60.0, gt=0, le=ALL_HUES_DEGREES)
+    """Degrees to either side over which the change fades out (a raised cosine); 1,000,000: all hues alike."""
+    shift: float = ranged(0.0, ge=-360, le=360)
     """Degrees, about the grey axis."""
-    saturation: float = 0.0
+    saturation: float = ranged(0.0, ge=-1, le=1)
     """-1 grey .. 1 twice as colourful."""
-    lightness: float = 0.0
+    lightness: float = ranged(0.0, ge=-1, le=1)
     """-1 half .. 1 twice as bright."""
+
+    def __post_init__(self) -> None:
+        if (line := out_of_range(self)) is not None:
+            raise ValueError(line)
 
 
 @dataclass(frozen=True)
-class GradeSettings:
-    """The sliders of an adjustment layer; the defaults change nothing."""
+class ColorSliders:
+    """The sliders of a look: what `splatpainter grade`, a JOBS.yaml, an adjustment layer and the page have alike. Zeros
+    change nothing."""
 
-    exposure: float = 0.0
+    exposure: float = ranged(0.0, ge=-10, le=10)
     """Exposure in stops, of linear light."""
-    temperature: float = 0.0
+    temperature: float = ranged(0.0, ge=-1, le=1)
     """-1 cold .. 1 warm."""
-    tint: float = 0.0
+    tint: float = ranged(0.0, ge=-1, le=1)
     """-1 green .. 1 magenta."""
-    contrast: float = 0.0
-    """-1..1: slope 2^c in the mid-tones."""
-    saturation: float = 0.0
+    contrast: float = ranged(0.0, ge=-1, le=1)
+    """-1 .. 1: slope 2^c in the mid-tones."""
+    saturation: float = ranged(0.0, ge=-1, le=1)
     """-1 grey .. 1 twice as colourful."""
-    curve: tuple[tuple[float, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class GradeSettings(ColorSliders):
+    """The settings of an adjustment layer; the defaults change nothing. Raises ValueError: out of a range."""
+
+    curve: tuple[tuple[float, float], ...] = ranged((), ge=0, le=1, max_length=16)
     """Points (in, out) of display values, left to right; (0, 0) and (1, 1) are added where no point says otherwise."""
-    hues: tuple[HueBand, ...] = ()
-    strength: float = 1.0
+    hues: tuple[HueBand, ...] = ranged((), max_length=12)
+    """Ranges of hues that change, one after the other."""
+    strength: float = ranged(1.0, ge=0, le=1)
     """0..1: how much of the change is taken."""
     space: ColorSpace = "srgb"
     """Space of the asset's colours: "srgb" (display) or "linear"; the sliders act on display colours either way."""
+
+    def __post_init__(self) -> None:
+        if (line := out_of_range(self)) is not None:
+            raise ValueError(line)
 
     def to_dict(self) -> dict[str, Any]:
         """Parameters of a layer."""

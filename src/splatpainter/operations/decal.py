@@ -35,8 +35,9 @@ class LayDecal(ViewLimits):
     width: Any = parameter("", metavar="LENGTH|PERCENT", words=str)
     """Width of the decal along the surface: world units, or a percentage of the asset's diameter, like 12%."""
     angle: float = 0.0
-    """Degrees by which the decal is turned, counter-clockwise as seen from outside; at 0 its up is the camera's."""
-    wrap: float = 180.0
+    """Degrees by which the decal is turned, counter-clockwise as seen from outside; at 0 its up is the camera's, in the
+    studio the object's."""
+    wrap: float = parameter(180.0, gt=0, le=180)
     """Degrees by which the surface may turn away under the decal; 180: no limit."""
     method: Method = "auto"
     """lift (analytic), or fit (some seconds of optimisation after it); auto: lift."""
@@ -49,6 +50,7 @@ class LayDecal(ViewLimits):
 
     def check(self, wording: Wording = AS_PYTHON) -> None:
         # In this order: what is laid, who paints it, where it lies, how large it is. The first that is wrong is named.
+        super().check(wording)
         name = wording.option
         if self.picture is not None and self.text:
             raise wording.error(self.kind, f"expected {name('picture')} or {name('text')}, got both")

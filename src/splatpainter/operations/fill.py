@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Literal
 
-from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.operations.operation import AS_PYTHON, ReadyOperation, Report, Tools, Wording, parameter
 from splatpainter.operations.painting_options import PictureSourceOptions
 from splatpainter.operations.region import Region
@@ -29,18 +28,13 @@ class Fill(PictureSourceOptions):
     source: str = parameter("", metavar="NAME", shared=True)
     """A picture source (`splatpainter source list`) that is sent a view of the filled hole, which is its mask; default:
     the texture of what surrounds it."""
-    prompt: str = parameter("", metavar="TEXT", shared=True)
-    """What the source should paint there."""
     view: Path | None = parameter(None, metavar="CAM.json", file=True, holds="camera")
     """Camera of the view that is sent; default: one that faces the hole."""
     size: int | None = parameter(None, metavar="PX", shared=True)
     """Pixels of its longer side; default: what --view says."""
-    strictness: Strictness = parameter("normal", option="source_strictness")
-    """Which pictures are refused, as in `splatpainter edit generate`."""
-    seed: int | None = parameter(None, metavar="N")
-    """Random seed, for sources that take one."""
 
     def check(self, wording: Wording = AS_PYTHON) -> None:
+        super().check(wording)
         name = wording.option
         # Removing a part and filling a hole that is there are two tasks; with both it is open which is meant.
         if bool(self.where) == bool(self.around):
@@ -56,6 +50,7 @@ class Fill(PictureSourceOptions):
     def ready(self, tools: Tools) -> ReadyOperation:
         from splatpainter.pictures.edit_files import camera_from
         from splatpainter.source_edits.fill import fill
+        from splatpainter.source_edits.view_edit import SourceBrief
 
         # Files are read and the source is opened before any asset is: what is wrong with them is known at once.
         region = Region.parse(self.where or self.around)
@@ -75,10 +70,8 @@ class Fill(PictureSourceOptions):
                     around=weights if self.around else None,
                     body=self.remove == "body",
                     source=source,
-                    prompt=self.prompt,
+                    prompt=SourceBrief(self.prompt, seed=self.seed, strictness=self.strictness),
                     camera=camera.relative_to(splats.offset) if camera is not None else None,
-                    seed=self.seed,
-                    strictness=self.strictness,
                     progress=progress,
                     cancel=tools.cancel,
                 )

@@ -11,7 +11,6 @@ import numpy as np
 
 from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.color import from_display
-from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.operations.operation import AS_PYTHON, ReadyOperation, Report, ReportedView, Tools, Wording, parameter
 from splatpainter.operations.painting_options import PaintingOptions, PictureSourceOptions
 from splatpainter.painter import MAX_VIEWS, Asset, Mode, Painter
@@ -38,26 +37,20 @@ class Generate(PictureSourceOptions, PaintingOptions):
     """Camera of the view that is sent; default: --azimuth 0 --elevation 15, as the first picture of `render`."""
     azimuth: float | None = parameter(None, metavar="DEGREES")
     """... or its direction: degrees around the asset."""
-    elevation: float | None = parameter(None, metavar="DEGREES")
+    elevation: float | None = parameter(None, metavar="DEGREES", ge=-90, le=90)
     """... and degrees above the horizon."""
-    size: int | None = parameter(None, metavar="PX", shared=True)
+    size: int | None = parameter(None, metavar="PX", shared=True, ge=16, le=MAX_SIDE_PX)
     """Pixels of the longer side of the views that are sent; default: 800, or what --view says."""
     views: Literal["", "auto"] = parameter("", metavar="auto")
     """auto: one view after another, each for surface that no earlier one showed, until the surface is covered."""
-    max_views: int | None = parameter(None, metavar="N")
+    max_views: int | None = parameter(None, metavar="N", ge=1, le=MAX_VIEWS)
     """Most views of --views auto; default: 8."""
     mask: Path | None = parameter(None, metavar="M.png", file=True)
     """Where the view may change: what is not black (or not transparent)."""
     references: tuple[Path, ...] = parameter((), metavar="PICTURE ...", option="reference", file=True)
     """Reference pictures for the source."""
-    seed: int | None = parameter(None, metavar="N")
-    """Random seed, for sources that take one."""
-    enlarge: int = 1
+    enlarge: int = parameter(1, ge=1, le=16)
     """Factor by which the source enlarges the view; the edit is made at that size."""
-    strictness: Strictness = parameter("normal", option="source_strictness")
-    """Which pictures are refused. strict: edges agree by less than 0.7 of 1, moved by over 1 %, turned by over 0.5
-    degrees, 0.25 stops off, over 10 % changed outside the mask, or cropped; normal: less than 0.38, over 10 %, 6
-    degrees, 1.5 stops; loose: less than 0.2, over 30 %, 12 degrees."""
     report: Path | None = parameter(None, metavar="REPORT.png", option="source_report", output=True)
     """Write a sheet of pictures: sent, received, mask, used, difference."""
     mode: Mode = "local"
@@ -80,13 +73,10 @@ class Generate(PictureSourceOptions, PaintingOptions):
         if self.views and self.mode != "local":
             line = f"{name('views')} auto is for {name('mode')} local; one view is enough for {name('mode')} global"
             refuse(line)
-        if self.max_views is not None and not (self.views and 1 <= self.max_views <= MAX_VIEWS):
-            refuse(f"expected {name('max_views')} from 1 to {MAX_VIEWS}, with {name('views')} auto")
+        if self.max_views is not None and not self.views:
+            refuse(f"{name('max_views')} is for {name('views')} auto")
         # Out of range is refused here, before a service is asked, and not by a renderer afterwards.
-        if not 16 <= (self.size or USUAL_PX) <= MAX_SIDE_PX:
-            refuse(f"expected {name('size')} from 16 to {MAX_SIDE_PX}, got {self.size}")
-        if not -90 <= (self.elevation or 0) <= 90:
-            refuse(f"expected {name('elevation')} from -90 to 90, got {self.elevation:g}")
+        super().check(wording)
         if self.mode == "spread":
             refuse("a source's picture is painted in mode local or global, not spread")
 

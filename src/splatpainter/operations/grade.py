@@ -11,14 +11,14 @@ the look and the region leave alone keeps every one.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
 from splatpainter.color import from_hex
-from splatpainter.grading.color_grading import GradeSettings, apply_to_sh
+from splatpainter.grading.color_grading import ALL_HUES_DEGREES, ColorSliders, GradeSettings, apply_to_sh
 from splatpainter.grading.color_match import ColorMap, ColorMatch, Recolor, display_colors, seen_weights
 from splatpainter.grading.cube_lut import read_cube
 from splatpainter.io import files
@@ -31,16 +31,13 @@ from splatpainter.receipts import Receipt, untouched_hashes
 from splatpainter.splats import Splats, changed_rows
 from splatpainter.system.jsonio import load_object
 
-SLIDERS = {"exposure": 10.0, "temperature": 1.0, "tint": 1.0, "contrast": 1.0, "saturation": 1.0, "hue": 360.0}
-"""Slider -> the largest value to either side."""
+SLIDERS = (*(entry.name for entry in fields(ColorSliders)), "hue")
 LOOKS = ("look", "lut", "match", "recolor")
 """What stands in place of sliders: a look of the studio, a LUT, a picture's colours, one new colour."""
 MAX_NOTE = 2000
 """Characters of what a receipt says of a look and its region."""
 MAX_LOOK_BYTES = 1 << 20
 """Most bytes of a LOOK.json."""
-ALL_HUES_DEGREES = 1e6
-"""To either side: a band of hues that fades out nowhere."""
 LAYER_SUFFIX = ".splatlayer"
 """Of an adjustment layer of the studio as a file."""
 
@@ -66,23 +63,13 @@ Look: TypeAlias = GradeSettings | FixedLook | FittedLook
 
 
 @dataclass(frozen=True)
-class Grade(Operation):
+class Grade(ColorSliders, Operation):
     """Grade the colours of an asset, or of a region of it: by sliders, a look of the studio, a LUT, the colours of a
     picture, or one new colour. Nothing but colours changes."""
 
     kind: ClassVar[str] = "grade"
 
-    exposure: float = 0.0
-    """Exposure in stops, of linear light."""
-    temperature: float = 0.0
-    """-1 cold .. 1 warm."""
-    tint: float = 0.0
-    """-1 green .. 1 magenta."""
-    contrast: float = 0.0
-    """-1 .. 1: slope 2^c in the mid-tones."""
-    saturation: float = 0.0
-    """-1 grey .. 1 twice as colourful."""
-    hue: float = 0.0
+    hue: float = parameter(0.0, ge=-360, le=360)
     """Degrees by which all hues turn, about the grey axis; 120: red to green."""
     look: Path | None = parameter(None, metavar="LOOK.json", file=True)
     """Instead of sliders: an adjustment layer, as the studio exports it (.splatlayer), or its settings as JSON: the
@@ -93,19 +80,18 @@ class Grade(Operation):
     """... or the mean and spread of the colours of this picture (linear Monge-Kantorovitch map)."""
     recolor: str = parameter("", metavar="#RRGGBB")
     """... or one new colour; light and shade stay as they are."""
-    strength: float = 1.0
+    strength: float = parameter(1.0, gt=0, le=1)
     """Strength of the change, 0 .. 1."""
     where: tuple[str, ...] = parameter((), metavar="WHERE ...", holds="region")
     """Region that changes; default: everything."""
 
     def check(self, wording: Wording = AS_PYTHON) -> None:
+        super().check(wording)
         where = "grade: " if wording.where is None else wording.where
         # The look's file is not read here: jobs of a batch are checked before any of their files is there.
         one_look(vars(self), where, wording.dashes)
         if self.recolor:
             hex_color(self.recolor, where, wording.dashes)
-        if not 0 < self.strength <= 1:
-            raise ValueError(f"grade: expected a strength above 0, up to 1, got {self.strength:g}")
         if self.where:
             check_terms(self.where)
 
@@ -153,10 +139,7 @@ def read_look(path: Path) -> Look:
 
 def one_look(given: Mapping[str, Any], where: str = "", mark: str = "") -> dict[str, float]:
     """The sliders that are moved. given: values of SLIDERS and LOOKS by name. where: begins errors; mark: the names in
-    them. Raises ValueError: a slider beyond its end, no look at all, or several."""
-    for name, limit in SLIDERS.items():
-        if not -limit <= given[name] <= limit:
-            raise ValueError(f"{where}expected {mark}{name} from {-limit:g} to {limit:g}, got {given[name]}")
+    them. Raises ValueError: no look at all, or several."""
     values = {name: float(given[name]) for name in SLIDERS if given[name]}
     # Sliders count as one look together, so that they cannot be mixed with a file without a word.
     looks = [f"{mark}{name}" for name in LOOKS if given[name]] + (["sliders"] if values else [])
@@ -186,10 +169,7 @@ def adjust(splats: Splats, look: Look, region: Region | None = None, *, strength
     function = fitted(splats, look, weights)
     # Only rows of the region are computed; all others keep their bytes.
     chosen = np.arange(len(splats)) if weights is None else np.flatnonzero(weights)
-    try:
-        graded = apply_to_sh(splats.sh[chosen], _weaker(function, strength), splats.color_space)
-    except OverflowError as error:  # of Python's own floats
-        raise ValueError(f"grade: expected smaller settings ({error})") from None
+    graded = apply_to_sh(splats.sh[chosen], _weaker(function, strength), splats.color_space)
     # At weight 1 the result is taken as it is: a mix would round it.
     if weights is not None:
         share = weights[chosen][:, None, None]

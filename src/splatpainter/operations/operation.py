@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 from splatpainter.system import jsonio
+from splatpainter.system.ranges import out_of_range
 
 if TYPE_CHECKING:
     import numpy as np
@@ -58,15 +59,23 @@ def parameter(
     output: bool = False,
     shared: bool = False,
     holds: str = "",
+    ge: float | None = None,
+    gt: float | None = None,
+    le: float | None = None,
+    lt: float | None = None,
+    max_length: int | None = None,
 ) -> Any:
     """A field of an operation. metavar: its value in help. option: its name on the command line, where that is another
     ("camera" of `cameras`). positional: given there without a name. words: its type there, where that is another (str
     of a pixel "X,Y"); `__post_init__` makes of the words what the field is. file: it names files that are read; output:
     a file that is written. shared: it is declared in a base class, too, and comes after the fields of its own.
-    holds: of a file, "picture" or "camera", for hosts that have these at hand; "region" of words that say one."""
+    holds: of a file, "picture" or "camera", for hosts that have these at hand; "region" of words that say one. ge, gt,
+    le, lt: the range of a number (system/ranges.py). max_length: characters that a page may send."""
     # Everything that other programs build from a field travels in its metadata, so nothing lists options a second time.
     metadata = {"metavar": metavar, "option": option, "positional": positional, "words": words, "holds": holds}
-    return field(default=default, metadata={**metadata, "file": file, "output": output}, kw_only=shared or MISSING)
+    bounds = {"ge": ge, "gt": gt, "le": le, "lt": lt, "max_length": max_length}
+    metadata |= {"file": file, "output": output, **bounds}
+    return field(default=default, metadata=metadata, kw_only=shared or MISSING)
 
 
 @dataclass(frozen=True)
@@ -179,6 +188,9 @@ class Operation:
 
     def check(self, wording: Wording = AS_PYTHON) -> None:
         """Raises ValueError, one line, for options that cannot be or do not go together; no file is read."""
+        # Subclasses begin with this: numbers out of their ranges are refused in the same words everywhere.
+        if (line := out_of_range(self, wording.option)) is not None:
+            raise wording.error(self.kind, line)
 
     def ready(self, tools: Tools) -> ReadyOperation:
         """The operation with all that it needs but the asset: files are read, sources opened. Raises ValueError and

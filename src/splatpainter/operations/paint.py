@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.operations.operation import AS_PYTHON, ReadyOperation, Report, ReportedView, Tools, Wording, parameter
-from splatpainter.operations.painting_options import PaintingOptions
+from splatpainter.operations.painting_options import GateOptions, PaintingOptions
 from splatpainter.painting.edited_picture import MAX_VIEWS, Mode
 
 if TYPE_CHECKING:
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Paint(PaintingOptions):
+class Paint(GateOptions, PaintingOptions):
     """Write edited pictures of an asset onto it. Later pictures win where several disagree."""
 
     kind: ClassVar[str] = "paint"
@@ -43,18 +42,15 @@ class Paint(PaintingOptions):
     mode: Mode = "local"
     """local: only what was painted changes. global: a regraded or relit picture changes the whole asset. spread: the
     painted material changes all around, also where the pictures do not show it."""
-    spread_threshold: float | None = None
+    spread_threshold: float | None = parameter(None, ge=0, le=1)
     """Mode spread: confidence (0 to 1) from which a Gaussian counts as the painted material; lower reaches further.
     Default: 0.5."""
     spread_confidence: Path | None = parameter(None, metavar="C.png", output=True)
     """Mode spread: write a picture of this confidence, from the first edited view and from behind (green: sure, yellow:
     at the threshold, red and blue: not reached). With --dry-run nothing else is written."""
-    strictness: Strictness = parameter("normal", option="source_strictness")
-    """Which pictures of a source, and painted photographs, are refused. strict: edges agree by less than 0.7 of 1,
-    moved by over 1 %, turned by over 0.5 degrees, 0.25 stops off, over 10 % changed outside the mask, or cropped;
-    normal: less than 0.38, over 10 %, 6 degrees, 1.5 stops; loose: less than 0.2, over 30 %, 12 degrees."""
 
     def check(self, wording: Wording = AS_PYTHON) -> None:
+        super().check(wording)
         name = wording.option
         # Options of one mode are refused in the others, where they would be silently without effect.
         if self.mode != "spread" and (self.spread_threshold, self.spread_confidence) != (None, None):

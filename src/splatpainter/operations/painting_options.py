@@ -8,10 +8,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.nn.precision import Precision
 from splatpainter.operations.operation import Operation, Tools, Wording, parameter
 from splatpainter.painting.edited_picture import Method, Mode
+from splatpainter.sources.picture_source import MAX_PROMPT_CHARACTERS
 
 if TYPE_CHECKING:
     from splatpainter.painter import Painter
@@ -107,15 +109,27 @@ class PaintingOptions(ViewLimits):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PictureSourceOptions(Operation):
+class GateOptions(Operation):
+    """Which pictures are let through."""
+
+    strictness: Strictness = parameter("normal", option="source_strictness")
+    """Which pictures of a source, and painted photographs, are refused. strict: edges agree by less than 0.7 of 1,
+    moved by over 1 %, turned by over 0.5 degrees, 0.25 stops off, over 10 % changed outside the mask, or cropped;
+    normal: less than 0.38, over 10 %, 6 degrees, 1.5 stops; loose: less than 0.2, over 30 %, 12 degrees."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PictureSourceOptions(GateOptions):
     """Which picture source is asked, and for what."""
 
     source: str = parameter("", metavar="NAME")
     """Picture source that is asked (`splatpainter source list`)."""
     options: Any = parameter((), metavar="KEY=VALUE ...", option="source_option", words=tuple[str, ...])
     """Options of the source; `splatpainter source list` names them. Keys come from the environment alone."""
-    prompt: str = parameter("", metavar="TEXT")
-    """What the source should do to the view."""
+    prompt: str = parameter("", metavar="TEXT", max_length=MAX_PROMPT_CHARACTERS)
+    """What the source should do to the view, for sources that take a prompt."""
+    seed: int | None = parameter(None, metavar="N", ge=0, le=2**64 - 1)
+    """Random seed, for sources that take one."""
     size: int | None = parameter(None, metavar="PX")
     """Pixels of the longer side of the views that are sent; default: what the cameras say."""
 

@@ -26,14 +26,13 @@ class Refine(PictureSourceOptions):
     """Factor by which each view is enlarged; default: 2, or 1 for sources that do not enlarge."""
     source: str = parameter("upscale", metavar="NAME", shared=True)
     """Picture source that enlarges the views (`splatpainter source list`)."""
-    prompt: str = parameter("", metavar="TEXT", shared=True)
-    """Prompt, for sources that take one."""
     size: int | None = parameter(None, metavar="PX", shared=True)
     """Pixels of the longer side at which views are rendered and sent; default: the cameras'."""
     method: Literal["lift", "fit"] = "lift"
     """lift: analytic, seconds; fit: some seconds of optimisation after it, nearer to the pictures."""
 
     def check(self, wording: Wording = AS_PYTHON) -> None:
+        super().check(wording)
         name = wording.option
         # A file for each view: without any there is nothing to enlarge, and networks and memory bound the number.
         if not 1 <= len(self.views) <= MAX_VIEWS:
@@ -65,7 +64,8 @@ class Refine(PictureSourceOptions):
 
         def refined(asset: Asset, report: Report) -> Asset:
             # Unless a factor is asked for: some sources only sharpen and cannot enlarge.
-            brief = SourceBrief(self.prompt, scale=self.scale or usual_scale(source))
+            scale = self.scale or usual_scale(source)
+            brief = SourceBrief(self.prompt, seed=self.seed, scale=scale, strictness=self.strictness)
             asset = painter.encode(asset.splats, self.method, ["local"]) if asset.receipt is None else asset
             # All views in one edit, so that detail in which they disagree is settled between them.
             with tools.progress() as progress:

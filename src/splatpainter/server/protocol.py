@@ -15,11 +15,14 @@ from __future__ import annotations
 
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from splatpainter.cameras import Camera
 from splatpainter.io.files import printable
+from splatpainter.operations.decal import LayDecal
 from splatpainter.painter import LayerMethod, Method, Mode
+from splatpainter.server.message import Message as Message
+from splatpainter.server.message import options_message
 from splatpainter.session.document.document import Policy
 from splatpainter.session.document.layer_view import Blend
 
@@ -34,17 +37,6 @@ MatrixRow = Annotated[list[float], Field(min_length=4, max_length=4)]
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 FileName = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^/\\\x00-\x1f:]+$")]
 """A plain name inside the studio's folder, never a path."""
-
-
-class Message(BaseModel):
-    """Base of everything that travels: unknown fields are errors, NaN and infinity are too."""
-
-    model_config = ConfigDict(
-        extra="forbid",
-        allow_inf_nan=False,
-        use_attribute_docstrings=True,
-        json_schema_serialization_defaults_required=True,
-    )
 
 
 class CameraInfo(Message):
@@ -130,7 +122,7 @@ class LayerViewInfo(Message):
     """dB of the render after against the one before, outside the mask."""
 
 
-class Placed(Message):
+class Placed(options_message("PlacedFields", LayDecal, ("wrap",))):
     """A text or a picture that was laid on a view, as it can be laid there again."""
 
     kind: Literal["text", "sticker"]
@@ -156,8 +148,6 @@ class Placed(Message):
     unit: float | None = Field(default=None, gt=0, le=1e9)
     """World units per pixel of the picture, where it lies on the surface under its middle; None: it was laid on the
     view."""
-    wrap: float = Field(default=180.0, gt=0, le=180)
-    """Degrees by which that surface may turn away."""
     view: CameraInfo | None = None
     """View on which x and y are pixels; None: that of the layer's first picture."""
 

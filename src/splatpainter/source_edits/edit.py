@@ -16,13 +16,18 @@ from typing import Literal
 import numpy as np
 
 from splatpainter.cameras import Camera, orbit_cameras
-from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
 from splatpainter.receipts import Receipt, untouched_hashes
 from splatpainter.source_edits.coverage import ViewPlan, plan_views
-from splatpainter.source_edits.view_edit import MAX_PROMPT_CHARACTERS, SourceBrief, SourcedEdit, ask_for_edit
+from splatpainter.source_edits.view_edit import SourceBrief, SourcedEdit, ask_for_edit
 from splatpainter.source_edits.view_sequence import WITHOUT_SHEETS, edit_views_in_order, part_of
-from splatpainter.sources.picture_source import CancelFlag, PictureSource, Progress, SourceCancelled
+from splatpainter.sources.picture_source import (
+    MAX_PROMPT_CHARACTERS,
+    CancelFlag,
+    PictureSource,
+    Progress,
+    SourceCancelled,
+)
 from splatpainter.splats import Splats, changed_rows
 
 BACKGROUND = (0.25, 0.25, 0.25)
@@ -43,15 +48,11 @@ class SourcedAsset:
 def edit_with_source(
     splats: Splats,
     source: PictureSource,
-    prompt: str = "",
+    prompt: str | SourceBrief = "",
     *,
     camera: Camera | None = None,
     views: Literal["", "auto"] = "",
     mask: np.ndarray | None = None,
-    references: Sequence[np.ndarray] = (),
-    seed: int | None = None,
-    scale: int = 1,
-    strictness: Strictness = "normal",
     mode: Mode = "local",
     method: Method = "auto",
     max_views: int = 8,
@@ -62,15 +63,16 @@ def edit_with_source(
 ) -> Asset:
     """The asset after a picture source (`sources.registry.open_source`) has edited views of it.
 
-    camera: the view that is rendered and sent; by default the first of `render`'s ring, or with views="auto" the one
-    that shows most. views: "auto" goes on to the view that shows most of what none before it did, and asks for that
-    alone, until at most `max_views` have covered the surface. mask: [H, W] 0..1 of the camera's picture, where it may
-    change. references, seed, scale, strictness: as in SourceBrief. size: pixels of views that are chosen here. The
-    receipt's `source` says who made the pictures and what was corrected.
+    prompt: what it should do, in words, or all that is wanted of it (`SourceBrief`: references, a seed, a scale, how
+    much its pictures may differ). camera: the view that is rendered and sent; by default the first of `render`'s ring,
+    or with views="auto" the one that shows most. views: "auto" goes on to the view that shows most of what none before
+    it did, and asks for that alone, until at most `max_views` have covered the surface. mask: [H, W] 0..1 of the
+    camera's picture, where it may change. size: pixels of views that are chosen here. The receipt's `source` says who
+    made the pictures and what was corrected.
 
     Raises SourceError: more is asked than the source takes, the source fails, its picture is refused; SourceCancelled;
     ValueError as `Painter.apply`."""
-    brief = SourceBrief(prompt, tuple(references), seed, scale, strictness)
+    brief = SourceBrief.of(prompt)
     painter = painter or Painter.load(modes=[mode])
     asset = painter.encode(splats, method, [mode])
     reported = progress or (lambda share, words: None)
@@ -132,9 +134,8 @@ def refine(
     *,
     upscale: str | Path | None = None,
     source: PictureSource | None = None,
-    prompt: str = "",
+    prompt: str | SourceBrief = "",
     scale: int | None = None,
-    strictness: Strictness = "normal",
     method: Method = "lift",
     painter: Painter | None = None,
     progress: Progress | None = None,
@@ -144,8 +145,9 @@ def refine(
     enlarged, and all are lifted together at the enlarged size.
 
     cameras: 1 to 16. upscale: a super-resolution model that spandrel opens (.safetensors); None: Lanczos and gentle
-    sharpening, which invent nothing. source: another picture source instead; prompt: for one that takes it. scale: how
-    many times larger than its view each picture is made; None: `usual_scale`. method: "lift", or "fit" for
+    sharpening, which invent nothing. source: another picture source instead; prompt: for one that takes it, or
+    all that is wanted of it (`SourceBrief`). scale: how many times larger than its view each picture is made; None:
+    as the brief says, with words alone `usual_scale`. method: "lift", or "fit" for
     seconds of optimisation after it. The receipt's `source` says who made the pictures. Raises as
     `edit_with_source`."""
     from splatpainter.sources.registry import open_source
@@ -155,13 +157,13 @@ def refine(
     if not 1 <= len(cameras) <= MAX_VIEWS:
         raise ValueError(f"refine: expected 1 to {MAX_VIEWS} cameras, got {len(cameras)}")
     options = {} if upscale is None else {"model": str(upscale)}
-    painter = painter or Painter.load("lift")
+    painter, brief = painter or Painter.load("lift"), SourceBrief.of(prompt)
     source = source or open_source("upscale", options)
     return refine_views(
         painter,
         painter.encode(splats, method, ["local"]),
         source,
-        SourceBrief(prompt, scale=scale or usual_scale(source), strictness=strictness),
+        replace(brief, scale=scale or (usual_scale(source) if isinstance(prompt, str) else brief.scale)),
         cameras,
         method=method,
         progress=progress or (lambda share, words: None),

@@ -10,13 +10,11 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from splatpainter.cameras import Camera, look_at
-from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.holes.body import body_or_selection
 from splatpainter.holes.fill import Filled, fill_hole, painted
 from splatpainter.lift.masks import dilated
@@ -49,11 +47,8 @@ def fill(
     around: np.ndarray | None = None,
     body: bool = False,
     source: PictureSource | None = None,
-    prompt: str = "",
+    prompt: str | SourceBrief = "",
     camera: Camera | None = None,
-    references: Sequence[np.ndarray] = (),
-    seed: int | None = None,
-    strictness: Strictness = "normal",
     progress: Progress | None = None,
     cancel: CancelFlag | None = None,
 ) -> Asset:
@@ -64,8 +59,9 @@ def fill(
     are of (holes/body.py), or they alone where they are a spot on something larger. around: instead, those
     that lie around a hole that is there, as one selects them by circling it. The new Gaussians take the colours and the
     texture of what surrounds them; or, with a source, those of its picture of the filled view, in which the fill is the
-    mask. camera: that view; by default one that faces the hole. prompt, references, seed, strictness: as in
-    SourceBrief. The receipt says what was removed and added, and who made the picture.
+    mask. camera: that view; by default one that faces the hole. prompt: what the source should
+    paint there, in words, or all that is wanted of it (`SourceBrief`). The receipt says what was removed and added, and
+    who made the picture.
 
     Raises ValueError in one line where there is nothing to fill (holes/fill.py); SourceError and SourceCancelled as
     `edit_with_source`."""
@@ -82,7 +78,7 @@ def fill(
     filled = fill_hole(emptied, removed=chosen) if removed is not None else fill_hole(emptied, around=chosen)
     edits: tuple[SourcedEdit, ...] = ()
     appended = filled.appended
-    brief = SourceBrief(prompt, tuple(references), seed, 1, strictness)
+    brief = SourceBrief.of(prompt)
     if source is not None and not filled.holes:
         raise ValueError(f"fill: there is nothing for {source.name} to paint: {filled.reason}; fill without a source")
     if source is not None:

@@ -32,21 +32,25 @@ from splatpainter.splats import Splats
 if TYPE_CHECKING:
     from splatpainter.surface.estimate import Surface
 
-MAX_PROMPT_CHARACTERS = 4000
-"""Most characters of a prompt in a receipt; longer ones are cut there."""
-
 
 @dataclass(frozen=True)
 class SourceBrief:
     """What is wanted of a source, for every view that it gets."""
 
     prompt: str = ""
+    """What it should do, in words."""
     references: tuple[np.ndarray, ...] = field(default=(), repr=False)
     """Pictures [h, w, 3], display sRGB 0..1, that show what is meant."""
     seed: int | None = None
     scale: int = 1
     """How many times larger than the view the answer is to be; the edit is then made at that size."""
     strictness: Strictness = "normal"
+    """How much its pictures may differ from what was sent."""
+
+    @staticmethod
+    def of(wanted: str | SourceBrief) -> SourceBrief:
+        """The brief, also of words alone."""
+        return SourceBrief(wanted) if isinstance(wanted, str) else wanted
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,8 @@ from splatpainter.cameras import Camera
 
 Progress: TypeAlias = Callable[[float, str], None]
 """Share done, 0..1, and a few words on what is being done."""
+MAX_PROMPT_CHARACTERS = 4000
+"""Most characters of a prompt in a receipt, which cuts longer ones, and in what a page sends."""
 Map: TypeAlias = Callable[[], np.ndarray]
 """Renders a map of the view when a source takes it, and not before."""
 
@@ -81,11 +83,15 @@ class Capabilities:
     """What a source understands. More than that is refused before anything is sent."""
 
     prompt: bool = False
+    """Whether it takes a prompt."""
     needs_prompt: bool = False
+    """Whether it can do nothing without one."""
     mask: bool = False
+    """Whether it takes a mask; without, its picture is cut to it afterwards."""
     references: int = 0
     """How many reference pictures it takes."""
     seed: bool = False
+    """Whether it takes a seed."""
     max_seed: int = 2**64 - 1
     """The largest that it takes."""
     maps: frozenset[str] = field(default_factory=frozenset)

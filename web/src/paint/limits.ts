@@ -1,9 +1,9 @@
 /** Limits of what one view may paint, as the server takes them. */
 
-import type { PaintLimits } from "../messages";
+import { type PaintLimits, RANGES } from "../messages";
 
-export const MAX_ANGLE_DEGREES = 90;
-export const MAX_DEPTH_EDGE_PX = 16;
+export const [, MAX_ANGLE_DEGREES] = RANGES.PaintLimits.angle_limit;
+export const [, MAX_DEPTH_EDGE_PX] = RANGES.PaintLimits.depth_edge_limit;
 
 /** Whole numbers in their ranges, which sliders and typed numbers may leave. */
 export function limitsToSend(limits: { angle: number; depthEdge: number }): PaintLimits {

@@ -6,7 +6,7 @@
 import { signal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
 
-import type { ColorTransfer, GradeSliders } from "../messages";
+import { type ColorTransfer, type GradeSliders, RANGES } from "../messages";
 import { sendBlob } from "../net/blobs";
 import { selectedCount } from "../paint/selected";
 import { readOnly, selectedLayer, state } from "../state/store";
@@ -36,7 +36,7 @@ const HUES = [
 ] as const;
 
 /** Width of the band that is all hues alike. */
-const ALL_HUES = 1e6;
+const [, ALL_HUES] = RANGES.HueSliders.width;
 
 const sliders = signal<Full>(NEUTRAL);
 /** Colours from elsewhere, in place of the sliders, and what they are called. */
@@ -97,18 +97,22 @@ async function commit(): Promise<void> {
   selectedLayer.value = answer.layer.id;
 }
 
+/** Of the stops that are possible, those that a slider of this width can be set to a tenth of. */
+const EXPOSURE_RANGE = [-3, 3] as const;
 const AMOUNTS = [
-  ["Exposure", "exposure", -3, 3],
-  ["Temperature", "temperature", -1, 1],
-  ["Tint", "tint", -1, 1],
-  ["Contrast", "contrast", -1, 1],
-  ["Saturation", "saturation", -1, 1],
+  ["Exposure", "exposure", EXPOSURE_RANGE],
+  ["Temperature", "temperature", RANGES.GradeSliders.temperature],
+  ["Tint", "tint", RANGES.GradeSliders.tint],
+  ["Contrast", "contrast", RANGES.GradeSliders.contrast],
+  ["Saturation", "saturation", RANGES.GradeSliders.saturation],
 ] as const;
 
+/** A turn further is the same hue again from the other side. */
+const SHIFT_RANGE = [-180, 180] as const;
 const BANDS = [
-  ["Shift", "shift", 180, 1, "°"],
-  ["Saturation", "saturation", 1, 0.01, ""],
-  ["Lightness", "lightness", 1, 0.01, ""],
+  ["Shift", "shift", SHIFT_RANGE, 1, "°"],
+  ["Saturation", "saturation", RANGES.HueSliders.saturation, 0.01, ""],
+  ["Lightness", "lightness", RANGES.HueSliders.lightness, 0.01, ""],
 ] as const;
 
 export function Adjustments() {
@@ -134,7 +138,7 @@ export function Adjustments() {
   const off = readOnly.value || given !== null;
   return (
     <div class="adjustments">
-      {AMOUNTS.map(([label, key, min, max]) => (
+      {AMOUNTS.map(([label, key, [min, max]]) => (
         <Slider
           key={key}
           label={label}
@@ -150,8 +154,8 @@ export function Adjustments() {
       <Slider
         label="Hue"
         value={all[0]?.shift ?? 0}
-        min={-180}
-        max={180}
+        min={SHIFT_RANGE[0]}
+        max={SHIFT_RANGE[1]}
         step={1}
         unit="°"
         reset={0}
@@ -174,13 +178,13 @@ export function Adjustments() {
           />
         ))}
       </span>
-      {BANDS.map(([label, key, limit, step, unit]) => (
+      {BANDS.map(([label, key, [min, max], step, unit]) => (
         <Slider
           key={key}
           label={label}
           value={band[key] ?? 0}
-          min={-limit}
-          max={limit}
+          min={min}
+          max={max}
           step={step}
           digits={step < 1 ? 2 : 0}
           unit={unit}

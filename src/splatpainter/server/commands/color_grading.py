@@ -3,7 +3,7 @@ once, kept as an adjustment layer."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
@@ -14,7 +14,7 @@ from pydantic import Field
 
 from splatpainter.cameras import Camera
 from splatpainter.color import from_hex
-from splatpainter.grading.color_grading import GradeSettings
+from splatpainter.grading.color_grading import GradeSettings, HueBand
 from splatpainter.grading.color_match import AffineMap, ColorMap, ColorMatch, NewColor, Recolor
 from splatpainter.grading.color_transfer import LUT, RECOLOR, transfer_parameters, with_table
 from splatpainter.grading.cube_lut import CubeLut, read_cube
@@ -35,7 +35,8 @@ from splatpainter.server.commands.context import (
     python_line,
 )
 from splatpainter.server.current_selection import limited
-from splatpainter.server.protocol import Blob, CameraInfo, Command, LayerMade, Message, Name, Previewed, Unit
+from splatpainter.server.message import options_message
+from splatpainter.server.protocol import Blob, CameraInfo, Command, LayerMade, Name, Previewed
 from splatpainter.server.studio import Studio
 from splatpainter.session import Session
 from splatpainter.session.kinds.look_layers import look_of
@@ -43,38 +44,22 @@ from splatpainter.session.replay.layer_blending import ADJUSTMENTS, adjust_sh
 from splatpainter.splats import Splats, changed_rows
 
 
-class HueSliders(Message):
+class HueSliders(options_message("HueOptions", HueBand, [entry.name for entry in fields(HueBand)])):
     """A change of one range of hues."""
 
-    hue: float = Field(ge=0, lt=360)
-    """Middle of the range, degrees (0 red, 120 green, 240 blue)."""
-    width: float = Field(default=60, gt=0, le=1e6)
-    """Degrees to either side over which the change fades out; 1,000,000: all hues alike."""
-    shift: float = Field(default=0, ge=-180, le=180)
-    """Degrees."""
-    saturation: float = Field(default=0, ge=-1, le=1)
-    lightness: float = Field(default=0, ge=-1, le=1)
 
-
-class GradeSliders(Message):
+class GradeSliders(
+    options_message(
+        "SliderOptions",
+        GradeSettings,
+        [entry.name for entry in fields(GradeSettings) if entry.name != "space"],
+        parts={HueBand: HueSliders},
+    )
+):
     """Global sliders; zeros change nothing."""
 
-    exposure: float = Field(default=0, ge=-5, le=5)
-    """Stops, in linear light."""
-    temperature: float = Field(default=0, ge=-1, le=1)
-    """-1 cold .. 1 warm."""
-    tint: float = Field(default=0, ge=-1, le=1)
-    """-1 green .. 1 magenta."""
-    contrast: float = Field(default=0, ge=-1, le=1)
-    saturation: float = Field(default=0, ge=-1, le=1)
-    """-1 (grey) to 1."""
-    curve: list[tuple[Unit, Unit]] = Field(default=[], max_length=16)
-    """Points (in, out) of a tone curve of display values, by ascending `in`; [] is the straight line."""
-    hues: list[HueSliders] = Field(default=[], max_length=12)
-    strength: Unit = 1.0
 
-
-class ColorTransfer(Message):
+class ColorTransfer(options_message("TransferOptions", GradeSettings, ("strength",))):
     """Colours that come from elsewhere."""
 
     kind: Literal["lut", "match", "recolor"]
@@ -82,7 +67,6 @@ class ColorTransfer(Message):
     """File of a lut (a .cube table) or a match (a reference picture)."""
     color: str | None = Field(default=None, pattern="^#[0-9a-fA-F]{6}$")
     """Colour of recolor."""
-    strength: Unit = 1.0
 
 
 class GradePreview(Command):

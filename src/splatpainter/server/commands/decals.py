@@ -10,6 +10,7 @@ from pydantic import Field
 
 from splatpainter.decals.decal_placement import MAX_DECAL_PX, blocks_of
 from splatpainter.decals.decals import LITTLE_COVERAGE, Decal
+from splatpainter.operations.decal import LayDecal
 from splatpainter.painter import Method
 from splatpainter.pictures.picture_reader import read_picture
 from splatpainter.server.commands.context import (
@@ -22,6 +23,7 @@ from splatpainter.server.commands.context import (
 )
 from splatpainter.server.commands.painting import NO_LIMITS, within_selection
 from splatpainter.server.describe import layer_info, up_axis
+from splatpainter.server.message import options_message
 from splatpainter.server.option_fields import PaintLimits
 from splatpainter.server.protocol import (
     Answer,
@@ -44,29 +46,29 @@ class DecalLaid(LayerMade):
     """What to know of it, one line; "" where nothing is remarkable."""
 
 
-class DecalLay(Command):
+class PlacedDecal(options_message("DecalOptions", LayDecal, ("angle", "wrap")), Command):
+    """Where a decal lies on the surface."""
+
+    camera: CameraInfo
+    x: float
+    y: float
+    """Pixel under which its middle lies."""
+    width: float = Field(gt=0)
+    """World units along the surface."""
+    replaces: str | None = None
+    """Layer that it replaces, as in paint.end."""
+
+
+class DecalLay(PlacedDecal):
     """A text or a picture as a layer of paint that lies on the surface under a pixel, unwrapped over it: painted from
     one to six cameras that face parts of it."""
 
     NAME = "decal.lay"
     ANSWER = DecalLaid
-    camera: CameraInfo
-    x: float
-    y: float
-    """Pixel under which its middle lies."""
     picture: Blob
     """The picture, with alpha where it is not a rectangle."""
-    width: float = Field(gt=0)
-    """World units along the surface."""
-    angle: float = 0.0
-    """Degrees, counter-clockwise as seen from outside; at 0 it stands upright on the object, and as the view does on
-    what lies flat."""
-    wrap: float = Field(default=180.0, gt=0, le=180)
-    """Degrees by which the surface may turn away from where it faces under the pixel; 180: no limit."""
     placed: Placed | None = None
     """What can be changed later."""
-    replaces: str | None = None
-    """Layer that it replaces, as in paint.end."""
     gesture: Name | None = None
     """Gesture as in layer.set, with `replaces`."""
     name: Name = "Decal"
@@ -139,24 +141,16 @@ class DecalMap(Answer):
     world units right and up of the picture's; NaN: none."""
 
 
-class DecalShow(Command):
+class DecalShow(PlacedDecal):
     """Where decal.lay would lay a picture, as a view shows it. Nothing changes."""
 
     NAME = "decal.show"
     ANSWER = DecalMap
-    camera: CameraInfo
-    x: float
-    y: float
-    width: float = Field(gt=0)
-    angle: float = 0.0
-    wrap: float = Field(default=180.0, gt=0, le=180)
-    """These as of decal.lay."""
     columns: int = Field(ge=1, le=65536)
     """Size of the picture, pixels."""
     rows: int = Field(ge=1, le=65536)
     view: CameraInfo
     """On which it is shown."""
-    replaces: str | None = None
 
 
 @command(DecalShow, background=True)

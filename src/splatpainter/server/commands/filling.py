@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from pydantic import Field
-
 from splatpainter.server.commands.context import CommandContext, RawExpr, command, layer_made, progress, python_line
-from splatpainter.server.commands.source_edit import TicketFlag, within_limits
+from splatpainter.server.commands.source_edit import SourceCommand, SourceWords, TicketFlag, within_limits
 from splatpainter.server.describe import layer_info
 from splatpainter.server.protocol import CameraInfo, Command, LayerMade, Name
 from splatpainter.server.work_queue import Cancelled
 from splatpainter.source_edits.edit import source_record
 from splatpainter.source_edits.fill import ask_for_fill
-from splatpainter.source_edits.view_edit import MAX_PROMPT_CHARACTERS, SourceBrief
+from splatpainter.source_edits.view_edit import SourceBrief
 from splatpainter.sources.picture_source import SourceCancelled
 from splatpainter.sources.registry import open_source
 
@@ -69,16 +67,13 @@ def fill_from_surroundings(context: CommandContext, request: FillSurroundings) -
     return layer_made(context, request.layer, python_line("session.layers.fill_from", request.layer, []))
 
 
-class FillSource(Command):
+class FillSource(SourceWords, SourceCommand):
     """Send a view of a fill layer to a source, with the fill as the mask, and colour the layer by what comes back."""
 
     NAME = "fill.source"
     ANSWER = LayerMade
     layer: str
-    source: str = Field(min_length=1, max_length=100)
     camera: CameraInfo
-    prompt: str = Field(default="", max_length=MAX_PROMPT_CHARACTERS)
-    seed: int | None = Field(default=None, ge=0, le=2**32 - 1)
 
 
 @command(FillSource, background=True, once=True)

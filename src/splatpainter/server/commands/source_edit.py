@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 from pydantic import Field
@@ -17,11 +16,13 @@ from pydantic import Field
 from splatpainter.cameras import Camera
 from splatpainter.color import to_display
 from splatpainter.gatekeeper.gatekeeper import RefusedPicture
+from splatpainter.operations.generate import USUAL_PX, USUAL_VIEWS, Generate
 from splatpainter.painter import MAX_VIEWS
 from splatpainter.pictures.picture_reader import resample
 from splatpainter.server.commands.context import CommandContext, command, mask_from_upload
 from splatpainter.server.commands.picture_check import PictureChecked, PictureWarning
 from splatpainter.server.describe import layer_info
+from splatpainter.server.message import options_message
 from splatpainter.server.protocol import (
     MAX_VIEW_PIXELS,
     Answer,
@@ -39,15 +40,15 @@ from splatpainter.session.commands.source_layers import add_source_views
 from splatpainter.session.document.document import Layer
 from splatpainter.source_edits.coverage import ViewPlan, plan_views
 from splatpainter.source_edits.edit import BACKGROUND, source_record
-from splatpainter.source_edits.view_edit import MAX_PROMPT_CHARACTERS, SourceBrief, ask_for_edit
+from splatpainter.source_edits.view_edit import SourceBrief, ask_for_edit
 from splatpainter.sources.picture_source import Capabilities, PictureSource, SourceCancelled, SourceError, describe
 from splatpainter.sources.registry import SourceStatus, describe_sources, open_source
 
-PLAN_PX = 800
-"""Side of the views of a plan, as on the command line."""
+ABILITIES = ("prompt", "needs_prompt", "mask", "seed", "scales", "paid")
+"""What of a source's capabilities a page has to know."""
 
 
-class SourceInfo(Message):
+class SourceInfo(options_message("SourceAbilities", Capabilities, ABILITIES)):
     """A source of edited pictures."""
 
     name: str
@@ -57,17 +58,6 @@ class SourceInfo(Message):
     """What it takes, in words."""
     missing: str
     """Why it cannot be used, or ""."""
-    prompt: bool
-    """Whether it takes a prompt ..."""
-    needs_prompt: bool
-    """... and needs one."""
-    mask: bool
-    """Whether it takes a mask; without, its picture is cut to it afterwards."""
-    seed: bool
-    scales: list[int]
-    """Enlargements that it can be asked for."""
-    paid: bool
-    """Whether asking it costs money."""
 
 
 class Sources(Answer):
@@ -88,21 +78,26 @@ class SourceEdited(PictureChecked):
     """Name of the picture."""
 
 
-class SourceEdit(Command):
+class SourceCommand(Command):
+    """What is asked of a picture source."""
+
+    source: str = Field(min_length=1, max_length=100)
+    """Name of the source."""
+
+
+SourceWords = options_message("SourceWords", Generate, ("prompt", "seed"))
+
+
+class SourceEdit(SourceWords, options_message("SourceEnlarging", Generate, ("enlarge",)), SourceCommand):
     """Send a view to a source. What comes back can be edited with like a picture that was checked; one that the
-    gatekeeper refuses comes with a warning that says so. Changes nothing."""
+    gatekeeper refuses comes with a warning that says so. Changes nothing. Enlarged without a mask, all of the view
+    counts as changed, so that the layer is as sharp as the picture, as by `splatpainter refine`."""
 
     NAME = "source.edit"
     ANSWER = SourceEdited
-    source: str = Field(min_length=1, max_length=100)
     camera: CameraInfo
-    prompt: str = Field(default="", max_length=MAX_PROMPT_CHARACTERS)
     mask: Blob | None = None
     """Picture of the view, not black where it may change."""
-    seed: int | None = Field(default=None, ge=0, le=2**32 - 1)
-    enlarge: Literal[1, 2, 4] = 1
-    """How many times larger the answer is to be. Above 1 without a mask: all of it counts as changed, so that the
-    layer is as sharp as the picture, as by `splatpainter refine`."""
 
 
 @command(SourceList, background=True)
@@ -126,12 +121,7 @@ def _info(status: SourceStatus) -> SourceInfo:
         summary=description.summary,
         accepts=accepts,
         missing=missing,
-        prompt=able.prompt,
-        needs_prompt=able.needs_prompt,
-        mask=able.mask,
-        seed=able.seed,
-        scales=list(able.scales),
-        paid=able.paid,
+        **{name: getattr(able, name) for name in ABILITIES},
     )
 
 
@@ -234,16 +224,14 @@ class SourcePlanned(Answer):
     paid: bool
 
 
-class SourcePlan(Command):
+class SourcePlan(options_message("PlanOptions", Generate, ("max_views",)), SourceCommand):
     """Which views would be sent to a source, one after the other, until the asset (or what is selected of it) is
     covered. Nothing is asked."""
 
     NAME = "source.plan"
     ANSWER = SourcePlanned
-    source: str = Field(min_length=1, max_length=100)
     camera: CameraInfo | None = None
     """View to start with; None: the one that shows most."""
-    max_views: int = Field(default=8, ge=1, le=MAX_VIEWS)
 
 
 class SourceCovered(Answer):
@@ -259,17 +247,14 @@ class SourceCovered(Answer):
     """Pictures that were not painted, as of `source.edit`."""
 
 
-class SourceCover(Command):
+class SourceCover(SourceWords, SourceCommand):
     """Send the views of a plan to a source, one after the other, and paint each as a layer: each shows those before it,
     and is asked for what they did not reach. Limited to what is selected when it begins."""
 
     NAME = "source.cover"
     ANSWER = SourceCovered
-    source: str = Field(min_length=1, max_length=100)
     views: list[CameraInfo] = Field(min_length=1, max_length=MAX_VIEWS)
     """Views of `source.plan`."""
-    prompt: str = Field(default="", max_length=MAX_PROMPT_CHARACTERS)
-    seed: int | None = Field(default=None, ge=0, le=2**32 - 1)
     one_layer: bool = False
     """All views as one (merged) layer."""
     method: Method = "auto"
@@ -285,8 +270,8 @@ def plan_source_views(context: CommandContext, request: SourcePlan) -> SourcePla
     # The selection as a function, since the plan looks from cameras that are not known yet.
     plan = plan_views(
         studio.session.splats.numpy(),
-        size=min(PLAN_PX, source.capabilities.max_side_px),
-        max_views=request.max_views,
+        size=min(USUAL_PX, source.capabilities.max_side_px),
+        max_views=request.max_views or USUAL_VIEWS,
         first=first,
         background=BACKGROUND,
         allowed=studio.selection.share(),
