@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-from splatpainter.batch.schema import OLD_KEYS, Batch, LayersEdit, OperationStep, file_paths, with_values
+from splatpainter.batch.schema import OLD_KEYS, Batch, file_paths, with_values
 from splatpainter.io import FORMATS, format_of_name
 from splatpainter.io.files import file_sha256
 from splatpainter.io.formats.sog_container import META
@@ -30,7 +30,7 @@ class JobStep:
     """One edit of a job, its paths resolved."""
 
     kind: str
-    step: Operation | LayersEdit
+    step: Operation
     """What is done."""
     lines: tuple[tuple[str, str], ...]
     """(file, FILE:LINE where the jobs file names it) of what it reads."""
@@ -204,8 +204,7 @@ def _step(edit: Any, path: str, folder: Path, lines: Lines, asset: str, variant:
     for name, given in file_paths(step).items():
         full = [str(folder / with_values(entry, asset, variant)) for entry in given]
         original = getattr(step, name)
-        as_given = Path if isinstance(original, Path) or isinstance(step, OperationStep) else str
-        paths = tuple(map(as_given, full))
+        paths = tuple(map(Path, full))
         values[name] = paths if isinstance(original, tuple) else (paths[0] if paths else original)
         for k, (entry, target) in enumerate(zip(given, full, strict=True)):
             index = f"[{k}]" if isinstance(original, tuple) else ""
@@ -227,8 +226,7 @@ def _step(edit: Any, path: str, folder: Path, lines: Lines, asset: str, variant:
         ]
         values[name] = tuple(terms)
     try:
-        step = replace(step, **values)
-        return JobStep(kind, step.operation() if isinstance(step, OperationStep) else step, tuple(files))
+        return JobStep(kind, replace(step, **values).operation(), tuple(files))
     except ValueError as error:
         raise ValueError(f"{lines.at(f'{path}.{kind}')}: {error}") from None
 

@@ -24,17 +24,6 @@ MIN_PREVIEW_PX, MAX_PREVIEW_PX = 32, 2048
 
 
 @dataclass(frozen=True)
-class LayersEdit:
-    """The visible layers of a project, painted anew on the asset from the same cameras."""
-
-    project: str = field(metadata=FILE)
-    only: tuple[str, ...] = ()
-    """Names of layers; none: all."""
-    asset: str = ""
-    """Asset of a project with several: the name of the one whose layers are meant, or its number ("1": the first)."""
-
-
-@dataclass(frozen=True)
 class OperationStep:
     """An operation as a JOBS.yaml has it: its options by their names, which may hold {asset} and {variant}."""
 
@@ -62,13 +51,13 @@ def step_class(kind: type[Operation], **renamed: str) -> type[OperationStep]:
     return make_dataclass(f"{kind.__name__}Step", entries, bases=(OperationStep,), namespace=namespace, frozen=True)
 
 
-STEPS: dict[str, type] = {
+STEPS: dict[str, type[OperationStep]] = {
     "pictures": step_class(operation_class("paint"), pictures="files"),
     "decal": step_class(operation_class("decal")),
     "grade": step_class(operation_class("grade")),
     "source": step_class(operation_class("generate"), source="name"),
     "refine": step_class(operation_class("refine"), source="name"),
-    "layers": LayersEdit,
+    "layers": step_class(operation_class("replay")),
 }
 """Key of an edit -> its own keys. Operations have the names of their kinds, too."""
 STEPS |= {kind: step_class(operation_class(kind)) for kind in kinds() if kind not in STEPS}

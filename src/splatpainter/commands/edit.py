@@ -41,9 +41,9 @@ class Config(EditArguments, Paint, AssetArguments):
     """Apply operations to an asset, in order: edited pictures, decals, colours, light. Gaussians that they do not reach
     stay as they are, byte for byte where the format allows it, and one receipt proves it.
 
-    OPERATION is paint, decal, grade, fill, refine, generate, light, delight or pixelate, each with its options behind
-    it; `splatpainter edit OPERATION --help` shows them. Pictures alone are painted: the options of paint are below.
-    A picture that is called like an operation is given as ./paint.
+    OPERATION is paint, decal, grade, fill, refine, generate, light, delight, pixelate or replay, each with its options
+    behind it; `splatpainter edit OPERATION --help` shows them. Pictures alone are painted: the options of paint are
+    below. A picture that is called like an operation is given as ./paint.
 
     Pictures: PNG, JPEG, WebP, TIFF, OpenEXR, PSD, OpenRaster or Krita, painted on what `splatpainter render` made, or
     on a photograph that the asset was made from. Transparent pixels mean: unchanged. Later pictures win where several

@@ -44,8 +44,10 @@ KINDS = {
     "light": "light:Relight",
     "delight": "light:Delight",
     "pixelate": "pixelate:Pixelate",
+    "replay": "splatpainter.session.replay_operation:Replay",
 }
-"""Kind -> module of this folder and class, imported when it is asked for; in the order in which help lists them."""
+"""Kind -> module of this folder (of a room above its dotted name, as entry points have it) and class, imported when it
+is asked for; in the order in which help lists them."""
 
 
 def parameter(
@@ -295,7 +297,8 @@ def operation_class(kind: str) -> type[Operation]:
     # The package's own come first: another distribution cannot take the name of one of them.
     if kind in KINDS:
         module, _, name = KINDS[kind].partition(":")
-        return getattr(importlib.import_module(f"splatpainter.operations.{module}"), name)
+        dotted = module if "." in module else f"splatpainter.operations.{module}"
+        return getattr(importlib.import_module(dotted), name)
     points = [point for point in _entry_points() if point.name == kind]
     # Two distributions with one name: neither is taken, for nobody could tell which one it was.
     if len(points) != 1:

@@ -1,10 +1,10 @@
 """One job of a batch: its edits by the code of the commands, one after the other, each proved; resumable anywhere.
 
-A step is an operation as `splatpainter edit` applies it (or a project's layers, exported), from a file to a file in the
-job's folder. A step that is done leaves its hash beside its file, so after a kill only what was in work is done again,
-and what a paid source has answered is not asked for twice. What all variants of an asset begin with is made once for
-all of them: they would pay for a source's picture each, and get different ones. The last file takes its name at the
-end, with the receipt from the asset to it: of one edit that of the operation, of several one of the whole way.
+A step is an operation as `splatpainter edit` applies it, from a file to a file in the job's folder. A step that is
+done leaves its hash beside its file, so after a kill only what was in work is done again, and what a paid source has
+answered is not asked for twice. What all variants of an asset begin with is made once for all of them: they would pay
+for a source's picture each, and get different ones. The last file takes its name at the end, with the receipt from the
+asset to it: of one edit that of the operation, of several one of the whole way.
 """
 
 from __future__ import annotations
@@ -14,28 +14,25 @@ import io
 import json
 import secrets
 import shutil
-import tempfile
 import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from splatpainter.batch.plan import Job, JobStep
-from splatpainter.batch.schema import IN_FILES, LayersEdit
+from splatpainter.batch.schema import IN_FILES
 from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.color import to_display
 from splatpainter.commands.parts.terminal import complain, warn
 from splatpainter.image_files import to_uint8
-from splatpainter.io import FORMATS, chosen_axes, files, format_of_name, read
-from splatpainter.io.formats.sog_container import META
+from splatpainter.io import FORMATS, files, format_of_name, read
 from splatpainter.operations.generate import Generate
-from splatpainter.operations.operation import Operation, Report, Tools
+from splatpainter.operations.operation import Report, Tools
 from splatpainter.operations.painting_options import PictureSourceOptions
 from splatpainter.operations.to_file import FileOptions, apply_to_file
 from splatpainter.pictures.edit_files import camera_from
 from splatpainter.receipts import Receipt, prove, read_receipt, receipt_of
 from splatpainter.rendering import render
-from splatpainter.session import Session
 from splatpainter.session.project.asset_files import receipt_between
 from splatpainter.session.project.lock import ProjectLock
 from splatpainter.splats import Axes, Splats
@@ -43,7 +40,7 @@ from splatpainter.system.atomic import replace as replace_file
 from splatpainter.system.atomic import sync_folder, write_text
 
 if TYPE_CHECKING:
-    from splatpainter.session import Session
+    pass
 
 RECORD, BEFORE, AFTER = "record.json", "before.webp", "after.webp"
 """Files of a finished job's folder."""
@@ -156,10 +153,6 @@ def run_job(job: Job, run: str) -> dict[str, Any]:
 
 def run_step(step: JobStep, asset: Path, target: Path, axes: Axes) -> None:
     """One edit, from file to file with a receipt beside it."""
-    # Layers are replayed by a session; all other steps are operations on files.
-    if isinstance(step.step, LayersEdit):
-        replay_layers(step.step, asset, target, axes)
-        return
     # A step may be left over from a run that was killed, so its file is replaced.
     options = FileOptions(in_axes=axes, overwrite=True)
     tools, report = Tools(aside=True), Report(warn)
@@ -228,67 +221,6 @@ def calls_of(job: Job, counted: set[Path]) -> list[dict[str, Any]]:
         if k < job.common:
             counted.add(common)
     return out
-
-
-def replay_layers(step: LayersEdit, asset: Path, target: Path, axes: Axes) -> None:
-    """A project's visible layers on another asset, from the same cameras, with the winners that it names where layers
-    disagree. Raises ValueError: no such layers, one that cannot be applied to this asset."""
-    # Read only: the project may be open in the studio.
-    with Session.load(step.project, readonly=True) as source, tempfile.TemporaryDirectory() as folder:
-        asset_id = _asset_of(source, step)
-        layers = [layer for layer in source.layers if layer.asset == asset_id]
-        # Names that are missing are told, or a layer would be left out without a word.
-        missing = sorted(set(step.only) - {layer.name for layer in layers})
-        chosen = [layer for layer in layers if layer.visible and (not step.only or layer.name in step.only)]
-        if missing or not chosen:
-            raise ValueError(f"{step.project}: expected visible layers, got none called {', '.join(missing) or 'so'}")
-        # The project's own asset: its layers' results are stored, nothing has to be painted anew.
-        if not step.only and _is_original(source.scene.original_of(asset_id), asset, axes):
-            # What the layers make of it is in the project.
-            source.files.export(target, overwrite=True, asset=asset_id if len(source.scene.assets) > 1 else None)
-            return
-        # On another asset the layers are painted anew, by their own pictures and cameras.
-        with Session(asset, axes=axes) as session:
-            ids: dict[str, str] = {}
-            for k, layer in enumerate(chosen):
-                path = Path(folder) / f"{k}.splatlayer"
-                # By way of a file, as people carry layers from project to project.
-                source.files.export_layer(layer.id, path)
-                try:
-                    new = session.files.import_layer(path)
-                except ValueError as error:
-                    reason = str(error).removeprefix(f"{path}: ")
-                    raise ValueError(f"{step.project}: layer {layer.name!r}: {reason}") from None
-                pairs = zip(layer.leaves(), new.leaves(), strict=True)
-                ids |= {old.id: copy.id for old, copy in pairs}
-            # Ids are given anew by the new session; winners of conflicts go by the old ones.
-            for lower, upper, policy in source.snapshot.document.policies:
-                if lower in ids and upper in ids:
-                    session.layers.resolve_conflict(ids[lower], ids[upper], policy)
-            session.files.export(target, overwrite=True)
-
-
-def _asset_of(source: Session, step: LayersEdit) -> str:
-    """The id of the asset of a project whose layers are meant. Raises ValueError: several, and none of them named."""
-    for number, one in enumerate(source.scene.assets, 1):
-        # By name or by number: names need not be unique, and one asset needs neither.
-        if step.asset in (one.name, str(number)) or (not step.asset and len(source.scene.assets) == 1):
-            return one.id
-    names = ", ".join(repr(one.name) for one in source.scene.assets)
-    raise ValueError(f"{step.project}: expected asset to be one of {names}, got {step.asset!r:.80}")
-
-
-def _is_original(original: Splats, asset: Path, axes: Axes) -> bool:
-    """Whether a project's original is this very file, read alike."""
-    # Folders of several files have no hash of one file to compare.
-    single = not asset.is_dir() and asset.name.lower() != META
-    if not single or original.sha256 != files.file_sha256(asset):
-        return False
-    # Only SPZ leaves its axes open in a way that projects settle.
-    if original.source is None or original.source.format != "spz":
-        return chosen_axes(original) == axes
-    source = read(asset, axes=axes).source  # projects name the axes that an SPZ file leaves open
-    return source is not None and source.axes == original.source.axes
 
 
 def _receipt(job: Job, original: Splats, last: Path) -> Receipt:
@@ -375,7 +307,7 @@ def _preview_camera(job: Job, splats: Splats) -> Camera:
     """Camera of the small pictures: that of the jobs file, else of the first edit that has one, else from the front."""
     names: list[str | Path] = [job.preview_camera]
     for step in job.steps:
-        names += list(step.step.viewpoints()) if isinstance(step.step, Operation) else []
+        names += step.step.viewpoints()
     for name in filter(None, names):
         # A camera that cannot be read here is no reason to have no picture; the edit itself will say so.
         with contextlib.suppress(ValueError):

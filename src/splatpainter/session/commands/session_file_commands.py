@@ -39,9 +39,10 @@ class SessionFileCommands:
 
     # ---- the asset
 
-    def receipt(self) -> Receipt:
-        """Receipt of the session: the original against the asset as it is now."""
-        return self._receipt(self._core.snapshot)
+    def receipt(self, *, asset: str | None = None) -> Receipt:
+        """Receipt of the session: the original against the asset as it is now. asset: of several, that of this id
+        alone."""
+        return self._receipt(self._exported(asset))
 
     def _receipt(self, snapshot: Snapshot, options: WriteOptions = AS_IT_IS) -> Receipt:
         note = ", ".join(layer.name for layer in snapshot.document.layers if layer.visible) or "none"
