@@ -51,15 +51,8 @@ class Painter:
     """The network that reads pictures, for local edits by "ttt" where `model` makes none; on the CPU."""
     settings: EditSettings = field(default_factory=EditSettings)
     """How it paints."""
-    preset: str = ""
-    """What receipts call it; by default the model's preset, or "lift"."""
     why: str | None = None
     """Where it is given, method "auto" is the lift, and receipts say this line."""
-
-    def __post_init__(self) -> None:
-        if not self.preset:
-            network = self.model or self.local
-            object.__setattr__(self, "preset", "lift" if network is None else network.config.preset)
 
     @staticmethod
     def load(
@@ -96,6 +89,12 @@ class Painter:
         if preset == "lift":
             return Painter(settings=alone, why="preset 'lift': the analytic lift")
         return Painter(*weights.load_all(preset), settings)
+
+    @property
+    def preset(self) -> str:
+        """What receipts call it: the preset of its networks, or "lift"."""
+        network = self.model or self.local
+        return "lift" if network is None else network.config.preset
 
     def encode(self, splats: Splats, method: Method = "auto", modes: Sequence[Mode] = DEFAULT_MODES) -> Asset:
         """Prepare an asset for edits by `method` in these modes: for "ttt", run the LRM and Stage I where they are
