@@ -16,7 +16,7 @@ from splatpainter.receipts import Receipt
 from splatpainter.source_edits import coverage
 from splatpainter.source_edits.coverage import SurfaceView, plan_views, unreached
 from splatpainter.source_edits.edit import cover, edit_with_source, refine, usual_scale
-from splatpainter.source_edits.view_edit import SourceBrief, SourcedEdit, ask_for_edit, displayed, picture_sha256
+from splatpainter.source_edits.view_edit import AnsweredView, SourceBrief, ask_for_edit, displayed, picture_sha256
 from splatpainter.source_edits.view_sequence import edit_views_in_order
 from splatpainter.sources.picture_source import Capabilities, PictureAnswer, SourceCancelled, SourceError
 from splatpainter.splats import SH_C0, Splats, changed_rows
@@ -252,9 +252,9 @@ def test_views_are_refined_from_python() -> None:
 def test_a_view_that_cannot_be_painted_is_noted() -> None:
     splats = patterned(400)
     plan = plan_views(splats, size=64, max_views=3, background=GREY)
-    painted: list[SourcedEdit] = []
+    painted: list[AnsweredView] = []
 
-    def paint(made: SourcedEdit) -> None:
+    def paint(made: AnsweredView) -> None:
         if not painted and made.edit.name == "function view 1":
             raise ValueError("edit: reaches no Gaussian")
         painted.append(made)

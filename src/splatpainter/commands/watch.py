@@ -19,7 +19,7 @@ from splatpainter.gatekeeper.picture_gate import checked_picture
 from splatpainter.io import axes_news, files, read, write
 from splatpainter.output_paths import check_target, placed, splat_format
 from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
-from splatpainter.pictures import FileEdit
+from splatpainter.pictures import PictureFile
 from splatpainter.pictures.saved_pictures import LOOK_SECONDS, SavedPictures
 from splatpainter.receipts import prove, receipt_of
 from splatpainter.splats import Splats
@@ -88,7 +88,7 @@ class _Watch:
     splats: Splats
     painter: Painter
     asset: Asset
-    edits: dict[str, FileEdit] = field(default_factory=dict)
+    edits: dict[str, PictureFile] = field(default_factory=dict)
     """File name -> the picture as it was saved last."""
     lifted: int = 0
     refused: int = 0
@@ -118,7 +118,7 @@ class _Watch:
         if not self.config.json:
             print(line, flush=True)
 
-    def _edit(self, path: Path) -> FileEdit:
+    def _edit(self, path: Path) -> PictureFile:
         # More pictures than an edit takes: from here on OUT is the asset to go on with.
         if path.name not in self.edits and len(self.edits) >= MAX_VIEWS:
             raise ValueError(f"{path}: more than {MAX_VIEWS} pictures; go on with OUT as the new ASSET")

@@ -28,7 +28,7 @@ from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.image_files import find_camera, is_exr, picture_header, to_uint8
 from splatpainter.lift.masks import box_mean, change_mask, changed_throughout, dilated, largest_channel
 from splatpainter.painter import Mode
-from splatpainter.pictures.edit_files import MIN_MASK, FileEdit, Photograph, edit_from_files, has_aspect
+from splatpainter.pictures.edit_files import MIN_MASK, Photograph, PictureFile, edit_from_files, has_aspect
 from splatpainter.pictures.picture_reader import EXIF_STEPS, Picture, read_mask, read_picture
 from splatpainter.rendering import render as render_views
 from splatpainter.sources.picture_source import PictureRequest
@@ -142,7 +142,7 @@ def picture_edit(
     mask: Path | None = None,
     asset: Path | None = None,
     folders: Sequence[Path] = (),
-) -> FileEdit:
+) -> PictureFile:
     """As `edit_from_files`; where `camera` is FILE[:N] of a capture, or the asset lies in a folder with one and the
     picture has no camera but the name of a photograph of it: that photograph, painted on.
 
@@ -170,7 +170,7 @@ def carries_camera(picture: Path) -> bool:
     return True
 
 
-def photograph_edit(path: Path, view: CapturedView, mask: Path | None = None) -> FileEdit:
+def photograph_edit(path: Path, view: CapturedView, mask: Path | None = None) -> PictureFile:
     """A painted photograph, straightened, at most of PHOTOGRAPHS.max_photograph_px. mask: a picture of the photograph's
     pixels.
 
@@ -204,7 +204,7 @@ def photograph_edit(path: Path, view: CapturedView, mask: Path | None = None) ->
     before = None if taken is None else straight_picture(taken, used, all_of_it=True).colors
     photograph = Photograph(before, None if before is None else original)
     fitted = Picture(straight.colors, straight.alpha)
-    return FileEdit(path, fitted, picture.size, camera, marked, tuple(notes), photograph=photograph)
+    return PictureFile(path, fitted, picture.size, camera, marked, tuple(notes), photograph=photograph)
 
 
 def _orientation(path: Path) -> int:
@@ -283,7 +283,9 @@ def _mask(path: Path, turn: int, view: CapturedView) -> np.ndarray:
 # ---- over the asset
 
 
-def laid_over(edit: FileEdit, splats: Splats, mode: Mode = "local", strictness: Strictness = "normal") -> FileEdit:
+def laid_over(
+    edit: PictureFile, splats: Splats, mode: Mode = "local", strictness: Strictness = "normal"
+) -> PictureFile:
     """A painted photograph over the asset's render: the render's pixels, and the paint in the render's exposure; a file
     of another kind as it is. In mode "global" all of the picture, by as much as it was changed.
 
@@ -324,7 +326,7 @@ def laid_over(edit: FileEdit, splats: Splats, mode: Mode = "local", strictness: 
     return replace(edit, picture=picture, mask=admitted.changed, notes=notes, photograph=None)
 
 
-def _admitted(edit: FileEdit, request: PictureRequest, strictness: Strictness) -> AdmittedPicture:
+def _admitted(edit: PictureFile, request: PictureRequest, strictness: Strictness) -> AdmittedPicture:
     colors, alpha = edit.picture.colors, edit.picture.alpha
     painted = colors if alpha is None else np.dstack([colors, alpha])
     try:
@@ -342,7 +344,7 @@ def _nearer(colors: np.ndarray, render: np.ndarray, taken: np.ndarray, where: np
     return to_render < 0.5 * to_taken
 
 
-def _painted(edit: FileEdit, taken: np.ndarray, solid: np.ndarray) -> np.ndarray:
+def _painted(edit: PictureFile, taken: np.ndarray, solid: np.ndarray) -> np.ndarray:
     """[H, W] bool: where a photograph differs from itself as it was taken."""
     assert edit.photograph is not None
     colors, name = edit.picture.colors, edit.photograph.path
@@ -389,7 +391,7 @@ def _beyond_a_photograph(admitted: AdmittedPicture, render: np.ndarray, where: n
     return (box_mean(paint, PHOTOGRAPHS.blur_px) > 0) & where & painted
 
 
-def _regraded(edit: FileEdit, render: np.ndarray, taken: np.ndarray | None, solid: np.ndarray) -> FileEdit:
+def _regraded(edit: PictureFile, render: np.ndarray, taken: np.ndarray | None, solid: np.ndarray) -> PictureFile:
     """The render, changed by as much as the photograph was; without the photograph as it was taken, the picture."""
     if taken is None:
         note = "the photograph before it is not there: its exposure counts as part of the look"

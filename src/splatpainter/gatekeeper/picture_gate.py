@@ -21,7 +21,7 @@ from splatpainter.gatekeeper.mistaken_pictures import Explanation, Size, explain
 from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.image_files import find_camera
 from splatpainter.painter import Mode
-from splatpainter.pictures.edit_files import FileEdit, draw, over_render
+from splatpainter.pictures.edit_files import PictureFile, draw, over_render
 from splatpainter.pictures.encodings import guessed_encoding
 from splatpainter.pictures.picture_reader import Picture
 from splatpainter.pictures.view_search import most_alike, same_view, views_in
@@ -48,7 +48,7 @@ OTHER_AXES = (
 class CheckedPicture:
     """A picture that may be painted with."""
 
-    source: FileEdit
+    source: PictureFile
     warning: str = ""
     """One line, if not empty: it is painted with all the same."""
 
@@ -67,7 +67,7 @@ class _ComparedView:
 
 
 def checked_picture(
-    source: FileEdit,
+    source: PictureFile,
     splats: Splats,
     mode: Mode = "local",
     policy: MismatchPolicy = "refuse",
@@ -115,7 +115,7 @@ def checked_picture(
     return CheckedPicture(source, warning)
 
 
-def _complaint(source: FileEdit, explanation: Explanation) -> str:
+def _complaint(source: PictureFile, explanation: Explanation) -> str:
     differs = f"differs from its view on {100 * (1 - explanation.agreeing):.0f} % of what they show"
     words = explanation.words
     if explanation.cause == "other" and (hint := _other_view(source)):
@@ -132,7 +132,7 @@ def _advice(explanation: Explanation) -> str:
     return f"nothing was painted: {', '.join(ways)}, --force paints with it as it is"
 
 
-def _other_view(source: FileEdit) -> str:
+def _other_view(source: PictureFile) -> str:
     """What says that a picture is of another view than it is compared with: its own camera, or the view beside it that
     it is like; "" if nothing does."""
     camera = source.view or source.camera
@@ -147,7 +147,7 @@ def _other_view(source: FileEdit) -> str:
     return f"it is like {best.name} (--camera {source.path.parent / best.name})"
 
 
-def _compared(source: FileEdit, splats: Splats) -> _ComparedView:
+def _compared(source: PictureFile, splats: Splats) -> _ComparedView:
     drawn, cover = draw(splats, source.camera)
     render = np.clip(to_display(drawn, splats.color_space), 0, 1).astype(np.float32)
     colors, alpha = source.picture.colors, source.picture.alpha
@@ -168,13 +168,13 @@ def _with_other_axes(splats: Splats, camera: Camera, size: Size) -> Iterator[tup
 
 
 def _corrected(
-    source: FileEdit,
+    source: PictureFile,
     view: _ComparedView,
     splats: Splats,
     mode: Mode,
     strictness: Strictness,
     explanation: Explanation | None,
-) -> FileEdit:
+) -> PictureFile:
     """The picture after what explains it was undone, and through the gatekeeper: cut to what was painted."""
     colors, notes = view.colors if source.picture.alpha is not None else source.picture.colors, list(source.notes)
     # First the mistake is undone, then the rest is a source's picture like any other.
@@ -199,7 +199,7 @@ def _corrected(
     )
     height, width = admitted.changed.shape
     camera = view.camera if admitted.factor == 1 else view.camera.resized(width, height)
-    return FileEdit(
+    return PictureFile(
         source.path,
         Picture(admitted.image, None),
         (width, height),

@@ -17,7 +17,7 @@ from splatpainter.painter import MAX_VIEWS, Asset, Mode, Painter
 from splatpainter.rendering import MAX_SIDE_PX
 from splatpainter.source_edits.coverage import ViewPlan, plan_views
 from splatpainter.source_edits.edit import BACKGROUND, cover, edit_view
-from splatpainter.source_edits.view_edit import SourceBrief, SourcedEdit
+from splatpainter.source_edits.view_edit import AnsweredView, SourceBrief
 from splatpainter.sources.picture_source import PictureSource
 from splatpainter.splats import Splats
 from splatpainter.system.plain_words import count
@@ -194,7 +194,7 @@ class SourceTask:
         report.answers += [edit.answer for edit in sourced.edits]
         return sourced.asset
 
-    def _write_report(self, edits: Sequence[SourcedEdit]) -> None:
+    def _write_report(self, edits: Sequence[AnsweredView]) -> None:
         """The page of all that came back, where one is wanted."""
         from splatpainter.contact_sheet import write_sheet
         from splatpainter.gatekeeper.gate_report import report_page
@@ -212,7 +212,7 @@ class SourceTask:
         write_sheet(self.options.report, report_page(views, title))
 
 
-def notes_of_views(edits: Sequence[SourcedEdit]) -> list[tuple[str, ...]]:
+def notes_of_views(edits: Sequence[AnsweredView]) -> list[tuple[str, ...]]:
     """Notes of each view; what all of several have in common is listed once."""
     common = [note for note in edits[0].notes if len(edits) > 1 and all(note in edit.notes for edit in edits)]
     notes = [tuple(note for note in edit.notes if note not in common) for edit in edits]

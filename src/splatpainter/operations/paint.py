@@ -13,7 +13,7 @@ from splatpainter.painting.edited_picture import MAX_VIEWS, Mode
 
 if TYPE_CHECKING:
     from splatpainter.painter import Asset, Painter
-    from splatpainter.pictures import FileEdit
+    from splatpainter.pictures import PictureFile
     from splatpainter.splats import Splats
 
 
@@ -95,7 +95,7 @@ class Paint(GateOptions, PaintingOptions):
 
         return paint
 
-    def _read(self, tools: Tools) -> list[FileEdit]:
+    def _read(self, tools: Tools) -> list[PictureFile]:
         from splatpainter.gatekeeper.photographs import picture_edit
 
         cameras = self.camera_of_each or (None,) * len(self.pictures)
@@ -107,13 +107,13 @@ class Paint(GateOptions, PaintingOptions):
             for files in zip(self.pictures, cameras[: len(self.pictures)], masks, strict=True)
         ]
 
-    def _of_size(self, pictures: list[FileEdit], painter: Painter) -> list[FileEdit]:
+    def _of_size(self, pictures: list[PictureFile], painter: Painter) -> list[PictureFile]:
         """The pictures at the size at which they are edited with: networks want one size, and looks need no detail."""
         if self.mode == "global" or painter.choose(self.method, self.mode)[0] == "ttt":
             return [picture.at_view() for picture in pictures]
         return pictures
 
-    def _painted(self, asset: Asset, pictures: list[FileEdit], painter: Painter, report: Report) -> Asset:
+    def _painted(self, asset: Asset, pictures: list[PictureFile], painter: Painter, report: Report) -> Asset:
         splats = asset.splats
         # Looked at before anything is encoded: a camera that sees nothing makes an edit of nothing.
         _check_views(pictures, splats)
@@ -130,7 +130,7 @@ class Paint(GateOptions, PaintingOptions):
         report.views += [ReportedView(str(picture.path), picture.notes) for picture in pictures]
         return edited
 
-    def _checked(self, pictures: list[FileEdit], splats: Splats, report: Report) -> list[FileEdit]:
+    def _checked(self, pictures: list[PictureFile], splats: Splats, report: Report) -> list[PictureFile]:
         """The pictures as they are painted with. Raises ValueError for one that differs from its view everywhere."""
         from splatpainter.gatekeeper.photographs import laid_over
         from splatpainter.gatekeeper.picture_gate import checked_picture
@@ -145,7 +145,7 @@ class Paint(GateOptions, PaintingOptions):
         return [picture.source for picture in checked]
 
     def _write_confidence(
-        self, path: Path, splats: Splats, edited: Asset, pictures: Sequence[FileEdit], painter: Painter
+        self, path: Path, splats: Splats, edited: Asset, pictures: Sequence[PictureFile], painter: Painter
     ) -> None:
         from splatpainter.image_files import write_png
         from splatpainter.spread.options import SPREAD_DEFAULTS
@@ -158,7 +158,7 @@ class Paint(GateOptions, PaintingOptions):
         write_png(path, confidence_picture(arrays, confidence, threshold, pictures[0].camera.within(splats.offset)))
 
 
-def _warn_of_other_assets(pictures: Sequence[FileEdit], splats: Splats, report: Report) -> None:
+def _warn_of_other_assets(pictures: Sequence[PictureFile], splats: Splats, report: Report) -> None:
     for picture in pictures:
         # A picture says by its hash what it was rendered from; without one nothing can be said.
         made_for = picture.camera.asset_sha256
@@ -167,7 +167,7 @@ def _warn_of_other_assets(pictures: Sequence[FileEdit], splats: Splats, report: 
             report.warn(f"{picture.path}: was rendered from {other}; differences count as paint")
 
 
-def _check_views(pictures: Sequence[FileEdit], splats: Splats) -> None:
+def _check_views(pictures: Sequence[PictureFile], splats: Splats) -> None:
     """Raises ValueError where a picture's camera sees nothing of the asset: an edit of it would reach nothing."""
     from splatpainter.doubts import doubts_of_view
 

@@ -72,8 +72,8 @@ class AppliedOperation:
 
 
 @dataclass(frozen=True)
-class EditedFile:
-    """A file that operations made."""
+class ProvedFile:
+    """A file that operations made, read again and compared."""
 
     receipt: Receipt
     """From the file that was read to the one that was written."""
@@ -86,8 +86,8 @@ class EditedFile:
 
 
 @dataclass(frozen=True)
-class AppliedFile:
-    """A file that operations were applied to, and nothing written yet."""
+class AppliedOperations:
+    """What operations made of a file, and nothing written yet."""
 
     original: Splats
     edited: Asset
@@ -114,7 +114,7 @@ def apply_to_file(
     stage: Stage = lambda name: None,
     wording: Worder = lambda operation: AS_PYTHON,
     complain: Callable[[str], None] | None = None,
-) -> EditedFile:
+) -> ProvedFile:
     """Read an asset, apply the operations in their order, write it with its receipt. complain: takes lines about what
     was saved where it was interrupted; None: as warnings.
 
@@ -135,7 +135,7 @@ def apply_to_file(
         for line in answers_line(source.write_answers(out, report.answers)):
             report.warn(line)
     assert applied.edited.receipt is not None
-    return EditedFile(receipt, verification, applied.steps, applied.edited.receipt, applied.doubts)
+    return ProvedFile(receipt, verification, applied.steps, applied.edited.receipt, applied.doubts)
 
 
 def apply_to_asset(
@@ -146,7 +146,7 @@ def apply_to_asset(
     report: Report,
     stage: Stage = lambda name: None,
     wording: Worder = lambda operation: AS_PYTHON,
-) -> AppliedFile:
+) -> AppliedOperations:
     """The first half of `apply_to_file`: all but writing."""
     # Files of all operations are read first: a wrong picture of the last one must not cost the first ones' time.
     ready = [operation.ready(replace(tools, wording=wording(operation))) for operation in operations]
@@ -169,7 +169,7 @@ def apply_to_asset(
         report.answers += heard.answers
     # One proof from the first bytes to the last: what an operation changed and the next changed back did not change.
     edited = replace(edited, receipt=receipt_of_all(splats, edited.splats, steps))
-    return AppliedFile(splats, edited, tuple(steps), tuple(doubtful), read_seconds)
+    return AppliedOperations(splats, edited, tuple(steps), tuple(doubtful), read_seconds)
 
 
 def check_to_file(

@@ -2,5 +2,5 @@
 
 from __future__ import annotations
 
-from splatpainter.pictures.edit_files import FileEdit as FileEdit
+from splatpainter.pictures.edit_files import PictureFile as PictureFile
 from splatpainter.pictures.edit_files import edit_from_files as edit_from_files

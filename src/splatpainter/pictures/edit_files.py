@@ -51,8 +51,8 @@ class Photograph:
 
 
 @dataclass(frozen=True)
-class FileEdit:
-    """A picture and its camera, read but not yet compared with an asset."""
+class PictureFile:
+    """An edited picture of a file and its camera, read but not yet compared with an asset."""
 
     path: Path
     picture: Picture
@@ -73,7 +73,7 @@ class FileEdit:
     drawn: DrawnView | None = field(default=None, repr=False, compare=False)
     """The view as the asset shows it, held so that nobody draws it again (recent_views.py); None: not drawn yet."""
 
-    def at_view(self) -> FileEdit:
+    def at_view(self) -> PictureFile:
         """The picture at the size of the view that was rendered."""
         view = self.view
         if view is None:
@@ -85,7 +85,7 @@ class FileEdit:
         notes = (*self.notes[:-1], _resampled(self.original_size, view))
         return replace(self, picture=picture, camera=view, mask=mask, notes=notes, view=None)
 
-    def relative_to(self, offset: tuple[float, float, float]) -> FileEdit:
+    def relative_to(self, offset: tuple[float, float, float]) -> PictureFile:
         """The same picture for an asset with this offset (Splats.offset)."""
         view = None if self.view is None else self.view.relative_to(offset)
         return replace(self, camera=self.camera.relative_to(offset), view=view)
@@ -158,7 +158,7 @@ class FileEdit:
 
 def edit_from_files(
     picture: Path, camera: Path | None = None, mask: Path | None = None, folders: Sequence[Path] = ()
-) -> FileEdit:
+) -> PictureFile:
     """Read an edited picture, its camera (given: CAM.json, a PNG that carries one, or a folder of views, the one that
     it matches; else in the picture, else in its sidecar NAME.json, else that of the view that it matches, in its own
     folder and in `folders`) and its mask. A larger picture of the camera's shape is a larger render of the same view:
@@ -212,7 +212,7 @@ def edit_from_files(
     cut_out = find_alpha(picture) or (camera and find_alpha(picture, camera))
     fitted = unmultiplied(decoded, cut_out).resized(*size)
     rendered = None if larger is None else view
-    return FileEdit(picture, fitted, decoded.size, camera_used, marked, tuple(notes), bool(cut_out), rendered)
+    return PictureFile(picture, fitted, decoded.size, camera_used, marked, tuple(notes), bool(cut_out), rendered)
 
 
 def _resampled(size: tuple[int, int], view: Camera) -> str:

@@ -19,7 +19,7 @@ from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
 from splatpainter.receipts import Receipt, untouched_hashes
 from splatpainter.source_edits.coverage import ViewPlan, plan_views
-from splatpainter.source_edits.view_edit import SourceBrief, SourcedEdit, ask_for_edit
+from splatpainter.source_edits.view_edit import AnsweredView, SourceBrief, ask_for_edit
 from splatpainter.source_edits.view_sequence import WITHOUT_SHEETS, edit_views_in_order, part_of
 from splatpainter.sources.picture_source import (
     MAX_PROMPT_CHARACTERS,
@@ -40,7 +40,7 @@ class SourcedAsset:
 
     asset: Asset
     """The edited asset, with the receipt of all views, which names the source."""
-    edits: tuple[SourcedEdit, ...]
+    edits: tuple[AnsweredView, ...]
     refused: tuple[str, ...] = ()
     """Why pictures of further views were not taken, one line each."""
 
@@ -189,7 +189,7 @@ def refine_views(
 ) -> SourcedAsset:
     """Views that a source enlarges or restores, each as the asset is, lifted together (lift/local/wide_edit.py): what
     is sharper in them is sharper on the asset. Errors as of `edit_with_source`."""
-    edits: list[SourcedEdit] = []
+    edits: list[AnsweredView] = []
     for k, camera in enumerate(cameras):
         if cancel.is_set():
             raise SourceCancelled
@@ -234,7 +234,7 @@ def cover(
     painter = _without_sheets(painter)
     before, receipts = asset, []
 
-    def paint(sourced: SourcedEdit) -> None:
+    def paint(sourced: AnsweredView) -> None:
         nonlocal asset
         asset = painter.apply(asset, [sourced.edit], "local", method)
         assert asset.receipt is not None
@@ -259,7 +259,7 @@ def cover(
     return SourcedAsset(replace(asset, receipt=receipt), sourced_views.edits, sourced_views.notes)
 
 
-def source_record(source: PictureSource, brief: SourceBrief, edits: Sequence[SourcedEdit]) -> dict:
+def source_record(source: PictureSource, brief: SourceBrief, edits: Sequence[AnsweredView]) -> dict:
     """What a receipt says of a source: no keys and no addresses, for it was given none."""
     return {
         "name": source.name,

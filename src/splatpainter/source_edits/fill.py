@@ -22,7 +22,7 @@ from splatpainter.painter import Asset
 from splatpainter.receipts import Receipt, untouched_hashes
 from splatpainter.rendering.pixel_shares import share_of
 from splatpainter.source_edits.edit import BACKGROUND, source_record
-from splatpainter.source_edits.view_edit import SourceBrief, SourcedEdit, ask_for_edit
+from splatpainter.source_edits.view_edit import AnsweredView, SourceBrief, ask_for_edit
 from splatpainter.sources.picture_source import CancelFlag, PictureSource, Progress, SourceError
 from splatpainter.splats import Splats, changed_rows
 
@@ -76,7 +76,7 @@ def fill(
     if removed is not None:
         emptied = replace(splats, opacities=np.where(chosen, np.float32(0), splats.opacities))
     filled = fill_hole(emptied, removed=chosen) if removed is not None else fill_hole(emptied, around=chosen)
-    edits: tuple[SourcedEdit, ...] = ()
+    edits: tuple[AnsweredView, ...] = ()
     appended = filled.appended
     brief = SourceBrief.of(prompt)
     if source is not None and not filled.holes:
@@ -138,7 +138,7 @@ def ask_for_fill(
     *,
     progress: Progress,
     cancel: CancelFlag,
-) -> SourcedEdit:
+) -> AnsweredView:
     """A source's picture of a view of `splats` (numpy), some of whose Gaussians (new: [N] bool) fill a hole: these are
     the mask. Raises SourceError: the view does not show them; and as ask_for_edit."""
     mask = fill_mask(splats, new, camera)
@@ -154,7 +154,7 @@ def fill_mask(splats: Splats, new: np.ndarray, camera: Camera) -> np.ndarray:
     return dilated(share_of(splats, camera, new) > MIN_SHARE, MASK_MARGIN_PX)
 
 
-def _mask_of(sourced: SourcedEdit) -> np.ndarray:
+def _mask_of(sourced: AnsweredView) -> np.ndarray:
     mask = sourced.edit.mask
     return np.ones(sourced.edit.image.shape[:2], np.float32) if mask is None else mask.astype(np.float32)
 

@@ -54,8 +54,8 @@ class SourceBrief:
 
 
 @dataclass(frozen=True)
-class SourcedEdit:
-    """A view's edit, and how it came to be."""
+class AnsweredView:
+    """A view that a source answered: the edit that became of it, and how."""
 
     edit: Edit
     request: PictureRequest = field(repr=False)
@@ -92,7 +92,7 @@ def ask_for_edit(
     mode: Mode = "local",
     surface: Callable[[], Surface] | None = None,
     name: str = "",
-) -> SourcedEdit:
+) -> AnsweredView:
     """Render the asset (numpy) from the camera, send that to the source, and make an Edit of what comes back.
 
     mask: [H, W] 0..1, where the picture may change; a source that takes no masks does not get it, and its picture is
@@ -133,7 +133,7 @@ def ask_for_edit(
         refusal.request, refusal.answer = request, answer
         raise
     colors = from_display(admitted.image, splats.color_space)
-    return SourcedEdit(
+    return AnsweredView(
         Edit(np.ascontiguousarray(colors, np.float32), _times(camera, admitted.factor), admitted.changed, name),
         request,
         answer,

@@ -11,7 +11,7 @@ import numpy as np
 
 from splatpainter.gatekeeper.gatekeeper import RefusedPicture
 from splatpainter.source_edits.coverage import SurfaceView, ViewPlan, ViewShare, unreached, worth_asking
-from splatpainter.source_edits.view_edit import SourceBrief, SourcedEdit, ask_for_edit
+from splatpainter.source_edits.view_edit import AnsweredView, SourceBrief, ask_for_edit
 from splatpainter.sources.picture_source import CancelFlag, PictureSource, Progress, SourceCancelled, SourceError
 from splatpainter.splats import Splats
 
@@ -26,10 +26,10 @@ exchanged; with sheets 19.5 to 25.8."""
 
 
 @dataclass(frozen=True)
-class SourcedViews:
-    """Results of the views of a plan."""
+class AnsweredViews:
+    """The views of a plan, as far as a source answered them."""
 
-    edits: tuple[SourcedEdit, ...]
+    edits: tuple[AnsweredView, ...]
     """Those that were painted."""
     notes: tuple[str, ...] = ()
     """Why further views were not, one line each."""
@@ -45,14 +45,14 @@ def edit_views_in_order(
     plan: ViewPlan,
     *,
     present: Callable[[], Splats],
-    paint: Callable[[SourcedEdit], None],
+    paint: Callable[[AnsweredView], None],
     progress: Progress,
     cancel: CancelFlag,
     surface: Callable[[], Surface] | None = None,
     allowed: ViewShare | None = None,
     entered: Callable[[int, int], None] | None = None,
     keep_when_cancelled: bool = False,
-) -> SourcedViews:
+) -> AnsweredViews:
     """Ask a source for each view of a plan, and have its picture painted before the next one is rendered.
 
     splats: the asset (numpy) before; present: gives it with what was painted since; paint: paints one view's edit, or
@@ -66,7 +66,7 @@ def edit_views_in_order(
     from splatpainter.view_files import normals_of
 
     normals, count = normals_of(splats), len(plan.cameras)
-    edits: list[SourcedEdit] = []
+    edits: list[AnsweredView] = []
     notes: list[str] = []
     refused: list[RefusedPicture] = []
     reached: list[tuple[SurfaceView, np.ndarray]] = []
@@ -116,10 +116,10 @@ def edit_views_in_order(
     except SourceCancelled:
         if not (keep_when_cancelled and edits):
             raise
-        return SourcedViews(tuple(edits), tuple(notes), True, tuple(refused))
+        return AnsweredViews(tuple(edits), tuple(notes), True, tuple(refused))
     if not edits:
         raise error or ValueError("views auto: no view shows a surface that could be painted")
-    return SourcedViews(tuple(edits), tuple(notes), refused=tuple(refused))
+    return AnsweredViews(tuple(edits), tuple(notes), refused=tuple(refused))
 
 
 def part_of(progress: Progress, index: int, count: int) -> Progress:

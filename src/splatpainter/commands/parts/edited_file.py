@@ -17,7 +17,7 @@ from splatpainter.commands.parts.terminal import SourceBar, complain, count, dec
 from splatpainter.operations.operation import Operation, Report, ReportedView, Tools, Wording, check_operations
 
 if TYPE_CHECKING:
-    from splatpainter.operations.to_file import EditedFile, Worder
+    from splatpainter.operations.to_file import ProvedFile, Worder
     from splatpainter.receipts import Receipt
 
 _Operation = TypeVar("_Operation", bound=Operation)
@@ -138,7 +138,7 @@ def spoken(kind: type[Operation], where: str, names: Mapping[str, str] | None = 
     return Wording(where, "--", {**options, **(names or {})})
 
 
-def _record(config: Any, done: EditedFile) -> dict[str, Any]:
+def _record(config: Any, done: ProvedFile) -> dict[str, Any]:
     from splatpainter.operations.to_file import proved_record
     from splatpainter.receipts import receipt_of
 
@@ -147,7 +147,7 @@ def _record(config: Any, done: EditedFile) -> dict[str, Any]:
     return record | {"notes": notes, "doubts": list(done.doubts)}
 
 
-def _lines(config: Any, done: EditedFile) -> list[str]:
+def _lines(config: Any, done: ProvedFile) -> list[str]:
     """What people read."""
     verification, receipt = done.verification, done.receipt
     views = [view for step in done.steps for view in step.views]

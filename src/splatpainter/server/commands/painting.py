@@ -17,7 +17,7 @@ from splatpainter.color import from_display
 from splatpainter.image_files import find_alpha
 from splatpainter.lift.masks import change_mask
 from splatpainter.painter import Edit, Method, Mode
-from splatpainter.pictures.edit_files import FileEdit, unmultiplied
+from splatpainter.pictures.edit_files import PictureFile, unmultiplied
 from splatpainter.pictures.picture_reader import read_picture
 from splatpainter.rendering import render
 from splatpainter.server import frames
@@ -461,7 +461,7 @@ def edit_from_upload(context: CommandContext, view: EditedView, mode: Mode) -> E
     alpha = find_alpha(blob.path)
     # Colours that were multiplied by alpha would be painted too dark.
     resized = unmultiplied(picture, alpha).resized(camera.width, camera.height)
-    source = FileEdit(name, resized, picture.size, camera, mask, picture.notes, cut_out=alpha is not None)
+    source = PictureFile(name, resized, picture.size, camera, mask, picture.notes, cut_out=alpha is not None)
     return source.edit(context.studio.session.splats, mode)
 
 

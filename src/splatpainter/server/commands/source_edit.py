@@ -71,7 +71,7 @@ class SourceList(Command):
     ANSWER = Sources
 
 
-class SourceEdited(PictureChecked):
+class SourcePicture(PictureChecked):
     """The picture that a source made, checked as a dropped one; its camera is the view that was sent."""
 
     name: str
@@ -94,7 +94,7 @@ class SourceEdit(SourceWords, options_message("SourceEnlarging", Generate, ("enl
     counts as changed, so that the layer is as sharp as the picture, as by `splatpainter refine`."""
 
     NAME = "source.edit"
-    ANSWER = SourceEdited
+    ANSWER = SourcePicture
     camera: CameraInfo
     mask: Blob | None = None
     """Picture of the view, not black where it may change."""
@@ -126,7 +126,7 @@ def _info(status: SourceStatus) -> SourceInfo:
 
 
 @command(SourceEdit, background=True, once=True)
-def edit_by_source(context: CommandContext, request: SourceEdit) -> SourceEdited:
+def edit_by_source(context: CommandContext, request: SourceEdit) -> SourcePicture:
     studio, source = context.studio, open_source(request.source)
     # Smaller views where the answer is enlarged, so that the enlarged one can still be painted.
     camera = within_limits(
@@ -159,7 +159,7 @@ def edit_by_source(context: CommandContext, request: SourceEdit) -> SourceEdited
     if request.enlarge > 1 and mask is None:
         changed = np.ones_like(changed)
     cost = (sourced.answer.cost,) if sourced.answer.cost else ()
-    return SourceEdited(
+    return SourcePicture(
         camera=CameraInfo.of(camera),
         camera_source="given",
         picture=picture,
@@ -175,7 +175,7 @@ def edit_by_source(context: CommandContext, request: SourceEdit) -> SourceEdited
 
 def _refused(
     context: CommandContext, source: PictureSource, prompt: str, refusal: RefusedPicture
-) -> SourceEdited | None:
+) -> SourcePicture | None:
     """A picture that was refused, as one that was dropped would be: it may have been paid for, and people see what came
     back and judge it. None: nothing came back that shows a change."""
     request, answer = refusal.request, refusal.answer
@@ -196,7 +196,7 @@ def _refused(
     studio = context.studio
     camera, name = replace(request.camera, asset_sha256=studio.session.opened.sha256), name_of(source, prompt)
     cost = [answer.cost] if answer.cost else []
-    return SourceEdited(
+    return SourcePicture(
         camera=CameraInfo.of(camera),
         camera_source="given",
         picture=studio.blobs.put(registration.png_bytes(colors, camera), f"{name}.png").sha256,
@@ -243,7 +243,7 @@ class SourceCovered(Answer):
     """Whether it was cancelled after some of them; those stay."""
     notes: list[str]
     """Why views were not painted, and what they cost, one line each."""
-    refused: list[SourceEdited]
+    refused: list[SourcePicture]
     """Pictures that were not painted, as of `source.edit`."""
 
 

@@ -16,8 +16,8 @@ from splatpainter.session.document.document import Layer
 from splatpainter.session.session import Session
 from splatpainter.source_edits.coverage import ViewPlan, ViewShare
 from splatpainter.source_edits.edit import source_record
-from splatpainter.source_edits.view_edit import SourceBrief, SourcedEdit
-from splatpainter.source_edits.view_sequence import SourcedViews, edit_views_in_order
+from splatpainter.source_edits.view_edit import AnsweredView, SourceBrief
+from splatpainter.source_edits.view_sequence import AnsweredViews, edit_views_in_order
 from splatpainter.sources.picture_source import CancelFlag, PictureSource, Progress, SourceCancelled
 
 Write = Callable[[Callable[[], Layer]], Layer]
@@ -30,7 +30,7 @@ class SourceLayers:
 
     layers: tuple[Layer, ...]
     """New ones, lowest first: one per view, or one of all of them."""
-    sourced_views: SourcedViews
+    sourced_views: AnsweredViews
     notes: tuple[str, ...]
     """Why views were not painted, and what else is to say, one line each."""
 
@@ -61,7 +61,7 @@ def add_source_views(
     title = " ".join(title.split())[:80]
     layers: list[Layer] = []
 
-    def paint(sourced: SourcedEdit) -> None:
+    def paint(sourced: AnsweredView) -> None:
         name = f"{title} ({len(layers) + 1})"
         # Who made the picture goes into the layer, so that receipts can say it.
         record = source_record(source, brief, [sourced])
