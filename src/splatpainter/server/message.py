@@ -19,6 +19,9 @@ from splatpainter.session.kinds.operation_layers import REGION_OPTIONS
 from splatpainter.system.jsonio import field_types
 from splatpainter.system.ranges import bounds_of
 
+FILES = ("file", "output", "blob")
+"""What metadata says of options that name files, or the hash of a picture."""
+
 
 class Message(BaseModel):
     """Base of everything that travels: unknown fields are errors, NaN and infinity are too."""
@@ -69,9 +72,9 @@ def _in_lists(hint: Any, bounds: Mapping[str, Any], parts: Mapping[type, type[Me
 
 
 def layer_options(operation: type) -> list[str]:
-    """The options of an operation that a layer of it can have: those that name no files and no region."""
+    """The options of an operation that a layer of it can have: those that name no files, pictures or region."""
     fields = dataclasses.fields(operation)
-    files = {entry.name for entry in fields if entry.metadata.get("file") or entry.metadata.get("output")}
+    files = {entry.name for entry in fields if {*FILES}.intersection(k for k, said in entry.metadata.items() if said)}
     return [entry.name for entry in fields if entry.name not in files and entry.name not in REGION_OPTIONS]
 
 

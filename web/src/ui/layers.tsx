@@ -14,6 +14,7 @@ import { changePlaced } from "../tools/replacing";
 import { FillSettings } from "./fill-layer";
 import { Icon, type IconName } from "./icons";
 import { LayerMask, maskOpen, paintMask } from "./layer-mask";
+import { OptionSettings } from "./layer-options";
 import { CommandButton } from "./command-button";
 import { Button, Check, Choice, FileButton, Slider } from "./parts";
 
@@ -54,6 +55,7 @@ export function Layers() {
       <LayerSettings layer={chosen} />
       <SpreadSettings layer={chosen} />
       <FillSettings layer={chosen} />
+      <OptionSettings layer={chosen} />
       <LayerMask layer={chosen} />
       <InConflict />
       <ul class="layer-list" aria-label="Layers, uppermost first">

@@ -8,6 +8,7 @@ from splatpainter.server.commands import decals as _decals  # noqa: F401
 from splatpainter.server.commands import exports as _exports  # noqa: F401
 from splatpainter.server.commands import files as _files  # noqa: F401
 from splatpainter.server.commands import filling as _filling  # noqa: F401
+from splatpainter.server.commands import layer_options as _layer_options  # noqa: F401
 from splatpainter.server.commands import layers as _layers  # noqa: F401
 from splatpainter.server.commands import lighting as _lighting  # noqa: F401
 from splatpainter.server.commands import painting as _painting  # noqa: F401

@@ -163,6 +163,11 @@ class LayerOperation:
         values = {entry.name: getattr(self, entry.name) for entry in dataclasses.fields(self)}
         return {name: value for name, value in values.items() if value != getattr(default, name)}
 
+    @property
+    def options(self) -> Any:
+        """The dataclass whose fields are its options: of a kind of layer the kind itself."""
+        return self
+
     def option_names(self) -> tuple[str, ...]:
         """Names of its options."""
         return tuple(entry.name for entry in dataclasses.fields(self))

@@ -37,6 +37,10 @@ class OperationLayer(LayerOperation):
         """That of the operation."""
         return self.operation.kind
 
+    @property
+    def options(self) -> Operation:
+        return self.operation
+
     def check(self) -> None:
         # A project comes from anybody: what it says must not open files of this machine when it is replayed. Regions
         # may name files in their words, so a selection or a mask stands in for them.

@@ -1,0 +1,98 @@
+/** The options of a layer whose kind has no panel of its own: controls made from what the server says of them. */
+
+import { signal } from "@preact/signals";
+import { useEffect } from "preact/hooks";
+
+import type { LayerInfo, OptionInfo } from "../messages";
+import { run } from "../editor/editor";
+import { readOnly } from "../state/store";
+import { Check, Choice, NumberField, Slider } from "./parts";
+
+/** Kinds whose options have controls elsewhere. */
+const OWN_PANELS = new Set(["paint", "picture", "clone", "look", "erase", "hide", "fill", "relief", "merged", "light"]);
+
+/** Of which layer, in which state, these are the options. */
+const listed = signal<{ of: string; options: OptionInfo[] }>({ of: "", options: [] });
+
+export function OptionSettings({ layer }: { layer: LayerInfo | null }) {
+  const of = layer && !OWN_PANELS.has(layer.kind) ? `${layer.id} ${JSON.stringify(layer.parameters)}` : "";
+  useEffect(() => {
+    if (!of) return;
+    void run("layer.options", { layer: of.split(" ", 1)[0] }).then((answer) => {
+      if (answer) listed.value = { of, options: answer.options };
+    });
+  }, [of]);
+  // While the newest are on their way the controls of the same layer stay where they are.
+  if (!layer || !of || listed.value.of.split(" ", 1)[0] !== layer.id) return null;
+  const set = (option: OptionInfo, value: number | boolean | string) =>
+    void run("layer.set", { layer: layer.id, parameters: { [option.name]: value } }, layer.name);
+  return (
+    <details class="layer-mask" open>
+      <summary>Options of {layer.kind}</summary>
+      {listed.value.options.map((option) => (
+        <div key={option.name} title={option.help}>
+          <OptionControl option={option} onChange={(value) => set(option, value)} />
+        </div>
+      ))}
+    </details>
+  );
+}
+
+interface ControlProps {
+  option: OptionInfo;
+  onChange: (value: number | boolean | string) => void;
+}
+
+function OptionControl({ option, onChange }: ControlProps) {
+  const { label, kind, value, low, high } = option;
+  const disabled = readOnly.value;
+  if (kind === "flag") return <Check label={label} value={Boolean(value)} disabled={disabled} onChange={onChange} />;
+  if (kind === "choice") {
+    const options = option.choices.map((one) => [one, one] as const);
+    return <Choice label={label} value={String(value)} options={options} disabled={disabled} onChange={onChange} />;
+  }
+  if (kind === "text") {
+    return (
+      <label class="choice">
+        <span>{label}</span>
+        <input
+          type="text"
+          aria-label={label}
+          value={String(value)}
+          disabled={disabled}
+          onChange={(event) => onChange(event.currentTarget.value)}
+          onKeyDown={(event) => event.stopPropagation()}
+        />
+      </label>
+    );
+  }
+  const digits = kind === "whole" ? 0 : 2;
+  const rounded = (to: number) => onChange(kind === "whole" ? Math.round(to) : to);
+  if (low !== null && high !== null) {
+    const step = kind === "whole" ? 1 : (high - low) / 200;
+    const reset = Number(option.default);
+    return (
+      <Slider
+        {...{ label, digits, step, disabled, reset }}
+        value={Number(value)}
+        min={low}
+        max={high}
+        onInput={() => undefined}
+        onChange={rounded}
+      />
+    );
+  }
+  return (
+    <label class="choice">
+      <span>{label}</span>
+      <NumberField
+        {...{ label, digits, disabled }}
+        unit=""
+        value={Number(value)}
+        min={low ?? -Infinity}
+        max={high ?? Infinity}
+        onChange={rounded}
+      />
+    </label>
+  );
+}
