@@ -48,7 +48,7 @@ def test_a_dry_run_writes_the_confidence_alone(capfd: Capture, folder: Path) -> 
     ("words", "reason"),
     [
         (("--spread-threshold", "0.4"), "are for --mode spread"),
-        (("--mode", "spread", "--spread-threshold", "1.2"), "expected 0 (reaches more) to 1"),
+        (("--mode", "spread", "--spread-threshold", "1.2"), "expected --spread-threshold from 0 to 1, got 1.2"),
         (("--mode", "spread", "--method", "fit"), "mode spread is made by the lift alone"),
         (("--dry-run",), "--dry-run is for pictures that a source makes"),
     ],

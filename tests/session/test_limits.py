@@ -80,10 +80,10 @@ def test_limits_are_set_anew_and_undone():
 @pytest.mark.parametrize(
     ("parameters", "reason"),
     [
-        ({"angle_limit": 91}, "angle limit: expected 0"),
+        ({"angle_limit": 91}, "expected angle_limit from 0 to 90"),
         ({"angle_limit": "60"}, "layer: expected float as 'angle_limit', got '60'"),
         ({"angle_limit": True}, "expected float as 'angle_limit', got True"),
-        ({"depth_edge_limit": -1}, "depth-edge limit: expected 0"),
+        ({"depth_edge_limit": -1}, "expected depth_edge_limit from 0 to 16"),
         ({"depth_edge_limit": 10**400}, "layer: "),
         ({"depth_edge_limit": [3]}, "expected float as 'depth_edge_limit', got a list of 1"),
     ],
@@ -109,7 +109,7 @@ def test_what_will_not_be_painted_is_the_rim_of_a_ball():
     with Session(splats, painter=Painter.load("lift")) as session:
         masks = {limit: session.surface.left_out(camera, angle_limit=limit) for limit in (0, 40, 60)}
         strip = session.surface.left_out(camera, angle_limit=0, depth_edge_limit=8)
-        with pytest.raises(ValueError, match="angle limit: expected 0"):
+        with pytest.raises(ValueError, match="expected angle_limit from 0 to 90"):
             session.surface.left_out(camera, angle_limit=100)
     ys, xs = np.mgrid[:256, :256] + 0.5
     rays = np.stack([(xs - camera.cx) / camera.fx, (ys - camera.cy) / camera.fy, np.ones_like(xs)], -1)

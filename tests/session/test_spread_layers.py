@@ -72,12 +72,12 @@ def test_what_a_spread_layer_cannot_be() -> None:
             session.layers.add("clone", [edit()], mode="spread")
         for bad, reason in (
             ("x", "expected float as 'spread_threshold', got 'x'"),
-            (2, "expected 0 .reaches more. to 1"),
+            (2, "expected spread_threshold from 0 to 1"),
         ):
             with pytest.raises(ValueError, match=reason):
                 session.layers.add("paint", [edit()], mode="spread", spread_threshold=bad)
         layer = session.layers.add("paint", [edit()], mode="spread", angle_limit=40)
-        with pytest.raises(ValueError, match="spread threshold"):
+        with pytest.raises(ValueError, match="expected spread_threshold from 0 to 1, got -1"):
             session.layers.set(layer.id, spread_threshold=-1)
         with pytest.raises(ValueError, match="takes no strokes"):
             session.strokes.paint(layer.id, [edit()])

@@ -112,5 +112,5 @@ def test_what_cannot_be_spread_says_why() -> None:
     with pytest.raises(ValueError, match="mode spread is made by the lift alone, got 'fit'"):
         painter.apply(asset, [Edit(picture, CAMERA, left_half())], "spread", "fit")
     for bad in (-0.1, 1.5, float("nan")):
-        with pytest.raises(ValueError, match="spread threshold: expected 0"):
+        with pytest.raises(ValueError, match="expected spread_threshold from 0 to 1"):
             SpreadOptions(bad)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from splatpainter.system.ranges import out_of_range, ranged
+
 ResidualBase = Literal["own", "lift"]
 """What a network's residual is added to: the asset as it is, or the lift's answer."""
 
@@ -43,9 +45,9 @@ class LocalOptions:
     """Colour rounds of sheets."""
     max_pieces: int = 12_000
     """Pieces of Gaussians across the edge of a sheet from which on none is halved any more."""
-    angle_limit: float = 85.0
+    angle_limit: float = ranged(85.0, ge=0, le=90)
     """Degrees between the line of sight and the surface's normal from which one view's paint fades; 0: no limit."""
-    depth_edge_limit: float = 0.0
+    depth_edge_limit: float = ranged(0.0, ge=0, le=MAX_DEPTH_EDGE_LIMIT_PX)
     """Pixels beside an edge in depth that one view does not paint; 0: none."""
     max_left_px: int = 12
     """Edited pixels without a sheet up to which they are left as they are, not split."""
@@ -53,12 +55,8 @@ class LocalOptions:
     """What is left of SH bands >= 1 in a fully repainted Gaussian, 0..1."""
 
     def __post_init__(self) -> None:
-        if not 0 <= self.angle_limit <= 90:
-            raise ValueError(f"angle limit: expected 0 (none) to 90 degrees, got {self.angle_limit:g}")
-        if not 0 <= self.depth_edge_limit <= MAX_DEPTH_EDGE_LIMIT_PX:
-            raise ValueError(
-                f"depth-edge limit: expected 0 (none) to {MAX_DEPTH_EDGE_LIMIT_PX:g} px, got {self.depth_edge_limit:g}"
-            )
+        if (line := out_of_range(self)) is not None:
+            raise ValueError(line)
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, ClassVar
 from splatpainter.operations.operation import AS_PYTHON, ReadyOperation, Report, ReportedView, Tools, Wording, parameter
 from splatpainter.operations.painting_options import GateOptions, PaintingOptions
 from splatpainter.painting.edited_picture import MAX_VIEWS, Mode
+from splatpainter.spread.options import SPREAD_DEFAULTS, SpreadOptions
+from splatpainter.system.ranges import same_range
 
 if TYPE_CHECKING:
     from splatpainter.painter import Asset, Painter
@@ -42,7 +44,7 @@ class Paint(GateOptions, PaintingOptions):
     mode: Mode = "local"
     """local: only what was painted changes. global: a regraded or relit picture changes the whole asset. spread: the
     painted material changes all around, also where the pictures do not show it."""
-    spread_threshold: float | None = parameter(None, ge=0, le=1)
+    spread_threshold: float | None = same_range(SpreadOptions, "threshold", None)
     """Mode spread: confidence (0 to 1) from which a Gaussian counts as the painted material; lower reaches further.
     Default: 0.5."""
     spread_confidence: Path | None = parameter(None, metavar="C.png", output=True)
@@ -86,8 +88,6 @@ class Paint(GateOptions, PaintingOptions):
         pictures = self._read(tools)
         painter = self.painter(self.mode, tools)
         if self.spread_threshold is not None:
-            from splatpainter.spread.options import SpreadOptions
-
             painter = painter.with_settings(spread_options=SpreadOptions(self.spread_threshold))
 
         def paint(asset: Asset, report: Report) -> Asset:
@@ -148,7 +148,6 @@ class Paint(GateOptions, PaintingOptions):
         self, path: Path, splats: Splats, edited: Asset, pictures: Sequence[PictureFile], painter: Painter
     ) -> None:
         from splatpainter.image_files import write_png
-        from splatpainter.spread.options import SPREAD_DEFAULTS
         from splatpainter.spread.overlay import confidence_picture
 
         assert edited.confidence is not None

@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from splatpainter.gatekeeper.strictness import Strictness
-from splatpainter.lift.options import LOCAL_DEFAULTS
+from splatpainter.lift.options import LOCAL_DEFAULTS, LocalOptions
 from splatpainter.nn.precision import Precision
 from splatpainter.operations.operation import Operation, Tools, Wording, parameter
 from splatpainter.painting.edited_picture import Method, Mode
 from splatpainter.sources.picture_source import MAX_PROMPT_CHARACTERS
+from splatpainter.system.ranges import same_range
 
 if TYPE_CHECKING:
     from splatpainter.painter import Painter
@@ -24,10 +25,10 @@ if TYPE_CHECKING:
 class ViewLimits(Operation):
     """What one view may paint."""
 
-    angle_limit: float = LOCAL_DEFAULTS.angle_limit
+    angle_limit: float = same_range(LocalOptions, "angle_limit", LOCAL_DEFAULTS.angle_limit)
     """Degrees between the line of sight and the surface's normal from which paint of a local edit fades; 0: no
     limit."""
-    depth_edge_limit: float = LOCAL_DEFAULTS.depth_edge_limit
+    depth_edge_limit: float = same_range(LocalOptions, "depth_edge_limit", LOCAL_DEFAULTS.depth_edge_limit)
     """Pixels beside an edge in depth that a local edit leaves out; 0: none."""
 
     def limited(self, painter: Painter) -> Painter:

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from splatpainter.system.ranges import out_of_range, ranged
+
 
 @dataclass(frozen=True)
 class SpreadOptions:
     """How far a material reaches."""
 
-    threshold: float = 0.5
+    threshold: float = ranged(0.5, ge=0, le=1)
     """Confidence 0..1 from which a Gaussian belongs to the painted material: lower reaches more."""
 
     def __post_init__(self) -> None:
-        if not 0 <= self.threshold <= 1:
-            raise ValueError(f"spread threshold: expected 0 (reaches more) to 1 (reaches less), got {self.threshold:g}")
+        if (line := out_of_range(self, lambda name: f"spread_{name}")) is not None:
+            raise ValueError(line)
 
 
 SPREAD_DEFAULTS = SpreadOptions()

@@ -19,6 +19,12 @@ def ranged(default: Any = MISSING, **bounds: float) -> Any:
     return field(default=default, metadata=bounds)
 
 
+def same_range(kind: type, name: str, default: Any) -> Any:
+    """A field with the bounds that a field of another dataclass states, and a default of its own."""
+    (entry,) = (entry for entry in dataclasses.fields(kind) if entry.name == name)
+    return field(default=default, metadata=bounds_of(entry))
+
+
 def bounds_of(entry: dataclasses.Field) -> dict[str, Any]:
     """The bounds that a field states."""
     return {word: entry.metadata[word] for word in BOUNDS if entry.metadata.get(word) is not None}

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from splatpainter.lift.masked_gaussians import reached_gaussians
+from splatpainter.lift.options import LOCAL_DEFAULTS, LocalOptions
 from splatpainter.painter import Method, Mode, Painter
 from splatpainter.session.document.layer_operation import LayerOperation, LayerWork
 from splatpainter.session.document.layer_view import View, is_hash
@@ -17,9 +18,8 @@ from splatpainter.session.replay.fingerprint import fingerprint
 from splatpainter.session.replay.layer_blending import mixed, within
 from splatpainter.session.replay.layer_result import LayerResult
 from splatpainter.source_edits import view_sequence
-
-if TYPE_CHECKING:
-    from splatpainter.spread.options import SpreadOptions
+from splatpainter.spread.options import SPREAD_DEFAULTS, SpreadOptions
+from splatpainter.system.ranges import same_range
 
 STROKE_OPTIONS: Mapping[str, Any] = {"fine_px": 0.0}
 """LocalOptions of what is painted by hand here, however large: erasing takes a sheet away and brings the original's
@@ -44,13 +44,13 @@ class PaintedLayer(LayerOperation):
     """Method of the painter."""
     painter: str = ""
     """What of the painter decides the result (fingerprint.py), as it was when the layer was made."""
-    angle_limit: float | None = field(default=None, metadata={"ge": 0, "le": 90})
+    angle_limit: float | None = same_range(LocalOptions, "angle_limit", None)
     """Degrees between the line of sight and the surface's normal from which paint fades, 0: no limit; None: as the
     painter has it. Of modes local and spread."""
-    depth_edge_limit: float | None = field(default=None, metadata={"ge": 0, "le": 16})
+    depth_edge_limit: float | None = same_range(LocalOptions, "depth_edge_limit", None)
     """Pixels beside an edge in depth that are not painted, 0: none; None: as the painter has it. Of modes local and
     spread."""
-    spread_threshold: float | None = field(default=None, metadata={"ge": 0, "le": 1})
+    spread_threshold: float | None = same_range(SpreadOptions, "threshold", None)
     """Mode spread: confidence (0..1) from which a Gaussian counts as the painted material; lower reaches further. None:
     0.5."""
     split_only: bool = False
@@ -75,8 +75,6 @@ class PaintedLayer(LayerOperation):
         if self.limits() and self.regrades:
             raise ValueError("expected angle_limit and depth_edge_limit with pictures in modes local and spread only")
         if self.limits():
-            from splatpainter.lift.options import LOCAL_DEFAULTS
-
             replace(LOCAL_DEFAULTS, **self.limits())  # judges them
         if self.spread_threshold is not None:
             self.spread_options()
@@ -92,8 +90,6 @@ class PaintedLayer(LayerOperation):
 
     def spread_options(self) -> SpreadOptions:
         """How far a layer of mode spread reaches. Raises ValueError: out of range."""
-        from splatpainter.spread.options import SPREAD_DEFAULTS, SpreadOptions
-
         return SPREAD_DEFAULTS if self.spread_threshold is None else SpreadOptions(self.spread_threshold)
 
     # ---- what the mode means, and what composing and painting ask
