@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     from splatpainter.scene.placement import Placement as Placement
     from splatpainter.server.launch import studio as studio
     from splatpainter.session import Session as Session
-    from splatpainter.session.replay_operation import Replay as Replay
+    from splatpainter.session.replay_operation import ReplayLayers as ReplayLayers
     from splatpainter.source_edits.edit import edit_with_source as edit_with_source
     from splatpainter.source_edits.edit import refine as refine
     from splatpainter.source_edits.fill import fill as fill
@@ -84,7 +84,7 @@ _HOME = {
     "Delight": "operations.light",
     "Pixelate": "operations.pixelate",
     "pixelate": "operations.pixelate",
-    "Replay": "session.replay_operation",
+    "ReplayLayers": "session.replay_operation",
     "apply_to_file": "operations.to_file",
     "Painter": "painter",
     "Asset": "painter",
@@ -140,7 +140,7 @@ __all__ = [
     "Region",
     "Relight",
     "Render",
-    "Replay",
+    "ReplayLayers",
     "Session",
     "SourceBrief",
     "Splats",

@@ -101,7 +101,7 @@ def test_views_auto_writes_one_receipt(capfd: Capture, folder: Path) -> None:
         ("fail", (), "no such style"),
         ("exchange", ("--seed", 3), "a seed"),
         ("exchange", ("--view", "missing.json"), "no such file"),
-        ("exchange", ("--max-views", 3), "--max-views from 1 to 16, with --views auto"),
+        ("exchange", ("--max-views", 3), "--max-views is for --views auto"),
         ("exchange", ("--views", "auto", "--mode", "global"), "--views auto is for --mode local"),
         ("exchange", ("--decal-text", "A"), "a source takes the place of pictures"),
     ],

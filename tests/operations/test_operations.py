@@ -27,7 +27,7 @@ CHOSEN: dict[str, Operation] = {
     "light": sp.Relight(sun=("30,40",), mix=0.5),
     "delight": sp.Delight(shadows=False),
     "pixelate": sp.Pixelate(("x=0..",), size=0.2, merge=True),
-    "replay": sp.Replay(Path("p.splatproj"), only=("stripe",), asset="2"),
+    "replay": sp.ReplayLayers(Path("p.splatproj"), only=("stripe",), asset="2"),
 }
 
 

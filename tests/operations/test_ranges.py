@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from typing import Any
 
 import pytest
 from pydantic import ValidationError
@@ -80,8 +81,8 @@ def test_the_same_range_in_every_form() -> None:
 
 
 def test_messages_hold_to_the_ranges_of_operations() -> None:
-    camera = {"camera": None}
-    for message, values in (
+    camera: dict[str, Any] = {"camera": None}
+    refused: tuple[tuple[Any, dict[str, Any]], ...] = (
         (HueSliders, {"hue": 360}),
         (GradeSliders, {"curve": [[0, 1.5]]}),
         (GradeSliders, {"curve": [[0, 0]] * 17}),
@@ -90,7 +91,8 @@ def test_messages_hold_to_the_ranges_of_operations() -> None:
         (SourceEdit, {"source": "x", "prompt": "p" * 4001, **camera}),
         (SourcePlan, {"source": "x", "max_views": 17}),
         (SourcePlan, {"source": ""}),
-    ):
+    )
+    for message, values in refused:
         with pytest.raises(ValidationError):
             message(**values)
     sliders = GradeSliders(curve=((0, 0), (1, 1)), hues=(HueSliders(hue=359.9),))

@@ -46,7 +46,7 @@ def test_the_same_bytes_from_every_place_that_has_operations(folder: Path, capfd
     done = run(capfd, "edit", "ball.ply", "replay", PROJECT, "--out", "words.ply", "--json")
     assert done.code == 0, done.err
     assert done.json["receipt"]["mode"] == "session" and done.json["receipt"]["note"] == "layers: stripe, darker"
-    operation = sp.Replay(PROJECT)
+    operation = sp.ReplayLayers(PROJECT)
     sp.apply_to_file(
         Path("ball.ply"), [operation_of(json.loads(json.dumps(operation.record())), "x")], Path("json.ply")
     )
@@ -73,10 +73,10 @@ def test_in_a_list_there_is_one_receipt(folder: Path, capfd: Capture) -> None:
     with sp.Session(graded, painter=Painter()) as session:
         session.layers.add("paint", [pictured])
         sp.write("expected.ply", sp.edit(session.splats, [sp.Grade(hue=30)]).splats, overwrite=True)
-    found, expected = sp.read("list.ply"), sp.read("expected.ply")
+    result, expected = sp.read("list.ply"), sp.read("expected.ply")
     for name in ("means", "quats", "scales", "opacities", "sh"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), name)
-    assert len(found) > 700
+        np.testing.assert_array_equal(getattr(result, name), getattr(expected, name), name)
+    assert len(result) > 700
 
 
 def test_on_its_own_asset_nothing_is_painted_anew(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -84,11 +84,11 @@ def test_on_its_own_asset_nothing_is_painted_anew(folder: Path, monkeypatch: pyt
         raise AssertionError("painted anew")
 
     monkeypatch.setattr(Painter, "apply", refuse)
-    made = sp.edit(sp.read("ball.ply"), [sp.Replay(PROJECT)])
+    made = sp.edit(sp.read("ball.ply"), [sp.ReplayLayers(PROJECT)])
     assert made.receipt is not None and len(made.receipt.touched)
     # The same file with its axes turned is another asset to its layers.
     with pytest.raises(AssertionError, match="painted anew"):
-        sp.edit(sp.read("ball.ply", axes="rub"), [sp.Replay(PROJECT)])
+        sp.edit(sp.read("ball.ply", axes="rub"), [sp.ReplayLayers(PROJECT)])
 
 
 @pytest.mark.parametrize(

@@ -37,7 +37,7 @@ def opened(browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
     run = f"{sys.executable} {tmp_path / 'tool.py'} {{image}} {{out}} {tmp_path / 'mark'}"
     monkeypatch.setenv("SPLATPAINTER_COMMAND_RUN", run)
     monkeypatch.setattr(coverage, "CANDIDATE_VIEWS", 8)
-    monkeypatch.setattr(source_edit, "PLAN_PX", 96)
+    monkeypatch.setattr(source_edit, "USUAL_PX", 96)
     with opened_page(browser, tmp_path, resolution="0.5") as both:
         yield both
 

@@ -103,7 +103,7 @@ def test_pages_give_no_options_and_mistakes_are_one_line(studio: Live) -> None:
 @pytest.fixture
 def few_views(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(coverage, "CANDIDATE_VIEWS", 8)
-    monkeypatch.setattr(source_edit, "PLAN_PX", 64)
+    monkeypatch.setattr(source_edit, "USUAL_PX", 64)
 
 
 @pytest.mark.usefixtures("few_views")

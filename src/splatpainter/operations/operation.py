@@ -44,7 +44,7 @@ KINDS = {
     "light": "light:Relight",
     "delight": "light:Delight",
     "pixelate": "pixelate:Pixelate",
-    "replay": "splatpainter.session.replay_operation:Replay",
+    "replay": "splatpainter.session.replay_operation:ReplayLayers",
 }
 """Kind -> module of this folder (of a room above its dotted name, as entry points have it) and class, imported when it
 is asked for; in the order in which help lists them."""

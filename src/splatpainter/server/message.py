@@ -46,17 +46,17 @@ def options_message(
     for option in options:
         entry = declared[option]
         # The ranges of the dataclass hold for the page too, so both refuse the same values.
-        bounds, limits = bounds_of(entry), {}
+        bounds = bounds_of(entry)
+        limits: dict[str, Any] = {}
         spelled = entry.metadata.get("words") or types[option]
         if get_origin(spelled) is tuple:
             spelled = _in_lists(spelled, bounds, parts or {})
         else:
-            limits = bounds
+            limits |= bounds
         if entry.metadata.get("max_length") is not None:
-            limits = limits | {"max_length": entry.metadata["max_length"]}
+            limits["max_length"] = entry.metadata["max_length"]
         if entry.default is not dataclasses.MISSING or entry.default_factory is not dataclasses.MISSING:
-            default = entry.default_factory() if callable(entry.default_factory) else entry.default
-            limits = limits | {"default": default}
+            limits["default"] = entry.default_factory() if callable(entry.default_factory) else entry.default
         fields[option] = (spelled, Field(description=docs.get(option, ""), **limits))
     return create_model(name, __base__=Message, __doc__=doc, __module__=operation.__module__, **fields)
 
@@ -74,7 +74,7 @@ def _in_lists(hint: Any, bounds: Mapping[str, Any], parts: Mapping[type, type[Me
 def layer_options(operation: type) -> list[str]:
     """The options of an operation that a layer of it can have: those that name no files, pictures or region."""
     fields = dataclasses.fields(operation)
-    files = {entry.name for entry in fields if {*FILES}.intersection(k for k, said in entry.metadata.items() if said)}
+    files = {entry.name for entry in fields if any(entry.metadata.get(role) for role in FILES)}
     return [entry.name for entry in fields if entry.name not in files and entry.name not in REGION_OPTIONS]
 
 

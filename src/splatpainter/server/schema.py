@@ -86,8 +86,8 @@ def _ranges() -> str:
     lines = []
     for name, shape in sorted(definitions().items()):
         ends = {key: _ends(field) for key, field in shape.get("properties", {}).items()}
-        known = [f"{key}: [{pair[0]}, {pair[1]}]" for key, pair in ends.items() if pair is not None]
-        lines += [f"  {name}: {{ {', '.join(known)} }}," if known else ""]
+        pairs = [f"{key}: [{pair[0]}, {pair[1]}]" for key, pair in ends.items() if pair is not None]
+        lines += [f"  {name}: {{ {', '.join(pairs)} }}," if pairs else ""]
     head = "/** Message -> field -> the ends of what it takes, where it has both. */"
     return "\n".join([head, "export const RANGES = {", *filter(None, lines), "} as const;"])
 

@@ -1,6 +1,6 @@
 """The layers of a project as an operation (operations/): painted anew on an asset that stands where the project's does.
 
-    sp.edit(splats, [sp.Replay("brand.splatproj"), sp.Grade(exposure=0.2)])
+    sp.edit(splats, [sp.ReplayLayers("brand.splatproj"), sp.Grade(exposure=0.2)])
 
 Sessions stand above operations, which know this kind by its dotted name alone (operation.KINDS).
 """
@@ -21,7 +21,7 @@ from splatpainter.splats import Splats, changed_rows
 
 
 @dataclass(frozen=True)
-class Replay(Operation):
+class ReplayLayers(Operation):
     """Paint the visible layers of a project of the studio anew: same pictures, same cameras, in their order, with the
     winners that it names where layers disagree. ASSET has to stand where the project's does."""
 
@@ -40,12 +40,12 @@ class Replay(Operation):
             raise wording.error(self.kind, f"expected {wording.option('project')}, the project with the layers")
 
     def ready(self, tools: Tools) -> ReadyOperation:
-        kept = self._kept()
+        layers = self._layers()
 
         def replayed(asset: Asset, report: Report) -> Asset:
             # On the project's own asset the results are in the project, and nothing has to be painted anew.
-            done = self._stored(asset.splats) if kept.is_all and asset.splats.sha256 == kept.sha256 else None
-            splats, receipt = done or kept.painted_on(asset.splats, tools.painter)
+            done = self._stored(asset.splats) if layers.is_all and asset.splats.sha256 == layers.sha256 else None
+            splats, receipt = done or layers.painted_on(asset.splats, tools.painter)
             # What the file holds beside its Gaussians is that of the asset, not of a session's copy of it.
             splats = replace(splats, source=asset.splats.source, origin=None)
             # The first asset stays beside the new one: its surface is what operations after this one work on.
@@ -53,7 +53,7 @@ class Replay(Operation):
 
         return replayed
 
-    def _kept(self) -> KeptLayers:
+    def _layers(self) -> ProjectLayers:
         """The layers, out of the project. Raises ValueError: no project, no such layers."""
         # Read only: the project may be open in the studio.
         assert self.project is not None
@@ -68,10 +68,10 @@ class Replay(Operation):
             # As files, by which people carry layers from project to project.
             files = []
             for layer in chosen:
-                path = Path(folder) / "kept.splatlayer"
+                path = Path(folder) / "one.splatlayer"
                 source.files.export_layer(layer.id, path, overwrite=True)
                 files.append(path.read_bytes())
-            return KeptLayers(
+            return ProjectLayers(
                 str(self.project),
                 tuple(chosen),
                 tuple(files),
@@ -104,7 +104,7 @@ class Replay(Operation):
 
 
 @dataclass(frozen=True)
-class KeptLayers:
+class ProjectLayers:
     """Layers out of a project."""
 
     project: str
@@ -123,7 +123,7 @@ class KeptLayers:
         with Session(replace(splats, origin=None), painter=painter) as session, tempfile.TemporaryDirectory() as folder:
             ids: dict[str, str] = {}
             for layer, data in zip(self.layers, self.files, strict=True):
-                path = Path(folder) / "kept.splatlayer"
+                path = Path(folder) / "one.splatlayer"
                 path.write_bytes(data)
                 try:
                     new = session.files.import_layer(path)

@@ -48,9 +48,9 @@ class SourceBrief:
     """How much its pictures may differ from what was sent."""
 
     @staticmethod
-    def of(wanted: str | SourceBrief) -> SourceBrief:
+    def of(prompt: str | SourceBrief) -> SourceBrief:
         """The brief, also of words alone."""
-        return SourceBrief(wanted) if isinstance(wanted, str) else wanted
+        return SourceBrief(prompt) if isinstance(prompt, str) else prompt
 
 
 @dataclass(frozen=True)

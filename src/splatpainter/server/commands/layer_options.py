@@ -4,7 +4,7 @@ that kinds of other packages, too, have a panel."""
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Literal, get_args, get_origin
+from typing import Any, Literal, cast, get_args, get_origin
 
 from splatpainter.server.commands.context import CommandContext, command
 from splatpainter.server.message import Message, layer_options, option_docs
@@ -63,10 +63,10 @@ def option_infos(options: Any) -> list[OptionInfo]:
         kind: OptionKind | None = "choice" if get_origin(spelled) is Literal else KINDS_OF_TYPES.get(spelled)
         value = getattr(options, entry.name)
         # What has no control, or was given in another form than the control's, is left as it is.
-        shown = isinstance(value, bool) if kind == "flag" else isinstance(value, str | int | float)
-        if kind is None or not shown or entry.name not in names:
+        has_control = isinstance(value, bool) if kind == "flag" else isinstance(value, str | int | float)
+        if kind is None or not has_control or entry.name not in names:
             continue
-        bounds = bounds_of(entry)
+        bounds, default = bounds_of(entry), entry.default
         out.append(
             OptionInfo(
                 name=entry.name,
@@ -74,7 +74,7 @@ def option_infos(options: Any) -> list[OptionInfo]:
                 help=" ".join(texts.get(entry.name, "").split()),
                 kind=kind,
                 value=str(value) if kind in ("text", "choice") else value,
-                default=str(entry.default) if kind in ("text", "choice") else entry.default,
+                default=str(default) if kind in ("text", "choice") else cast(Any, default),
                 choices=[str(choice) for choice in get_args(spelled)] if kind == "choice" else [],
                 low=bounds.get("ge", bounds.get("gt")),
                 high=bounds.get("le", bounds.get("lt")),
