@@ -12,7 +12,7 @@ import pytest
 from splatpainter import io
 from splatpainter.image_files import write_png
 from splatpainter.io.files import writing
-from splatpainter.receipts import receipt_of
+from splatpainter.output_paths import receipt_of
 from splatpainter.scene.merge import merge
 from splatpainter.session import Session
 from splatpainter.system.atomic import brief_name

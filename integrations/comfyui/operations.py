@@ -18,8 +18,8 @@ from splatpainter.gatekeeper.gatekeeper import admit
 from splatpainter.io import read, write
 from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.operations.to_file import write_proved
+from splatpainter.output_paths import receipt_of
 from splatpainter.painter import Asset, Edit, Mode, Painter
-from splatpainter.receipts import receipt_of
 from splatpainter.sources.picture_source import PictureRequest
 from splatpainter.splats import Splats
 from splatpainter.system.atomic import write_text

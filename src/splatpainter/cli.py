@@ -26,6 +26,8 @@ from splatpainter.extras import EXTRAS, missing
 
 DEBUG = "SPLATPAINTER_DEBUG"
 """Set to 1: errors show where they come from."""
+BLAS_THREADS = "OPENBLAS_NUM_THREADS"
+"""What numpy's wheels are asked by how many threads a matrix product takes."""
 BAD_INPUT, FAULT, INTERRUPTED, TERMINATED = 2, 70, 130, 143
 GARBAGE_OBJECTS = 10_000
 """Made since the last collection, after which the garbage collector looks at the young ones."""
@@ -38,6 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if argv is None else argv)
     if argv is None:
         _collect_garbage_seldom()
+        _keep_blas_to_one_thread(words)
     _write_what_the_terminal_can()
     try:
         with _terminated_like_interrupted():
@@ -68,6 +71,13 @@ def _collect_garbage_seldom() -> None:
     end of the process, which frees its memory without them."""
     gc.set_threshold(GARBAGE_OBJECTS, 10, 10)
     atexit.register(gc.freeze)  # registered first, so it comes last: after it nothing is left to walk through
+
+
+def _keep_blas_to_one_thread(words: list[str]) -> None:
+    """numpy's BLAS starts its threads when it is imported, a third of the time of a refusal, and no command of this
+    package multiplies large matrices by it (CONVENTIONS.md: the kernels do); training and benches may."""
+    if words and words[0] not in DISTRIBUTIONS:
+        os.environ.setdefault(BLAS_THREADS, "1")
 
 
 def _run(words: list[str]) -> Outcome:

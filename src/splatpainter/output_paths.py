@@ -14,8 +14,10 @@ from splatpainter.cameras import Camera
 from splatpainter.image_files import write_png
 from splatpainter.io import FORMATS, Format, asset_file, files, format_of_name
 from splatpainter.io.formats.sog_container import META
-from splatpainter.system.atomic import brief_name, check_name, copy_mode, write_text
+from splatpainter.system.atomic import MAX_NAME_BYTES, brief_name, check_name, copy_mode, write_text
 from splatpainter.system.plain_words import reason
+
+RECEIPT_ENDING = ".receipt.json"
 
 
 def splat_format(path: Path) -> Format:
@@ -27,6 +29,16 @@ def splat_format(path: Path) -> Format:
     if FORMATS[key].write is None:
         raise ValueError(f"{path}: {FORMATS[key].description}; expected a name ending in {names}")
     return FORMATS[key]
+
+
+def receipt_of(asset: str | os.PathLike[str]) -> Path:
+    """Where the receipt of a file lies by default: beside it, ASSET.receipt.json; of a folder of SOG planes beside the
+    folder. A name that leaves no room for the ending is shortened, with a digest in place of the rest."""
+    path = Path(asset)
+    if path.name.lower() == META:
+        path = Path(os.path.abspath(path)).parent
+    fits = len(os.fsencode(path.name + RECEIPT_ENDING)) <= MAX_NAME_BYTES
+    return path.with_name((path.name if fits else brief_name(path.name)) + RECEIPT_ENDING)
 
 
 def check_target(path: Path, overwrite: bool, inputs: Sequence[Path] = (), untouchable: Sequence[Path] = ()) -> None:

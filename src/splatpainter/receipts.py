@@ -30,15 +30,12 @@ from splatpainter.io import (
     read,
     written_axes,
 )
-from splatpainter.io.formats.sog_container import META
 from splatpainter.io.losses import loss_line, measure
 from splatpainter.io.write_options import AS_IT_IS, WriteOptions
 from splatpainter.kernels import library
 from splatpainter.splats import ATTRIBUTES, Axes, Splats, row_blocks, rows_sha256
-from splatpainter.system.atomic import MAX_NAME_BYTES, brief_name
 from splatpainter.system.old_names import formerly, formerly_called
 
-RECEIPT_ENDING = ".receipt.json"
 MAX_RECEIPT_BYTES = 256 << 20
 """Bytes of a receipt that are read."""
 MAX_RECEIPT_ROWS = 1 << 27
@@ -46,16 +43,6 @@ MAX_RECEIPT_ROWS = 1 << 27
 
 MAX_CARRIED, MAX_CARRIED_CHARACTERS, MAX_CARRIED_DEPTH = 100, 4000, 10
 """Entries of a list or an object, and characters of a text, that say where an edit's pictures came from."""
-
-
-def receipt_of(asset: str | os.PathLike[str]) -> Path:
-    """Where the receipt of a file lies by default: beside it, ASSET.receipt.json; of a folder of SOG planes beside the
-    folder. A name that leaves no room for the ending is shortened, with a digest in place of the rest."""
-    path = Path(asset)
-    if path.name.lower() == META:
-        path = Path(os.path.abspath(path)).parent
-    fits = len(os.fsencode(path.name + RECEIPT_ENDING)) <= MAX_NAME_BYTES
-    return path.with_name((path.name if fits else brief_name(path.name)) + RECEIPT_ENDING)
 
 
 @dataclass(frozen=True)

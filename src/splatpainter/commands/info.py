@@ -9,15 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from splatpainter.cameras import bounding_sphere
-from splatpainter.captures import captured_views, is_capture
 from splatpainter.commands import Outcome
 from splatpainter.commands.parts.option_parsing import AssetFile, InAxesOption
 from splatpainter.commands.parts.terminal import count, size, stages
 from splatpainter.doubts import doubts
-from splatpainter.io import FORMATS, asset_file, axes_line, read
+from splatpainter.io import FORMATS, Format, asset_file, axes_line, read
 from splatpainter.io.folders import iterations
 from splatpainter.io.formats.sog_container import META
-from splatpainter.io.losses import Losses, loss_of_edits, measured_as
 from splatpainter.io.positions import MAX_STEP, coarseness
 from splatpainter.splats import Splats
 
@@ -62,8 +60,6 @@ def describe(splats: Splats, path: Path) -> dict:
     """The record of `info`: bounds are [2, 3] (min, max) of finite centres; null where there are none."""
     assert splats.source is not None
     entry = FORMATS[splats.source.format]
-    # What edits would lose by rounding matters only in formats that are lossy and can be written.
-    edits = loss_of_edits(splats) if entry.lossy and entry.write is not None else Losses()
     # Damaged Gaussians are counted and left out of the bounds, which they would make infinite.
     with np.errstate(all="ignore"):  # of extreme or damaged Gaussians, which are counted below
         drawable = splats.drawable
@@ -94,13 +90,24 @@ def describe(splats: Splats, path: Path) -> dict:
         "problems": list(splats.source.problems),
         "doubts": [doubt.line for doubt in doubts(splats)],
         "exact": entry.exact,
-        "lossy": edits.line,
+        "lossy": _rounding(splats, entry),
         "writable": entry.write is not None,
     }
 
 
+def _rounding(splats: Splats, entry: Format) -> str:
+    """What edits would lose by rounding; "" in formats that are exact or cannot be written."""
+    if not entry.lossy or entry.write is None:
+        return ""
+    from splatpainter.io.losses import loss_of_edits  # which most files need not wait for
+
+    return loss_of_edits(splats).line
+
+
 def losses_by_format(splats: Splats) -> dict[str, dict]:
     """Name ending -> what a new file of that format has and lacks of these Gaussians, by writing it aside."""
+    from splatpainter.io.losses import measured_as
+
     # Measured by writing and not by rules: each format loses something else.
     out = {}
     for entry in FORMATS.values():
@@ -118,6 +125,8 @@ def losses_by_format(splats: Splats) -> dict[str, dict]:
 
 def describe_folder(folder: Path) -> dict:
     """What `info` says besides of a trainer's folder: its iterations, and the cameras beside them."""
+    from splatpainter.captures import captured_views, is_capture  # of folders alone
+
     # What is beside the asset is told, and no reason to refuse it.
     record: dict = {"asset_file": asset_file(folder), "iterations": list(iterations(folder)), "capture": None}
     try:

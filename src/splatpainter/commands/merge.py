@@ -15,8 +15,7 @@ from tyro.conf import Positional, arg
 from splatpainter.commands import Outcome
 from splatpainter.commands.parts.terminal import count, seconds, stages
 from splatpainter.io import axes_news, files, read
-from splatpainter.output_paths import check_target, placed, splat_format
-from splatpainter.receipts import receipt_of
+from splatpainter.output_paths import check_target, placed, receipt_of, splat_format
 from splatpainter.scene.merge import MergeVerification, Part, parts_of, write_merged
 from splatpainter.scene.placement import Placement, shift_to_the_right
 from splatpainter.splats import Splats

@@ -11,7 +11,8 @@ from tyro.conf import Positional, arg
 from splatpainter.commands import Outcome
 from splatpainter.commands.parts.option_parsing import AxesOption, InAxesOption
 from splatpainter.commands.parts.terminal import count, stages
-from splatpainter.receipts import read_receipt, receipt_of, verify
+from splatpainter.output_paths import receipt_of
+from splatpainter.receipts import read_receipt, verify
 
 RANGE_WORDS = {"bytes": "byte-identical", "values": "as converted", "transformed": "as transformed"}
 """How a range holds its source (scene/merge.py) -> what its rows are."""

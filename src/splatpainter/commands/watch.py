@@ -17,11 +17,11 @@ from splatpainter.commands.parts.terminal import complain, count, decibels, warn
 from splatpainter.gatekeeper.photographs import laid_over, picture_edit
 from splatpainter.gatekeeper.picture_gate import checked_picture
 from splatpainter.io import axes_news, files, read, write
-from splatpainter.output_paths import check_target, placed, splat_format
+from splatpainter.output_paths import check_target, placed, receipt_of, splat_format
 from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
 from splatpainter.pictures import PictureFile
 from splatpainter.pictures.saved_pictures import LOOK_SECONDS, SavedPictures
-from splatpainter.receipts import prove, receipt_of
+from splatpainter.receipts import prove
 from splatpainter.splats import Splats
 from splatpainter.system.atomic import clash
 

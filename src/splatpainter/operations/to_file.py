@@ -20,44 +20,23 @@ from typing import Any
 
 from splatpainter.doubts import doubts
 from splatpainter.io import files, read, write
+from splatpainter.operations.file_options import AS_USUAL, FileOptions, Worder, check_to_file
 from splatpainter.operations.operation import (
     AS_PYTHON,
     Operation,
     Report,
     ReportedView,
     Tools,
-    Wording,
-    check_operations,
 )
 from splatpainter.operations.source_answers import answers_line, interruptible, keeping_answers
-from splatpainter.output_paths import check_target, placed, splat_format
+from splatpainter.output_paths import placed, receipt_of
 from splatpainter.painter import Asset
-from splatpainter.receipts import Receipt, Verification, prove, read_receipt, receipt_of
+from splatpainter.receipts import Receipt, Verification, prove, read_receipt
 from splatpainter.scene.merge import carried
 from splatpainter.splats import Axes, Splats
-from splatpainter.system.atomic import clash
 
 MODE_OF_SEVERAL, MAX_NOTE = "operations", 2000
 """Mode of a receipt of several operations, and the most characters of its note."""
-
-
-@dataclass(frozen=True)
-class FileOptions:
-    """How an asset is read and written."""
-
-    in_axes: Axes = "auto"
-    """Axes of the numbers in the file that is read."""
-    axes: Axes = "auto"
-    """Axes of the numbers in the file that is written."""
-    lenient: bool = False
-    """Also open a file that was cut off after its last complete row."""
-    receipt: Path | None = None
-    """Where the receipt goes; None: beside the file (`receipt_of`)."""
-    overwrite: bool = False
-    """Replace the file and its receipt if they exist."""
-
-
-AS_USUAL = FileOptions()
 
 
 @dataclass(frozen=True)
@@ -99,8 +78,6 @@ class AppliedOperations:
 
 Stage = Callable[[str], None]
 """Called with the name of what begins: reading, the kinds, writing, verifying."""
-Worder = Callable[[Operation], Wording]
-"""How errors name an operation's options."""
 
 
 def apply_to_file(
@@ -172,18 +149,6 @@ def apply_to_asset(
     return AppliedOperations(splats, edited, tuple(steps), tuple(doubtful), read_seconds)
 
 
-def check_to_file(
-    asset: Path, operations: Sequence[Operation], out: Path, options: FileOptions, wording: Worder
-) -> None:
-    """Raises ValueError: options that cannot be, names of files that may not be written."""
-    check_operations(operations, wording)
-    # Files that are read must not be overwritten, whichever operation reads them.
-    inputs = [path for operation in operations for path in operation.files()]
-    for path in (path for operation in operations for path in operation.outputs()):
-        check_target(path, options.overwrite, [asset], inputs)
-    check_outputs(out, options.receipt or receipt_of(out), options.overwrite, asset, inputs)
-
-
 def doubts_of(splats: Splats) -> list[str]:
     """What looks wrong about an asset that was read; nothing of one that cannot be drawn, which operations refuse."""
     return [doubt.line for doubt in doubts(splats)] if splats.drawable.any() else []
@@ -220,17 +185,6 @@ def _entry(step: AppliedOperation) -> dict[str, Any]:
     entry = {"kind": step.operation.kind, "mode": receipt.mode, "method": receipt.method, "preset": receipt.preset}
     entry |= {"touched_rows": len(receipt.touched), "appended_rows": receipt.appended_rows, "note": receipt.note}
     return entry | ({} if receipt.source is None else {"source": receipt.source})
-
-
-def check_outputs(out: Path, receipt: Path, overwrite: bool, asset: Path, inputs: Sequence[Path]) -> None:
-    """Refuse OUT and the receipt before any work is done. inputs: other files that are read. Raises ValueError."""
-    # Inputs are protected from both outputs; OUT may replace what --overwrite allows.
-    splat_format(out)
-    check_target(out, overwrite, [asset], inputs)
-    check_target(receipt, overwrite, [], [asset, *inputs])
-    # Names that differ in case alone are one file on some systems.
-    if clash(receipt, out):
-        raise ValueError(f"{receipt}: OUT and the receipt need different names, not only in upper and lower case")
 
 
 def write_proved(

@@ -27,7 +27,8 @@ from splatpainter.io.formats.ply_container import TextRows
 from splatpainter.io.joining import ROWS_STAND_ALONE, concatenated, write_joined
 from splatpainter.io.losses import loss_line, measure
 from splatpainter.io.positions import Offset
-from splatpainter.receipts import MAX_CARRIED, Receipt, receipt_of, untouched_hashes
+from splatpainter.output_paths import receipt_of
+from splatpainter.receipts import MAX_CARRIED, Receipt, untouched_hashes
 from splatpainter.scene.placement import Placement, check_near, scene_offset
 from splatpainter.scene.seam import SeamMatch, match_seam
 from splatpainter.splats import Splats, changed_rows

@@ -26,12 +26,14 @@ from splatpainter.color import to_display
 from splatpainter.commands.parts.terminal import complain, warn
 from splatpainter.image_files import to_uint8
 from splatpainter.io import FORMATS, files, format_of_name, read
+from splatpainter.operations.file_options import FileOptions
 from splatpainter.operations.generate import Generate
 from splatpainter.operations.operation import Report, Tools
 from splatpainter.operations.painting_options import PictureSourceOptions
-from splatpainter.operations.to_file import FileOptions, apply_to_file
+from splatpainter.operations.to_file import apply_to_file
+from splatpainter.output_paths import receipt_of
 from splatpainter.pictures.edit_files import camera_from
-from splatpainter.receipts import Receipt, prove, read_receipt, receipt_of
+from splatpainter.receipts import Receipt, prove, read_receipt
 from splatpainter.rendering import render
 from splatpainter.session.project.asset_files import receipt_between
 from splatpainter.session.project.lock import ProjectLock

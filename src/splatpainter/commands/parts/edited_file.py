@@ -14,10 +14,11 @@ import splatpainter.session  # noqa: F401 - whose files regions and looks may na
 from splatpainter.commands import Outcome
 from splatpainter.commands.parts.option_parsing import AssetFile, AxesOption, InAxesOption, OutFile, option_name
 from splatpainter.commands.parts.terminal import SourceBar, complain, count, decibels, seconds, stages, warn
-from splatpainter.operations.operation import Operation, Report, ReportedView, Tools, Wording, check_operations
+from splatpainter.operations.file_options import FileOptions, Worder, check_to_file
+from splatpainter.operations.operation import Operation, Report, ReportedView, Tools, Wording
 
 if TYPE_CHECKING:
-    from splatpainter.operations.to_file import ProvedFile, Worder
+    from splatpainter.operations.to_file import ProvedFile
     from splatpainter.receipts import Receipt
 
 _Operation = TypeVar("_Operation", bound=Operation)
@@ -73,11 +74,10 @@ def run_operation(config: Any, kind: type[Operation], command: str) -> Outcome:
 
 def run_operations(config: Any, operations: Sequence[Operation], wording: Worder) -> Outcome:
     """Check, read, apply, write, verify. config: has AssetArguments and FileArguments."""
-    check_operations(operations, wording)
-    # Imported after the options were checked: most mistakes need not wait for it.
-    from splatpainter.operations.to_file import FileOptions, apply_to_file  # which a refusal need not load
-
     options = FileOptions(config.in_axes, config.axes, config.lenient, config.receipt, config.overwrite)
+    check_to_file(config.asset, operations, config.out, options, wording)
+    from splatpainter.operations.to_file import apply_to_file  # after the checks: a refusal need not wait for it
+
     # Reading, writing and verifying, and one stage for each operation.
     with stages(3 + len(operations)) as bar:
         done = apply_to_file(
@@ -97,14 +97,13 @@ def run_operations(config: Any, operations: Sequence[Operation], wording: Worder
 def plan_operations(config: Any, operations: Sequence[Operation], wording: Worder) -> Outcome:
     """What --dry-run prints: which views a source would be sent, or how far an edit of mode spread reaches."""
     # Checked as for the real run, so that a plan is not of something that will be refused.
-    check_operations(operations, wording)
+    options = FileOptions(config.in_axes, config.axes, config.lenient, config.receipt, config.overwrite)
+    check_to_file(config.asset, operations, config.out, options, wording)
     from splatpainter.io import read
     from splatpainter.operations.generate import Generate
     from splatpainter.operations.paint import Paint
-    from splatpainter.operations.to_file import FileOptions, apply_to_asset, check_to_file
+    from splatpainter.operations.to_file import apply_to_asset
 
-    options = FileOptions(config.in_axes, config.axes, config.lenient, config.receipt, config.overwrite)
-    check_to_file(config.asset, operations, config.out, options, wording)
     asking = [operation for operation in operations if isinstance(operation, Generate)]
     if asking:
         tasks = [operation.task(Tools(asset=config.asset)) for operation in asking]
@@ -140,7 +139,7 @@ def spoken(kind: type[Operation], where: str, names: Mapping[str, str] | None = 
 
 def _record(config: Any, done: ProvedFile) -> dict[str, Any]:
     from splatpainter.operations.to_file import proved_record
-    from splatpainter.receipts import receipt_of
+    from splatpainter.output_paths import receipt_of
 
     record = proved_record(config.out, config.receipt or receipt_of(config.out), done.receipt, done.verification)
     notes = [f"{view.name}: {note}" for step in done.steps for view in step.views for note in view.notes]

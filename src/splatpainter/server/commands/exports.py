@@ -12,7 +12,7 @@ from splatpainter.io import FORMATS
 from splatpainter.io.files import writing
 from splatpainter.io.size_estimate import estimated_bytes
 from splatpainter.io.write_options import MAX_SH_DEGREE, WriteOptions
-from splatpainter.receipts import receipt_of
+from splatpainter.output_paths import receipt_of
 from splatpainter.server.commands.context import CommandContext, RawExpr, command, python_line
 from splatpainter.server.describe import endings, up_axis
 from splatpainter.server.html_viewer import HTML_OPTIONS, estimated_html_bytes, html_viewer

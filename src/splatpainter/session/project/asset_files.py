@@ -41,7 +41,8 @@ from splatpainter.io import (
 from splatpainter.io.formats.sog_container import META
 from splatpainter.io.positions import NO_OFFSET, Offset
 from splatpainter.io.write_options import AS_IT_IS, WriteOptions
-from splatpainter.receipts import Receipt, Verification, prove, receipt_of, untouched_hashes
+from splatpainter.output_paths import receipt_of
+from splatpainter.receipts import Receipt, Verification, prove, untouched_hashes
 from splatpainter.rendering.profiles import Profile
 from splatpainter.session.document.document import Layer
 from splatpainter.session.document.scene_asset import SceneAsset

@@ -12,7 +12,8 @@ import numpy as np
 from splatpainter.io import FORMATS, files, format_of_name, read
 from splatpainter.io.joining import concatenated, write_joined
 from splatpainter.io.losses import loss_line, measure
-from splatpainter.receipts import Receipt, Verification, receipt_of, untouched_hashes
+from splatpainter.output_paths import receipt_of
+from splatpainter.receipts import Receipt, Verification, untouched_hashes
 from splatpainter.scene.merge import BYTES, Part, check_merge, differing_rows, placed
 from splatpainter.session.project.asset_files import check_target, partial_folder
 from splatpainter.session.replay.scene_replay import Scene
