@@ -1,4 +1,5 @@
 #include "kernels.h"
+#include "lift/box_mean.h"
 #include "lift/detail.h"
 #include "lift/joint_colors.h"
 #include "lift/merging.h"
@@ -7,6 +8,7 @@
 #include "lift/visible_depth.h"
 
 SP_KERNELS(lift,
+    ONE(mean_over_boxes),
     ONE(find_nearest_pixels),
     BOTH(classify_sides),
     ONE(find_partners),

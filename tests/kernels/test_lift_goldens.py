@@ -10,6 +10,7 @@ import pytest
 from splatpainter.kernels.arrays import readonly
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
+from splatpainter.lift.masks import box_mean
 from tests.support.kernel_goldens import CPUS, Numbers, check
 
 F = np.float32
@@ -33,6 +34,12 @@ def nearest_pixels() -> list[np.ndarray]:
     out = np.full((40, 50), -1, np.int32)
     kernels.find_nearest_pixels(mask, y, x, int(np.flatnonzero(mask.any(1))[0]), out, 0, 1)
     return [out]
+
+
+@golden("84724dad47f81eff")
+def box_means() -> list[np.ndarray]:
+    picture = Numbers(8).uniform(-1, 1, 61, 83, 3).astype(F)
+    return [box_mean(picture, radius) for radius in (1, 2, 17)]
 
 
 @golden("a59d4b8d8c48a6d7")

@@ -11,7 +11,9 @@ from scipy.ndimage import binary_dilation, binary_erosion
 
 import splatpainter as sp
 from splatpainter.cameras import orbit
-from splatpainter.lift.masks import change_mask
+from splatpainter.kernels import library
+from splatpainter.lift.masks import box_mean, change_mask
+from tests.support.kernel_goldens import CPUS, Numbers
 from tests.support.lift_scenes import disk, front, sheet
 
 SIZE = 160
@@ -177,3 +179,27 @@ def test_arguments_are_not_written_to():
     change_mask(edited, image)
     np.testing.assert_array_equal(edited, copies[0])
     np.testing.assert_array_equal(image, copies[1])
+
+
+def mean_by_numpy(values: np.ndarray, radius: int) -> np.ndarray:
+    """What the kernel computes, sum by sum in its order."""
+    (height, width), size = values.shape[:2], 2 * radius + 1
+    padded = np.pad(values.astype(np.float32), [(radius, radius)] * 2 + [(0, 0)] * (values.ndim - 2), mode="edge")
+    sums = sum(padded[k : k + height] for k in range(1, size)) + padded[:height]
+    return (sum(sums[:, k : k + width] for k in range(1, size)) + sums[:, :width]) / size**2
+
+
+@pytest.mark.parametrize("cpu", CPUS)
+@pytest.mark.parametrize("shape", [(1, 1), (5, 7), (33, 40, 3), (3, 200, 4), (0, 4)])
+def test_box_means_are_sums_in_their_order(shape: tuple[int, ...], cpu: str):
+    numbers = Numbers(3)
+    values = numbers.uniform(-1, 1, *shape).astype(np.float32)
+    if cpu not in library.current().cpus:
+        pytest.skip(f"this CPU is not {cpu}")
+    with library.using(cpu):
+        for radius in (0, 1, 4, 33):
+            for picture in (values, values > 0, values.astype(np.float64)):
+                out = box_mean(picture, radius)
+                assert out.dtype == np.float32
+                if out.size:
+                    np.testing.assert_array_equal(out, mean_by_numpy(picture, radius))

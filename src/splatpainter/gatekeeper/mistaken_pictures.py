@@ -15,8 +15,6 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from splatpainter.color import LUMA, linear_to_srgb, srgb_to_linear
-from splatpainter.gatekeeper.color_drift import estimate_drift, tone_change
-from splatpainter.gatekeeper.registration import register
 from splatpainter.lift.masks import box_mean, contrast, dilated, largest_channel
 from splatpainter.pictures.encodings import busiest, detailed, few_colors
 from splatpainter.pictures.picture_reader import resample
@@ -372,7 +370,10 @@ def _small(values: np.ndarray) -> np.ndarray:
     height, width = values.shape[:2]
     shrink = max(max(height, width) / MISTAKES.small_px, 1.0)
     size = max(round(width / shrink), 1), max(round(height / shrink), 1)
-    clipped = np.clip(np.nan_to_num(values), 0, 1).astype(np.float32)
+    clipped = np.clip(values, 0, 1).astype(np.float32)
+    # NaN alone passes the bounds, and any of it shows in the sum: nan_to_num asks every pixel three times.
+    if np.isnan(clipped.sum()):
+        clipped[np.isnan(clipped)] = 0
     return clipped if size == (width, height) else resample(clipped, *size)
 
 
@@ -411,6 +412,8 @@ def _graded(view: _Small) -> Explanation | None:
     # Noise, or one flat colour over the asset: paint, though a (constant) function explains it.
     if np.median(changed) < MISTAKES.max_difference or contrast_ratio < MISTAKES.min_tone_contrast:
         return None
+    from splatpainter.gatekeeper.color_drift import estimate_drift, tone_change  # few pictures come so far
+
     if tone_change(view.picture, view.render, solid) is None:
         return None
     # The background did not change: somebody graded or painted the asset, and may mean it.
@@ -431,6 +434,8 @@ def _moved(view: _Small) -> Explanation | None:
     if min(view.alpha.shape) < MISTAKES.min_registered_px:
         return None
     # Judged at the small size: a shift below a small pixel is not what makes everything differ.
+    from splatpainter.gatekeeper.registration import register  # few pictures come so far
+
     laid = register(view.picture, view.render)
     reach = max(view.alpha.shape) / 2
     moved = max(abs(laid.right), abs(laid.down), reach * abs(laid.scale - 1))

@@ -6,6 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from splatpainter.kernels.arrays import readonly
+from splatpainter.kernels.library import kernels
+from splatpainter.kernels.parallel import run, threads
+
 
 @dataclass(frozen=True)
 class MaskThresholds:
@@ -205,8 +209,13 @@ def _noise(values: np.ndarray, detail: np.ndarray) -> np.ndarray:
 
 def box_mean(values: np.ndarray, radius: int) -> np.ndarray:
     """[H, W, ...] float32 mean over the square of 2 radius + 1 around each pixel; edges are repeated."""
-    (height, width), size = values.shape[:2], 2 * radius + 1
-    padded = np.pad(values.astype(np.float32), [(radius, radius)] * 2 + [(0, 0)] * (values.ndim - 2), mode="edge")
-    # Rows first, then columns; a fixed order of sums gives equal bits everywhere.
-    sums = sum(padded[k : k + height] for k in range(1, size)) + padded[:height]
-    return (sum(sums[:, k : k + width] for k in range(1, size)) + sums[:, :width]) / size**2
+    pixels = readonly(values, np.float32)
+    out = np.empty(pixels.shape, np.float32)
+    if not out.size:
+        return out
+    height, width = pixels.shape[:2]
+    channels = out.size // (height * width)
+    rows = np.empty((threads(), (width + 2 * radius) * channels), np.float32)
+    flat = (height, width * channels)
+    run(kernels.mean_over_boxes, pixels.reshape(flat), channels, radius, rows, out.reshape(flat))
+    return out
