@@ -14,9 +14,7 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.color import base_color
 from splatpainter.io import positions
-from splatpainter.io.formats import packing
 from splatpainter.io.formats.ply import PlyFile
-from splatpainter.io.formats.sog import SogFile
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.transforms import row_max
 
@@ -208,9 +206,12 @@ def _log_scales_in_glb(splats: Splats, few: Splats) -> Doubt | None:
 
 
 def _lossy_planes(splats: Splats, few: Splats) -> Doubt | None:
-    file = splats.source.detail if splats.source is not None else None
-    if not isinstance(file, SogFile):
+    source = splats.source
+    if source is None or source.format != "sog":
         return None
+    from splatpainter.io.formats import packing  # of SOG alone
+
+    file = source.detail
     names = [name for name, data in file.container.files.items() if packing.is_lossy_webp(data)]
     if not names:
         return None

@@ -376,7 +376,7 @@ def _same_bits(before: np.ndarray, after: np.ndarray, rows: np.ndarray) -> bool:
 
     def taken(values: np.ndarray, ids: np.ndarray) -> np.ndarray:
         # As bytes, as a NaN equals itself and -0 is not 0 there.
-        return np.ascontiguousarray(values[ids]).reshape(-1).view(np.uint8)
+        return values.take(ids, 0).reshape(-1).view(np.uint8)
 
     return all(np.array_equal(taken(before, ids), taken(after, ids)) for ids in row_blocks(rows))
 

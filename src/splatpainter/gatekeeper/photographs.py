@@ -15,15 +15,13 @@ import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.captures import CapturedView, capture_of, choose_one, is_capture, named_views, split_selector
-from splatpainter.captures.lenses import straightened
 from splatpainter.color import to_display
-from splatpainter.gatekeeper.color_drift import estimate_drift
-from splatpainter.gatekeeper.gatekeeper import GATE, AdmittedPicture, RefusedPicture, admit
 from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.image_files import find_camera, is_exr, picture_header, to_uint8
 from splatpainter.lift.masks import box_mean, change_mask, changed_throughout, dilated, largest_channel
@@ -31,8 +29,11 @@ from splatpainter.painter import Mode
 from splatpainter.pictures.edit_files import MIN_MASK, Photograph, PictureFile, edit_from_files, has_aspect
 from splatpainter.pictures.picture_reader import EXIF_STEPS, Picture, read_mask, read_picture
 from splatpainter.rendering import render as render_views
-from splatpainter.sources.picture_source import PictureRequest
 from splatpainter.splats import Splats
+
+if TYPE_CHECKING:
+    from splatpainter.gatekeeper.gatekeeper import AdmittedPicture
+    from splatpainter.sources.picture_source import PictureRequest
 
 
 @dataclass(frozen=True)
@@ -121,6 +122,8 @@ def _rearranged(picture: Picture, move: Callable[[np.ndarray], np.ndarray]) -> P
 
 def straight_picture(picture: Picture, view: CapturedView, *, all_of_it: bool) -> StraightPicture:
     """A photograph of its view's shape, through a pinhole of its place, at the view's size."""
+    from splatpainter.captures.lenses import straightened  # of photographs alone
+
     camera = view.camera
     picture = picture.resized(camera.width, camera.height)
     if view.lens is None:
@@ -293,6 +296,8 @@ def laid_over(
     photograph = edit.photograph
     if photograph is None:
         return edit
+    from splatpainter.sources.picture_source import PictureRequest  # of photographs alone
+
     # Georeferenced captures: camera and asset in the same small numbers.
     edit = edit.relative_to(splats.offset)
     drawn = render_views(splats, edit.camera)
@@ -327,6 +332,8 @@ def laid_over(
 
 
 def _admitted(edit: PictureFile, request: PictureRequest, strictness: Strictness) -> AdmittedPicture:
+    from splatpainter.gatekeeper.gatekeeper import RefusedPicture, admit  # of photographs alone
+
     colors, alpha = edit.picture.colors, edit.picture.alpha
     painted = colors if alpha is None else np.dstack([colors, alpha])
     try:
@@ -346,6 +353,8 @@ def _nearer(colors: np.ndarray, render: np.ndarray, taken: np.ndarray, where: np
 
 def _painted(edit: PictureFile, taken: np.ndarray, solid: np.ndarray) -> np.ndarray:
     """[H, W] bool: where a photograph differs from itself as it was taken."""
+    from splatpainter.gatekeeper.gatekeeper import GATE  # of photographs alone
+
     assert edit.photograph is not None
     colors, name = edit.picture.colors, edit.photograph.path
     if changed_throughout(colors, taken, solid.astype(np.float32)):
@@ -397,6 +406,8 @@ def _regraded(edit: PictureFile, render: np.ndarray, taken: np.ndarray | None, s
         note = "the photograph before it is not there: its exposure counts as part of the look"
         return replace(edit, notes=(*edit.notes, note), photograph=None)
     # Both photographs brought to the render's exposure; their difference is the look.
+    from splatpainter.gatekeeper.color_drift import estimate_drift  # of photographs alone
+
     drift = estimate_drift(taken, render, solid, True)
     change = drift.corrected(edit.picture.colors) - drift.corrected(taken)
     colors = np.clip(render + change, 0, 1).astype(np.float32)

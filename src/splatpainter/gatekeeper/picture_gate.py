@@ -16,7 +16,6 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.color import to_display
-from splatpainter.gatekeeper.gatekeeper import admit
 from splatpainter.gatekeeper.mistaken_pictures import Explanation, Size, explain, filtered
 from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.image_files import find_camera
@@ -26,7 +25,6 @@ from splatpainter.pictures.encodings import guessed_encoding
 from splatpainter.pictures.picture_reader import Picture
 from splatpainter.pictures.view_search import most_alike, same_view, views_in
 from splatpainter.rendering.cpu.recent_views import drawn_view
-from splatpainter.sources.picture_source import PictureRequest
 from splatpainter.splats import Splats
 
 MismatchPolicy = Literal["refuse", "correct", "force"]
@@ -176,6 +174,9 @@ def _corrected(
     explanation: Explanation | None,
 ) -> PictureFile:
     """The picture after what explains it was undone, and through the gatekeeper: cut to what was painted."""
+    from splatpainter.gatekeeper.gatekeeper import admit  # of pictures that are put right alone
+    from splatpainter.sources.picture_source import PictureRequest
+
     colors, notes = view.colors if source.picture.alpha is not None else source.picture.colors, list(source.notes)
     # First the mistake is undone, then the rest is a source's picture like any other.
     mistake = None if explanation is None else explanation.mistake

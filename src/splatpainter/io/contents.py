@@ -12,14 +12,15 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from splatpainter.io.formats import gltf, gltf_spz, spz
-from splatpainter.io.formats.glb import attribute_columns, attribute_name
 from splatpainter.io.formats.ply_container import Element, Header, TextRows, element_size
 from splatpainter.splats import Source
+
+if TYPE_CHECKING:
+    from splatpainter.io.formats import gltf
 
 BLOCK_ROWS = 1 << 14
 """Rows compared at a time, so that a comparison needs no memory of its own."""
@@ -200,6 +201,8 @@ def _splat(record: Any) -> Contents:
 
 def _spz(file: Any) -> Contents:
     """The axes in which the rows were read is a setting; the extension that says it is no other difference."""
+    from splatpainter.io.formats import spz  # only the format that is compared
+
     tables = []
     for name, words in file.streams.items():
         fields = tuple((f"{name} byte {k}", "u1") for k in range(words.shape[1]))
@@ -235,6 +238,9 @@ def _sog(file: Any) -> Contents:
 
 def _glb(file: Any) -> Contents:
     """Other JSON with what its accessors and buffer views mean in their places; our primitive's attributes as rows."""
+    from splatpainter.io.formats import gltf, gltf_spz  # only the format that is compared
+    from splatpainter.io.formats.glb import attribute_columns, attribute_name
+
     glb = file.glb
     # Numbers of accessors and places in the buffer change when a file is written anew. What they point to must not: so
     # each is replaced by what it means.
@@ -285,6 +291,8 @@ def _glb(file: Any) -> Contents:
 
 def _meant(glb: gltf.Glb, index: Any) -> Any:
     """What an accessor holds, wherever it lies."""
+    from splatpainter.io.formats import gltf
+
     try:
         values = np.array(gltf.accessor(glb, glb.binary, index, Path("accessor")))
         item = glb.doc["accessors"][index]

@@ -32,7 +32,6 @@ from splatpainter.operations.source_answers import answers_line, interruptible, 
 from splatpainter.output_paths import placed, receipt_of
 from splatpainter.painter import Asset
 from splatpainter.receipts import Receipt, Verification, prove, read_receipt
-from splatpainter.scene.merge import carried
 from splatpainter.splats import Axes, Splats
 
 MODE_OF_SEVERAL, MAX_NOTE = "operations", 2000
@@ -156,12 +155,12 @@ def doubts_of(splats: Splats) -> list[str]:
 
 def receipt_of_all(before: Splats, after: Splats, steps: Sequence[AppliedOperation]) -> Receipt:
     """One receipt of operations that were applied one after the other; of one alone, its own."""
-    from splatpainter.source_edits.edit import joined_receipt
-
     # One operation has its own receipt, with all that it says; several need one for all.
     receipts = [step.receipt for step in steps]
     if len(steps) == 1:
         return receipts[0]
+    from splatpainter.source_edits.edit import joined_receipt  # of several alone
+
     # Where several sources were asked none stands for all; each entry of `operations` names its own.
     sources = [receipt.source for receipt in receipts if receipt.source is not None]
     notes = [f"{step.operation.kind}: {step.receipt.note}" for step in steps if step.receipt.note]
@@ -209,7 +208,11 @@ def write_proved(
         receipt, verification = prove(original, partial, edited.receipt, axes, edited.splats)
         timings = {"write": written - clock, "verify": time.perf_counter() - written}
         # An asset that has a history keeps it: the receipt beside it is carried on.
-        receipt = carried(receipt, _receipt_beside(original))
+        earlier = _receipt_beside(original)
+        if earlier is not None:
+            from splatpainter.scene.merge import carried  # most assets have none
+
+            receipt = carried(receipt, earlier)
         receipt = replace(receipt, seconds={"read": read_seconds, **receipt.seconds, **timings})
         file.write(receipt.to_json().encode())
         # On the disk before OUT has its name: a file without its receipt would be one that nobody can check.
