@@ -55,6 +55,7 @@ template <class F> struct LanesOf {
 // IEEE Transactions on Computers 57, 2008); no part of their callers, which would take twice as long to compile. Not
 // for products beyond 2^995 of doubles.
 #if defined(__FMA__) || defined(__aarch64__)
+constexpr bool FUSED_IS_EMULATED = false;
 SP_INLINE float fused(float a, float b, float c) { return __builtin_fmaf(a, b, c); }
 SP_INLINE double fused(double a, double b, double c) { return __builtin_fma(a, b, c); }
 #if defined(__clang__)
@@ -73,6 +74,7 @@ SP_INLINE Wide<double> fused(Wide<double> a, Wide<double> b, Wide<double> c) {
 }
 #endif
 #else
+constexpr bool FUSED_IS_EMULATED = true;
 // sum = a + b rounded to nearest, error = what that lost; sum then goes to the neighbour with an odd last bit.
 template <class D, class L>
 SP_INLINE D sum_to_odd(D a, D b) {
@@ -86,11 +88,26 @@ SP_INLINE D sum_to_odd(D a, D b) {
 SP_INLINE float fused(float a, float b, float c) {
     return (float)sum_to_odd<double, i64>((double)a * (double)b, (double)c);
 }
-__attribute__((noinline)) Wide<float> fused(Wide<float> a, Wide<float> b, Wide<float> c) {
-    typedef double D __attribute__((vector_size(2 * SP_VECTOR_BYTES)));
+typedef double TwiceWide __attribute__((vector_size(2 * SP_VECTOR_BYTES)));
+__attribute__((noinline)) Wide<float> fused_by_odd_sums(TwiceWide product, TwiceWide c) {
     typedef i64 L __attribute__((vector_size(2 * SP_VECTOR_BYTES)));
-    const D product = __builtin_convertvector(a, D) * __builtin_convertvector(b, D);
-    return __builtin_convertvector(sum_to_odd<D, L>(product, __builtin_convertvector(c, D)), Wide<float>);
+    return __builtin_convertvector(sum_to_odd<TwiceWide, L>(product, c), Wide<float>);
+}
+// Rounding twice, to double and to float, is rounding once unless the double lies halfway between two floats: its last 29
+// bits are 1 and zeros, or the float is subnormal (of sums that vanish entirely, none is inexact: products have 48 bits).
+// One sum in 2^29 by chance, so that the others need not be looked into.
+__attribute__((noinline)) Wide<float> fused(Wide<float> a, Wide<float> b, Wide<float> c) {
+    typedef i64 L __attribute__((vector_size(2 * SP_VECTOR_BYTES)));
+    const TwiceWide product = __builtin_convertvector(a, TwiceWide) * __builtin_convertvector(b, TwiceWide);
+    const TwiceWide third = __builtin_convertvector(c, TwiceWide), sum = product + third;
+    const Wide<float> out = __builtin_convertvector(sum, Wide<float>);
+    const L halfway = ((L)sum << 35) == (i64)(u64(1) << 63);
+    const Wide<i32> size = (Wide<i32>)out & 0x7fffffff, tiny = (size > 0) & (size <= 0x00800000);
+    const Wide<i32> doubtful = tiny | __builtin_convertvector(halfway, Wide<i32>);
+    typedef i64 Pair __attribute__((vector_size(16)));
+    const Pair any = (Pair)doubtful;
+    if (__builtin_expect((any[0] | any[1]) != 0, 0)) return fused_by_odd_sums(product, third);
+    return out;
 }
 template <class D, class L>
 SP_INLINE D fused_doubles(D a, D b, D c) {

@@ -28,10 +28,14 @@ template <class F>
 void power_each(Array1<const F> x, double exponent, Array1<F> out, i64 thread, i64 threads) {
     each(x, out, thread, threads, [=](F v) { return F(exp_of(exponent * log_of((double)v))); });
 }
+// The first half in vectors, the others one by one.
 template <class F>
-void fused_each(Array1<const F> a, Array1<const F> b, Array1<const F> c, Array1<F> out, i64 thread, i64 threads) {
-    const Share share = share_of(a.shape[0], thread, threads);
-    for (i64 i = share.begin; i < share.end; ++i) out(i) = fused(a(i), b(i), c(i));
+void fused_each(Array1<const F> a, Array1<const F> b, Array1<const F> c, Array1<F> out, i64 thread, i64) {
+    if (thread != 0) return;
+    i64 i = 0;
+    for (; i + W<F> <= a.shape[0] / 2; i += W<F>)
+        store_unaligned(&out(i), fused(load_unaligned(&a(i)), load_unaligned(&b(i)), load_unaligned(&c(i))));
+    for (; i < a.shape[0]; ++i) out(i) = fused(a(i), b(i), c(i));
 }
 // x.shape[0] is a multiple of LANES.
 template <class F>

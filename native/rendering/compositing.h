@@ -220,6 +220,9 @@ template <Profile profile, class F>
 SP_INLINE Wide<F> alpha_of(const Footprint<F>& g, Wide<F> level) {
     using V = Wide<F>;
     const V zero = {};
+    // Where the polynomial is dear, lanes are asked whether any needs it.
+    if constexpr (FUSED_IS_EMULATED)
+        if (!bits_where(level >= F(0))) return zero;
     if constexpr (profile == Profile::inria) {
         const V bound = all(g.bound), bounded = bound < level ? bound : level;  // NaN stays NaN
         return level >= F(0) ? alpha_at_level(bounded) : zero;

@@ -31,7 +31,10 @@ SP_INLINE i64 composite(const Rows<const F, COLUMNS>& projected, const Array1<co
                 bool accepts = true;
                 for (u64 rest = hits; rest; rest &= rest - 1) {
                     const int j = __builtin_ctzll(rest);
-                    const V w = accept_into<profile, F>(T, alpha_of<profile, F>(drawn[j], b, l));
+                    const V alpha = alpha_of<profile, F>(drawn[j], b, l);
+                    if constexpr (FUSED_IS_EMULATED && profile == Profile::inria)
+                        if (!bits_where(alpha > F(0))) continue;  // changes nothing, and sums are dear
+                    const V w = accept_into<profile, F>(T, alpha);
                     for (int c = 0; c < 4; ++c) sums[c] = fused(w, all(drawn.row[j][COLOR_AND_DEPTH[c]]), sums[c]);
                     if (!bits_where(T > F(0))) {
                         accepts = false;

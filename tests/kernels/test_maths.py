@@ -101,3 +101,23 @@ def test_fused_multiply_adds_are_rounded_once(cpu: str, dtype: type):
             error = abs(Fraction(result) - exact)
             for other in np.nextafter(np.float32(result), np.array([-np.inf, np.inf], np.float32)).tolist():
                 assert error <= abs(Fraction(other) - exact)
+
+
+@pytest.mark.parametrize("cpu", library.current().cpus)
+def test_fused_multiply_adds_beside_the_middle_of_two_floats(cpu: str):
+    """Sums that a double rounds to the very middle, also of subnormal floats: rounded again, half of them would go the
+    wrong way."""
+    k, count = RNG.integers(1, 4, 600), 600
+    c = np.ldexp(RNG.integers(1 << 23, 1 << 24, count), -23).astype(np.float32)
+    half = np.ldexp(RNG.choice([1.0, -1.0], count), -24)  # of the distance between neighbours of 1 to 2
+    a, b = (1 + k * 2.0**-23).astype(np.float32), (half * (1 - k * 2.0**-23)).astype(np.float32)
+    scale = np.ldexp(np.float32(1), np.where(np.arange(count) < 400, 0, -RNG.integers(127, 140, count)))
+    c, a = (c * scale).astype(np.float32), (a * scale).astype(np.float32)
+    out = np.empty_like(c)
+    with library.using(cpu):
+        kernels.fused_each(a, b, c, out, 0, 1)
+    for x, y, z, result in zip(*(values.tolist() for values in (a, b, c, out)), strict=True):
+        exact = Fraction(x) * Fraction(y) + Fraction(z)
+        error = abs(Fraction(result) - exact)
+        for other in np.nextafter(np.float32(result), np.array([-np.inf, np.inf], np.float32)).tolist():
+            assert error <= abs(Fraction(other) - exact)
