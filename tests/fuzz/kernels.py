@@ -111,6 +111,7 @@ def forward(rng: np.random.Generator, dtype: type) -> None:
 def frames(rng: np.random.Generator, dtype: type) -> None:
     """What the lifts call on a frame."""
     from splatpainter.lift.depth_normals import surface
+    from splatpainter.lift.masks import box_mean
     from splatpainter.rendering.cpu.projected_view import project, tile_shape
     from splatpainter.rendering.cpu.sirt import CachedWeights
 
@@ -126,6 +127,9 @@ def frames(rng: np.random.Generator, dtype: type) -> None:
     assert p == 0 or (0 <= frame.flatten_ids.min() and frame.flatten_ids.max() < m)
     target = extreme(rng, rng.random((*shape, 3)).astype(dtype), rng.choice([0, 0.1]))
     mask = extreme(rng, rng.random(shape).astype(dtype), rng.choice([0, 0.1]))
+    with np.errstate(all="ignore"):
+        box_mean(target, int(rng.integers(0, 40)))
+        box_mean(mask > 0.5, int(rng.integers(0, 9)))
     frame.rasterize(extreme(rng, frame.colors, 0.1))
     frame.backproject(target, mask)
     ids = frame.heaviest_gaussians(rng.choice(["inria", "playcanvas"]))
