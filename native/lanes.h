@@ -93,9 +93,9 @@ __attribute__((noinline)) Wide<float> fused_by_odd_sums(TwiceWide product, Twice
     typedef i64 L __attribute__((vector_size(2 * SP_VECTOR_BYTES)));
     return __builtin_convertvector(sum_to_odd<TwiceWide, L>(product, c), Wide<float>);
 }
-// Rounding twice, to double and to float, is rounding once unless the double lies halfway between two floats: its last 29
-// bits are 1 and zeros, or the float is subnormal (of sums that vanish entirely, none is inexact: products have 48 bits).
-// One sum in 2^29 by chance, so that the others need not be looked into.
+// Rounding twice, to double and to float, is rounding once unless the double lies halfway between two floats: its last
+// 29 bits are 1 and zeros, or the float is subnormal (of sums that vanish entirely, none is inexact: products have 48
+// bits). One sum in 2^29 by chance, so that the others need not be looked into.
 __attribute__((noinline)) Wide<float> fused(Wide<float> a, Wide<float> b, Wide<float> c) {
     typedef i64 L __attribute__((vector_size(2 * SP_VECTOR_BYTES)));
     const TwiceWide product = __builtin_convertvector(a, TwiceWide) * __builtin_convertvector(b, TwiceWide);

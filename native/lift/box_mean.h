@@ -4,9 +4,9 @@
 
 namespace sp { namespace {
 
-// values: [H, W C], pixels of C channels side by side; edges are repeated. rows: [threads, (W + 2 radius) C] space. out:
-// as values. Sums go down the columns first, from the second of 2 radius + 1 to the last, then the first; then along
-// the rows in the same order.
+// values: [H, W C], pixels of C channels side by side; edges are repeated. rows: [threads, (W + 2 radius) C] space.
+// out: as values. Sums go down the columns first, from the second of 2 radius + 1 to the last, then the first; then
+// along the rows in the same order.
 void mean_over_boxes(Array2<const float> values, i64 channels, i64 radius, Array2<float> rows, Array2<float> out,
                      i64 thread, i64 threads) {
     const i64 height = values.shape[0], width = values.shape[1], size = 2 * radius + 1, margin = radius * channels;

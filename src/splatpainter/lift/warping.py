@@ -28,14 +28,22 @@ class ViewedChange:
     def moved(self, camera: Camera, depth: np.ndarray) -> np.ndarray:
         """[H, W, 4] change and mask where the surface of `camera` (depth [H, W], 0 for none) is the one that was
         edited; zeros elsewhere."""
-        visible = seen_in_both(self.camera, self.depth, camera, depth)
-        pixels, _ = self.camera.project(camera.unproject(np.where(depth > 0, depth, 1)))
-        return bilinear(np.concatenate([self.change, self.mask[..., None]], -1), pixels) * visible[..., None]
+        pixels, z = self.camera.project(camera.unproject(np.where(depth > 0, depth, 1)))
+        visible = _is_seen(self.depth, pixels, z, depth)
+        values = np.concatenate([self.change, self.mask[..., None]], -1)
+        out = np.zeros((*depth.shape, values.shape[2]))
+        out[visible] = bilinear(values, pixels[visible])  # of the few that are, not of all
+        return out
 
 
 def seen_in_both(first: Camera, first_depth: np.ndarray, other: Camera, other_depth: np.ndarray) -> np.ndarray:
     """[H, W] of `other`: the surface that it shows (z-depths, 0 for none) is the one that `first` shows there."""
     pixels, z = first.project(other.unproject(np.where(other_depth > 0, other_depth, 1)))
+    return _is_seen(first_depth, pixels, z, other_depth)
+
+
+def _is_seen(first_depth: np.ndarray, pixels: np.ndarray, z: np.ndarray, other_depth: np.ndarray) -> np.ndarray:
+    """`seen_in_both`; pixels, z: where the surface of the other view lies in the first, and its depth there."""
     height, width = first_depth.shape
     x, y = (np.floor(np.nan_to_num(pixels[..., k], nan=-1, posinf=-1, neginf=-1)).astype(int) for k in (0, 1))
     # NaN and infinite projections were set to -1 above and so count as outside.

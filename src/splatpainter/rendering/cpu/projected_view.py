@@ -212,7 +212,9 @@ class ProjectedView:
         dtype, shape = self.projected.dtype, (self.camera.height, self.camera.width)
         # Zeros that nobody writes cost nothing: the system hands out pages when they are touched.
         image, alpha, depth = np.zeros((*shape, 3), dtype), np.zeros(shape, dtype), np.zeros(shape, dtype)
-        self.rasterize_into(image, alpha, depth, colors, empty=not any(self.camera.background))
+        if len(self.tile_ids) < self.tiles.size and any(self.camera.background):
+            image[:] = self._background()
+        self.rasterize_into(image, alpha, depth, colors, empty=True)
         return image, alpha, depth
 
     def rasterize_into(
