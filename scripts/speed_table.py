@@ -70,30 +70,34 @@ def main() -> int:
         return 0
     if not (config.inputs / "1m.sog").exists():
         parser.error(f"{config.inputs}: no inputs there; make them with --make first")
-    lines = [line for group in GROUPS for line in in_a_process(group, config)]
+    lines = (line for group in GROUPS for line in in_a_process(group, config))
     if config.json:
         print(json.dumps([asdict(line) for line in lines], indent=1))
         return 0
-    print(f"{sys.executable}, load {os.getloadavg()[0]:.1f} at the end\n")
     print("| what | median ms | fastest | CPU ms | peak MiB | |\n| --- | ---: | ---: | ---: | ---: | --- |")
     for line in lines:
         numbers = (line.median_ms, line.fastest_ms, line.cpu_ms, line.peak_mib)
         cells = ["" if value is None else f"{value:,.1f}" if value < 100 else f"{value:,.0f}" for value in numbers]
-        print(f"| {line.name} | {' | '.join(cells)} | {line.remark} |")
+        print(f"| {line.name} | {' | '.join(cells)} | {line.remark} |", flush=True)
+    print(f"\n{sys.executable}, load {os.getloadavg()[0]:.1f} at the end")
     return 0
 
 
-def in_a_process(group: str, config: argparse.Namespace) -> list[Line]:
-    """The lines of a group, measured by this interpreter in a process of its own."""
+def in_a_process(group: str, config: argparse.Namespace) -> Iterator[Line]:
+    """The lines of a group, as they are measured by this interpreter in a process of its own."""
     words = [sys.executable, __file__, str(config.inputs), "--group", group, "--only", *config.only]
     # Bytecode is kept, as installations have it: compiling the modules anew is no part of a command's time.
     variables = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-    done = subprocess.run(words, env=variables, capture_output=True, text=True, check=False)
-    lines = [Line(**json.loads(text)) for text in done.stdout.splitlines() if text.startswith("{")]
-    if done.returncode:
-        reason = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
-        lines.append(Line(f"{group}: not measured further", None, remark=reason[:120]))
-    return lines
+    with tempfile.TemporaryFile("w+") as errors:
+        with subprocess.Popen(words, env=variables, stdout=subprocess.PIPE, stderr=errors, text=True) as running:
+            assert running.stdout is not None
+            for text in running.stdout:
+                if text.startswith("{"):
+                    yield Line(**json.loads(text))
+        if running.returncode:
+            errors.seek(0)
+            reason = (errors.read().strip().splitlines() or [f"exit code {running.returncode}"])[-1]
+            yield Line(f"{group}: not measured further", None, remark=reason[:120])
 
 
 # ---- what is measured

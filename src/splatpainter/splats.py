@@ -72,7 +72,7 @@ class Splats:
         """The given Gaussians, in the given order. ids: [M] int indices or [N] bool mask."""
         origin = None if self.origin is None else self.origin[np.asarray(ids)]
         if isinstance(self.means, np.ndarray):
-            rows = np.flatnonzero(ids) if np.asarray(ids).dtype == bool else np.asarray(ids, np.int64)
+            rows = _row_numbers(ids)
             # numpy copies whole rows so, and single values where arrays are indexed: three times slower.
             return replace(self, **{k: getattr(self, k).take(rows, 0) for k in ATTRIBUTES}, origin=origin)
         return replace(self, **{k: getattr(self, k)[ids] for k in ATTRIBUTES}, origin=origin)
@@ -215,6 +215,8 @@ def rows_sha256(splats: Splats, ids: Array | None = None) -> str:
     """SHA-256 over the float32 little-endian attributes of the given Gaussians (default: all), one after the other."""
     arrays = splats.numpy()
     # Of the arrays as they lie, so that the hash of an asset does not depend on its file format.
+    if ids is not None:
+        ids = _row_numbers(ids)
     digest = hashlib.sha256()
     for name in ATTRIBUTES:
         values = getattr(arrays, name)
@@ -223,6 +225,12 @@ def rows_sha256(splats: Splats, ids: Array | None = None) -> str:
     if any(splats.offset):
         digest.update(np.array(splats.offset, "<f8").tobytes())
     return digest.hexdigest()
+
+
+def _row_numbers(ids: Array) -> np.ndarray:
+    """[M] int64 of row numbers or a [N] bool mask; `take` of a mask would take rows 0 and 1."""
+    ids = np.asarray(ids)
+    return np.flatnonzero(ids) if ids.dtype == bool else ids.astype(np.int64, copy=False)
 
 
 def row_blocks(ids: Array) -> list[Array]:

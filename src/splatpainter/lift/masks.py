@@ -215,7 +215,7 @@ def box_mean(values: np.ndarray, radius: int) -> np.ndarray:
         return out
     height, width = pixels.shape[:2]
     channels = out.size // (height * width)
-    rows = np.empty((threads(), (width + 2 * radius) * channels), np.float32)
+    space = np.empty((threads(), (width + 2 * radius) * channels), np.float32)
     flat = (height, width * channels)
-    run(kernels.mean_over_boxes, pixels.reshape(flat), channels, radius, rows, out.reshape(flat))
+    run(kernels.mean_over_boxes, pixels.reshape(flat), channels, radius, space, out.reshape(flat))
     return out
