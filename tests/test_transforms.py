@@ -16,6 +16,7 @@ from splatpainter.transforms import (
     principal_axes,
     quat_to_matrix,
     row_max,
+    row_norm,
     sh_basis,
     sh_rotations,
     snapped,
@@ -146,3 +147,13 @@ def test_turned_rotations_and_the_largest_of_short_rows() -> None:
     for count in (1, 2, 3):
         np.testing.assert_array_equal(row_max(values[:, :count]), values[:, :count].max(1))
     assert row_max(np.zeros((0, 2))).shape == (0,)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_lengths_of_rows_are_numpys_to_the_last_bit(dtype: type):
+    rng = np.random.default_rng(4)
+    for count, columns in ((0, 3), (1, 4), (700, 2), (700, 3), (700, 4)):
+        values = (rng.normal(size=(count, columns)) * 10.0 ** rng.uniform(-9, 9, (count, 1))).astype(dtype)
+        lengths = row_norm(values)
+        assert lengths.dtype == dtype
+        np.testing.assert_array_equal(lengths, np.linalg.norm(values, axis=1))

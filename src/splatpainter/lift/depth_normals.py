@@ -12,7 +12,7 @@ from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.splats import Splats
-from splatpainter.transforms import quat_to_matrix
+from splatpainter.transforms import quat_to_matrix, row_norm
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def surface_normals(depth: np.ndarray, ys: np.ndarray, xs: np.ndarray, camera: C
     # Without a slope along an axis the surface counts as facing the camera along it.
     right[~good_x], down[~good_y] = (1, 0, 0), (0, 1, 0)
     normal = np.cross(right, down)
-    return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    return normal / np.maximum(row_norm(normal)[:, None], 1e-12)
 
 
 def outward_normals(splats: Splats) -> np.ndarray:
@@ -94,7 +94,7 @@ def outward_normals(splats: Splats) -> np.ndarray:
     normal = quat_to_matrix(splats.quats)[np.arange(n), :, splats.scales.argmin(1)]
     # Median and quantile, not mean and maximum: floaters far away must not move the ring.
     center = np.median(splats.means, 0)
-    radius = float(np.quantile(np.linalg.norm(splats.means - center, axis=1), 0.98))
+    radius = float(np.quantile(row_norm(splats.means - center), 0.98))
     towards = 1e-3 * (splats.means - center) / max(radius, 1e-9)  # [N, 3] mean direction to the views that see it
     shape = (VISIBLE_NORMALS.ring_px, VISIBLE_NORMALS.ring_px)
     for k in range(VISIBLE_NORMALS.ring_views):
@@ -116,7 +116,7 @@ def outward_normals(splats: Splats) -> np.ndarray:
         away = camera.position.astype(np.float32) - splats.means[projected.gaussian_ids]
         # What shimmers through the far wall is seen from within.
         weight = np.where(sums.weight > 0.1 * sums.alpha, sums.weight, 0)
-        towards[projected.gaussian_ids] += weight[:, None] * away / np.linalg.norm(away, axis=1, keepdims=True)
+        towards[projected.gaussian_ids] += weight[:, None] * away / row_norm(away)[:, None]
     side = (normal * towards).sum(1)
     normal = np.where(side[:, None] < 0, -normal, normal)
     return normal.astype(np.float32)

@@ -20,6 +20,7 @@ from splatpainter.lift.depth_normals import outward_normals, scattered
 from splatpainter.lift.options import GLOBAL_DEFAULTS, GlobalOptions
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import SH_C0, Splats
+from splatpainter.transforms import row_norm
 
 Predict = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Another regression in place of this one: (change [N, 3] of base colour of Gaussians that are seen, weight [N] pixels
@@ -158,7 +159,7 @@ def one_sided(splats: Splats, cameras: Sequence[Camera]) -> float:
     """0..1: 1 where all views come from one side of the asset, 0 where they surround it. splats: all drawable."""
     # The mean of unit directions is long where all views come from one side, and 0 where they surround the asset.
     away = np.stack([camera.position for camera in cameras]) - np.median(splats.means, 0)
-    lines = away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
+    lines = away / np.maximum(row_norm(away)[:, None], 1e-12)
     return float((lines.mean(0) ** 2).sum())
 
 

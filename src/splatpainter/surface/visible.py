@@ -16,7 +16,7 @@ from splatpainter.kernels.parallel import run
 from splatpainter.rendering.cpu.projected_view import ProjectedView
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface, SurfacePoints
-from splatpainter.transforms import quat_to_matrix, turned
+from splatpainter.transforms import quat_to_matrix, row_norm, turned
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ def visible_surface(
     depth, width = depths_along(splats.geometry(ids), camera, rays)
     rotation = camera.world_to_camera[:3, :3]
     starts = camera.to_world(rays * depth[:, None])
-    lengths = np.linalg.norm(rays, axis=1)
+    lengths = row_norm(rays)
     directions = portable.matmul(rays / lengths[:, None], rotation)
     # The window follows the Gaussian that is seen, but never below what a pixel can tell.
     window = np.maximum(VISIBLE.window_widths * width, VISIBLE.min_window_px * depth / camera.fx)

@@ -44,6 +44,7 @@ from splatpainter.io.formats import activations, gltf, gltf_spz
 from splatpainter.io.formats.reuse import Unchanged, drawable_rows, row_problems, unchanged
 from splatpainter.splats import ATTRIBUTES, SH_C0, Source, Splats
 from splatpainter.system.jsonio import brief
+from splatpainter.transforms import row_norm
 
 EXTENSION = "KHR_gaussian_splatting"
 COLOR_SPACES = {"srgb": "srgb_rec709_display", "linear": "lin_rec709_display"}
@@ -520,7 +521,7 @@ def attribute_name(semantic: str) -> str:
 
 def _unit(local: Splats) -> Splats:
     """Quaternions of norm 1, which the standard asks for; those that have it to float32 rounding keep their bits."""
-    norms = np.linalg.norm(local.quats.astype(np.float64), axis=1, keepdims=True)
+    norms = row_norm(local.quats.astype(np.float64))[:, None]
     quats = np.where(np.abs(norms - 1) < 1e-6, local.quats, local.quats / norms)
     return replace(local, quats=quats.astype(np.float32))
 

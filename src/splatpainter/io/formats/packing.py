@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from splatpainter.io.files import printable
+from splatpainter.transforms import row_norm
 
 MORTON_BITS = 21
 """Bits an axis: three of them fill a 64-bit key."""
@@ -69,7 +70,7 @@ def unpack_quats(words: np.ndarray) -> np.ndarray:
 
 def pack_quats(quats: np.ndarray) -> np.ndarray:
     """[N, 4] non-zero quaternions -> [N] uint32, the inverse of unpack_quats up to sign and rounding."""
-    unit = quats / np.linalg.norm(quats.astype(np.float64), axis=1, keepdims=True)
+    unit = quats / row_norm(quats.astype(np.float64))[:, None]
     rows = np.arange(len(unit))
     largest = np.abs(unit).argmax(1)
     unit = np.where(unit[rows, largest] < 0, -1, 1)[:, None] * unit

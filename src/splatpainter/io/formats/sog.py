@@ -50,6 +50,7 @@ from splatpainter.io.formats.sog_container import META, Container, load, named_f
 from splatpainter.splats import SH_C0, SH_COUNTS, Source, Splats
 from splatpainter.system import jsonio
 from splatpainter.system.jsonio import brief, integer, object_at
+from splatpainter.transforms import row_norm
 
 BANDS = {1: 3, 2: 8, 3: 15}
 """meta.shN.bands -> coefficients above degree 0."""
@@ -379,7 +380,7 @@ def _encode_means(rows: Splats, same: Unchanged | None, old: SogFile | None, met
 def _pack_quats(quats: np.ndarray) -> np.ndarray:
     # q and -q are one rotation: the sign is chosen so that the component left out is positive.
     unit = quats.astype(np.float64)
-    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+    unit /= row_norm(unit)[:, None]
     largest = np.abs(unit).argmax(1)
     unit *= np.where(unit[np.arange(len(unit)), largest] < 0, -1, 1)[:, None]
     smaller = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])[largest]

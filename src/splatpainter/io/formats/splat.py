@@ -20,6 +20,7 @@ from splatpainter.io import files
 from splatpainter.io.formats import activations
 from splatpainter.io.formats.reuse import row_problems, unchanged
 from splatpainter.splats import Source, Splats
+from splatpainter.transforms import row_norm
 
 ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgb", "u1", 3), ("alpha", "u1"), ("quats", "u1", 4)])
 
@@ -79,7 +80,7 @@ def write_splat(path: Path, splats: Splats) -> None:
         rows[has_source] = splats.source.detail.rows[same.source_rows[has_source]]
         masks = {"means": same.means, "scales": same.scales, "rgb": same.base}
         masks |= {"alpha": same.opacities, "quats": same.quats}
-    norms = np.linalg.norm(splats.quats.astype(np.float64), axis=1, keepdims=True)
+    norms = row_norm(splats.quats.astype(np.float64))[:, None]
     values = {
         "means": splats.means,
         "scales": splats.scales,

@@ -40,6 +40,7 @@ from splatpainter.io.formats import activations
 from splatpainter.io.formats.reuse import Unchanged, drawable_rows, row_problems, unchanged
 from splatpainter.kernels.parallel import each
 from splatpainter.splats import Axes, Source, Splats
+from splatpainter.transforms import row_norm
 
 MAGIC = b"NGSP"
 STREAMS = ("positions", "alphas", "colors", "scales", "rotations", "sh")
@@ -580,7 +581,7 @@ def pack_sh(rest: np.ndarray, bits: tuple[int, int]) -> np.ndarray:
 
 def _unit(quats: np.ndarray) -> np.ndarray:
     wide = quats.astype(np.float64)
-    return wide / np.linalg.norm(wide, axis=1, keepdims=True)
+    return wide / row_norm(wide)[:, None]
 
 
 def _byte(values: np.ndarray) -> np.ndarray:

@@ -29,7 +29,7 @@ from splatpainter.rendering.cpu.geometry import TILE
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
 from splatpainter.splats import ATTRIBUTES, Splats, float_bits
 from splatpainter.surface.visible import VisibleSurface, depths_along
-from splatpainter.transforms import quat_to_matrix, row_max
+from splatpainter.transforms import quat_to_matrix, row_max, row_norm
 
 
 @dataclass(frozen=True)
@@ -330,7 +330,7 @@ def _within_horizon(
     means = geometry.means
     normals = quat_to_matrix(geometry.quats)[:, :, 2]
     sight = means - camera.position
-    facing = np.abs((normals * sight).sum(1)) / np.maximum(np.linalg.norm(sight, axis=1), 1e-30)
+    facing = np.abs((normals * sight).sum(1)) / np.maximum(row_norm(sight), 1e-30)
     # Only near the horizon can a plane leave a round surface behind.
     far = np.flatnonzero(facing < portable.cos(math.radians(RESURFACING.horizon_degrees)))
     far = far[_sigmas(hidden, hidden_ids[far], means[far]) > RESURFACING.max_host_sigmas]

@@ -11,7 +11,7 @@ from splatpainter.cameras import Camera
 from splatpainter.kernels import portable
 from splatpainter.lift.sheets.fringe import FringedSurface
 from splatpainter.surface.visible import PixelSurface, VisibleSurface
-from splatpainter.transforms import matrix_to_quat, turned
+from splatpainter.transforms import matrix_to_quat, row_norm, turned
 
 
 @dataclass(frozen=True)
@@ -198,18 +198,18 @@ def _stretch(
     from its tangent plane; next to where there is no surface, hardly."""
     camera, centers, sizes = surface.camera, cells.centers[chosen], cells.sizes[chosen]
     points = camera.to_camera(camera.unproject(at.depth[chosen], centers))
-    facing = -(points * at.normals[chosen]).sum(1) / np.maximum(np.linalg.norm(points, axis=1), 1e-30)
+    facing = -(points * at.normals[chosen]).sum(1) / np.maximum(row_norm(points), 1e-30)
     # By its normal alone a plane seen edge-on would be endless.
     length = 1 / np.maximum(facing, 1e-3)
     across = at.normals[chosen, :2]
-    way = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12) * sizes[:, None]
+    way = across / np.maximum(row_norm(across)[:, None], 1e-12) * sizes[:, None]
     unit = sizes * at.depth[chosen] / camera.fx
     limits = []
     for sign in (-1, 1):
         pixels = centers + sign * way
         # The neighbours along the slant say how far the surface really goes on.
         beside = surface.at(pixels)
-        apart = np.linalg.norm(camera.to_camera(camera.unproject(beside.depth, pixels)) - points, axis=1)
+        apart = row_norm(camera.to_camera(camera.unproject(beside.depth, pixels)) - points)
         limits.append(np.where(beside.depth > 0, SHEET.max_length_apart * apart / unit, SHEET.max_open_stretch))
     return np.clip(np.minimum(length, np.minimum(*limits)), 1, None)
 
@@ -247,14 +247,14 @@ def pixel_gaussians(
     share a cell of edge `cell_px` [G], each moved by `shift` [G] (-0.5..0.5) of the cell along the slant. pixels:
     [G, 2]; depth: [G] z."""
     rays = camera.sight_lines(pixels)
-    lengths = np.linalg.norm(rays, axis=1)
+    lengths = row_norm(rays)
     view = rays / lengths[:, None]
     # The axis that the slant shortens lies along the normal's part across the line of sight; the other across both.
     slant = normals - (normals * view).sum(1, keepdims=True) * view
-    size = np.linalg.norm(slant, axis=1, keepdims=True)
+    size = row_norm(slant)[:, None]
     fallback = np.cross(view, np.where(np.abs(view[:, :1]) < 0.9, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
     across = np.where(size > 1e-6, np.cross(normals, slant / np.maximum(size, 1e-12)), np.cross(normals, fallback))
-    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
+    across /= np.maximum(row_norm(across)[:, None], 1e-12)
     along = np.cross(normals, across)
     rotation = turned(camera.world_to_camera[:3, :3].T, np.stack([across, along, normals], 2))
     # A rotation, not a reflection: quaternions have no left-handed frames.

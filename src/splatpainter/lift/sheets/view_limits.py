@@ -15,6 +15,7 @@ from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import VisibleSurface, visible_surface
+from splatpainter.transforms import row_norm
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ def paintable(visible: VisibleSurface, pixels: np.ndarray, angle_limit: float, d
     seen = at.depth > 0
     if angle_limit > 0:
         rays = visible.camera.sight_lines(centers)
-        facing = -(rays * at.normals).sum(1) / np.linalg.norm(rays, axis=1)
+        facing = -(rays * at.normals).sum(1) / row_norm(rays)
         angle = np.degrees(portable.arccos(np.clip(facing, 0, 1)))
         # The fade has to end at 90 degrees, also for a limit close to it.
         soft = min(VIEW_LIMITS.soft_degrees, max(90.0 - angle_limit, 1e-3))
