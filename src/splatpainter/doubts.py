@@ -7,7 +7,7 @@ open an asset, and by the studio when one is opened. What a reader cannot keep o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -111,8 +111,9 @@ def _drawn(splats: Splats) -> np.ndarray:
 
 
 def _sample(splats: Splats) -> Splats:
-    rows = np.flatnonzero(_drawn(splats))
-    return splats.numpy().take(rows[:: max(1, len(rows) // DOUBTS.max_sample)])
+    """Some of what is drawn, with its base colours alone: the other bands would be most of what is copied."""
+    rows, arrays = np.flatnonzero(_drawn(splats)), splats.numpy()
+    return replace(arrays, sh=arrays.sh[:, :1]).take(rows[:: max(1, len(rows) // DOUBTS.max_sample)])
 
 
 def _nothing_drawn(splats: Splats) -> Doubt | None:
@@ -140,15 +141,16 @@ def _activated(splats: Splats, few: Splats) -> Doubt | None:
     """Scales and opacities stored as they are, where logarithms and logits are expected; and colours for f_dc."""
     if splats.source is None or splats.source.format not in LOG_FORMATS or len(few) < DOUBTS.min_rows:
         return None
-    # The reader took exp and the sigmoid already: undone here, as the doubt is about what the file holds.
-    logs, opacities = np.log(few.scales.astype(np.float64)), few.opacities.astype(np.float64)
-    logits, base = np.log(opacities) - np.log1p(-opacities), few.sh[:, 0]
-    # Each of three signs alone is enough; told in one doubt, as one mistake of an exporter makes them all.
+    # Each of three signs alone is enough; told in one doubt, as one mistake of an exporter makes them all. The reader
+    # took exp and the sigmoid already: undone here, as the doubt is about what the file holds, where it may come to it.
     parts: list[tuple[str, str, str, str]] = []
-    if (logs > 0).mean() >= DOUBTS.nearly_all and _fits_better_without_exp(few):
+    base, wide = few.sh[:, 0], (few.scales > 1).mean() >= DOUBTS.nearly_all
+    if wide and _fits_better_without_exp(few):
+        logs = np.log(few.scales.astype(np.float64))
         seen = f"scale_0..2 are all above 0 ({logs.min():.2g} to {logs.max():.2g})"
         parts.append((seen, "log", "sizes", "log for scales"))
-    if ((logits >= -1e-6) & (logits <= 1 + 1e-6)).mean() >= DOUBTS.nearly_all:
+    if _has_logits_of_opacities(few.opacities):
+        logits = _logits(few.opacities)
         seen = f"opacity is all within 0..1 ({logits.min():.3g} to {logits.max():.3g})"
         parts.append((seen, "logit", "opacities", "logit for opacities"))
     if _has_f_dc(splats) and base.min() >= 0 and base.max() <= 1 and base.min() < 0.25 and base.max() > 0.75:
@@ -162,6 +164,20 @@ def _activated(splats: Splats, few: Splats) -> Doubt | None:
         f"the values look activated (stored without {', '.join(steps)}), so {' and '.join(wrong)} are shown wrong",
         f"export again as INRIA's PLY has it ({', '.join(remedies)})",
     )
+
+
+def _has_logits_of_opacities(opacities: np.ndarray) -> bool:
+    """Whether nearly all logits are within 0 to 1, as opacities are."""
+    # The sigmoid of 0 to 1 is 0.5 to 0.73: most assets need no logarithm to be told from that.
+    if ((opacities > 0.49) & (opacities < 0.74)).mean() < DOUBTS.nearly_all:
+        return False
+    logits = _logits(opacities)
+    return bool(((logits >= -1e-6) & (logits <= 1 + 1e-6)).mean() >= DOUBTS.nearly_all)
+
+
+def _logits(opacities: np.ndarray) -> np.ndarray:
+    values = opacities.astype(np.float64)
+    return np.log(values) - np.log1p(-values)
 
 
 def _fits_better_without_exp(few: Splats) -> bool:
@@ -275,7 +291,7 @@ def _colors(splats: Splats, few: Splats) -> Doubt | None:
             "everything is shown white: colours of 0 to 255 were probably stored without dividing by 255",
             "export again with colours of 0 to 1, or as f_dc_0..2",
         )
-    if most <= DOUBTS.dark and few.sh.shape[1] == 1:
+    if most <= DOUBTS.dark and splats.sh.shape[1] == 1:
         return Doubt(
             f"all base colours are black (at most {most:.2g})",
             "colours were probably stored on another scale, such as integers of more than 8 bits",
