@@ -340,7 +340,7 @@ def make(folder: Path) -> None:
             shutil.copyfile(scene.ply, folder / f"{name}.ply")
             for kind in ("dab", "text", "grade"):
                 save_picture(folder / f"{name}_{kind}.png", scene.edited(kind)[0], scene.camera)
-        write(folder / "1m.sog", scene.splats, overwrite=True)
+        write(folder / "1m.sog", SavedScene(Path(temporary) / "1m", SIZE).splats, overwrite=True)
         demo.run(demo.Config(Path(temporary) / "demo"))
         shutil.copyfile(Path(temporary) / "demo" / "asset.ply", folder / "demo.ply")
         shutil.copyfile(Path(temporary) / "demo" / "edited.png", folder / "demo.png")
