@@ -253,7 +253,7 @@ def lit_by(row: str, case: LightCase) -> Splats:
     surface = None
     if row == "ours, true normals":
         surface = _with_true_normals(case)
-    return transfer(case.asset, captured_light(case.asset), case.after / level, surface=surface).splats
+    return transfer(case.asset, captured_light(case.asset, up="+y"), case.after / level, surface=surface).splats
 
 
 def psnr(views: np.ndarray, case: LightCase) -> float:

@@ -12,6 +12,7 @@ from splatpainter.color import base_color, linear_to_srgb, sh_from_color, srgb_t
 from splatpainter.lights.facing import facing
 from splatpainter.lights.irradiance import LitSurface, sun_light
 from splatpainter.lights.lamps import Lamp, Sun, kelvin_color
+from splatpainter.lights.light_prior import likely_light
 from splatpainter.lights.light_set import Lights, axes_of, turned_sky
 from splatpainter.lights.relight import delight, mirrored_light, relight
 from splatpainter.lights.skies import SKIES, direction, sky
@@ -310,3 +311,44 @@ def test_names_of_the_package() -> None:
 
     asset = sp.light(ball(300), sp.Lights(sky=sp.sky("overcast"), suns=(sp.Sun(0, 45),), up="+y"))
     assert asset.receipt is not None and asset.receipt.mode == "light"
+
+
+def test_light_that_colours_do_not_tell_of_comes_from_above() -> None:
+    """`likely_light` against the definition: the product of two Gaussians by their inverses."""
+    rng = np.random.default_rng(4)
+    estimate = 0.2 * rng.normal(size=8)
+    down = np.array([[0.0, -1.0, 0.0]])
+    for up, towards in (("+y", -down), ("-y", down)):
+        mean, covariance, kept = likely_light(estimate, 1e6, up)
+        basis = sh_basis(np.concatenate([towards, -towards]), 2)[:, 1:]
+        above, below = basis @ mean
+        assert above > below + 0.3 and kept < 1e-3
+        told, narrow, kept = likely_light(estimate, 0.05, up)
+        expected = np.linalg.inv(np.linalg.inv(covariance) + np.eye(8) / 0.05)
+        np.testing.assert_allclose(narrow, expected, atol=1e-5)
+        np.testing.assert_allclose(told, expected @ (np.linalg.solve(covariance, mean) + estimate / 0.05), atol=1e-5)
+        assert 0 < kept < 1
+    np.testing.assert_allclose(likely_light(estimate, 1e-9, "auto")[0], estimate, atol=1e-6)
+
+
+def test_where_nobody_says_which_way_is_up_the_estimate_does() -> None:
+    towards = {"+y": [0.0, 1.0, 0.0], "-y": [0.0, -1.0, 0.0], "+z": [0.0, 0.0, 1.0]}
+    for up, axis in towards.items():
+        clear = 0.6 * sh_basis(np.array([axis]), 2)[0, 1:]
+        mean, _, _ = likely_light(clear, 0.02, "auto")
+        given, _, _ = likely_light(clear, 0.02, up)  # type: ignore[arg-type]
+        assert np.abs(mean - given).max() < 0.1, up
+
+
+def test_materials_of_one_hue_are_told_apart_by_brightness() -> None:
+    """A grey and a white paint side by side in every patch, the white one on top: paint that looks like light."""
+    rng = np.random.default_rng(2)
+    splats = ball(6000)
+    surface = LitSurface.of(splats, shadows=False)
+    received = surface.from_sky(turned_sky(sky("noon"), np.eye(3)))
+    white = rng.uniform(size=(6000, 1)) < 0.2 + 0.6 * (splats.means[:, 1:2] > 0)
+    colors = (np.where(white, 0.5, 0.15) * received).clip(0, 1)
+    estimate = estimate_source(colors, surface.transfer, surface.points, surface.facing.trusted, "+y")
+    believed = surface.from_sky(estimate.coefficients)
+    shape, expected = believed / believed.mean(0), received / received.mean(0)
+    assert np.abs(shape - expected).mean() < 0.2 * np.abs(1 - expected).mean()

@@ -12,6 +12,9 @@ from splatpainter.lights.match import match_light
 from splatpainter.lights.prepared import captured_light
 from splatpainter.painter import Painter
 
+UP = "+y"
+"""Of the objects of benches, whose light comes from there more than from elsewhere."""
+
 
 def edit(task: EditTask, budget: Budget) -> EditResult:
     """By light alone."""
@@ -25,9 +28,9 @@ def edit_with_painter(task: EditTask, budget: Budget) -> EditResult:
 
 def _matched(task: EditTask, painter: Painter | None) -> EditResult:
     start = time.perf_counter()
-    captured_light(task.asset)
+    captured_light(task.asset, up=UP)
     ready = time.perf_counter()
-    matched = match_light(task.asset, edits_of(task), painter)
+    matched = match_light(task.asset, edits_of(task), painter, up=UP)
     seconds = time.perf_counter() - ready
     note = f"by {matched.chosen}"
     return EditResult(matched.asset.splats, ready - start, seconds, numbers=matched.scores, note=note)

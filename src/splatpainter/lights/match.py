@@ -89,11 +89,12 @@ def match_light(
     shadows: bool = True,
     source: np.ndarray | None = None,
     target: np.ndarray | None = None,
+    up: UpAxis = "auto",
 ) -> MatchedLight:
     """splats as the pictures show it, with its receipt. edits: 1 to 4 views in one other light; painter: explains what
     light does not, None: light alone; source, target: [9, 3] SH of the light before and of the new one, where they are
-    given (the pictures still decide its level, and a little of its shape). Raises ValueError: no views, views that show
-    nothing of the asset."""
+    given (the pictures still decide its level, and a little of its shape); up: where light usually comes from. Raises
+    ValueError: no views, views that show nothing of the asset."""
     if not 1 <= len(edits) <= MAX_MATCHED_VIEWS:
         raise ValueError(f"light: expected 1 to {MAX_MATCHED_VIEWS} pictures to match, got {len(edits)}")
     clock = time.perf_counter()
@@ -101,7 +102,7 @@ def match_light(
     edits = [edit.relative_to(splats.offset) for edit in edits]
     # Occlusion depends on shape alone, so it is computed once for all candidates.
     surface = lit_surface(splats, shadows)
-    before = captured_light(splats, shadows) if source is None else SourceLight(source, 0.0, "source light: given")
+    before = captured_light(splats, shadows, up) if source is None else SourceLight(source, 0.0, "source light: given")
 
     def results(views: Sequence[Edit], names: Sequence[str]) -> dict[str, tuple[Asset, np.ndarray, SourceLight]]:
         old, new = _fit_lights(splats, surface, views, before, source is not None, target)

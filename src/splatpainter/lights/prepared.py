@@ -9,6 +9,7 @@ from threading import RLock
 
 import numpy as np
 
+from splatpainter.cameras import UpAxis
 from splatpainter.color import base_color, to_light
 from splatpainter.lights.irradiance import LitSurface
 from splatpainter.lights.source_light import SourceLight, estimate_source
@@ -33,12 +34,13 @@ def lit_surface(splats: Splats, shadows: bool = True) -> LitSurface:
         return _SURFACES.get((_shape_hash(splats), shadows), lambda: LitSurface.of(splats, shadows))
 
 
-def captured_light(splats: Splats, shadows: bool = True) -> SourceLight:
-    """`estimate_source` of the asset's base colours, computed once for equal assets. Raises ValueError."""
+def captured_light(splats: Splats, shadows: bool = True, up: UpAxis = "auto") -> SourceLight:
+    """`estimate_source` of the asset's base colours, computed once for equal assets. up: where light usually comes
+    from. Raises ValueError."""
     with _LOCK:
         surface = lit_surface(splats, shadows)
-        key = (_shape_hash(splats), shadows, splats.color_space, _hash(splats.sh[:, 0]))
-        return _SOURCES.get(key, lambda: _estimate(splats, surface))
+        key = (_shape_hash(splats), shadows, up, splats.color_space, _hash(splats.sh[:, 0]))
+        return _SOURCES.get(key, lambda: _estimate(splats, surface, up))
 
 
 def linear_colors(splats: Splats) -> np.ndarray:
@@ -47,9 +49,9 @@ def linear_colors(splats: Splats) -> np.ndarray:
     return to_light(base_color(sh), splats.color_space)
 
 
-def _estimate(splats: Splats, surface: LitSurface) -> SourceLight:
+def _estimate(splats: Splats, surface: LitSurface, up: UpAxis) -> SourceLight:
     witnesses = surface.facing.trusted & (surface.closed < MAX_CLOSED)
-    return estimate_source(linear_colors(splats), surface.transfer, surface.points, witnesses)
+    return estimate_source(linear_colors(splats), surface.transfer, surface.points, witnesses, up)
 
 
 def _shape_hash(splats: Splats) -> bytes:

@@ -133,7 +133,7 @@ def _edited(
     axes = axes_of(lights.up)
     # What the asset was captured in is estimated, where nobody says it.
     if source is None:
-        before = captured_light(splats, shadows)
+        before = captured_light(splats, shadows, lights.up)
     elif isinstance(source, SourceLight):
         before = source
     else:

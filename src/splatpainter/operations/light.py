@@ -194,7 +194,7 @@ class Relight(LightBefore):
         lights = replace(lights, sky=parse_sky(self.hdri, self.full_range)) if self.hdri else lights
         # The light of another asset is estimated from its colours and then used like any environment.
         if self.match_asset is not None:
-            captured = captured_light(read(self.match_asset), self.shadows)
+            captured = captured_light(read(self.match_asset), self.shadows, self.up)
             lights = replace(lights, sky=sky_of(captured.coefficients, self.up, self.match_asset.name))
             report.warn(f"{self.match_asset.name}: {captured.note}")
         # Only now all lights are there, so only now it can be said whether they go together.
@@ -240,6 +240,7 @@ class Relight(LightBefore):
                 shadows=self.shadows,
                 source=None if source is None else turned_sky(source, axes),
                 target=None if target is None else turned_sky(target, axes, self.rotate),
+                up=self.up,
             )
             # The light that was found is what the user may want to keep; it is written for --hdri.
             self._write_lights(result.before.coefficients, result.after)
@@ -255,7 +256,7 @@ class Relight(LightBefore):
             # Both environments are given in the asset's axes, so that they can be compared and used again.
             axes = axes_of(lights.up)
             if self.source_light is None:
-                before = captured_light(splats, self.shadows).coefficients
+                before = captured_light(splats, self.shadows, lights.up).coefficients
             else:
                 before = turned_sky(read_sky(self.source_light, self.full_range), axes)
             self._write_lights(before, distant_light(lights, axes))
