@@ -20,7 +20,9 @@ from tyro.conf import Positional, arg
 from splatbench.cases import Setup, check_options
 from splatbench.ground_truth import GroundTruth, build_asset
 from splatbench.objects import drawn_lights, environments, generator, objects
+from splatbench.painted import lpips_weights
 from splatbench.painted_cases import SOURCES, AssetKind
+from splatbench.scoring import compared
 from splatbench.timing import machine
 from splatpainter import text_tables as tables
 from splatpainter.cameras import Camera
@@ -39,13 +41,28 @@ speck; the truth's own difference there is taken off."""
 MAX_TRUTH_SPECKS = 0.05
 """Share of specks in a truth that can judge."""
 CELL_PX = 150
-ROWS = ("nothing", "affine", "no visibility", "albedo", "true source", "ours", "ours, true normals")
+ROWS = (
+    "nothing",
+    "gain of the lights",
+    "affine, other views",
+    "affine",
+    "no visibility",
+    "albedo",
+    "true source",
+    "ours",
+    "ours, true normals",
+)
+LOST = ("gain of the lights", "affine, other views", "affine", "no visibility", "albedo")
+"""Rows that say nothing of the albedo."""
 NOTES = (
-    "`nothing`: the asset as it is. `affine`: gain and offset per channel of linear colours that fit the truth best "
-    "(an upper bound of what needs no light). `no visibility`, `true source`: the ratio of both true lights, without "
-    "and with what the asset hides. `albedo`: colour over irradiance of the true first light, clamped to 0..1, times "
-    "the second's, as other programs do. `ours`: the first light estimated. `ours, true normals`: with those of the "
-    "mesh. Columns are dB over the object in novel views; `specks`: pixels in 10,000 of the object.",
+    "`nothing`: the asset as it is. `gain of the lights`: one gain per channel, the mean of the second light over that "
+    "of the first. `affine`: gain and offset per channel of linear colours that fit the truth best (an upper bound of "
+    "what needs no light); `affine, other views`: fitted to the truth of the other novel views. `no visibility`, "
+    "`true source`: the ratio of both true lights, without and with what the asset hides. `albedo`: colour over "
+    "irradiance of the true first light, clamped to 0..1, times the second's, as other programs do. `ours`: the first "
+    "light estimated. `ours, true normals`: with those of the mesh. Columns are dB over the object in novel views; "
+    "`lpips`: LPIPS-Alex of its window; `albedo`: the first light taken out, dB to the albedo in linear light with the "
+    "best gain per channel; `specks`: pixels in 10,000 of the object.",
 )
 
 
@@ -75,6 +92,8 @@ class LightBench:
     """Novel views, from all around."""
     environments: Path | None = None
     """Folder of HDRIs; none: procedural light."""
+    perceptual_weights: Path | None = None
+    """Folder of the LPIPS weights; default: that of SPLATPAINTER_PERCEPTUAL; without them no LPIPS."""
     tuning: bool = False
     """Take the meshes that settings were tuned on instead of those that are held out."""
     seed: int = 0
@@ -99,6 +118,8 @@ class LightCase:
     """[W, H, W] bool the object."""
     surface: tuple[np.ndarray, np.ndarray] = field(repr=False)
     """([S, 3] points of the mesh, [S, 3] their normals)."""
+    albedo: np.ndarray = field(repr=False)
+    """[W, H, W, 3] display colours of the base colours, without any light."""
 
 
 @dataclass(frozen=True)
@@ -109,6 +130,8 @@ class LightScore:
     asset: str
     row: str
     psnr: float
+    lpips: float | None
+    albedo: float | None
     specks: float
     seconds: float
 
@@ -123,6 +146,8 @@ class LightMeans:
     psnr: float
     gain: float
     worst_gain: float
+    lpips: float | None
+    albedo: float | None
     specks: float
     seconds: float
 
@@ -130,13 +155,14 @@ class LightMeans:
 def run(config: LightBench, report: Callable[[str], None] | None = None) -> list[LightMeans]:
     """Measure every object; write light.csv, light.md and sheet.png; return the means. report: called with a line per
     case. Raises ValueError for options that make no sense, and for data that is not there."""
-    check_options("light", config, ("meshes", "environments"))
+    check_options("light", config, ("meshes", "environments", "perceptual_weights"))
     where = machine()
     config.out.mkdir(parents=True, exist_ok=True)
     scores: list[LightScore] = []
     strips: list[Strip] = []
+    perceptual = lpips_weights(config.perceptual_weights)
     for case in cases(config, report):
-        lines, pictures = measure_case(case)
+        lines, pictures = measure_case(case, perceptual)
         scores += lines
         strips += pictures
         if report:
@@ -208,6 +234,7 @@ def _cases_of(name: str, lights: Sequence[str], setup: Setup, kinds: Sequence[As
             after.images.colors,
             after.masks,
             _surface_of(truth),
+            _albedo_of(truth, novel),
         )
 
 
@@ -222,15 +249,31 @@ def _surface_of(truth: GroundTruth) -> tuple[np.ndarray, np.ndarray]:
     return surfels.means.numpy(), surfels.normals.numpy()
 
 
-def measure_case(case: LightCase) -> tuple[list[LightScore], list[Strip]]:
+def _albedo_of(truth: GroundTruth, cameras: Sequence[Camera]) -> np.ndarray:
+    from splatpainter.rendering import render
+    from splattrain.data.surfels import sample_surfels, to_splats
+
+    surfels = sample_surfels(truth.mesh, 12 * truth.setup.rows, truth.setup.seed)
+    colors = linear_to_srgb(surfels.albedo.numpy())[:, None]
+    flat = to_splats(surfels, surfels.albedo.new_tensor(sh_from_color(colors)))
+    return np.clip(np.asarray(render(flat.numpy(), list(cameras)).colors)[..., :3], 0, 1)
+
+
+def measure_case(case: LightCase, perceptual: Any | None = None) -> tuple[list[LightScore], list[Strip]]:
     """A line per row, and the rows of the contact sheet, the truth's first."""
     lines, strips = [], [Strip(f"{case.name}, {case.kind}: the truth", _cells(case.truth))]
     for row in ROWS:
         start = time.process_time()
-        edited = lit_by(row, case)
-        seconds = time.process_time() - start
-        views = _drawn(edited, case.cameras)
-        line = LightScore(case.name, case.kind, row, psnr(views, case), specks(views, case), seconds)
+        if row == "affine, other views":
+            views = _affine_of_others(case)
+            seconds = time.process_time() - start
+        else:
+            edited = lit_by(row, case)
+            seconds = time.process_time() - start
+            views = _drawn(edited, case.cameras)
+        near = compared(views, case.truth, case.masks, perceptual)["lpips"] if perceptual else None
+        figures = psnr(views, case), near, albedo_psnr(row, case), specks(views, case)
+        line = LightScore(case.name, case.kind, row, *figures, seconds)
         lines.append(line)
         strips.append(Strip(f"{row}: {line.psnr:.1f} dB, specks {line.specks:.0f}", _cells(views)))
     return lines, strips
@@ -241,8 +284,11 @@ def lit_by(row: str, case: LightCase) -> Splats:
     given = SourceLight(case.before, 0.0, "true")
     if row == "nothing":
         return case.asset
-    if row == "affine":
-        return _best_affine(case)
+    if row == "gain of the lights":
+        light = to_light(base_color(case.asset.sh), case.asset.color_space)
+        return _recolored(case.asset, light * (case.after[0] / case.before[0]))
+    if row.startswith("affine"):
+        return _best_affine(case, range(len(case.cameras)))
     if row == "no visibility":
         return transfer(case.asset, given, case.after, shadows=False).splats
     if row == "albedo":
@@ -250,10 +296,34 @@ def lit_by(row: str, case: LightCase) -> Splats:
     if row == "true source":
         return transfer(case.asset, given, case.after).splats
     level = float(case.before[0].mean()) * SH_C0
-    surface = None
-    if row == "ours, true normals":
-        surface = _with_true_normals(case)
+    surface = _with_true_normals(case) if row == "ours, true normals" else None
     return transfer(case.asset, captured_light(case.asset, up="+y"), case.after / level, surface=surface).splats
+
+
+def flat_by(row: str, case: LightCase) -> Splats | None:
+    """The asset without its first light, as a row that says something of the albedo has it."""
+    if row in LOST:
+        return None
+    if row == "nothing":
+        return case.asset
+    before = SourceLight(case.before, 0.0, "true") if row == "true source" else captured_light(case.asset, up="+y")
+    surface = _with_true_normals(case) if row == "ours, true normals" else lit_surface(case.asset)
+    light = to_light(base_color(case.asset.sh), case.asset.color_space)
+    # White light that meets no obstacle is 1 everywhere: the ratio of `delight`.
+    return _recolored(case.asset, light / np.maximum(surface.from_sky(before.coefficients), 0.02))
+
+
+def albedo_psnr(row: str, case: LightCase) -> float | None:
+    """dB of the asset without its light to the albedo, in linear light and up to a gain per channel, as the level and
+    colour of light and material cannot be told apart; mean of the novel views. None where the row has no albedo."""
+    from splatpainter.color import srgb_to_linear
+
+    flat = flat_by(row, case)
+    if flat is None:
+        return None
+    views, truth = (srgb_to_linear(v)[case.masks].astype(np.float64) for v in (_drawn(flat, case.cameras), case.albedo))
+    gain = (views * truth).sum(0) / np.maximum((views * views).sum(0), 1e-12)
+    return float(-10 * np.log10(max(float(((gain * views - truth) ** 2).mean()), 1e-8)))
 
 
 def psnr(views: np.ndarray, case: LightCase) -> float:
@@ -300,18 +370,30 @@ def _eroded(mask: np.ndarray) -> np.ndarray:
     return out[2:-2, 2:-2]
 
 
-def _best_affine(case: LightCase) -> Splats:
-    """Fitted in linear light on the novel views themselves."""
+def _best_affine(case: LightCase, views: Sequence[int]) -> Splats:
+    """Fitted in linear light to the truth of some of the novel views."""
     from splatpainter.color import srgb_to_linear
 
-    views = srgb_to_linear(_drawn(case.asset, case.cameras))[case.masks]
-    truth = srgb_to_linear(case.truth)[case.masks]
+    chosen = list(views)
+    masks = case.masks[chosen]
+    drawn = srgb_to_linear(_drawn(case.asset, [case.cameras[k] for k in chosen]))[masks]
+    truth = srgb_to_linear(case.truth[chosen])[masks]
     light = to_light(base_color(case.asset.sh), case.asset.color_space)
     out = np.empty_like(light)
     for channel in range(3):
-        gain, offset = np.polyfit(views[:, channel], truth[:, channel], 1)
+        gain, offset = np.polyfit(drawn[:, channel], truth[:, channel], 1)
         out[:, channel] = gain * light[:, channel] + offset
     return _recolored(case.asset, out)
+
+
+def _affine_of_others(case: LightCase) -> np.ndarray:
+    """[W, H, W, 3] each novel view by what fits the others best."""
+    count = len(case.cameras)
+    views = []
+    for k in range(count):
+        others = [other for other in range(count) if other != k and case.masks[other].any()] or [k]
+        views.append(_drawn(_best_affine(case, others), [case.cameras[k]])[0])
+    return np.stack(views)
 
 
 def _by_albedo(case: LightCase) -> Splats:
@@ -363,6 +445,12 @@ def mean_scores(scores: Sequence[LightScore]) -> list[LightMeans]:
             def mean(values: Sequence[Any]) -> float:
                 return float(np.mean(values))
 
-            numbers = mean([s.psnr for s in group]), mean(gains), float(np.min(gains)), mean([s.specks for s in group])
-            out.append(LightMeans(kind, row, len(group), *numbers, mean([s.seconds for s in group])))
+            def mean_of_some(values: Sequence[float | None]) -> float | None:
+                there = [value for value in values if value is not None]
+                return mean(there) if there else None
+
+            dB = mean([s.psnr for s in group]), mean(gains), float(np.min(gains))
+            others = mean_of_some([s.lpips for s in group]), mean_of_some([s.albedo for s in group])
+            costs = mean([s.specks for s in group]), mean([s.seconds for s in group])
+            out.append(LightMeans(kind, row, len(group), *dB, *others, *costs))
     return out

@@ -185,7 +185,7 @@ def run(config: PaintedBench, report: Callable[[str], None] | None = None) -> li
     check_options("painted", config, ("meshes", "environments", "decals", "fonts", "perceptual_weights"))
     if not config.methods:
         raise ValueError("bench painted: expected at least one of --methods")
-    perceptual = _perceptual(config.perceptual_weights)
+    perceptual = lpips_weights(config.perceptual_weights)
     available = methods(config.preset)
     if unknown := [name for name in config.methods if name not in available]:
         raise ValueError(f"bench painted: expected --methods of {', '.join(available)}, got {unknown[0]!r}")
@@ -377,7 +377,7 @@ def aside_notes(scores: Sequence[PaintedScore]) -> list[str]:
     return [f"Rank correlation of `aside` over objects and methods: {', '.join(notes)}."] if notes else []
 
 
-def _perceptual(folder: Path | None) -> Any | None:
+def lpips_weights(folder: Path | None) -> Any | None:
     """LPIPS-Alex; None where its weights are not there and were not asked for."""
     from splatpainter.metrics import Lpips, LpipsUnavailable
 

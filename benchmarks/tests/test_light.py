@@ -9,11 +9,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 from splatbench import light
-from splatbench.light import ROWS, LightBench, LightCase, LightScore, lit_by, mean_scores, psnr, specks
+from splatbench.light import (
+    ROWS,
+    LightBench,
+    LightCase,
+    LightScore,
+    albedo_psnr,
+    lit_by,
+    mean_scores,
+    psnr,
+    specks,
+)
 
 from splatpainter.cameras import spherical_cameras
 from splatpainter.color import sh_from_color
-from splatpainter.lights.source_light import uniform_coefficients
+from splatpainter.lights.relight import transfer
+from splatpainter.lights.source_light import SourceLight, uniform_coefficients
 from splatpainter.rendering import render
 from tests.support.cli_scenes import ball
 
@@ -28,7 +39,9 @@ def case() -> LightCase:
     masks = np.asarray(drawn.alphas)[..., 0] > 0.9 if np.asarray(drawn.alphas).ndim == 4 else drawn.alphas > 0.9
     before = uniform_coefficients()
     truth = np.asarray(drawn.colors)[..., :3].clip(0, 1)
-    return LightCase("ball", "coarse", splats, before, 2 * before, cameras, truth, masks, (splats.means, splats.means))
+    return LightCase(
+        "ball", "coarse", splats, before, 2 * before, cameras, truth, masks, (splats.means, splats.means), truth
+    )
 
 
 def test_psnr_is_over_the_object() -> None:
@@ -55,6 +68,26 @@ def test_the_ratio_of_true_lights_is_their_ratio() -> None:
     np.testing.assert_allclose(np.median(display, 0), expected, atol=0.01)
 
 
+def test_albedo_counts_up_to_a_gain_and_without_the_light() -> None:
+    """Under a light from one side a grey ball is grey once the light is taken out, and not before."""
+    one = case()
+    before = one.before.copy()
+    before[2] = 1.2 * before[0]
+    lit = transfer(one.asset, SourceLight(one.before, 0.0, ""), before, shadows=False).splats
+    shaded = replace(one, asset=lit, before=before, albedo=0.5 * one.truth)
+    nothing, given = albedo_psnr("nothing", shaded), albedo_psnr("true source", shaded)
+    assert nothing is not None and given is not None and given > nothing + 6
+    assert albedo_psnr("affine", shaded) is None
+
+
+def test_an_affine_change_of_all_is_found_from_the_other_views() -> None:
+    one = case()
+    brighter = transfer(one.asset, SourceLight(one.before, 0.0, ""), 1.5 * one.before).splats
+    truth = np.asarray(render(brighter, list(one.cameras)).colors)[..., :3].clip(0, 1)
+    changed = replace(one, truth=truth)
+    assert psnr(light._affine_of_others(changed), changed) > psnr(one.truth, changed) + 10
+
+
 @pytest.mark.parametrize("row", ROWS)
 def test_every_row_gives_the_asset_back(row: str) -> None:
     one = case()
@@ -64,11 +97,12 @@ def test_every_row_gives_the_asset_back(row: str) -> None:
 
 def test_means_compare_with_the_same_objects() -> None:
     scores = [
-        LightScore(name, "coarse", row, value, 1.0, 0.1)
+        LightScore(name, "coarse", row, value, 0.2, value + 1 if row == "ours" else None, 1.0, 0.1)
         for name, values in (("a", (10.0, 14.0)), ("b", (20.0, 21.0)))
         for row, value in zip(("nothing", "ours"), values, strict=True)
     ]
-    _, ours = mean_scores(scores)
+    nothing, ours = mean_scores(scores)
+    assert (nothing.albedo, ours.albedo, ours.lpips) == (None, 18.5, 0.2)
     assert (ours.psnr, ours.gain, ours.worst_gain, ours.objects) == (17.5, 2.5, 1.0, 2)
 
 
