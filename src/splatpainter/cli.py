@@ -70,7 +70,13 @@ def _collect_garbage_seldom() -> None:
     """A third of the time of a small edit went into walks through the objects of imported libraries, most of it at the
     end of the process, which frees its memory without them."""
     gc.set_threshold(GARBAGE_OBJECTS, 10, 10)
-    atexit.register(gc.freeze)  # registered first, so it comes last: after it nothing is left to walk through
+    atexit.register(_leave_garbage)  # registered first, so it comes last: after it nothing is left to walk through
+
+
+def _leave_garbage() -> None:
+    # OpenImageIO counts its objects at the end, and prints a page of those that are left.
+    if "OpenImageIO" not in sys.modules:
+        gc.freeze()
 
 
 def _keep_blas_to_one_thread(words: list[str]) -> None:

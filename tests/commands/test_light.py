@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ from PIL import Image
 from splatpainter.io import read
 from splatpainter.lights.light_words import parse_lamp, parse_sun, white_of
 from splatpainter.lights.skies import SKIES
+from splatpainter.lights.sky_maps import SkyMap, write_sky
 from tests.support.cli_scenes import Capture, ball, listing, rows_of, run, saved
 
 
@@ -115,3 +118,13 @@ def test_words_are_lights() -> None:
     rect = parse_lamp("rect", "1,2,3,4,5,6,7,8,2.5", white_of(2700))
     assert rect.position == (1, 2, 3) and rect.target == (4, 5, 6) and rect.sizes == (7, 8) and rect.intensity == 2.5
     assert rect.color[0] > rect.color[2] and len(SKIES) == 8
+
+
+def test_a_broken_sky_is_one_line_to_the_end_of_the_process(asset: Path, tmp_path: Path) -> None:
+    """What libraries print while the interpreter closes is seen by users, and by no test within it."""
+    pytest.importorskip("OpenImageIO")
+    write_sky(tmp_path / "black.hdr", SkyMap(np.zeros((4, 8, 3), np.float32), "black"))
+    words = ["light", str(asset), "--hdri", str(tmp_path / "black.hdr"), "--out", str(tmp_path / "out.ply")]
+    done = subprocess.run([sys.executable, "-m", "splatpainter", *words], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 2 and done.stdout == ""
+    assert done.stderr.strip() == f"splatpainter: {tmp_path / 'black.hdr'}: the environment is black"
