@@ -352,3 +352,17 @@ def test_materials_of_one_hue_are_told_apart_by_brightness() -> None:
     believed = surface.from_sky(estimate.coefficients)
     shape, expected = believed / believed.mean(0), received / received.mean(0)
     assert np.abs(shape - expected).mean() < 0.2 * np.abs(1 - expected).mean()
+
+
+def test_a_lamp_inside_an_object_is_remarked() -> None:
+    """A ball around the lamp, and a little one beside it that it reaches as nothing is in the way."""
+    large, small = ball(1000), ball(60)
+    small = replace(small, means=small.means * np.float32(0.1) + np.array([3, 0, 0], np.float32))
+    both = large.append(small)
+    notes = []
+    for place in ((0.0, 0.0, 0.0), (0.0, 3.0, 0.0)):
+        lit = relight(both, Lights(lamps=(Lamp("point", place),), up="+y"), shadows=False)
+        assert lit.receipt is not None
+        notes.append(lit.receipt.note)
+    assert "point light at 0,0,0 reaches 3% of what can be seen" in notes[0]
+    assert "inside the object" not in notes[1]
