@@ -17,14 +17,14 @@ from pathlib import Path
 import numpy as np
 
 from splatpainter.cameras import UpAxis
-from splatpainter.color import luminance, to_light
+from splatpainter.color import base_color, linear_to_srgb, luminance, sh_from_color, to_light
 from splatpainter.contact_sheet import Strip, sheet
 from splatpainter.image_files import encode_png
 from splatpainter.kernels import portable
 from splatpainter.lights.irradiance import LitSurface
 from splatpainter.lights.light_set import axes_of
 from splatpainter.lights.prepared import captured_light, lit_surface
-from splatpainter.lights.relight import color_receipt, transfer
+from splatpainter.lights.relight import Where, color_receipt, transfer
 from splatpainter.lights.sky_maps import SkyMap, lat_long
 from splatpainter.lights.source_light import PRIOR_STD, SourceLight
 from splatpainter.painter import Asset, Edit, Painter
@@ -90,10 +90,13 @@ def match_light(
     source: np.ndarray | None = None,
     target: np.ndarray | None = None,
     up: UpAxis = "auto",
+    region: Where | None = None,
+    mix: float = 1.0,
 ) -> MatchedLight:
     """splats as the pictures show it, with its receipt. edits: 1 to 4 views in one other light; painter: explains what
     light does not, None: light alone; source, target: [9, 3] SH of the light before and of the new one, where they are
-    given (the pictures still decide its level, and a little of its shape); up: where light usually comes from. Raises
+    given (the pictures still decide its level, and a little of its shape); up: where light usually comes from;
+    region, mix: where, and how much of it, 0..1, the new look is; the lights are found by all of the asset. Raises
     ValueError: no views, views that show nothing of the asset."""
     if not 1 <= len(edits) <= MAX_MATCHED_VIEWS:
         raise ValueError(f"light: expected 1 to {MAX_MATCHED_VIEWS} pictures to match, got {len(edits)}")
@@ -123,13 +126,30 @@ def match_light(
         names = [max(scores, key=lambda name: scores[name] + (PREFERENCE_DB if name == "light" else 0))]
     # The winner is made once more of all that the pictures show, the judging part too.
     asset, new, old = results(edits, names)[names[0]]
+    edited = _faded(splats, asset.splats, region, mix)
+    where = (f"; mix {mix:g}" if mix != 1 else "") + (f"; where {region.text}" if region else "")
     listed = ", ".join(f"{name} {value:.1f}" for name, value in scores.items())
     note = f"light matched to {len(edits)} pictures by {names[0]}" + (f" (held back, dB: {listed})" if listed else "")
     # The scores stand in the receipt, so that one can see how narrow the choice was.
-    receipt = color_receipt(splats, asset.splats, "light", f"{note}; {old.note}")
+    receipt = color_receipt(splats, edited, "light", f"{note}; {old.note}{where}")
     receipt = replace(receipt, seconds={"match": time.perf_counter() - clock})
-    asset = Asset(asset.splats, receipt, original=splats)
+    asset = Asset(edited, receipt, original=splats)
     return MatchedLight(old, new, asset, names[0], scores)
+
+
+def _faded(splats: Splats, edited: Splats, region: Where | None, mix: float) -> Splats:
+    """The new look by a region and a mix; what has none of it keeps its bytes."""
+    if region is None and mix == 1:
+        return edited
+    weights = np.ones(len(splats)) if region is None else region.weights(splats).astype(np.float64)
+    weights = (weights * mix)[:, None]
+    old, new = (to_light(base_color(sh.astype(np.float64)), splats.color_space) for sh in (splats.sh, edited.sh))
+    # Base colours are mixed as light, as `relight` does; bands are slopes of display colours and mix as they are.
+    light = old + weights * (new - old)
+    sh = splats.sh + weights[:, :, None] * (edited.sh.astype(np.float64) - splats.sh)
+    sh[:, 0] = sh_from_color(light if splats.color_space == "linear" else linear_to_srgb(light))
+    mixed = np.where(weights[:, :, None] >= 1, edited.sh, sh.astype(np.float32))
+    return replace(edited, sh=np.where(weights[:, :, None] > 0, mixed, splats.sh))
 
 
 def sky_of(coefficients: np.ndarray, up: UpAxis, name: str) -> SkyMap:
@@ -144,7 +164,6 @@ def sky_of(coefficients: np.ndarray, up: UpAxis, name: str) -> SkyMap:
 
 def ball_sheet(path: Path, lights: dict[str, np.ndarray], up: UpAxis = "auto") -> None:
     """A PNG of white balls in lights (SH [9, 3] in an asset's axes), seen from the front, and of their environments."""
-    from splatpainter.color import linear_to_srgb
     from splatpainter.lighting import unoccluded_transfer
 
     across = (np.arange(BALL_PX) + 0.5) / BALL_PX * 2.1 - 1.05

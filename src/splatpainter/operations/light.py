@@ -163,8 +163,6 @@ class Relight(LightBefore):
             return
         # A match finds all of the light from pictures, so each option that sets a part of it contradicts it.
         mixed = {
-            name("where"): self.where,
-            name("mix"): self.mix != 1,
             name("rig"): self.rig,
             name("match_asset"): self.match_asset,
             "lamps": self.sun or self.sun_at or any(getattr(self, kind) for kind in FORMS),
@@ -241,6 +239,8 @@ class Relight(LightBefore):
                 source=None if source is None else turned_sky(source, axes),
                 target=None if target is None else turned_sky(target, axes, self.rotate),
                 up=self.up,
+                region=Region.parse(self.where) if self.where else None,
+                mix=self.mix,
             )
             # The light that was found is what the user may want to keep; it is written for --hdri.
             self._write_lights(result.before.coefficients, result.after)
