@@ -265,7 +265,7 @@ def measure_case(case: LightCase, perceptual: Any | None = None) -> tuple[list[L
     for row in ROWS:
         start = time.process_time()
         if row == "affine, other views":
-            views = _affine_of_others(case)
+            views = _affine_by_rest(case)
             seconds = time.process_time() - start
         else:
             edited = lit_by(row, case)
@@ -386,13 +386,13 @@ def _best_affine(case: LightCase, views: Sequence[int]) -> Splats:
     return _recolored(case.asset, out)
 
 
-def _affine_of_others(case: LightCase) -> np.ndarray:
+def _affine_by_rest(case: LightCase) -> np.ndarray:
     """[W, H, W, 3] each novel view by what fits the others best."""
     count = len(case.cameras)
     views = []
     for k in range(count):
-        others = [other for other in range(count) if other != k and case.masks[other].any()] or [k]
-        views.append(_drawn(_best_affine(case, others), [case.cameras[k]])[0])
+        rest = [other for other in range(count) if other != k and case.masks[other].any()] or [k]
+        views.append(_drawn(_best_affine(case, rest), [case.cameras[k]])[0])
     return np.stack(views)
 
 
@@ -450,7 +450,7 @@ def mean_scores(scores: Sequence[LightScore]) -> list[LightMeans]:
                 return mean(there) if there else None
 
             dB = mean([s.psnr for s in group]), mean(gains), float(np.min(gains))
-            others = mean_of_some([s.lpips for s in group]), mean_of_some([s.albedo for s in group])
+            near = mean_of_some([s.lpips for s in group]), mean_of_some([s.albedo for s in group])
             costs = mean([s.specks for s in group]), mean([s.seconds for s in group])
-            out.append(LightMeans(kind, row, len(group), *dB, *others, *costs))
+            out.append(LightMeans(kind, row, len(group), *dB, *near, *costs))
     return out

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from splatpainter.cameras import UpAxis
 from splatpainter.color import base_color, linear_to_srgb, sh_from_color, srgb_to_linear
 from splatpainter.lights.facing import facing
 from splatpainter.lights.irradiance import LitSurface, sun_light
@@ -318,16 +319,19 @@ def test_light_that_colours_do_not_tell_of_comes_from_above() -> None:
     rng = np.random.default_rng(4)
     estimate = 0.2 * rng.normal(size=8)
     down = np.array([[0.0, -1.0, 0.0]])
-    for up, towards in (("+y", -down), ("-y", down)):
-        mean, covariance, kept = likely_light(estimate, 1e6, up)
+    ways: tuple[tuple[UpAxis, np.ndarray], ...] = (("+y", -down), ("-y", down))
+    for up, towards in ways:
+        mean, covariance, belief = likely_light(estimate, 1e6, up)
         basis = sh_basis(np.concatenate([towards, -towards]), 2)[:, 1:]
         above, below = basis @ mean
-        assert above > below + 0.3 and kept < 1e-3
-        told, narrow, kept = likely_light(estimate, 0.05, up)
+        assert above > below + 0.3 and belief < 1e-3
+        posterior, narrow, belief = likely_light(estimate, 0.05, up)
         expected = np.linalg.inv(np.linalg.inv(covariance) + np.eye(8) / 0.05)
         np.testing.assert_allclose(narrow, expected, atol=1e-5)
-        np.testing.assert_allclose(told, expected @ (np.linalg.solve(covariance, mean) + estimate / 0.05), atol=1e-5)
-        assert 0 < kept < 1
+        np.testing.assert_allclose(
+            posterior, expected @ (np.linalg.solve(covariance, mean) + estimate / 0.05), atol=1e-5
+        )
+        assert 0 < belief < 1
     np.testing.assert_allclose(likely_light(estimate, 1e-9, "auto")[0], estimate, atol=1e-6)
 
 
@@ -360,8 +364,8 @@ def test_a_lamp_inside_an_object_is_remarked() -> None:
     small = replace(small, means=small.means * np.float32(0.1) + np.array([3, 0, 0], np.float32))
     both = large.append(small)
     notes = []
-    for place in ((0.0, 0.0, 0.0), (0.0, 3.0, 0.0)):
-        lit = relight(both, Lights(lamps=(Lamp("point", place),), up="+y"), shadows=False)
+    for position in ((0.0, 0.0, 0.0), (0.0, 3.0, 0.0)):
+        lit = relight(both, Lights(lamps=(Lamp("point", position),), up="+y"), shadows=False)
         assert lit.receipt is not None
         notes.append(lit.receipt.note)
     assert "point light at 0,0,0 reaches 3% of what can be seen" in notes[0]

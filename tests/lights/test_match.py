@@ -66,15 +66,15 @@ def test_the_new_light_is_found_in_pictures(count: int) -> None:
 def test_a_match_is_mixed_as_light_and_kept_to_its_region() -> None:
     asset, truth = textured_ball(sh_light("overcast")), textured_ball(sh_light("sunset"))
     seen = pictures(truth, 1)
-    whole = match_light(asset, seen, shadows=False).asset.splats
+    result = match_light(asset, seen, shadows=False).asset.splats
     half = match_light(asset, seen, shadows=False, mix=0.5, region=Region.parse(["y=..0"])).asset
     outside = asset.means[:, 1] > 1e-6
     np.testing.assert_array_equal(half.splats.sh[outside], asset.sh[outside])
-    middle = (linear(asset) + linear(whole)) / 2
+    middle = (linear(asset) + linear(result)) / 2
     np.testing.assert_allclose(linear(half.splats)[~outside], middle[~outside], atol=2e-3)
     assert half.receipt is not None and "mix 0.5; where y=..0" in half.receipt.note
-    whole_again = match_light(asset, seen, shadows=False, region=Region.parse(["y=..9"])).asset.splats
-    np.testing.assert_array_equal(whole_again.sh, whole.sh)
+    result_again = match_light(asset, seen, shadows=False, region=Region.parse(["y=..9"])).asset.splats
+    np.testing.assert_array_equal(result_again.sh, result.sh)
 
 
 def test_a_given_light_helps_one_picture() -> None:

@@ -40,7 +40,7 @@ def likely_light(estimate: np.ndarray, variance: float, up: UpAxis) -> tuple[np.
     covariance, 0..1 how much of the estimate is left in them). estimate: [8] from an asset's colours alone; variance:
     of each of its coefficients. "auto": the ways up that are usual, each as far as the estimate speaks for it."""
     ways: Sequence[tuple[UpAxis, float]] = SKIES_SEEN.auto_ups if up == "auto" else ((up, 1.0),)
-    means, spreads, chances, kept = [], [], [], 0.0
+    means, spreads, chances, belief = [], [], [], 0.0
     for way, chance in ways:
         mean, spread = _from_above(np.array(UPS[way], np.float64))
         off = (estimate - mean)[:, None]
@@ -48,7 +48,7 @@ def likely_light(estimate: np.ndarray, variance: float, up: UpAxis) -> tuple[np.
         weighed = portable.solved(spread + variance * np.eye(8), np.concatenate([off, spread], 1))
         means.append(mean + portable.matmul(spread, weighed[:, :1])[:, 0])
         spreads.append(spread - portable.matmul(spread, weighed[:, 1:]))
-        kept = float(np.diag(weighed[:, 1:]).mean())
+        belief = float(np.diag(weighed[:, 1:]).mean())
         # Turns change no determinant, so that distances alone tell how likely a way is.
         chances.append(chance * float(portable.exp(-0.5 * float((off * weighed[:, :1]).sum()))) + 1e-12)
     shares = np.array(chances) / sum(chances)
@@ -56,7 +56,7 @@ def likely_light(estimate: np.ndarray, variance: float, up: UpAxis) -> tuple[np.
     covariance = np.zeros((8, 8))
     for share, center, spread in zip(shares, means, spreads, strict=True):
         covariance += share * (spread + np.outer(center - mean, center - mean))
-    return mean, covariance, kept
+    return mean, covariance, belief
 
 
 def _from_above(up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

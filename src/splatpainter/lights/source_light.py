@@ -103,7 +103,7 @@ def estimate_source(
     # Clipped and nearly black colours have lost their ratio to the light.
     usable = trusted & (light.max(1) < LIMITS.brightest) & (light.min(1) > LIMITS.darkest)
     light, transfer, points = light[usable].astype(np.float64), transfer[usable] / SH_C0, points[usable]
-    shading, found = np.ones_like(light), None
+    shading, estimate = np.ones_like(light), None
     for number in range(2):
         # Once a light is known materials show: by hue the first time, then by what is left of hue and brightness.
         patches = _observations(light, transfer, points, light / shading, number > 0)
@@ -111,11 +111,11 @@ def estimate_source(
             break
         coefficients, uncertainty = _from_patches(patches, up)
         # Materials that were told apart by a light agree with it: what the first look doubted stays in doubt.
-        uncertainty = max(uncertainty, found.uncertainty) if found else uncertainty
+        uncertainty = max(uncertainty, estimate.uncertainty) if estimate else uncertainty
         note = f"source light: estimated, irradiance within {uncertainty:.0%}"
-        found = SourceLight(coefficients, uncertainty, note)
-        shading = np.maximum(portable.matmul(transfer * SH_C0, found.coefficients), LIMITS.min_shading)
-    return found or uniform_source("source light: uniform grey, for want of surface that could show another")
+        estimate = SourceLight(coefficients, uncertainty, note)
+        shading = np.maximum(portable.matmul(transfer * SH_C0, estimate.coefficients), LIMITS.min_shading)
+    return estimate or uniform_source("source light: uniform grey, for want of surface that could show another")
 
 
 def _from_patches(patches: _Observations, up: UpAxis) -> tuple[np.ndarray, float]:
@@ -124,7 +124,7 @@ def _from_patches(patches: _Observations, up: UpAxis) -> tuple[np.ndarray, float
     start, deviation = np.zeros(8), LIMITS.loose * PRIOR_STD
     # Luminance first: the fit of each channel then starts from it, and is held near it.
     everything = _fit(patches, brightness, start, deviation)
-    # Light that holds for the whole asset is found without any part of it; paint that looks like light is not.
+    # Light that holds for the whole asset is seen without any part of it; paint that looks like light is not.
     left_out = []
     for part in range(LIMITS.parts):
         rest = patches.parts != part
