@@ -13,9 +13,10 @@ from typing import Any, Literal
 
 import numpy as np
 
+from splatpainter.arrays import Floats, FloatsOrTensor
 from splatpainter.kernels import portable
-from splatpainter.splats import Array, Splats
-from splatpainter.transforms import GOLDEN_ANGLE
+from splatpainter.splats import Splats
+from splatpainter.transforms import GOLDEN_ANGLE, stacked
 
 VERSION = 1
 MIN_FRAMED_OPACITY = 0.1
@@ -43,7 +44,7 @@ class Camera:
     cx: float
     """Principal point in pixels (width / 2 for a centred one)."""
     cy: float
-    world_to_camera: np.ndarray = field(compare=False)
+    world_to_camera: Floats = field(compare=False)
     """[4, 4] float64 rigid transform; not part of ==."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Colour behind the asset, 0..1, in the asset's colour space."""
@@ -105,7 +106,7 @@ class Camera:
         return -(rotation * translation[:, None]).sum(0)
 
     @property
-    def camera_to_world(self) -> np.ndarray:
+    def camera_to_world(self) -> Floats:
         """[4, 4] float64 inverse of `world_to_camera`."""
         return np.linalg.inv(self.world_to_camera)
 
@@ -114,7 +115,7 @@ class Camera:
         """[3] unit viewing direction in world axes."""
         return self.world_to_camera[2, :3] / portable.length(self.world_to_camera[2, :3])
 
-    def to_camera(self, points: Array) -> Array:
+    def to_camera(self, points: FloatsOrTensor) -> FloatsOrTensor:
         """World points [..., 3] in camera axes; float64 of numpy arrays, the dtype and device of tensors."""
         if isinstance(points, np.ndarray):
             turned = portable.matmul(points.astype(np.float64, copy=False), self.world_to_camera[:3, :3].T)
@@ -128,18 +129,14 @@ class Camera:
         """Points [..., 3] in camera axes as world points, float64; the inverse of `to_camera`."""
         return portable.matmul(points - self.world_to_camera[:3, 3], self.world_to_camera[:3, :3])
 
-    def project(self, points: Array) -> tuple[Array, Array]:
+    def project(self, points: FloatsOrTensor) -> tuple[FloatsOrTensor, FloatsOrTensor]:
         """(pixels x, y [..., 2], depths z [...]) of world points [..., 3]; numbers as of `to_camera`. Pixels mean
         something where z > 0 only."""
         local = self.to_camera(points)
         x, y, z = local[..., 0], local[..., 1], local[..., 2]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             u, v = self.fx * x / z + self.cx, self.fy * y / z + self.cy
-        if isinstance(local, np.ndarray):
-            return np.stack([u, v], -1), z
-        import torch
-
-        return torch.stack([u, v], -1), z
+        return stacked([u, v], local), z
 
     def unproject(self, depth: np.ndarray, pixels: np.ndarray | None = None) -> np.ndarray:
         """World points [..., 3], float64, of `pixels` [..., 2] at z-depths [...], the inverse of `project`; without

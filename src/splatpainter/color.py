@@ -1,14 +1,17 @@
 """Colour of the package, each formula once: the sRGB curve, luminance, and the base colour of SH coefficients.
 
-Functions of `Array` take numpy (any dtype, kept) or torch. Pure.
+Functions of `FloatsOrTensor` take numpy (any dtype, kept) or torch. Pure.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
+from splatpainter.arrays import Floats, FloatsOrTensor
 from splatpainter.kernels import portable
-from splatpainter.splats import SH_C0, Array, ColorSpace
+from splatpainter.splats import SH_C0, ColorSpace
 
 LUMA = (0.2126, 0.7152, 0.0722)
 """Weights of Rec. 709: the luminance of linear colours, and near enough the luma of display colours."""
@@ -24,39 +27,39 @@ LMS_TO_LAB = (
 )
 
 
-def srgb_to_linear(display: Array) -> Array:
+def srgb_to_linear(display: FloatsOrTensor) -> FloatsOrTensor:
     """Display sRGB >= 0 -> linear light (IEC 61966-2-1); the curve goes on beyond white."""
     high = _power((display.clip(0.04045, None) + 0.055) / 1.055, 2.4)
     return _where(display <= 0.04045, display / 12.92, high)
 
 
-def linear_to_srgb(linear: Array) -> Array:
+def linear_to_srgb(linear: FloatsOrTensor) -> FloatsOrTensor:
     """Linear light >= 0 -> display sRGB, the inverse of `srgb_to_linear`."""
     high = 1.055 * _power(linear.clip(0.0031308, None), 1 / 2.4) - 0.055
     return _where(linear <= 0.0031308, 12.92 * linear, high)
 
 
-def to_display(colors: np.ndarray, space: ColorSpace) -> np.ndarray:
+def to_display(colors: Floats, space: ColorSpace) -> Floats:
     """Colours of an asset as a picture shows them, sRGB 0..1 (clipped to 0..1 where they are linear)."""
     return colors if space == "srgb" else linear_to_srgb(np.clip(np.nan_to_num(colors), 0, 1)).astype(colors.dtype)
 
 
-def from_display(colors: np.ndarray, space: ColorSpace) -> np.ndarray:
+def from_display(colors: Floats, space: ColorSpace) -> Floats:
     """The inverse of `to_display`, for sRGB 0..1."""
     return colors if space == "srgb" else srgb_to_linear(np.clip(colors, 0, 1)).astype(colors.dtype)
 
 
-def to_light(colors: np.ndarray, space: ColorSpace) -> np.ndarray:
+def to_light(colors: Floats, space: ColorSpace) -> Floats:
     """Colours of an asset as linear light, 1 = white; not clipped above."""
     return colors if space == "linear" else srgb_to_linear(np.maximum(colors, 0)).astype(colors.dtype)
 
 
-def luminance(colors: Array) -> Array:
+def luminance(colors: FloatsOrTensor) -> FloatsOrTensor:
     """[..., 3] -> [...] Rec. 709 weighted sum."""
     return LUMA[0] * colors[..., 0] + LUMA[1] * colors[..., 1] + LUMA[2] * colors[..., 2]
 
 
-def oklab(colors: np.ndarray) -> np.ndarray:
+def oklab(colors: Floats) -> Floats:
     """[N, 3] display colours 0..1 -> [N, 3] float64 lightness, a, b (Ottosson, "A perceptual color space for image
     processing", 2020)."""
     light = srgb_to_linear(colors.astype(np.float64))
@@ -64,12 +67,12 @@ def oklab(colors: np.ndarray) -> np.ndarray:
     return portable.matmul(portable.power(lms, 1 / 3), np.array(LMS_TO_LAB).T)
 
 
-def base_color(sh: Array) -> Array:
+def base_color(sh: FloatsOrTensor) -> FloatsOrTensor:
     """[..., K, 3] SH coefficients -> [..., 3] colour without its dependence on the view, not clipped."""
     return 0.5 + SH_C0 * sh[..., 0, :]
 
 
-def sh_from_color(colors: Array) -> Array:
+def sh_from_color(colors: FloatsOrTensor) -> FloatsOrTensor:
     """Base colours -> SH coefficients of band 0, the inverse of `base_color`."""
     return (colors - 0.5) / SH_C0
 
@@ -83,14 +86,14 @@ def from_hex(text: str) -> tuple[float, float, float] | None:
     return red, green, blue
 
 
-def _power(values: Array, exponent: float) -> Array:
+def _power(values: Any, exponent: float) -> Any:
     """Of values > 0."""
     if isinstance(values, np.ndarray | np.generic):
         return np.asarray(portable.power(values, exponent), values.dtype)
     return values**exponent
 
 
-def _where(condition: Array, one: Array, other: Array) -> Array:
+def _where(condition: Any, one: Any, other: Any) -> Any:
     if isinstance(one, np.ndarray | np.generic):
         return np.where(condition, one, other)
     import torch

@@ -9,14 +9,15 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Generic, Literal, cast
 
 import numpy as np
 
+from splatpainter.arrays import ArrayT, Bools, Floats, Ids
 from splatpainter.system.old_names import formerly_called
 
-Array: TypeAlias = Any
-"""numpy.ndarray or torch.Tensor, float32 or float64; all attributes of one Splats are of one kind, dtype and device."""
+if TYPE_CHECKING:
+    import torch
 
 ColorSpace = Literal["srgb", "linear"]
 Axes = Literal["auto", "rub", "rdf"]
@@ -34,19 +35,22 @@ SH_C0 = 0.28209479177387814
 
 
 @dataclass(frozen=True)
-class Splats:
-    """N Gaussians. Immutable: edits return new objects that share the arrays they did not change."""
+class Splats(Generic[ArrayT]):
+    """N Gaussians. Immutable: edits return new objects that share the arrays they did not change.
 
-    means: Array
+    All attributes are of one kind, dtype (float32 or float64) and device: `Splats` are numpy's, `Splats[torch.Tensor]`
+    torch's; what takes either says `Splats[Any]`."""
+
+    means: ArrayT
     """[N, 3] centres, world units, relative to `offset`, each coordinate within MAX_MAGNITUDE."""
-    quats: Array
+    quats: ArrayT
     """[N, 4] rotations w, x, y, z; any non-zero norm, normalised where used. Largest component MIN_QUAT to
     MAX_MAGNITUDE."""
-    scales: Array
+    scales: ArrayT
     """[N, 3] standard deviations along the rotated axes, world units, above 0 to MAX_MAGNITUDE (linear, not log)."""
-    opacities: Array
+    opacities: ArrayT
     """[N] peak alpha, 0..1 (not logit)."""
-    sh: Array
+    sh: ArrayT
     """[N, K, 3] spherical harmonics, K = (degree + 1)^2, 1 to 25; colour(d) = max(0.5 + sum_k Y_k(d) sh_k, 0).
     Magnitudes of one Gaussian sum to at most MAX_MAGNITUDE."""
     antialiased: bool = False
@@ -55,7 +59,7 @@ class Splats:
     """What colours mean: "srgb" display values (the 3DGS habit) or "linear"."""
     source: Source | None = field(default=None, repr=False, compare=False)
     """The file they were read from, so that untouched Gaussians are written back byte for byte."""
-    origin: np.ndarray | None = field(default=None, repr=False, compare=False)
+    origin: Ids | None = field(default=None, repr=False, compare=False)
     """[N] int64 row of the source whose bytes each carries (a child its parent's), -1: none; None without source."""
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """World coordinates (float64) of the point that `means` are relative to. Not zero where float32 cannot hold world
@@ -68,7 +72,7 @@ class Splats:
     def sh_degree(self) -> int:
         return SH_COUNTS[int(self.sh.shape[1])]
 
-    def take(self, ids: Array) -> Splats:
+    def take(self, ids: Any) -> Splats[ArrayT]:
         """The given Gaussians, in the given order. ids: [M] int indices or [N] bool mask."""
         origin = None if self.origin is None else self.origin[np.asarray(ids)]
         if isinstance(self.means, np.ndarray):
@@ -77,14 +81,14 @@ class Splats:
             return replace(self, **{k: getattr(self, k).take(rows, 0) for k in ATTRIBUTES}, origin=origin)
         return replace(self, **{k: getattr(self, k)[ids] for k in ATTRIBUTES}, origin=origin)
 
-    def geometry(self, ids: Array) -> Splats:
+    def geometry(self, ids: Ids | Bools) -> Splats:
         """As `take`, for what asks only where Gaussians are and how large: without colours (sh is [M, 0, 3]) and
         source. Numpy."""
         shapes = {k: getattr(self, k)[ids] for k in ATTRIBUTES if k != "sh"}
         none = np.zeros((len(shapes["means"]), 0, 3), self.sh.dtype)
-        return replace(self, **shapes, sh=none, source=None, origin=None)
+        return replace(cast(Splats, self), **shapes, sh=none, source=None, origin=None)
 
-    def append(self, more: Splats) -> Splats:
+    def append(self, more: Splats[Any]) -> Splats[ArrayT]:
         """These followed by `more` (of the same SH degree); indices of self stay what they are."""
         assert more.sh.shape[1] == self.sh.shape[1], "append: SH degrees differ"
         # A row that came from another file carries no bytes of this one: it is encoded when it is written.
@@ -101,13 +105,13 @@ class Splats:
             joined = {k: torch.cat([getattr(self, k), getattr(more, k)]) for k in ATTRIBUTES}
         return replace(self, **joined, origin=origin)
 
-    def numpy(self) -> Splats:
+    def numpy(self) -> Splats[Floats]:
         """The same with numpy attributes: float32 from torch, as they are if they are numpy already."""
         if isinstance(self.means, np.ndarray):
-            return self
-        return replace(self, **{k: getattr(self, k).detach().cpu().float().numpy() for k in ATTRIBUTES})
+            return cast(Splats, self)
+        return replace(cast(Splats, self), **{k: getattr(self, k).detach().cpu().float().numpy() for k in ATTRIBUTES})
 
-    def torch(self, device: str = "cpu", dtype: Any = None) -> Splats:
+    def torch(self, device: str = "cpu", dtype: torch.dtype | None = None) -> Splats[torch.Tensor]:
         """The same with torch attributes (default float32); shares memory with numpy where possible."""
         import torch
 
@@ -117,15 +121,18 @@ class Splats:
         for k, array in values.items():
             if isinstance(array, np.ndarray) and not array.flags.writeable:  # a tensor would offer to write to it
                 values[k] = array.copy()
-        return replace(self, **{k: torch.as_tensor(array).to(device, dtype) for k, array in values.items()})
+        return replace(
+            cast("Splats[torch.Tensor]", self),
+            **{k: torch.as_tensor(array).to(device, dtype) for k, array in values.items()},
+        )
 
     @property
-    def world_means(self) -> np.ndarray:
+    def world_means(self) -> Floats:
         """[N, 3] float64 centres in world coordinates."""
         with np.errstate(invalid="ignore"):  # rows may hold signalling NaN
             return self.numpy().means.astype(np.float64) + np.array(self.offset)
 
-    def relative_to(self, offset: tuple[float, float, float]) -> Splats:
+    def relative_to(self, offset: tuple[float, float, float]) -> Splats[ArrayT]:
         """The same Gaussians with `means` (numpy) relative to another offset, computed in float64; these themselves
         where it is theirs already. What float32 cannot hold of the new `means` is rounded."""
         # Most assets have no offset, and then nothing is copied.
@@ -136,13 +143,13 @@ class Splats:
         return replace(self, means=means, offset=offset)
 
     @cached_property
-    def middle(self) -> np.ndarray:
+    def middle(self) -> Floats:
         """[3] float64 the median of the centres of what can be drawn; zeros where nothing can."""
         points = self.numpy().means[self.drawable]
         return np.median(points, axis=0).astype(np.float64) if len(points) else np.zeros(3)
 
     @cached_property
-    def drawable(self) -> np.ndarray:
+    def drawable(self) -> Bools:
         """[N] bool: Gaussians that can be drawn (every attribute finite and in its range, as said at each above). The
         others are counted by `info` and `render`, keep their bytes, and are drawn by no renderer of this package."""
         arrays = self.numpy()
@@ -211,7 +218,7 @@ class Source:
     frame_from = formerly_called("axes_from")
 
 
-def rows_sha256(splats: Splats, ids: Array | None = None) -> str:
+def rows_sha256(splats: Splats[Any], ids: Ids | None = None) -> str:
     """SHA-256 over the float32 little-endian attributes of the given Gaussians (default: all), one after the other."""
     arrays = splats.numpy()
     # Of the arrays as they lie, so that the hash of an asset does not depend on its file format.
@@ -227,18 +234,18 @@ def rows_sha256(splats: Splats, ids: Array | None = None) -> str:
     return digest.hexdigest()
 
 
-def _row_numbers(ids: Array) -> np.ndarray:
+def _row_numbers(ids: Any) -> Ids:
     """[M] int64 of row numbers or a [N] bool mask; `take` of a mask would take rows 0 and 1."""
     ids = np.asarray(ids)
     return np.flatnonzero(ids) if ids.dtype == bool else ids.astype(np.int64, copy=False)
 
 
-def row_blocks(ids: Array) -> list[Array]:
+def row_blocks(ids: Ids) -> list[Ids]:
     """Row indices in parts of BLOCK_ROWS, whose values are gathered without a second copy of a large asset."""
     return [ids[first : first + BLOCK_ROWS] for first in range(0, len(ids), BLOCK_ROWS)]
 
 
-def changed_rows(before: Splats, after: Splats, among: np.ndarray | None = None) -> np.ndarray:
+def changed_rows(before: Splats, after: Splats, among: Ids | None = None) -> Ids:
     """[T] int64 ascending: rows that both have and of which any bit differs (NaN equals itself). among: [C] int64
     ascending, rows that both have, where no other can differ."""
     n = min(len(before), len(after))
@@ -267,6 +274,6 @@ def changed_rows(before: Splats, after: Splats, among: np.ndarray | None = None)
     return np.flatnonzero(changed)
 
 
-def float_bits(values: np.ndarray) -> np.ndarray:
+def float_bits(values: Floats) -> np.ndarray:
     """The bits of float32 values, as uint32: -0 and 0 differ, equal NaN do not."""
     return np.ascontiguousarray(values, np.float32).view(np.uint32)

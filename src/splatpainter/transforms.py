@@ -1,7 +1,7 @@
 """Rotations, directions and real spherical harmonics, each once. Knows no files, no cameras and no Gaussians.
 
 Quaternions are w, x, y, z. Spherical harmonics have the order and signs of 3D Gaussian Splatting: with the
-Condon-Shortley phase, as INRIA and KHR_gaussian_splatting have them; functions of `Array` take numpy or torch.
+Condon-Shortley phase, as INRIA and KHR_gaussian_splatting have them; functions of `FloatsOrTensor` take numpy or torch.
 """
 
 from __future__ import annotations
@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from splatpainter.arrays import Floats, FloatsOrTensor
 from splatpainter.kernels import portable
-from splatpainter.splats import MIN_QUAT, SH_C0, Array
+from splatpainter.splats import MIN_QUAT, SH_C0
 
 JACOBI_SWEEPS = 6
 """Off the diagonal of 3 x 3 matrices 1e-16 of the largest eigenvalue is left after five, at most."""
@@ -19,7 +20,7 @@ GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 """Angle between neighbours of a Fibonacci lattice, radians."""
 
 
-def quat_to_matrix(quats: Array) -> Array:
+def quat_to_matrix(quats: FloatsOrTensor) -> FloatsOrTensor:
     """[N, 4] quaternions of any non-zero norm -> [N, 3, 3] rotation matrices; their columns are the rotated axes."""
     if isinstance(quats, np.ndarray):
         unit = quats / np.maximum(row_norm(quats)[:, None], MIN_QUAT)
@@ -31,7 +32,7 @@ def quat_to_matrix(quats: Array) -> Array:
         2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
         2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
     ]  # fmt: skip
-    return _stacked(entries, quats).reshape(-1, 3, 3)
+    return stacked(entries, quats).reshape(-1, 3, 3)
 
 
 def turned(matrix: np.ndarray, rotations: np.ndarray) -> np.ndarray:
@@ -124,7 +125,7 @@ def inverses(matrices: np.ndarray) -> np.ndarray:
     return out.astype(matrices.dtype)
 
 
-def fibonacci_sphere(count: int, offset: float = 0.5) -> np.ndarray:
+def fibonacci_sphere(count: int, offset: float = 0.5) -> Floats:
     """[count, 3] float64 unit directions spread evenly over the sphere, from +y down. offset: turn of the lattice about
     y in steps of GOLDEN_ANGLE."""
     i = np.arange(count)
@@ -134,7 +135,7 @@ def fibonacci_sphere(count: int, offset: float = 0.5) -> np.ndarray:
     return np.stack([ring * portable.cos(angle), y, ring * portable.sin(angle)], 1)
 
 
-def sh_basis(directions: Array, degree: int) -> Array:
+def sh_basis(directions: FloatsOrTensor, degree: int) -> FloatsOrTensor:
     """[..., (degree + 1)^2] of unit directions [..., 3], in their dtype. degree: 0 to 4."""
     x, y, z = directions[..., 0], directions[..., 1], directions[..., 2]
     # Constants of real spherical harmonics in the order and signs of INRIA's rasteriser, which files follow.
@@ -172,7 +173,7 @@ def sh_basis(directions: Array, degree: int) -> Array:
             -1.7701307697799304 * x * z * (xx - 3 * yy),
             0.6258357354491761 * (xx * (xx - 3 * yy) - yy * (3 * xx - yy)),
         ]
-    return _stacked(basis, directions)
+    return stacked(basis, directions)
 
 
 def sh_rotations(matrix: np.ndarray, degree: int) -> list[np.ndarray]:
@@ -199,7 +200,7 @@ def snapped(values: np.ndarray) -> np.ndarray:
     return np.where(np.abs(values - nearest) < 1e-12, nearest, values)
 
 
-def _stacked(values: list[Any], like: Array) -> Array:
+def stacked(values: list[Any], like: Any) -> Any:
     """The arrays stacked along a new last axis."""
     if isinstance(like, np.ndarray):
         return np.stack(values, -1)

@@ -70,7 +70,6 @@ def test_the_truth_of_a_gaussian_is_the_mean_of_the_surfels_under_it() -> None:
         points, np.tile([1, 0, 0, 0], (count, 1)), np.full((count, 3), 0.5), np.ones(count),
         ((colors - 0.5) / 0.28209479)[:, None],
     )  # fmt: skip
-    truth = truth.torch("cpu")
     gaussian = Splats(
         *(np.array(x, np.float32) for x in ([[2.2, 3.1, 0]], [[1, 0, 0, 0]], [[0.6, 0.6, 0.01]], [1], [[[0, 0, 0]]]))  # pyright: ignore[reportArgumentType]
     )
@@ -78,7 +77,7 @@ def test_the_truth_of_a_gaussian_is_the_mean_of_the_surfels_under_it() -> None:
     nearest = np.argsort(squared)[:16]
     weights = np.exp(-squared[nearest] / (2 * 0.6**2))
     expected = (weights[:, None] * colors[nearest]).sum(0) / weights.sum()
-    np.testing.assert_allclose(true_colors(truth, gaussian)[0], expected, atol=1e-5)
+    np.testing.assert_allclose(true_colors(truth.torch("cpu"), gaussian)[0], expected, atol=1e-5)
 
 
 def test_a_whole_edit_is_painted_where_its_truth_says() -> None:

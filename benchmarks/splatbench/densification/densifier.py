@@ -113,7 +113,7 @@ class Points:
 
     features: Tensor = field(repr=False)
     """[M, W]."""
-    gaussians: Splats
+    gaussians: Splats[Tensor]
     """What they would be drawn as if the head said nothing, torch."""
     axes: Tensor = field(repr=False)
     """[M, 3, 3] as Chosen.axes."""
@@ -217,7 +217,7 @@ class Network(nn.Module):
         kind = "bounded" if config.head == "relative" else "absolute"
         self.heads = nn.ModuleList(AttributeHead(width, config.sh_degree, kind) for width in widths)
 
-    def forward(self, chosen: Chosen, rng: np.random.Generator | None = None) -> tuple[Splats, Tensor]:
+    def forward(self, chosen: Chosen, rng: np.random.Generator | None = None) -> tuple[Splats[Tensor], Tensor]:
         """(fine Gaussians, [count] int64 the chosen one of each): leaves of each level, then the last level's children.
         rng: draws the curves of the blocks anew (training); None: they take turns."""
         origin = torch.arange(len(chosen.features), device=chosen.features.device)
@@ -236,7 +236,7 @@ class Network(nn.Module):
             gaussians = gaussians.append(more)
         return gaussians, torch.cat([part.parents for part in parts])
 
-    def _drawn(self, head: nn.Module, points: Points, cell: float) -> Splats:
+    def _drawn(self, head: nn.Module, points: Points, cell: float) -> Splats[Tensor]:
         assert isinstance(head, AttributeHead)
         raw = head(points.features)
         if self.config.head == "absolute":
@@ -269,7 +269,7 @@ def wave_code(share: Tensor, frequencies: int) -> Tensor:
     return torch.cat([angle.sin(), angle.cos()], -1).flatten(1)
 
 
-def absolute(gaussians: Splats, raw: Tensor, cell: float) -> Splats:
+def absolute(gaussians: Splats[Tensor], raw: Tensor, cell: float) -> Splats[Tensor]:
     """Gaussians where the points are, with the published constants: opacity sigmoid(raw - 2.1792), scale
     0.5 cell / (8 * 3) times exp(raw). raw: [M, C] as AttributeHead; its three numbers for the centre are not used."""
     _, scale, turn, opacity, sh = raw.split([3, 3, 4, 1, raw.shape[1] - 11], dim=1)
@@ -315,7 +315,7 @@ class Densifier(nn.Module):
         """Write a checkpoint in half precision, all or nothing. Raises ValueError as checkpoint.save."""
         checkpoint.save(folder, self.config, self.state_dict(), notes=self.notes if notes is None else notes)
 
-    def forward(self, chosen: Chosen, rng: np.random.Generator | None = None) -> tuple[Splats, Tensor]:
+    def forward(self, chosen: Chosen, rng: np.random.Generator | None = None) -> tuple[Splats[Tensor], Tensor]:
         """As Network.forward, for Gaussians and features on any device."""
         device = next(self.parameters()).device
         tensors = {name: getattr(chosen, name).to(device) for name in ("axes", "ranks", "features")}
@@ -326,7 +326,7 @@ class Densifier(nn.Module):
 class Densified:
     """Finer Gaussians that came out. Torch."""
 
-    splats: Splats
+    splats: Splats[Tensor]
     """Gaussians that stayed, then the new ones; differentiable in the weights."""
     chosen: np.ndarray = field(repr=False)
     """[S] int64 ascending: Gaussians of the asset that were replaced."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -50,7 +51,7 @@ def measure_views(
     """Render and differentiate every view. splats: numpy; colors: V pictures [H, W, 3] of the cameras' sizes.
     device: with "cuda", gradients are those of the centre alone, not absolute (fit/gradients.py)."""
     on_cpu = torch.device(device).type == "cpu"
-    asset = replace(splats if on_cpu else splats.torch(device), source=None, origin=None)
+    asset: Splats[Any] = replace(splats if on_cpu else splats.torch(device), source=None, origin=None)
     passes = CpuPasses() if on_cpu else torch_pass
     pull = np.zeros(len(splats))
     coverage, renders = [], []
@@ -78,7 +79,7 @@ def choose(splats: Splats, pull: np.ndarray, config: DensifyConfig) -> np.ndarra
 class Chosen:
     """The Gaussians that are to be replaced, as the network takes them. Torch float32."""
 
-    gaussians: Splats
+    gaussians: Splats[Tensor]
     axes: Tensor = field(repr=False)
     """[S, 3, 3] unit vectors: axes[:, k] is the k-th longest axis of the Gaussian, in world coordinates."""
     ranks: Tensor = field(repr=False)

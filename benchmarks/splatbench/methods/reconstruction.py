@@ -118,7 +118,7 @@ def dense(model: SplatPainterModel, views: AssetViews) -> Copy:
     return Copy(splats.take(gaussian_ids), tokens, TokenLinks(patches, np.ones(patches.shape, np.float32)))
 
 
-def compressed(model: SplatPainterModel, copy: Copy) -> tuple[Splats, dict[str, float]]:
+def compressed(model: SplatPainterModel, copy: Copy) -> tuple[Splats[torch.Tensor], dict[str, float]]:
     """(what Stage I makes of the LRM's Gaussians, numbers of Gaussians at its ends)."""
     from splatpainter.voxels.grid import voxelize
 

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.fit.devices import as_numpy, exp, indices, joined, on_device, sigmoid, zeros_like
+from splatpainter.fit.devices import DeviceArray, as_numpy, exp, indices, joined, on_device, sigmoid, zeros_like
 from splatpainter.fit.gradients import Pull
 from splatpainter.fit.parameters import RawGaussians
-from splatpainter.splats import Array
 from splatpainter.transforms import quat_to_matrix
 
 ORIGINAL_STEPS = 30_000
@@ -104,9 +103,9 @@ class Round:
 
     parameters: RawGaussians
     """Kept Gaussians in their order, then clones, then children."""
-    survivors: Array
+    survivors: DeviceArray
     """[M] int64 Gaussians that stay."""
-    source: Array
+    source: DeviceArray
     """[N'] int64 the old Gaussian that each new one is, or comes from."""
 
 

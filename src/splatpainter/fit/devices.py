@@ -5,16 +5,18 @@ Exponentials and logarithms of arrays are the core's, so that a fit gives the sa
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
-from splatpainter.splats import Array
+
+DeviceArray: TypeAlias = Any
+"""numpy.ndarray on the CPU, torch.Tensor elsewhere: the device of a fit, chosen when it starts, says which."""
 
 
-def on_device(values: Any, device: str) -> Array:
+def on_device(values: Any, device: str) -> DeviceArray:
     """A copy of numpy values where the optimiser works: an array for "cpu", else a tensor."""
     if device == "cpu":
         return np.array(values)
@@ -23,22 +25,22 @@ def on_device(values: Any, device: str) -> Array:
     return torch.tensor(values, device=device)
 
 
-def as_numpy(values: Array) -> np.ndarray:
+def as_numpy(values: DeviceArray) -> np.ndarray:
     """The values as an array; shares memory on the CPU."""
     return values if isinstance(values, np.ndarray) else values.detach().cpu().numpy()
 
 
-def copied(values: Array) -> Array:
+def copied(values: DeviceArray) -> DeviceArray:
     return values.copy() if isinstance(values, np.ndarray) else values.clone()
 
 
-def zeros_like(values: Array, count: int | None = None) -> Array:
+def zeros_like(values: DeviceArray, count: int | None = None) -> DeviceArray:
     """Zeros in the shape of [N, ...] values, or with another N."""
     shape = (len(values) if count is None else count, *values.shape[1:])
     return np.zeros(shape, values.dtype) if isinstance(values, np.ndarray) else values.new_zeros(shape)
 
 
-def joined(parts: list[Array]) -> Array:
+def joined(parts: list[DeviceArray]) -> DeviceArray:
     """Along the first axis."""
     if isinstance(parts[0], np.ndarray):
         return np.concatenate(parts)
@@ -47,7 +49,7 @@ def joined(parts: list[Array]) -> Array:
     return torch.cat(parts)
 
 
-def indices(mask: Array) -> Array:
+def indices(mask: DeviceArray) -> DeviceArray:
     """[M] int64 where a mask [N] is set."""
     if isinstance(mask, np.ndarray):
         return np.flatnonzero(mask)
@@ -56,21 +58,21 @@ def indices(mask: Array) -> Array:
     return torch.nonzero(mask)[:, 0]
 
 
-def exp(values: Array) -> Array:
+def exp(values: DeviceArray) -> DeviceArray:
     return _elementwise("exp", values)
 
 
-def log(values: Array) -> Array:
+def log(values: DeviceArray) -> DeviceArray:
     """Natural; NaN below 0."""
     return _elementwise("log", values)
 
 
-def sigmoid(values: Array) -> Array:
+def sigmoid(values: DeviceArray) -> DeviceArray:
     """1 / (1 + exp(-x))."""
     return 1 / (1 + exp(-values)) if isinstance(values, np.ndarray) else values.sigmoid()
 
 
-def _elementwise(name: str, values: Array) -> Array:
+def _elementwise(name: str, values: DeviceArray) -> DeviceArray:
     if not isinstance(values, np.ndarray):
         return getattr(values, name)()
     # The core's own functions: numpy's differ in the last bit from machine to machine.

@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.fit.devices import DeviceArray
 from splatpainter.fit.image_loss import picture_loss
 from splatpainter.rendering import render
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
-from splatpainter.splats import ATTRIBUTES, Array, Splats
+from splatpainter.splats import ATTRIBUTES, Splats
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -69,7 +70,7 @@ class Pass:
     """One view, forward and backward."""
 
     loss: float
-    gradients: dict[str, Array]
+    gradients: dict[str, DeviceArray]
     """Attribute -> gradient, shaped as the attribute. Valid until the next pass."""
     pull: Pull | None
 
@@ -106,7 +107,7 @@ class CpuPasses:
 
 
 def torch_pass(
-    splats: Splats, target: Target, custom_loss: CustomLoss | None, pull: bool, absolute: bool = False
+    splats: Splats[Tensor], target: Target, custom_loss: CustomLoss | None, pull: bool, absolute: bool = False
 ) -> Pass:
     """A pass as of CpuPasses, by torch, on the splats' device. absolute: not known here, and left out."""
     import torch
@@ -128,7 +129,7 @@ def torch_pass(
     return Pass(float(loss.detach()), gradients, screen_pull(splats, gradients, target.camera) if pull else None)
 
 
-def screen_pull(splats: Splats, gradients: dict[str, Tensor], camera: Camera) -> Pull:
+def screen_pull(splats: Splats[Tensor], gradients: dict[str, Tensor], camera: Camera) -> Pull:
     """The pull as far as the gradients of the attributes (torch) tell. Radii are three standard deviations."""
     import torch
 

@@ -140,7 +140,7 @@ class _Run:
         device = options.device
         self.gaussian_ids = None if gaussian_ids is None else on_device(np.asarray(gaussian_ids, np.int64), device)
         # What does not move is drawn from the start itself, and shares its memory.
-        self.fixed = self.start if device == "cpu" else self.start.torch(device)
+        self.fixed: Splats[Any] = self.start if device == "cpu" else self.start.torch(device)
         self.full = None if gaussian_ids is None else _unshared(self.fixed, options.attributes)
         self.raw = RawGaussians.of(
             self.start if gaussian_ids is None else self.start.take(np.asarray(gaussian_ids, np.int64)), device
@@ -256,7 +256,7 @@ def extent(splats: Splats) -> float:
     return max(float((high - low).max()), float(np.median(arrays.scales[splats.drawable].max(1))), 1e-6)
 
 
-def _unshared(splats: Splats, names: tuple[str, ...]) -> Splats:
+def _unshared(splats: Splats[Any], names: tuple[str, ...]) -> Splats[Any]:
     """Copies of these attributes: they are written to, and share memory with the caller's arrays."""
     return replace(splats, **{name: copied(getattr(splats, name)) for name in names})
 

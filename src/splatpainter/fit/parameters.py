@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.fit.devices import exp, joined, log, on_device, sigmoid, zeros_like
+from splatpainter.fit.devices import DeviceArray, exp, joined, log, on_device, sigmoid, zeros_like
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
-from splatpainter.splats import ATTRIBUTES, Array, Splats
+from splatpainter.splats import ATTRIBUTES, Splats
 
 MIN_OPACITY = 1e-4
 """Opacities are kept this far from 0 and 1, where the logit is infinite."""
@@ -32,15 +32,15 @@ EPSILON = 1e-15
 class RawGaussians:
     """N Gaussians; the fields are named as in Splats."""
 
-    means: Array
+    means: DeviceArray
     """[N, 3]"""
-    quats: Array
+    quats: DeviceArray
     """[N, 4]"""
-    scales: Array
+    scales: DeviceArray
     """[N, 3] natural logarithms."""
-    opacities: Array
+    opacities: DeviceArray
     """[N] logits."""
-    sh: Array
+    sh: DeviceArray
     """[N, K, 3]"""
 
     @staticmethod
@@ -62,7 +62,7 @@ class RawGaussians:
         values = (self.means, self.quats, scales, opacities, self.sh)
         return replace(like, **dict(zip(ATTRIBUTES, values, strict=True)), source=None, origin=None)
 
-    def take(self, ids: Array) -> RawGaussians:
+    def take(self, ids: DeviceArray) -> RawGaussians:
         """Copies of the given Gaussians ([M] int64, on the same device)."""
         return RawGaussians(**{name: getattr(self, name)[ids] for name in ATTRIBUTES})
 
@@ -72,7 +72,7 @@ class RawGaussians:
         return RawGaussians(**{name: joined([getattr(part, name) for part in parts]) for name in ATTRIBUTES})
 
 
-def to_raw(gradients: dict[str, Array], scales: Array, opacities: Array) -> None:
+def to_raw(gradients: dict[str, DeviceArray], scales: DeviceArray, opacities: DeviceArray) -> None:
     """Turn gradients of splats' attributes, which have these values, into those of the parameters, in place."""
     if "scales" in gradients:
         gradients["scales"] *= scales
@@ -97,11 +97,13 @@ class Adam:
     torch.optim.Adam wants one rate per tensor and lets nothing in or out; SH bands have rates of their own, and
     splitting SH into two tensors would copy all of it twice per step."""
 
-    def __init__(self, values: dict[str, Array]) -> None:
+    def __init__(self, values: dict[str, DeviceArray]) -> None:
         self.steps = 0
         self.moments = {name: (zeros_like(value), zeros_like(value)) for name, value in values.items()}
 
-    def step(self, values: dict[str, Array], gradients: dict[str, Array], rates: dict[str, Array]) -> None:
+    def step(
+        self, values: dict[str, DeviceArray], gradients: dict[str, DeviceArray], rates: dict[str, DeviceArray]
+    ) -> None:
         """Move the values in place. rates: name -> [C] numpy for values of C numbers per Gaussian, or [1] for all of
         them."""
         self.steps += 1
@@ -115,7 +117,7 @@ class Adam:
                 rate = value.new_tensor(rate)
                 step_tensor(value, gradient, mean, square, rate, 1 / math.sqrt(second))
 
-    def select(self, survivors: Array, fresh: int) -> None:
+    def select(self, survivors: DeviceArray, fresh: int) -> None:
         """Only the kept Gaussians ([M] int64), followed by `fresh` Gaussians without a past."""
         for name, pair in self.moments.items():
             mean, square = (joined([m[survivors], zeros_like(m, fresh)]) for m in pair)

@@ -18,11 +18,13 @@ from typing import Any
 
 import numpy as np
 
+from splatpainter.arrays import FloatsOrTensor
 from splatpainter.color import LUMA, base_color, linear_to_srgb, luminance, srgb_to_linear
 from splatpainter.kernels.parallel import each
-from splatpainter.splats import SH_C0, Array, ColorSpace
+from splatpainter.splats import SH_C0, ColorSpace
 from splatpainter.system import jsonio
 from splatpainter.system.ranges import out_of_range, ranged
+from splatpainter.transforms import stacked
 
 PIVOT = 0.461
 """Display value of 18 % grey: contrast turns around it."""
@@ -64,10 +66,10 @@ class ColorGrade:
     """Split toning: what is added to the lights, display units."""
 
 
-def apply_grade(colors: Array, grade: ColorGrade) -> Array:
+def apply_grade(colors: FloatsOrTensor, grade: ColorGrade) -> FloatsOrTensor:
     """[..., 3] display colours 0..1 after all settings of a grade, clipped to 0..1."""
     # In a raw developer's order: light, tone, curves, toning, saturation.
-    out = colors.clip(0, 1)
+    out: Any = colors.clip(0, 1)
     if grade.exposure or grade.temperature or grade.tint:
         light = white_balance(expose(srgb_to_linear(out), grade.exposure), grade.temperature, grade.tint)
         out = linear_to_srgb(light.clip(0, 1))
@@ -75,28 +77,28 @@ def apply_grade(colors: Array, grade: ColorGrade) -> Array:
     out = tone_curve(out, grade.curve) if grade.curve else out
     if grade.channel_curves:
         channels = [tone_curve(out[..., k], points) for k, points in enumerate(grade.channel_curves)]
-        out = _stacked(channels)
+        out = stacked(channels, out)
     if any(grade.shadows) or any(grade.highlights):
         out = split_tone(out, grade.shadows, grade.highlights)
     out = saturate(out, grade.saturation) if grade.saturation != 1 else out
     return out.clip(0, 1)
 
 
-def expose(linear: Array, stops: float) -> Array:
+def expose(linear: FloatsOrTensor, stops: float) -> FloatsOrTensor:
     """Linear light times 2^stops."""
     return linear * 2.0**stops
 
 
-def white_balance(linear: Array, temperature: float, tint: float) -> Array:
+def white_balance(linear: FloatsOrTensor, temperature: float, tint: float) -> FloatsOrTensor:
     """Linear light under von Kries gains in RGB: temperature 1 is half a stop more red and less blue, tint 1 half a
     stop less green. The gains are scaled so that grey keeps its luminance."""
     # Gains on linear light, scaled so that a grey keeps its luminance.
     gains = (2 ** (temperature / 2), 2 ** (-tint / 2), 2 ** (-temperature / 2))
     level = sum(weight * gain for weight, gain in zip(LUMA, gains, strict=True))
-    return _stacked([linear[..., k] * (gain / level) for k, gain in enumerate(gains)])
+    return stacked([linear[..., k] * (gain / level) for k, gain in enumerate(gains)], linear)
 
 
-def adjust_contrast(display: Array, slope: float) -> Array:
+def adjust_contrast(display: FloatsOrTensor, slope: float) -> FloatsOrTensor:
     """A power curve on each side of PIVOT: slope there is `slope`, 0, PIVOT and 1 stay, nothing clips.
     Raises ValueError unless slope > 0."""
     if slope <= 0:
@@ -108,23 +110,25 @@ def adjust_contrast(display: Array, slope: float) -> Array:
     return dark + light
 
 
-def saturate(display: Array, amount: float) -> Array:
+def saturate(display: FloatsOrTensor, amount: float) -> FloatsOrTensor:
     """Colours moved away from (or to) their own grey."""
     grey = luminance(display)[..., None]
     return grey + amount * (display - grey)
 
 
-def split_tone(display: Array, shadows: tuple[float, float, float], highlights: tuple[float, float, float]) -> Array:
+def split_tone(
+    display: FloatsOrTensor, shadows: tuple[float, float, float], highlights: tuple[float, float, float]
+) -> FloatsOrTensor:
     """Colour added to darks and lights, each at most where its weight, (1 - luma)^2 or luma^2, is largest; pure black
     and white stay."""
     luma = luminance(display).clip(0, 1)
     # Weights vanish at black and white, which have to stay neutral.
     middle = 4 * luma * (1 - luma)
     dark, light = middle * (1 - luma), middle * luma
-    return _stacked([display[..., k] + dark * shadows[k] + light * highlights[k] for k in range(3)])
+    return stacked([display[..., k] + dark * shadows[k] + light * highlights[k] for k in range(3)], display)
 
 
-def tone_curve(values: Array, points: Sequence[tuple[float, float]]) -> Array:
+def tone_curve(values: FloatsOrTensor, points: Sequence[tuple[float, float]]) -> FloatsOrTensor:
     """A tone curve through (in, out) points: piecewise cubic Hermite with the slopes of Fritsch and Carlson (1980), so
     that it is monotone where the points are; constant outside. Values of any shape.
     Raises ValueError for fewer than two points or points not in order."""
@@ -367,11 +371,3 @@ def _monotone_slopes(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     left, right = np.concatenate([secants[:1], secants]), np.concatenate([secants, secants[-1:]])
     limit = 3 * np.minimum(np.abs(left), np.abs(right))
     return np.where(left * right <= 0, 0, np.clip(slopes, -limit, limit))
-
-
-def _stacked(channels: list[Array]) -> Array:
-    if isinstance(channels[0], np.ndarray):
-        return np.stack(channels, -1)
-    import torch
-
-    return torch.stack(channels, -1)

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Ids
 from splatpainter.color import base_color, oklab, to_display
 from splatpainter.holes.border import cell_of
 from splatpainter.kernels import portable
@@ -84,7 +85,7 @@ class BodyThresholds:
 BODY = BodyThresholds()
 
 
-def body_of(splats: Splats, selected: np.ndarray) -> np.ndarray | None:
+def body_of(splats: Splats, selected: np.ndarray) -> Bools | None:
     """[N] bool: the Gaussians of the connected body under a selection ([N] bool), less what of it is ground; None where
     what is selected is a part of something larger (a spot on a wall). splats: numpy."""
     visible = splats.drawable & (splats.opacities > 0)
@@ -143,11 +144,11 @@ def body_or_selection(splats: Splats, selected: np.ndarray) -> tuple[np.ndarray,
 class _Pieces:
     """P pieces of surface of G Gaussians."""
 
-    piece: np.ndarray
+    piece: Ids
     """[G] int64."""
     counts: np.ndarray
     """[P]."""
-    cells: np.ndarray
+    cells: Ids
     """[P, 3] int64 cube of each."""
     normals: np.ndarray
     """[P, 6] mean of n n^T: xx yy zz, and the others times the root of 2, so that products are squared cosines."""
@@ -180,7 +181,7 @@ class _Pieces:
         sums = [np.bincount(self.piece, column, len(self.counts)) for column in columns]
         return (np.stack(sums, 1) / self.counts[:, None]).reshape(len(self.counts), *values.shape[1:])
 
-    def links(self, selected: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, bool]:
+    def links(self, selected: Bools) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, bool]:
         """(one, two: [E] int64 pieces of one cube or of two that touch; [E] how well they hang together, 0..1; [E] how
         well their normals agree, 0..1; whether the asset is noisy). selected: [P] bool; where neighbours among these
         differ by more than the thresholds of colours and normals, as in captures, their median takes their place."""
@@ -245,7 +246,7 @@ def _walked(one: np.ndarray, two: np.ndarray, links: np.ndarray, source: np.ndar
     return p
 
 
-def _swept(one: np.ndarray, two: np.ndarray, links: np.ndarray, chances: np.ndarray, most: float) -> np.ndarray:
+def _swept(one: np.ndarray, two: np.ndarray, links: np.ndarray, chances: np.ndarray, most: float) -> Bools:
     """[P] bool: pieces with the largest chances, as many as give the least cut for what is within (as Andersen, Chung,
     Lang, "Local graph partitioning using PageRank vectors", 2006)."""
     levels = np.linspace(*BODY.level_shares, BODY.levels) * most
@@ -257,7 +258,7 @@ def _swept(one: np.ndarray, two: np.ndarray, links: np.ndarray, chances: np.ndar
     return chances > levels[int((cut / np.maximum(within, 1e-30)).argmin())]
 
 
-def _without_crumbs(one: np.ndarray, two: np.ndarray, is_body: np.ndarray, counts: np.ndarray) -> np.ndarray:
+def _without_crumbs(one: np.ndarray, two: np.ndarray, is_body: np.ndarray, counts: np.ndarray) -> Bools:
     """[P] bool: a body without small parts that lie apart, and with the small parts that only it touches. counts: [P]
     Gaussians of each piece."""
     for side in (True, False):
@@ -276,7 +277,7 @@ def _without_crumbs(one: np.ndarray, two: np.ndarray, is_body: np.ndarray, count
 
 def _enclosed(
     means: np.ndarray, pieces: _Pieces, edges: tuple[np.ndarray, np.ndarray], is_body: np.ndarray, beyond: np.ndarray
-) -> np.ndarray:
+) -> Bools:
     """[G] bool: what hangs together with nothing else, within the body's box: the inner side of a hollow one."""
     # A hollow body's inner side touches nothing outside: it would be left hanging in the air.
     labels = joined_labels(len(pieces.counts), *edges)

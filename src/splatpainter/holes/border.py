@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Floats, Ids
 from splatpainter.splats import Splats
 from splatpainter.transforms import quat_to_matrix
 from splatpainter.voxels.neighbours import components, nearest_within
@@ -47,15 +48,15 @@ BORDER = BorderThresholds()
 class Border:
     """One connected border."""
 
-    gaussian_ids: np.ndarray = field(repr=False)
+    gaussian_ids: Ids = field(repr=False)
     """[B] int64 ascending."""
-    center: np.ndarray
+    center: Floats
     """[3] float64 world."""
     radius: float
     """Within which it lies, world units."""
-    normal: np.ndarray
+    normal: Floats
     """[3] float64 unit; either side may be the outer one."""
-    across: np.ndarray
+    across: Floats
     """[3] float64 unit, along the border's longest extent across the normal."""
     cell: float
     """Distance between neighbours, world units."""
@@ -78,7 +79,7 @@ def borders_of(splats: Splats, remaining: np.ndarray, candidates: np.ndarray) ->
     return [_border(splats, part) for part in parts]
 
 
-def bordering_gaussians(splats: Splats, remaining: np.ndarray, removed: np.ndarray) -> np.ndarray:
+def bordering_gaussians(splats: Splats, remaining: np.ndarray, removed: np.ndarray) -> Bools:
     """[N] bool: what remains near to what was removed ([N] bool)."""
     out = np.zeros(len(splats), bool)
     gone, rest = np.flatnonzero(removed), np.flatnonzero(remaining & (splats.opacities >= BORDER.min_opacity))

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Floats, Ids
 from splatpainter.cameras import Camera
 from splatpainter.holes.border import Border
 from splatpainter.holes.smooth_surface import ThinPlate
@@ -84,24 +85,24 @@ class Chart:
     """Gaussians of the chart."""
     pixel: float
     """World units at the border's centre."""
-    picture: np.ndarray = field(repr=False)
+    picture: Floats = field(repr=False)
     """[H, W, 3] float32 what is there now, in the asset's colour space."""
-    depth: np.ndarray = field(repr=False)
+    depth: Floats = field(repr=False)
     """[H, W] float64 z-depth of the shell, 0 elsewhere."""
-    normals: np.ndarray = field(repr=False)
+    normals: Floats = field(repr=False)
     """[H, W, 3] float64 unit, camera space, of the shell."""
-    shell: np.ndarray = field(repr=False)
+    shell: Bools = field(repr=False)
     """[H, W] bool."""
-    hole: np.ndarray = field(repr=False)
+    hole: Bools = field(repr=False)
     """[H, W] bool."""
-    clean: np.ndarray = field(repr=False)
+    clean: Bools = field(repr=False)
     """[H, W] bool, of the shell: pixels through which nothing behind it is seen."""
     seeds: float
     """Share of the border's Gaussians that lie on the shell."""
 
 
 def chart_of(
-    splats: Splats, remaining: np.ndarray, removed: np.ndarray | None, border: Border, outwards: np.ndarray
+    splats: Splats, remaining: np.ndarray, removed: Bools | None, border: Border, outwards: np.ndarray
 ) -> Chart | None:
     """The chart from one side (outwards: [3] unit). removed: [N] bool; None: every hole of the shell counts. None where
     that side does not show the border."""
@@ -178,7 +179,7 @@ def _coverage(splats: Splats, camera: Camera, depth: np.ndarray, margin: float) 
     return project(splats, camera, gaussian_mask=(chart_depth > 0) & (np.abs(chart_depth - z) < margin)).rasterize()[1]
 
 
-def _sheets(depth: np.ndarray, step: float) -> np.ndarray:
+def _sheets(depth: np.ndarray, step: float) -> Ids:
     """[H, W] int64 which continuous sheet each pixel is of; pixels without a surface each their own."""
     height, width = depth.shape
     number = np.arange(height * width).reshape(height, width)
@@ -190,7 +191,7 @@ def _sheets(depth: np.ndarray, step: float) -> np.ndarray:
     return joined_labels(height * width, np.concatenate(one), np.concatenate(two)).reshape(height, width)
 
 
-def _one_surface(labels: np.ndarray, shell: np.ndarray, depth: np.ndarray, margin: float) -> np.ndarray:
+def _one_surface(labels: np.ndarray, shell: np.ndarray, depth: np.ndarray, margin: float) -> Bools:
     """[H, W] bool: of several sheets ([H, W] labels) the largest one, and those that continue it; through a hole one
     sees the far side of a wall, which is not part of the near one."""
     sizes = np.bincount(labels[shell])
@@ -211,7 +212,7 @@ def _one_surface(labels: np.ndarray, shell: np.ndarray, depth: np.ndarray, margi
 
 def _shadow(
     splats: Splats, removed: np.ndarray, border: Border, camera: Camera, rotation: np.ndarray, slab: float
-) -> np.ndarray:
+) -> Bools:
     """[H, W] bool: pixels under what was removed near the border."""
     means = splats.means[removed].astype(np.float64)
     height = np.abs((means - border.center) @ rotation[2])
@@ -224,7 +225,7 @@ def _shadow(
     return dilated(out, 2 * CHART.cell_px)
 
 
-def _hole(shell: np.ndarray, guide: np.ndarray, between: np.ndarray, margin: int) -> np.ndarray:
+def _hole(shell: np.ndarray, guide: np.ndarray, between: np.ndarray, margin: int) -> Bools:
     """[H, W] bool: parts that the shell encloses, or that lie `between` parts of the border, where the guide touches
     them and the shell is around. margin: pixels to every side that some pixel of a part must have: what is smaller is a
     gap between neighbours."""
@@ -250,7 +251,7 @@ def _hole(shell: np.ndarray, guide: np.ndarray, between: np.ndarray, margin: int
     return hole
 
 
-def _labels(mask: np.ndarray) -> np.ndarray:
+def _labels(mask: np.ndarray) -> Ids:
     """[H, W] int64 connected part of each pixel of a mask, -1 elsewhere."""
     out = np.full(mask.shape, -1, np.int64)
     ys, xs = np.nonzero(mask)
@@ -258,7 +259,7 @@ def _labels(mask: np.ndarray) -> np.ndarray:
     return out
 
 
-def _in_hull(points: np.ndarray, side: int) -> np.ndarray:
+def _in_hull(points: np.ndarray, side: int) -> Bools:
     """[side, side] bool: pixels in the convex hull of points [P, 2] (Andrew's monotone chain)."""
     points = np.unique(points, axis=0)
     ys, xs = np.mgrid[:side, :side]

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from splatpainter.arrays import Bools
 from splatpainter.cameras import Camera
 from splatpainter.color import sh_from_color
 from splatpainter.holes.border import BORDER, Border, bordering_gaussians, borders_of
@@ -95,7 +96,7 @@ class Filled:
         return f"filled {holes} with {len(self.appended):,} Gaussians{coarse}"
 
 
-def fill_hole(splats: Splats, *, removed: np.ndarray | None = None, around: np.ndarray | None = None) -> Filled:
+def fill_hole(splats: Splats, *, removed: Bools | None = None, around: Bools | None = None) -> Filled:
     """What continues the surroundings where Gaussians are missing. splats: numpy.
 
     removed: [N] bool, Gaussians that are gone (whatever their opacity is now): where the surface behind is closed, or
@@ -300,7 +301,7 @@ def _continued(chart: Chart, border: Border, pixels: np.ndarray) -> tuple[np.nda
     return depth, normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
-def _cells(hole: np.ndarray, step: int) -> np.ndarray:
+def _cells(hole: np.ndarray, step: int) -> Bools:
     """[H / step, W / step] bool: cells of which at least half is hole."""
     height, width = (n // step * step for n in hole.shape)
     blocks = hole[:height, :width].reshape(height // step, step, width // step, step)

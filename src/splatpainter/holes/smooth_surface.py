@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from splatpainter.arrays import Floats
+
 
 @dataclass(frozen=True)
 class SmoothSurfaceThresholds:
@@ -108,7 +110,7 @@ def sphere_heights(points: np.ndarray, normals: np.ndarray, queries: np.ndarray)
     return mean[2] - 2 * c / (u[2] + np.sqrt(discriminant))
 
 
-def membrane(values: np.ndarray, free: np.ndarray) -> np.ndarray:
+def membrane(values: np.ndarray, free: np.ndarray) -> Floats:
     """[H, W, C] float64: values where not free ([H, W] bool), continued so that every free pixel is the mean of its
     neighbours; coarse levels first."""
     height, width = free.shape

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Floats
 from splatpainter.holes.smooth_surface import membrane
 
 
@@ -51,7 +52,7 @@ TONE_VOTE = 2.0 * TEXTURE.patch_px**2
 """Weight of the difference of tones beside those of a patch's pixels."""
 
 
-def complete(picture: np.ndarray, valid: np.ndarray, clean: np.ndarray, hole: np.ndarray) -> np.ndarray:
+def complete(picture: np.ndarray, valid: np.ndarray, clean: np.ndarray, hole: Bools) -> Floats:
     """[H, W, 3] float32 the picture with its hole filled from what is valid; of that, what is not clean (shows
     something behind it) is first made of what is around it. valid, clean, hole: [H, W] bool."""
     valid = valid & ~hole
@@ -230,7 +231,7 @@ def _vote(flat, inside, centers, offsets, match, best, trust, last: bool) -> Non
     flat[written] = (sums[written] / weights[written, None]).astype(np.float32)
 
 
-def _sources(valid: np.ndarray) -> np.ndarray:
+def _sources(valid: np.ndarray) -> Bools:
     """[H, W] bool: middles of patches of which every pixel is valid."""
     half = TEXTURE.patch_px // 2
     out = valid.astype(np.float64)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from splatpainter.arrays import Ids
 from splatpainter.io.formats.ply_container import Element, Header, TextRows, element_size
 from splatpainter.splats import Source
 
@@ -68,7 +69,7 @@ def contents(source: Source) -> Contents | None:
     return None if made is None or source.detail is None else made(source.detail)
 
 
-def rows_differ(old: StoredTable, new: StoredTable, count: int) -> np.ndarray:
+def rows_differ(old: StoredTable, new: StoredTable, count: int) -> Ids:
     """[D] int64 ascending: rows below `count` whose stored bytes differ. The tables have the same fields."""
     if isinstance(old.records, TextRows):
         # Rows of text have no fixed length, so they are compared line by line.

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from splatpainter.arrays import Floats
 from splatpainter.io.formats import gltf
 
 UNSIGNED_INT = 5125
@@ -15,7 +16,7 @@ ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 def mesh_glb(
     vertices: np.ndarray,
     triangles: np.ndarray,
-    normals: np.ndarray,
+    normals: Floats,
     colors: np.ndarray | None = None,
     *,
     name: str = "proxy",

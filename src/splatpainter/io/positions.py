@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from splatpainter.arrays import Floats
 from splatpainter.splats import MAX_MAGNITUDE, Splats
 from splatpainter.transforms import row_max
 
@@ -21,7 +22,7 @@ Offset = tuple[float, float, float]
 NO_OFFSET: Offset = (0.0, 0.0, 0.0)
 
 
-def float32_step(means: np.ndarray) -> np.ndarray:
+def float32_step(means: np.ndarray) -> Floats:
     """[N] float64 distance between neighbouring float32 numbers at the largest coordinate of each row of [N, 3]."""
     with np.errstate(all="ignore"):  # what overflows has no neighbour
         return np.spacing(row_max(np.abs(means)).astype(np.float32)).astype(np.float64)
@@ -59,7 +60,7 @@ def offset_of(means: np.ndarray, scales: np.ndarray) -> Offset:
     return x + 0.0, y + 0.0, z + 0.0
 
 
-def relative(means: np.ndarray, offset: Offset) -> np.ndarray:
+def relative(means: np.ndarray, offset: Offset) -> Floats:
     """[N, 3] float32 world positions less the offset, subtracted in float64; without an offset as they are."""
     if offset == NO_OFFSET:
         with np.errstate(over="ignore", invalid="ignore"):  # doubles beyond float32 become inf, as they should

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Floats
 from splatpainter.cameras import Camera
 from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
@@ -38,7 +39,7 @@ def lift_colors(
     view: ProjectedView,
     target: np.ndarray,
     weights: np.ndarray,
-    editable: np.ndarray,
+    editable: Bools,
     rounds: int,
     hold: np.ndarray | None = None,
     relaxation: float = 1.0,
@@ -113,17 +114,17 @@ class SolidView:
     """One edited view: where it counts, and what it shows of each Gaussian."""
 
     camera: Camera
-    target: np.ndarray = field(repr=False)
+    target: Floats = field(repr=False)
     """[H, W, 3] float32."""
-    use: np.ndarray = field(repr=False)
+    use: Floats = field(repr=False)
     """[H, W] float32: 1 where pixels count."""
-    weight: np.ndarray = field(repr=False)
+    weight: Floats = field(repr=False)
     """[N] float32 pixels that show each Gaussian."""
     projected: ProjectedView = field(repr=False)
     """The asset before the edit, in this view."""
 
     @staticmethod
-    def of(splats: Splats, camera: Camera, target: np.ndarray, mask: np.ndarray) -> SolidView:
+    def of(splats: Splats, camera: Camera, target: np.ndarray, mask: Bools) -> SolidView:
         """mask: [H, W] bool."""
         projected = project(splats, camera)
         _, alpha, _ = projected.rasterize()
@@ -134,7 +135,7 @@ class SolidView:
         return SolidView(camera, target, use, weight, projected)
 
 
-def total_weight(views: Sequence[SolidView]) -> np.ndarray:
+def total_weight(views: Sequence[SolidView]) -> Floats:
     """[N] float32 pixels of all views that show each Gaussian."""
     return np.sum([view.weight for view in views], axis=0)
 
@@ -146,7 +147,7 @@ def joint_change(
     projected: Sequence[ProjectedView] | None = None,
     hold: float = 0.0,
     limit: float = MAX_COLOR,
-) -> np.ndarray:
+) -> Floats:
     """[N, 3] float32 change of base colour after `rounds`; zeros for Gaussians that are not seen. projected: the asset
     in each view, where it is no longer the one before the edit; hold: pixels of weight that pull every Gaussian back to
     no change; limit: the largest change."""
@@ -170,7 +171,7 @@ def joint_change(
 def refine_colors_local(
     splats: Splats,
     pictures: Sequence[tuple[Camera, np.ndarray]],
-    editable: np.ndarray,
+    editable: Bools,
     rounds: int = REFINE_ROUNDS,
 ) -> Splats:
     """One view after the other: where they disagree, the latest wins. pictures: (camera, target [H, W, 3]), the full

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from splatpainter.arrays import Floats
 from splatpainter.cameras import Camera, orbit
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
@@ -82,7 +83,7 @@ def surface_normals(depth: np.ndarray, ys: np.ndarray, xs: np.ndarray, camera: C
     return normal / np.maximum(row_norm(normal)[:, None], 1e-12)
 
 
-def outward_normals(splats: Splats) -> np.ndarray:
+def outward_normals(splats: Splats) -> Floats:
     """[N, 3] float32 unit shortest axes, turned towards the side from which a ring of views sees the Gaussian (else
     away from the asset's centre); zeros for those that cannot be drawn. Colours have no part in them. At least one
     Gaussian must be drawable."""

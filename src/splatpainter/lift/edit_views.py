@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Floats
 from splatpainter.cameras import Camera
 from splatpainter.lift.local.local_edit import NothingPaintableError, gaussians_in_mask
 from splatpainter.rendering import render
@@ -25,19 +26,19 @@ class EditView:
     one)."""
 
     camera: Camera
-    edited: np.ndarray = field(repr=False)
+    edited: Floats = field(repr=False)
     """[H, W, 3] float32 the edited picture, 0..1."""
-    mask: np.ndarray = field(repr=False)
+    mask: Bools = field(repr=False)
     """[H, W] bool pixels that were edited."""
-    before: np.ndarray = field(repr=False)
+    before: Floats = field(repr=False)
     """[H, W, 3] float32 render of the asset, in `tiles`."""
-    depth: np.ndarray | None = field(default=None, repr=False)
+    depth: Floats | None = field(default=None, repr=False)
     """[H, W] float32 its expected z-depth, 0 where there is nothing; for models whose pictures hold "geometry"."""
-    alpha: np.ndarray | None = field(default=None, repr=False)
+    alpha: Floats | None = field(default=None, repr=False)
     """[H, W] float32 its alpha; likewise."""
     name: str = "edit"
     """What errors call it."""
-    tiles: np.ndarray | None = field(default=None, repr=False)
+    tiles: Bools | None = field(default=None, repr=False)
     """[TH, TW] bool: tiles of the view that were rendered, at least all under the mask; None: all of them. Analytic
     lifts ask for no others."""
     projected: ProjectedView | None = field(default=None, repr=False, compare=False)
@@ -64,7 +65,7 @@ def edit_views(
     return views
 
 
-def gaussians_in_views(splats: Splats, grid: VoxelGrid, views: Sequence[EditView]) -> np.ndarray:
+def gaussians_in_views(splats: Splats, grid: VoxelGrid, views: Sequence[EditView]) -> Bools:
     """[N] bool Gaussians in voxels that edited pixels show, and that visibly contribute to these pixels, of any view.
     Raises ValueError, naming the view, for one without such Gaussians."""
     from splatpainter.voxels.raycast import editable_gaussians

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Floats, Ids
 from splatpainter.lift.colors import refine_colors_local
 from splatpainter.lift.edit_views import EditView, errors_name, gaussians_in_views
 from splatpainter.lift.features import global_features, local_features, no_features
@@ -66,27 +67,27 @@ class LiftedEdit:
 
     splats: Splats
     """Numpy, N + A Gaussians: the lift's answer, or the asset (base "own"; A = 0, as of all global edits)."""
-    ids: np.ndarray = field(repr=False)
+    ids: Ids = field(repr=False)
     """[J] int64 Gaussians of `splats` that the edit may change."""
-    parents: np.ndarray = field(repr=False)
+    parents: Ids = field(repr=False)
     """[J] int64 the asset's Gaussian that each is, or was split from."""
-    features: np.ndarray = field(repr=False)
+    features: Floats = field(repr=False)
     """[J, 13] float32 of lift/features.py, or zeros."""
-    confidence: np.ndarray | None = field(default=None, repr=False)
+    confidence: Floats | None = field(default=None, repr=False)
     """[N] float32 0..1, of a global lift: seen (1) or predicted (towards 0); of a spread one: of the painted material
     (1) or not."""
     detail: bool = False
     """Whether a network may append children (local, base "own": with "lift" the children are the lift's)."""
-    replaced: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64), repr=False)
+    replaced: Ids = field(default_factory=lambda: np.zeros(0, np.int64), repr=False)
     """[R] int64 ascending, part of `ids`: Gaussians of the asset whose indices sheet Gaussians took."""
-    removed: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64), repr=False)
+    removed: Ids = field(default_factory=lambda: np.zeros(0, np.int64), repr=False)
     """[E] int64 ascending, part of `ids`: those whose indices are empty now (opacity 0)."""
     limited: tuple[float, ...] = ()
     """Per view, edited pixels' worth of paint that its limits left out."""
     note: str = ""
     """A line for receipts."""
 
-    def parent_ids(self, count: int) -> np.ndarray:
+    def parent_ids(self, count: int) -> Ids:
         """[N + A] int64 the asset's Gaussian that each Gaussian of `splats` is or was split from. count: N."""
         return np.append(np.arange(count), self.parents[self.ids >= count])
 
@@ -275,11 +276,11 @@ class _PaintedSoFar:
     """The Gaussians after the views so far: of N originals, S now."""
 
     splats: Splats
-    changed: np.ndarray
+    changed: Bools
     """[S] bool."""
-    replaced: np.ndarray
+    replaced: Bools
     """[S] bool: indices that a sheet Gaussian took."""
-    parents: np.ndarray
+    parents: Ids
     """[S] int64 among the N."""
     limited: tuple[float, ...] = ()
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from splatpainter.arrays import Floats
 from splatpainter.lift.edit_views import EditView
 from splatpainter.lift.global_edit import GlobalLift
 from splatpainter.rendering.cpu.projected_view import project, tiles_of_mask
@@ -48,7 +49,7 @@ def global_features(before: Splats, lift: GlobalLift, ids: np.ndarray) -> np.nda
     return np.concatenate([*colors, *rest], 1, dtype=np.float32)
 
 
-def _seen(splats: Splats, views: Sequence[EditView]) -> np.ndarray:
+def _seen(splats: Splats, views: Sequence[EditView]) -> Floats:
     """[N] float32 0..1: how much of each Gaussian the edited pixels show; HALF_SEEN_PX are a half."""
     weight = np.zeros(len(splats), np.float32)
     for view in views:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from splatpainter.arrays import Floats
 from splatpainter.cameras import Camera
 from splatpainter.color import base_color, sh_from_color
 from splatpainter.kernels import portable
@@ -36,14 +37,14 @@ class GlobalLift:
     """Result of a global lift."""
 
     splats: Splats
-    confidence: np.ndarray = field(repr=False)
+    confidence: Floats = field(repr=False)
     """[N] float32 0..1: how much of each Gaussian's new colour was seen (1) rather than predicted; predictions far from
     everything seen go to 0."""
-    seen: np.ndarray = field(repr=False)
+    seen: Floats = field(repr=False)
     """[N] float32 0..1: the lift's share of each Gaussian's new colour; the rest is the regression's."""
-    predicted: np.ndarray = field(repr=False)
+    predicted: Floats = field(repr=False)
     """[N, 3] float32 base colours by the regression."""
-    normals: np.ndarray = field(repr=False)
+    normals: Floats = field(repr=False)
     """[N, 3] float32 unit normals, outwards (`outward_normals`); zeros for Gaussians that cannot be drawn."""
 
 
@@ -141,7 +142,7 @@ def regressed(
 
 def _far_side(
     splats: Splats, views: Sequence[SolidView], change: np.ndarray, weight: np.ndarray, options: GlobalOptions
-) -> np.ndarray:
+) -> Floats:
     """[N, 3] float32 to be taken from the predicted change (`GlobalOptions.far_side`). splats: all drawable; change,
     weight: of `seen_change`."""
     seen = weight > MIN_SEEN_PX

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from splatpainter.arrays import Bools
 from splatpainter.cameras import Camera
 from splatpainter.splats import Splats
 
@@ -14,7 +15,7 @@ MIN_INSIDE_SHARE = 0.5
 outwards."""
 
 
-def reached_gaussians(splats: Splats, views: Sequence[tuple[Camera, np.ndarray]]) -> np.ndarray:
+def reached_gaussians(splats: Splats, views: Sequence[tuple[Camera, np.ndarray]]) -> Bools:
     """[N] bool: Gaussians that some masked view ((camera, [H, W] bool)) shows, mostly inside its mask; with one also
     those of its family that lie hidden under the mask, or paint would stay behind. Raises ValueError where a mask is
     empty or reaches no Gaussian."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Floats
 from splatpainter.kernels.arrays import readonly
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run, threads
@@ -64,7 +65,7 @@ MIN_MEDIAN_CHANGE = 1.15 / 255
 """Median difference on the asset from which all of it may have changed; rounding leaves 0.7 / 255."""
 
 
-def change_mask(edited: np.ndarray, render: np.ndarray) -> np.ndarray:
+def change_mask(edited: np.ndarray, render: np.ndarray) -> Bools:
     """[H, W] bool: pixels where `edited` differs from `render` (both [H, W, 3], 0..1) by more than the picture's noise.
 
     JPEG's noise grows with the detail around a pixel and is nil on a flat background: it is measured among pixels of
@@ -96,7 +97,7 @@ def change_mask(edited: np.ndarray, render: np.ndarray) -> np.ndarray:
     return (box_mean(core, 1) > 0.5 / 9) & (difference > MASKS.max_rounding)
 
 
-def change_mask_beyond(edited: np.ndarray, render: np.ndarray, expected: np.ndarray) -> np.ndarray:
+def change_mask_beyond(edited: np.ndarray, render: np.ndarray, expected: np.ndarray) -> Bools:
     """[H, W] bool: as `change_mask`, of a picture that was stored with loss. expected: [H, W, 3] the render after the
     same loss: what differs from both of them by more than the loss does around it was edited.
 
@@ -127,7 +128,7 @@ def exact_share(near: np.ndarray, region: np.ndarray) -> float:
     return float((near <= MASKS.max_exact)[region].mean()) if region.any() else 1.0
 
 
-def edited_mask(edited: np.ndarray, render: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+def edited_mask(edited: np.ndarray, render: np.ndarray, alpha: np.ndarray) -> Bools:
     """[H, W] bool: what was edited in a picture without a mask: all of it where all that it shows of the asset changed
     (`changed_throughout`), else `change_mask`. Arguments as of these."""
     if changed_throughout(edited, render, alpha):
@@ -155,7 +156,7 @@ def changed_throughout(edited: np.ndarray, render: np.ndarray, alpha: np.ndarray
     return median >= MASKS.large_median_change and _more_detailed(edited, render, solid, median)
 
 
-def _more_detailed(edited: np.ndarray, render: np.ndarray, solid: np.ndarray, median: float) -> bool:
+def _more_detailed(edited: np.ndarray, render: np.ndarray, solid: Bools, median: float) -> bool:
     """Whether a picture has more detail than the render nearly everywhere, and more than noise. solid: [H, W] bool the
     asset's pixels; median: of the difference there."""
     fine = float(np.median(largest_channel(np.abs(box_mean(edited - render, 1)))[solid]))
@@ -172,7 +173,7 @@ def median_change(edited: np.ndarray, render: np.ndarray, alpha: np.ndarray) -> 
     return float(np.median(largest_channel(np.abs(np.clip(edited, 0, 1) - np.clip(render, 0, 1)))[solid]))
 
 
-def dilated(mask: np.ndarray, reach: int) -> np.ndarray:
+def dilated(mask: np.ndarray, reach: int) -> Bools:
     """[H, W] bool: pixels within `reach` of a set one along x and y."""
     out = mask.copy()
     for axis in (0, 1):
@@ -207,7 +208,7 @@ def _noise(values: np.ndarray, detail: np.ndarray) -> np.ndarray:
     return np.array(levels)[label]
 
 
-def box_mean(values: np.ndarray, radius: int) -> np.ndarray:
+def box_mean(values: np.ndarray, radius: int) -> Floats:
     """[H, W, ...] float32 mean over the square of 2 radius + 1 around each pixel; edges are repeated."""
     pixels = readonly(values, np.float32)
     out = np.empty(pixels.shape, np.float32)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Ids
 from splatpainter.kernels.library import kernels
 
 NOWHERE = -(1 << 20)
 """Coordinate of pixels that know of no set pixel: farther away than any."""
 
 
-def nearest_pixels(mask: np.ndarray) -> np.ndarray:
+def nearest_pixels(mask: Bools) -> Ids:
     """[H, W] int32 flat index of the nearest set pixel, -1 where no pixel is set. mask: [H, W] bool.
 
     Four scans that pass on the nearest pixel of the neighbours (8SED; Danielsson 1980): exact but for rare errors of a

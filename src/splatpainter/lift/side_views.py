@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from splatpainter.arrays import Bools
 from splatpainter.cameras import Camera, look_at
 from splatpainter.kernels import portable
 from splatpainter.kernels.parallel import each
@@ -93,7 +94,7 @@ class SideView:
     """[H, W, 3] what it shows, in the tiles of the painted pixels and their rim; elsewhere the background."""
     unpainted: np.ndarray
     """[H, W, 3] what the asset without the edit shows."""
-    painted: np.ndarray
+    painted: Bools
     """[H, W] bool painted pixels that both views see."""
     covered: float
     """Share of the painted pixels of the edited view that this one sees."""

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Floats, Ids
 from splatpainter.cameras import Camera
 from splatpainter.kernels import portable
 from splatpainter.lift.colors import MIN_SOLID_ALPHA, SolidView, joint_change
@@ -82,13 +83,13 @@ VIEW_SELECTION = ViewSelectionThresholds()
 class ViewShare:
     """What one of several views paints."""
 
-    painted: np.ndarray = field(repr=False)
+    painted: Bools = field(repr=False)
     """[H, W] bool, part of its mask."""
-    consistent: np.ndarray = field(repr=False)
+    consistent: Bools = field(repr=False)
     """[H, W] bool, part of its mask: there it shows what is painted, by itself or by another view."""
     winner: np.ndarray = field(repr=False)
     """[H, W] int: the view that paints a pixel of the mask in its stead, -1: none."""
-    pixels: np.ndarray = field(repr=False)
+    pixels: Ids = field(repr=False)
     """[H, W] int64 flat index of the winner's pixel."""
     sight: SightEstimates = field(repr=False)
     """What its view sees of the surface."""
@@ -139,7 +140,7 @@ class ViewShare:
         """Whether other views paint all of it."""
         return not self.painted.any()
 
-    def off_surface(self, on_surface: Sequence[np.ndarray]) -> np.ndarray:
+    def off_surface(self, on_surface: Sequence[np.ndarray]) -> Bools:
         """[H, W] bool: pixels that others paint in its stead, but on no surface that they trust. There, in the fog of
         captures, paint is right only from where it is seen, and all views paint it. on_surface: [H, W] bool of every
         view, as of PaintedView."""
@@ -190,13 +191,13 @@ class _Moved:
 
     change: np.ndarray
     """[H, W, 3]"""
-    painted: np.ndarray
+    painted: Bools
     """[H, W] bool: in the mask."""
     density: np.ndarray
     """[H, W] pixels per area; 0 where it is not seen."""
     margin_px: np.ndarray
     """[H, W] pixels from the mask, inf beyond VIEW_SELECTION.max_margin_px."""
-    pixels: np.ndarray
+    pixels: Ids
     """[H, W] int64 flat indices of its pixels; any where it is not seen."""
 
 
@@ -207,7 +208,7 @@ class _ViewOnSurface:
     camera: Camera
     change: np.ndarray
     """[H, W, 3] edited - before, 0 outside the mask."""
-    mask: np.ndarray
+    mask: Floats
     """[H, W] float64: 1 where it was edited and has a surface."""
     margin_px: np.ndarray
     depth: np.ndarray
@@ -286,7 +287,7 @@ def _window(mask: np.ndarray) -> tuple[slice, slice]:
     return rows, columns
 
 
-def _alike(first: np.ndarray, second: np.ndarray, both: np.ndarray, ratio: np.ndarray) -> np.ndarray:
+def _alike(first: np.ndarray, second: np.ndarray, both: np.ndarray, ratio: np.ndarray) -> Bools:
     """[H, W] bool: two changes [H, W, 3] are the same edit, by their means over pixels that have both ([H, W] bool).
     ratio: [H, W] of the pixels per area."""
     total = np.maximum(box_mean(_float32(both), VIEW_SELECTION.compared_px), 1e-6)[..., None]
@@ -302,7 +303,7 @@ def _alike(first: np.ndarray, second: np.ndarray, both: np.ndarray, ratio: np.nd
     return largest_channel(np.abs(difference)) < limit
 
 
-def _majority(judged: np.ndarray, lost: np.ndarray, mask: np.ndarray) -> np.ndarray:
+def _majority(judged: np.ndarray, lost: np.ndarray, mask: np.ndarray) -> Bools:
     """[H, W] bool: pixels of the mask that other views paint. judged: those whose surface is known; lost: part of these
     that others paint."""
     out, left = np.zeros_like(mask), mask

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from splatpainter.arrays import Floats
 from splatpainter.cameras import Camera
 
 MAX_DEPTH_DIFFERENCE = 0.02
@@ -20,7 +21,7 @@ class ViewedChange:
     camera: Camera
     change: np.ndarray = field(repr=False)
     """[h, w, 3] edited - before, 0 outside the mask."""
-    mask: np.ndarray = field(repr=False)
+    mask: Floats = field(repr=False)
     """[h, w] float32 share of the pixel that was edited and has a surface."""
     depth: np.ndarray = field(repr=False)
     """[h, w] z-depth of the surface, 0 for none."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +19,8 @@ from splatpainter.lift.edits import LiftedEdit
 from splatpainter.splats import ATTRIBUTES, Splats
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from splatpainter.models.encode import Encoded
     from splatpainter.models.image_tokens import Pictures
     from splatpainter.models.model import SplatPainterModel
@@ -33,7 +35,7 @@ def refine_edit(
     views: Sequence[EditView],
     facts: np.ndarray | None = None,
     strength: float | None = None,
-) -> tuple[RefineState, Splats, Splats | None]:
+) -> tuple[RefineState, Splats[Tensor], Splats[Tensor] | None]:
     """Stage II and the decoder: (next state, J torch Gaussians in place of lifted.splats[lifted.ids], J children to
     append, each of the Gaussian at its index, or None).
 
@@ -75,7 +77,7 @@ def refine_edit(
     return state, decoded.splats, children if children is not None and len(children) else None
 
 
-def assemble(lifted: LiftedEdit, gaussians: Splats, children: Splats | None) -> Splats:
+def assemble(lifted: LiftedEdit, gaussians: Splats[Tensor], children: Splats[Tensor] | None) -> Splats[Any]:
     """The full edited asset: N + A Gaussians with `gaussians` (J, torch) at the indices lifted.ids, then `children`.
     Torch, on their device and differentiable, where `gaussians` need gradients; else numpy, where numbers that did not
     change keep their bits, and attributes of which none changed their array."""

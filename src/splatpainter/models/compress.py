@@ -93,7 +93,7 @@ class Compressor(nn.Module):
     def forward(
         self,
         tokens: Tensor,
-        gaussians: Splats,
+        gaussians: Splats[Tensor],
         links: TokenLinks,
         groups: GaussianGroups,
         *,
@@ -123,7 +123,7 @@ class Compressor(nn.Module):
             done += len(part)
         return Latents(values, chosen)
 
-    def _part(self, table: Tensor, gaussians: Splats, links: TokenLinks, groups: GaussianGroups) -> Tensor:
+    def _part(self, table: Tensor, gaussians: Splats[Tensor], links: TokenLinks, groups: GaussianGroups) -> Tensor:
         """[K, D] latents of some groups. table: [P, D] projected tokens."""
         x = self._embed(table, gaussians, links, groups)
         chosen, indices = groups.most_opaque(self.share)
@@ -141,7 +141,7 @@ class Compressor(nn.Module):
         z = query + self.cross(self.query_norm(query), self.key_norm(x), cross)
         return self._run(self.decoder, z, within if self.share == 1 else Groups.of(chosen.lengths, x.device))
 
-    def _embed(self, table: Tensor, gaussians: Splats, links: TokenLinks, groups: GaussianGroups) -> Tensor:
+    def _embed(self, table: Tensor, gaussians: Splats[Tensor], links: TokenLinks, groups: GaussianGroups) -> Tensor:
         """[M, D]: W_f (weighted mean of the Gaussian's tokens) + W_g (attributes)."""
         patches = torch.from_numpy(links.patches[groups.order]).to(table.device)
         weights = torch.from_numpy(links.weights[groups.order]).to(table.device, table.dtype)

@@ -59,7 +59,7 @@ class AttributeHead(nn.Module):
         """Whether every weight is zero, so that it says exactly nothing about anything: an untrained residual."""
         return not (self.linear.weight.any() or self.linear.bias.any())
 
-    def attributes(self, raw: Tensor, gaussians: Splats, centers: Tensor, voxel: float) -> Splats:
+    def attributes(self, raw: Tensor, gaussians: Splats[Tensor], centers: Tensor, voxel: float) -> Splats[Tensor]:
         """The decoded Gaussians. raw: [M, C]; gaussians: the M Gaussians, torch float32; centers: [M, 3] of their
         voxels, and voxel, the edge of one, world units."""
         if self.kind == "residual":
@@ -86,7 +86,7 @@ def color_change(raw: Tensor, kind: Decoder) -> Tensor:
     return SH_C0 * (bounded(raw) if kind == "bounded" else raw)[:, 11:14]
 
 
-def apply_residual(gaussians: Splats, residual: Tensor, unit: float | Tensor) -> Splats:
+def apply_residual(gaussians: Splats[Tensor], residual: Tensor, unit: float | Tensor) -> Splats[Tensor]:
     """Gaussians moved by a residual [M, C]: centre in units (world, one or [M, 1]), log scale, quaternion (of the
     Gaussian's own norm), logit opacity, SH of the bands that C has (others stay). Where a number of the residual is
     exactly 0, the Gaussian's own number returns bit for bit. Differentiable in both, at 0 too.
@@ -112,7 +112,7 @@ def apply_residual(gaussians: Splats, residual: Tensor, unit: float | Tensor) ->
     )
 
 
-def absolute(gaussians: Splats, raw: Tensor, centers: Tensor, voxel: float) -> Splats:
+def absolute(gaussians: Splats[Tensor], raw: Tensor, centers: Tensor, voxel: float) -> Splats[Tensor]:
     """Gaussians as raw [M, C] says, with constants so that raw 0 is a grey, round, half transparent Gaussian of half a
     voxel in its voxel's middle. gaussians gives only the number of SH bands and what is not an attribute."""
     centre, scale, turn, opacity, sh = _split(raw)
@@ -130,7 +130,7 @@ def absolute(gaussians: Splats, raw: Tensor, centers: Tensor, voxel: float) -> S
     )
 
 
-def init_children(parents: Splats) -> Splats:
+def init_children(parents: Splats[Tensor]) -> Splats[Tensor]:
     """What children of `native` are a residual on: their parents, smaller and fainter (CHILD_SCALE, CHILD_OPACITY)."""
     return replace(parents, scales=parents.scales * CHILD_SCALE, opacities=parents.opacities * CHILD_OPACITY)
 

@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from splatpainter.voxels.grid import VoxelGrid, bounding_cube, voxelize
 
 if TYPE_CHECKING:
     import torch
+    from torch import Tensor
 
     from splatpainter.models.compress import Latents
     from splatpainter.models.lrm import AssetViews
@@ -42,7 +43,7 @@ class Encoded:
 
     latents: Latents
     """K latents; latents.groups.order are indices into `gaussians`. Gaussians that cannot be drawn have none."""
-    gaussians: Splats = field(repr=False)
+    gaussians: Splats[Tensor] = field(repr=False)
     """Torch float32. native: the N Gaussians that were encoded. copy: K Gaussians, decoded by Stage I; they are the
     asset now."""
 
@@ -75,7 +76,7 @@ def canonical_cameras(splats: Splats, config: LrmConfig) -> list[Camera]:
     return cameras
 
 
-def asset_views(splats: Splats, cameras: Sequence[Camera], grid: VoxelGrid) -> tuple[AssetViews, np.ndarray]:
+def asset_views(splats: Splats[Any], cameras: Sequence[Camera], grid: VoxelGrid) -> tuple[AssetViews, np.ndarray]:
     """(rendered colours, depth and alpha, in the cube of `grid`; contributions [V, N] float32, pixels per Gaussian and
     view). The views are torch float32, on the device of the splats (CPU for numpy), without gradients."""
     import torch
@@ -86,6 +87,7 @@ def asset_views(splats: Splats, cameras: Sequence[Camera], grid: VoxelGrid) -> t
     with torch.no_grad():
         # Contributions come with the pictures: they say which patches tell of which Gaussian.
         drawn = render(splats, list(cameras), contributions=True)
+    assert drawn.contributions is not None  # they were asked for
     colors, depths, alphas = (torch.as_tensor(x).float() for x in (drawn.colors, drawn.depths, drawn.alphas))
     seen = drawn.contributions if isinstance(drawn.contributions, np.ndarray) else drawn.contributions.cpu().numpy()
     views = AssetViews(

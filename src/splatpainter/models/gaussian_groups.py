@@ -112,7 +112,7 @@ def feature_count(degree: int) -> int:
     return 14 + 3 * (degree + 1) ** 2
 
 
-def attribute_features(gaussians: Splats, groups: GaussianGroups, degree: int) -> torch.Tensor:
+def attribute_features(gaussians: Splats[torch.Tensor], groups: GaussianGroups, degree: int) -> torch.Tensor:
     """[M, A] float32 what a Gaussian is: centre relative to its voxel (voxel units) and the voxel in the cube (-1..1),
     log scale in voxels, unit quaternion with w >= 0, logit opacity, SH of bands 0..degree (zeros where it has fewer).
 
@@ -140,7 +140,7 @@ def attribute_features(gaussians: Splats, groups: GaussianGroups, degree: int) -
     return torch.cat(parts, dim=1)
 
 
-def drift_features(now: Splats, encoded: Splats, voxel: float) -> torch.Tensor:
+def drift_features(now: Splats[torch.Tensor], encoded: Splats[torch.Tensor], voxel: float) -> torch.Tensor:
     """[J, 7] float32 how Gaussians differ from those that their latents describe: centre (voxels), log scale, opacity.
     Zeros for the same ones; one that the lift split off says where in its parent it lies.
 

@@ -87,7 +87,7 @@ class LrmOutput:
 
     tokens: Tensor
     """[V * L, D] the transformer's last tokens, before the head's LayerNorm."""
-    splats: Splats
+    splats: Splats[Tensor]
     """V * H * W Gaussians in world units, torch float32, in the order of this module's first lines."""
 
 
@@ -123,7 +123,7 @@ class GaussianLrm(nn.Module):
             x = checkpoint(block, x, groups, use_reentrant=False) if again else block(x, groups)
         return x
 
-    def decode(self, tokens: Tensor, views: AssetViews) -> Splats:
+    def decode(self, tokens: Tensor, views: AssetViews) -> Splats[Tensor]:
         """One Gaussian per pixel from tokens [V * L, D] of these views. In training mode centres are clipped to the
         cube."""
         patch, count = self.config.patch, (self.config.sh_degree + 1) ** 2
@@ -160,7 +160,7 @@ class GaussianLrm(nn.Module):
             sh=sh,
         )
 
-    def on_surface(self, views: AssetViews, splats: Splats) -> Tensor:
+    def on_surface(self, views: AssetViews, splats: Splats[Tensor]) -> Tensor:
         """[V * H * W] bool: Gaussians (one per pixel, of `decode`) that are worth drawing: with known geometry those of
         pixels that show the asset, the rest of the picture teaches nothing."""
         if not self.config.geometry or views.alpha is None:

@@ -39,7 +39,7 @@ from splatpainter.voxels.grid import VoxelGrid
 class Copy:
     """The LRM's own Gaussians, as Stage I reads them (`copy` representation)."""
 
-    gaussians: Splats
+    gaussians: Splats[Tensor]
     """N Gaussians above config.compress.min_opacity, torch."""
     tokens: Tensor = field(repr=False)
     """[P, token width]."""
@@ -65,11 +65,11 @@ class Refined:
 class Decoded:
     """New attributes of the decoded Gaussians."""
 
-    splats: Splats
+    splats: Splats[Tensor]
     """J Gaussians, torch float32."""
     gaussian_ids: np.ndarray
     """[J] int64 the asset's Gaussians that they replace."""
-    children: Splats | None
+    children: Splats[Tensor] | None
     """Gaussians to append: J; none from an untrained decoder; or None where there were no detail latents."""
     parents: np.ndarray | None
     """[len(children)] int64 the Gaussians of the asset that they belong to."""
@@ -228,13 +228,13 @@ class SplatPainterModel(nn.Module):
         state: RefineState,
         latents: Latents,
         pictures: Pictures,
-        gaussians: Splats,
+        gaussians: Splats[Tensor],
         *,
         latent_ids: np.ndarray | None = None,
         lift: Tensor | None = None,
         drift: Tensor | None = None,
         facts: Tensor | None = None,
-        base: Splats | None = None,
+        base: Splats[Tensor] | None = None,
         detail: bool = False,
         strength: float | None = None,
     ) -> tuple[RefineState, Decoded]:
@@ -285,7 +285,9 @@ class SplatPainterModel(nn.Module):
         detail_parts = ((run, self.refiner.read_detail(state, original(run))) for run in runs)
         return state, _joined([decoded(values[run], detail_latents, run) for run, detail_latents in detail_parts])
 
-    def decode(self, latents: Latents, refined: Refined, gaussians: Splats, base: Splats | None = None) -> Decoded:
+    def decode(
+        self, latents: Latents, refined: Refined, gaussians: Splats[Tensor], base: Splats[Tensor] | None = None
+    ) -> Decoded:
         """Attributes of refined latents. gaussians: the N Gaussians of the asset that the latents belong to, torch
         float32; base: J Gaussians that the residuals are added to (the lift's answer), by default the latents' own of
         `gaussians`.
@@ -311,7 +313,7 @@ class SplatPainterModel(nn.Module):
             return Decoded(splats, index, children.take(index[:0]), index[:0])
         return Decoded(splats, index, children, index)
 
-    def decode_latents(self, latents: Latents, gaussians: Splats) -> Splats:
+    def decode_latents(self, latents: Latents, gaussians: Splats[Tensor]) -> Splats[Tensor]:
         """What Stage I alone says: all latents, decoded as they are."""
         chosen, values = self._chosen(latents, None)
         return self._decoded(latents, values, chosen, gaussians.take(latents.groups.order[chosen]))
@@ -347,8 +349,13 @@ class SplatPainterModel(nn.Module):
         return chosen, latents.values[torch.from_numpy(chosen).to(latents.values.device)].float()
 
     def _decoded(
-        self, latents: Latents, values: Tensor, latent_ids: np.ndarray, base: Splats, before: Tensor | None = None
-    ) -> Splats:
+        self,
+        latents: Latents,
+        values: Tensor,
+        latent_ids: np.ndarray,
+        base: Splats[Tensor],
+        before: Tensor | None = None,
+    ) -> Splats[Tensor]:
         """J Gaussians. values: [J, D]; base: J Gaussians; before: [J, C] what the decoder said about them before the
         edit."""
         centers = torch.from_numpy(latents.groups.gaussian_centers(latent_ids)).to(base.means)
@@ -372,7 +379,7 @@ def _joined(parts: list[Decoded]) -> Decoded:
     )
 
 
-def _stacked(parts: list[Splats]) -> Splats:
+def _stacked(parts: list[Splats[Tensor]]) -> Splats[Tensor]:
     joined = {name: torch.cat([getattr(part, name) for part in parts]) for name in ATTRIBUTES}
     origins = [part.origin for part in parts if part.origin is not None]
     return replace(parts[0], **joined, origin=np.concatenate(origins) if origins else None)

@@ -20,6 +20,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Floats, Ids
 from splatpainter.cameras import Camera, bounding_sphere, spherical_cameras
 from splatpainter.color import base_color, from_display, from_hex, sh_from_color
 from splatpainter.decals.decals import parse_width
@@ -195,7 +196,7 @@ def _edge(splats: Splats, size: float | str) -> float:
     return edge
 
 
-def _cells_of(splats: Splats, edge: float, camera: Camera | None) -> np.ndarray:
+def _cells_of(splats: Splats, edge: float, camera: Camera | None) -> Ids:
     """[N, 3] int64: the cell of each Gaussian, of a grid through the world's origin; those that are nowhere (NaN) lie
     in one far off."""
     points = splats.world_means.astype(np.float64)
@@ -210,7 +211,7 @@ def _cells_of(splats: Splats, edge: float, camera: Camera | None) -> np.ndarray:
     return np.nan_to_num(np.clip(cells - middle, -far, far), nan=far).astype(np.int64) + MAX_CELLS_ALONG
 
 
-def _keys(cells: np.ndarray) -> np.ndarray:
+def _keys(cells: np.ndarray) -> Ids:
     """[M] int64, another for each cell."""
     return (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
 
@@ -238,7 +239,7 @@ def _chosen(splats: Splats, region: Region, cells: np.ndarray, edge: float, marg
     return chosen, len(behind)
 
 
-def _is_visible(splats: Splats) -> np.ndarray:
+def _is_visible(splats: Splats) -> Bools:
     """[N] bool: whether some view from all around shows more than MIN_VISIBLE of what a Gaussian covers."""
     center, radius = bounding_sphere(splats)
     out = np.zeros(len(splats), bool)
@@ -268,7 +269,7 @@ def _shares(splats: Splats, order: np.ndarray) -> np.ndarray:
     return np.where(splats.drawable[order], np.maximum(np.nan_to_num(shares), 0), 0) + 1e-300
 
 
-def _cell_colors(splats: Splats, order: np.ndarray, labels: np.ndarray, count: int) -> np.ndarray:
+def _cell_colors(splats: Splats, order: np.ndarray, labels: np.ndarray, count: int) -> Floats:
     """[count, 3] float64: the mean colour of each cell, by what its Gaussians make of a picture."""
     shares = _shares(splats, order)
     # Clipped to what a screen shows: one colour far outside would tint its whole cell.

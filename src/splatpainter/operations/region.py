@@ -30,6 +30,7 @@ from pathlib import Path
 
 import numpy as np
 
+from splatpainter.arrays import Floats
 from splatpainter.color import from_hex, luminance, oklab
 from splatpainter.grading.color_match import display_colors
 from splatpainter.image_files import find_camera
@@ -79,7 +80,7 @@ class Region:
             raise ValueError("--where: expected a term on both sides of or")
         return Region(" ".join(terms), tuple(map(tuple, groups)))
 
-    def weights(self, splats: Splats) -> np.ndarray:
+    def weights(self, splats: Splats) -> Floats:
         """[N] float32 0..1: how much of each Gaussian belongs to the region; 0 for what cannot be drawn. Raises
         ValueError: it reaches none."""
         out = np.zeros(len(splats), np.float32)

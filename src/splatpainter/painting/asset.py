@@ -7,8 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-import numpy as np
-
+from splatpainter.arrays import Floats, Ids
 from splatpainter.receipts import Receipt
 from splatpainter.splats import Splats
 
@@ -28,7 +27,7 @@ class Asset:
     splats: Splats
     receipt: Receipt | None = None
     """Receipt of the edit that made this asset; None for an unedited one."""
-    confidence: np.ndarray | None = field(default=None, repr=False)
+    confidence: Floats | None = field(default=None, repr=False)
     """[N] float32 0..1 after a global edit: seen (1) or predicted (towards 0); after one of mode spread: how sure it is
     that a Gaussian is of the painted material."""
     encoding: EncodedAsset | None = field(default=None, repr=False)
@@ -54,20 +53,20 @@ class Asset:
         return Surface.of(self.splats if self.original is None else self.original)
 
     @cached_property
-    def normals(self) -> np.ndarray:
+    def normals(self) -> Floats:
         """[N, 3] float32 outward unit normals, made on first use; zeros for Gaussians that cannot be drawn."""
         from splatpainter.lift.depth_normals import outward_normals
 
         return outward_normals(self.splats)
 
     @cached_property
-    def transfer(self) -> np.ndarray:
+    def transfer(self) -> Floats:
         """[N, 10] float32 the light that reaches the rows (`lighting.prt_transfer`), made on first use."""
         from splatpainter.lighting import prt_transfer
 
         return prt_transfer(self.splats.means, self.normals)
 
-    def child(self, splats: Splats, parents: np.ndarray) -> Asset:
+    def child(self, splats: Splats, parents: Ids) -> Asset:
         """This asset with other Gaussians. parents: [len(splats)] int64 the Gaussian of this one that each is or was
         split from."""
         # Latents stay those of the encoded Gaussians: each new one reads that of its parent.
@@ -92,7 +91,7 @@ class EncodedAsset:
     """Another one encodes the asset anew."""
     encoded: Encoded
     """Encoding of the asset as it was before all edits."""
-    parent_ids: np.ndarray
+    parent_ids: Ids
     """[N] int64 the encoded Gaussian whose latent each of the asset's reads: itself, or the one it was split from."""
     state: RefineState | None = None
     """Fast weights, which the next edit starts from; None before the first."""

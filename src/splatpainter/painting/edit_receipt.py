@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from splatpainter.arrays import Bools
 from splatpainter.painting.asset import Asset
 from splatpainter.painting.edited_picture import Mode
 from splatpainter.receipts import Receipt, ViewScore, scores, untouched_hashes
@@ -108,7 +109,7 @@ def _before_and_after(
     return drawn.after(result.splats, touched)
 
 
-def _scored(view: EditView) -> np.ndarray:
+def _scored(view: EditView) -> Bools:
     """[H, W] bool: edited pixels that the asset covers at all."""
     assert view.alpha is not None
     return view.mask & (view.alpha > 0.5)

@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from splatpainter.arrays import Bools
 from splatpainter.cameras import Camera
 
 Mode = Literal["local", "global", "spread"]
@@ -26,7 +27,7 @@ class Edit:
     image: np.ndarray = field(repr=False)
     """[H, W, 3] the edited view, float 0..1 (or uint8), of the camera's size."""
     camera: Camera
-    mask: np.ndarray | None = field(default=None, repr=False)
+    mask: Bools | None = field(default=None, repr=False)
     """[H, W] bool, pixels that were edited; None: found by comparing with the current render."""
     name: str = "edit"
     """What errors call it, e.g. its file."""

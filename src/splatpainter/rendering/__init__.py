@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Generic, Literal, cast
 
 import numpy as np
 
+from splatpainter.arrays import ArrayT, Floats, FloatsOrTensor
 from splatpainter.cameras import Camera
 from splatpainter.rendering.profiles import PROFILES, Profile
-from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Array, Splats
+from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Splats
 
 Backend = Literal["auto", "cpu", "cuda", "reference"]
 BACKENDS = ("auto", "cpu", "cuda", "reference")
@@ -25,28 +26,33 @@ MAX_PIXELS = 4 * MAX_SIDE_PX**2
 
 
 @dataclass(frozen=True)
-class Render:
+class Render(Generic[ArrayT]):
     """C views of N Gaussians, of the kind (numpy or torch), dtype and device of the splats."""
 
-    colors: Array
+    colors: ArrayT
     """[C, H, W, 3] composited over the background, in the splats' colour space; not clamped above."""
-    alphas: Array
+    alphas: ArrayT
     """[C, H, W, 1] 1 - transmittance, 0..1."""
-    depths: Array
+    depths: ArrayT
     """[C, H, W, 1] expected z-depth sum_i w_i z_i / alpha, world units; 0 where alpha is 0."""
-    contributions: Array = None
+    contributions: ArrayT | None = None
     """[C, N] sum over pixels of w_ip = alpha_ip T_ip, pixels; not differentiable. None unless asked for."""
+
+    def numpy(self) -> Render[Floats]:
+        """The same as numpy arrays, of tensors on the CPU without gradients."""
+        weights = None if self.contributions is None else np.asarray(self.contributions)
+        return Render(np.asarray(self.colors), np.asarray(self.alphas), np.asarray(self.depths), weights)
 
 
 def render(
-    splats: Splats,
+    splats: Splats[ArrayT],
     cameras: Camera | Sequence[Camera],
     *,
     background: Any = None,
     backend: Backend = "auto",
     contributions: bool = False,
     profile: Profile = "inria",
-) -> Render:
+) -> Render[ArrayT]:
     """Draw splats as 3D Gaussian Splatting does (Kerbl et al. 2023, in gsplat's conventions; exactly: reference.py).
 
     cameras: one, or several of one size, of at most MAX_SIDE_PX a side and MAX_PIXELS in all; those in world
@@ -73,21 +79,19 @@ def render(
         raise ValueError(f"render: expected a backend of {', '.join(BACKENDS)}, got {backend!r}")
     if profile not in PROFILES:
         raise ValueError(f"render: expected a profile of {', '.join(PROFILES)}, got {profile!r}")
-    is_numpy = isinstance(splats.means, np.ndarray)
+    means: Any = splats.means
+    is_numpy = isinstance(means, np.ndarray)
     if backend == "auto":
-        backend = "cpu" if is_numpy or splats.means.device.type != "cuda" else "cuda"
+        backend = "cpu" if is_numpy or means.device.type != "cuda" else "cuda"
     if is_numpy and backend == "cpu":
         return _render_numpy(splats, views, background, contributions, profile)
     result = _render_torch(splats, views, background, backend, contributions, profile)
-    if not is_numpy:
-        return result
-    weights = None if result.contributions is None else result.contributions.numpy()
-    return Render(result.colors.numpy(), result.alphas.numpy(), result.depths.numpy(), weights)
+    return cast("Render[Any]", result.numpy()) if is_numpy else result
 
 
 def _render_numpy(
-    splats: Splats, views: list[Camera], background: Any, contributions: bool, profile: Profile
-) -> Render:
+    splats: Splats[Any], views: list[Camera], background: Any, contributions: bool, profile: Profile
+) -> Render[Any]:
     from splatpainter.rendering.cpu.views import render_views
 
     if background is not None:
@@ -98,8 +102,8 @@ def _render_numpy(
 
 
 def _render_torch(
-    splats: Splats, views: list[Camera], background: Any, backend: str, contributions: bool, profile: Profile
-) -> Render:
+    splats: Splats[Any], views: list[Camera], background: Any, backend: str, contributions: bool, profile: Profile
+) -> Render[Any]:
     import torch
 
     if backend == "reference":
@@ -121,10 +125,11 @@ def _render_torch(
     background = _background_shape(torch.as_tensor(colors, dtype=splats.means.dtype, device=device), len(views))
     with torch.autocast(torch.device(device).type, enabled=False):  # a caller's bf16 would round positions to 8 bits
         outputs = renderer.draw(splats, views, background, contributions, profile)
-    return Render(*(None if output is None else output.to(origin) for output in outputs))
+    back: list[Any] = [None if output is None else output.to(origin) for output in outputs]
+    return Render(*back)
 
 
-def _background_shape(background: Array, count: int) -> Array:
+def _background_shape(background: FloatsOrTensor, count: int) -> FloatsOrTensor:
     """[3] or [C, 3] -> [C, 3]."""
     shape = tuple(background.shape)
     if shape not in ((3,), (count, 3)):
@@ -146,7 +151,7 @@ def check_views(views: list[Camera]) -> None:
         raise ValueError(f"render: expected {limit}, got {len(views)} of {width} x {height}")
 
 
-def _check_splats(splats: Splats) -> None:
+def _check_splats(splats: Splats[Any]) -> None:
     n = int(splats.means.shape[0])
     k = int(splats.sh.shape[1]) if len(splats.sh.shape) == 3 else -1
     if k not in SH_COUNTS:

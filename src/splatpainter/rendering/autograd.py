@@ -51,7 +51,11 @@ class RenderViews(torch.autograd.Function):
 
 
 def draw(
-    splats: Splats, cameras: Sequence[Camera], background: Tensor, contributions: bool, profile: Profile = "inria"
+    splats: Splats[Tensor],
+    cameras: Sequence[Camera],
+    background: Tensor,
+    contributions: bool,
+    profile: Profile = "inria",
 ) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
     """splats: CPU tensors of one dtype. background: [C, 3], same dtype. Shapes as in `render.Render`."""
     tensors = [*(getattr(splats, name) for name in ATTRIBUTES), background]

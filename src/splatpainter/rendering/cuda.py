@@ -37,7 +37,11 @@ def require() -> Any:
 
 
 def draw(
-    splats: Splats, cameras: Sequence[Camera], background: Tensor, contributions: bool, profile: Profile = "inria"
+    splats: Splats[Tensor],
+    cameras: Sequence[Camera],
+    background: Tensor,
+    contributions: bool,
+    profile: Profile = "inria",
 ) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
     """splats: CUDA tensors. background: [C, 3]. Shapes as in `render.Render`; computed in float32."""
     if profile != "inria":

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Floats
 from splatpainter.cameras import Camera
 from splatpainter.rendering import check_views
 from splatpainter.splats import Splats
@@ -25,13 +26,13 @@ class PartialRender:
     splats: Splats = field(repr=False)
     """Numpy."""
     camera: Camera
-    tiles: np.ndarray = field(repr=False)
+    tiles: Bools = field(repr=False)
     """[TH, TW] bool: tiles that are drawn."""
-    colors: np.ndarray = field(repr=False)
+    colors: Floats = field(repr=False)
     """[H, W, 3] float32."""
-    alphas: np.ndarray = field(repr=False)
+    alphas: Floats = field(repr=False)
     """[H, W] float32."""
-    depths: np.ndarray = field(repr=False)
+    depths: Floats = field(repr=False)
     """[H, W] float32 expected z-depth."""
     view: ProjectedView | None = field(default=None, repr=False)
     """The Gaussians in these tiles, and in those that were asked for beside them; None where nobody asked."""
@@ -40,7 +41,7 @@ class PartialRender:
     def of(
         splats: Splats,
         camera: Camera,
-        tiles: np.ndarray | None = None,
+        tiles: Bools | None = None,
         beside: np.ndarray | None = None,
         view: ProjectedView | None = None,
     ) -> PartialRender:

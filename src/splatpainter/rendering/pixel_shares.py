@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from splatpainter.arrays import Floats
 from splatpainter.cameras import Camera
 from splatpainter.splats import Splats
 
@@ -27,13 +28,13 @@ def before_black(splats: Splats, camera: Camera) -> ProjectedView:
     return project(splats, replace(camera, background=(0.0, 0.0, 0.0)))
 
 
-def share_of(splats: Splats, camera: Camera, weights: np.ndarray) -> np.ndarray:
+def share_of(splats: Splats, camera: Camera, weights: np.ndarray) -> Floats:
     """[H, W] float32 0..1: what Gaussians make of each pixel, each counted by its weight ([N] bool or 0..1)."""
     view = before_black(splats, camera)
     return view.rasterize(np.repeat(weights[view.gaussian_ids, None], 3, 1).astype(np.float32))[0][..., 0]
 
 
-def footprint_mean(splats: Splats, camera: Camera, picture: np.ndarray) -> np.ndarray:
+def footprint_mean(splats: Splats, camera: Camera, picture: np.ndarray) -> Floats:
     """[N] float32 mean of a picture ([H, W] 0..1) over each Gaussian's footprint, as if none hid another; 0 beside the
     view."""
     from splatpainter.rendering.cpu.projected_view import project

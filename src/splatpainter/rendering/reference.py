@@ -29,7 +29,11 @@ from splatpainter.transforms import quat_to_matrix
 
 
 def draw(
-    splats: Splats, cameras: Sequence[Camera], background: Tensor, contributions: bool, profile: Profile = "inria"
+    splats: Splats[Tensor],
+    cameras: Sequence[Camera],
+    background: Tensor,
+    contributions: bool,
+    profile: Profile = "inria",
 ) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
     """background: [C, 3]. Shapes as in `render.Render`."""
     views = [draw_view(splats, camera, color, profile) for camera, color in zip(cameras, background, strict=True)]
@@ -38,7 +42,7 @@ def draw(
 
 
 def draw_view(
-    splats: Splats, camera: Camera, background: Tensor, profile: Profile = "inria"
+    splats: Splats[Tensor], camera: Camera, background: Tensor, profile: Profile = "inria"
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """(colour [H, W, 3], alpha [H, W, 1], depth [H, W, 1], contributions [N])."""
     alpha, depth, color, ids = project(splats, camera, profile)  # [V, P], [V], [V, 3], [V]
@@ -52,7 +56,9 @@ def draw_view(
     return picture.reshape(shape), opaque.reshape(shape), distance.reshape(shape), total
 
 
-def project(splats: Splats, camera: Camera, profile: Profile = "inria") -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def project(
+    splats: Splats[Tensor], camera: Camera, profile: Profile = "inria"
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Gaussians that can be drawn, front to back: alpha at each pixel before occlusion [V, P] (0 where not drawn), z
     [V], colour [V, 3], and which Gaussians they are [V]."""
     like = {"dtype": splats.means.dtype, "device": splats.means.device}
@@ -105,7 +111,7 @@ def project(splats: Splats, camera: Camera, profile: Profile = "inria") -> tuple
     return alpha, z, color, ids
 
 
-def drawable(splats: Splats) -> Tensor:
+def drawable(splats: Splats[Tensor]) -> Tensor:
     """[N] bool: every attribute finite and in its range, see `Splats`. Others are not drawn."""
     ok = (splats.opacities >= 0) & (splats.opacities <= 1) & (splats.scales > 0).all(1)  # [N]
     ok = ok & (splats.quats.abs() >= MIN_QUAT).any(1)

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Floats
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
 
@@ -27,9 +28,9 @@ FEATURES = 192
 class Projections:
     """The random Fourier features: the same numbers always."""
 
-    directions: np.ndarray = field(repr=False)
+    directions: Floats = field(repr=False)
     """[F, FEATURES] float32."""
-    phases: np.ndarray = field(repr=False)
+    phases: Floats = field(repr=False)
     """[FEATURES] float32, turns 0..1."""
 
     @staticmethod
@@ -40,13 +41,13 @@ class Projections:
         directions = rng.standard_normal((inputs, FEATURES)) / (2 * np.pi)
         return Projections(directions.astype(np.float32), rng.random(FEATURES).astype(np.float32))
 
-    def features(self, points: np.ndarray) -> np.ndarray:
+    def features(self, points: np.ndarray) -> Floats:
         """[M, FEATURES] float32 of points [M, F]."""
         out = np.empty((len(points), FEATURES), np.float32)
         run(kernels.take_fourier_features, np.ascontiguousarray(points, np.float32), self.directions, self.phases, out)
         return out
 
-    def predict(self, points: np.ndarray, theta: np.ndarray) -> np.ndarray:
+    def predict(self, points: np.ndarray, theta: np.ndarray) -> Floats:
         """[M] float32 theta . features, which are not kept."""
         out = np.empty(len(points), np.float32)
         arrays = (np.ascontiguousarray(points, np.float32), self.directions, self.phases)
@@ -54,7 +55,7 @@ class Projections:
         return out
 
 
-def two_class(features: np.ndarray, positive: np.ndarray, weights: np.ndarray, ridge: float) -> np.ndarray:
+def two_class(features: np.ndarray, positive: Bools, weights: np.ndarray, ridge: float) -> Floats:
     """[FEATURES] float64 theta. features: [M, FEATURES]; positive: [M] bool, some and not all; weights: [M] > 0."""
     inside, outside = np.where(positive, weights, 0), np.where(positive, 0, weights)
     # Each class weighs one: a stroke has few Gaussians, the rest of the view many.
@@ -62,7 +63,7 @@ def two_class(features: np.ndarray, positive: np.ndarray, weights: np.ndarray, r
     return _solved(features, w, w * positive, ridge)
 
 
-def density_ratio(features: np.ndarray, positive: np.ndarray, weights: np.ndarray, ridge: float) -> np.ndarray:
+def density_ratio(features: np.ndarray, positive: np.ndarray, weights: np.ndarray, ridge: float) -> Floats:
     """[FEATURES] float64 theta. Arguments as of `two_class`; all of them count as the rest."""
     inside = np.where(positive, weights, 0)
     w = weights / weights.sum(dtype=np.float64)

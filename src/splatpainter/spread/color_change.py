@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from splatpainter.arrays import Floats
 from splatpainter.color import (
     LUMA,
     base_color,
@@ -48,9 +49,9 @@ COLOR_CHANGE = ColorChangeThresholds()
 class ColorChange:
     """A map of display colours."""
 
-    matrix: np.ndarray = field(repr=False)
+    matrix: Floats = field(repr=False)
     """[3, 3] float64 A."""
-    offset: np.ndarray = field(repr=False)
+    offset: Floats = field(repr=False)
     """[3] float64 b."""
 
     @staticmethod
@@ -73,7 +74,7 @@ class ColorChange:
         new = linear_to_srgb((_mapped(linear, self.matrix) + self.offset).clip(0, None))
         return new.clip(0, MAX_COLOR).astype(np.float32)
 
-    def applied(self, splats: Splats, ids: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    def applied(self, splats: Splats, ids: np.ndarray, shares: np.ndarray) -> Floats:
         """[J, K, 3] float32 SH of Gaussians `ids` after the change, mixed with what they are by shares [J] 0..1. Bands
         >= 1 are carried through its derivative, so that highlights stay in place."""
         sh, space = splats.sh[ids], splats.color_space

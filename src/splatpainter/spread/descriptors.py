@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from splatpainter.arrays import Floats, Ids
 from splatpainter.color import base_color, oklab, to_display
 from splatpainter.splats import Splats
 from splatpainter.spread.nearest_neighbours import neighbours, weighted_means
@@ -50,13 +51,13 @@ DESCRIPTOR_CHANNELS = 15
 class Descriptors:
     """Descriptors of M Gaussians."""
 
-    values: np.ndarray = field(repr=False)
+    values: Floats = field(repr=False)
     """[M, DESCRIPTOR_CHANNELS] float32."""
-    near: np.ndarray = field(repr=False)
+    near: Ids = field(repr=False)
     """[M, COUNT] int32 neighbours."""
-    colors: np.ndarray = field(repr=False)
+    colors: Floats = field(repr=False)
     """[M, 3] float32 mean colour over the neighbours, in units."""
-    weights: np.ndarray = field(repr=False)
+    weights: Floats = field(repr=False)
     """[M] float32 opacity times area."""
 
     @staticmethod

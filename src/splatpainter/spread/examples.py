@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Floats
 from splatpainter.color import oklab, to_display
 from splatpainter.lift.edit_views import EditView
 from splatpainter.lift.masks import box_mean, dilated
@@ -48,11 +49,11 @@ EXAMPLES = ExampleThresholds()
 class Examples:
     """Which of M Gaussians are examples of the painted material, and which are not."""
 
-    positive: np.ndarray = field(repr=False)
+    positive: Bools = field(repr=False)
     """[M] bool: painted in some view."""
-    negative: np.ndarray = field(repr=False)
+    negative: Bools = field(repr=False)
     """[M] bool: shown and not painted by a view whose paint ends where the material does; of a partial edit by any."""
-    weights: np.ndarray = field(repr=False)
+    weights: Floats = field(repr=False)
     """[M] float64 pixels that show each, capped."""
     is_partial: bool
     """Whether the paint of every view ends in the middle of the material: what is not painted is no counterexample

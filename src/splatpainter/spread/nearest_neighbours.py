@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from splatpainter.arrays import Floats, Ids
 from splatpainter.kernels.arrays import readonly
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
@@ -36,7 +37,7 @@ BITS = 20
 """Bits of a cube's index along each axis."""
 
 
-def neighbours(points: np.ndarray) -> np.ndarray:
+def neighbours(points: np.ndarray) -> Ids:
     """[M, SEARCH.neighbours] int32: each point, then those nearest to it in rising distance; where a search meets
     fewer, the point itself again. points: [M, 3] finite."""
     count = len(points)
@@ -89,7 +90,7 @@ def weighted_means(values: np.ndarray, weights: np.ndarray, near: np.ndarray) ->
 
 def smoothed(
     values: np.ndarray, target: np.ndarray, hold: np.ndarray, links: np.ndarray, near: np.ndarray, rounds: int
-) -> np.ndarray:
+) -> Floats:
     """[M] float32 after `rounds` of x_i = hold_i target_i + (1 - hold_i) sum_n links_in x_near(i,n). hold: [M] 0..1;
     links: [M, K], rows sum to 1."""
     now, after = values.astype(np.float32), np.empty(len(values), np.float32)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from splatpainter.arrays import Bytes
 from splatpainter.cameras import Camera, bounding_sphere
 from splatpainter.color import luminance, to_display
 from splatpainter.image_files import to_uint8
@@ -21,7 +22,7 @@ RAMP = ((40, 60, 160), (235, 70, 60), (250, 200, 40), (60, 200, 90))
 """Colours at RAMP_AT, 8-bit sRGB: blue and red are not reached, yellow is the threshold, green is sure."""
 
 
-def confidence_overlay(splats: Splats, confidence: np.ndarray, threshold: float, camera: Camera) -> np.ndarray:
+def confidence_overlay(splats: Splats, confidence: np.ndarray, threshold: float, camera: Camera) -> Bytes:
     """[H, W, 4] uint8, straight alpha: the ramp where the view shows Gaussians, transparent where confidence is 0.
     splats: numpy, N; confidence: [N] 0..1."""
     view = project(splats, replace(camera, background=(0.0, 0.0, 0.0)))
@@ -36,7 +37,7 @@ def confidence_overlay(splats: Splats, confidence: np.ndarray, threshold: float,
     return np.concatenate([colors / np.maximum(total, 1e-6), alpha], 2).clip(0, 255).round().astype(np.uint8)
 
 
-def confidence_picture(splats: Splats, confidence: np.ndarray, threshold: float, camera: Camera) -> np.ndarray:
+def confidence_picture(splats: Splats, confidence: np.ndarray, threshold: float, camera: Camera) -> Bytes:
     """[H, 2 W, 3] uint8: the overlay over the asset in grey, from the edited view and from behind."""
     views = []
     for each in (camera, behind(camera, bounding_sphere(splats)[0])):

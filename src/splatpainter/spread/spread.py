@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from splatpainter.arrays import Floats, Ids
 from splatpainter.color import base_color, to_display
 from splatpainter.kernels import portable
 from splatpainter.lift.edit_views import EditView
@@ -79,14 +80,14 @@ SPREADING = SpreadThresholds()
 class SpreadConfidence:
     """Which Gaussians of an asset are of the painted material."""
 
-    confidence: np.ndarray = field(repr=False)
+    confidence: Floats = field(repr=False)
     """[N] float32 0..MAX_CONFIDENCE; 0 for Gaussians that cannot be drawn."""
     threshold: float
     is_partial: bool
     """Whether the paint ended in the middle of the material."""
 
     @property
-    def shares(self) -> np.ndarray:
+    def shares(self) -> Floats:
         """[N] float32 0..1 how much of the change each Gaussian takes."""
         part = (self.confidence - self.threshold) / SPREADING.fade_confidence
         return np.where(part < SPREADING.min_share, 0, np.minimum(part, 1)).astype(np.float32)
@@ -105,7 +106,7 @@ def spread_confidence(
     return SpreadConfidence(confidence, options.threshold, examples.is_partial)
 
 
-def answered(descriptors: Descriptors, examples: Examples) -> np.ndarray:
+def answered(descriptors: Descriptors, examples: Examples) -> Floats:
     """[M] float32 about 0..1, not clipped."""
     answer = _smooth(_classified(descriptors, examples), descriptors, examples)
     if not examples.is_partial:
@@ -122,7 +123,7 @@ def answered(descriptors: Descriptors, examples: Examples) -> np.ndarray:
     return answer
 
 
-def _classified(descriptors: Descriptors, examples: Examples) -> np.ndarray:
+def _classified(descriptors: Descriptors, examples: Examples) -> Floats:
     """[M] float32 about 0..1, not clipped."""
     # A bounded number of examples of each kind: the solution costs the same for any asset.
     ids = np.union1d(_some(examples.positive), _some(examples.negative))
@@ -145,7 +146,7 @@ def _some(chosen: np.ndarray) -> np.ndarray:
     return ids[np.linspace(0, len(ids) - 1, SPREADING.max_examples).astype(np.int64)]
 
 
-def _smooth(answer: np.ndarray, descriptors: Descriptors, examples: Examples) -> np.ndarray:
+def _smooth(answer: np.ndarray, descriptors: Descriptors, examples: Examples) -> Floats:
     """[M] float32: the answer, mixed with those of neighbours of like colour; examples stay near what they are."""
     near = descriptors.near
     links = np.zeros(near.shape, np.float32)
@@ -167,7 +168,7 @@ class Spread:
 
     splats: Splats
     """The asset with it, of N Gaussians."""
-    ids: np.ndarray = field(repr=False)
+    ids: Ids = field(repr=False)
     """[J] int64 ascending: those that it changes."""
     material: SpreadConfidence
 

@@ -21,6 +21,7 @@ from functools import cached_property
 
 import numpy as np
 
+from splatpainter.arrays import Floats
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
 from splatpainter.splats import Splats
@@ -31,19 +32,19 @@ from splatpainter.surface.surface_samples import SurfaceSamples
 class SurfacePoints:
     """What is known at Q queries."""
 
-    points: np.ndarray = field(repr=False)
+    points: Floats = field(repr=False)
     """[Q, 3] float64 on the surface, on the query's line of sight unless that grazes the surface or misses it."""
-    normals: np.ndarray = field(repr=False)
+    normals: Floats = field(repr=False)
     """[Q, 3] float64 unit, towards the viewer."""
-    windows: np.ndarray = field(repr=False)
+    windows: Floats = field(repr=False)
     """[Q] float64 h, world units."""
-    residuals: np.ndarray = field(repr=False)
+    residuals: Floats = field(repr=False)
     """[Q] float64 rms distance of the patches' centres from the surface, in windows."""
-    patches: np.ndarray = field(repr=False)
+    patches: Floats = field(repr=False)
     """[Q] float64 effective number of patches behind the estimate; 0: there is no surface."""
-    agreement: np.ndarray = field(repr=False)
+    agreement: Floats = field(repr=False)
     """[Q] float64 0..1 mean |cosine| between the patches' normals and the surface's."""
-    trust: np.ndarray = field(repr=False)
+    trust: Floats = field(repr=False)
     """[Q] float64 0..1 probability that the height is off by less than 0.3 widths of the Gaussians seen there."""
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from splatpainter.arrays import Floats, Ids
 from splatpainter.color import base_color
 from splatpainter.splats import Splats
 from splatpainter.transforms import quat_to_matrix
@@ -62,13 +63,13 @@ CASES: dict[int, list[list[tuple[int, int]]]] = {
 
 @dataclass(frozen=True)
 class ProxyMesh:
-    vertices: np.ndarray = field(repr=False)
+    vertices: Floats = field(repr=False)
     """[V, 3] float32, relative to the asset's offset."""
-    triangles: np.ndarray = field(repr=False)
+    triangles: Ids = field(repr=False)
     """[T, 3] int64, counter-clockwise seen from outside."""
-    normals: np.ndarray = field(repr=False)
+    normals: Floats = field(repr=False)
     """[V, 3] float32 unit, outwards."""
-    colors: np.ndarray = field(repr=False)
+    colors: Floats = field(repr=False)
     """[V, 3] float32 display colours 0..1 of the Gaussians nearby."""
     voxel: float
     """Edge of a voxel, world units: what is finer is not there."""
@@ -94,7 +95,7 @@ def proxy_mesh(splats: Splats, max_triangles: int = 20_000) -> ProxyMesh:
         resolution = max(low, min(resolution - 1, int(resolution * shrink)))
 
 
-def thickness(splats: Splats, normals: np.ndarray, resolution: int = PROXY.thickness_resolution) -> np.ndarray:
+def thickness(splats: Splats, normals: np.ndarray, resolution: int = PROXY.thickness_resolution) -> Floats:
     """[N] float32 world units from each Gaussian through the solid to its other side, against its normal [N, 3] (unit,
     outwards); no finer than a voxel, and 0 where it cannot be drawn."""
     splats = splats.numpy()
@@ -109,7 +110,7 @@ def thickness(splats: Splats, normals: np.ndarray, resolution: int = PROXY.thick
     alive, depth = np.ones(len(position), bool), np.zeros(len(position))
     for step in range(1, 4 * resolution):  # half a voxel each
         cells = np.floor(position[alive] + 0.5 * step * inwards[alive]).astype(np.int64)
-        inside = ((cells >= 0) & (cells < solid.shape)).all(1)
+        inside = np.all((cells >= 0) & (cells < np.array(solid.shape)), axis=1)
         inside[inside] = solid[tuple(cells[inside].T)]
         alive[np.flatnonzero(alive)[~inside]] = False
         depth[alive] = 0.5 * step
@@ -154,7 +155,7 @@ def _mesh(splats: Splats, resolution: int) -> ProxyMesh:
     return ProxyMesh(world, triangles, normals.astype(np.float32), shade.clip(0, 1).astype(np.float32), voxel)
 
 
-def _vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+def _vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> Floats:
     """[V, 3] float64 unit: means of the triangles around, by their areas."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     areas = np.cross(b - a, c - a)

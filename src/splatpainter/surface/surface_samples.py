@@ -11,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
+from splatpainter.arrays import Floats, Ids
 from splatpainter.kernels import portable
 from splatpainter.kernels.arrays import aligned
 from splatpainter.splats import Splats
@@ -33,25 +34,25 @@ PATCH_COLUMNS = 16
 class SurfaceSamples:
     """M samples, sorted by (level, cell)."""
 
-    gaussian_ids: np.ndarray = field(repr=False)
+    gaussian_ids: Ids = field(repr=False)
     """[M] int64 the asset's Gaussian that each is."""
-    means: np.ndarray = field(repr=False)
+    means: Floats = field(repr=False)
     """[M, 3] float32, world units."""
-    axes: np.ndarray = field(repr=False)
+    axes: Floats = field(repr=False)
     """[M, 3, 3] float32 unit axes as rows, the longest first, the last one the (unsigned) normal."""
-    scales: np.ndarray = field(repr=False)
+    scales: Floats = field(repr=False)
     """[M, 3] float32 standard deviations along them, world units."""
-    opacities: np.ndarray = field(repr=False)
+    opacities: Floats = field(repr=False)
     """[M] float32."""
-    keys: np.ndarray = field(repr=False)
+    keys: Ids = field(repr=False)
     """[M] int64 cell of each, ascending within a level: x, y, z of CELL_BITS bits each."""
-    level_starts: np.ndarray = field(repr=False)
+    level_starts: Ids = field(repr=False)
     """[L + 1] int64: samples of level l are level_starts[l] .. level_starts[l + 1]."""
-    cell_sizes: np.ndarray = field(repr=False)
+    cell_sizes: Floats = field(repr=False)
     """[L] float64 edges of the cells, world units."""
-    reaches: np.ndarray = field(repr=False)
+    reaches: Floats = field(repr=False)
     """[L] float64 largest standard deviation in each level."""
-    min_corner: np.ndarray = field(repr=False)
+    min_corner: Floats = field(repr=False)
     """[3] float64."""
 
     @staticmethod
@@ -105,7 +106,7 @@ class SurfaceSamples:
         return len(self.gaussian_ids)
 
     @cached_property
-    def patches(self) -> np.ndarray:
+    def patches(self) -> Floats:
         """[M, 16] float32 what queries read of each, in one cache line: mean (3), axes (9), scales (3),
         opacity."""
         count = len(self)

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Floats, Ids
 from splatpainter.kernels import portable
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
@@ -37,25 +38,25 @@ MAX_HEAP_ENTRIES = 64
 class Unwrapped:
     """S samples of a surface around its sample 0, of which some were reached."""
 
-    points: np.ndarray = field(repr=False)
+    points: Floats = field(repr=False)
     """[S, 3] float64, at least MIN_DISTANCE spacings apart."""
-    normals: np.ndarray = field(repr=False)
+    normals: Floats = field(repr=False)
     """[S, 3] float64 unit, outwards."""
     spacing: float
     """World units."""
-    uv: np.ndarray = field(repr=False)
+    uv: Floats = field(repr=False)
     """[S, 2] float64 world units right and up of sample 0 along the surface; NaN where it was not reached."""
-    right: np.ndarray = field(repr=False)
+    right: Floats = field(repr=False)
     """[S, 3] float64 unit tangents in which u grows."""
-    distances: np.ndarray = field(repr=False)
+    distances: Floats = field(repr=False)
     """[S] float64 length of the way to each sample, world units; infinite where it was not reached."""
-    rims: np.ndarray = field(repr=False)
+    rims: Floats = field(repr=False)
     """[S, 3] float64 mean way to the neighbours, in the tangent plane, over their reach: about 0 where they lie all
     around, 0.4 long at a straight rim of the samples, pointing inwards."""
     cells: PointCells = field(repr=False)
 
     @property
-    def reached(self) -> np.ndarray:
+    def reached(self) -> Bools:
         """[S] bool."""
         return np.isfinite(self.distances)
 
@@ -75,11 +76,11 @@ class Unwrapped:
 class PointCells:
     """Points in cubes, found by binary search. Those that lie together are neighbours in memory."""
 
-    keys: np.ndarray = field(repr=False)
+    keys: Ids = field(repr=False)
     """[S] int64 ascending."""
-    order: np.ndarray = field(repr=False)
+    order: Ids = field(repr=False)
     """[S] int64 the point of each key."""
-    corner: np.ndarray = field(repr=False)
+    corner: Floats = field(repr=False)
     """[3] float64."""
     size: float
     """Edge of a cell, world units."""
@@ -97,7 +98,7 @@ class PointCells:
     def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
         return self.keys, self.order, self.corner, self.size
 
-    def sorted_rows(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    def sorted_rows(self, points: np.ndarray, normals: np.ndarray) -> Floats:
         """[6, S + 8] float64 of the points and their normals, in the order of `keys`: a coordinate of those that lie
         together is read at once."""
         out = np.zeros((6, len(points) + READ_AT_ONCE))
@@ -106,7 +107,7 @@ class PointCells:
         return out
 
 
-def thinned(points: np.ndarray, normals: np.ndarray, spacing: float) -> np.ndarray:
+def thinned(points: np.ndarray, normals: np.ndarray, spacing: float) -> Ids:
     """[S] int64 ascending: points that keep MIN_DISTANCE spacings between each other, the first of them first. Points
     whose normals part by more than 90 degrees are on two sides of something and may be nearer.
     points, normals: [N, 3]."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Floats, Ids
 from splatpainter.cameras import Camera
 from splatpainter.kernels import portable
 from splatpainter.kernels.library import kernels
@@ -54,22 +55,22 @@ class VisibleSurface:
     camera: Camera
     step: int
     """Pixels between lattice points."""
-    index: np.ndarray = field(repr=False)
+    index: Ids = field(repr=False)
     """[LH, LW] int32 plane of each block of step x step pixels, -1: none."""
-    points: np.ndarray = field(repr=False)
+    points: Floats = field(repr=False)
     """[L, 3] float64 on the surface, camera space."""
-    normals: np.ndarray = field(repr=False)
+    normals: Floats = field(repr=False)
     """[L, 3] float64 unit, towards the camera."""
-    windows: np.ndarray = field(repr=False)
+    windows: Floats = field(repr=False)
     """[L] float64 world units."""
-    residuals: np.ndarray = field(repr=False)
+    residuals: Floats = field(repr=False)
     """[L] float64 in windows."""
-    trusted: np.ndarray = field(repr=False)
+    trusted: Bools = field(repr=False)
     """[L] bool: enough patches, close to one surface that neighbours share."""
     estimates: SightEstimates = field(repr=False)
     """What it was made of."""
 
-    def at(self, pixels: np.ndarray) -> PixelSurface:
+    def at(self, pixels: Floats) -> PixelSurface:
         """Surface at Q places of the picture. pixels: [Q, 2] float64 x, y (centres at .5)."""
         out = np.zeros((len(pixels), 6))
         if len(pixels) and len(self.points):
@@ -84,9 +85,9 @@ class VisibleSurface:
 class SightEstimates:
     """The surface along L lines of sight through pixels of one camera, at most one each."""
 
-    pixels: np.ndarray = field(repr=False)
+    pixels: Ids = field(repr=False)
     """[L] int64 flat indices."""
-    queries: np.ndarray = field(repr=False)
+    queries: Floats = field(repr=False)
     """[L, 7] float64 of each `Surface.at`: point, direction, width."""
     result: SurfacePoints = field(repr=False)
 
@@ -127,13 +128,13 @@ def _merged(first: SurfacePoints, at: np.ndarray, second: SurfacePoints, source:
 class PixelSurface:
     """Depth, normal and trust of the surface at Q pixels."""
 
-    depth: np.ndarray = field(repr=False)
+    depth: Floats = field(repr=False)
     """[Q] float64 z, 0 where no trusted surface is."""
-    normals: np.ndarray = field(repr=False)
+    normals: Floats = field(repr=False)
     """[Q, 3] float64 unit, camera space."""
-    windows: np.ndarray = field(repr=False)
+    windows: Floats = field(repr=False)
     """[Q] float64 world units."""
-    residuals: np.ndarray = field(repr=False)
+    residuals: Floats = field(repr=False)
     """[Q] float64 world units."""
 
 

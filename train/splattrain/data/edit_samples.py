@@ -58,7 +58,7 @@ class EditSample:
     before: PosedViews
     after: PosedViews
     near: np.ndarray
-    truth: Splats = field(repr=False)
+    truth: Splats[Tensor] = field(repr=False)
     """Dense, torch: the object after the edit."""
 
 
@@ -170,7 +170,7 @@ def plain(scene: LitScene, spec: SampleSpec, rng: np.random.Generator) -> EditSa
 
 def _painted(
     scene: LitScene,
-    splats: Splats,
+    splats: Splats[Tensor],
     kind: str,
     surfel: int,
     camera: Camera,
@@ -239,8 +239,8 @@ def _position(scene: LitScene, surfel: int) -> np.ndarray:
 
 def _local_sample(
     scene: LitScene,
-    before: Splats,
-    after: Splats,
+    before: Splats[Tensor],
+    after: Splats[Tensor],
     edited: PosedViews,
     masks: Tensor,
     target: np.ndarray,
@@ -256,7 +256,9 @@ def _local_sample(
     return EditSample(edited, masks.cpu().numpy(), old, new, near, after)
 
 
-def _global_sample(scene: LitScene, after: Splats, spec: SampleSpec, rng: np.random.Generator) -> EditSample | None:
+def _global_sample(
+    scene: LitScene, after: Splats[Tensor], spec: SampleSpec, rng: np.random.Generator
+) -> EditSample | None:
     cameras = viewpoints.ring(scene.object.radius, scene.optics, spec.views, rng)
     renders, old = render_views(after, cameras), render_views(scene.truth, cameras)
     masks = renders.alphas > 0.5

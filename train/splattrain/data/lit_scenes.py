@@ -75,11 +75,11 @@ class LitScene:
     """An object under one light."""
 
     object: SceneObject
-    truth: Splats
+    truth: Splats[Tensor]
     """Dense, torch: what every picture is rendered from."""
     asset: Splats
     """What the artist has, numpy float32."""
-    coarse: Splats
+    coarse: Splats[Tensor]
     """The asset as torch on the truth's device."""
     base: PosedViews
     optics: Optics
@@ -133,7 +133,7 @@ def illuminate(
     return LitScene(item, truth, coarse.numpy(), coarse, base, optics)
 
 
-def render_views(splats: Splats, cameras: Sequence[Camera]) -> Renders:
+def render_views(splats: Splats[Any], cameras: Sequence[Camera]) -> Renders:
     """Render without gradients. splats: torch."""
     from splatpainter.rendering import render
 
@@ -143,6 +143,6 @@ def render_views(splats: Splats, cameras: Sequence[Camera]) -> Renders:
     return Renders(PosedViews(tuple(cameras), colors), drawn.alphas[..., 0], drawn.depths[..., 0])
 
 
-def recolored(splats: Splats, sh: Tensor) -> Splats:
+def recolored(splats: Splats[Tensor], sh: Tensor) -> Splats[Tensor]:
     """The Gaussians in other colours."""
     return replace(splats, sh=sh)

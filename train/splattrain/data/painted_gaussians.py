@@ -16,7 +16,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal, cast
 from zipfile import BadZipFile
 
 import numpy as np
@@ -45,6 +45,9 @@ from splattrain.data.lit_scenes import LitScene, illuminate, mesh_object
 from splattrain.data.object_sources import MeshSource
 from splattrain.data.sample_recipes import PAINTED, SampleRecipe
 from splattrain.data.viewpoints import Optics
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 PaintedAssetKind = Literal["coarse", "fitted"]
 PAINTED_KINDS = (*PAINTED, "recolor", "zoom")
@@ -238,7 +241,7 @@ def lifted_edit(painted: PaintedScene, view: EditView) -> LiftedEdit:
     )
 
 
-def true_colors(truth: Splats, gaussians: Splats) -> np.ndarray:
+def true_colors(truth: Splats[Tensor], gaussians: Splats) -> np.ndarray:
     """[R, 3] float32 base colours of Gaussians: means over the nearest surfels of the truth (torch), by distance in the
     Gaussian's own width."""
     points, colors = truth.means.cpu().numpy(), base_color(truth.sh).cpu().numpy()

@@ -6,7 +6,7 @@ Edits change albedo, lights change shading (data/lights.py), and the renderer of
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from splatpainter.splats import Splats
 from splattrain.data import poisson_disk
 from splattrain.data.materials import SRGB_BYTES, sample_texture
 from splattrain.data.meshes import Mesh
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 @dataclass(frozen=True)
@@ -98,7 +101,7 @@ def sample_surfels(mesh: Mesh, count: int, seed: int = 0, device: str = "cpu") -
     return _as_surfels(attributes, device)
 
 
-def to_splats(surfels: Surfels, sh: Any) -> Splats:
+def to_splats(surfels: Surfels, sh: Tensor) -> Splats[Tensor]:
     """Splats (torch, same device) of surfels with colours sh [N, K, 3] (display sRGB, as lights.shade gives)."""
     return Splats(surfels.means, surfels.quats, surfels.scales, surfels.opacities, sh)
 

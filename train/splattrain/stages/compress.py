@@ -52,7 +52,7 @@ class CopyTask(Task[SplatPainterModel]):
         copied, before = self._copy(sample)
         return judged(copied, sample, input_views(self.model, sample, self.device), self.device, before)
 
-    def _copy(self, sample: Sample) -> tuple[Splats, Splats]:
+    def _copy(self, sample: Sample) -> tuple[Splats[Tensor], Splats[Tensor]]:
         """After Stage I, and the LRM's Gaussians before it."""
         with self.arithmetic():
             with torch.no_grad():
@@ -70,7 +70,7 @@ class HiddenColors(Task[SplatPainterModel]):
         super().__init__()
         self.model = model
         self.guess = nn.Linear(model.config.compress.dim, 3 * (model.config.sh_degree + 1) ** 2)
-        self._encoded_objects: Recent[tuple[Tensor, Splats, TokenLinks, GaussianGroups]] = Recent(objects)
+        self._encoded_objects: Recent[tuple[Tensor, Splats[Tensor], TokenLinks, GaussianGroups]] = Recent(objects)
         freeze(model.lrm, model.refiner, model.head, model.predictor)
 
     def losses(self, sample: Sample, seed: int) -> dict[str, Tensor]:
@@ -105,7 +105,7 @@ class HiddenColors(Task[SplatPainterModel]):
         return self.guess(F.layer_norm(latents.values, latents.values.shape[1:]))[hidden], sh[hidden], sh[~hidden]
 
     @torch.no_grad()
-    def _encode_object(self, splats: Splats) -> tuple[Tensor, Splats, TokenLinks, GaussianGroups]:
+    def _encode_object(self, splats: Splats) -> tuple[Tensor, Splats[Tensor], TokenLinks, GaussianGroups]:
         grid = voxelize(splats, self.model.config.compress.resolution)
         tokens, links = asset_tokens(self, splats, grid)
         return tokens, splats.torch(str(self.device)), links, self.model.groups(grid)

@@ -61,7 +61,11 @@ class LrmTask(Task[SplatPainterModel]):
 
 
 def judged(
-    predicted: Splats, sample: Sample, views: AssetViews, device: torch.device, before: Splats | None = None
+    predicted: Splats[Tensor],
+    sample: Sample,
+    views: AssetViews,
+    device: torch.device,
+    before: Splats[Tensor] | None = None,
 ) -> ValidationScore:
     """What a reconstruction looks like beside the truth, and beside what it was made of (before)."""
     cameras, target = truth(sample, device)
@@ -114,11 +118,11 @@ def truth(sample: Sample, device: torch.device) -> tuple[list[Camera], PictureTa
     return list(sample.novel_before.cameras), global_target(colors, alpha > 0.5)
 
 
-def _drawn(predicted: Splats, views: AssetViews, model: SplatPainterModel) -> Splats:
+def _drawn(predicted: Splats[Tensor], views: AssetViews, model: SplatPainterModel) -> Splats[Tensor]:
     return predicted.take(torch.nonzero(model.lrm.on_surface(views, predicted))[:, 0])
 
 
-def _distances(predicted: Splats, views: AssetViews) -> Tensor:
+def _distances(predicted: Splats[Tensor], views: AssetViews) -> Tensor:
     """[V * H * W] distance from the camera minus the camera's from the middle, half cubes."""
     eyes = np.stack([camera.position for camera in views.cameras])
     far = np.linalg.norm(eyes - np.asarray(views.center), axis=1)

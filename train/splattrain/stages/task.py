@@ -94,9 +94,10 @@ class Task(nn.Module, Generic[_Model]):
         return autocast(self.device, self.precision)
 
 
-def draw(splats: Splats, cameras: Sequence[Camera], device: torch.device) -> tuple[Tensor, Tensor]:
+def draw(splats: Splats[Any], cameras: Sequence[Camera], device: torch.device) -> tuple[Tensor, Tensor]:
     """(colours [C, H, W, 3], alpha [C, H, W]) as torch on the device; differentiable where the splats are torch."""
-    drawn = render(splats if isinstance(splats.means, Tensor) else splats.torch(str(device)), list(cameras))
+    tensors: Splats[Tensor] = splats if isinstance(splats.means, Tensor) else splats.torch(str(device))
+    drawn = render(tensors, list(cameras))
     return drawn.colors, drawn.alphas[..., 0]
 
 

@@ -18,7 +18,9 @@ from splattrain.data.edits import change_masks, on_surfels
 from splattrain.data.edits.content import PaintCoverage
 
 
-def sphere(count: int = 6000, radius: float = 0.5, middle: tuple[float, float, float] = (0, 0, 0)) -> Splats:
+def sphere(
+    count: int = 6000, radius: float = 0.5, middle: tuple[float, float, float] = (0, 0, 0)
+) -> Splats[torch.Tensor]:
     """Flat Gaussians evenly on a sphere, grey. Their normals: (means - middle) / radius."""
     k = np.arange(count) + 0.5
     z, turn = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
@@ -35,7 +37,7 @@ def camera(eye: tuple[float, float, float] = (0, 0, 3), size: int = 96) -> Camer
     return look_at(eye, (0, 0, 0), width=size, height=size, fov=24)
 
 
-def shot(splats: Splats, view: Camera) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+def shot(splats: Splats[torch.Tensor], view: Camera) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     drawn = render(splats, view)
     return drawn.colors[0], drawn.depths[0, ..., 0], drawn.alphas[0, ..., 0]
 

@@ -128,10 +128,10 @@ def test_masks_cover_what_differs_from_the_unedited_truth(kind: str) -> None:
 def test_the_truth_changes_where_paint_is_and_nowhere_else() -> None:
     stream = SampleStream(Balls(), replace(SMALL, kinds={"sticker": 1.0}), 0)
     scene = stream._scene(0)
-    drawn: list[Splats] = []
+    drawn: list[Splats[torch.Tensor]] = []
     render_views = edit_samples.render_views
 
-    def watch(splats: Splats, cameras: list) -> Renders:
+    def watch(splats: Splats[torch.Tensor], cameras: list) -> Renders:
         drawn.append(splats)
         return render_views(splats, cameras)
 

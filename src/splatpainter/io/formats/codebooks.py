@@ -9,6 +9,8 @@ import heapq
 
 import numpy as np
 
+from splatpainter.arrays import Bools
+
 CODEBOOK_SIZE = 256
 
 
@@ -59,7 +61,7 @@ def nearest(codebook: np.ndarray, values: np.ndarray) -> np.ndarray:
     return order[np.searchsorted((ordered[1:] + ordered[:-1]) / 2, values)].astype(np.uint8)
 
 
-def extend(codebook: np.ndarray, used: np.ndarray, values: np.ndarray, tolerance: float) -> np.ndarray | None:
+def extend(codebook: np.ndarray, used: Bools, values: np.ndarray, tolerance: float) -> np.ndarray | None:
     """`codebook` with unused entries moved until every value has one within `tolerance`; None if too few are free.
 
     used: [256] bool, entries that must keep their value. The entries added are the fewest possible: intervals of width
@@ -123,7 +125,7 @@ def adapt(
 
 
 def adapt_palette(
-    codes: np.ndarray, codebook: np.ndarray, in_use: np.ndarray, vectors: np.ndarray, tolerances: tuple[float, ...]
+    codes: np.ndarray, codebook: np.ndarray, in_use: Bools, vectors: np.ndarray, tolerances: tuple[float, ...]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """A palette that grew by what `vectors` [M, D] need: its codes, its codebook [256], the entry of each vector [M].
 

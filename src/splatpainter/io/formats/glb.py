@@ -37,6 +37,7 @@ from typing import Any
 
 import numpy as np
 
+from splatpainter.arrays import Bytes
 from splatpainter.color import srgb_to_linear
 from splatpainter.io import axes, files, positions
 from splatpainter.io.bounded import allow_rows
@@ -621,7 +622,7 @@ def _set_flags(primitive: dict[str, Any], splats: Splats) -> None:
         extension["extras"] = {**(extras if isinstance(extras, dict) else {}), "antialiased": splats.antialiased}
 
 
-def _fallback(local: Splats, linear: bool) -> np.ndarray:
+def _fallback(local: Splats, linear: bool) -> Bytes:
     """[N, 4] uint8 COLOR_0. linear: decode sRGB first, since glTF vertex colours are linear."""
     color = np.clip(0.5 + SH_C0 * np.nan_to_num(local.sh[:, 0].astype(np.float64)), 0, 1)
     if linear:

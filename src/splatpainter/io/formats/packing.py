@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from splatpainter.arrays import Bytes, Floats, Ids
 from splatpainter.io.files import printable
 from splatpainter.transforms import row_norm
 
@@ -22,7 +23,7 @@ MORTON_BITS = 21
 """Bits an axis: three of them fill a 64-bit key."""
 
 
-def unpack_fields(words: np.ndarray, bits: Sequence[int]) -> np.ndarray:
+def unpack_fields(words: np.ndarray, bits: Sequence[int]) -> Ids:
     """[N] uint32 -> [N, len(bits)] int64 fields, the first one in the highest bits (of the lowest sum(bits))."""
     shifts = np.cumsum([0, *reversed(bits)])[:-1][::-1]
     fields = [(words >> np.uint32(s)).astype(np.int64) & ((1 << b) - 1) for s, b in zip(shifts, bits, strict=True)]
@@ -54,7 +55,7 @@ def dequantise(fields: np.ndarray, low: np.ndarray, high: np.ndarray, levels: np
         return low * (1 - part) + high * part
 
 
-def unpack_quats(words: np.ndarray) -> np.ndarray:
+def unpack_quats(words: np.ndarray) -> Floats:
     """[N] uint32 of 2-10-10-10 bits -> [N, 4] float64: the place of the largest component, then the other three in
     order, each 0..1023 for -1/sqrt(2)..1/sqrt(2)."""
     fields = unpack_fields(words, (2, 10, 10, 10))
@@ -117,7 +118,7 @@ def is_lossy_webp(data: bytes) -> bool:
     return False
 
 
-def decode_image(data: bytes, where: Path | str) -> np.ndarray:
+def decode_image(data: bytes, where: Path | str) -> Bytes:
     """[height, width, 4] uint8 RGBA. The caller has judged `image_size`. Raises ValueError: a damaged image."""
     from PIL import Image
 
@@ -157,7 +158,7 @@ def encode_image(pixels: np.ndarray) -> bytes:
     return out.getvalue()
 
 
-def morton_order(means: np.ndarray) -> np.ndarray:
+def morton_order(means: np.ndarray) -> Ids:
     """[N] int64 row indices along the Z-order curve over the bounding box of `means` [N, 3]; equal places keep their
     order, rows that are not finite come last.
 

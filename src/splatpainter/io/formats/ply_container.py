@@ -18,6 +18,7 @@ from typing import BinaryIO, Protocol
 
 import numpy as np
 
+from splatpainter.arrays import Floats, Ids
 from splatpainter.io.files import MAX_HEADER_BYTES, printable
 
 TYPES = {
@@ -396,7 +397,7 @@ class Rows(Protocol):
         """Key -> [N, number of its properties] float32 values; float32 properties keep every bit, NaN payloads too."""
         ...
 
-    def doubles(self, names: Sequence[str]) -> np.ndarray:
+    def doubles(self, names: Sequence[str]) -> Floats:
         """[N, number of names] float64 values of properties."""
         ...
 
@@ -515,13 +516,13 @@ class BinaryBlock:
         return self.records
 
 
-def _column_numbers(records: np.ndarray, names: Sequence[str]) -> np.ndarray:
+def _column_numbers(records: np.ndarray, names: Sequence[str]) -> Ids:
     """[K] int64 columns of properties, counted from 0."""
     fields = {name: k for k, name in enumerate(records.dtype.names or ())}
     return np.array([fields[name] for name in names], np.int64)
 
 
-def _as_floats(records: np.ndarray) -> np.ndarray | None:
+def _as_floats(records: np.ndarray) -> Floats | None:
     """[N, P] float32 view of records that hold nothing else in this machine's byte order; None for others."""
     fields = records.dtype.names or ()
     if not fields or any(records.dtype[name] != np.float32 for name in fields):
@@ -534,7 +535,7 @@ class TextRows:
     """Lines of numbers, one line a row."""
 
     data: bytes
-    starts: np.ndarray
+    starts: Ids
     """[N + 1] int64: row i is data[starts[i]:starts[i + 1]], line ending included."""
     properties: tuple[tuple[str, str], ...]
     """(name, numpy type code) in the order of a line."""
@@ -567,7 +568,7 @@ class TextRows:
                     values[start:stop] = numbers[:, picks[key]]
         return out
 
-    def _numbers(self, start: int, stop: int) -> np.ndarray:
+    def _numbers(self, start: int, stop: int) -> Floats:
         """[stop - start, P] float64. Words are counted and measured before they become objects."""
         text = self.data[self.starts[start] : self.starts[stop]]
         # Whether a byte separates words; one more ahead, so that a word may begin at once.

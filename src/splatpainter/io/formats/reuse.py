@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from splatpainter.arrays import Ids
 from splatpainter.splats import ATTRIBUTES, MAX_MAGNITUDE, Splats
 
 
@@ -19,7 +20,7 @@ from splatpainter.splats import ATTRIBUTES, MAX_MAGNITUDE, Splats
 class Unchanged:
     """Which of N rows keep what they were read from. The masks [N] imply source_rows >= 0."""
 
-    source_rows: np.ndarray
+    source_rows: Ids
     """[N] int64 row of the source whose packed values each row carries, -1 for none."""
     means: np.ndarray
     quats: np.ndarray

@@ -43,6 +43,7 @@ from typing import Any
 
 import numpy as np
 
+from splatpainter.arrays import Bytes
 from splatpainter.io.bounded import allow, allow_rows
 from splatpainter.io.formats import activations, codebooks, packing
 from splatpainter.io.formats.reuse import Unchanged, drawable_rows, row_problems, unchanged
@@ -90,7 +91,7 @@ class SogFile:
     """Height, width of the planes."""
     codebooks: dict[str, np.ndarray]
     """scales, sh0, shN -> float64 [<= 256]."""
-    palette: np.ndarray | None
+    palette: Bytes | None
     """[P, K - 1, 3] uint8 entries of the shN codebook."""
 
 
@@ -476,7 +477,7 @@ def _adapt_palette(rest: np.ndarray, same: Unchanged, old: SogFile) -> Any:
     return labels, codes, book, pixels
 
 
-def _rgba(values: np.ndarray) -> np.ndarray:
+def _rgba(values: np.ndarray) -> Bytes:
     """[N, 3] -> [N, 4] uint8 with alpha 255."""
     out = np.full((len(values), 4), 255, np.uint8)
     out[:, :3] = values

@@ -33,6 +33,7 @@ from pathlib import Path
 
 import numpy as np
 
+from splatpainter.arrays import Bools
 from splatpainter.io import files
 from splatpainter.io.axes import describe, flip, move, move_back
 from splatpainter.io.bounded import BOUNDS, Gunzip, allow_rows, unzstd
@@ -463,7 +464,7 @@ def pack_positions(means: np.ndarray, fractional_bits: int) -> np.ndarray:
     return np.stack([fixed >> shift & 255 for shift in (0, 8, 16)], -1).astype(np.uint8).reshape(-1, 9)
 
 
-def fits(means: np.ndarray, fractional_bits: int) -> np.ndarray:
+def fits(means: np.ndarray, fractional_bits: int) -> Bools:
     """[N] bool: rows whose positions 24 bits can hold."""
     fixed = np.rint(np.ldexp(means.astype(np.float64), fractional_bits))
     return np.asarray(np.logical_and(fixed >= -POSITION_LIMIT, fixed < POSITION_LIMIT).all(1))

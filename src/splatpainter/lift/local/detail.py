@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Floats
 from splatpainter.kernels import portable
 from splatpainter.kernels.arrays import readonly
 from splatpainter.kernels.library import kernels
@@ -68,7 +69,7 @@ class DetailLayer:
 def detail_layer(
     splats: Splats,
     view: ProjectedView,
-    pixels: np.ndarray,
+    pixels: Bools,
     target: np.ndarray,
     reaches: Sequence[float] = DETAIL.reaches_px,
 ) -> DetailLayer | None:
@@ -121,7 +122,7 @@ def detail_layer(
     return DetailLayer(layer, entries)
 
 
-def _edge_directions(target: np.ndarray, ys: np.ndarray, xs: np.ndarray) -> np.ndarray:
+def _edge_directions(target: np.ndarray, ys: np.ndarray, xs: np.ndarray) -> Floats:
     """[A, 2] float64 unit x, y: along the edge at each pixel, where the picture varies least (structure tensor)."""
     height, width = target.shape[:2]
     # Only the window around the pixels: a stroke is small, a picture is not.

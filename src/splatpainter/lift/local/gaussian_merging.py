@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Ids
 from splatpainter.cameras import Camera
 from splatpainter.kernels import portable
 from splatpainter.kernels.library import kernels
@@ -75,7 +76,7 @@ class _Mixture:
     """[M, 3] wanted in the edited view."""
     pixels: np.ndarray = field(repr=False)
     """[M] how many show each, > 0."""
-    slots: np.ndarray = field(repr=False)
+    slots: Bools = field(repr=False)
     """[M] bool: no two of these are joined."""
 
     def __len__(self) -> int:
@@ -110,7 +111,7 @@ class _Mixture:
         partners[order] = np.where(out >= 0, order[out], -1)
         return partners
 
-    def joined(self, first: np.ndarray, second: np.ndarray) -> _Mixture:
+    def joined(self, first: np.ndarray, second: Ids) -> _Mixture:
         """Pairs (first, second: [P] int64, no index twice) joined at the first's index; the seconds left out."""
         areas = self.areas()
         masses = self.peaks * areas
@@ -146,15 +147,13 @@ class Merged:
 
     splats: Splats
     """R Gaussians; those that were joined with none have their bits."""
-    source: np.ndarray = field(repr=False)
+    source: Ids = field(repr=False)
     """[R] int64 one that each was, or was joined from: the slot, where there is one among them."""
-    group: np.ndarray = field(repr=False)
+    group: Ids = field(repr=False)
     """[S] int64 which of the R each one went into; -1: left out, as none of it is ever drawn."""
 
 
-def merge(
-    splats: Splats, camera: Camera, may: np.ndarray, slots: np.ndarray, colors: np.ndarray, pixels: np.ndarray
-) -> Merged:
+def merge(splats: Splats, camera: Camera, may: Bools, slots: Bools, colors: np.ndarray, pixels: np.ndarray) -> Merged:
     """Join some of S Gaussians. may: [S] bool, those that may be joined; slots: [S] bool, those whose index is an old
     Gaussian's: all stay, and no two are joined; colors: [S, 3] that the edited view wants of each, 0..1; pixels: [S] >=
     0 how many pixels show it."""

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Floats
 from splatpainter.kernels import portable
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
@@ -48,7 +49,7 @@ class TargetPicture:
         """[C] pixels' worth of each in the picture."""
 
     @staticmethod
-    def of(view: ProjectedView, target: np.ndarray, use: np.ndarray, movable: np.ndarray) -> TargetPicture:
+    def of(view: ProjectedView, target: Floats, use: Floats, movable: Bools) -> TargetPicture:
         """view: of all tiles; target: [H, W, 3] float32; use: [H, W] float32, what each pixel counts; movable: [N]
         bool."""
         return TargetPicture(view.part(tiles=view.tiles_of(movable)), target, use, movable)

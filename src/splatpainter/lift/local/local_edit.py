@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Floats, Ids
 from splatpainter.cameras import Camera
 from splatpainter.lift.local.patch import MIN_PIXEL_SHARE, PATCHING, Patch
 from splatpainter.lift.local.split import Lattice, projected_sizes
@@ -43,20 +44,20 @@ class LocalLift:
 
     splats: Splats
     """N Gaussians with the old ones at their old indices, then the appended ones."""
-    touched: np.ndarray = field(repr=False)
+    touched: Ids = field(repr=False)
     """[T] int64 ascending: old Gaussians of which any attribute changed."""
-    parents: np.ndarray = field(repr=False)
+    parents: Ids = field(repr=False)
     """[A] int64: the old Gaussian that each appended one was split from, or lies on."""
 
 
 def lift_local(
     splats: Splats,
     camera: Camera,
-    target: np.ndarray,
-    mask: np.ndarray,
+    target: Floats,
+    mask: Bools,
     options: LocalOptions = LOCAL_DEFAULTS,
-    allowed: np.ndarray | None = None,
-    within: np.ndarray | None = None,
+    allowed: Bools | None = None,
+    within: Bools | None = None,
 ) -> LocalLift:
     """Write the masked pixels of `target` onto the splats.
 
@@ -117,9 +118,9 @@ def gaussians_in_mask(
     splats: Splats,
     camera: Camera,
     mask: np.ndarray,
-    allowed: np.ndarray | None = None,
+    allowed: Bools | None = None,
     view: ProjectedView | None = None,
-) -> np.ndarray:
+) -> Bools:
     """[N] bool Gaussians that visibly contribute to the masked pixels ([H, W] bool). allowed: [N] bool, the only ones
     that count; view: the splats projected onto the mask's tiles, if at hand. Raises
     NothingPaintableError where there is none."""
@@ -142,7 +143,7 @@ def _sums(view: ProjectedView, mask: np.ndarray) -> Backprojection:
 
 def _hopeless(
     splats: Splats, view: ProjectedView, mask: np.ndarray, reached: np.ndarray, options: LocalOptions
-) -> np.ndarray:
+) -> Bools:
     """[N] bool: reached Gaussians that would be held back in the end (large, too faint to split, mostly outside the
     mask), as far as the mask's tiles can say. Without them less of the picture is in work."""
     ids, inside = view.gaussian_ids, _sums(view, mask)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from splatpainter.arrays import Bools
 from splatpainter.cameras import Camera
 from splatpainter.color import base_color
 from splatpainter.lift.colors import lift_colors, painted_sh, recolor
@@ -82,9 +83,9 @@ class Patch:
     """[H, W, 3] the picture to reach: the edit inside the mask, the render before the edit outside."""
     change: np.ndarray = field(repr=False)
     """[H, W, 3] target minus that render; 0 outside the mask."""
-    mask: np.ndarray = field(repr=False)
+    mask: Bools = field(repr=False)
     """[H, W] bool: where the edit counts."""
-    editable: np.ndarray = field(repr=False)
+    editable: Bools = field(repr=False)
     """[S] bool."""
     share: np.ndarray = field(repr=False)
     """[S] largest share of a masked pixel that the parent gave before the edit."""
@@ -93,7 +94,7 @@ class Patch:
 
     @staticmethod
     def of(
-        splats: Splats, camera: Camera, tiles: np.ndarray, target: np.ndarray, mask: np.ndarray, editable: np.ndarray
+        splats: Splats, camera: Camera, tiles: np.ndarray, target: np.ndarray, mask: np.ndarray, editable: Bools
     ) -> Patch:
         """Nothing split yet. tiles: of the view, to work on; target, mask: the edited picture; editable: [S] bool."""
         view = project(splats, camera, tiles=tiles)
@@ -108,7 +109,7 @@ class Patch:
         widths = row_max(lattice.widths)
         return Patch(lattice, splats, widths, view, image + change, change, inside, editable, share, evidence)
 
-    def too_coarse(self, options: LocalOptions) -> np.ndarray:
+    def too_coarse(self, options: LocalOptions) -> Bools:
         """[S] bool Gaussians over whose footprint the change varies too much, if they are large enough to split."""
         ids, evidence = self.view.gaussian_ids, self.evidence
         coarse = self.editable[ids] & (evidence.peak > MIN_PIXEL_SHARE) & (evidence.spread > options.tolerance**2)
@@ -186,7 +187,7 @@ class Patch:
             evidence=evidence,
         )
 
-    def movable(self, options: LocalOptions) -> np.ndarray:
+    def movable(self, options: LocalOptions) -> Bools:
         """[M] bool Gaussians that may take new colours."""
         ids, evidence = self.view.gaussian_ids, self.evidence
         movable = self.editable[ids] & (evidence.peak > MIN_PIXEL_SHARE)
@@ -235,7 +236,7 @@ class Patch:
         return None if len(both) == count else (both.take(np.arange(count, len(both))), parent_ids[count:])
 
 
-def _is_solid(view: ProjectedView, alpha: np.ndarray) -> np.ndarray:
+def _is_solid(view: ProjectedView, alpha: np.ndarray) -> Bools:
     """[H, W] bool: drawn pixels of alpha [H, W] that a detail layer may cover."""
     drawn = np.kron(view.tiles, np.ones((TILE, TILE), bool))[: alpha.shape[0], : alpha.shape[1]]
     return (alpha > PATCHING.min_detail_alpha) & ~dilated((alpha < 0.5) & drawn, PATCHING.silhouette_margin_px)

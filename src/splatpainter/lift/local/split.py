@@ -18,6 +18,7 @@ from importlib.resources import files
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Floats, Ids
 from splatpainter.cameras import Camera
 from splatpainter.kernels import portable
 from splatpainter.splats import Splats
@@ -81,19 +82,19 @@ class Lattice:
     """[B, 2] the two axes (0..2) along which each parent may be halved, the longer first."""
     sizes: np.ndarray
     """[B, 2] their lengths in pixels."""
-    parent: np.ndarray
+    parent: Ids
     """[S] int64."""
-    level: np.ndarray
+    level: Ids
     """[S, 2] int64 halvings along each axis."""
-    site: np.ndarray
+    site: Ids
     """[S, 2] int64 lattice sites, 0 at the centre, in spacings of the level."""
-    peak: np.ndarray
+    peak: Floats
     """[S] float64 peak alphas."""
-    slot: np.ndarray
+    slot: Bools
     """[S] bool: one child of each parent, near its centre, that takes the parent's index in the asset."""
 
     @staticmethod
-    def of(base: Splats, camera: Camera, parent: np.ndarray | None = None, sized: np.ndarray | None = None) -> Lattice:
+    def of(base: Splats, camera: Camera, parent: Ids | None = None, sized: Ids | None = None) -> Lattice:
         """Nothing halved yet. parent: [S] int64 ascending, those of the base that there are (default: all); sized: [Q]
         int64, those that may be halved (default: all). The others have no sizes: finding these is what takes time."""
         n = len(base)
@@ -119,7 +120,7 @@ class Lattice:
         """[S, 2] standard deviations along the two axes, in pixels."""
         return np.ldexp(self.sizes[self.parent].astype(np.float64), -self.level)
 
-    def take(self, ids: np.ndarray) -> Lattice:
+    def take(self, ids: Ids) -> Lattice:
         """A part of them. ids: [K] int64."""
         taken = {name: getattr(self, name)[ids] for name in ("parent", "level", "site", "peak", "slot")}
         return replace(self, **taken)

@@ -28,6 +28,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Floats, Ids
 from splatpainter.kernels import portable
 from splatpainter.lift.edit_views import EditView, errors_name
 from splatpainter.lift.local.joint_colors import TargetPicture, recolored_together
@@ -78,9 +79,9 @@ class WideLift:
 
     splats: Splats
     """N Gaussians at their old indices, then the appended ones."""
-    touched: np.ndarray = field(repr=False)
+    touched: Ids = field(repr=False)
     """[T] int64 ascending: old Gaussians of which any attribute changed."""
-    parents: np.ndarray = field(repr=False)
+    parents: Ids = field(repr=False)
     """[A] int64: the old Gaussian that each appended one was split from."""
 
 
@@ -151,7 +152,7 @@ def _rate_of_scales(coarse: float) -> float:
     return float(portable.interp(coarse, WIDE_EDITS.coarse_shares, (low, high, high, low)))
 
 
-def _visible(splats: Splats, views: Sequence[EditView], projected: Sequence[ProjectedView]) -> np.ndarray:
+def _visible(splats: Splats, views: Sequence[EditView], projected: Sequence[ProjectedView]) -> Bools:
     """[N] bool: Gaussians of which some view shows more than MIN_VISIBLE_SHARE."""
     visible = np.zeros(len(splats), bool)
     for view, projection in zip(views, projected, strict=True):
@@ -160,7 +161,7 @@ def _visible(splats: Splats, views: Sequence[EditView], projected: Sequence[Proj
     return visible
 
 
-def _solid(view: EditView) -> np.ndarray:
+def _solid(view: EditView) -> Floats:
     """[H, W] float32: 1 where the picture is the asset's."""
     if view.alpha is None:
         return np.ones(view.mask.shape, np.float32)

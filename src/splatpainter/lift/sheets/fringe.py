@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Ids
 from splatpainter.cameras import Camera
 from splatpainter.lift.masks import dilated
 from splatpainter.lift.nearest import nearest_pixels
@@ -38,12 +39,12 @@ class FringedSurface:
     """A visible surface that goes on into a fringe."""
 
     visible: VisibleSurface
-    source: np.ndarray = field(repr=False)
+    source: Ids = field(repr=False)
     """[H, W] int64 flat index of the pixel whose surface each pixel of the fringe takes; -1: not in the fringe."""
 
     @staticmethod
     def of(
-        visible: VisibleSurface, covered: np.ndarray, fringe: np.ndarray, nearest: np.ndarray | None = None
+        visible: VisibleSurface, covered: np.ndarray, fringe: Bools, nearest: np.ndarray | None = None
     ) -> FringedSurface:
         """covered, fringe: [H, W] bool, apart; nearest: `nearest_pixels` of the former, if at hand."""
         source = np.full(covered.shape, -1, np.int64)
@@ -79,7 +80,7 @@ class FringedSurface:
         return PixelSurface(*full)
 
 
-def fringe_of(painted: np.ndarray, covered: np.ndarray, trusted: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+def fringe_of(painted: np.ndarray, covered: np.ndarray, trusted: Bools, alpha: np.ndarray) -> Bools:
     """[H, W] bool: painted pixels within FRINGE.width_px of covered ones that have no surface of their own. trusted:
     [H, W] bool pixels that have one; alpha: [H, W] of the asset."""
     return painted & ~trusted & ~covered & (alpha > FRINGE.min_alpha) & dilated(covered, FRINGE.width_px)

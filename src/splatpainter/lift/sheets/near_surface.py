@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Bytes, Ids
 from splatpainter.cameras import Camera
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
@@ -42,15 +43,15 @@ BESIDE, TOUCHES, FAR_BEHIND = 0, 1, 2
 class NearSurface:
     """The sheet's surface at each covered pixel, and for those beside at the nearest one."""
 
-    nearest: np.ndarray = field(repr=False)
+    nearest: Ids = field(repr=False)
     """[H, W] int32 flat index of the nearest covered pixel."""
-    entry: np.ndarray = field(repr=False)
+    entry: Ids = field(repr=False)
     """[H, W] int64 entry of `surface` of each covered pixel, -1: not covered."""
     surface: PixelSurface
     camera: Camera
 
     @staticmethod
-    def of(visible: VisibleSurface | FringedSurface, covered: np.ndarray) -> NearSurface:
+    def of(visible: VisibleSurface | FringedSurface, covered: Bools) -> NearSurface:
         """covered: [H, W] bool, some."""
         ys, xs = np.nonzero(covered)
         entry = np.full(covered.shape, -1, np.int64)
@@ -58,7 +59,7 @@ class NearSurface:
         entry[ys, xs] = np.arange(len(ys))
         return NearSurface(nearest_pixels(covered), entry, visible.at(np.stack([xs, ys], 1) + 0.5), visible.camera)
 
-    def sides(self, splats: Splats, ids: np.ndarray) -> np.ndarray:
+    def sides(self, splats: Splats, ids: np.ndarray) -> Bytes:
         """[Q] uint8, of each of some Gaussians ([Q] int64): TOUCHES where it lies on the surface at the covered pixel
         nearest to its centre, FAR_BEHIND where it lies so far behind that it is no part of a thick or foggy one."""
         camera, out = self.camera, np.empty(len(ids), np.uint8)
@@ -70,6 +71,6 @@ class NearSurface:
         run(kernels.classify_sides, *arrays, np.ascontiguousarray(ids, np.int64), world_to_camera, lens, *tables, out)
         return out
 
-    def touches(self, splats: Splats, ids: np.ndarray) -> np.ndarray:
+    def touches(self, splats: Splats, ids: np.ndarray) -> Bools:
         """[Q] bool, which of some Gaussians ([Q] int64) lie on the surface."""
         return self.sides(splats, ids) == TOUCHES

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Floats, Ids
 from splatpainter.cameras import Camera
 from splatpainter.kernels.rows import take
 from splatpainter.lift.local.local_edit import (
@@ -56,17 +57,17 @@ class PaintedView:
 
     splats: Splats
     """N Gaussians at their old indices, then the appended ones."""
-    touched: np.ndarray = field(repr=False)
+    touched: Ids = field(repr=False)
     """[T] int64 ascending: old Gaussians of which any attribute changed."""
-    parents: np.ndarray = field(repr=False)
+    parents: Ids = field(repr=False)
     """[A] int64: the old Gaussian that each appended one was split from, or lies on or in place of."""
-    replaced: np.ndarray = field(repr=False)
+    replaced: Ids = field(repr=False)
     """[R] int64 ascending, part of `touched`: indices that a sheet Gaussian took."""
-    removed: np.ndarray = field(repr=False)
+    removed: Ids = field(repr=False)
     """[E] int64 ascending, part of `touched`: indices that are empty now (opacity 0)."""
     limited: float
     """Edited pixels' worth of paint that the limits left out."""
-    on_surface: np.ndarray = field(repr=False)
+    on_surface: Bools = field(repr=False)
     """[H, W] bool: pixels whose paint lies on a trusted surface: on a sheet, or on fine Gaussians (`is_fine`)."""
 
 
@@ -74,10 +75,10 @@ def paint_view(
     splats: Splats,
     surface: Surface | None,
     camera: Camera,
-    edited: np.ndarray,
-    mask: np.ndarray,
+    edited: Floats,
+    mask: Bools,
     options: LocalOptions = LOCAL_DEFAULTS,
-    allowed: np.ndarray | None = None,
+    allowed: Bools | None = None,
     first_appended: int | None = None,
     *,
     view: ProjectedView | None = None,
@@ -127,12 +128,12 @@ class _PaintedPart:
     """What `paint_view` makes of the S Gaussians that it depends on."""
 
     edit: SparseEdit
-    replaced: np.ndarray
+    replaced: Ids
     """[R] int64 ascending, as of PaintedView."""
-    removed: np.ndarray
+    removed: Ids
     """[E] int64 ascending, as of PaintedView."""
     limited: float
-    on_surface: np.ndarray
+    on_surface: Bools
     """[H, W] bool, as of PaintedView."""
 
 
@@ -210,7 +211,7 @@ def _put_back(splats: Splats, ids: np.ndarray, part: _PaintedPart, rounds: bool)
     return PaintedView(edit.apply(splats), touched, edit.parents, ids[replaced], removed, part.limited, part.on_surface)
 
 
-def is_fine(painted: np.ndarray, reached: np.ndarray, first: int, originals: int, options: LocalOptions) -> bool:
+def is_fine(painted: Bools, reached: Bools, first: int, originals: int, options: LocalOptions) -> bool:
     """Whether an edit of much of the asset is better split: its Gaussians are nearly as fine as the pixels already, and
     sheets, which no other view has checked, only bring their own errors. painted: [H, W] bool; reached: [N] bool, the
     Gaussians that make these pixels, of which the first `first` are some of the original's `originals`.
@@ -241,7 +242,7 @@ def read_by_edit(splats: Splats, camera: Camera, mask: np.ndarray) -> tuple[np.n
     return _tiles_at_work(reach, view), gaussians_in_mask(splats, camera, mask, None, view)
 
 
-def _tiles_at_work(reach: np.ndarray, view: ProjectedView) -> np.ndarray:
+def _tiles_at_work(reach: np.ndarray, view: ProjectedView) -> Bools:
     """[TH, TW] bool tiles of `view`, and of all Gaussians that make pixels of `reach` ([H, W] bool)."""
     sums = view.backproject(np.zeros((*reach.shape, 3), np.float32), reach.astype(np.float32))
     return view.tiles | view.touched_tiles(sums.alpha > 0)
@@ -254,8 +255,8 @@ def _then_split(
     target: np.ndarray,
     mask: np.ndarray,
     options: LocalOptions,
-    allowed: np.ndarray,
-    tiles: np.ndarray,
+    allowed: Bools,
+    tiles: Bools,
 ) -> _PaintedPart:
     """The pixels that have no sheet, by splitting; those that no Gaussian makes stay as they are. allowed: [N] bool
     Gaussians that may be split, beside the new ones; tiles: [TH, TW] bool, nothing beyond them is looked at."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Ids
 from splatpainter.lift.local.split import Lattice
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.splats import Splats
@@ -16,17 +17,17 @@ from splatpainter.splats import Splats
 class Pieces:
     """What remains beside a sheet of the N Gaussians: P pieces of those that were cut, and the others as they were."""
 
-    left: np.ndarray = field(repr=False)
+    left: Bools = field(repr=False)
     """[N] bool: those that are as they were."""
-    parent_ids: np.ndarray = field(repr=False)
+    parent_ids: Ids = field(repr=False)
     """[P] int64 ascending: the Gaussian that each piece is of."""
-    slot: np.ndarray = field(repr=False)
+    slot: Bools = field(repr=False)
     """[P] bool: pieces that stay at their parent's index."""
     splats: Splats
     """P Gaussians."""
 
     @staticmethod
-    def of(lattice: Lattice, gone: np.ndarray) -> Pieces:
+    def of(lattice: Lattice, gone: Bools) -> Pieces:
         """lattice: of some of the Gaussians that are its base; gone: [S] bool, which the sheet replaces."""
         # Halved ones are replaced by their pieces; those that go leave nothing.
         halved = (lattice.level[:, 0] | lattice.level[:, 1]) > 0

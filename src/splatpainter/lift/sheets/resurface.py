@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Floats, Ids
 from splatpainter.cameras import Camera
 from splatpainter.kernels import portable
 from splatpainter.lift.colors import MIN_CHANGE, lift_colors, recolor
@@ -93,9 +94,9 @@ class Resurfaced:
     """Result of `resurface`: the edit's trusted part, done."""
 
     edit: SparseEdit
-    replaced: np.ndarray = field(repr=False)
+    replaced: Ids = field(repr=False)
     """[R] int64 ascending: indices that a sheet Gaussian took."""
-    covered: np.ndarray = field(repr=False)
+    covered: Bools = field(repr=False)
     """[H, W] bool pixels that the sheet covers, ring included."""
 
 
@@ -106,8 +107,8 @@ def resurface(
     visible: VisibleSurface,
     before: np.ndarray,
     alpha: np.ndarray,
-    target: np.ndarray,
-    pixels: np.ndarray,
+    target: Floats,
+    pixels: Bools,
     options: LocalOptions,
     first_appended: int,
 ) -> Resurfaced | None:
@@ -182,7 +183,7 @@ def resurface(
     return _assemble(splats, pieces, result, emptied, parent_ids[hidden_ids], covered, first_appended)
 
 
-def without_islands(mask: np.ndarray) -> np.ndarray:
+def without_islands(mask: np.ndarray) -> Bools:
     """[H, W] bool without parts that nowhere hold a 3 x 3 block (those parts' surroundings within 3 pixels stay)."""
     core = ~dilated(~mask, 1)
     return mask & dilated(core, 3)
@@ -230,18 +231,18 @@ def _picture(view: ProjectedView, around: ProjectedView, before: np.ndarray, til
     return np.where(_pixels_of(missing, view.camera)[..., None], around.rasterize(tiles=missing)[0], before)
 
 
-def _pixels_of(tiles: np.ndarray, camera: Camera) -> np.ndarray:
+def _pixels_of(tiles: np.ndarray, camera: Camera) -> Bools:
     """[H, W] bool pixels of some tiles ([TH, TW] bool)."""
     return tiles.repeat(TILE, 0).repeat(TILE, 1)[: camera.height, : camera.width]
 
 
 def _cut(
     splats: Splats,
-    ids: np.ndarray,
+    ids: Ids,
     share: np.ndarray,
     camera: Camera,
-    tiles: np.ndarray,
-    seen: np.ndarray,
+    tiles: Bools,
+    seen: Bools,
     near: NearSurface,
     covered: np.ndarray,
     options: LocalOptions,
@@ -322,7 +323,7 @@ def _within_horizon(
     geometry: SheetGeometry,
     pixels: np.ndarray,
     camera: Camera,
-) -> np.ndarray:
+) -> Floats:
     """[C, 3] float64 the means of sheet Gaussians. Those near the horizon and beyond RESURFACING.max_host_sigmas of all
     Gaussians that make the pixels around are moved along the lines of sight of their pixels ([C, 2]) to where their
     host ([C], ids of `hidden`) is densest: the edited view stays as it is. heaviest: [H, W] ids of `hidden`, -1:
@@ -366,7 +367,7 @@ class _Recolored:
 
     fresh: Splats
     """P + C Gaussians: the pieces, then the sheet."""
-    ids: np.ndarray = field(repr=False)
+    ids: Ids = field(repr=False)
     """[Q] int64: those that are as they were but for their colour."""
     sh: np.ndarray = field(repr=False)
     """[Q, K, 3] SH of those."""

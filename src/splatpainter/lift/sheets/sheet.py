@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Floats
 from splatpainter.cameras import Camera
 from splatpainter.kernels import portable
 from splatpainter.lift.sheets.fringe import FringedSurface
@@ -54,9 +55,9 @@ SHEET = SheetThresholds()
 class Cells:
     """C square cells of a picture."""
 
-    centers: np.ndarray = field(repr=False)
+    centers: Floats = field(repr=False)
     """[C, 2] float64 x, y in pixels."""
-    sizes: np.ndarray = field(repr=False)
+    sizes: Floats = field(repr=False)
     """[C] float64 edges, pixels."""
 
 
@@ -64,11 +65,11 @@ class Cells:
 class SheetGeometry:
     """C Gaussians on a surface, without colours."""
 
-    means: np.ndarray = field(repr=False)
+    means: Floats = field(repr=False)
     """[C, 3] float64 world units."""
-    quats: np.ndarray = field(repr=False)
+    quats: Floats = field(repr=False)
     """[C, 4] float64."""
-    scales: np.ndarray = field(repr=False)
+    scales: Floats = field(repr=False)
     """[C, 3] float64 world units."""
 
 
@@ -145,7 +146,7 @@ def _around(values: np.ndarray, combine) -> np.ndarray:
     return out
 
 
-def _is_plane(inverse: np.ndarray, size: int, fx: float) -> np.ndarray:
+def _is_plane(inverse: np.ndarray, size: int, fx: float) -> Bools:
     """[H / size, W / size] bool: 1 / depth over a cell differs from a plane by little (in cells, at its depth)."""
     height, width = inverse.shape
     blocks = inverse.reshape(height // size, size, width // size, size)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from splatpainter.arrays import Ids
 from splatpainter.splats import ATTRIBUTES, Splats, float_bits
 
 
@@ -17,15 +18,15 @@ from splatpainter.splats import ATTRIBUTES, Splats, float_bits
 class SparseEdit:
     """An edit of N Gaussians, as the few that it changes, empties and appends."""
 
-    ids: np.ndarray = field(repr=False)
+    ids: Ids = field(repr=False)
     """[T] int64 ascending: those with other values."""
     values: Splats
     """T Gaussians: what they are now."""
-    emptied: np.ndarray = field(repr=False)
+    emptied: Ids = field(repr=False)
     """[E] int64 ascending, none of `ids`: those whose opacity is 0 now; their other values stay."""
     appended: Splats
     """A Gaussians, which come after the N."""
-    parents: np.ndarray = field(repr=False)
+    parents: Ids = field(repr=False)
     """[A] int64 the one of the N that each of these was split from, or lies on or in place of."""
 
     @staticmethod
@@ -35,7 +36,7 @@ class SparseEdit:
         appended = after.take(np.arange(count, len(after)))
         return SparseEdit(ids, after.take(ids), np.zeros(0, np.int64), appended, parents)
 
-    def touched(self, before: Splats) -> np.ndarray:
+    def touched(self, before: Splats) -> Ids:
         """[T'] int64 ascending: those of `before` of which any bit changes."""
         changed = self.emptied[float_bits(before.opacities[self.emptied]) != 0]
         return np.sort(np.concatenate([self.ids, changed]))

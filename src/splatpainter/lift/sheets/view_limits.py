@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Floats
 from splatpainter.cameras import Camera
 from splatpainter.kernels import portable
 from splatpainter.lift.masks import dilated
@@ -53,7 +54,7 @@ def blocks_px(camera: Camera) -> int:
     return -(-max(camera.width, camera.height) // VIEW_LIMITS.coarse_blocks)
 
 
-def left_out(coarse: VisibleSurface, camera: Camera, angle_limit: float, depth_edge_limit: float) -> np.ndarray:
+def left_out(coarse: VisibleSurface, camera: Camera, angle_limit: float, depth_edge_limit: float) -> Bools:
     """[H, W] bool: pixels of a view whose paint the limits leave out (by more than half), to about a block. coarse: of
     `coarse_surface`, for this camera; limits: as `paintable`'s."""
     size = blocks_px(camera)
@@ -62,7 +63,7 @@ def left_out(coarse: VisibleSurface, camera: Camera, angle_limit: float, depth_e
     return out.repeat(size, 0).repeat(size, 1)[: camera.height, : camera.width]
 
 
-def paintable(visible: VisibleSurface, pixels: np.ndarray, angle_limit: float, depth_edge_limit: float) -> np.ndarray:
+def paintable(visible: VisibleSurface, pixels: Bools, angle_limit: float, depth_edge_limit: float) -> Floats:
     """[H, W] float32 0..1: how much of a pixel's paint this view lays down.
 
     pixels: [H, W] bool, those that are asked for (others are 0). angle_limit: degrees between line of sight and normal

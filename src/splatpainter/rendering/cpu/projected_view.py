@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Ids
 from splatpainter.cameras import Camera
 from splatpainter.kernels.arrays import aligned, readonly
 from splatpainter.kernels.library import kernels
@@ -54,21 +55,21 @@ class ProjectedView:
     camera: Camera
     num_gaussians: int
     """N, of the splats that were projected."""
-    tiles: np.ndarray
+    tiles: Bools
     """[TH, TW] bool: the 16 x 16 tiles that are drawn."""
-    gaussian_ids: np.ndarray
+    gaussian_ids: Ids
     """[M] int64 Gaussians that touch a drawn tile, front to back."""
     projected: np.ndarray
     """[M, 16] columns as named in geometry.py; not to be written."""
-    pair_offsets: np.ndarray
+    pair_offsets: Ids
     """[M + 1] int64: entry i's pairs (one per tile that it touches) are pair_offsets[i] .. pair_offsets[i + 1] of P."""
-    flatten_ids: np.ndarray
+    flatten_ids: Ids
     """[P] int32 entries (0..M) of each drawn tile, tile after tile, front to back."""
-    pair_ids: np.ndarray
+    pair_ids: Ids
     """[P] int32 which pair each of `flatten_ids` is."""
-    tile_ids: np.ndarray
+    tile_ids: Ids
     """[T] int32 drawn tiles, numbered row by row over [TH, TW]."""
-    isect_offsets: np.ndarray
+    isect_offsets: Ids
     """[T + 1] int64 where each drawn tile begins in `flatten_ids`."""
 
     def __len__(self) -> int:
@@ -110,7 +111,7 @@ class ProjectedView:
         """[M, 3] the same, not clamped."""
         return self.projected[:, geometry.UNCLAMPED_RED :]
 
-    def tiles_of(self, gaussian_mask: np.ndarray) -> np.ndarray:
+    def tiles_of(self, gaussian_mask: np.ndarray) -> Bools:
         """[TH, TW] bool: drawn tiles that the ellipses of these Gaussians ([N] bool) touch."""
         selected = gaussian_mask[self.gaussian_ids][self.flatten_ids]  # [P]
         hit = np.zeros(len(self.tile_ids), bool)
@@ -119,7 +120,7 @@ class ProjectedView:
         out[self.tile_ids[hit]] = True
         return out.reshape(self.tiles.shape)
 
-    def touched_tiles(self, entries: np.ndarray) -> np.ndarray:
+    def touched_tiles(self, entries: np.ndarray) -> Bools:
         """[TH, TW] bool: all tiles, drawn or not, that the ellipses of these entries ([M] bool) touch."""
         grid = np.array([0, self.tiles.shape[1], 0, self.tiles.shape[0]])
         hit = np.zeros((threads(), self.tiles.size), bool)
@@ -202,7 +203,7 @@ class ProjectedView:
         )
 
     def rasterize(
-        self, colors: np.ndarray | None = None, tiles: np.ndarray | None = None
+        self, colors: np.ndarray | None = None, tiles: Bools | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Composite the drawn tiles: (image [H, W, 3] over the camera's background, alpha [H, W], expected z-depth
         [H, W]). colors: [M, 3] in place of the SH colours, used as they are; tiles: [TH, TW] bool, of the drawn tiles
@@ -226,7 +227,7 @@ class ProjectedView:
         profile: Profile = "inria",
         *,
         empty: bool = False,
-    ) -> np.ndarray:
+    ) -> Ids:
         """`rasterize` into given C-contiguous arrays. empty: they hold what undrawn tiles show already. Returns
         [T] int64 where in `flatten_ids` each drawn tile stopped, for `rasterize_backward`."""
         background = self._background()
@@ -311,7 +312,7 @@ class ProjectedView:
         run(kernels.sirt_tiles, *lists, self._background(), target, mask, sums, errors)
         return self._reduce(sums)[:, :3], float(errors.sum(dtype=np.float64))
 
-    def heaviest_gaussians(self, profile: Profile = "inria") -> np.ndarray:
+    def heaviest_gaussians(self, profile: Profile = "inria") -> Ids:
         """[H, W] int64: the Gaussian with the largest weight w = alpha T in each pixel, of equal ones the front one; -1
         where nothing is drawn. All tiles are to be drawn."""
         entries = np.full((self.camera.height, self.camera.width), -1, np.int32)
@@ -361,7 +362,7 @@ def tile_shape(camera: Camera) -> tuple[int, int]:
     return -(-camera.height // TILE), -(-camera.width // TILE)
 
 
-def tiles_of_mask(mask: np.ndarray) -> np.ndarray:
+def tiles_of_mask(mask: np.ndarray) -> Bools:
     """[TH, TW] bool: tiles in which a [H, W] mask has any pixel > 0."""
     height, width = mask.shape
     padded = np.zeros((-(-height // TILE) * TILE, -(-width // TILE) * TILE), bool)
@@ -370,7 +371,7 @@ def tiles_of_mask(mask: np.ndarray) -> np.ndarray:
 
 
 def project(
-    splats: Splats, camera: Camera, *, gaussian_mask: np.ndarray | None = None, tiles: np.ndarray | None = None
+    splats: Splats, camera: Camera, *, gaussian_mask: Bools | None = None, tiles: Bools | None = None
 ) -> ProjectedView:
     """Geometry of one view. splats: numpy attributes (float32; float64 works too). gaussian_mask: [N] bool, only these
     Gaussians exist. tiles: [TH, TW] bool, only these 16 x 16 tiles are drawn, and what misses them is dropped early."""
@@ -443,7 +444,7 @@ def project(
     )
 
 
-def _depth_order(keys: np.ndarray, counts: np.ndarray) -> np.ndarray:
+def _depth_order(keys: np.ndarray, counts: np.ndarray) -> Ids:
     """[M] int32 slots of what the blocks wrote, front to back, ties in the order of the Gaussians."""
     total = int(counts.sum())
     if keys.dtype == np.float32:

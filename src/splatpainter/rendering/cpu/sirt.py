@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from splatpainter.arrays import Bools, Ids
 from splatpainter.kernels.arrays import aligned, readonly
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
@@ -28,7 +29,7 @@ BLOCKS, LANES = 16, 16
 
 
 def sirt_steps(
-    view: ProjectedView, target: np.ndarray, mask: np.ndarray, movable: np.ndarray
+    view: ProjectedView, target: np.ndarray, mask: np.ndarray, movable: Bools
 ) -> CachedWeights | UncachedWeights:
     """Steps towards a picture with C movable Gaussians of a view's M; the others have the view's colours. movable: [M]
     bool; target: [H, W, 3]; mask: [H, W] weights m_p >= 0."""
@@ -101,7 +102,7 @@ class CachedWeights:
         return _step_sums(self._lists, self._remainder, self._num_pairs, self._pair_offsets, colors)[:, :3]
 
 
-def _block_boxes(view: ProjectedView, entries: np.ndarray, tile: np.ndarray) -> np.ndarray:
+def _block_boxes(view: ProjectedView, entries: np.ndarray, tile: np.ndarray) -> Ids:
     """[Q, 4] int64 blocks of each pair's tile that its ellipse touches, rows and columns from, to (see blocks_hit)."""
     projected, across = view.projected[entries], view.tiles.shape[1]
     out = np.empty((len(entries), 4), np.int64)
