@@ -1,4 +1,5 @@
 """One word, one thing: names that Python files give, held to docs/guide/glossary.md. Says why, and what to write.
+Docstrings are whole sentences: none begins or ends with "...", to go on in the one before or after it.
 
 Run: python scripts/words.py [FILE ...]        without files: all of src, benchmarks, train and tests; exit code 1 where
 a name breaks a rule. `make check` and pre-commit run it. A rule that is wrong is changed here, with its reason: an
@@ -104,6 +105,7 @@ EXCEPTIONS = {
     ("nearest.py", "rows"): "rows of pixels",
 }
 """(file, name) -> why it stays."""
+HALF = re.compile(r"\A\.\.\.|\.\.\.\Z")
 WITH_COLUMNS = {"column", "columns"}
 """A file that names these beside rows speaks of pictures or tables."""
 
@@ -125,12 +127,15 @@ def main(words: list[str]) -> int:
     for path in paths:
         if path.suffix != ".py" or not path.is_relative_to(ROOT):
             continue
-        place = path.relative_to(ROOT).as_posix()
-        for offence in offences(path.read_text(encoding="utf-8"), place):
+        place, source = path.relative_to(ROOT).as_posix(), path.read_text(encoding="utf-8")
+        for line in half_sentences(source):
+            count += 1
+            print(f"{place}:{line}: a docstring that begins or ends with '...'; write a whole sentence")
+        for offence in offences(source, place):
             count += 1
             print(f"{place}:{offence.line}: {offence.name}: {offence.rule.why}; write {offence.rule.instead}")
     if count:
-        print(f"{count} names; the words are in docs/guide/glossary.md")
+        print(f"{count} to change; the words are in docs/guide/glossary.md")
     return int(count > 0)
 
 
@@ -151,6 +156,18 @@ def offences(source: str, place: str) -> list[Offence]:
             if breaks(rule, name, constant):
                 out.setdefault(name, Offence(name, line, rule))
     return list(out.values())
+
+
+def half_sentences(source: str) -> list[int]:
+    """Lines of docstrings, those of fields and constants too, that begin or end with "..."."""
+    if '"""...' not in source and '..."""' not in source:
+        return []
+    texts = [
+        node.value
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+    ]
+    return sorted(text.lineno for text in texts if HALF.search(str(text.value)))
 
 
 def breaks(rule: Rule, name: str, constant: bool) -> bool:

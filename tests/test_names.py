@@ -96,3 +96,15 @@ def test_a_name_against_the_words_is_seen(source: str, names: set[str]) -> None:
     offences = WORDS["offences"](source, "src/splatpainter/lift/example.py")
     assert {offence.name for offence in offences} == names
     assert all(offence.rule.why and offence.rule.instead for offence in offences)
+
+
+@pytest.mark.parametrize(
+    ("source", "lines"),
+    [
+        ('A = 1\n"""Pixels, ..."""\nB = 2\n"""... and rows."""\n', [2, 4]),
+        ('def f():\n    """... and more.\n    """\n', [2]),
+        ('"""Whole. [..., 3] colours, a, b ... c."""\ns = """... a value ..."""\n', []),
+    ],
+)
+def test_a_docstring_is_a_whole_sentence(source: str, lines: list[int]) -> None:
+    assert WORDS["half_sentences"](source) == lines

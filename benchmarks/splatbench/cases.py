@@ -196,7 +196,7 @@ class EditStep:
 
     mode: Mode
     kind: str
-    """zoom, stroke, text, sticker, photo, recolor, relight, ..."""
+    """zoom, stroke, text, sticker, photo, recolor, relight and others."""
     edited: PosedImages
     """V >= 1 edited views."""
     masks: np.ndarray = field(repr=False)
@@ -231,7 +231,7 @@ class Case:
     setup_seconds: float = 0.0
     """What building the asset took, where it was built for this case."""
     facts: dict[str, Any] = field(default_factory=dict)
-    """JSON values for notes and plots: views, environment, samples per pixel, source of truth, ..."""
+    """JSON values for notes and plots: views, environment, samples per pixel, source of truth and others."""
 
     @property
     def most_changed_view(self) -> int | None:

@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from splatpainter.arrays import Floats, FloatsOrTensor
+from splatpainter.array_types import Floats, FloatsOrTensor
 from splatpainter.kernels import portable
 from splatpainter.splats import Splats
 from splatpainter.transforms import GOLDEN_ANGLE, stacked

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.arrays import Floats, FloatsOrTensor
+from splatpainter.array_types import Floats, FloatsOrTensor
 from splatpainter.kernels import portable
 from splatpainter.splats import SH_C0, ColorSpace
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, cast
 
 import numpy as np
 
-from splatpainter.arrays import ArrayT, Bools, Floats, Ids
+from splatpainter.array_types import ArrayT, Bools, Floats, Ids
 from splatpainter.system.old_names import formerly_called
 
 if TYPE_CHECKING:

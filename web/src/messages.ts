@@ -215,11 +215,11 @@ export interface BatchJobInfo {
   warnings: string[];
   /** Bytes of its file. */
   bytes: number | null;
-  /** Address of the download, ... */
+  /** Address of the download. */
   url: string | null;
-  /** ... its receipt, ... */
+  /** Address of its receipt. */
   receipt_url: string | null;
-  /** ... and small pictures of the asset and of the result. */
+  /** Addresses of small pictures of the asset, here, and of the result. */
   before_url: string | null;
   after_url: string | null;
 }

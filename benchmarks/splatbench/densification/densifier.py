@@ -47,12 +47,12 @@ CURVES = ("z", "hilbert", "z-turned", "hilbert-turned")
 CELL_DEVIATIONS = 3.0
 """Edge of a point's cell along each own axis, in its standard deviations; children stay within half of it."""
 CHILD_OFFSET_DEVIATIONS = 0.6
-"""Where an even split puts two children on an axis, in standard deviations of the parent ..."""
+"""Where an even split puts two children on an axis, in standard deviations of the parent."""
 CHILD_SCALE = math.sqrt(1 - CHILD_OFFSET_DEVIATIONS**2)
-"""... how wide they are there, so that the two together have the parent's variance ..."""
+"""How wide they are there, so that the two together have the parent's variance."""
 CHILD_OPACITY_FITS = {2: (0.63, 0.09), 4: (0.395, 0.09)}
-"""... and how opaque: a + b o of a parent's opacity o, fitted to the composited alpha of a parent seen along its third
-axis, whose rms error is then 5 % (faint Gaussians) to 17 % (opaque ones, 4 children)."""
+"""How opaque they are there: a + b o of a parent's opacity o, fitted to the composited alpha of a parent seen along its
+third axis, whose rms error is then 5 % (faint Gaussians) to 17 % (opaque ones, 4 children)."""
 OPACITY_SHIFT = -2.1792
 """Head "absolute": opacity sigmoid(raw + this), as published."""
 MIN_CANDIDATES = 16
@@ -264,7 +264,7 @@ def split_mask(chance: Tensor, keep: float) -> Tensor:
 
 
 def wave_code(share: Tensor, frequencies: int) -> Tensor:
-    """[M, 3] offsets in cells (-0.5..0.5) -> [M, 6 frequencies]: sin and cos of 2^k pi times them, k = 0, 1, ..."""
+    """[M, 3] offsets in cells (-0.5..0.5) -> [M, 6 frequencies]: sin and cos of 2^k pi times them, k from 0."""
     angle = share[:, :, None] * (math.pi * 2.0 ** torch.arange(frequencies, device=share.device))
     return torch.cat([angle.sin(), angle.cos()], -1).flatten(1)
 

@@ -134,7 +134,7 @@ class Curve:
 
 
 def is_curve_point(step: int) -> bool:
-    """Whether a step is one of 10, 30, 100, 300, 1000, ..."""
+    """Whether a step is one of 10, 30, 100, 300, 1000 and so on."""
     while step >= 100 and step % 10 == 0:
         step //= 10
     return step in (10, 30)

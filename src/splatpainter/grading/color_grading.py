@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.arrays import FloatsOrTensor
+from splatpainter.array_types import FloatsOrTensor
 from splatpainter.color import LUMA, base_color, linear_to_srgb, luminance, srgb_to_linear
 from splatpainter.kernels.parallel import each
 from splatpainter.splats import SH_C0, ColorSpace

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splatpainter.arrays import Bools, Ids
+from splatpainter.array_types import Bools, Ids
 from splatpainter.color import base_color, oklab, to_display
 from splatpainter.holes.border import cell_of
 from splatpainter.kernels import portable

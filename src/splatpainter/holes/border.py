@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from splatpainter.arrays import Bools, Floats, Ids
+from splatpainter.array_types import Bools, Floats, Ids
 from splatpainter.splats import Splats
 from splatpainter.transforms import quat_to_matrix
 from splatpainter.voxels.neighbours import components, nearest_within

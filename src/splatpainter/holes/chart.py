@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from splatpainter.arrays import Bools, Floats, Ids
+from splatpainter.array_types import Bools, Floats, Ids
 from splatpainter.cameras import Camera
 from splatpainter.holes.border import Border
 from splatpainter.holes.smooth_surface import ThinPlate

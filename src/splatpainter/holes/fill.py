@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from splatpainter.arrays import Bools
+from splatpainter.array_types import Bools
 from splatpainter.cameras import Camera
 from splatpainter.color import sh_from_color
 from splatpainter.holes.border import BORDER, Border, bordering_gaussians, borders_of

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splatpainter.arrays import Bools, Floats
+from splatpainter.array_types import Bools, Floats
 from splatpainter.holes.smooth_surface import membrane
 
 

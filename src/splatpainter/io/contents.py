@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from splatpainter.arrays import Ids
+from splatpainter.array_types import Ids
 from splatpainter.io.formats.ply_container import Element, Header, TextRows, element_size
 from splatpainter.splats import Source
 

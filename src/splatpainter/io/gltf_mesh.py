@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.arrays import Floats
+from splatpainter.array_types import Floats
 from splatpainter.io.formats import gltf
 
 UNSIGNED_INT = 5125

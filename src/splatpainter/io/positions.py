@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from splatpainter.arrays import Floats
+from splatpainter.array_types import Floats
 from splatpainter.splats import MAX_MAGNITUDE, Splats
 from splatpainter.transforms import row_max
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from splatpainter.arrays import Bools, Floats
+from splatpainter.array_types import Bools, Floats
 from splatpainter.cameras import Camera
 from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project

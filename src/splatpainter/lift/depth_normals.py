@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splatpainter.arrays import Floats
+from splatpainter.array_types import Floats
 from splatpainter.cameras import Camera, orbit
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run

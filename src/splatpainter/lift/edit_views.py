@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from splatpainter.arrays import Bools, Floats
+from splatpainter.array_types import Bools, Floats
 from splatpainter.cameras import Camera
 from splatpainter.lift.local.local_edit import NothingPaintableError, gaussians_in_mask
 from splatpainter.rendering import render

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from splatpainter.arrays import Bools, Floats, Ids
+from splatpainter.array_types import Bools, Floats, Ids
 from splatpainter.lift.colors import refine_colors_local
 from splatpainter.lift.edit_views import EditView, errors_name, gaussians_in_views
 from splatpainter.lift.features import global_features, local_features, no_features

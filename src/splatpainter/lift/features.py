@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from splatpainter.arrays import Floats
+from splatpainter.array_types import Floats
 from splatpainter.lift.edit_views import EditView
 from splatpainter.lift.global_edit import GlobalLift
 from splatpainter.rendering.cpu.projected_view import project, tiles_of_mask

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from splatpainter.arrays import Floats
+from splatpainter.array_types import Floats
 from splatpainter.cameras import Camera
 from splatpainter.color import base_color, sh_from_color
 from splatpainter.kernels import portable

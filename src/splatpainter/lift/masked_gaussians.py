@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from splatpainter.arrays import Bools
+from splatpainter.array_types import Bools
 from splatpainter.cameras import Camera
 from splatpainter.splats import Splats
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from splatpainter.arrays import Bools, Ids
+from splatpainter.array_types import Bools, Ids
 from splatpainter.kernels.library import kernels
 
 NOWHERE = -(1 << 20)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splatpainter.arrays import Bools
+from splatpainter.array_types import Bools
 from splatpainter.cameras import Camera, look_at
 from splatpainter.kernels import portable
 from splatpainter.kernels.parallel import each

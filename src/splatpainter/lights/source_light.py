@@ -35,9 +35,9 @@ class EstimateThresholds:
     patch_extents: float = 0.25
     """Edge of a patch of one material."""
     patch_chroma: float = 0.3
-    """... and in natural logarithms of red and blue over green."""
+    """The same edge in natural logarithms of red and blue over green."""
     patch_brightness: float = 0.7
-    """... and, where a light is known, of luminance without its shading."""
+    """The same edge, where a light is known, in natural logarithms of luminance without its shading."""
     normal_bins: int = 64
     """Directions by which Gaussians of a patch are gathered into one observation each."""
     min_members: int = 3

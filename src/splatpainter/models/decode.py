@@ -19,8 +19,8 @@ from splatpainter.splats import SH_C0, Splats
 CHILD_SCALE = 0.5
 """A child is born this much smaller than its parent: detail is finer than what is there."""
 CHILD_OPACITY = 0.1
-"""... and this much fainter, so that appending it hardly changes a picture, yet its pixels have gradients (renderers
-skip alpha below 1/255, so that a child born invisible would never learn)."""
+"""A child is born this much fainter, so that appending it hardly changes a picture, yet its pixels have gradients
+(renderers skip alpha below 1/255, so that a child born invisible would never learn)."""
 LIMITS = {"centre": 0.25, "scale": 0.1, "turn": 0.1, "opacity": 0.25, "sh": 2.0}
 """Limits of a bounded residual: sizes of the Gaussian, log scale, quaternion of norm 1, logits, SH coefficients.
 Colours are free, the rest is a touch: with wide limits a model learns to fade and thicken the Gaussians of its training

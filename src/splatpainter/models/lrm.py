@@ -31,7 +31,7 @@ MAX_RAY_OFFSET = 1.8
 """A Gaussian lies at most this far along its ray from the ray's point nearest the cube's centre (cube: -1..1, its
 corners at 1.73)."""
 DEPTH_REACH = 0.1
-"""... or from the rendered depth where that is known: 6 voxels of 128."""
+"""The same from the rendered depth where that is known: 6 voxels of 128."""
 MIN_DEPTH_ALPHA = 0.1
 """Alpha from which a rendered depth counts: the mean over a few faint Gaussians is a guess."""
 SCALE_BIAS, SCALE_MOST = -2.3, -1.2

@@ -23,7 +23,7 @@ class LayDecal(ViewLimits):
     picture: Path | None = parameter(None, metavar="PICTURE", positional=True, file=True, holds="picture")
     """A picture to lay on the surface, unwrapped over it; what is transparent stays as it is."""
     text: str = parameter("", metavar="WORD")
-    """... or a text to lay on the surface."""
+    """A text to lay on the surface, in place of a picture."""
     font: Path | None = parameter(None, metavar="F.ttf", file=True)
     """Font of the text, TrueType or OpenType."""
     color: str = parameter("#202020", metavar="#RRGGBB")

@@ -36,9 +36,9 @@ class Generate(PictureSourceOptions, PaintingOptions):
     view: Path | None = parameter(None, metavar="CAM.json", file=True)
     """Camera of the view that is sent; default: --azimuth 0 --elevation 15, as the first picture of `render`."""
     azimuth: float | None = parameter(None, metavar="DEGREES")
-    """... or its direction: degrees around the asset."""
+    """Direction of the view that is sent, in place of its camera: degrees around the asset."""
     elevation: float | None = parameter(None, metavar="DEGREES", ge=-90, le=90)
-    """... and degrees above the horizon."""
+    """Degrees of that direction above the horizon."""
     size: int | None = parameter(None, metavar="PX", shared=True, ge=16, le=MAX_SIDE_PX)
     """Pixels of the longer side of the views that are sent; default: 800, or what --view says."""
     views: Literal["", "auto"] = parameter("", metavar="auto")

@@ -75,11 +75,11 @@ class Grade(ColorSliders, Operation):
     """Instead of sliders: an adjustment layer, as the studio exports it (.splatlayer), or its settings as JSON: the
     sliders, curve, hues, strength."""
     lut: Path | None = parameter(None, metavar="FILE.cube", file=True)
-    """... or a table of display colours, 1D or 3D, as grading programs write it."""
+    """Or: a table of display colours, 1D or 3D, as grading programs write it."""
     match: Path | None = parameter(None, metavar="PICTURE", file=True, holds="picture")
-    """... or the mean and spread of the colours of this picture (linear Monge-Kantorovitch map)."""
+    """Or: the mean and spread of the colours of this picture (linear Monge-Kantorovitch map)."""
     recolor: str = parameter("", metavar="#RRGGBB")
-    """... or one new colour; light and shade stay as they are."""
+    """Or: one new colour; light and shade stay as they are."""
     strength: float = parameter(1.0, gt=0, le=1)
     """Strength of the change, 0 .. 1."""
     where: tuple[str, ...] = parameter((), metavar="WHERE ...", holds="region")

@@ -20,7 +20,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from splatpainter.arrays import Bools, Floats, Ids
+from splatpainter.array_types import Bools, Floats, Ids
 from splatpainter.cameras import Camera, bounding_sphere, spherical_cameras
 from splatpainter.color import base_color, from_display, from_hex, sh_from_color
 from splatpainter.decals.decals import parse_width

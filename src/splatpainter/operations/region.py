@@ -30,7 +30,7 @@ from pathlib import Path
 
 import numpy as np
 
-from splatpainter.arrays import Floats
+from splatpainter.array_types import Floats
 from splatpainter.color import from_hex, luminance, oklab
 from splatpainter.grading.color_match import display_colors
 from splatpainter.image_files import find_camera

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from splatpainter.arrays import Floats, Ids
+from splatpainter.array_types import Floats, Ids
 from splatpainter.receipts import Receipt
 from splatpainter.splats import Splats
 

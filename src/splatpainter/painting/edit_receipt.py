@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from splatpainter.arrays import Bools
+from splatpainter.array_types import Bools
 from splatpainter.painting.asset import Asset
 from splatpainter.painting.edited_picture import Mode
 from splatpainter.receipts import Receipt, ViewScore, scores, untouched_hashes

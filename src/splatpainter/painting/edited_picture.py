@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from splatpainter.arrays import Bools
+from splatpainter.array_types import Bools
 from splatpainter.cameras import Camera
 
 Mode = Literal["local", "global", "spread"]

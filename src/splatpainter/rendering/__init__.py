@@ -12,7 +12,7 @@ from typing import Any, Generic, Literal, cast
 
 import numpy as np
 
-from splatpainter.arrays import ArrayT, Floats, FloatsOrTensor
+from splatpainter.array_types import ArrayT, Floats, FloatsOrTensor
 from splatpainter.cameras import Camera
 from splatpainter.rendering.profiles import PROFILES, Profile
 from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Splats

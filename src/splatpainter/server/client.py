@@ -43,9 +43,9 @@ MAX_QUEUED_COMMANDS = 64
 PROGRESS_SECONDS = 0.1
 """Seconds between progress messages of one command."""
 BACKPRESSURE_MESSAGES = 64
-"""Messages that may wait for a client that reads slowly, before its next command has to wait too, ..."""
+"""Messages that may wait for a client that reads slowly, before its next command has to wait too."""
 BACKPRESSURE_BYTES = 64 << 20
-"""... and bytes of them."""
+"""Bytes of such messages, likewise."""
 MAX_UNSENT_MESSAGES = 1024
 """Messages that may wait for a client; one that reads none of more is closed."""
 

@@ -485,11 +485,11 @@ class BatchJobInfo(Message):
     bytes: int | None
     """Bytes of its file."""
     url: str | None
-    """Address of the download, ..."""
+    """Address of the download."""
     receipt_url: str | None
-    """... its receipt, ..."""
+    """Address of its receipt."""
     before_url: str | None
-    """... and small pictures of the asset and of the result."""
+    """Addresses of small pictures of the asset, here, and of the result."""
     after_url: str | None
 
 

@@ -27,9 +27,9 @@ CELLS_PER_RADIUS = 48
 FACING_COSINES = (math.cos(math.radians(75)), math.cos(math.radians(62)))
 """Cosines from which a view reaches a surface, and from which fully; between them the mask is soft."""
 MAX_SLOPE = 5.0
-"""Change of depth from one pixel to the next, in pixels' widths there, above which it breaks ..."""
+"""Change of depth from one pixel to the next, in pixels' widths there, above which it breaks."""
 MIN_STEP = 0.008
-"""... and as a part of the depth, at least: folds and the noise of captures are no edges."""
+"""A break also is this part of the depth, at least: folds and the noise of captures are no edges."""
 EDGE_PX = 1
 """Reach around such a break that is not painted, pixels."""
 SMOOTHING_SHARE = 1 / 130

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from splatpainter.arrays import Floats, Ids
+from splatpainter.array_types import Floats, Ids
 from splatpainter.color import base_color, oklab, to_display
 from splatpainter.splats import Splats
 from splatpainter.spread.nearest_neighbours import neighbours, weighted_means

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from splatpainter.arrays import Bools, Floats
+from splatpainter.array_types import Bools, Floats
 from splatpainter.color import oklab, to_display
 from splatpainter.lift.edit_views import EditView
 from splatpainter.lift.masks import box_mean, dilated

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from splatpainter.arrays import Bytes
+from splatpainter.array_types import Bytes
 from splatpainter.cameras import Camera, bounding_sphere
 from splatpainter.color import luminance, to_display
 from splatpainter.image_files import to_uint8

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from splatpainter.arrays import Floats, Ids
+from splatpainter.array_types import Floats, Ids
 from splatpainter.color import base_color, to_display
 from splatpainter.kernels import portable
 from splatpainter.lift.edit_views import EditView

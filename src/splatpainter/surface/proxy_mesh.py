@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from splatpainter.arrays import Floats, Ids
+from splatpainter.array_types import Floats, Ids
 from splatpainter.color import base_color
 from splatpainter.splats import Splats
 from splatpainter.transforms import quat_to_matrix

@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from splatpainter.arrays import Floats, Ids
+from splatpainter.array_types import Floats, Ids
 from splatpainter.kernels import portable
 from splatpainter.kernels.arrays import aligned
 from splatpainter.splats import Splats

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from splatpainter.arrays import Bools, Floats, Ids
+from splatpainter.array_types import Bools, Floats, Ids
 from splatpainter.kernels import portable
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from splatpainter.arrays import Bools, Floats, Ids
+from splatpainter.array_types import Bools, Floats, Ids
 from splatpainter.cameras import Camera
 from splatpainter.kernels import portable
 from splatpainter.kernels.library import kernels

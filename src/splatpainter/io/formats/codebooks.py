@@ -9,7 +9,7 @@ import heapq
 
 import numpy as np
 
-from splatpainter.arrays import Bools
+from splatpainter.array_types import Bools
 
 CODEBOOK_SIZE = 256
 

@@ -37,7 +37,7 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.arrays import Bytes
+from splatpainter.array_types import Bytes
 from splatpainter.color import srgb_to_linear
 from splatpainter.io import axes, files, positions
 from splatpainter.io.bounded import allow_rows

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from splatpainter.arrays import Bytes, Floats, Ids
+from splatpainter.array_types import Bytes, Floats, Ids
 from splatpainter.io.files import printable
 from splatpainter.transforms import row_norm
 

@@ -18,7 +18,7 @@ from typing import BinaryIO, Protocol
 
 import numpy as np
 
-from splatpainter.arrays import Floats, Ids
+from splatpainter.array_types import Floats, Ids
 from splatpainter.io.files import MAX_HEADER_BYTES, printable
 
 TYPES = {

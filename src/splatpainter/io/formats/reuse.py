@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from splatpainter.arrays import Ids
+from splatpainter.array_types import Ids
 from splatpainter.splats import ATTRIBUTES, MAX_MAGNITUDE, Splats
 
 

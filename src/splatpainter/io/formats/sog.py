@@ -43,7 +43,7 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.arrays import Bytes
+from splatpainter.array_types import Bytes
 from splatpainter.io.bounded import allow, allow_rows
 from splatpainter.io.formats import activations, codebooks, packing
 from splatpainter.io.formats.reuse import Unchanged, drawable_rows, row_problems, unchanged

@@ -33,7 +33,7 @@ from pathlib import Path
 
 import numpy as np
 
-from splatpainter.arrays import Bools
+from splatpainter.array_types import Bools
 from splatpainter.io import files
 from splatpainter.io.axes import describe, flip, move, move_back
 from splatpainter.io.bounded import BOUNDS, Gunzip, allow_rows, unzstd

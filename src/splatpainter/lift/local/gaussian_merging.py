@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from splatpainter.arrays import Bools, Ids
+from splatpainter.array_types import Bools, Ids
 from splatpainter.cameras import Camera
 from splatpainter.kernels import portable
 from splatpainter.kernels.library import kernels

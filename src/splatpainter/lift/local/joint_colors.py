@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from splatpainter.arrays import Bools, Floats
+from splatpainter.array_types import Bools, Floats
 from splatpainter.kernels import portable
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from splatpainter.arrays import Bools, Floats, Ids
+from splatpainter.array_types import Bools, Floats, Ids
 from splatpainter.cameras import Camera
 from splatpainter.lift.local.patch import MIN_PIXEL_SHARE, PATCHING, Patch
 from splatpainter.lift.local.split import Lattice, projected_sizes

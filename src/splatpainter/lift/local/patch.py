@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from splatpainter.arrays import Bools
+from splatpainter.array_types import Bools
 from splatpainter.cameras import Camera
 from splatpainter.color import base_color
 from splatpainter.lift.colors import lift_colors, painted_sh, recolor

@@ -28,7 +28,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from splatpainter.arrays import Bools, Floats, Ids
+from splatpainter.array_types import Bools, Floats, Ids
 from splatpainter.kernels import portable
 from splatpainter.lift.edit_views import EditView, errors_name
 from splatpainter.lift.local.joint_colors import TargetPicture, recolored_together

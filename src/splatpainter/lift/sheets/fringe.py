@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from splatpainter.arrays import Bools, Ids
+from splatpainter.array_types import Bools, Ids
 from splatpainter.cameras import Camera
 from splatpainter.lift.masks import dilated
 from splatpainter.lift.nearest import nearest_pixels

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from splatpainter.arrays import Bools, Bytes, Ids
+from splatpainter.array_types import Bools, Bytes, Ids
 from splatpainter.cameras import Camera
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run

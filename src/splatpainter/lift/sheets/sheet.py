@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from splatpainter.arrays import Bools, Floats
+from splatpainter.array_types import Bools, Floats
 from splatpainter.cameras import Camera
 from splatpainter.kernels import portable
 from splatpainter.lift.sheets.fringe import FringedSurface

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from splatpainter.arrays import Ids
+from splatpainter.array_types import Ids
 from splatpainter.splats import ATTRIBUTES, Splats, float_bits
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from splatpainter.arrays import Bools, Ids
+from splatpainter.array_types import Bools, Ids
 from splatpainter.cameras import Camera
 from splatpainter.kernels.arrays import aligned, readonly
 from splatpainter.kernels.library import kernels

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splatpainter.arrays import Bools, Ids
+from splatpainter.array_types import Bools, Ids
 from splatpainter.kernels.arrays import aligned, readonly
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run

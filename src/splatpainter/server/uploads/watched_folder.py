@@ -25,9 +25,9 @@ from splatpainter.server.uploads.storage import StoredBlob
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".psd", ".psb", ".ora", ".kra")
 LOOK_SECONDS = 0.2
-"""Between two looks at the folder, ..."""
+"""Seconds between two looks at the folder, at least."""
 REST_PER_LOOK = 9.0
-"""... and at least that many times as long as a look takes: a large folder far away must not keep the studio busy."""
+"""Pause after a look, in times of what it took: a large folder far away must not keep the studio busy."""
 RETRY_SECONDS = 5.0
 """Seconds after the watch itself failed (the folder is gone, it has too many pictures), until it is tried again."""
 

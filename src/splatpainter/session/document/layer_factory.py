@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from PIL import Image
 
 MAX_RECENT_BYTES = 1 << 22
-"""Most bytes of pixels that were encoded lately and are at hand when they are asked for, each; ..."""
+"""Most bytes of pixels that were encoded lately and are at hand when they are asked for, each."""
 _recent: deque[tuple[bytes, np.ndarray]] = deque(maxlen=3)
-"""... (bytes, pixels) of the latest picture, its mask, and a third one."""
+"""(bytes, pixels) of the latest picture, its mask, and a third one."""
 THUMBNAIL_PX = 96
 """Longer side of a thumbnail."""
 THUMBNAIL_COLORS = 64

@@ -44,9 +44,9 @@ class MaskPart:
     crevices."""
     low: float = 0.0
     high: float = 1.0
-    """What lies between both is shown, all else is not, ..."""
+    """What lies between both is shown, all else is not."""
     soft: float = 0.0
-    """... with a ramp of this width on both sides (the rule's unit)."""
+    """Width of a ramp on both sides (the rule's unit)."""
     axis: tuple[float, float, float] = (0.0, -1.0, 0.0)
     """Unit vector, world axes."""
 

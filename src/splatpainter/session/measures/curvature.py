@@ -19,9 +19,9 @@ from splatpainter.splats import Splats
 from splatpainter.surface.unwrap import PointCells
 
 RADIUS_SHARE = 0.025
-"""Radius within which the surface is looked at, in radii of the asset, ..."""
+"""Radius within which the surface is looked at, in radii of the asset."""
 MIN_WIDTHS = 3.0
-"""... and in typical widths of its Gaussians, at least."""
+"""The same radius in typical widths of its Gaussians, at least."""
 MIN_SAMPLES = 6
 """Samples around a Gaussian; with fewer it counts as flat."""
 MAX_SAMPLES = 40_000

@@ -19,9 +19,9 @@ MAX_POINTS = 700
 TRIED_DIRECTIONS = 48
 """Planes that are tried first, beside those of the axes and of the principal axes."""
 REFINED_PLANES = 4
-"""How many of the best of these are refined, ..."""
+"""How many of the best of these are refined."""
 REFINEMENT_STEPS = 8
-"""... in so many steps."""
+"""Steps of that refinement."""
 MAX_PARTNER_SPACINGS = 2.5
 """Distance in spacings of the points from which a mirrored point counts as having no partner."""
 UPRIGHT_BONUS = 0.06

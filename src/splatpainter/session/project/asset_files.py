@@ -463,7 +463,8 @@ def view_files_of(
 
 
 def write_files(folder: Path, contents: Mapping[str, bytes], overwrite: bool) -> list[Path]:
-    """Write files into a folder, each complete or not at all; their paths. Raises ValueError: one exists, ..."""
+    """Write files into a folder, each complete or not at all; their paths. Raises ValueError: one exists
+    and overwrite is False, or cannot be written."""
     paths = [folder / name for name in contents]
     for path in paths:
         check_free(path, overwrite)
@@ -474,7 +475,8 @@ def write_files(folder: Path, contents: Mapping[str, bytes], overwrite: bool) ->
 
 
 def write_layer(path: Path, layer: Layer, blob: Callable[[str], bytes], overwrite: bool) -> None:
-    """A layer with its pictures as one file: a zip of layer.json and HASH.png. Raises ValueError: it exists, ..."""
+    """A layer with its pictures as one file: a zip of layer.json and HASH.png. Raises ValueError: it exists
+    and overwrite is False, or cannot be written."""
     check_free(path, overwrite)
     with files.writing(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as bundle:
         bundle.writestr("layer.json", json.dumps({"version": 1, "layer": layer.record()}))

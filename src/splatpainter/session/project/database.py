@@ -73,9 +73,10 @@ MAX_SCHEMA_ROWS = 64
 OPS_BETWEEN_CHECKS = 20_000
 """Instructions of SQLite's machine between two looks at how many there were."""
 FREE_OPS = 20_000_000
-"""Instructions that every statement or transaction may take (about a second), ..."""
+"""Instructions that every statement or transaction may take (about a second)."""
 OPS_PER_BYTE = 16
-"""... and how many more for each byte of the file. The smallest rows take 10 bytes, and some 20 instructions each."""
+"""How many more it may take for each byte of the file. The smallest rows take 10 bytes, and some 20
+instructions each."""
 BYTES_PER_VALUE = 1
 """A value takes at least that much in a file; beside texts and blobs, which take their length."""
 UNWRITABLE = ("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_READONLY", "SQLITE_CANTOPEN", "SQLITE_AUTH", *LOCK_ERRORS)

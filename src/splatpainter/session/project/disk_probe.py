@@ -14,9 +14,9 @@ import sqlite3
 from pathlib import Path
 
 NO_LOCKS = "its file system refuses file locks"
-"""Why a project cannot be written in a folder, ..."""
+"""Why a project cannot be written in a folder."""
 LOCAL_DISK = "use a folder on a local disk"
-"""... and what helps."""
+"""What helps there."""
 LOCK_ERRORS = (
     "SQLITE_BUSY",
     "SQLITE_LOCKED",

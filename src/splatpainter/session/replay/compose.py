@@ -75,15 +75,15 @@ if TYPE_CHECKING:
     from splatpainter.surface.visible import VisibleSurface
 
 CACHED_STATE_BYTES = 1 << 28
-"""Bytes of composed assets that are cached to start from, ..."""
+"""Bytes of composed assets that are cached to start from."""
 MAX_CACHED_STATES = 64
-"""... and how many at most."""
+"""How many of them at most."""
 MAX_PLACEMENTS = 4
-"""Arrangements that are cached of each layer, ..."""
+"""Arrangements that are cached of each layer."""
 MAX_PLACED_LAYERS = 1024
-"""... of so many layers, ..."""
+"""Layers of which arrangements are cached."""
 MAX_READ_IDS = 1 << 23
-"""... and the Gaussians that they read, in all."""
+"""Gaussians that cached arrangements read, in all."""
 MAX_SEEN = 4
 """Coarse surfaces that are cached: limits ask for that of the present state, decals for that of the original."""
 

@@ -28,9 +28,9 @@ VERSION = 1
 MAX_GAUSSIANS = 1 << 27
 """Most Gaussians of an asset that a delta may speak of."""
 UNPACKED_FREE_BYTES = 512 << 20
-"""Bytes that any delta may unpack to, ..."""
+"""Bytes that any delta may unpack to."""
 UNPACKED_RATIO = 100
-"""... or so many for each packed byte that was read. Ids (8 bytes each) pack 1000 times, and the floats
+"""Or that it may unpack to for each packed byte that was read. Ids (8 bytes each) pack 1000 times, and the floats
 of real Gaussians 1.1 to 5 times."""
 MAX_VERSIONS = 256
 """Versions back from which a sparse answer is possible, at most; older ones get everything."""
@@ -50,7 +50,7 @@ class Delta:
     values: Splats = field(repr=False)
     """T Gaussians: their new values."""
     appended: Splats = field(repr=False)
-    """A Gaussians, which become number N, N + 1, ..."""
+    """A Gaussians, which become number N, N + 1 and so on."""
     parent_ids: np.ndarray = field(repr=False)
     """[A] int64 the Gaussian below that each appended one was made from, -1: none."""
     base: np.ndarray | None = field(default=None, repr=False)
@@ -266,7 +266,7 @@ class AssetDelta:
 
     @cached_property
     def appended(self) -> Splats:
-        """A Gaussians, which become number retained, retained + 1, ..."""
+        """A Gaussians, which become number retained, retained + 1 and so on."""
         return without_source(self.splats.take(np.arange(self.retained, len(self.splats))))
 
 

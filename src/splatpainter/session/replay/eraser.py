@@ -47,9 +47,10 @@ UNSEEN_PAINT_CONTRAST = 0.1
 MIN_SEEN_PX = 0.05
 """Pixels of weight from which a view shows a Gaussian."""
 HIDDEN_IN_MASK = 0.5
-"""Share of a footprint that the mask must hold of what is hidden right behind a reached Gaussian, ..."""
+"""Share of a footprint that the mask must hold of what is hidden right behind a reached Gaussian, to count
+as reached with it."""
 NEAR_SIZES = 3.0
-"""... within so many largest scales of both, to count as reached with it."""
+"""Distance of such a Gaussian from the reached one, in largest scales of both, at most."""
 NEAREST_BLOCK = 1 << 22
 """Distances in memory at a time."""
 

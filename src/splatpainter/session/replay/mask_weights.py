@@ -66,7 +66,7 @@ class MaskWeights:
 
 
 def _keys(mask: LayerMask, result_key: str) -> list[str]:
-    """Names of the weights before the first part, after it, after the second, ..."""
+    """Names of the weights before the first part, after it, after the second, and so on."""
     keys = [digest(f"{result_key} {mask.shows}")]
     for part in mask.parts:
         keys.append(digest(f"{keys[-1]} {json.dumps(part.record(), sort_keys=True)}"))

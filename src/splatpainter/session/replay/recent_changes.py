@@ -12,9 +12,9 @@ import numpy as np
 from splatpainter.splats import ATTRIBUTES, Splats, changed_rows
 
 MAX_RECENT = 16
-"""Pairs of assets, ..."""
+"""Pairs of assets whose changed rows are at hand."""
 MAX_ROWS = 1 << 18
-"""... and rows of each, beyond which comparing is as quick."""
+"""Changed rows of a pair, beyond which comparing is as quick."""
 Arrays = tuple[weakref.ref[np.ndarray], ...]
 _recent: deque[tuple[Arrays, Arrays, np.ndarray]] = deque(maxlen=MAX_RECENT)
 """(one asset, another, rows that both have and that differ), the latest last."""

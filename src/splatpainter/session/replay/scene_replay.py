@@ -42,9 +42,9 @@ class ScenePart:
     state: LayerState = field(repr=False)
     """State in the asset's own space."""
     first: int
-    """Index, among the scene's Gaussians, of the first of its original, ..."""
+    """Index, among the scene's Gaussians, of the first of its original."""
     first_appended: int
-    """... and the first that its layers appended."""
+    """Index of the first that its layers appended."""
     offset: Offset = NO_OFFSET
     """What the scene's means are relative to (Splats.offset)."""
 

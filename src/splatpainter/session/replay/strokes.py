@@ -38,9 +38,9 @@ MAX_LINKS = 1 << 13
 """Names of strokes that are cached."""
 
 MAX_RESULT_BYTES = 8 << 20
-"""Bytes that the results of a layer's strokes may take, each by itself; ..."""
+"""Bytes that the results of a layer's strokes may take, each by itself."""
 LATEST_BYTES = 5 << 20
-"""... beyond that those of the latest strokes go on to take so many, and all before become one result."""
+"""Beyond MAX_RESULT_BYTES those of the latest strokes go on to take so many, and all before become one result."""
 MIN_LATEST = 4
 """Strokes that keep results of their own in any case."""
 PROBLEMS = "problems"
@@ -55,7 +55,7 @@ class StrokeKeys:
     """Names of what comes of a layer's strokes on a given state; nothing is computed yet."""
 
     keys: tuple[str, ...]
-    """Keys of the states: below the layer, after the first stroke, ..."""
+    """Keys of the states: below the layer, after the first stroke, and so on to the last."""
     results: tuple[str, ...]
     """Result keys of the strokes."""
 
