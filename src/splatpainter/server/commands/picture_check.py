@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -92,8 +93,53 @@ def check_picture(context: CommandContext, request: PictureCheck) -> PictureChec
     camera, source = _camera(context, request, blob, name, picture)
     alpha = _alpha_kind(context, blob, name)
     picture = unmultiplied(picture, alpha)
-    notes, warnings = list(picture.notes), []
-    size = (camera.width, camera.height)
+    placed = _placed(context, picture, camera, alpha, name)
+    cover = render_alpha(studio.session.splats, placed.camera)
+    mask = _edited(placed, picture, cover, request.threshold)
+    # From here on only warnings: the picture may be used all the same.
+    warnings = _warnings(context, placed, mask, cover)
+    # The straightened picture is a new one; what made the first made this one too.
+    straight = studio.blobs.put(registration.png_bytes(placed.colors), name).sha256
+    studio.note_source(straight, studio.source_of([request.picture]))
+    return PictureChecked(
+        camera=CameraInfo.of(placed.camera),
+        camera_source=source,
+        picture=straight,
+        mask=studio.blobs.put(registration.png_bytes(mask), "mask.png").sha256,
+        share=float(mask.mean()),
+        shift=placed.shift,
+        notes=placed.notes,
+        warnings=warnings,
+    )
+
+
+@dataclass(frozen=True)
+class _Placed:
+    """A picture as it lies over its view."""
+
+    camera: Camera
+    """Of the size at which the picture is compared: the view's, or a larger one."""
+    colors: np.ndarray
+    """[H, W, 3] the picture, put straight."""
+    render: np.ndarray
+    """[H, W, 3] what the asset shows there."""
+    view_render: np.ndarray
+    """[H, W, 3] the same at the view's own size."""
+    shift: tuple[int, int]
+    """Pixels (right, down) that were taken back."""
+    notes: list[str]
+    is_part: bool
+    """Whether it shows a part of the view alone."""
+
+    @property
+    def is_larger(self) -> bool:
+        return self.render is not self.view_render
+
+
+def _placed(context: CommandContext, picture: Picture, camera: Camera, alpha: Alpha | None, name: str) -> _Placed:
+    """The picture over its view, cut, resampled or moved back. Raises ValueError: it has another shape and is no part
+    of the view."""
+    notes, size = list(picture.notes), (camera.width, camera.height)
     render = _render(context, camera)
     crop = _crop(picture, render)
     # Another shape that is no part of the view was made for another view.
@@ -104,74 +150,70 @@ def check_picture(context: CommandContext, request: PictureCheck) -> PictureChec
             "no part; resize without cropping"
         )
     # Either a part of the view, or all of it: moved, larger or smaller, but never both.
-    shift, larger = (0, 0), None
     if crop is not None:
         colors = render.copy()
         colors[crop.window] = _flat(picture, render[crop.window], (crop.width, crop.height))
         notes.append(f"a part of its view: {crop.width}x{crop.height} at {crop.x}, {crop.y}; the rest is unchanged")
-    else:
-        colors = _flat(picture, render, size) if alpha is None else _cut_out(context, picture, render, camera)
-        # A shift is looked for only in whole pictures; a part has its place by now.
-        shift = find_shift(colors, render)
-        if shift == (0, 0) and alpha is None:
-            larger = larger_view(camera, *picture.size, MAX_VIEW_PIXELS)
-        change = "resampled from {0}x{1} to its camera's {2}x{3}" if larger is None else LARGER_NOTE
-        if picture.size != size:
-            notes.append(change.format(*picture.size, *size))
-    view_render = render
+        return _Placed(camera, colors, render, render, (0, 0), notes, True)
+    colors = _flat(picture, render, size) if alpha is None else _cut_out(context, picture, render, camera)
+    # A shift is looked for only in whole pictures; a part has its place by now.
+    shift = find_shift(colors, render)
+    larger = larger_view(camera, *picture.size, MAX_VIEW_PIXELS) if shift == (0, 0) and alpha is None else None
+    change = "resampled from {0}x{1} to its camera's {2}x{3}" if larger is None else LARGER_NOTE
+    if picture.size != size:
+        notes.append(change.format(*picture.size, *size))
     # A larger picture is compared at its own size, or its detail would be lost.
     if larger is not None:
-        camera, render = larger, _render(context, larger)
-        colors = _flat(picture, render, (camera.width, camera.height))
+        larger_render = _render(context, larger)
+        colors = _flat(picture, larger_render, (larger.width, larger.height))
+        return _Placed(larger, colors, larger_render, render, shift, notes, False)
     if shift != (0, 0):
         colors = undo_shift(colors, render, *shift)
         notes.append(f"moved back by {shift[0]}, {shift[1]} pixels")
-    # What counts as edited depends on where the picture's noise comes from: enlarging, compression, or neither.
-    cover = render_alpha(studio.session.splats, camera)
-    if larger is not None and request.threshold is None:
-        mask = edited_in_larger(colors, render, view_render, cover)
-    else:
-        mask = registration.changed_mask(colors, render, cover, request.threshold)
-        if picture.encoding is not None and picture.size == size and crop is None and request.threshold is None:
-            edited = edited_in_encoded(colors, render, cover, picture.encoding)
-            mask = np.ones(mask.shape, bool) if edited is None else edited
-    share = float(mask.mean())
-    # From here on only warnings: the picture may be used all the same.
-    if camera.asset_sha256 not in (None, studio.session.opened.sha256):
+    return _Placed(camera, colors, render, render, shift, notes, False)
+
+
+def _edited(placed: _Placed, picture: Picture, cover: np.ndarray, threshold: float | None) -> np.ndarray:
+    """[H, W] bool: pixels that count as edited, by where the picture's noise comes from: enlarging, compression, or
+    neither. cover: [H, W] alpha of the asset there."""
+    colors, render = placed.colors, placed.render
+    if placed.is_larger and threshold is None:
+        return edited_in_larger(colors, render, placed.view_render, cover)
+    mask = registration.changed_mask(colors, render, cover, threshold)
+    # Compression is at home in the file's own pixels: once resampled or cut, its blocks are gone.
+    same_pixels = picture.size == (placed.camera.width, placed.camera.height) and not placed.is_part
+    if picture.encoding is not None and same_pixels and threshold is None:
+        edited = edited_in_encoded(colors, render, cover, picture.encoding)
+        return np.ones(mask.shape, bool) if edited is None else edited
+    return mask
+
+
+def _warnings(context: CommandContext, placed: _Placed, mask: np.ndarray, cover: np.ndarray) -> list[PictureWarning]:
+    """What people should know of a picture before they use it."""
+    studio, share, out = context.studio, float(mask.mean()), []
+    if placed.camera.asset_sha256 not in (None, studio.session.opened.sha256):
         text = "The picture was rendered from another asset: every difference counts as an edit."
-        warnings.append(PictureWarning(message=text))
+        out.append(PictureWarning(message=text))
     if share > registration.REGRADED_SHARE:
         text = f"{100 * share:.0f} % of the picture changed. If it was regraded as a whole, use it as a global edit."
-        warnings.append(PictureWarning(message=text))
-    elif larger is None:  # what enlarging alone changed is no drift
+        out.append(PictureWarning(message=text))
+    elif not placed.is_larger:  # what enlarging alone changed is no drift
         # Small differences all over are a program's doing; they are left alone, and people see where.
-        faint = registration.faint_changes(colors, render, mask)
+        faint = registration.faint_changes(placed.colors, placed.render, mask)
         if faint.mean() > registration.FAINT_WARNING_SHARE * (1 - share):
             text = (
                 f"{100 * faint.mean():.0f} % of the picture changed a little outside the edit; it will be left alone."
             )
             overlay = studio.blobs.put(registration.png_bytes(registration.overlay(faint)), "outside.png").sha256
-            warnings.append(PictureWarning(message=text, picture=overlay))
+            out.append(PictureWarning(message=text, picture=overlay))
     # A mistake that explains the whole difference is named: another gamma, a mirror.
-    explanation = explain(colors, render, cover)
+    explanation = explain(placed.colors, placed.render, cover)
     if explanation is not None and explanation.cause != "look":
         differs = f"differs from its view on {100 * (1 - explanation.agreeing):.0f} % of what they show"
-        warnings.append(PictureWarning(message=f"The picture {differs}; most likely it is {explanation.words}."))
+        out.append(PictureWarning(message=f"The picture {differs}; most likely it is {explanation.words}."))
     if not mask.any():
-        warnings.append(PictureWarning(message="The picture does not differ from the asset as it is now."))
-    # The straightened picture is a new one; what made the first made this one too.
-    straight = studio.blobs.put(registration.png_bytes(colors), name).sha256
-    studio.note_source(straight, studio.source_of([request.picture]))
-    return PictureChecked(
-        camera=CameraInfo.of(camera),
-        camera_source=source,
-        picture=straight,
-        mask=studio.blobs.put(registration.png_bytes(mask), "mask.png").sha256,
-        share=share,
-        shift=shift,
-        notes=notes,
-        warnings=warnings,
-    )
+        out.append(PictureWarning(message="The picture does not differ from the asset as it is now."))
+    return out
 
 
 def _photograph(context: CommandContext, request: PictureCheck, blob: StoredBlob, name: str) -> PictureChecked | None:
