@@ -167,7 +167,7 @@ def half_sentences(source: str) -> list[int]:
         for node in ast.walk(ast.parse(source))
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
     ]
-    return sorted(text.lineno for text in texts if HALF.search(str(text.value)))
+    return sorted(text.lineno for text in texts if HALF.search(str(text.value).strip()))
 
 
 def breaks(rule: Rule, name: str, constant: bool) -> bool:

@@ -15,45 +15,55 @@ from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.transforms import fibonacci_sphere, quat_to_matrix
 
-VIEW_COUNT = 14
+
+@dataclass(frozen=True)
+class FacingThresholds:
+    """From where an asset's Gaussians are looked at, and what makes a surface face one way."""
+
+    view_count: int = 14
+    """Cameras around the asset."""
+    view_distance: float = 2.8
+    """Of the cameras from the middle, in radii of the asset."""
+    seen_px: float = 0.05
+    """Pixels' worth of a Gaussian, over all views, from which its side is a matter of observation."""
+    one_sided: float = 0.35
+    """Mean cosine between the normal and the lines of sight from which only the one side counts."""
+    oriented_share: float = 0.97
+    """Of what is seen from one side, by pixels, that must show the positive end of its shortest axis: then the asset
+    was made of oriented patches (from a mesh), and those that are hidden are believed too. Of fitted assets
+    half does."""
+    mostly_oriented_share: float = 0.75
+    """The same, from which they decide at least for those that are not seen from one side, and for all where neighbours
+    agree as well. Below, walls of two layers whose axes all point one way would let light through."""
+    coherent_share: float = 0.93
+    """Mean agreement of the ends of shortest axes among neighbours of one plane, from which the asset was made of
+    oriented patches though much of it is seen from both sides: of meshes of single sheets 0.95 and more, of six
+    captures 0.23 to 0.83."""
+    min_neighbours: int = 8
+    """Gaussians of a plane in a cell that such an agreement is asked of."""
+    neighbourhood: float = 0.15
+    """Edge of the cells in which Gaussians of a sheet seen from both sides agree, in radii of the asset."""
+    axis_bins: int = 12
+    """Directions of axes by which they are told apart in a cell."""
+    max_sheet_gap: float = 0.35
+    """Between the heights of what is seen from above and from below, in widths of Gaussians: more are two layers."""
+    min_side_share: float = 0.03
+    """Of a sheet's pixels that show either side, at least, for it to be seen from both."""
+    surface_window: float = 1.5
+    """First guess of the window that normals are taken from, in widths of the Gaussian."""
+    min_patches: float = 3.0
+    """Effective number of Gaussians behind such a normal."""
+    cell_widths: float = 2.0
+    """Edge of cells in which Gaussians that face one way share such a normal, in their median width."""
+    max_flatness: float = 0.7
+    """Shortest axis over the middle one, up to which a Gaussian counts as flat."""
+
+
+ORIENTATION = FacingThresholds()
 VIEW_PX = 160
-"""Pixels of their edges."""
-VIEW_DISTANCE = 2.8
-"""Of the cameras from the middle, in radii of the asset."""
-SEEN_PX = 0.05
-"""Pixels' worth of a Gaussian, over all views, from which its side is a matter of observation."""
-ONE_SIDED = 0.35
-"""Mean cosine between the normal and the lines of sight from which only the one side counts."""
-ORIENTED_SHARE = 0.97
-"""Of what is seen from one side, by pixels, that must show the positive end of its shortest axis: then the asset was
-made of oriented patches (from a mesh), and those that are hidden are believed too. Of fitted assets half does."""
-MOSTLY_ORIENTED_SHARE = 0.75
-"""The same, from which they decide at least for those that are not seen from one side, and for all where neighbours
-agree as well. Below, walls of two layers whose axes all point one way would let light through."""
-COHERENT_SHARE = 0.93
-"""Mean agreement of the ends of shortest axes among neighbours of one plane, from which the asset was made of oriented
-patches though much of it is seen from both sides: of meshes of single sheets 0.95 and more, of six captures 0.23 to
-0.83."""
-MIN_NEIGHBOURS = 8
-"""Gaussians of a plane in a cell that such an agreement is asked of."""
-NEIGHBOURHOOD = 0.15
-"""Edge of the cells in which Gaussians of a sheet seen from both sides agree, in radii of the asset."""
-AXIS_BINS = 12
-"""Directions of axes by which they are told apart in a cell."""
-MAX_SHEET_GAP = 0.35
-"""Between the heights of what is seen from above and from below, in widths of Gaussians: more are two layers."""
-MIN_SIDE_SHARE = 0.03
-"""Of a sheet's pixels that show either side, at least, for it to be seen from both."""
-SURFACE_WINDOW = 1.5
-"""First guess of the window that normals are taken from, in widths of the Gaussian."""
-MIN_PATCHES = 3.0
-"""Effective number of Gaussians behind such a normal."""
-CELL_WIDTHS = 2.0
-"""Edge of cells in which Gaussians that face one way share such a normal, in their median width."""
+"""Edge of the views that the asset is looked at in, pixels."""
 MIN_FLAT_SHARE = 0.25
 """Of the drawable Gaussians that must be flat, for the asset to have a surface that light can be moved on."""
-MAX_FLATNESS = 0.7
-"""Shortest axis over the middle one, up to which a Gaussian counts as flat."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +82,7 @@ class Facing:
     @property
     def trusted(self) -> np.ndarray:
         """[N] bool: seen, and facing one way."""
-        return (self.seen > SEEN_PX) & (self.front > 0.99)
+        return (self.seen > ORIENTATION.seen_px) & (self.front > 0.99)
 
 
 def facing(splats: Splats) -> Facing:
@@ -93,7 +103,9 @@ def facing(splats: Splats) -> Facing:
     towards, seen = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
     shape = (VIEW_PX, VIEW_PX)
     # Which end of an axis is the outside is not in the file; which side can be seen from around is.
-    for camera in spherical_cameras(center, VIEW_DISTANCE * max(radius, 1e-9), VIEW_COUNT, size=VIEW_PX):
+    for camera in spherical_cameras(
+        center, ORIENTATION.view_distance * max(radius, 1e-9), ORIENTATION.view_count, size=VIEW_PX
+    ):
         projected = project(splats, camera.local)
         sums = projected.backproject(np.zeros((*shape, 3), np.float32), np.ones(shape, np.float32))
         witness = sums.weight > 0.1 * sums.alpha  # what shimmers through a wall is none
@@ -103,25 +115,27 @@ def facing(splats: Splats) -> Facing:
         seen[ids] += weight
     # What is seen from one side alone votes on whether the whole asset's axes have a meaning.
     cosines = (axes * towards).sum(1) / np.maximum(seen, 1e-9)
-    one_sided = (seen > SEEN_PX) & (np.abs(cosines) > ONE_SIDED)
+    one_sided = (seen > ORIENTATION.seen_px) & (np.abs(cosines) > ORIENTATION.one_sided)
     weight = seen[one_sided].astype(np.float64)
     agreeing = float(weight[cosines[one_sided] > 0].sum() / weight.sum()) if len(weight) else 0.0
-    sheets = agreeing >= MOSTLY_ORIENTED_SHARE or not len(weight)
-    sheets = sheets and _coherence(splats, axes, radius) >= COHERENT_SHARE
+    sheets = agreeing >= ORIENTATION.mostly_oriented_share or not len(weight)
+    sheets = sheets and _coherence(splats, axes, radius) >= ORIENTATION.coherent_share
     # Oriented patches are believed also where nothing sees them; else each side is what views found.
-    if agreeing >= ORIENTED_SHARE or sheets:
+    if agreeing >= ORIENTATION.oriented_share or sheets:
         normals, front = axes, np.ones(count, np.float32)
     else:
         cosines, sheet = _with_neighbours(splats, axes, towards, seen, cosines, radius)
-        observed = (seen > SEEN_PX) | sheet
+        observed = (seen > ORIENTATION.seen_px) | sheet
         side = np.where(observed, cosines, (axes * outwards).sum(1))
-        front = np.where(observed, 0.5 + 0.5 * np.minimum(np.abs(cosines) / ONE_SIDED, 1), 1).astype(np.float32)
-        if agreeing >= MOSTLY_ORIENTED_SHARE:  # ... or where observation does not decide
+        front = np.where(observed, 0.5 + 0.5 * np.minimum(np.abs(cosines) / ORIENTATION.one_sided, 1), 1).astype(
+            np.float32
+        )
+        if agreeing >= ORIENTATION.mostly_oriented_share:  # or where observation does not decide
             side, front = np.where(one_sided, side, 1), np.ones(count, np.float32)
-        normals = _smoothed(splats, np.where(side[:, None] < 0, -axes, axes), seen > SEEN_PX)
+        normals = _smoothed(splats, np.where(side[:, None] < 0, -axes, axes), seen > ORIENTATION.seen_px)
     # Round Gaussians have no normal to speak of, and who moves light asks for this share first.
     ordered = np.sort(splats.scales, 1)
-    flat_share = float((ordered[:, 0] <= MAX_FLATNESS * ordered[:, 1]).mean())
+    flat_share = float((ordered[:, 0] <= ORIENTATION.max_flatness * ordered[:, 1]).mean())
     return Facing(normals, front, seen, flat_share)
 
 
@@ -136,10 +150,10 @@ def _smoothed(splats: Splats, normals: np.ndarray, seen: np.ndarray) -> np.ndarr
     scales = np.sort(splats.scales[ids].astype(np.float64), 1)
     widths = np.sqrt(scales[:, 1] * scales[:, 2])
     facings = normals[ids].astype(np.float64)
-    edge = CELL_WIDTHS * max(float(np.median(widths)), 1e-12)
+    edge = ORIENTATION.cell_widths * max(float(np.median(widths)), 1e-12)
     cells = np.floor(splats.means[ids].astype(np.float64) / edge)
     # The way is a part of the group: both sides of a thin wall lie in one cell and must not be mixed.
-    ways = portable.matmul(facings, fibonacci_sphere(2 * AXIS_BINS).T).argmax(1)
+    ways = portable.matmul(facings, fibonacci_sphere(2 * ORIENTATION.axis_bins).T).argmax(1)
     groups = np.unique(np.concatenate([cells, ways[:, None]], 1), axis=0, return_inverse=True)[1].reshape(-1)
     count = np.bincount(groups).astype(np.float64)
 
@@ -148,10 +162,10 @@ def _smoothed(splats: Splats, normals: np.ndarray, seen: np.ndarray) -> np.ndarr
 
     towards = mean(facings)
     towards = towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
-    window = SURFACE_WINDOW * mean(widths[:, None])[:, 0]
+    window = ORIENTATION.surface_window * mean(widths[:, None])[:, 0]
     there = Surface.of(splats).at(mean(splats.means[ids].astype(np.float64)), -towards, window)
     # Trusted as far as neighbours agree: at creases and among few patches each keeps its own normal.
-    share = np.where(there.patches >= MIN_PATCHES, there.agreement, 0)[groups, None]
+    share = np.where(there.patches >= ORIENTATION.min_patches, there.agreement, 0)[groups, None]
     mixed = (1 - share) * facings + share * there.normals[groups]
     length = np.linalg.norm(mixed, axis=1, keepdims=True)
     out = normals.astype(np.float32)
@@ -162,16 +176,16 @@ def _smoothed(splats: Splats, normals: np.ndarray, seen: np.ndarray) -> np.ndarr
 def _coherence(splats: Splats, axes: np.ndarray, radius: float) -> float:
     """0..1: how far shortest axes of neighbours in one plane have their positive ends on one side."""
     # Smaller cells than for sheets: neighbours should lie on one plane even where the surface bends.
-    groups, aligned = _planes(splats, axes, NEIGHBOURHOOD / 2 * radius)
+    groups, aligned = _planes(splats, axes, ORIENTATION.neighbourhood / 2 * radius)
     sign = np.where((aligned * axes).sum(1) < 0, -1.0, 1.0)
     count = np.bincount(groups)
-    enough = count >= MIN_NEIGHBOURS
+    enough = count >= ORIENTATION.min_neighbours
     return float(np.abs(np.bincount(groups, sign))[enough].sum() / max(count[enough].sum(), 1))
 
 
 def _planes(splats: Splats, axes: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
     """([N] int64 which Gaussians lie in one cell and along one plane, [N, 3] their axes on one side of it)."""
-    fan = fibonacci_sphere(2 * AXIS_BINS)[:AXIS_BINS]  # half of the sphere: axes have no sign
+    fan = fibonacci_sphere(2 * ORIENTATION.axis_bins)[: ORIENTATION.axis_bins]  # half of the sphere: axes have no sign
     along = portable.matmul(axes.astype(np.float64), fan.T)
     bins = np.abs(along).argmax(1)
     aligned = np.where(along[np.arange(len(axes)), bins] < 0, -1.0, 1.0)[:, None] * axes
@@ -196,7 +210,7 @@ def _with_neighbours(
     apart from what is seen from the other."""
     positions = splats.means.astype(np.float64)
     weight = np.maximum(seen.astype(np.float64), 1e-9)
-    groups, aligned = _planes(splats, axes, NEIGHBOURHOOD * radius)
+    groups, aligned = _planes(splats, axes, ORIENTATION.neighbourhood * radius)
 
     def mean(values: np.ndarray, by: np.ndarray) -> np.ndarray:
         total = np.maximum(np.bincount(groups, by), 1e-12)
@@ -212,7 +226,7 @@ def _with_neighbours(
     width = mean(np.sort(splats.scales, 1)[:, 1:2].astype(np.float64), weight)[:, 0]
     share = mean((sight > 0)[:, None].astype(np.float64), weight)[:, 0]
     # Both conditions: nearly nothing seen from one side makes that side's mean height a matter of chance.
-    sheet = (gap < MAX_SHEET_GAP * width) & (np.minimum(share, 1 - share) > MIN_SIDE_SHARE)
+    sheet = (gap < ORIENTATION.max_sheet_gap * width) & (np.minimum(share, 1 - share) > ORIENTATION.min_side_share)
     common = (aligned * mean(towards / weight[:, None], weight)).sum(1)
     sign = (aligned * axes).sum(1)
     return np.where(sheet, sign * common, cosines), sheet

@@ -53,7 +53,7 @@ class EstimateThresholds:
     darkest: float = 0.003
     """Linear colour from which Gaussians bear witness: below, pictures clip."""
     brightest: float = 0.97
-    """... and up to which."""
+    """Linear colour up to which Gaussians bear witness: beyond, pictures clip."""
     min_shading: float = 0.06
     """Smallest irradiance over the mean that is believed."""
     parts: int = 8

@@ -8,10 +8,10 @@ that lie hidden there (lift/masked_gaussians.py), and what lies hidden right beh
 1. An original that only changed its colour and is reached has the original's colours again.
 2. One that lost its place (split, replaced by a sheet's, emptied) *returns*, byte for byte, where some of its family is
    reached, or what stands nearest to it where it was emptied, and where it does not stick out over paint that stays:
-   at most MAX_OVERLAP of its footprint lies on pixels beside the mask on which the asset and the original differ by
-   more than PAINT_CONTRAST, and no painted one of its family lies where the eraser's views do not see it.
+   at most `max_overlap` of its footprint lies on pixels beside the mask on which the asset and the original differ by
+   more than `paint_contrast`, and no painted one of its family lies where the eraser's views do not see it.
 3. Reached Gaussians that are none of the original get opacity 0 where the original is complete again (at most
-   MAX_OVERLAP of what the original shows under their footprint is still missing), and with them what is left of the
+   `max_overlap` of what the original shows under their footprint is still missing), and with them what is left of the
    families that returned and is no paint. The Gaussian at the index of one that returns is appended where it has to
    stay.
 4. All others that are reached stay where they are and take the *old look* at their place: colours of their family in
@@ -36,23 +36,31 @@ from splatpainter.session.replay.appearance import fitted_sh, moved_gaussians, p
 from splatpainter.session.replay.delta import Delta, without_source
 from splatpainter.splats import ATTRIBUTES, Splats, changed_rows
 
-PAINT_CONTRAST = 0.04
-"""Change of a colour channel, 0..1, from which a pixel beside the mask shows paint."""
-MAX_OVERLAP = 0.05
-"""Share of a footprint."""
-MIN_IN_MASK = 0.02
-"""Share of a footprint that the mask must hold of an original that returns."""
-UNSEEN_PAINT_CONTRAST = 0.1
-"""Change of base colours, from which a Gaussian that no view of the eraser shows counts as painted."""
-MIN_SEEN_PX = 0.05
-"""Pixels of weight from which a view shows a Gaussian."""
-HIDDEN_IN_MASK = 0.5
-"""Share of a footprint that the mask must hold of what is hidden right behind a reached Gaussian, to count
-as reached with it."""
-NEAR_SIZES = 3.0
-"""Distance of such a Gaussian from the reached one, in largest scales of both, at most."""
-NEAREST_BLOCK = 1 << 22
-"""Distances in memory at a time."""
+
+@dataclass(frozen=True)
+class EraserThresholds:
+    """Which Gaussians an erasing stroke reaches."""
+
+    paint_contrast: float = 0.04
+    """Change of a colour channel, 0..1, from which a pixel beside the mask shows paint."""
+    max_overlap: float = 0.05
+    """Share of a footprint."""
+    min_in_mask: float = 0.02
+    """Share of a footprint that the mask must hold of an original that returns."""
+    unseen_paint_contrast: float = 0.1
+    """Change of base colours, from which a Gaussian that no view of the eraser shows counts as painted."""
+    min_seen_px: float = 0.05
+    """Pixels of weight from which a view shows a Gaussian."""
+    hidden_in_mask: float = 0.5
+    """Share of a footprint that the mask must hold of what is hidden right behind a reached Gaussian, to count
+    as reached with it."""
+    near_sizes: float = 3.0
+    """Distance of such a Gaussian from the reached one, in largest scales of both, at most."""
+    nearest_block: int = 1 << 22
+    """Distances in memory at a time."""
+
+
+ERASER = EraserThresholds()
 
 Views = Sequence[tuple[Camera, np.ndarray]]
 """(camera, [H, W] bool mask)."""
@@ -77,34 +85,34 @@ def erase_delta(below: Splats, original: Splats, views: Views, reached: np.ndarr
 
     # What returns.
     contrast = np.abs(base_color(below.sh) - base_color(original.sh[source])).max(1)
-    unseen_paint = visible & ~reached & (seen.weight < MIN_SEEN_PX) & (contrast > UNSEEN_PAINT_CONTRAST)
+    unseen_paint = visible & ~reached & (seen.weight < ERASER.min_seen_px) & (contrast > ERASER.unseen_paint_contrast)
     over_paint = _largest_share(below, views, seen.paint)
-    paint = visible & ~reached & (over_paint > MAX_OVERLAP) & (contrast > PAINT_CONTRAST) | unseen_paint
+    paint = visible & ~reached & (over_paint > ERASER.max_overlap) & (contrast > ERASER.paint_contrast) | unseen_paint
     lost = np.flatnonzero(moved[:first])
     missing_ones = original.take(lost)
     in_mask = _largest_share(missing_ones, views, masks)
-    sticks_out = _largest_share(missing_ones, views, seen.paint) > MAX_OVERLAP
+    sticks_out = _largest_share(missing_ones, views, seen.paint) > ERASER.max_overlap
     # Unseen paint of a family keeps its original away: no view could show that the two are in each other's way.
     blocked = np.zeros(first, bool)
     blocked[source[has_family & unseen_paint]] = True
     erased = np.zeros(first, bool)
     erased[source[has_family & reached]] = True
-    orphans = lost[~erased[lost] & ~visible[lost] & (in_mask > MIN_IN_MASK)]
+    orphans = lost[~erased[lost] & ~visible[lost] & (in_mask > ERASER.min_in_mask)]
     # An emptied original has no family in sight: what stands nearest to its place speaks for it.
     stand_ins = np.flatnonzero(visible & moved)
     if len(stand_ins):
         erased[orphans] = reached[stand_ins[_nearest(original.means[orphans], below.means[stand_ins])]]
     # Hidden ones behind what is reached go with it: they would else be holes under what returns.
-    orphans = lost[~erased[lost] & ~visible[lost] & (in_mask > HIDDEN_IN_MASK)]
+    orphans = lost[~erased[lost] & ~visible[lost] & (in_mask > ERASER.hidden_in_mask)]
     erased[orphans] = _is_near(original.take(orphans), front)
     orphans = orphans[~erased[orphans]]
     erased[orphans] = ~_is_near(original.take(orphans), below.take(visible & moved & ~reached))  # nobody else's
     returns = np.zeros(first, bool)
-    returns[lost] = erased[lost] & ~blocked[lost] & (in_mask > MIN_IN_MASK) & ~sticks_out
+    returns[lost] = erased[lost] & ~blocked[lost] & (in_mask > ERASER.min_in_mask) & ~sticks_out
 
     # What it replaces.
     missing = [share_of(original, camera, moved[:first] & ~returns) for camera, _ in views]
-    complete = _largest_share(below, views, missing) <= MAX_OVERLAP
+    complete = _largest_share(below, views, missing) <= ERASER.max_overlap
     hidden = visible & moved & complete & (reached | (has_family & returns[source] & ~paint))
     # A sheet's Gaussian may sit at the index of one that returns, and has to stay elsewhere.
     occupants = np.flatnonzero(returns & visible[:first] & moved[:first] & ~hidden[:first])
@@ -165,7 +173,7 @@ class _Seen:
             view = project(below, camera)
             now, before = view.rasterize()[0], picture_of(original, camera)
             targets.append((camera, np.where(mask[..., None], before, now)))
-            paint.append(~mask & (np.abs(now - before).max(-1) > PAINT_CONTRAST))
+            paint.append(~mask & (np.abs(now - before).max(-1) > ERASER.paint_contrast))
             weight[view.gaussian_ids] += view.backproject(now, np.ones(mask.shape, np.float32)).weight
         return _Seen(targets, paint, weight)
 
@@ -177,7 +185,7 @@ def _with_hidden(below: Splats, views: Views, reached: np.ndarray, changed: np.n
     front = below.take(reached & visible & changed)
     # Only what an edit changed can lie hidden behind paint; the original's inside stays.
     behind = visible & changed & ~reached
-    behind[behind] = _largest_share(below.take(behind), views, [mask for _, mask in views]) > HIDDEN_IN_MASK
+    behind[behind] = _largest_share(below.take(behind), views, [mask for _, mask in views]) > ERASER.hidden_in_mask
     reached = reached.copy()
     reached[behind] = _is_near(below.take(behind), front)
     return reached, front
@@ -199,7 +207,7 @@ def _largest_share(splats: Splats, views: Views, pictures: Sequence[np.ndarray])
 def _nearest(points: np.ndarray, candidates: np.ndarray) -> np.ndarray:
     """[P] int64 index of the candidate nearest to each point. points: [P, 3]; candidates: [C, 3], C > 0."""
     out = np.zeros(len(points), np.int64)
-    size = max(NEAREST_BLOCK // len(candidates), 1)
+    size = max(ERASER.nearest_block // len(candidates), 1)
     for start in range(0, len(points), size):
         block, squared = points[start : start + size], 0.0
         for axis in range(3):
@@ -209,12 +217,12 @@ def _nearest(points: np.ndarray, candidates: np.ndarray) -> np.ndarray:
 
 
 def _is_near(splats: Splats, visible: Splats) -> np.ndarray:
-    """[len(splats)] bool: those that lie within NEAR_SIZES of their own and the nearest other one's largest scales."""
+    """[len(splats)] bool: those within `near_sizes` of their own and the nearest other one's largest scales."""
     if not len(splats) or not len(visible):
         return np.zeros(len(splats), bool)
     nearest = _nearest(splats.means, visible.means)
     distance = np.sqrt(((splats.means - visible.means[nearest]) ** 2).sum(1))
-    return distance < NEAR_SIZES * (splats.scales.max(1) + visible.scales.max(1)[nearest])
+    return distance < ERASER.near_sizes * (splats.scales.max(1) + visible.scales.max(1)[nearest])
 
 
 def _difference(below: Splats, after: Splats, parent_ids: np.ndarray) -> Delta:

@@ -26,25 +26,36 @@ from splatpainter.voxels.neighbours import nearest_within
 
 Combine = Literal["replace", "add", "subtract", "intersect"]
 Attribute = Literal["size", "opacity", "depth", "height"]
-DEPTH_MARGIN_SIZES = 3.0
-"""Multiple of a Gaussian's largest scale by which it may lie behind the visible surface and be selected with it."""
-VISIBLE_SHARE = 0.03
-"""Share of a Gaussian's light that reaches the eye, from which it belongs to the visible surface."""
-COVERED_ALPHA = 0.05
-"""Alpha of a pixel from which it shows the asset."""
-MARKED_SHARE = 0.5
-"""Share of a pixel that is selected, below which a Gaussian there is marked as a point."""
-MAX_MARKS = 4000
-"""Points of a view."""
-SNAP_WEIGHT = 0.02
-"""Weights within so much of 0 and 1 are 0 and 1."""
-STRAY_QUANTILE = 0.01
-"""Quantile of depths and heights, below and above which strays lie."""
+
+
+@dataclass(frozen=True)
+class SelectionThresholds:
+    """What a mark in a view selects, and where the search for it ends."""
+
+    depth_margin_sizes: float = 3.0
+    """Multiple of a Gaussian's largest scale by which it may lie behind the visible surface and be selected with it."""
+    visible_share: float = 0.03
+    """Share of a Gaussian's light that reaches the eye, from which it belongs to the visible surface."""
+    covered_alpha: float = 0.05
+    """Alpha of a pixel from which it shows the asset."""
+    marked_share: float = 0.5
+    """Share of a pixel that is selected, below which a Gaussian there is marked as a point."""
+    max_marks: int = 4000
+    """Points of a view."""
+    snap_weight: float = 0.02
+    """Weights within so much of 0 and 1 are 0 and 1."""
+    stray_quantile: float = 0.01
+    """Quantile of depths and heights, below and above which strays lie."""
+    max_points: int = 1 << 22
+    """Most points of a stored selection."""
+    search_steps: int = 6
+    """Radii in which the nearest point is looked for."""
+    search_factor: float = 4.0
+    """Factor from one of these to the next."""
+
+
+SELECTING = SelectionThresholds()
 MAGIC = b"SELE"
-MAX_POINTS = 1 << 22
-"""Most points of a stored selection."""
-SEARCH_STEPS, SEARCH_FACTOR = 6, 4.0
-"""Radii in which the nearest point is looked for, and the factor between them."""
 
 
 @dataclass(frozen=True)
@@ -97,11 +108,11 @@ class Selection:
         """The inverse. count: Gaussians of the original. Raises ValueError naming `where`."""
         try:
             # Bounded by what it can be: the picture may be a stranger's.
-            flat = np.frombuffer(bytes_of_png(data, 20 + count + 13 * MAX_POINTS), np.uint8)
+            flat = np.frombuffer(bytes_of_png(data, 20 + count + 13 * SELECTING.max_points), np.uint8)
             if flat[:4].tobytes() != MAGIC:
                 raise ValueError("it is another picture")
             first, rest = struct.unpack("<QQ", flat[4:20].tobytes())
-            if first != count or not 0 <= rest <= MAX_POINTS or 20 + first + 13 * rest > len(flat):
+            if first != count or not 0 <= rest <= SELECTING.max_points or 20 + first + 13 * rest > len(flat):
                 raise ValueError(f"it is of {first} Gaussians and {rest} points")
         except (ValueError, struct.error) as error:
             raise ValueError(f"{where}: expected the selection of {count} Gaussians ({error})") from None
@@ -123,10 +134,10 @@ def nearest(points: np.ndarray, queries: np.ndarray, radius: float) -> np.ndarra
     """[Q] int64 nearest point to each query, looked for farther and farther from `radius` on; -1: none at all."""
     out = np.full(len(queries), -1, np.int64)
     left = np.arange(len(queries))
-    for _ in range(SEARCH_STEPS):
+    for _ in range(SELECTING.search_steps):
         out[left], _ = nearest_within(points, queries[left], radius)
         left = left[out[left] < 0]
-        radius *= SEARCH_FACTOR
+        radius *= SELECTING.search_factor
         if not len(left):
             break
     return out
@@ -156,8 +167,8 @@ def combined(before: np.ndarray | None, new: np.ndarray, how: Combine) -> np.nda
 def snapped_weights(weights: np.ndarray) -> np.ndarray:
     """[N] float32 0..1 with what is nearly nothing and nearly all made so."""
     out = np.clip(weights, 0, 1).astype(np.float32)
-    out[out < SNAP_WEIGHT] = 0
-    out[out > 1 - SNAP_WEIGHT] = 1
+    out[out < SELECTING.snap_weight] = 0
+    out[out > 1 - SELECTING.snap_weight] = 1
     return out
 
 
@@ -174,15 +185,15 @@ def in_mask(splats: Splats, camera: Camera, mask: np.ndarray, through: bool = Fa
     _, alpha, depth = real.rasterize()
     # The visible surface first, then a margin behind it: a fitted surface is a cloud some Gaussians deep.
     sums = real.backproject(np.zeros((*mask.shape, 3), np.float32), np.ones(mask.shape, np.float32))
-    visible_ids = real.gaussian_ids[sums.weight > VISIBLE_SHARE * sums.alpha]
+    visible_ids = real.gaussian_ids[sums.weight > SELECTING.visible_share * sums.alpha]
     hidden = out > 0
     hidden[visible_ids] = False
     ids = np.flatnonzero(hidden)
     pixels, z = camera.project(splats.means[ids].astype(np.float64))
     column = np.clip(np.nan_to_num(pixels[:, 0]), 0, camera.width - 1).astype(np.int64)
     line = np.clip(np.nan_to_num(pixels[:, 1]), 0, camera.height - 1).astype(np.int64)
-    front = np.where(alpha[line, column] > COVERED_ALPHA, depth[line, column], np.inf)
-    out[ids[z > front + DEPTH_MARGIN_SIZES * splats.scales[ids].max(1)]] = 0
+    front = np.where(alpha[line, column] > SELECTING.covered_alpha, depth[line, column], np.inf)
+    out[ids[z > front + SELECTING.depth_margin_sizes * splats.scales[ids].max(1)]] = 0
     return snapped_weights(out)
 
 
@@ -225,7 +236,7 @@ def attribute_values(splats: Splats, attribute: Attribute, camera: Camera, up: n
     if not visible.any():
         return np.zeros(len(splats))
     # A few strays far off would push everything else to one end.
-    low, high = np.quantile(raw[visible], [STRAY_QUANTILE, 1 - STRAY_QUANTILE])
+    low, high = np.quantile(raw[visible], [SELECTING.stray_quantile, 1 - SELECTING.stray_quantile])
     return np.clip((raw - low) / max(high - low, 1e-12), 0, 1)
 
 
@@ -257,7 +268,7 @@ def view_of(splats: Splats, weights: np.ndarray, camera: Camera) -> np.ndarray:
 
 def view_and_points(splats: Splats, weights: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """(`view_of`, [M, 2] float32 pixels of selected Gaussians that it hardly shows, as they are too faint or too small,
-    and that nothing covers). M: at most MAX_MARKS, evenly chosen."""
+    and that nothing covers). M: at most `max_marks`, evenly chosen."""
     shares, alpha, depth = _viewed(splats, weights, camera)
     ids = np.flatnonzero((weights >= 0.5) & splats.drawable & (splats.opacities > 0))
     pixels, z = camera.project(splats.means[ids].astype(np.float64))
@@ -265,11 +276,11 @@ def view_and_points(splats: Splats, weights: np.ndarray, camera: Camera) -> tupl
         inside = (z > 0) & (pixels >= 0).all(1) & (pixels < (camera.width, camera.height)).all(1)
     ids, pixels, z = ids[inside], pixels[inside], z[inside]
     column, line = pixels.astype(np.int64).T
-    front = np.where(alpha[line, column] > COVERED_ALPHA, depth[line, column], np.inf)
+    front = np.where(alpha[line, column] > SELECTING.covered_alpha, depth[line, column], np.inf)
     # What is covered stays unmarked: a point in front of it would seem to be of the surface.
-    free = z < front + DEPTH_MARGIN_SIZES * splats.scales[ids].max(1)
-    points = pixels[free & (shares[line, column] < MARKED_SHARE)].astype(np.float32)
-    return shares, points[:: max(-(-len(points) // MAX_MARKS), 1)]
+    free = z < front + SELECTING.depth_margin_sizes * splats.scales[ids].max(1)
+    points = pixels[free & (shares[line, column] < SELECTING.marked_share)].astype(np.float32)
+    return shares, points[:: max(-(-len(points) // SELECTING.max_marks), 1)]
 
 
 def _viewed(splats: Splats, weights: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -277,5 +288,5 @@ def _viewed(splats: Splats, weights: np.ndarray, camera: Camera) -> tuple[np.nda
     view = before_black(splats, camera)
     selected = np.repeat(weights[view.gaussian_ids, None], 3, 1).astype(np.float32)
     image, alpha, depth = view.rasterize(np.ascontiguousarray(selected))
-    shares = np.where(alpha > COVERED_ALPHA, np.clip(image[..., 0] / np.maximum(alpha, 1e-6), 0, 1), 0)
+    shares = np.where(alpha > SELECTING.covered_alpha, np.clip(image[..., 0] / np.maximum(alpha, 1e-6), 0, 1), 0)
     return shares, alpha, depth

@@ -4,7 +4,7 @@ saved there is the answer.
     DIR/view_000.png         the view, with its camera inside; save over it, or beside it as view_000-anything.png
     DIR/view_000.txt         the prompt
     DIR/view_000.mask.png    white may change, where there is a mask
-    DIR/view_000.reference_0.png ...
+    DIR/view_000.reference_0.png, and so on
 """
 
 from __future__ import annotations
