@@ -30,6 +30,7 @@ def mesh_glb(
     if colors is not None:
         arrays.append(("COLOR_0", np.ascontiguousarray(colors, "<f4"), ARRAY_BUFFER))
     arrays.append(("", np.ascontiguousarray(triangles.reshape(-1), "<u4"), ELEMENT_ARRAY_BUFFER))
+    # One buffer; each array is a view of it and an accessor that says what its numbers are.
     binary, views, accessors, attributes = bytearray(), [], [], {}
     for semantic, values, target in arrays:
         views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": values.nbytes, "target": target})
@@ -37,11 +38,13 @@ def mesh_glb(
         entry: dict[str, Any] = {"bufferView": len(views) - 1, "count": len(values)}
         entry |= {"componentType": gltf.FLOAT, "type": "VEC3"} if semantic else {"componentType": UNSIGNED_INT}
         entry.setdefault("type", "SCALAR")
+        # The standard asks for the range of positions, and of nothing else.
         if semantic == "POSITION":
             entry |= {"min": values.min(0).tolist(), "max": values.max(0).tolist()}
         if semantic:
             attributes[semantic] = len(accessors)
         accessors.append(entry)
+    # Untextured and rough: viewers then show the vertices' colours as they are.
     primitive = {"attributes": attributes, "indices": len(accessors) - 1, "material": 0}
     node: dict[str, Any] = {"mesh": 0, "name": name}
     if any(translation):

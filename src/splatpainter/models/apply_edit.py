@@ -56,6 +56,7 @@ def refine_edit(
     missing = int((latent_ids < 0).sum())
     if missing:
         raise ValueError(f"refine: {missing} of the {len(latent_ids)} Gaussians were not encoded; encode again")
+    # The network starts from what the lift painted; how far that moved it is told besides, where a model reads it.
     base = lifted.splats.take(lifted.ids).torch(str(device))
     drift = None
     if config.base == "lift":
@@ -73,6 +74,7 @@ def refine_edit(
         detail=lifted.detail and config.detail,
         strength=strength,
     )
+    # No children are the same as none asked for: what appends them need not look twice.
     children = decoded.children
     return state, decoded.splats, children if children is not None and len(children) else None
 

@@ -319,6 +319,7 @@ def _facts(
     pixel = np.maximum(depths, 1e-6) / camera.fy
     # In pixels, so that it means the same for near and far, small and large assets.
     behind = np.where(alpha > SOLID_ALPHA, np.clip((depths - surface_depth) / pixel, -MAX_DEPTH_PX, MAX_DEPTH_PX), 0)
+    # Size and facing as the camera sees them, so that a turned asset gives the same numbers.
     part = splats.take(ids)
     sizes = np.sort(np.clip(projected_sizes(part, camera), 1e-3, 1e3), 1)[:, ::-1]
     axes = quat_to_matrix(np.ascontiguousarray(part.quats))

@@ -71,6 +71,7 @@ def render(
 
     Raises ValueError for shapes, kinds or sizes that do not fit, and for a backend or profile that is not there.
     """
+    # All that can be refused before any backend is loaded.
     views = [cameras] if isinstance(cameras, Camera) else list(cameras)
     check_views(views)
     _check_splats(splats)
@@ -79,6 +80,7 @@ def render(
         raise ValueError(f"render: expected a backend of {', '.join(BACKENDS)}, got {backend!r}")
     if profile not in PROFILES:
         raise ValueError(f"render: expected a profile of {', '.join(PROFILES)}, got {profile!r}")
+    # numpy on the CPU needs no torch at all; everything else goes through it and comes back as it was given.
     means: Any = splats.means
     is_numpy = isinstance(means, np.ndarray)
     if backend == "auto":

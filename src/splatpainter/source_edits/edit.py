@@ -72,6 +72,7 @@ def edit_with_source(
 
     Raises SourceError: more is asked than the source takes, the source fails, its picture is refused; SourceCancelled;
     ValueError as `Painter.apply`."""
+    # Everything that can be refused is, before the source is asked: each of its pictures may be paid for.
     brief = SourceBrief.of(prompt)
     painter = painter or Painter.load(modes=[mode])
     asset = painter.encode(splats, method, [mode])
@@ -156,9 +157,11 @@ def refine(
         raise ValueError("refine: expected a model for upscale, or a source, got both")
     if not 1 <= len(cameras) <= MAX_VIEWS:
         raise ValueError(f"refine: expected 1 to {MAX_VIEWS} cameras, got {len(cameras)}")
+    # A model that enlarges is a source like others; without either, pictures are sharpened without invention.
     options = {} if upscale is None else {"model": str(upscale)}
     painter, brief = painter or Painter.load("lift"), SourceBrief.of(prompt)
     source = source or open_source("upscale", options)
+    # Lifted together: views that overlap would undo each other's detail one by one.
     return refine_views(
         painter,
         painter.encode(splats, method, ["local"]),

@@ -65,6 +65,7 @@ def fill(
 
     Raises ValueError in one line where there is nothing to fill (holes/fill.py); SourceError and SourceCancelled as
     `edit_with_source`."""
+    # What is to go, and the asset without it: rows stay and lose their opacity.
     start = time.perf_counter()
     splats = splats.numpy()
     if (removed is None) == (around is None):
@@ -75,12 +76,14 @@ def fill(
         chosen, words = body_or_selection(splats, chosen)
     if removed is not None:
         emptied = replace(splats, opacities=np.where(chosen, np.float32(0), splats.opacities))
+    # The surface goes on from the border first; a source paints on what is there.
     filled = fill_hole(emptied, removed=chosen) if removed is not None else fill_hole(emptied, around=chosen)
     edits: tuple[AnsweredView, ...] = ()
     appended = filled.appended
     brief = SourceBrief.of(prompt)
     if source is not None and not filled.holes:
         raise ValueError(f"fill: there is nothing for {source.name} to paint: {filled.reason}; fill without a source")
+    # The source sees the fill in its place, and may change that alone.
     if source is not None:
         with_fill = replace(emptied, source=None, origin=None).append(appended)
         flag, report = cancel or threading.Event(), progress or (lambda share, words: None)
@@ -89,6 +92,7 @@ def fill(
         sourced = ask_for_fill(with_fill, new, source, brief, view, progress=report, cancel=flag)
         edits = (sourced,)
         appended = painted(emptied, appended, [(sourced.edit.camera, sourced.edit.image, _mask_of(sourced))])
+    # The new rows come from no file, so their bytes are made when they are written.
     after = emptied.append(replace(appended, source=None, origin=None))
     touched = changed_rows(splats, after)
     hashes = untouched_hashes(splats, after, touched)

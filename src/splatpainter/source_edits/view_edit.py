@@ -100,6 +100,7 @@ def ask_for_edit(
     surface, where it is at hand, for the maps that a source takes. name: of the edit, in errors and reports.
     Raises SourceError: the asset is not in view, more is asked than the source takes, the source fails, its picture is
     refused; SourceCancelled."""
+    # A view of nothing would be paid for and could not be painted.
     name = name or source.name
     image, alpha = displayed(splats, camera)
     if not (alpha > 0.5).any():
@@ -117,8 +118,10 @@ def ask_for_edit(
         maps.depth,
         maps.normal,
     )
+    # Judged by the whole request afterwards: a source that takes no mask is held to it all the same.
     sent = request if source.capabilities.mask else replace(request, mask=None)
     answer = source.edit(sent, progress, cancel)
+    # A refusal carries what was sent and what came back, for people to look at.
     try:
         admitted = admit(
             answer.image,

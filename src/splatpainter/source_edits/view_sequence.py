@@ -77,12 +77,14 @@ def edit_views_in_order(
                 raise SourceCancelled
             if entered is not None:
                 entered(k, count)
+            # What views before it reached is theirs: two pictures of one place would be mixed to mush.
             view = SurfaceView.of(splats, camera, normals)
             mask = unreached(view, reached)
             if allowed is not None:
                 mask = np.minimum(mask, allowed(camera)).astype(np.float32)
             if not worth_asking(mask, view):
                 continue
+            # Of the asset with what was painted so far, so that the picture goes on from it.
             try:
                 sourced = ask_for_edit(
                     present(),
@@ -101,10 +103,12 @@ def edit_views_in_order(
                 notes.append(str(refusal))
                 continue
             except SourceError as failure:
+                # A source that fails now will fail for the next view, too, and each may be paid for.
                 if not edits:
                     raise
                 notes.append(f"stopped before view {k + 1} of {count}, the earlier ones are painted: {failure}")
                 break
+            # Painted at once; a picture that cannot be painted covers nothing for the views after it.
             try:
                 paint(sourced)
             except ValueError as failure:
@@ -113,6 +117,7 @@ def edit_views_in_order(
                 continue
             edits.append(sourced)
             reached.append((view, mask))
+    # A person who stops in the middle may want what there is by then.
     except SourceCancelled:
         if not (keep_when_cancelled and edits):
             raise
