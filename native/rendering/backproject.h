@@ -7,56 +7,63 @@
 
 namespace sp { namespace {
 
-// Columns of one pair's sums: w m v (3), w m, alpha m, max w, two unused. Of two masks without values: w n, alpha n,
-// max w, w m, alpha m, max w, two unused.
+// Columns of one pair's sums over the pixels of a mask m with values v; the last two of the 8 are unused.
+enum { W_VALUES, W_MASK = W_VALUES + 3, ALPHA_MASK, PEAK, GATHERED_COLUMNS };
+// Those of a second mask n, which stand in place of the values.
+enum { W_SECOND = W_VALUES, ALPHA_SECOND, PEAK_SECOND };
 constexpr int SUMS = 8;
+// Fields of a tile's state after T: m v, or n in place of the first of them, and m.
+enum { MASKED_VALUES = TRANSMITTANCE + 1, SECOND_MASK = MASKED_VALUES, MASK = MASKED_VALUES + 3, MASKED_FIELDS };
 
 // values: sums of one mask with values; masks: of two masks.
 enum class Gathered { values, masks };
+template <Gathered gathered>
+SP_INLINE constexpr bool is_peak(int column) {
+    return column == PEAK || (gathered == Gathered::masks && column == PEAK_SECOND);
+}
 
-// sums[pair_ids[p]] for list entries [begin, end), from fields T, m v (3), m of the tile, or T, n, unused (2), m.
-// THROUGH: also count the alpha of Gaussians behind the point where all pixels stop; otherwise stop there too. Returns
-// one past the last entry used.
-template <Profile profile, Gathered gathered, bool THROUGH, class F>
+// sums[pair_ids[p]] for list entries [begin, end) from the fields of the tile. way: `through` also counts the alpha of
+// Gaussians behind the point where all pixels stop. Returns one past the last entry used.
+template <Profile profile, Gathered gathered, Walk way, class F>
 SP_INLINE i64 backproject_tile(const Rows<const F, COLUMNS>& projected, const Array1<const i32>& flatten_ids,
                                const Array1<const i32>& pair_ids, i64 begin, i64 end, Pixel first,
                                Field<F>* __restrict state, BlockSet& open, const Rows<F, SUMS>& sums) {
-    alignas(64) F lanes[6][LANES];
-    EachFootprint<F> drawn;
-    for (i64 p = begin; p < end; ++p) {
+    alignas(64) F lanes[GATHERED_COLUMNS][LANES];
+    return walk<way>(projected, flatten_ids, begin, end, first, state, open, [&](i64 p, Footprint<F> g) {
         const i64 ahead = min_of(p + PREFETCH_ENTRIES, end - 1);
         prefetch_row(sums, pair_ids(ahead));
-        const Footprint<F> g = drawn.at(projected, flatten_ids, p, end, first);
+        const BlockSet drawn = g.blocks & open;
         SP_LANES(F, l) {
-            Wide<F> s[6] = {};
-            over_blocks(g.blocks & open, [&](int b) {
+            Wide<F> s[GATHERED_COLUMNS] = {};
+            over_blocks(drawn, [&](int b) {
                 const Wide<F> alpha = alpha_of<profile>(g, b, l), zero = {};
-                const Wide<F> w = accept<profile>(&state[0][b][l], alpha), m = load(&state[4][b][l]);
+                const Wide<F> w = accept<profile>(&state[TRANSMITTANCE][b][l], alpha), m = load(&state[MASK][b][l]);
                 if constexpr (gathered == Gathered::values) {
-                    for (int c = 0; c < 3; ++c) s[c] = fused(w, load(&state[1 + c][b][l]), s[c]);
+                    for (int c = 0; c < 3; ++c)
+                        s[W_VALUES + c] = fused(w, load(&state[MASKED_VALUES + c][b][l]), s[W_VALUES + c]);
                 } else {
-                    const Wide<F> n = load(&state[1][b][l]), counted = n > F(0) ? w : zero;
-                    s[0] = fused(w, n, s[0]);
-                    s[1] = fused(alpha, n, s[1]);
-                    s[2] = counted > s[2] ? counted : s[2];
+                    const Wide<F> n = load(&state[SECOND_MASK][b][l]), counted = n > F(0) ? w : zero;
+                    s[W_SECOND] = fused(w, n, s[W_SECOND]);
+                    s[ALPHA_SECOND] = fused(alpha, n, s[ALPHA_SECOND]);
+                    s[PEAK_SECOND] = counted > s[PEAK_SECOND] ? counted : s[PEAK_SECOND];
                 }
-                s[3] = fused(w, m, s[3]);
-                s[4] = fused(alpha, m, s[4]);
+                s[W_MASK] = fused(w, m, s[W_MASK]);
+                s[ALPHA_MASK] = fused(alpha, m, s[ALPHA_MASK]);
                 const Wide<F> counted = m > F(0) ? w : zero;
-                s[5] = counted > s[5] ? counted : s[5];
+                s[PEAK] = counted > s[PEAK] ? counted : s[PEAK];
             });
-            for (int c = 0; c < 6; ++c) store(&lanes[c][l], s[c]);
+            for (int c = 0; c < GATHERED_COLUMNS; ++c) store(&lanes[c][l], s[c]);
         }
+        // All but the last are sums over the lanes; what is a peak is put right after.
         F* out = sums.row(pair_ids(p));
-        sums_of<5, F>(lanes, out);
-        for (int c = gathered == Gathered::values ? 5 : 2; c < 6; c += 3) {
+        sums_of<PEAK, F>(lanes, out);
+        for (int c = 0; c < GATHERED_COLUMNS; ++c) {
+            if (!is_peak<gathered>(c)) continue;
             F peak = F(0);
             for (int l = 0; l < LANES; ++l) peak = max_of(peak, lanes[c][l]);
             out[c] = peak;
         }
-        if (!THROUGH && ((p - begin) & 7) == 7 && !(open = still_open<F>(state[0], open))) return p + 1;
-    }
-    return end;
+    });
 }
 
 // A field = m; the blocks with any.
@@ -83,24 +90,24 @@ void backproject_tiles_as(Rows<const F, COLUMNS> projected, Array1<const i32> fl
                           Array1<const i32> tile_ids, Array1<const i64> isect_offsets, Pixels<const F, 3> values,
                           Array2<const F> mask, Rows<F, SUMS> sums, i64 thread, i64 threads) {
     const i64 height = mask.shape[0], width = mask.shape[1];
-    alignas(64) Field<F> state[5];
+    alignas(64) Field<F> state[MASKED_FIELDS];
     for (i64 k = thread; k < tile_ids.shape[0]; k += threads) {
-        const Pixel first = open_tile<F>(tile_ids(k), width, height, state, 5);
+        const Pixel first = open_tile<F>(tile_ids(k), width, height, state, MASKED_FIELDS);
         const i64 begin = isect_offsets(k), end = isect_offsets(k + 1);
-        BlockSet open = load_mask<F>(mask, first, state[4]);
+        BlockSet open = load_mask<F>(mask, first, state[MASK]);
         if (!open) {
             clear(pair_ids, begin, end, sums);
             continue;
         }
         for (int b = 0; b < BLOCKS; ++b)
             for (int l = 0; l < LANES; ++l) {
-                const F m = state[4][b][l];
+                const F m = state[MASK][b][l];
                 const auto [x, y] = pixel_of(first.x, first.y, b, l);
                 if (m > F(0))
-                    for (int c = 0; c < 3; ++c) state[1 + c][b][l] = m * values(y, x, c);
+                    for (int c = 0; c < 3; ++c) state[MASKED_VALUES + c][b][l] = m * values(y, x, c);
             }
-        backproject_tile<profile, Gathered::values, true>(projected, flatten_ids, pair_ids, begin, end, first, state,
-                                                          open, sums);
+        backproject_tile<profile, Gathered::values, Walk::through>(projected, flatten_ids, pair_ids, begin, end, first,
+                                                                   state, open, sums);
     }
 }
 
@@ -118,17 +125,17 @@ template <class F>
 void mask_sums_tiles(Rows<const F, COLUMNS> projected, Array1<const i32> flatten_ids, Array1<const i32> pair_ids,
                      Array1<const i32> tile_ids, Array1<const i64> isect_offsets, Array2<const F> mask,
                      Array2<const F> mask2, Rows<F, SUMS> sums, i64 thread, i64 threads) {
-    alignas(64) Field<F> state[5];
+    alignas(64) Field<F> state[MASKED_FIELDS];
     for (i64 k = thread; k < tile_ids.shape[0]; k += threads) {
-        const Pixel first = open_tile<F>(tile_ids(k), mask.shape[1], mask.shape[0], state, 5);
+        const Pixel first = open_tile<F>(tile_ids(k), mask.shape[1], mask.shape[0], state, MASKED_FIELDS);
         const i64 begin = isect_offsets(k), end = isect_offsets(k + 1);
-        BlockSet open = load_mask<F>(mask, first, state[4]) | load_mask<F>(mask2, first, state[1]);
+        BlockSet open = load_mask<F>(mask, first, state[MASK]) | load_mask<F>(mask2, first, state[SECOND_MASK]);
         if (!open) {
             clear(pair_ids, begin, end, sums);
             continue;
         }
-        backproject_tile<Profile::inria, Gathered::masks, true>(projected, flatten_ids, pair_ids, begin, end, first,
-                                                                state, open, sums);
+        backproject_tile<Profile::inria, Gathered::masks, Walk::through>(projected, flatten_ids, pair_ids, begin, end,
+                                                                         first, state, open, sums);
     }
 }
 
@@ -140,13 +147,13 @@ void sirt_tiles(Rows<const F, COLUMNS> projected, Array1<const i32> flatten_ids,
                 Pixels<const F, 3> target, Array2<const F> mask, Rows<F, SUMS> sums, Array1<F> errors, i64 thread,
                 i64 threads) {
     const i64 height = mask.shape[0], width = mask.shape[1];
-    alignas(64) Field<F> rasterized[5], state[5];
+    alignas(64) Field<F> rasterized[SEEN_FIELDS], state[MASKED_FIELDS];
     for (i64 k = thread; k < tile_ids.shape[0]; k += threads) {
-        const Pixel first = open_tile<F>(tile_ids(k), width, height, state, 5);
-        open_tile<F>(tile_ids(k), width, height, rasterized, 5);
+        const Pixel first = open_tile<F>(tile_ids(k), width, height, state, MASKED_FIELDS);
+        open_tile<F>(tile_ids(k), width, height, rasterized, SEEN_FIELDS);
         const i64 begin = isect_offsets(k), end = isect_offsets(k + 1);
         errors(k) = F(0);
-        BlockSet open = load_mask<F>(mask, first, state[4]);
+        BlockSet open = load_mask<F>(mask, first, state[MASK]);
         if (!open) {
             clear(pair_ids, begin, end, sums);
             continue;
@@ -157,34 +164,33 @@ void sirt_tiles(Rows<const F, COLUMNS> projected, Array1<const i32> flatten_ids,
         F error = F(0);
         for (int b = 0; b < BLOCKS; ++b)
             for (int l = 0; l < LANES; ++l) {
-                const F m = state[4][b][l];
+                const F m = state[MASK][b][l];
                 if (!(m > F(0))) continue;
                 const auto [x, y] = pixel_of(first.x, first.y, b, l);
-                const F T = abs_of(rasterized[0][b][l]);
+                const F T = abs_of(rasterized[TRANSMITTANCE][b][l]);
                 for (int c = 0; c < 3; ++c) {
-                    const F difference = target(y, x, c) - (rasterized[1 + c][b][l] + T * background(c));
+                    const F difference = target(y, x, c) - (rasterized[SEEN + c][b][l] + T * background(c));
                     error += m * difference * difference;
-                    state[1 + c][b][l] = m * difference;
+                    state[MASKED_VALUES + c][b][l] = m * difference;
                 }
             }
         errors(k) = error;
-        stop = backproject_tile<Profile::inria, Gathered::values, false>(projected, flatten_ids, pair_ids, begin, stop,
-                                                                         first, state, open, sums);
+        stop = backproject_tile<Profile::inria, Gathered::values, Walk::until_closed>(
+            projected, flatten_ids, pair_ids, begin, stop, first, state, open, sums);
         clear(pair_ids, stop, end, sums);
     }
 }
 
 template <Gathered gathered, class F>
-SP_INLINE void reduce(const Array1<const i64>& pair_offsets, const Rows<const F, SUMS>& sums, const Rows<F, 6>& out,
-                      i64 thread, i64 threads) {
+SP_INLINE void reduce(const Array1<const i64>& pair_offsets, const Rows<const F, SUMS>& sums,
+                      const Rows<F, GATHERED_COLUMNS>& out, i64 thread, i64 threads) {
     const Share share = share_of(out.shape[0], thread, threads);
     for (i64 i = share.begin; i < share.end; ++i) {
-        F total[6] = {};
+        F total[GATHERED_COLUMNS] = {};
         for (i64 pair = pair_offsets(i); pair < pair_offsets(i + 1); ++pair) {
             const F* s = sums.row(pair);
-            for (int k = 0; k < 6; ++k) {
-                const bool peak = k == 5 || (gathered == Gathered::masks && k == 2);
-                total[k] = peak ? max_of(total[k], s[k]) : total[k] + s[k];
+            for (int k = 0; k < GATHERED_COLUMNS; ++k) {
+                total[k] = is_peak<gathered>(k) ? max_of(total[k], s[k]) : total[k] + s[k];
             }
         }
         __builtin_memcpy(out.row(i), total, sizeof total);
@@ -193,14 +199,15 @@ SP_INLINE void reduce(const Array1<const i64>& pair_offsets, const Rows<const F,
 
 // out [M, 6]: each Gaussian's sums over its tiles, the sixth their maximum.
 template <class F>
-void reduce_pairs(Array1<const i64> pair_offsets, Rows<const F, SUMS> sums, Rows<F, 6> out, i64 thread, i64 threads) {
+void reduce_pairs(Array1<const i64> pair_offsets, Rows<const F, SUMS> sums, Rows<F, GATHERED_COLUMNS> out, i64 thread,
+                  i64 threads) {
     reduce<Gathered::values>(pair_offsets, sums, out, thread, threads);
 }
 
 // The same for two masks: the third and the sixth their maximum.
 template <class F>
-void reduce_mask_sums(Array1<const i64> pair_offsets, Rows<const F, SUMS> sums, Rows<F, 6> out, i64 thread,
-                      i64 threads) {
+void reduce_mask_sums(Array1<const i64> pair_offsets, Rows<const F, SUMS> sums, Rows<F, GATHERED_COLUMNS> out,
+                      i64 thread, i64 threads) {
     reduce<Gathered::masks>(pair_offsets, sums, out, thread, threads);
 }
 

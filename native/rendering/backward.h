@@ -11,9 +11,11 @@
 
 namespace sp { namespace {
 
-// Fields of one pair: sums over its pixels of u, u dx, u dy, u dx^2, u dx dy, u dy^2 with u = e^-sigma dL/d alpha; of w
-// v_C (3); of w v_D. Stored in 16 columns, one cache line in float32.
-constexpr int GRADIENT_FIELDS = 10;
+// Fields of one pair: sums over its pixels of u = e^-sigma dL/d alpha, of u times offsets (dx, dy) and their products,
+// of w v_C (3) and of w v_D. Stored in 16 columns, one cache line in float32.
+enum { U, U_DX, U_DY, U_DX_DX, U_DX_DY, U_DY_DY, W_GRADIENT, GRADIENT_FIELDS = W_GRADIENT + 4 };
+// Fields of a tile's state after T: R, v_C (3) and v_D.
+enum { REMAINDER = TRANSMITTANCE + 1, V_COLOR, V_DEPTH = V_COLOR + 3, BACKWARD_FIELDS };
 
 template <class F>
 struct Pictures {
@@ -21,22 +23,22 @@ struct Pictures {
     Array2<const F> alpha, depth, v_alpha, v_depth;
 };
 
-// Fields 1..5 = R, v_C (3), v_D. The renderer's depth is D / alpha with alpha = 1 - T.
+// R, v_C and v_D of each pixel. The renderer's depth is D / alpha with alpha = 1 - T.
 template <class F>
 SP_INLINE void load_gradients(const Pictures<F>& in, Pixel first, Field<F>* state) {
     for (int b = 0; b < BLOCKS; ++b)
         for (int l = 0; l < LANES; ++l) {
             const auto [x, y] = pixel_of(first.x, first.y, b, l);
             if (!(y < in.alpha.shape[0] && x < in.alpha.shape[1] && in.alpha(y, x) > F(0))) {
-                state[0][b][l] = F(-1);  // nothing was drawn here
+                state[TRANSMITTANCE][b][l] = F(-1);  // nothing was drawn here
                 continue;
             }
             const F a = in.alpha(y, x), d = in.depth(y, x), v_depth = in.v_depth(y, x);
             const F *c = in.image.row(y, x), *v = in.v_image.row(y, x);
             const F v_d = v_depth / a, v_t = d * v_d - in.v_alpha(y, x);
-            state[1][b][l] = c[0] * v[0] + c[1] * v[1] + c[2] * v[2] + d * v_depth + (F(1) - a) * v_t;
-            for (int k = 0; k < 3; ++k) state[2 + k][b][l] = v[k];
-            state[5][b][l] = v_d;
+            state[REMAINDER][b][l] = c[0] * v[0] + c[1] * v[1] + c[2] * v[2] + d * v_depth + (F(1) - a) * v_t;
+            for (int k = 0; k < 3; ++k) state[V_COLOR + k][b][l] = v[k];
+            state[V_DEPTH][b][l] = v_d;
         }
 }
 
@@ -48,19 +50,17 @@ void rasterize_backward_tiles(Rows<const F, COLUMNS> projected, Array1<const i32
                               Array2<const F> depth, Pixels<const F, 3> v_image, Array2<const F> v_alpha,
                               Array2<const F> v_depth, Rows<F, COLUMNS> sums, i64 thread, i64 threads) {
     const Pictures<F> pictures = {image, v_image, alpha, depth, v_alpha, v_depth};
-    alignas(64) Field<F> state[6];
+    alignas(64) Field<F> state[BACKWARD_FIELDS];
     alignas(64) F lanes[GRADIENT_FIELDS][LANES];
     for (i64 k = thread; k < tile_ids.shape[0]; k += threads) {
-        const Pixel first = open_tile<F>(tile_ids(k), alpha.shape[1], alpha.shape[0], state, 6);
+        const Pixel first = open_tile<F>(tile_ids(k), alpha.shape[1], alpha.shape[0], state, BACKWARD_FIELDS);
         load_gradients(pictures, first, state);
         BlockSet open = ALL_BLOCKS;
-        EachFootprint<F> drawn;
         const i64 begin = isect_offsets(k), end = ends(k);
-        for (i64 p = begin; p < end; ++p) {
+        const auto gather = [&](i64 p, Footprint<F> g) {
             const i64 ahead = min_of(p + PREFETCH_ENTRIES, end - 1);
             prefetch_row(sums, pair_ids(ahead));
             const F* row = projected.row(flatten_ids(p));
-            const Footprint<F> g = drawn.at(projected, flatten_ids, p, end, first);
             const F channels[4] = {row[RED], row[GREEN], row[BLUE], row[DEPTH]};
             // Where alpha is cut off at its largest value, nothing moves it.
             const F uncapped = F(g.opacity > F(MAX_ALPHA) ? MAX_LEVEL : INFINITE);
@@ -69,26 +69,26 @@ void rasterize_backward_tiles(Rows<const F, COLUMNS> projected, Array1<const i32
                 over_blocks(g.blocks & open, [&](int b) {
                     using V = Wide<F>;
                     const auto [dx, dy, level] = offset(g, b, l);
-                    const V a = alpha_of<Profile::inria, F>(g, level), T = load(&state[0][b][l]), zero = {};
-                    const V w = accept<Profile::inria>(&state[0][b][l], a);
+                    const V a = alpha_of<Profile::inria, F>(g, level), T = load(&state[TRANSMITTANCE][b][l]), zero = {};
+                    const V w = accept<Profile::inria>(&state[TRANSMITTANCE][b][l], a);
                     V slope = {};
                     for (int c = 0; c < 4; ++c) {
-                        const V v = load(&state[2 + c][b][l]);
+                        const V v = load(&state[V_COLOR + c][b][l]);
                         slope = fused(all(channels[c]), v, slope);
-                        s[6 + c] = fused(w, v, s[6 + c]);
+                        s[W_GRADIENT + c] = fused(w, v, s[W_GRADIENT + c]);
                     }
-                    const V R = load(&state[1][b][l]) - w * slope;
-                    store(&state[1][b][l], R);
+                    const V R = load(&state[REMAINDER][b][l]) - w * slope;
+                    store(&state[REMAINDER][b][l], R);
                     V u = a * (T * slope - R / (F(1) - a));
                     const auto counted = (w > zero) & (level <= uncapped);
                     u = counted ? u : zero;
                     const V ux = u * dx, uy = u * dy;
-                    s[0] += u;
-                    s[1] += ux;
-                    s[2] += uy;
-                    s[3] = fused(ux, dx, s[3]);
-                    s[4] = fused(ux, dy, s[4]);
-                    s[5] = fused(uy, dy, s[5]);
+                    s[U] += u;
+                    s[U_DX] += ux;
+                    s[U_DY] += uy;
+                    s[U_DX_DX] = fused(ux, dx, s[U_DX_DX]);
+                    s[U_DX_DY] = fused(ux, dy, s[U_DX_DY]);
+                    s[U_DY_DY] = fused(uy, dy, s[U_DY_DY]);
                 });
                 for (int c = 0; c < GRADIENT_FIELDS; ++c) store(&lanes[c][l], s[c]);
             }
@@ -96,10 +96,10 @@ void rasterize_backward_tiles(Rows<const F, COLUMNS> projected, Array1<const i32
             sums_of<8, F>(lanes, out);
             sums_of<2, F>(lanes + 8, out + 8);
             const F shrink = F(1) / g.opacity;  // u has alpha in place of e^-sigma
-            for (int c = 0; c < 6; ++c) out[c] *= shrink;
-            if (((p - begin) & 7) == 7) open = still_open<F>(state[0], open);
-        }
-        for (i64 p = end; p < isect_offsets(k + 1); ++p)
+            for (int c = U; c < W_GRADIENT; ++c) out[c] *= shrink;
+        };
+        const i64 stop = walk<Walk::until_closed>(projected, flatten_ids, begin, end, first, state, open, gather);
+        for (i64 p = stop; p < isect_offsets(k + 1); ++p)
             __builtin_memset(sums.row(pair_ids(p)), 0, COLUMNS * sizeof(F));
     }
 }

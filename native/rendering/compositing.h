@@ -1,7 +1,7 @@
 // Compositing a tile front to back: what all kernels over tiles share. Knows no cameras, only `projected` and lists.
 //
 // C = sum_i w_i c_i + T bg with w_i = alpha_i T_i, T_i = prod_{j<i} (1 - alpha_j). A tile is 16 x 16 pixels = 16
-// blocks of 4 x 4; a block is 16 lanes. Field 0 of a tile's state is the transmittance T. A pixel that accepts no
+// blocks of 4 x 4; a block is 16 lanes. Field 0 of a tile's state is the transmittance, T. A pixel that accepts no
 // more Gaussians has its T negated: w is then negative, and `T - w > MIN_TRANSMITTANCE` fails for ever after, without
 // a branch.
 //
@@ -25,6 +25,8 @@ constexpr double CULLING_MARGIN = 1.01;
 enum class Profile { inria, playcanvas };
 
 template <class F> using Field = F[BLOCKS][LANES];
+// The first field of every tile's state; what the others hold each kernel names.
+constexpr int TRANSMITTANCE = 0;
 // A set of blocks: bit b is block b.
 using BlockSet = u32;
 constexpr BlockSet ALL_BLOCKS = (1u << BLOCKS) - 1;
@@ -44,7 +46,7 @@ SP_INLINE Pixel open_tile(i64 tile, i64 width, i64 height, Field<F>* state, int 
     for (int b = 0; b < BLOCKS; ++b)
         for (int l = 0; l < LANES; ++l) {
             const Pixel p = pixel_of(0, 0, b, l);
-            state[0][b][l] = p.y < low && p.x < right ? F(1) : F(-1);
+            state[TRANSMITTANCE][b][l] = p.y < low && p.x < right ? F(1) : F(-1);
         }
     return first;
 }
@@ -178,6 +180,24 @@ struct EachFootprint {
         return batch[p - batch.from];
     }
 };
+
+// Whether a walk over a tile's list ends where no pixel accepts more, or goes on through what is hidden.
+enum class Walk { until_closed, through };
+
+// body(p, its footprint) for list entries [begin, end) of a tile, front to back. Blocks are asked after each eighth
+// entry whether they are open, as asking costs as much as drawing. Returns one past the last entry used.
+template <Walk way, class F, class Body>
+SP_INLINE i64 walk(const Rows<const F, COLUMNS>& projected, const Array1<const i32>& flatten_ids, i64 begin, i64 end,
+                   Pixel first, const Field<F>* state, BlockSet& open, Body body) {
+    EachFootprint<F> drawn;
+    for (i64 p = begin; p < end; ++p) {
+        body(p, drawn.at(projected, flatten_ids, p, end, first));
+        if (way == Walk::through || ((p - begin) & 7) != 7) continue;
+        open = still_open<F>(state[TRANSMITTANCE], open);
+        if (!open) return p + 1;
+    }
+    return end;
+}
 
 // body(b) for each block of a set, in order.
 template <class Body>

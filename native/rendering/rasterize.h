@@ -8,10 +8,13 @@
 
 namespace sp { namespace {
 
+// Fields of a tile's state after T: sums of what is seen, by weight.
+enum { SEEN = TRANSMITTANCE + 1, SEEN_DEPTH = SEEN + 3, SEEN_FIELDS };
+// The columns of `projected` that are summed there.
 constexpr int COLOR_AND_DEPTH[4] = {RED, GREEN, BLUE, DEPTH};
 
-// Add list entries [begin, end) to fields T, r, g, b, depth of a tile; returns one past the last entry used: blocks are
-// asked after each eighth whether they are open.
+// Add list entries [begin, end) to the fields of a tile; returns one past the last entry used, as `walk` would. Not by
+// `walk`: here a pixel's sums stay in registers for a batch of entries, which no sum over the pixels asks for.
 template <Profile profile, class F>
 SP_INLINE i64 composite(const Rows<const F, COLUMNS>& projected, const Array1<const i32>& flatten_ids, i64 begin,
                         i64 end, Pixel first, Field<F>* __restrict state, BlockSet& open) {
@@ -25,9 +28,9 @@ SP_INLINE i64 composite(const Rows<const F, COLUMNS>& projected, const Array1<co
             int last = 0;
             bool some = false;
             SP_LANES(F, l) {
-                V T = load(&state[0][b][l]), sums[4];
+                V T = load(&state[TRANSMITTANCE][b][l]), sums[4];
                 if (!bits_where(T > F(0))) continue;
-                for (int c = 0; c < 4; ++c) sums[c] = load(&state[1 + c][b][l]);
+                for (int c = 0; c < 4; ++c) sums[c] = load(&state[SEEN + c][b][l]);
                 bool accepts = true;
                 for (u64 rest = hits; rest; rest &= rest - 1) {
                     const int j = __builtin_ctzll(rest);
@@ -43,8 +46,8 @@ SP_INLINE i64 composite(const Rows<const F, COLUMNS>& projected, const Array1<co
                     }
                 }
                 some |= accepts;
-                store(&state[0][b][l], T);
-                for (int c = 0; c < 4; ++c) store(&state[1 + c][b][l], sums[c]);
+                store(&state[TRANSMITTANCE][b][l], T);
+                for (int c = 0; c < 4; ++c) store(&state[SEEN + c][b][l], sums[c]);
             }
             if (some) return;
             open &= ~(1u << b);
@@ -61,9 +64,9 @@ void rasterize_tiles_as(Rows<const F, COLUMNS> projected, Array1<const i32> flat
                         Array2<F> alpha, Array2<F> depth, Array1<i64> ends, i64 thread, i64 threads) {
     const i64 height = alpha.shape[0], width = alpha.shape[1];
     const F back[3] = {background(0), background(1), background(2)};
-    alignas(64) Field<F> state[5];
+    alignas(64) Field<F> state[SEEN_FIELDS];
     for (i64 k = thread; k < tile_ids.shape[0]; k += threads) {
-        const Pixel first = open_tile<F>(tile_ids(k), width, height, state, 5);
+        const Pixel first = open_tile<F>(tile_ids(k), width, height, state, SEEN_FIELDS);
         BlockSet open = ALL_BLOCKS;
         const i64 begin = isect_offsets(k), end = isect_offsets(k + 1);
         ends(k) = composite<profile>(projected, flatten_ids, begin, end, first, state, open);
@@ -71,11 +74,11 @@ void rasterize_tiles_as(Rows<const F, COLUMNS> projected, Array1<const i32> flat
             for (int l = 0; l < LANES; ++l) {
                 const auto [x, y] = pixel_of(first.x, first.y, b, l);
                 if (y >= height || x >= width) continue;
-                const F T = abs_of(state[0][b][l]);
+                const F T = abs_of(state[TRANSMITTANCE][b][l]);
                 F* out = image.row(y, x);
-                for (int c = 0; c < 3; ++c) out[c] = state[1 + c][b][l] + T * back[c];
+                for (int c = 0; c < 3; ++c) out[c] = state[SEEN + c][b][l] + T * back[c];
                 alpha(y, x) = F(1) - T;
-                depth(y, x) = T < F(1) ? state[4][b][l] / (F(1) - T) : F(0);
+                depth(y, x) = T < F(1) ? state[SEEN_DEPTH][b][l] / (F(1) - T) : F(0);
             }
     }
 }
@@ -94,27 +97,25 @@ template <Profile profile, class F>
 void heaviest_tiles_as(Rows<const F, COLUMNS> projected, Array1<const i32> flatten_ids, Array1<const i32> tile_ids,
                        Array1<const i64> isect_offsets, Array2<i32> entries, i64 thread, i64 threads) {
     const i64 height = entries.shape[0], width = entries.shape[1];
-    alignas(64) Field<F> state[2];  // T, the largest weight
+    enum { PEAK_WEIGHT = TRANSMITTANCE + 1, FIELDS };
+    alignas(64) Field<F> state[FIELDS];
     i32 heaviest[BLOCKS][LANES];
     for (i64 k = thread; k < tile_ids.shape[0]; k += threads) {
-        const Pixel first = open_tile<F>(tile_ids(k), width, height, state, 2);
+        const Pixel first = open_tile<F>(tile_ids(k), width, height, state, FIELDS);
         BlockSet open = ALL_BLOCKS;
         __builtin_memset(heaviest, -1, sizeof heaviest);
-        EachFootprint<F> drawn;
         const i64 begin = isect_offsets(k), end = isect_offsets(k + 1);
-        for (i64 p = begin; p < end; ++p) {
+        walk<Walk::until_closed>(projected, flatten_ids, begin, end, first, state, open, [&](i64 p, Footprint<F> g) {
             const i32 i = flatten_ids(p);
-            const Footprint<F> g = drawn.at(projected, flatten_ids, p, end, first);
             over_blocks(g.blocks & open, [&](int b) {
                 SP_LANES(F, l) {
-                    const Wide<F> w = accept<profile>(&state[0][b][l], alpha_of<profile>(g, b, l));
-                    const Wide<F> peak = load(&state[1][b][l]);
-                    store(&state[1][b][l], w > peak ? w : peak);
+                    const Wide<F> w = accept<profile>(&state[TRANSMITTANCE][b][l], alpha_of<profile>(g, b, l));
+                    const Wide<F> peak = load(&state[PEAK_WEIGHT][b][l]);
+                    store(&state[PEAK_WEIGHT][b][l], w > peak ? w : peak);
                     for (int j = 0; j < W<F>; ++j) heaviest[b][l + j] = w[j] > peak[j] ? i : heaviest[b][l + j];
                 }
             });
-            if (((p - begin) & 7) == 7 && !(open = still_open<F>(state[0], open))) break;
-        }
+        });
         for (int b = 0; b < BLOCKS; ++b)
             for (int l = 0; l < LANES; ++l) {
                 const auto [x, y] = pixel_of(first.x, first.y, b, l);

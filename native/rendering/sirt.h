@@ -6,7 +6,7 @@
 namespace sp { namespace {
 
 // Fields of a tile between steps: what the movable Gaussians are to make up (3), and the pixels' weight m.
-constexpr int SIRT_FIELDS = 4;
+enum { COLOR_LEFT, WEIGHT_LEFT = COLOR_LEFT + 3, SIRT_FIELDS };
 constexpr i64 TILE_PIXELS = BLOCKS * LANES;
 
 // Fields T, r, g, b of a tile without the movable Gaussians; the weights of these into `weights`. pairs [first, last):
@@ -17,10 +17,8 @@ SP_INLINE void cache_tile(const Rows<const F, COLUMNS>& projected, const Array1<
                           const Rows<const i64, 4>& boxes, const Array1<const i64>& block_offsets, Field<F>* state,
                           BlockSet open, const Rows<F, LANES>& weights) {
     i64 q = first;
-    EachFootprint<F> drawn;
-    for (i64 p = begin; p < end; ++p) {
+    walk<Walk::until_closed>(projected, flatten_ids, begin, end, start, state, open, [&](i64 p, Footprint<F> g) {
         const F* row = projected.row(flatten_ids(p));
-        const Footprint<F> g = drawn.at(projected, flatten_ids, p, end, start);
         F channels[3] = {row[RED], row[GREEN], row[BLUE]};
         const bool movable = q < last && pairs(q) == p;
         i64 slot = 0;
@@ -40,14 +38,14 @@ SP_INLINE void cache_tile(const Rows<const F, COLUMNS>& projected, const Array1<
                 return;
             }
             SP_LANES(F, l) {
-                const Wide<F> w = accept<Profile::inria>(&state[0][b][l], alpha_of<Profile::inria>(g, b, l));
+                const Wide<F> alpha = alpha_of<Profile::inria>(g, b, l);
+                const Wide<F> w = accept<Profile::inria>(&state[TRANSMITTANCE][b][l], alpha);
                 for (int c = 0; c < 3; ++c)
-                    store(&state[1 + c][b][l], fused(w, all(channels[c]), load(&state[1 + c][b][l])));
+                    store(&state[SEEN + c][b][l], fused(w, all(channels[c]), load(&state[SEEN + c][b][l])));
                 if (movable) store(out + l, w);
             }
         });
-        if (((p - begin) & 7) == 7 && !(open = still_open<F>(state[0], open))) break;
-    }
+    });
     for (i64 k = block_offsets(q); k < block_offsets(last); ++k) __builtin_memset(weights.row(k), 0, LANES * sizeof(F));
 }
 
@@ -61,11 +59,12 @@ void cache_tiles(Rows<const F, COLUMNS> projected, Array1<const i32> flatten_ids
                  Rows<const i64, 4> boxes, Array1<const i64> block_offsets, Rows<F, LANES> weights,
                  Array4<F> remainder, i64 thread, i64 threads) {
     const i64 height = mask.shape[0], width = mask.shape[1];
-    alignas(64) Field<F> state[5];
+    static_assert((int)SEEN == (int)MASKED_VALUES && (int)SEEN_FIELDS == (int)MASKED_FIELDS);
+    alignas(64) Field<F> state[MASKED_FIELDS];  // T, what the others show (3), m
     for (i64 k = thread; k < tile_ids.shape[0]; k += threads) {
-        const Pixel first = open_tile<F>(tile_ids(k), width, height, state, 5);
+        const Pixel first = open_tile<F>(tile_ids(k), width, height, state, MASKED_FIELDS);
         F* out = &remainder(k, 0, 0, 0);
-        const BlockSet open = load_mask<F>(mask, first, state[4]);
+        const BlockSet open = load_mask<F>(mask, first, state[MASK]);
         if (!open) {
             __builtin_memset(out, 0, SIRT_FIELDS * TILE_PIXELS * sizeof(F));
             for (i64 b = block_offsets(begins(k)); b < block_offsets(begins(k + 1)); ++b)
@@ -77,13 +76,13 @@ void cache_tiles(Rows<const F, COLUMNS> projected, Array1<const i32> flatten_ids
         for (int b = 0; b < BLOCKS; ++b)
             for (int l = 0; l < LANES; ++l) {
                 const auto [x, y] = pixel_of(first.x, first.y, b, l);
-                const F T = abs_of(state[0][b][l]);
+                const F T = abs_of(state[TRANSMITTANCE][b][l]);
                 for (int c = 0; c < 3; ++c) {
-                    const F rest = state[1 + c][b][l] + T * background(c);
+                    const F rest = state[SEEN + c][b][l] + T * background(c);
                     const F goal = target(min_of(y, height - 1), min_of(x, width - 1), c);
                     out[c * TILE_PIXELS + b * LANES + l] = goal - rest;
                 }
-                out[3 * TILE_PIXELS + b * LANES + l] = state[4][b][l];
+                out[WEIGHT_LEFT * TILE_PIXELS + b * LANES + l] = state[MASK][b][l];
             }
     }
 }
@@ -116,7 +115,7 @@ void cached_step_tiles(Array1<const i64> begins, Rows<const i64, 4> boxes, Array
         }
         for (int b = 0; b < BLOCKS; ++b)
             for (int l = 0; l < LANES; ++l)
-                for (int f = 0; f < 3; ++f) state[f][b][l] *= state[3][b][l];
+                for (int f = COLOR_LEFT; f < WEIGHT_LEFT; ++f) state[f][b][l] *= state[WEIGHT_LEFT][b][l];
         for (i64 q = begins(k); q < begins(k + 1); ++q) {
             const i64* box = boxes.row(q);
             SP_LANES(F, l) {
