@@ -42,7 +42,10 @@ def test_a_light_is_a_layer_whose_gestures_are_steps(opened: tuple[studio_scenes
     x, y = ball["x"] + ball["width"] / 2, ball["y"] + ball["height"] / 2
     page.tab.mouse.move(x, y)
     page.tab.mouse.down()
+    still = page.pixels()
     page.tab.mouse.move(x - 40, y, steps=8)
+    page.wait("the light that follows", lambda: np.abs(page.pixels() - still).mean() > 0.001)
+    assert options()["sun"] == start and len(page.state()["history"]) == count + 1, "nothing is a step yet"
     page.tab.mouse.up()
     page.wait("the sun from the left", lambda: float(options()["sun"][0].split(",")[0]) < -30)
     page.wait("an idle panel", lambda: page.tab.locator(".layer .spinner").count() == 0)

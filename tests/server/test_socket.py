@@ -549,6 +549,40 @@ def test_looks_are_previewed_on_every_gaussian_and_taken_back(studio: Live) -> N
         )
 
 
+def test_a_light_is_dragged_on_the_screen_of_one_window_alone(studio: Live) -> None:
+    session = studio.studio.session
+    made = studio.post("layer.add", operation={"kind": "light", "hdri": "noon"})["layer"]["id"]
+    lit, steps = session.splats, len(session.history)
+    with studio.greeted() as browser, studio.greeted() as other:
+        for rotate in (40, 80, 120):
+            dragged = [{"layer": made, "parameters": {"rotate": rotate}}]
+            answer = browser.do("layer.preview", layers=dragged)
+            assert (answer["gaussians"], answer["possible"]) == (len(lit), True)
+        sh = browser.mirror.columns["sh"].copy()
+        assert not browser.mirror.agrees(lit) and other.mirror.agrees(lit)
+        assert session.splats is lit and len(session.history) == steps
+        # Nothing is shown of a lamp that reaches nothing; letting it go there is refused, and all is as it was.
+        inside = {"point": ["0,0,0"]}
+        assert browser.do("layer.preview", layers=[{"layer": made, "parameters": inside}])["possible"]
+        assert (
+            "expected an exposure"
+            in (browser.ask("layer.set", layer=made, parameters={"exposure": 99})["error"]["message"])
+        )
+        assert browser.mirror.agrees(lit)
+        browser.do("layer.preview", layers=[{"layer": made, "parameters": {"rotate": 120}}])
+        browser.do("layer.set", layer=made, parameters={"rotate": 120})
+        assert browser.mirror.agrees(session.splats) and not browser.mirror.agrees(lit)
+        assert np.abs(sh[:, 0] - session.splats.sh[:, 0]).max() < 4e-3, "it was shown as it is now"
+        assert len(session.history) == steps + 1
+        # Let go where it was: no step, and the screen is right again.
+        browser.do("layer.preview", layers=[{"layer": made, "parameters": {"rotate": 10}}])
+        browser.do("layer.set", layer=made, parameters={"rotate": 120.0})
+        assert browser.mirror.agrees(session.splats) and len(session.history) == steps + 1
+        browser.do("layer.preview", layers=[{"layer": made, "opacity": 0.5}])
+        browser.do("layer.preview")
+        assert browser.mirror.agrees(session.splats)
+
+
 def test_whoever_does_not_read_gets_no_more_work_done(studio: Live) -> None:
     class Stuck:
         def __init__(self) -> None:

@@ -5,13 +5,17 @@ that moves a sun finds both."""
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from threading import RLock
+from typing import Any
 
 import numpy as np
 
 from splatpainter.cameras import UpAxis
 from splatpainter.color import base_color, to_light
-from splatpainter.lights.irradiance import LitSurface
+from splatpainter.lights.irradiance import LitSurface, sun_light
+from splatpainter.lights.lamps import Lamp, Sun
 from splatpainter.lights.source_light import SourceLight, estimate_source
 from splatpainter.splats import Splats
 from splatpainter.system.recent import Recent
@@ -20,11 +24,14 @@ SURFACES = 3
 """Of the assets used last; one of a million Gaussians takes 200 MB."""
 SOURCES = 16
 """Estimated lights; small."""
+RECEIVED_BYTES = 1 << 27
+"""Of what single suns and lamps give to each Gaussian: 16 of them on a million."""
 MAX_CLOSED = 0.35
 """Share of a Gaussian's sky that may be hidden, for it to be a witness of the light: what comes back from what hides it
 is not known well."""
 _SURFACES = Recent[LitSurface](SURFACES)
 _SOURCES = Recent[SourceLight](SOURCES)
+_RECEIVED = Recent[tuple[LitSurface, np.ndarray]](RECEIVED_BYTES, lambda item: item[1].nbytes)
 _LOCK = RLock()
 
 
@@ -41,6 +48,61 @@ def captured_light(splats: Splats, shadows: bool = True, up: UpAxis = "auto") ->
         surface = lit_surface(splats, shadows)
         key = (_shape_hash(splats), shadows, up, splats.color_space, _hash(splats.sh[:, 0]))
         return _SOURCES.get(key, lambda: _estimate(splats, surface, up))
+
+
+def from_sun(surface: LitSurface, sun: Sun, axes: np.ndarray) -> np.ndarray:
+    """[N] float64 irradiance of a sun of intensity 1, whatever its colour, computed once while it stands where it is.
+    axes: [3, 3] from the asset's axes to the lights' (y up)."""
+    return _received(surface, _sun_key(sun, axes), lambda: sun_light(surface, sun, axes))
+
+
+def from_lamp(surface: LitSurface, lamp: Lamp, offset: tuple[float, float, float]) -> np.ndarray:
+    """[N] float64 irradiance of a lamp of intensity 1, as `from_sun`. offset: of the asset."""
+    return _received(surface, _lamp_key(lamp, offset), lambda: surface.from_lamp(lamp, offset))
+
+
+@dataclass(frozen=True)
+class _Middle(Lamp):
+    """An area lamp while it is dragged: as bright, its shadow that of its middle alone."""
+
+    def points(self) -> np.ndarray:
+        return np.array(self.position, np.float64)[None]
+
+
+def quick_sun(surface: LitSurface, sun: Sun, axes: np.ndarray) -> Sun:
+    """A sun as it can be shown at once: with a sharp shadow, unless its soft one is at hand."""
+    return sun if _is_known(surface, _sun_key(sun, axes)) else replace(sun, size=0.0)
+
+
+def quick_lamp(surface: LitSurface, lamp: Lamp, offset: tuple[float, float, float]) -> Lamp:
+    """A lamp as it can be shown at once: with a sharp shadow, unless its soft one is at hand."""
+    if lamp.radius == 0 or _is_known(surface, _lamp_key(lamp, offset)):
+        return lamp
+    return _Middle(lamp.kind, lamp.position, lamp.color, lamp.intensity, lamp.target, lamp.sizes)
+
+
+def _sun_key(sun: Sun, axes: np.ndarray) -> tuple[Any, ...]:
+    return (sun.azimuth, sun.elevation, sun.size, axes.tobytes())
+
+
+def _lamp_key(lamp: Lamp, offset: tuple[float, float, float]) -> tuple[Any, ...]:
+    return (type(lamp), lamp.kind, lamp.position, lamp.target, lamp.sizes, offset)
+
+
+def _is_known(surface: LitSurface, key: tuple[Any, ...]) -> bool:
+    found = _RECEIVED.find((id(surface), key))
+    return found is not None and found[0] is surface
+
+
+def _received(surface: LitSurface, key: tuple[Any, ...], make: Callable[[], np.ndarray]) -> np.ndarray:
+    # Light is linear, so colours and levels need nothing anew. The surface is held with it: another one could get its
+    # id.
+    with _LOCK:
+        if _is_known(surface, key):
+            return _RECEIVED.find((id(surface), key))[1]
+        received = make()
+        received.flags.writeable = False
+        return _RECEIVED.put((id(surface), key), (surface, received))[1]
 
 
 def linear_colors(splats: Splats) -> np.ndarray:

@@ -21,10 +21,10 @@ from splatpainter.cameras import UpAxis
 from splatpainter.color import base_color, linear_to_srgb, luminance, sh_from_color, to_light
 from splatpainter.kernels import portable
 from splatpainter.lights.facing import MIN_FLAT_SHARE, SEEN_PX
-from splatpainter.lights.irradiance import LitSurface, sun_light
+from splatpainter.lights.irradiance import LitSurface
 from splatpainter.lights.lamps import Lamp
 from splatpainter.lights.light_set import Lights, axes_of, turned_sky
-from splatpainter.lights.prepared import captured_light, lit_surface
+from splatpainter.lights.prepared import captured_light, from_lamp, from_sun, lit_surface, quick_lamp, quick_sun
 from splatpainter.lights.sky_maps import SkyMap
 from splatpainter.lights.source_light import SourceLight, uniform_coefficients
 from splatpainter.painter import Asset
@@ -80,6 +80,20 @@ def relight(
 
 light = relight
 """As the command is called."""
+
+
+def glance(
+    splats: Splats, lights: Lights, *, mix: float = 1.0, shadows: bool = True, source: SkyMap | None = None
+) -> np.ndarray:
+    """[N, 1, 3] float32 SH: the base colours of `relight`, while lights are dragged: shadows of wide suns and of area
+    lamps are sharp where they have moved, and are soft again with `relight`. Raises ValueError as `relight`."""
+    surface = lit_surface(splats, shadows)
+    axes = axes_of(lights.up)
+    suns = tuple(quick_sun(surface, sun, axes) for sun in lights.suns)
+    lamps = tuple(quick_lamp(surface, lamp, splats.offset) for lamp in lights.lamps)
+    base = replace(splats, sh=np.ascontiguousarray(splats.sh[:, :1]))
+    quick = replace(lights, suns=suns, lamps=lamps)
+    return relight(base, quick, mix=mix, shadows=shadows, source=source).splats.sh
 
 
 def delight(
@@ -208,10 +222,10 @@ def _target(
     coefficients = _from_all_around(lights, axes)
     total = surface.from_sky(coefficients)
     for sun in lights.suns:
-        received = sun_light(surface, sun, axes)
+        received = from_sun(surface, sun, axes)
         total = total + received[:, None] * (sun.intensity * np.array(sun.color))
     for lamp in lights.lamps:
-        received = surface.from_lamp(lamp, offset)
+        received = from_lamp(surface, lamp, offset)
         # A lamp that lights nothing is a mistake of its place, which nobody would find in the picture.
         if not received[chosen].any():
             spot = ",".join(f"{value:g}" for value in lamp.position)

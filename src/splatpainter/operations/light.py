@@ -15,7 +15,7 @@ from splatpainter.lights.light_set import Lights, axes_of, turned_sky
 from splatpainter.lights.light_words import FORMS, parse_lamp, parse_sky, parse_sun, parse_sun_at, white_of
 from splatpainter.lights.match import ball_sheet, match_light, sky_of
 from splatpainter.lights.prepared import captured_light
-from splatpainter.lights.relight import delight, distant_light, relight
+from splatpainter.lights.relight import delight, distant_light, glance, relight
 from splatpainter.lights.rig_files import WRITTEN_RIGS, read_rig, write_rig
 from splatpainter.lights.skies import SKIES
 from splatpainter.lights.sky_maps import SkyMap, read_sky, write_sky
@@ -198,6 +198,12 @@ class Relight(LightBefore):
         # Only now all lights are there, so only now it can be said whether they go together.
         lights.check()
         return lights
+
+    def glance(self, splats: Splats) -> np.ndarray | None:
+        if self.match or self.where or self.files():
+            return None
+        self.check()
+        return glance(splats, self.lights(Report()), mix=self.mix, shadows=self.shadows)
 
     def ready(self, tools: Tools) -> ReadyOperation:
         if self.match:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
     from splatpainter.painter import Asset, Painter
     from splatpainter.sources.picture_source import CancelFlag, PictureAnswer, PictureSource, Progress
+    from splatpainter.splats import Splats
 
 ENTRY_POINTS = "splatpainter.operations"
 """Group by which other distributions add operations."""
@@ -224,6 +225,11 @@ class Operation:
     def apply_selected(self, asset: Asset, weights: np.ndarray) -> Asset | None:
         """The asset after the operation on a selection of its Gaussians ([N] 0..1), where that is something else than a
         mix of before and after; None: it is that."""
+        return None
+
+    def glance(self, splats: Splats) -> np.ndarray | None:
+        """[N, 1, 3] SH: base colours, nearly those that it will give, in a fraction of the time, for a window in which
+        its options are dragged; None: there is no such way. Raises ValueError as `apply`."""
         return None
 
     def viewpoints(self) -> tuple[Path, ...]:

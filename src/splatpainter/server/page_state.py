@@ -54,6 +54,8 @@ class PageState:
         """Gaussians that its screen shows in other colours than the asset has."""
         self.previewed_shapes = False
         """Whether previews moved Gaussians, or added some, since all were as the asset has them."""
+        self.dragged_layers: set[str] = set()
+        """Layers that `layer.preview` shows otherwise than they are."""
         self.clear_preview = False
         """Whether they shall show the asset's again, which has not been sent yet."""
         self.client: Connection | None = None

@@ -5,9 +5,10 @@
 
 import { computed, signal } from "@preact/signals";
 
-import { run } from "../editor/editor";
+import { editor, run } from "../editor/editor";
 import type { LayerInfo, LightOptions } from "../messages";
 import { chosenAsset } from "../state/assets";
+import { NewestOnly } from "../state/newest-only";
 import { dragged, setLayer, shownLayers } from "../state/pending-layers";
 import { readOnly, selectedLayer, state } from "../state/store";
 import { axisName } from "../state/up-axis";
@@ -47,21 +48,64 @@ interface Gesture {
   layer: string;
   send: ReturnType<typeof dragged>;
   start: LightSettings;
+  /** Whether the server can show a drag of it without changing the layer. */
+  glances: boolean;
   /** Options that it has changed at some time: those in between are skipped, so each message has all of them. */
   touched: Set<keyof Options>;
   faded: boolean;
 }
 const gesture = signal<Gesture | null>(null);
+/** A pointer or a key is down: what changes is shown, and becomes a step when it is let go. */
+let held = false;
+/** What is shown of it and no step yet. */
+let unsent: LightSettings | null = null;
 
-/** The next change is a step of its own. */
-export function endGesture(): void {
+/** The next change is a step of its own, once the pointer or the key that begins it is let go. */
+export function beginGesture(): void {
+  void letGo();
   gesture.value = null;
+  held = true;
+}
+
+/** A colour is being picked, in a window of the browser that has no pointer of ours. */
+export function hold(): void {
+  held = true;
+}
+
+/** Make a step of what was dragged. */
+export async function letGo(): Promise<void> {
+  held = false;
+  glances.skip();
+  const lights = unsent;
+  unsent = null;
+  if (lights) await changeLights(lights);
+}
+
+interface Glance {
+  layer: string;
+  lights: LightSettings;
+  gesture: Gesture;
+}
+/** One at a time, the newest next: a drag is followed as fast as the server can. */
+const glances = new NewestOnly<Glance>(async ({ layer, lights, gesture: now }) => {
+  const fields = { layer, parameters: { ...changesOf(now, lights) }, opacity: lights.mix };
+  const answer = await editor.link.do("layer.preview", { layers: [fields] }).catch(() => null);
+  if (answer && !answer.possible) now.glances = false;
+});
+
+/** Options that a gesture has changed at some time: those in between were skipped, so each message has all of them. */
+function changesOf(now: Gesture, lights: LightSettings): Partial<Options> {
+  const [options, before] = [optionsOf(lights), optionsOf(now.start)];
+  for (const name of Object.keys(options) as (keyof Options)[])
+    if (!same(options[name], before[name])) now.touched.add(name);
+  return Object.fromEntries([...now.touched].map((name) => [name, options[name]]));
 }
 
 /** From the panel, also while something is dragged. */
 export async function changeLights(lights: LightSettings): Promise<void> {
   const layer = lightLayer.value;
   if (readOnly.value) return;
+  if (!held) unsent = null;
   if (!layer) {
     draft.value = lights;
     if (isLit(lights) && !making.value) await make();
@@ -75,25 +119,30 @@ export async function changeLights(lights: LightSettings): Promise<void> {
       layer: layer.id,
       send: dragged(layer.id, `Changing ${layer.name}`),
       start,
+      glances: true,
       touched: new Set(),
       faded: false,
     };
   const now = gesture.value;
-  const [options, before] = [optionsOf(lights), optionsOf(now.start)];
-  for (const name of Object.keys(options) as (keyof Options)[])
-    if (!same(options[name], before[name])) now.touched.add(name);
+  const parameters = changesOf(now, lights);
   now.faded ||= lights.mix !== now.start.mix;
+  settingsOf.set(layer.id, lights);
   const request = { layer: layer.id, lights };
   asked.value = request;
-  settingsOf.set(layer.id, lights);
+  if (held && now.glances && layer.visible) {
+    unsent = lights;
+    await glances.add({ layer: layer.id, lights, gesture: now });
+    // Where it could not be shown so, it is done at once, as is what follows of this gesture.
+    if (!now.glances && held && unsent === lights) {
+      unsent = null;
+      held = false;
+      await changeLights(lights);
+    }
+    return;
+  }
   try {
     if (now.touched.size || now.faded)
-      await now.send({
-        ...(now.touched.size && {
-          parameters: Object.fromEntries([...now.touched].map((name) => [name, options[name]])),
-        }),
-        ...(now.faded && { opacity: lights.mix }),
-      });
+      await now.send({ ...(now.touched.size && { parameters }), ...(now.faded && { opacity: lights.mix }) });
   } finally {
     if (asked.value === request) asked.value = null;
   }
@@ -111,14 +160,14 @@ async function make(): Promise<void> {
   if (!answer) return;
   settingsOf.set(answer.layer.id, newest);
   selectedLayer.value = answer.layer.id;
-  endGesture();
+  gesture.value = null;
   if (newest !== sent) await changeLights(newest);
 }
 
 /** Without any light there is no layer; what else was set is there for the next one. */
 async function remove(layer: LayerInfo, lights: LightSettings): Promise<void> {
   draft.value = lights;
-  endGesture();
+  gesture.value = null;
   await run("layer.delete", { layer: layer.id }, `Deleting ${layer.name}`);
 }
 
@@ -128,7 +177,7 @@ export const toggleLight = (layer: LayerInfo): Promise<unknown> =>
 
 /** Leave the chosen one: the next light is a layer of its own. */
 export function anotherLight(): void {
-  endGesture();
+  gesture.value = null;
   draft.value = NO_LIGHT;
   selectedLayer.value = null;
 }

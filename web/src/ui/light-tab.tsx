@@ -4,7 +4,16 @@ import { signal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
 
 import { run } from "../editor/editor";
-import { anotherLight, changeLights, endGesture, lightLayer, shownLights, toggleLight } from "../lights/light-layers";
+import {
+  anotherLight,
+  beginGesture,
+  changeLights,
+  hold,
+  letGo,
+  lightLayer,
+  shownLights,
+  toggleLight,
+} from "../lights/light-layers";
 import { azimuthOf } from "../lights/sun-ball";
 import { blobUrl } from "../net/blobs";
 import { selectedCount } from "../paint/selected";
@@ -16,7 +25,19 @@ import { Button } from "./parts";
 const skies = signal<Sky[] | null>(null);
 const title = (name: string) => name[0].toUpperCase() + name.slice(1);
 
+const isColor = (target: EventTarget | null) => target instanceof HTMLInputElement && target.type === "color";
+/** Of the window: wherever the pointer is let go. */
+const ENDS = ["pointerup", "pointercancel", "keyup", "blur"] as const;
+
 export function LightTab() {
+  useEffect(() => {
+    const end = () => void letGo();
+    for (const name of ENDS) addEventListener(name, end);
+    return () => {
+      for (const name of ENDS) removeEventListener(name, end);
+      end();
+    };
+  }, []);
   useEffect(() => {
     if (skies.value === null)
       void run("light.skies", {}).then((answer) => {
@@ -34,7 +55,12 @@ export function LightTab() {
   const view = camera.value;
   return (
     // what a press or a key begins is a step of its own
-    <div onPointerDownCapture={endGesture} onKeyDownCapture={(event) => !event.repeat && endGesture()}>
+    <div
+      onPointerDownCapture={beginGesture}
+      onKeyDownCapture={(event) => !event.repeat && beginGesture()}
+      onInputCapture={(event) => isColor(event.target) && hold()}
+      onChangeCapture={(event) => isColor(event.target) && void letGo()}
+    >
       <LightPanel
         lights={shownLights.value}
         skies={skies.value ?? []}

@@ -30,7 +30,9 @@ from splatpainter.server.protocol import (
     ConflictInfo,
     Exported,
     LayerMade,
+    Message,
     Name,
+    Previewed,
     Unit,
 )
 from splatpainter.session.document.layer_mask import LayerMask, by_rule
@@ -39,6 +41,11 @@ from splatpainter.session.document.layer_view import Blend
 from splatpainter.session.kinds.look_layers import LookLayer, look_of
 from splatpainter.session.replay.delta import GEOMETRY
 from splatpainter.splats import ColorSpace
+
+
+class LayersPreviewed(Previewed):
+    possible: bool
+    """Whether these layers can be shown so; else layer.set has to."""
 
 
 class LayerNew(Command):
@@ -119,15 +126,69 @@ def set_layer(context: CommandContext, request: LayerSet) -> LayerMade:
         if getattr(request, name) is not None
     }
     session = context.studio.session
+    # What was dragged is let go: what it comes to takes the place of its preview, also where it is refused.
+    if request.layer in context.page.dragged_layers:
+        context.clear_preview, context.page.dragged_layers = True, set()
     # Options are those of the layer's kind, so the layer is looked up first.
     layer = session.layers.by_id(request.layer)
     if request.parameters is not None:
         values |= _options(layer.operation, request.parameters, session.original.color_space)
+        if not values:  # dragged, and let go where it was
+            return layer_made(context, request.layer, "")
     with progress(context, "layers"):
         # What is slow to compute is shown at once in a simpler way.
         _preview_blend(context, request)
         session.layers.set(request.layer, gesture=request.gesture, **values)
     return layer_made(context, request.layer, python_line("session.layers.set", request.layer, **values))
+
+
+class LayerDragged(Message):
+    """A layer as it is being dragged."""
+
+    layer: str
+    parameters: dict[str, Any] = {}
+    """As of layer.set."""
+    opacity: Unit | None = None
+
+
+class LayerPreview(Command):
+    """Show layers with other options, nearly as layer.set would, in a fraction of the time: nothing is changed, stored
+    or a step of the history. None: end the preview, which layer.set of one of them does, too."""
+
+    NAME = "layer.preview"
+    ANSWER = LayersPreviewed
+    layers: list[LayerDragged] = Field(default=[], max_length=64)
+
+
+@command(LayerPreview)
+def preview_layers(context: CommandContext, request: LayerPreview) -> LayersPreviewed:
+    session = context.studio.session
+    # A new preview replaces the one before, also where it shows nothing.
+    context.clear_preview = True
+    context.page.dragged_layers = {one.layer for one in request.layers}
+    snapshot, shown = session.snapshot, []
+    for one in request.layers:
+        operation = session.layers.by_id(one.layer).operation
+        options = _options(operation, one.parameters, session.original.color_space)
+        try:
+            preview = session.layers.color_preview(one.layer, opacity=one.opacity, **options)
+        except ValueError:
+            # A lamp is dragged through an object, say: what is wrong with it is said when it is let go there.
+            return LayersPreviewed(gaussians=0, possible=True)
+        if preview is None:
+            context.page.dragged_layers = set()
+            return LayersPreviewed(gaussians=0, possible=False)
+        shown.append(preview)
+    if not shown:
+        return LayersPreviewed(gaussians=0, possible=True)
+    ids, sh = shown[0][0], shown[0][1].sh
+    if len(shown) > 1:
+        # Layers of several assets, which have Gaussians of their own; where they share some the last one has them.
+        ids, first = np.unique(np.concatenate([ids for ids, _ in reversed(shown)]), return_index=True)
+        sh = np.concatenate([splats.sh for _, splats in reversed(shown)])[first]
+    context.preview = frames.preview_colors(sh, ids, len(snapshot.splats), snapshot.version)
+    context.previewed_ids = ids
+    return LayersPreviewed(gaussians=len(ids), possible=True)
 
 
 def _options(operation: LayerOperation, given: dict[str, Any], space: ColorSpace) -> dict[str, Any]:

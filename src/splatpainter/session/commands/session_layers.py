@@ -157,6 +157,19 @@ class SessionLayers(Sequence[Layer]):
             fields = {name: value for name, value in values.items() if value is not None}
             return core.replay.blend_preview(change_layer(document, layer, **fields), layer, document)
 
+    def color_preview(
+        self, layer: str, *, opacity: float | None = None, **options: Any
+    ) -> tuple[np.ndarray, Splats] | None:
+        """([C] int64 ascending ids, C Gaussians of base colours alone): nearly what `set` will show of a layer, in a
+        fraction of the time and with nothing stored, while options are dragged; None: its kind has no such way, or
+        layers above hide it. Raises ValueError as `set`."""
+        core = self._core
+        with core.lock:
+            document = core.document
+            fields: dict[str, Any] = {"operation": core.layer(layer).operation.with_options(options)}
+            fields |= {} if opacity is None else {"opacity": opacity}
+            return core.replay.color_preview(change_layer(document, layer, **fields), layer, document)
+
     # ---- new layers
 
     def add(

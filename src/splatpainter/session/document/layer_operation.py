@@ -260,6 +260,11 @@ class LayerOperation:
         """What it makes of the Gaussians below; nothing is cached. Raises ValueError where it cannot be applied."""
         raise NotImplementedError
 
+    def glance(self, work: LayerWork) -> np.ndarray | None:
+        """[N, 1, 3] SH: base colours, nearly those that `result` gives to the Gaussians below, in a fraction of the
+        time, while its options are dragged; None: there is no such way. Raises ValueError as `result`."""
+        return None
+
     def mix(
         self,
         below: Splats,

@@ -15,7 +15,7 @@ from splatpainter.operations.operation import Operation, operation_of
 from splatpainter.painter import Asset
 from splatpainter.session.document.layer_operation import Coverage, LayerOperation, LayerWork
 from splatpainter.session.replay.delta import between, without_source
-from splatpainter.session.replay.layer_blending import mixed
+from splatpainter.session.replay.layer_blending import mix_sh, mixed
 from splatpainter.session.replay.layer_result import LayerResult
 
 REGION_OPTIONS = ("where", "around")
@@ -90,3 +90,9 @@ class OperationLayer(LayerOperation):
             splats = mixed(work.selected(self.selection), below, edited.splats)
         note = "" if edited.receipt is None else edited.receipt.note
         return LayerResult(between(below, without_source(splats)), {"note": note} if note else {})
+
+    def glance(self, work: LayerWork) -> np.ndarray | None:
+        sh = self.operation.glance(without_source(work.splats))
+        if sh is None or self.selection is None:
+            return sh
+        return mix_sh(work.splats.sh[:, :1], sh, work.selected(self.selection), "normal")

@@ -248,6 +248,34 @@ class Replay:
         preview = changed_layer(below.splats, delta)
         return where_uncovered(preview, before, composed) if covered else preview
 
+    def color_preview(self, document: Document, layer_id: str, now: Document) -> Preview | None:
+        """As a layer of a document will look in its base colours, where its operation can say that at a glance; None
+        where it cannot, or where layers above hide all of it. now: the document that is shown, which differs in that
+        layer's options, opacity and blend alone."""
+        at = document.index(layer_id)
+        layer = document.layers[at]
+        if layer.layers or layer.holds_strokes or not _is_visible(layer) or not _is_visible(now.layers[at]):
+            return None
+        below = self.compose(replace(document, layers=document.layers[:at]))
+        sh = layer.operation.glance(ReplayedWork(self, layer, below, below.splats, self.original))
+        if sh is None:
+            return None
+        # Bands beyond the first stay away from here on: they are most of what mixing and comparing would copy.
+        count = len(below.splats)
+        base = replace(below.splats, sh=below.splats.sh[:, :1])
+        delta = replace(no_delta(base), gaussian_ids=np.arange(count), values=replace(base, sh=sh))
+        strength = policy_strength(below.edited, layer, document, count)[0]
+        # Masks look at places alone, which are those below whatever the options are.
+        key = digest(f"{below.key} as below")
+        mask = self._masks.weights(replace(below, splats=base), delta, layer, key)
+        mixed = layer.operation.mix(base, delta, layer.opacity, layer.blend, strength, mask)
+        preview = (mixed.gaussian_ids, mixed.values)
+        if not any(map(_is_visible, document.layers[at + 1 :])):
+            return preview
+        with_layer = self.compose(replace(now, layers=now.layers[: at + 1])).splats
+        uncovered = where_uncovered(preview, with_layer, self.compose(now).splats)
+        return uncovered if uncovered is not None and len(uncovered[0]) else None
+
     def _delta_at_hand(self, document: Document, layer: Layer, below: LayerState, covered: bool) -> Delta | None:
         """What a layer does, with opacity, blend, mask and policies, from results that are stored or cached; None where
         they are not, or where composing takes no time either. Where colours below would have to be fitted, those of

@@ -29,6 +29,8 @@ from splatpainter.session.replay.layer_state import LayerState, Progress, Result
 from splatpainter.splats import Splats
 from splatpainter.system.recent import Recent
 
+PreviewOf = Callable[[Replay, Document, str, Document], Preview | None]
+"""`Replay.blend_preview` or another of its previews."""
 MAX_CACHED_REPLAYS, MAX_CACHED_SCENES, MAX_CACHED_SURFACES = 8, 4, 2
 """Assets that were added, scenes, and surfaces of scenes, that stay in memory."""
 
@@ -179,9 +181,18 @@ class SceneReplay:
         """See Replay.blend_preview; of a scene by its ids, where its assets stand."""
         if not document.assets:
             return self.main.blend_preview(document, layer, now)
+        return self._placed_preview(document, layer, now, Replay.blend_preview)
+
+    def color_preview(self, document: Document, layer: str, now: Document) -> Preview | None:
+        """See Replay.color_preview; of a scene by its ids, where its assets stand."""
+        if not document.assets:
+            return self.main.color_preview(document, layer, now)
+        return self._placed_preview(document, layer, now, Replay.color_preview)
+
+    def _placed_preview(self, document: Document, layer: str, now: Document, of: PreviewOf) -> Preview | None:
         asset = document.layers[document.index(layer)].asset
         replay, part = self.of_layer(document, layer)
-        preview = replay.blend_preview(part, layer, now.part(asset))
+        preview = of(replay, part, layer, now.part(asset))
         scene = self.scene(now)
         placed = next((one for one in scene.parts if one.asset.id == asset), None)
         if preview is None or placed is None:
