@@ -68,7 +68,7 @@ def test_the_light_is_taken_out(tmp_path: Path, capfd: Capture) -> None:
     "words, line",
     [
         ([], "expected a light (an environment, a sun or a lamp), got none"),
-        (["--sun", "30"], "--sun: expected AZIMUTH,ELEVATION[,#RRGGBB[,INTENSITY]], got '30'"),
+        (["--sun", "30"], "--sun: expected AZIMUTH,ELEVATION[,#RRGGBB or 2700K[,INTENSITY]], got '30'"),
         (["--sun", "30,40,red"], "--sun: expected AZIMUTH,ELEVATION"),
         (["--sun", "30,95"], "expected a sun at AZIMUTH,ELEVATION (-90 to 90), got 30,95"),
         (["--sun", "30,40,#ffffff,0"], "expected an intensity above 0, up to 1e6, got 0"),
@@ -81,7 +81,7 @@ def test_the_light_is_taken_out(tmp_path: Path, capfd: Capture) -> None:
         ),
         (["--spot", "0,0,3,0,0,3,40"], "look to another place than its own"),
         (["--sphere", "0,0,3,0"], "sizes of a sphere light above 0"),
-        (["--point", "1,2"], "--point: expected X,Y,Z[,#RRGGBB[,INTENSITY]], got '1,2'"),
+        (["--point", "1,2"], "--point: expected X,Y,Z[,#RRGGBB or 2700K[,INTENSITY]], got '1,2'"),
         (["--hdri", "dusk"], "--hdri: expected studio, "),
         (["--hdri", "no.hdr"], "no.hdr: no such file"),
         (["--hdri", "broken.hdr"], "broken.hdr: is not a Radiance .hdr picture"),

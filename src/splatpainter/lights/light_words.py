@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from splatpainter.color import from_hex, srgb_to_linear
+from splatpainter.color import from_hex, linear_to_srgb, srgb_to_linear
 from splatpainter.lights.lamps import Lamp, LampKind, Rgb, Sun, kelvin_color
 from splatpainter.lights.skies import SKIES, sky
 from splatpainter.lights.sky_maps import SkyMap, read_sky
@@ -26,6 +26,8 @@ FORMS: dict[LampKind, tuple[str, int, int]] = {
 """Kind -> its numbers, how many of them are where it looks to, and how many are sizes."""
 SUN_FORM = "AZIMUTH,ELEVATION"
 SUN_AT_FORM = "TIME,LATITUDE,LONGITUDE"
+SUN_COMMAS = 4
+"""Of a sun with a colour, an intensity and a size (angular diameter, degrees)."""
 WHITE: Rgb = (1.0, 1.0, 1.0)
 
 
@@ -40,8 +42,13 @@ def parse_sky(text: str, full_range: bool = False) -> SkyMap:
 
 def parse_sun(text: str, size: float, white: Rgb = WHITE) -> Sun:
     """white: linear colour where the words have none. Raises ValueError."""
-    numbers, color, intensity = _split("sun", SUN_FORM, text, white)
-    return Sun(numbers[0], numbers[1], size, color, intensity)
+    words, _, own = text.rpartition(",") if text.count(",") == SUN_COMMAS else (text, "", "")
+    # A sun of a rig has a size of its own, the last of its words.
+    sizes = _numbers([own]) if own else [size]
+    if sizes is None:
+        raise _wrong("sun", SUN_FORM, text)
+    numbers, color, intensity = _split("sun", SUN_FORM, words, white)
+    return Sun(numbers[0], numbers[1], sizes[0], color, intensity)
 
 
 def parse_sun_at(text: str, north: float, size: float, white: Rgb = WHITE) -> Sun:
@@ -77,6 +84,28 @@ def white_of(kelvin: float | None) -> Rgb:
         raise ValueError(f"--kelvin: {error}") from None
 
 
+def sun_words(sun: Sun) -> str:
+    """What `parse_sun` reads, with the sun's size."""
+    return ",".join([_short(sun.azimuth), _short(sun.elevation), *_color_words(sun), _short(sun.size)])
+
+
+def lamp_words(lamp: Lamp) -> str:
+    """What `parse_lamp` reads."""
+    places = [*lamp.position, *(lamp.target or ())]
+    return ",".join([*(f"{value:.12g}" for value in places), *map(_short, lamp.sizes), *_color_words(lamp)])
+
+
+def _color_words(light: Sun | Lamp) -> list[str]:
+    # The colour as bright as hexadecimal digits can say it, and the rest in the intensity.
+    most = max(light.color)
+    levels = [round(255 * float(linear_to_srgb(np.array(value / most)))) for value in light.color]
+    return ["#" + "".join(f"{level:02x}" for level in levels), _short(light.intensity * most)]
+
+
+def _short(value: float) -> str:
+    return f"{value:.6g}"
+
+
 def _split(option: str, form: str, text: str, white: Rgb) -> tuple[list[float], Rgb, float]:
     """(numbers as `form` names them, linear colour, intensity)."""
     parts = text.split(",")
@@ -89,6 +118,14 @@ def _split(option: str, form: str, text: str, white: Rgb) -> tuple[list[float], 
         if display is None:
             raise _wrong(option, form, text)
         color = _linear(display)
+    elif tail and tail[0].endswith("K"):
+        kelvin = _numbers([tail.pop(0)[:-1]])
+        if kelvin is None:
+            raise _wrong(option, form, text)
+        try:
+            color = kelvin_color(kelvin[0])
+        except ValueError as error:
+            raise ValueError(f"--{option}: {error}") from None
     numbers = _numbers([*head, *tail])
     if numbers is None or len(head) < count or len(tail) > 1:
         raise _wrong(option, form, text)
@@ -111,4 +148,4 @@ def _linear(display: Rgb) -> Rgb:
 
 
 def _wrong(option: str, form: str, text: str) -> ValueError:
-    return ValueError(f"--{option}: expected {form}[,#RRGGBB[,INTENSITY]], got {ascii(text[:80])}")
+    return ValueError(f"--{option}: expected {form}[,#RRGGBB or 2700K[,INTENSITY]], got {ascii(text[:80])}")

@@ -42,9 +42,12 @@ class Rig:
     up: UpAxis = "auto"
 
 
-def read_rig(name: str | Path, up: UpAxis = "auto", full_range: bool = False) -> tuple[Lights, list[str]]:
+def read_rig(
+    name: str | Path, up: UpAxis = "auto", full_range: bool = False, *, alone: bool = False
+) -> tuple[Lights, list[str]]:
     """(lights, what was passed over) of a name of RIGS or a file. up: which way of the asset is up, where the file does
-    not say. Raises ValueError, one line that names the file."""
+    not say; alone: a stranger's, whose environment in another file is passed over. Raises ValueError, one line that
+    names the file."""
     if str(name) in RIGS:
         return replace(studio_rig(str(name)), up=up), []
     path = Path(name)
@@ -53,7 +56,7 @@ def read_rig(name: str | Path, up: UpAxis = "auto", full_range: bool = False) ->
         kinds = ", ".join((*RIGS, *RIG_SUFFIXES))
         raise ValueError(f"{path}: expected a rig ({kinds}), got {suffix or 'no suffix'}")
     if suffix == ".json":
-        return _read_json(path, full_range), []
+        return _read_json(path, full_range, alone)
     dome: SceneSky | None = None
     notes: list[str] = []
     if suffix in (".glb", ".gltf"):
@@ -66,7 +69,9 @@ def read_rig(name: str | Path, up: UpAxis = "auto", full_range: bool = False) ->
     suns, lamps = from_scene([light for light in scene if light not in dark], up)
     lights = Lights(suns=suns, lamps=lamps, up=up)
     if dome is not None and dome.intensity > 0:
-        if dome.file:
+        if dome.file and alone:
+            notes.append(_left_out(dome.file))
+        elif dome.file:
             environment = read_sky(path.parent / dome.file, full_range)
             lights = replace(
                 lights, sky=environment, sky_intensity=dome.intensity, rotate=(dome.rotate - sky_turn(up)) % 360
@@ -116,20 +121,26 @@ def write_rig(path: str | Path, lights: Lights, offset: tuple[float, float, floa
 _SHARED = ("sky_intensity", "suns", "lamps", "rotate", "exposure", "fill", "add", "up")
 
 
-def _read_json(path: Path, full_range: bool) -> Lights:
+def _left_out(file: str) -> str:
+    return f"its environment is another file and left out: {ascii(Path(file).name)[1:-1]}"
+
+
+def _read_json(path: Path, full_range: bool, alone: bool) -> tuple[Lights, list[str]]:
     data = files.read_head(path, MAX_RIG_BYTES + 1)
     rig = jsonio.build(Rig, jsonio.load_object(data, path, "a rig", MAX_RIG_BYTES), path, what="a rig", defaults=True)
     if rig.version != 1:
         raise ValueError(f"{path}: expected a rig of version 1, got {rig.version}")
-    environment = None
-    if rig.sky:
+    environment, notes = None, []
+    if rig.sky and rig.sky not in SKIES and alone:
+        notes = [_left_out(rig.sky)]
+    elif rig.sky:
         environment = sky(rig.sky) if rig.sky in SKIES else read_sky(path.parent / rig.sky, full_range)
     lights = Lights(sky=environment, **{k: getattr(rig, k) for k in _SHARED})
     try:
         lights.check()
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
-    return lights
+    return lights, notes
 
 
 def _write(path: Path, data: bytes) -> None:

@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from splatpainter.cameras import UpAxis
 from splatpainter.io import read
+from splatpainter.lights.held_skies import sky_of_png, sky_to_png
 from splatpainter.lights.lamps import SUN_DEGREES
 from splatpainter.lights.light_set import Lights, axes_of, turned_sky
-from splatpainter.lights.light_words import FORMS, parse_lamp, parse_sky, parse_sun, parse_sun_at, white_of
+from splatpainter.lights.light_words import (
+    FORMS,
+    lamp_words,
+    parse_lamp,
+    parse_sky,
+    parse_sun,
+    parse_sun_at,
+    sun_words,
+    white_of,
+)
 from splatpainter.lights.match import ball_sheet, match_light, sky_of
 from splatpainter.lights.prepared import captured_light
 from splatpainter.lights.relight import delight, distant_light, glance, relight
@@ -35,6 +47,8 @@ ANY_SKY = SkyMap(np.ones((2, 4, 3), np.float32), "environment")
 class LightBefore(Operation):
     """What relighting and delighting share: the light that an asset was captured in, and what of it changes."""
 
+    holds: ClassVar[tuple[str, ...]] = ("source_light",)
+
     mix: float = 1.0
     """How much of the new look, 0 .. 1; the rest is the captured one."""
     shadows: bool = True
@@ -55,16 +69,30 @@ class LightBefore(Operation):
         if self.where:
             check_terms(self.where)
 
-    def lights(self, report: Report) -> Lights | None:
+    def lights(self, report: Report, held: Mapping[str, bytes]) -> Lights | None:
         """The new lights, their files read; None: white light from all around. report: takes what of them was passed
-        over."""
+        over; held: as of `Tools`."""
         return None
+
+    def source(self, held: Mapping[str, bytes]) -> SkyMap | None:
+        """The environment that the asset was captured in; None: it is estimated."""
+        if self.source_light is None:
+            return None
+        if "source_light" in held:
+            return sky_of_png(held["source_light"], self.source_light.name)
+        return read_sky(self.source_light, self.full_range)
+
+    def packed(self) -> tuple[Operation, dict[str, bytes]]:
+        source = self.source({})
+        if self.source_light is None or source is None:
+            return self, {}
+        return replace(self, source_light=Path(self.source_light.name)), {"source_light": sky_to_png(source)}
 
     def ready(self, tools: Tools) -> ReadyOperation:
         # Read once for all assets, and its remarks kept: each asset's report gets them.
         remarks: list[str] = []
-        lights = self.lights(Report(warn=remarks.append))
-        source: SkyMap | None = read_sky(self.source_light, self.full_range) if self.source_light else None
+        lights = self.lights(Report(warn=remarks.append), tools.held)
+        source = self.source(tools.held)
         region = Region.parse(self.where) if self.where else None
 
         def lit(asset: Asset, report: Report) -> Asset:
@@ -87,6 +115,7 @@ class Relight(LightBefore):
     colours."""
 
     kind: ClassVar[str] = "light"
+    holds: ClassVar[tuple[str, ...]] = ("hdri", "source_light")
 
     hdri: str = parameter("", metavar="SKY")
     """Environment: studio, softbox, noon, overcast, sunset, dawn, moonlight, forest, or a lat-long picture (.hdr, .exr;
@@ -180,7 +209,7 @@ class Relight(LightBefore):
         named = [(self.hdri, SKIES), (self.rig, RIGS)]
         return (*super().files(), *(Path(name) for name, names in named if name and name not in names))
 
-    def lights(self, report: Report) -> Lights:
+    def lights(self, report: Report, held: Mapping[str, bytes]) -> Lights:
         lights = Lights(up=self.up)
         # The rig first and the options over it, so that a rig can be varied from the command line.
         if self.rig:
@@ -189,7 +218,10 @@ class Relight(LightBefore):
             for line in passed_over:
                 report.warn(line)
         lights = self._added_to(lights)
-        lights = replace(lights, sky=parse_sky(self.hdri, self.full_range)) if self.hdri else lights
+        if "hdri" in held:
+            lights = replace(lights, sky=sky_of_png(held["hdri"], self.hdri))
+        elif self.hdri:
+            lights = replace(lights, sky=parse_sky(self.hdri, self.full_range))
         # The light of another asset is estimated from its colours and then used like any environment.
         if self.match_asset is not None:
             captured = captured_light(read(self.match_asset), self.shadows, self.up)
@@ -199,11 +231,31 @@ class Relight(LightBefore):
         lights.check()
         return lights
 
-    def glance(self, splats: Splats) -> np.ndarray | None:
-        if self.match or self.where or self.files():
+    def packed(self) -> tuple[Operation, dict[str, bytes]]:
+        kept, held = super().packed()
+        assert isinstance(kept, Relight)
+        # A rig becomes the lights that are in it: they can be changed one by one, and need no file.
+        sky, name = None, Path(self.hdri).name
+        if self.rig and self.rig not in RIGS:
+            rig, _ = read_rig(self.rig, self.up, self.full_range)
+            kept, sky = replace(kept, rig="", **rig_options(kept, rig)), rig.sky
+            name = name or (sky.name if sky is not None else "")
+        if self.match_asset is not None:
+            captured = captured_light(read(self.match_asset), self.shadows)
+            name = self.match_asset.name
+            kept, sky = replace(kept, match_asset=None), sky_of(captured.coefficients, self.up, name)
+        if self.hdri:
+            sky = parse_sky(self.hdri, self.full_range)
+        if sky is None or name in SKIES:
+            return replace(kept, hdri=name), held
+        return replace(kept, hdri=name), {**held, "hdri": sky_to_png(sky)}
+
+    def glance(self, splats: Splats, tools: Tools) -> np.ndarray | None:
+        if self.match or self.match_asset or self.where:
             return None
         self.check()
-        return glance(splats, self.lights(Report()), mix=self.mix, shadows=self.shadows)
+        lights, source = self.lights(Report(), tools.held), self.source(tools.held)
+        return glance(splats, lights, mix=self.mix, shadows=self.shadows, source=source)
 
     def ready(self, tools: Tools) -> ReadyOperation:
         if self.match:
@@ -214,7 +266,7 @@ class Relight(LightBefore):
         def lit(asset: Asset, report: Report) -> Asset:
             edited = relit(asset, report)
             if self.outputs():
-                self._write_lights_of(asset.splats, self.lights(Report()), report)
+                self._write_lights_of(asset.splats, self.lights(Report(), tools.held), report)
             return edited
 
         return lit
@@ -293,6 +345,25 @@ class Relight(LightBefore):
             fill=lights.fill if self.fill is None else self.fill,
             add=lights.add or self.add,
         )
+
+
+def rig_options(options: Relight, rig: Lights) -> dict[str, Any]:
+    """Options of a light with the lights of a rig besides its own, but for the sky."""
+    # Of one level with the sky, which has none as an option: the other lights and the exposure make up for it.
+    level = 1.0 if rig.sky is None else rig.sky_intensity
+    suns = [replace(sun, intensity=sun.intensity / level) for sun in rig.suns]
+    lamps = [replace(lamp, intensity=lamp.intensity / level) for lamp in rig.lamps]
+    words = {kind: [lamp_words(lamp) for lamp in lamps if lamp.kind == kind] for kind in FORMS}
+    fill = options.fill if options.fill is not None else None if rig.fill is None else rig.fill / level
+    return {
+        "sun": (*map(sun_words, suns), *options.sun),
+        **{kind: (*words[kind], *getattr(options, kind)) for kind in FORMS},
+        "rotate": rig.rotate + options.rotate,
+        "exposure": rig.exposure + options.exposure + math.log2(level),
+        "fill": fill,
+        "add": rig.add or options.add,
+        "up": rig.up if options.up == "auto" else options.up,
+    }
 
 
 @dataclass(frozen=True)

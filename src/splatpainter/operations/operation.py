@@ -132,6 +132,8 @@ class Tools:
     progress: Callable[[], AbstractContextManager[Progress]] = _silent
     """Gives where sources say how far they are, for the time of a `with` block."""
     cancel: CancelFlag = field(default_factory=_NeverCancelled)
+    held: Mapping[str, bytes] = field(default_factory=dict)
+    """Option -> what a project holds in place of the file that it names (`Operation.packed`)."""
     aside: bool = False
     """Score local edits from the side too, for receipts (painter.Painter.aside)."""
     asset: Path | None = None
@@ -172,6 +174,8 @@ class Operation:
 
     kind: ClassVar[str]
     """Its name: the word of the command line, the key in a JOBS.yaml."""
+    holds: ClassVar[tuple[str, ...]] = ()
+    """Options whose files projects can hold (`packed`)."""
 
     def __post_init__(self) -> None:
         """Names of files become paths, lists tuples."""
@@ -227,7 +231,13 @@ class Operation:
         mix of before and after; None: it is that."""
         return None
 
-    def glance(self, splats: Splats) -> np.ndarray | None:
+    def packed(self) -> tuple[Operation, dict[str, bytes]]:
+        """(the operation, option -> PNG bytes), for projects, which are replayed where the files that its options name
+        are not: those become what is held of them (`Tools.held`), or other options; files that can become neither stay
+        named. Raises ValueError: a file that cannot be read."""
+        return self, {}
+
+    def glance(self, splats: Splats, tools: Tools) -> np.ndarray | None:
         """[N, 1, 3] SH: base colours, nearly those that it will give, in a fraction of the time, for a window in which
         its options are dragged; None: there is no such way. Raises ValueError as `apply`."""
         return None

@@ -48,7 +48,7 @@ def options_message(
         # The ranges of the dataclass hold for the page too, so both refuse the same values.
         bounds = bounds_of(entry)
         limits: dict[str, Any] = {}
-        spelled = entry.metadata.get("words") or types[option]
+        spelled = entry.metadata.get("words") or (str | None if entry.metadata.get("file") else types[option])
         if get_origin(spelled) is tuple:
             spelled = _in_lists(spelled, bounds, parts or {})
         else:
@@ -72,9 +72,11 @@ def _in_lists(hint: Any, bounds: Mapping[str, Any], parts: Mapping[type, type[Me
 
 
 def layer_options(operation: type) -> list[str]:
-    """The options of an operation that a layer of it can have: those that name no files, pictures or region."""
+    """The options of an operation that a layer of it can have: those that name no pictures or region, and no files but
+    such as a project holds."""
     fields = dataclasses.fields(operation)
     files = {entry.name for entry in fields if any(entry.metadata.get(role) for role in FILES)}
+    files -= {*getattr(operation, "holds", ())}
     return [entry.name for entry in fields if entry.name not in files and entry.name not in REGION_OPTIONS]
 
 

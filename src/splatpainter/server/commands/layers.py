@@ -37,7 +37,7 @@ from splatpainter.server.protocol import (
 )
 from splatpainter.session.document.layer_mask import LayerMask, by_rule
 from splatpainter.session.document.layer_operation import LayerOperation, operation_of_layer
-from splatpainter.session.document.layer_view import Blend
+from splatpainter.session.document.layer_view import Blend, is_hash
 from splatpainter.session.kinds.look_layers import LookLayer, look_of
 from splatpainter.session.replay.delta import GEOMETRY
 from splatpainter.splats import ColorSpace
@@ -78,6 +78,8 @@ class LayerAdd(Command):
     NAME = "layer.add"
     ANSWER = LayerMade
     operation: OperationOptions
+    held: dict[str, Blob] = {}
+    """Option -> what the project is to hold of the file that it names (SkyInfo.held)."""
     name: Name | None = None
     opacity: Unit = 1.0
     asset: str | None = None
@@ -91,11 +93,13 @@ def add_layer(context: CommandContext, request: LayerAdd) -> LayerMade:
     record = request.operation.model_dump(exclude_defaults=True)
     # The selection of this moment goes with the layer.
     options = record | ({} if stored is None else {"selection": stored[0]})
+    options |= {"held": request.held} if request.held else {}
     operation = operation_of_layer(options, "layer")
     words: dict[str, Any] = {"name": request.name, "opacity": None if request.opacity == 1 else request.opacity}
     words["asset"] = request.asset
     with progress(context, request.operation.kind):
         attached = [] if stored is None else [stored[1]]
+        attached += _held(context, request.held)
         how: dict[str, Any] = {"name": request.name, "opacity": request.opacity, "asset": request.asset}
         layer = session.layers.add(operation, attached=attached, **how)
     line = python_line("session.layers.add", operation.kind, **operation.changes(), **words)
@@ -138,7 +142,8 @@ def set_layer(context: CommandContext, request: LayerSet) -> LayerMade:
     with progress(context, "layers"):
         # What is slow to compute is shown at once in a simpler way.
         _preview_blend(context, request)
-        session.layers.set(request.layer, gesture=request.gesture, **values)
+        attached = _held(context, values.get("held", {}))
+        session.layers.set(request.layer, gesture=request.gesture, attached=attached, **values)
     return layer_made(context, request.layer, python_line("session.layers.set", request.layer, **values))
 
 
@@ -189,6 +194,13 @@ def preview_layers(context: CommandContext, request: LayerPreview) -> LayersPrev
     context.preview = frames.preview_colors(sh, ids, len(snapshot.splats), snapshot.version)
     context.previewed_ids = ids
     return LayersPreviewed(gaussians=len(ids), possible=True)
+
+
+def _held(context: CommandContext, held: dict[str, str]) -> list[bytes]:
+    """The bytes that options name by their hash, of uploads or of the project itself. Raises ValueError."""
+    if not isinstance(held, dict) or not all(map(is_hash, held.values())):
+        raise ValueError("layer: expected held as options with hashes of pictures")
+    return [context.studio.picture_bytes(sha256)[0] for sha256 in held.values()]
 
 
 def _options(operation: LayerOperation, given: dict[str, Any], space: ColorSpace) -> dict[str, Any]:

@@ -14,12 +14,15 @@ from splatpainter.io.bounded import Gunzip, zip_directory
 from splatpainter.io.files import read_head, reading
 from splatpainter.io.formats import gltf, sog_container
 from splatpainter.io.formats.ply_container import read_header
+from splatpainter.lights.rig_files import MAX_RIG_BYTES, RIG_SUFFIXES
 from splatpainter.pictures.layered_files import holds_merged, is_psd, psd_size
 from splatpainter.pictures.picture_reader import MAX_PICTURE_PIXELS, PICTURE_KINDS, SIZE_LIMIT, declared_size
 
-Kind = Literal["picture", "asset", "project", "layer", "lut"]
+Kind = Literal["picture", "asset", "project", "layer", "lut", "sky", "rig"]
 CUBE_ENDING = ".cube"
 SQLITE, ZIP = b"SQLite format 3\0", b"PK\x03\x04"
+SKY_MAGIC = {".hdr": b"#?R", ".exr": b"\x76\x2f\x31\x01"}
+"""Of environments: Radiance and OpenEXR."""
 MEDIA = {"PNG": "image/png", "JPEG": "image/jpeg", "WEBP": "image/webp", "TIFF": "image/tiff"}
 ENDINGS = {"PNG": ".png", "JPEG": ".jpg", "WEBP": ".webp", "TIFF": ".tif"}
 
@@ -57,6 +60,8 @@ def sniff(path: Path, name: str, max_gaussians: int) -> UploadInfo:
         if path.stat().st_size > MAX_CUBE_BYTES:
             raise ValueError(f"{title}: expected a .cube table of at most {MAX_CUBE_BYTES >> 20} MiB, got more")
         return UploadInfo("lut", CUBE_ENDING, "application/octet-stream")
+    if light := _light(path, name, head):
+        return light
     key = _detected(path, name)
     if key is None:
         raise ValueError(f"{title}: expected a picture (PNG, JPEG, WebP, TIFF), a splat file or a project")
@@ -72,6 +77,20 @@ def sniff(path: Path, name: str, max_gaussians: int) -> UploadInfo:
     if count > max_gaussians:
         raise ValueError(f"{title}: expected at most {max_gaussians:,} Gaussians, it claims {count:,}")
     return UploadInfo("asset", FORMATS[key].suffixes[0], "application/octet-stream", gaussians=count)
+
+
+def _light(path: Path, name: str, head: bytes) -> UploadInfo | None:
+    """An environment, or a rig of lights."""
+    for ending, magic in SKY_MAGIC.items():
+        if head.startswith(magic):
+            return UploadInfo("sky", ending, "application/octet-stream")
+    # Rigs are small; a GLB is one if it says so, and else an asset.
+    suffix = Path(name.lower()).suffix
+    if suffix not in RIG_SUFFIXES or path.stat().st_size > MAX_RIG_BYTES:
+        return None
+    if suffix in (".glb", ".gltf") and b"KHR_lights_punctual" not in read_head(path, MAX_RIG_BYTES):
+        return None
+    return UploadInfo("rig", suffix, "application/octet-stream")
 
 
 def _is_layer(path: Path) -> bool:

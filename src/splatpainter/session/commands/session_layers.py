@@ -187,18 +187,21 @@ class SessionLayers(Sequence[Layer]):
     ) -> Layer:
         """A new layer (on top, or at an index, 0 the lowest) and its result.
 
-        what: a kind of layer (layer_operation.KINDS) with its options, or the value of both, or an operation that
-        reads no files (sp.Relight(...)). paint, picture, clone: edits with pictures; look (an adjustment layer):
-        pictures that grade everything, or look=NAME and settings, with edits whose masks limit it; erase: edits of
-        which only cameras and masks count; light, delight: no edits. Pictures are kept with 8 bits. A local edit
-        without a mask gets the one of what differs from the asset now. options: the fields of the kind's dataclass
-        (kinds/): mode, method, angle_limit, spread_threshold, ... attached: PNG bytes that options name by their hash
-        (a selection, the image of a sticker), kept with the layer. asset: of several, the one that it is for; None: a
-        layer for each that it reaches (that with the most pixels is returned). Raises ValueError as Painter.apply
-        does, with nothing changed."""
+        what: a kind of layer (layer_operation.KINDS) with its options, or the value of both, or an operation
+        (sp.Relight(...)), of whose files the project holds what it needs. paint, picture, clone: edits with pictures;
+        look (an adjustment layer): pictures that grade everything, or look=NAME and settings, with edits whose masks
+        limit it; erase: edits of which only cameras and masks count; light, delight: no edits. Pictures are kept with 8
+        bits. A local edit without a mask gets the one of what differs from the asset now. options: the fields of the
+        kind's dataclass (kinds/): mode, method, angle_limit, spread_threshold, ... attached: PNG bytes that options
+        name by their hash (a selection, the image of a sticker), kept with the layer. asset: of several, the one that
+        it is for; None: a layer for each that it reaches (that with the most pixels is returned). Raises ValueError as
+        Painter.apply does, with nothing changed."""
         core = self._core
         with core.command():
             # The painter of now is written into the layer, so that another one later does not change it.
+            if isinstance(what, Operation):
+                what, held = held_by_project(what)
+                attached = [*attached, *held]
             operation = operation_from(what, options).repainted(core.painter)
             mixing: dict[str, Any] = {"opacity": opacity, "blend": blend}
             if core.document.assets:
@@ -284,13 +287,14 @@ class SessionLayers(Sequence[Layer]):
 
     # ---- layers changed
 
-    def set(self, layer: str, *, gesture: str | None = None, **values: Any) -> Layer:
+    def set(self, layer: str, *, gesture: str | None = None, attached: Sequence[bytes] = (), **values: Any) -> Layer:
         """Change a layer's name, visible, opacity or blend, or options of its kind (kinds/), such as angle_limit of
         paint or settings of a look; method: it is then painted anew, by the painter of now. gesture: steps of one
-        gesture (a slider that is dragged) in a row are one step of the history."""
+        gesture (a slider that is dragged) in a row are one step of the history. attached: as of `add`."""
         core = self._core
         with core.command():
             target = core.layer(layer)
+            core.transaction.blobs = {files.sha256(data): data for data in attached}
             # All names are judged before anything is changed, so that a wrong one leaves the layer as it is.
             fields = {name: value for name, value in values.items() if name in SETTABLE}
             options = {name: value for name, value in values.items() if name not in SETTABLE}
@@ -425,6 +429,12 @@ class SessionLayers(Sequence[Layer]):
             hidden.append((part.asset, HideLayer(selection=files.sha256(data))))
         self._core.transaction.blobs = blobs
         return hidden
+
+
+def held_by_project(operation: Operation) -> tuple[OperationLayer, list[bytes]]:
+    """(an operation as a layer, PNG bytes that it names by their hash): of its files what a project holds of them."""
+    kept, held = operation.packed()
+    return OperationLayer(kept, held={name: files.sha256(data) for name, data in held.items()}), [*held.values()]
 
 
 def operation_from(what: str | LayerOperation | Operation, options: Mapping[str, Any]) -> LayerOperation:
