@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from splatpainter.lights.skies import sky
+from splatpainter.lights.sky_maps import write_sky
 from tests.support import studio_scenes
 from tests.support.studio_pages import Page, opened_page
 
@@ -73,6 +75,54 @@ def test_a_light_is_a_layer_whose_gestures_are_steps(opened: tuple[studio_scenes
     page.tab.keyboard.press("Control+z")
     page.wait("the captured light", lambda: page.names() == [] and np.array_equal(page.pixels(), first))
     assert (live.studio.session.splats.sh == before.sh).all()
+
+
+def test_skies_rigs_and_hours_are_taken_from_files_and_lists(
+    opened: tuple[studio_scenes.Live, Page], tmp_path: Path
+) -> None:
+    live, page = opened
+    write_sky(tmp_path / "my sky.hdr", sky("noon"))
+    page.tab.get_by_role("tab", name="Light").click()
+    page.wait("thumbnails", lambda: page.tab.locator(".skies img").count() == 8)
+    page.tab.locator('input[type=file][accept^=".hdr"]').set_input_files(tmp_path / "my sky.hdr")
+    page.wait("the layer", lambda: page.names() == ["Light"])
+    parameters = page.state()["layers"][0]["parameters"]
+    assert parameters["hdri"] == "my sky.hdr" and [*parameters["held"]] == ["hdri"]
+    mine = page.tab.get_by_role("radio", name="my sky.hdr")
+    page.wait("its thumbnail", lambda: mine.get_attribute("aria-checked") == "true")
+    assert page.tab.locator(".skies img").count() == 9
+    lit = live.studio.session.splats.sh.copy()
+    page.tab.get_by_role("radio", name="Dawn").click()
+    page.wait("another sky", lambda: page.state()["layers"][0]["parameters"] == {"hdri": "dawn"})
+    mine.click()
+    page.wait("the sky again", lambda: page.state()["layers"][0]["parameters"] == parameters)
+    assert (live.studio.session.splats.sh == lit).all()
+    # A broken one is a line, and changes nothing.
+    (tmp_path / "broken.hdr").write_bytes((tmp_path / "my sky.hdr").read_bytes()[:700])
+    page.tab.locator('input[type=file][accept^=".hdr"]').set_input_files(tmp_path / "broken.hdr")
+    page.wait("a line", lambda: "broken.hdr: " in page.tab.locator(".toasts").inner_text())
+    assert page.state()["layers"][0]["parameters"] == parameters
+
+    page.tab.get_by_label("Lights of a rig").select_option("three-point")
+    page.wait("its lights", lambda: len(page.state()["layers"][0]["parameters"].get("sun", ())) == 3)
+    assert page.state()["layers"][0]["parameters"]["fill"] == 0.12
+    page.wait("balls", lambda: page.tab.locator(".sun-ball").count() == 3)
+    place = page.tab.locator(".sun-at").first
+    place.locator("summary").click()
+    place.locator("input[type=datetime-local]").fill("2026-06-21T12:00")
+    for label, value in (("UTC +", "0"), ("Latitude", "51.5"), ("Longitude", "0")):
+        field = place.get_by_role("textbox", name=label)
+        field.fill(value)
+        field.press("Enter")
+    place.get_by_role("button").click()
+    first = lambda: page.state()["layers"][0]["parameters"]["sun"][0].split(",")  # noqa: E731
+    page.wait("midsummer", lambda: abs(float(first()[1]) - 61.9) < 0.2)
+    assert abs(float(first()[0])) < 2
+    assert page.serious() == []
+    count = len(page.state()["history"])
+    page.tab.keyboard.press("Control+z")
+    page.wait("the rig's", lambda: first()[:2] == ["40", "35"])
+    assert len(page.state()["history"]) == count
 
 
 def test_what_is_selected_is_pixelated(opened: tuple[studio_scenes.Live, Page]) -> None:

@@ -16,7 +16,9 @@ import {
   without,
   withLamp,
   withSun,
+  type LightSettings,
 } from "../src/lights/lights";
+import { zoned } from "../src/lights/light-files";
 import { azimuthOf, ballPoint, nudged, shownPoint, spokenPlace, sunAt } from "../src/lights/sun-ball";
 
 const ASSET = { center: [1, 2, 3], radius: 2, up: [0, -1, 0] };
@@ -93,8 +95,13 @@ describe("lights", () => {
     lights = changedLamp(changedSun(lights, second.id, { elevation: 80 }), lamp.id, { intensity: 9 });
     expect([lights.suns[0].elevation, lights.suns[1].elevation, lights.lamps[0].intensity]).toEqual([40, 80, 9]);
     lights = without(lights, first.id);
-    expect(lights.suns.map(({ id }) => id)).toEqual([second.id]);
-    expect(withLamp(lights, "point", ASSET).lamps.at(-1)!.id).not.toBe(lamp.id);
+    expect(lights.suns.map(({ azimuth }) => azimuth)).toEqual([second.azimuth]);
+    expect([...lights.suns, ...lights.lamps].map(({ id }) => id)).toEqual([1, 2]);
+    const more = withLamp(lights, "point", ASSET);
+    expect(more.lamps.map(({ kind, id }) => [kind, id])).toEqual([
+      ["point", 2],
+      ["spot", 3],
+    ]);
   });
 
   it("are at most as many as the operation takes", () => {
@@ -113,19 +120,29 @@ describe("lights", () => {
     lights = changedLamp(lights, point.id, { color: { kelvin: 2700 }, intensity: 1 });
     const fields = lightFields(lights);
     expect(fields).toMatchObject({ hdri: "sunset", rotate: 40, exposure: 0.5, mix: 0.01, add: true, shadows: true });
-    expect(fields.sun).toEqual(["120,35,#ffe0b0,2"]);
-    // a temperature has luminance 1: its digits end at 1, the intensity makes up for it
-    expect(fields.point).toEqual([`1,-1,3,${hexOf({ kelvin: 2700 })},1.92939`]);
+    expect(fields.sun).toEqual(["120,35,#ffe0b0,2,0.53"]);
+    expect(fields.point).toEqual(["1,-1,3,2700K,1"]);
     expect(fields.rect[0].split(",").length).toBe(3 + 3 + 2 + 2);
     expect([fields.spot, fields.disk, fields.sphere]).toEqual([[], [], []]);
   });
 });
 
+describe("a time with its zone", () => {
+  it("is written as ISO 8601 has it, also west of Greenwich and at half hours", () => {
+    expect(zoned({ time: "2026-06-21T15:00", zone: 2 })).toBe("2026-06-21T15:00+02:00");
+    expect(zoned({ time: "2026-06-21T15:00", zone: -3.5 })).toBe("2026-06-21T15:00-03:30");
+    expect(zoned({ time: "2026-06-21T15:00", zone: 0 })).toBe("2026-06-21T15:00+00:00");
+  });
+});
+
 describe("a layer of light", () => {
   const full = () => {
-    let lights = { ...NO_LIGHT, sky: "dawn", rotate: 40, exposure: -1.5, mix: 0.25, add: true, shadows: false };
+    let lights: LightSettings = { ...NO_LIGHT, rotate: 40, exposure: -1.5, mix: 0.25, add: true, shadows: false };
     lights = withSun(withSun(lights, -70, 12), 30, -5);
     for (const kind of ["point", "spot", "rect", "disk", "sphere"] as const) lights = withLamp(lights, kind, ASSET);
+    const source = { name: "studio.hdr", held: "a".repeat(64) };
+    lights = { ...lights, sky: "mine.hdr", held: "b".repeat(64), source, fill: 0.3 };
+    lights = changedSun(lights, 1, { color: { kelvin: 4200 }, size: 25 });
     return { ...lights, lamps: lights.lamps.map((one) => ({ ...one, color: { hex: "#ffe0b0" }, intensity: 3.5 })) };
   };
 
@@ -155,7 +172,8 @@ describe("a layer of light", () => {
     const [sun] = lightsOf({ sun: ["10,20"] }, 1).suns;
     expect(sun).toMatchObject({ azimuth: 10, elevation: 20, color: { hex: "#ffffff" }, intensity: 1 });
     const [warm] = lightsOf({ sun: ["10,20,2"], kelvin: 2700 }, 1).suns;
-    expect(warm).toMatchObject({ color: { kelvin: 2700 }, intensity: 2 });
+    expect(warm).toMatchObject({ color: { kelvin: 2700 }, intensity: 2, size: 0.53 });
+    expect(lightsOf({ sun: ["10,20"], sun_size: 12 }, 1).suns[0].size).toBe(12);
   });
 
   it("has azimuths as cameras have them, whichever way is up", () => {

@@ -12,7 +12,15 @@ import { NewestOnly } from "../state/newest-only";
 import { dragged, setLayer, shownLayers } from "../state/pending-layers";
 import { readOnly, selectedLayer, state } from "../state/store";
 import { axisName } from "../state/up-axis";
-import { isLit, lightFields, lightsOf, NO_LIGHT, type LightFields, type LightSettings } from "./lights";
+import {
+  isLit,
+  lightFields,
+  lightsOf,
+  NO_LIGHT,
+  type LayerLight,
+  type LightFields,
+  type LightSettings,
+} from "./lights";
 
 /** The light layer that is chosen. */
 export const lightLayer = computed<LayerInfo | null>(
@@ -23,8 +31,6 @@ const draft = signal<LightSettings>(NO_LIGHT);
 const making = signal(false);
 /** What is asked for and not done yet. */
 const asked = signal<{ layer: string; lights: LightSettings } | null>(null);
-/** Layer -> its settings as they were made here: a temperature is a colour in the layer. */
-const settingsOf = new Map<string, LightSettings>();
 
 /** Options of the operation that the panel sets. How much of it shows is the layer's opacity. */
 type Options = Omit<LightFields, "mix">;
@@ -39,9 +45,7 @@ export const shownLights = computed<LightSettings>(() => {
   const layer = lightLayer.value;
   if (!layer) return draft.value;
   if (asked.value?.layer === layer.id) return asked.value.lights;
-  const lights = lightsOf(layer.parameters as Partial<LightOptions>, layer.opacity);
-  const before = settingsOf.get(layer.id);
-  return before && same(optionsOf(before), optionsOf(lights)) ? { ...before, mix: layer.opacity } : lights;
+  return lightsOf(layer.parameters as LayerLight, layer.opacity);
 });
 
 interface Gesture {
@@ -111,7 +115,7 @@ export async function changeLights(lights: LightSettings): Promise<void> {
     if (isLit(lights) && !making.value) await make();
     return;
   }
-  const { rig, sun_at: places } = layer.parameters as Partial<LightOptions>; // not the panel's, and light all the same
+  const { rig, sun_at: places } = layer.parameters as LayerLight; // not the panel's, and light all the same
   if (!isLit(lights) && !rig && !places?.length) return remove(layer, lights);
   const start = shownLights.value;
   if (gesture.value?.layer !== layer.id)
@@ -126,7 +130,6 @@ export async function changeLights(lights: LightSettings): Promise<void> {
   const now = gesture.value;
   const parameters = changesOf(now, lights);
   now.faded ||= lights.mix !== now.start.mix;
-  settingsOf.set(layer.id, lights);
   const request = { layer: layer.id, lights };
   asked.value = request;
   if (held && now.glances && layer.visible) {
@@ -151,14 +154,14 @@ export async function changeLights(lights: LightSettings): Promise<void> {
 async function make(): Promise<void> {
   const sent = draft.value;
   const up = axisName(state.value?.asset.up);
-  const operation: LightOptions = { kind: "light", ...optionsOf(sent), ...(up && up !== "-y" && { up }) };
+  const { held, ...options } = optionsOf(sent);
+  const operation: LightOptions = { kind: "light", ...options, ...(up && up !== "-y" && { up }) };
   making.value = true;
-  const fields = { operation, name: "Light", opacity: sent.mix, asset: chosenAsset.value?.id ?? null };
+  const fields = { operation, held, name: "Light", opacity: sent.mix, asset: chosenAsset.value?.id ?? null };
   const answer = await run("layer.add", fields, "Light").finally(() => (making.value = false));
   const newest = draft.value;
   draft.value = NO_LIGHT;
   if (!answer) return;
-  settingsOf.set(answer.layer.id, newest);
   selectedLayer.value = answer.layer.id;
   gesture.value = null;
   if (newest !== sent) await changeLights(newest);

@@ -22,6 +22,8 @@ export interface SunLight extends Light {
   azimuth: number;
   /** Degrees above the horizon. */
   elevation: number;
+  /** Angular diameter, degrees: softness of its shadows. */
+  size: number;
 }
 
 export interface LampLight extends Light {
@@ -35,8 +37,14 @@ export interface LampLight extends Light {
 }
 
 export interface LightSettings {
-  /** Name of an environment, or a file of one; "": none. */
+  /** Name of an environment; "": none. */
   sky: string;
+  /** Of one from a file: hash of what the project holds of it; "": it needs no file. */
+  held: string;
+  /** The light before, where it is known, and the hash of what the project holds of it; null: it is estimated. */
+  source: { name: string; held: string } | null;
+  /** White light from all around besides; null: a little where suns and lamps come without a sky. */
+  fill: number | null;
   /** Degrees by which the environment turns, counter-clockwise seen from above. */
   rotate: number;
   suns: readonly SunLight[];
@@ -61,6 +69,9 @@ export const EXPOSURE_RANGE = [-5, 5] as const;
 
 export const NO_LIGHT: LightSettings = {
   sky: "",
+  held: "",
+  source: null,
+  fill: null,
   rotate: 0,
   suns: [],
   lamps: [],
@@ -69,6 +80,12 @@ export const NO_LIGHT: LightSettings = {
   add: false,
   shadows: true,
 };
+/** Of the sun that one sees, degrees (lights/lamps.py). */
+export const SUN_DEGREES = 0.53;
+/** White light from all around where suns and lamps come without a sky (lights/light_set.py). */
+export const LAMP_FILL = 0.15;
+/** Option -> hash of what the project holds of the file that it names. */
+export type HeldFiles = Record<string, string>;
 const WARM: LightColor = { hex: "#fff4e0" };
 const SIZES: Record<LampKind, (radius: number) => readonly number[]> = {
   point: () => [],
@@ -102,8 +119,16 @@ export const isLit = ({ sky, suns, lamps }: LightSettings): boolean => sky !== "
 
 export function withSun(lights: LightSettings, azimuth = 45, elevation = 40): LightSettings {
   if (isFull(lights)) return lights;
-  const sun: SunLight = { id: nextId(lights), kind: "sun", azimuth, elevation, color: WARM, intensity: 1 };
-  return { ...lights, suns: [...lights.suns, sun] };
+  const sun: SunLight = {
+    id: nextId(lights),
+    kind: "sun",
+    azimuth,
+    elevation,
+    size: SUN_DEGREES,
+    color: WARM,
+    intensity: 1,
+  };
+  return ordered({ ...lights, suns: [...lights.suns, sun] });
 }
 
 /** With a lamp above the middle of an asset of this radius, that looks at it. `up`: unit, of the asset. */
@@ -124,7 +149,15 @@ export function withLamp(
     color: { kelvin: 2700 },
     intensity: Math.max(INTENSITY_RANGE[0], Math.min(INTENSITY_RANGE[1], radius ** 2)), // it falls off with the square
   };
-  return { ...lights, lamps: [...lights.lamps, lamp] };
+  return ordered({ ...lights, lamps: [...lights.lamps, lamp] });
+}
+
+/** As a layer gives them back: lamps by their kind, ids from 1. */
+function ordered(lights: LightSettings): LightSettings {
+  let id = 0;
+  const suns = lights.suns.map((one) => ({ ...one, id: ++id }));
+  const sorted = LAMP_KINDS.flatMap((kind) => lights.lamps.filter((one) => one.kind === kind));
+  return { ...lights, suns, lamps: sorted.map((one) => ({ ...one, id: ++id })) };
 }
 
 export const changedSun = (lights: LightSettings, id: number, part: Partial<SunLight>): LightSettings => ({
@@ -137,11 +170,12 @@ export const changedLamp = (lights: LightSettings, id: number, part: Partial<Lam
   lamps: lights.lamps.map((one) => (one.id === id ? { ...one, ...part } : one)),
 });
 
-export const without = (lights: LightSettings, id: number): LightSettings => ({
-  ...lights,
-  suns: lights.suns.filter((one) => one.id !== id),
-  lamps: lights.lamps.filter((one) => one.id !== id),
-});
+export const without = (lights: LightSettings, id: number): LightSettings =>
+  ordered({
+    ...lights,
+    suns: lights.suns.filter((one) => one.id !== id),
+    lamps: lights.lamps.filter((one) => one.id !== id),
+  });
 
 /** "#rrggbb" of a light, as bright as it can be. */
 export function hexOf(color: LightColor): string {
@@ -158,9 +192,15 @@ export function hexOf(color: LightColor): string {
   return `#${linear.map(channel).join("")}`;
 }
 
-/** Fields of the operation `light`: lights are numbers with commas between, then a colour and an intensity. */
+/** What a layer of light says of itself. */
+export type LayerLight = Partial<LightOptions> & { held?: HeldFiles };
+
+/** Fields of the operation `light`, and what a project holds for them: lights are numbers with commas between, then a colour and an intensity. */
 export interface LightFields {
   hdri: string;
+  source_light: string | null;
+  held: HeldFiles;
+  fill: number | null;
   rotate: number;
   exposure: number;
   mix: number;
@@ -179,13 +219,8 @@ const digits = (value: number, count = 6): string => String(Number(value.toPreci
 const PLACE_DIGITS = 12;
 const placed = (value: number): string => digits(value, PLACE_DIGITS);
 
-/**
- * `color` of a temperature has luminance 1 in the operation and its brightest channel at 1 here, so the intensity makes up
- * for what the hexadecimal digits leave out.
- */
 function colorAndIntensity({ color, intensity }: Light): string[] {
-  const gain = "kelvin" in color ? Math.max(...kelvinColor(color.kelvin)) : 1;
-  return [hexOf(color), digits(intensity * gain)];
+  return ["kelvin" in color ? `${digits(color.kelvin)}K` : color.hex, digits(intensity)];
 }
 
 export function lightFields(lights: LightSettings): LightFields {
@@ -201,11 +236,12 @@ export function lightFields(lights: LightSettings): LightFields {
         ].join(",");
       });
   const sun = lights.suns.map((one) =>
-    [digits(one.azimuth), digits(one.elevation), ...colorAndIntensity(one)].join(","),
+    [digits(one.azimuth), digits(one.elevation), ...colorAndIntensity(one), digits(one.size)].join(","),
   );
-  const { sky: hdri, rotate, exposure, add, shadows } = lights;
+  const { sky: hdri, rotate, exposure, add, shadows, fill, source } = lights;
+  const held = { ...(lights.held && { hdri: lights.held }), ...(source && { source_light: source.held }) };
   return {
-    ...{ hdri, rotate, exposure, add, shadows, sun },
+    ...{ hdri, source_light: source?.name ?? null, held, fill, rotate, exposure, add, shadows, sun },
     mix: Math.max(MIN_MIX, Math.min(1, lights.mix)),
     point: lampsOf("point"),
     spot: lampsOf("spot"),
@@ -217,23 +253,26 @@ export function lightFields(lights: LightSettings): LightFields {
 
 /**
  * The settings of a layer of light: its options, of which those at their defaults are left out, and its opacity. The inverse
- * of `lightFields`, but for temperatures, which are colours in words.
+ * of `lightFields`.
  */
-export function lightsOf(parameters: Partial<LightOptions>, opacity: number): LightSettings {
-  const { hdri = "", rotate = 0, exposure = 0, add = false, shadows = true, kelvin } = parameters;
+export function lightsOf(parameters: LayerLight, opacity: number): LightSettings {
+  const { hdri = "", rotate = 0, exposure = 0, add = false, shadows = true, kelvin, fill = null } = parameters;
+  const { held = {}, source_light: name, sun_size = SUN_DEGREES } = parameters;
   const white: LightColor = kelvin ? { kelvin } : { hex: "#ffffff" };
   const words = (kind: LampKind | "sun") => parameters[kind] ?? [];
   let id = 0;
   const read = (text: string, count: number) => {
     const parts = text.split(",");
     const rest = parts.slice(count);
-    const hex = rest[0]?.startsWith("#") ? rest.shift() : undefined;
-    const light = { id: ++id, color: hex ? { hex } : white, intensity: rest.length ? Number(rest[0]) : 1 };
-    return { numbers: parts.slice(0, count).map(Number), light };
+    const word = /^#|K$/.test(rest[0] ?? "") ? rest.shift()! : "";
+    const named = word.startsWith("#") ? { hex: word } : { kelvin: Number(word.slice(0, -1)) };
+    const light = { id: ++id, color: word ? named : white, intensity: rest.length ? Number(rest[0]) : 1 };
+    return { numbers: parts.slice(0, count).map(Number), light, rest: rest.slice(1) };
   };
   const suns = words("sun").map((text): SunLight => {
-    const { numbers, light } = read(text, 2);
-    return { ...light, kind: "sun", azimuth: numbers[0], elevation: numbers[1] };
+    const { numbers, light, rest } = read(text, 2);
+    const size = rest.length ? Number(rest[0]) : sun_size;
+    return { ...light, kind: "sun", azimuth: numbers[0], elevation: numbers[1], size };
   });
   const lamps = LAMP_KINDS.flatMap((kind) =>
     words(kind).map((text): LampLight => {
@@ -249,7 +288,9 @@ export function lightsOf(parameters: Partial<LightOptions>, opacity: number): Li
       };
     }),
   );
-  return { sky: hdri, rotate, suns, lamps, exposure, mix: opacity, add, shadows };
+  const source = name && held.source_light ? { name, held: held.source_light } : null;
+  const sky = { sky: hdri, held: held.hdri ?? "", source, fill };
+  return { ...sky, rotate, suns, lamps, exposure, mix: opacity, add, shadows };
 }
 
 /** The colour as the other kind of setting: a temperature for a colour is the nearest one. */

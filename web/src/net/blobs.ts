@@ -23,6 +23,29 @@ export async function sendBlob(body: Blob, name = "", signal?: AbortSignal): Pro
   return answer.blob;
 }
 
+/** `sendBlob` that tells how far it is, 0 .. 1. */
+export function sendSlowly(file: File, onShare: (share: number) => void, signal: AbortSignal): Promise<string> {
+  return new Promise((resolve, reject) => {
+    const request = new XMLHttpRequest(); // fetch says nothing of what it has sent
+    request.open("POST", `/api/blobs?name=${encodeURIComponent(file.name)}`);
+    request.setRequestHeader("content-type", "application/octet-stream");
+    request.responseType = "json";
+    request.upload.onprogress = ({ loaded, total }) => onShare(total ? loaded / total : 0);
+    request.onload = () => {
+      const answer = (request.response ?? {}) as { blob?: string; error?: { message: string; hint?: string } };
+      if (answer.blob) resolve(answer.blob);
+      else {
+        const message = answer.error?.message ?? `The file could not be sent (${request.status}).`;
+        reject(new CommandError("input", message, answer.error?.hint));
+      }
+    };
+    request.onerror = () => reject(new CommandError("input", "The file could not be sent: the connection is gone."));
+    request.onabort = () => reject(new CommandError("cancelled", "Cancelled."));
+    signal.addEventListener("abort", () => request.abort());
+    request.send(file);
+  });
+}
+
 export const blobUrl = (blob: string): string => `/api/blobs/${blob}`;
 
 /** Offer a file for download. */

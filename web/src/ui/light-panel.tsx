@@ -16,7 +16,9 @@ import {
   INTENSITY_RANGE,
   isFull,
   MIN_MIX,
+  LAMP_FILL,
   SIZE_NAMES,
+  SUN_DEGREES,
   without,
   withLamp,
   withSun,
@@ -28,12 +30,14 @@ import {
 } from "../lights/lights";
 import { KELVIN_RANGE } from "../lights/kelvin";
 import "../style/lights.css";
-import { Button, Check, Choice, NumberField, Percent, Slider } from "./parts";
+import { Button, Check, Choice, FileButton, NumberField, Percent, Slider } from "./parts";
 import { SunBall } from "./sun-ball";
 
 export interface Sky {
   /** As the operation takes it. */
   name: string;
+  /** Of one from a file: what the project holds of it; "": it needs no file. */
+  held: string;
   label: string;
   /** Address of its thumbnail. */
   picture: string;
@@ -41,8 +45,18 @@ export interface Sky {
 
 interface Props {
   lights: LightSettings;
-  /** Skies that need no file. */
   skies: readonly Sky[];
+  /** Names of rigs that need no file. */
+  rigs: readonly string[];
+  /** What files and the server know; they end in `onChange`. */
+  onSkyFile: (file: File) => void;
+  onRig: (rig: string | File) => void;
+  onMatch: (files: File[]) => void;
+  /** Beside the numbers of a sun. */
+  placeOfSun: (sun: SunLight) => ComponentChildren;
+  /** The lamp that is chosen, by its id. */
+  lamp?: number | null;
+  onLamp?: (id: number | null) => void;
   /** What lamps are placed around: world units. */
   asset: { center: readonly number[]; radius: number; up: readonly number[] };
   /** Azimuth of the view, degrees: the balls are seen from there. */
@@ -72,6 +86,32 @@ export function LightPanel(props: Props) {
       {props.children}
       <h3>Sky</h3>
       <SkyPicker {...props} />
+      <p class="row">
+        <FileButton
+          label="Sky from a file..."
+          accept=".hdr,.exr,.png,.jpg,.jpeg,.webp"
+          disabled={disabled}
+          onFiles={([file]) => file && props.onSkyFile(file)}
+        />
+        <FileButton
+          label="Match pictures..."
+          accept="image/*,.exr,.psd"
+          multiple
+          disabled={disabled}
+          onFiles={(files) => files.length > 0 && props.onMatch(files)}
+        />
+      </p>
+      {lights.source && (
+        <p class="row quiet">
+          The light before is known: {lights.source.name}
+          <Button
+            icon="close"
+            label="Estimate the light before"
+            disabled={disabled}
+            onClick={() => set({ source: null })}
+          />
+        </p>
+      )}
       {lights.sky !== "" && (
         <Slider
           label="Turned"
@@ -85,6 +125,32 @@ export function LightPanel(props: Props) {
           onInput={(rotate) => set({ rotate: Math.round(rotate) })}
         />
       )}
+      <h3>Rigs</h3>
+      <p class="row">
+        <select
+          aria-label="Lights of a rig"
+          disabled={disabled}
+          value=""
+          onChange={(event) => {
+            const name = event.currentTarget.value;
+            event.currentTarget.value = "";
+            if (name) props.onRig(name);
+          }}
+        >
+          <option value="">Lights of a rig...</option>
+          {props.rigs.map((name) => (
+            <option key={name} value={name}>
+              {name[0].toUpperCase() + name.slice(1)}
+            </option>
+          ))}
+        </select>
+        <FileButton
+          label="Rig from a file..."
+          accept=".json,.usda,.usd,.glb,.gltf"
+          disabled={disabled}
+          onFiles={([file]) => file && props.onRig(file)}
+        />
+      </p>
       <h3>Suns</h3>
       {lights.suns.map((sun, k) => (
         <SunRow
@@ -93,6 +159,7 @@ export function LightPanel(props: Props) {
           sun={sun}
           viewAzimuth={viewAzimuth}
           disabled={disabled}
+          place={props.placeOfSun(sun)}
           onChange={(part) => onChange(changedSun(lights, sun.id, part))}
           onRemove={() => onChange(without(lights, sun.id))}
         />
@@ -114,6 +181,8 @@ export function LightPanel(props: Props) {
           lamp={lamp}
           asset={asset}
           disabled={disabled}
+          chosen={props.lamp === lamp.id}
+          onChoose={() => props.onLamp?.(lamp.id)}
           onChange={(part) => onChange(changedLamp(lights, lamp.id, part))}
           onRemove={() => onChange(without(lights, lamp.id))}
         />
@@ -149,6 +218,15 @@ export function LightPanel(props: Props) {
         disabled={disabled}
         onInput={(mix) => set({ mix })}
       />
+      {!lights.add && (
+        <Percent
+          label="Fill"
+          value={lights.fill ?? (lights.sky === "" ? LAMP_FILL : 0)}
+          reset={lights.sky === "" ? LAMP_FILL : 0}
+          disabled={disabled}
+          onInput={(fill) => set({ fill })}
+        />
+      )}
       <Check
         label="Add to the light that is there"
         value={lights.add}
@@ -168,19 +246,20 @@ function SkyPicker({ lights, skies, disabled, onChange }: Props) {
         role="radio"
         aria-checked={lights.sky === ""}
         disabled={disabled}
-        onClick={() => onChange({ ...lights, sky: "" })}
+        onClick={() => onChange({ ...lights, sky: "", held: "" })}
       >
         <span class="none" aria-hidden="true" />
         None
       </button>
-      {skies.map(({ name, label, picture }) => (
+      {skies.map(({ name, label, picture, held }) => (
         <button
           type="button"
           role="radio"
-          key={name}
-          aria-checked={lights.sky === name}
+          key={held + name}
+          title={label}
+          aria-checked={lights.sky === name && lights.held === held}
           disabled={disabled}
-          onClick={() => onChange({ ...lights, sky: name })}
+          onClick={() => onChange({ ...lights, sky: name, held })}
         >
           <img src={picture} alt="" />
           {label}
@@ -258,12 +337,13 @@ interface SunProps {
   name: string;
   sun: SunLight;
   viewAzimuth: number;
+  place: ComponentChildren;
   disabled?: boolean;
   onChange: (part: Partial<SunLight>) => void;
   onRemove: () => void;
 }
 
-function SunRow({ name, sun, viewAzimuth, disabled, onChange, onRemove }: SunProps) {
+function SunRow({ name, sun, viewAzimuth, place, disabled, onChange, onRemove }: SunProps) {
   return (
     <div class="light" role="group" aria-label={name}>
       <header>
@@ -308,6 +388,19 @@ function SunRow({ name, sun, viewAzimuth, disabled, onChange, onRemove }: SunPro
           </label>
         </span>
       </div>
+      {place}
+      <Slider
+        label="Size"
+        value={sun.size}
+        min={SUN_DEGREES}
+        max={90}
+        log
+        digits={1}
+        unit="°"
+        reset={SUN_DEGREES}
+        disabled={disabled}
+        onInput={(size) => onChange({ size })}
+      />
       <ColorAndIntensity name={name} {...sun} disabled={disabled} onChange={onChange} />
     </div>
   );
@@ -317,12 +410,23 @@ interface LampProps {
   number: number;
   lamp: LampLight;
   asset: Props["asset"];
+  chosen: boolean;
+  onChoose: () => void;
   disabled?: boolean;
   onChange: (part: Partial<LampLight>) => void;
   onRemove: () => void;
 }
 
-function LampRow({ number, lamp, asset: { center, radius }, disabled, onChange, onRemove }: LampProps) {
+function LampRow({
+  number,
+  lamp,
+  asset: { center, radius },
+  chosen,
+  onChoose,
+  disabled,
+  onChange,
+  onRemove,
+}: LampProps) {
   const name = `${LAMP_NAMES.find(([kind]) => kind === lamp.kind)![1]} ${number}`;
   const digits = Math.max(0, Math.min(6, 2 - Math.floor(Math.log10(radius))));
   const far = 100 * radius;
@@ -345,7 +449,13 @@ function LampRow({ number, lamp, asset: { center, radius }, disabled, onChange, 
     </p>
   );
   return (
-    <div class="light" role="group" aria-label={name}>
+    <div
+      class={`light${chosen ? " chosen" : ""}`}
+      role="group"
+      aria-label={name}
+      onPointerDown={onChoose}
+      onFocusCapture={onChoose}
+    >
       <header>
         <b>{name}</b>
         <Button icon="close" label={`Remove ${name}`} disabled={disabled} onClick={onRemove} />

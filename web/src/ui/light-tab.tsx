@@ -1,9 +1,7 @@
 /** The light panel on the chosen light layer, or on one that is to be made. */
 
-import { signal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
 
-import { run } from "../editor/editor";
 import {
   anotherLight,
   beginGesture,
@@ -14,16 +12,22 @@ import {
   shownLights,
   toggleLight,
 } from "../lights/light-layers";
+import { learnSkies, lightsOfRig, matchPictures, rigs, skies, skyFromFile } from "../lights/light-files";
 import { azimuthOf } from "../lights/sun-ball";
+import type { SkyInfo } from "../messages";
 import { blobUrl } from "../net/blobs";
 import { selectedCount } from "../paint/selected";
 import { camera, readOnly, state } from "../state/store";
 import { LightPanel, type Sky } from "./light-panel";
 import { Button } from "./parts";
+import { SunAt } from "./sun-at";
 
-/** null: not asked for yet. */
-const skies = signal<Sky[] | null>(null);
-const title = (name: string) => name[0].toUpperCase() + name.slice(1);
+const shownSky = ({ name, picture, held }: SkyInfo): Sky => ({
+  name,
+  label: held ? name : name[0].toUpperCase() + name.slice(1),
+  held: held ?? "",
+  picture: blobUrl(picture),
+});
 
 const isColor = (target: EventTarget | null) => target instanceof HTMLInputElement && target.type === "color";
 /** Of the window: wherever the pointer is let go. */
@@ -38,20 +42,13 @@ export function LightTab() {
       end();
     };
   }, []);
+  const layer = lightLayer.value;
+  const held = shownLights.value.held;
   useEffect(() => {
-    if (skies.value === null)
-      void run("light.skies", {}).then((answer) => {
-        if (answer)
-          skies.value = answer.skies.map(({ name, picture }) => ({
-            name,
-            label: title(name),
-            picture: blobUrl(picture),
-          }));
-      });
-  }, []);
+    if (skies.value === null || (held && !skies.value.some((one) => one.held === held))) void learnSkies();
+  }, [held]);
   const now = state.value;
   if (!now) return null;
-  const layer = lightLayer.value;
   const view = camera.value;
   return (
     // what a press or a key begins is a step of its own
@@ -63,7 +60,12 @@ export function LightTab() {
     >
       <LightPanel
         lights={shownLights.value}
-        skies={skies.value ?? []}
+        skies={(skies.value ?? []).map(shownSky)}
+        rigs={rigs.value}
+        onSkyFile={(file) => void skyFromFile(file)}
+        onRig={(rig) => void lightsOfRig(rig)}
+        onMatch={(files) => void matchPictures(files)}
+        placeOfSun={({ id }) => <SunAt id={id} name="the sun" disabled={readOnly.value} />}
         asset={{ ...now.asset, center: now.asset.center.map((value, k) => value + now.asset.offset[k]) }}
         viewAzimuth={view ? azimuthOf(view.world_to_camera, now.asset.up) : 0}
         disabled={readOnly.value}

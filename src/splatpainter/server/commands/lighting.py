@@ -3,6 +3,7 @@ environments with their pictures, and the lights that are in files, in the sky a
 
 from __future__ import annotations
 
+import contextlib
 import math
 from datetime import datetime
 from functools import cache
@@ -13,6 +14,7 @@ from pydantic import Field
 
 from splatpainter.cameras import UpAxis
 from splatpainter.color import linear_to_srgb
+from splatpainter.image_files import find_camera
 from splatpainter.lights.held_skies import sky_of_png, sky_to_png
 from splatpainter.lights.match import match_light, sky_of
 from splatpainter.lights.rig_files import read_rig
@@ -24,7 +26,7 @@ from splatpainter.operations.light import Relight, rig_options
 from splatpainter.server.commands.context import CommandContext, command, naming_errors
 from splatpainter.server.commands.painting import EditedView, edit_from_upload
 from splatpainter.server.option_fields import LightOptions
-from splatpainter.server.protocol import Answer, Blob, Command, Message
+from splatpainter.server.protocol import Answer, Blob, CameraInfo, Command, Message
 from splatpainter.server.uploads.image_registration import png_bytes
 from splatpainter.session.kinds.operation_layers import OperationLayer
 
@@ -185,14 +187,23 @@ class LightMatch(Command):
 
     NAME = "light.match"
     ANSWER = LightMatched
-    views: list[EditedView] = Field(min_length=1, max_length=4)
+    pictures: list[Blob] = Field(min_length=1, max_length=4)
+    camera: CameraInfo
+    """View that pictures show which do not say their camera."""
 
 
 @command(LightMatch, background=True)
 def match_pictures(context: CommandContext, request: LightMatch) -> LightMatched:
     context.ticket.report(0, "finding the light")
     splats, up = context.studio.session.splats, _up_of(context)
-    edits = [edit_from_upload(context, view, "global") for view in request.views]
+    edits = []
+    for picture in request.pictures:
+        camera = request.camera
+        # What `render` and exports write says its camera; programs that drop it give a picture of the view.
+        with contextlib.suppress(ValueError):
+            found = find_camera(context.studio.blobs.get(picture, "picture").path)
+            camera = CameraInfo.of(found.relative_to(splats.offset))
+        edits.append(edit_from_upload(context, EditedView(picture=picture, camera=camera), "global"))
     matched = match_light(splats, edits)
     # Environments are of one level each; how much brighter the new one is becomes the exposure.
     before, after = (sky_of(one, up, "") for one in (matched.before.coefficients, matched.after))
