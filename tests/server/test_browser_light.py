@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from splatpainter.cameras import Camera
 from splatpainter.lights.skies import sky
 from splatpainter.lights.sky_maps import write_sky
 from tests.support import studio_scenes
@@ -123,6 +124,84 @@ def test_skies_rigs_and_hours_are_taken_from_files_and_lists(
     page.tab.keyboard.press("Control+z")
     page.wait("the rig's", lambda: first()[:2] == ["40", "35"])
     assert len(page.state()["history"]) == count
+
+
+def test_lamps_are_dragged_in_the_view(opened: tuple[studio_scenes.Live, Page]) -> None:
+    live, page = opened
+    page.tab.get_by_role("tab", name="Light").click()
+    page.tab.get_by_role("button", name="Spot", exact=True).click()
+    page.wait("the layer", lambda: page.names() == ["Light"])
+    page.tab.get_by_role("button", name="Sphere", exact=True).click()
+
+    def numbers(kind: str) -> list[float]:
+        words = page.state()["layers"][0]["parameters"].get(kind, ("",))[0].split(",")
+        return [float(word) for word in words[: {"spot": 7, "sphere": 4}[kind]] if word]
+
+    page.wait("both lamps", lambda: numbers("spot") and numbers("sphere"))
+    page.wait("their handles", lambda: page.tab.locator(".lamp-handles .lamp").count() == 2)
+    assert page.tab.locator(".lamp-handles .lamp.chosen text").inner_html() == "Sphere 2", "the one that was added"
+    assert page.tab.locator(".lamp-handles .outside").count() == 2, "above what is seen, and shown at its edge"
+    near = page.camera()
+    page.tab.locator("#stage").hover()
+    page.tab.mouse.wheel(0, 900)
+    page.wait(
+        "both in the view", lambda: page.camera() != near and not page.tab.locator(".lamp-handles .outside").count()
+    )
+    before, count = numbers("sphere"), len(page.state()["history"])
+    camera = Camera.from_record({**page.camera(), "offset": None}, "view")
+
+    def at(point: list[float]) -> np.ndarray:
+        x, y, z = camera.world_to_camera[:3] @ np.array([*point[:3], 1])
+        return np.array([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy, z])
+
+    def drag(handle: Any, dx: float, dy: float, modifier: str = "") -> None:
+        box = handle.bounding_box()
+        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        page.tab.mouse.move(x, y)
+        if modifier:
+            page.tab.keyboard.down(modifier)
+        page.tab.mouse.down()
+        page.tab.mouse.move(x + dx, y + dy, steps=6)
+        page.tab.mouse.up()
+        if modifier:
+            page.tab.keyboard.up(modifier)
+
+    shrink = page.ask("document.getElementById('stage').clientWidth") / camera.width
+    stage = page.tab.locator("#stage").bounding_box()
+    sphere = page.tab.locator(".lamp-handles").get_by_role("button", name="Sphere 2: drag it")
+    box = sphere.bounding_box()
+    shown = at(before)[:2] * shrink + (stage["x"], stage["y"])
+    assert np.allclose(shown, (box["x"] + box["width"] / 2, box["y"] + box["height"] / 2), atol=1.5), (
+        "it is where it is"
+    )
+    drag(sphere, 60, 45)
+    page.wait("another place", lambda: numbers("sphere") != before)
+    moved = numbers("sphere")
+    assert np.allclose((at(moved) - at(before)) * (shrink, shrink, 1), (60, 45, 0), atol=1.5)
+    page.wait("one step", lambda: len(page.state()["history"]) == count + 1)
+    drag(sphere, 0, -60, "Shift")
+    page.wait("farther away", lambda: at(numbers("sphere"))[2] > 1.2 * at(moved)[2])
+    assert np.allclose(at(numbers("sphere"))[:2], at(moved)[:2], atol=1)
+    assert len(page.state()["history"]) == count + 2
+    # The other lamp is chosen by its handle; what it looks to has one, too.
+    spot = numbers("spot")
+    page.tab.locator(".lamp-handles").get_by_role("button", name="Spot 1: drag it").click()
+    page.wait("the spot", lambda: page.tab.locator(".lamp-handles .lamp.chosen text").inner_html() == "Spot 1")
+    assert page.tab.locator(".light.chosen").get_attribute("aria-label") == "Spot 1"
+    assert numbers("spot") == spot and len(page.state()["history"]) == count + 2, "a click moves nothing"
+    aim = page.tab.locator(".lamp-handles").get_by_role("button", name="Where it looks to")
+    drag(aim, -40, 0)
+    page.wait("another target", lambda: numbers("spot")[3:6] != spot[3:6])
+    assert numbers("spot")[:3] == spot[:3]
+    aim.press("ArrowLeft")
+    page.wait("a nudge", lambda: len(page.state()["history"]) == count + 4)
+    assert page.serious() == []
+    page.tab.locator("#stage").focus()
+    for _ in range(4):
+        page.tab.keyboard.press("Control+z")
+    page.wait("where they were", lambda: (numbers("spot"), numbers("sphere")) == (spot, before))
+    page.tab.get_by_role("tab", name="History").click()
+    assert page.tab.locator(".lamp-handles").count() == 0
 
 
 def test_what_is_selected_is_pixelated(opened: tuple[studio_scenes.Live, Page]) -> None:

@@ -16,10 +16,13 @@ import {
   without,
   withLamp,
   withSun,
+  type LampLight,
   type LightSettings,
 } from "../src/lights/lights";
+import { draggedAcross, draggedAlong, eyeOf, outlines } from "../src/lights/lamp-drag";
 import { zoned } from "../src/lights/light-files";
 import { azimuthOf, ballPoint, nudged, shownPoint, spokenPlace, sunAt } from "../src/lights/sun-ball";
+import { lookAt, project, sub, toCamera, type Vec3 } from "../src/view/camera";
 
 const ASSET = { center: [1, 2, 3], radius: 2, up: [0, -1, 0] };
 
@@ -124,6 +127,35 @@ describe("lights", () => {
     expect(fields.point).toEqual(["1,-1,3,2700K,1"]);
     expect(fields.rect[0].split(",").length).toBe(3 + 3 + 2 + 2);
     expect([fields.spot, fields.disk, fields.sphere]).toEqual([[], [], []]);
+  });
+});
+
+describe("a lamp in the view", () => {
+  const pose = lookAt([1, 2, -4], [0, 0, 0], [0, -1, 0], 40);
+  const view = toCamera(pose, 800, 600, [0, 0, 0]);
+
+  it("follows the hand across the view at its distance, and keeps its place on the screen along it", () => {
+    const point: Vec3 = [0.4, -0.7, 0.9];
+    const [x, y, z] = project(view, point);
+    const [across, down, depth] = project(view, draggedAcross(view, point, 37, -21));
+    expect([across - x, down - y, depth - z]).toEqual([expect.closeTo(37), expect.closeTo(-21), expect.closeTo(0)]);
+    const [right, below, far] = project(view, draggedAlong(view, point, -120));
+    expect([right, below, far / z]).toEqual([expect.closeTo(x), expect.closeTo(y), expect.closeTo(2)]);
+    expect(Math.hypot(...sub(eyeOf(view), [1, 2, -4]))).toBeCloseTo(0);
+  });
+
+  it("shows its size, and what a spot reaches", () => {
+    const base = { ...withLamp(NO_LIGHT, "rect", ASSET).lamps[0], position: [0, 0, 0], target: [0, 0, 5] } as LampLight;
+    const [rect] = outlines({ ...base, sizes: [2, 1] });
+    const edges = rect.slice(1).map((corner, k) => Math.hypot(...sub(corner, rect[k])));
+    expect(edges.map((edge) => Math.round(edge * 1e6) / 1e6).sort()).toEqual([1, 1, 2, 2]);
+    expect(rect.every(([, , z]) => z === 0)).toBe(true);
+    const [rim, ...sides] = outlines({ ...base, kind: "spot", sizes: [90] });
+    for (const point of rim) expect([point[2], Math.hypot(point[0], point[1])]).toEqual([5, expect.closeTo(5)]);
+    expect(sides.every(([start]) => start.every((value) => value === 0))).toBe(true);
+    for (const line of outlines({ ...base, kind: "sphere", sizes: [0.5] }))
+      for (const point of line) expect(Math.hypot(...point)).toBeCloseTo(0.5);
+    expect(outlines({ ...base, kind: "point", sizes: [] })).toEqual([]);
   });
 });
 

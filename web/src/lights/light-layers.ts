@@ -27,6 +27,15 @@ export const lightLayer = computed<LayerInfo | null>(
   () => shownLayers.value.find((one) => one.id === selectedLayer.value && one.kind === "light") ?? null,
 );
 
+/** The lamp that is chosen, by its id among those that are shown; null: none. */
+export const selectedLamp = signal<number | null>(null);
+let shownLayer: string | undefined;
+lightLayer.subscribe((layer) => {
+  if (layer?.id === shownLayer) return;
+  if (shownLayer !== undefined) selectedLamp.value = null; // a draft that became a layer has the same lamps
+  shownLayer = layer?.id;
+});
+
 const draft = signal<LightSettings>(NO_LIGHT);
 const making = signal(false);
 /** What is asked for and not done yet. */

@@ -131,7 +131,7 @@ export function withSun(lights: LightSettings, azimuth = 45, elevation = 40): Li
   return ordered({ ...lights, suns: [...lights.suns, sun] });
 }
 
-/** With a lamp above the middle of an asset of this radius, that looks at it. `up`: unit, of the asset. */
+/** With a lamp above the middle of an asset of this radius, beside those that there are, that looks at it. `up`: unit. */
 export function withLamp(
   lights: LightSettings,
   kind: LampKind,
@@ -139,11 +139,14 @@ export function withLamp(
 ): LightSettings {
   if (isFull(lights)) return lights;
   const { center, radius, up } = asset;
-  const at = (share: number) => [0, 1, 2].map((k) => center[k] + share * radius * up[k]) as [number, number, number];
+  const aside = 0.5 * lights.lamps.length;
+  const side = up.map((_, k) => up[(k + 1) % 3]); // across, as up lies along an axis
+  const at = (share: number, along = 0) =>
+    [0, 1, 2].map((k) => center[k] + radius * (share * up[k] + along * side[k])) as [number, number, number];
   const lamp: LampLight = {
     id: nextId(lights),
     kind,
-    position: at(1.5),
+    position: at(1.5, aside),
     target: at(0),
     sizes: SIZES[kind](radius),
     color: { kelvin: 2700 },

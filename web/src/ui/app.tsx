@@ -9,6 +9,7 @@ import { inHand } from "../tools";
 import { placePicture } from "../tools/stamp";
 import { BatchDialog } from "./batch";
 import { AssetHandles } from "./asset-handles";
+import { LampHandles } from "./lamp-handles";
 import { Assets } from "./assets";
 import { BrushPanel } from "./brush-panel";
 import { ColorsPanel } from "./colors-panel";
@@ -70,6 +71,7 @@ export function App({ canvas }: { canvas: HTMLCanvasElement }) {
         <h1 class="unseen">SplatPainter studio</h1>
         <Stage canvas={canvas} />
         {state.value && <AssetHandles />}
+        <LampHandles />
         {state.value && <Gizmo />}
         <Loading />
         <SelectionChip />

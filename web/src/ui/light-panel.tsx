@@ -80,6 +80,11 @@ const AXES = ["X", "Y", "Z"] as const;
 export function LightPanel(props: Props) {
   const { lights, asset, viewAzimuth = 0, disabled, onChange } = props;
   const set = (part: Partial<LightSettings>) => onChange({ ...lights, ...part });
+  const add = (kind: LampKind) => {
+    const next = withLamp(lights, kind, asset);
+    onChange(next);
+    props.onLamp?.(next.lamps.filter((one) => one.kind === kind).at(-1)!.id);
+  };
   const full = disabled || isFull(lights);
   return (
     <div class="light-panel">
@@ -194,7 +199,7 @@ export function LightPanel(props: Props) {
             label={`Add a lamp: ${label.toLowerCase()}`}
             text={label}
             disabled={full}
-            onClick={() => onChange(withLamp(lights, kind, asset))}
+            onClick={() => add(kind)}
           />
         ))}
       </p>

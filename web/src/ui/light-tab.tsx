@@ -9,6 +9,7 @@ import {
   hold,
   letGo,
   lightLayer,
+  selectedLamp,
   shownLights,
   toggleLight,
 } from "../lights/light-layers";
@@ -65,6 +66,8 @@ export function LightTab() {
         onSkyFile={(file) => void skyFromFile(file)}
         onRig={(rig) => void lightsOfRig(rig)}
         onMatch={(files) => void matchPictures(files)}
+        lamp={selectedLamp.value}
+        onLamp={(id) => (selectedLamp.value = id)}
         placeOfSun={({ id }) => <SunAt id={id} name="the sun" disabled={readOnly.value} />}
         asset={{ ...now.asset, center: now.asset.center.map((value, k) => value + now.asset.offset[k]) }}
         viewAzimuth={view ? azimuthOf(view.world_to_camera, now.asset.up) : 0}
