@@ -74,6 +74,23 @@ def test_a_light_is_for_one_asset_or_for_each(studio: Live, tmp_path: Path) -> N
         studio.post("undo")
 
 
+def test_one_light_over_all_assets_is_dragged_and_set_as_one(studio: Live, tmp_path: Path) -> None:
+    studio.post("scene.add", blob=studio.send(sheet_bytes(tmp_path), "sheet.ply"))
+    studio.post("layer.add", operation={"kind": "light", "hdri": "dawn"}, name="Light")
+    session = studio.studio.session
+    layers, steps = [layer.id for layer in session.layers], len(session.history)
+    with studio.greeted() as browser:
+        dragged = [{"layer": layer, "parameters": {"exposure": 1.0}} for layer in layers]
+        assert browser.do("layer.preview", layers=dragged)["gaussians"] == len(session.splats)
+        shown = browser.mirror.columns["sh"][:, 0].copy()
+        for layer in layers:
+            browser.do("layer.set", layer=layer, parameters={"exposure": 1.0}, gesture="one")
+        assert browser.mirror.agrees(session.splats)
+        assert np.abs(shown - session.splats.sh[:, 0]).max() < 4e-3 and len(session.history) == steps + 1
+        browser.do("undo")
+        assert all("exposure" not in layer.operation.record() for layer in session.layers)
+
+
 def test_exports_of_a_scene_and_of_one_asset(studio: Live, tmp_path: Path) -> None:
     data = sheet_bytes(tmp_path)
     added = studio.post("scene.add", blob=studio.send(data, "sheet.ply"))["asset"]

@@ -583,6 +583,25 @@ def test_a_light_is_dragged_on_the_screen_of_one_window_alone(studio: Live) -> N
         assert browser.mirror.agrees(session.splats)
 
 
+def test_two_windows_change_one_light_at_once(studio: Live) -> None:
+    layer = studio.post("layer.add", operation={"kind": "light", "hdri": "noon"})["layer"]["id"]
+    session = studio.studio.session
+    with studio.greeted() as one, studio.greeted() as other:
+        one.do("layer.preview", layers=[{"layer": layer, "parameters": {"rotate": 50}}])
+        other.do("layer.preview", layers=[{"layer": layer, "parameters": {"exposure": 1}}])
+        other.do("layer.set", layer=layer, parameters={"exposure": 1}, gesture="other")
+        one.do("layer.preview", layers=[{"layer": layer, "parameters": {"rotate": 90}}])
+        one.do("layer.set", layer=layer, parameters={"rotate": 90}, gesture="one")
+        # Each changed its own option; what the other did is there as well, and two steps undo.
+        assert session.layers[0].operation.changes() == {"hdri": "noon", "rotate": 90, "exposure": 1}
+        one.do("layer.preview")
+        other.do("layer.preview")
+        assert one.mirror.agrees(session.splats) and other.mirror.agrees(session.splats)
+        assert len(session.history) == 4
+        other.do("undo")
+        assert session.layers[0].operation.changes() == {"hdri": "noon", "exposure": 1}
+
+
 def test_whoever_does_not_read_gets_no_more_work_done(studio: Live) -> None:
     class Stuck:
         def __init__(self) -> None:

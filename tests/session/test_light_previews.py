@@ -126,3 +126,23 @@ def test_a_project_holds_nothing_of_a_drag(session: Session, tmp_path: Path) -> 
     with Session(tmp_path / "p.splatproj") as again:
         assert (again.splats.sh == stored).all() and len(again.history) == 2
         assert "exposure" not in again.layers[0].operation.record()
+
+
+def test_a_turn_of_the_lights_is_of_every_light_layer_and_stays_nowhere(session: Session) -> None:
+    center = np.zeros(3)
+    with pytest.raises(ValueError, match="no layer of light is visible"):
+        session.layers.under_turned_lights(90.0, center)
+    options = {"hdri": "sunset", "sun": ("60,30",), "point": (POINT,), "rotate": 20.0}
+    layer = session.layers.add("light", **options).id
+    before = session.splats
+    same = session.layers.under_turned_lights(0.0, center)
+    assert np.abs(same.sh - before.sh).max() < 0.01  # colours of 8 bits
+    turned = session.layers.under_turned_lights(90.0, center)
+    assert session.splats is before and len(session.history) == 2
+    again = session.layers.under_turned_lights(360.0, center)
+    assert np.abs(again.sh - same.sh).max() < 1e-4
+    # By hand: y points down here, so that seen from above +x goes to +z, or to -z; the sun says which.
+    x, y, z = (float(word) for word in POINT.split(",")[:3])
+    hand = {"rotate": 110.0, "sun": ("150,30",), "point": (f"{-z:g},{y:g},{x:g},#ffe0b0,3",)}
+    session.layers.set(layer, **hand)
+    assert np.abs(session.splats.sh - turned.sh).max() < 0.01

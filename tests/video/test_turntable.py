@@ -11,8 +11,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from splatpainter.cameras import look_at
+import splatpainter as sp
+from splatpainter.cameras import UPS, UpAxis, look_at
 from splatpainter.io import read
+from splatpainter.kernels import portable
+from splatpainter.lights.light_set import axes_of, turned_sky
+from splatpainter.lights.turning import turned_lights
 from splatpainter.rendering import render
 from splatpainter.video import mp4
 from splatpainter.video.turntable import TurntableOptions, turn, turntable_bytes
@@ -39,6 +43,44 @@ def test_a_turn_keeps_height_distance_and_lens_and_closes() -> None:
     assert np.allclose(a[[0, 2]], -b[[0, 2]]) and np.isclose(a[[0, 2]] @ positions[0, [0, 2]], 0)
     sideways = np.cross(positions[0], a)
     assert sideways @ np.array(UP) > 0, "counter-clockwise seen from above"
+
+
+@pytest.mark.parametrize("up", ["-y", "+z", "+y"])
+def test_lights_turn_as_the_camera_does(up: UpAxis) -> None:
+    center, axis = np.array([0.5, -0.25, 2.0]), np.array(UPS[up])
+    place = center + np.array([1.0, 0.7, -2.0])
+    seen = look_at(tuple(place), tuple(center), tuple(axis), width=48, height=40, fov=45)
+    _, there = turn(seen, center, axis, 2, 50.0)
+    spot = sp.Lamp("spot", tuple(place), target=tuple(center), sizes=(30.0,))
+    lights = sp.Lights(sky=sp.sky("sunset"), suns=(sp.Sun(20, 35),), lamps=(spot,), rotate=10, up=up)
+    after = turned_lights(lights, 50.0, center)
+    assert np.allclose(after.lamps[0].position, there.position) and np.allclose(after.lamps[0].target, center)
+    # A sun stands where a camera of its azimuth does.
+    first, second = (portable.matmul(one.suns[0].directions(), axes_of(up))[0] for one in (lights, after))
+    around = look_at(tuple(center + 3 * first), tuple(center), tuple(axis), width=48, height=40, fov=45)
+    assert np.allclose(turn(around, center, axis, 2, 50.0)[1].position, center + 3 * second)
+    turned, alone = turned_sky(lights.sky, axes_of(up), 60.0), turned_sky(after.sky, axes_of(up), after.rotate)
+    assert np.allclose(turned, alone)
+
+
+def test_a_film_of_turning_lights(tmp_path: Path, capfd: Capture) -> None:
+    source, out = saved(tmp_path / "ball.ply"), tmp_path / "lights.webp"
+    words = ["--sun", "90,20,#ffffff,2", "--turns", "lights", "--seconds", "1", "--fps", "4", "--size", "48"]
+    assert run(capfd, "turntable", source, "--out", out, "--transparent", *words).code == 0
+    with Image.open(out) as film:
+        frames = []
+        for k in range(film.n_frames):
+            film.seek(k)
+            frames.append(np.asarray(film.convert("RGBA")).astype(float))
+    assert len(frames) == 4
+    sides = []
+    for one in frames:
+        assert np.abs(one[..., 3] - frames[0][..., 3]).max() < 3, "the camera stands still"
+        light = one[..., :3].mean(-1) * (one[..., 3] > 200)
+        sides.append(light[:, 26:].sum() - light[:, :22].sum())
+    assert sides[0] * sides[2] < 0, "a quarter before it comes from the one side, a quarter behind from the other"
+    refused = run(capfd, "turntable", source, "--out", tmp_path / "x.webp", "--turns", "both")
+    assert "expected lights for --turns both: --hdri, --sun or --rig" in refused.err
 
 
 def decoded(data: bytes) -> np.ndarray:

@@ -6,8 +6,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
+import numpy as np
 from tyro.conf import arg
 
 from splatpainter.cameras import AUTO_UP, UPS, UpAxis, bounding_sphere
@@ -21,6 +22,8 @@ from splatpainter.output_paths import check_target
 from splatpainter.rendering.profiles import Profile
 
 if TYPE_CHECKING:
+    from splatpainter.operations.light import Relight
+    from splatpainter.splats import Splats
     from splatpainter.video.turntable import TurntableOptions
 
 MAX_DEGREES = 3600.0
@@ -38,6 +41,7 @@ class Config:
       splatpainter turntable vase.ply --out turn.mp4
       splatpainter turntable vase.ply --out turn.mp4 --width 1920 --height 1080 --seconds 10 --background "#ffffff"
       splatpainter turntable vase.ply --out turn.webp --size 400 --fps 20 --transparent
+      splatpainter turntable vase.ply --out day.mp4 --hdri sunset --turns lights
       splatpainter turntable vase.ply --out swing.mp4 --camera views/view_003.json --degrees 90
     """
 
@@ -54,6 +58,14 @@ class Config:
     camera: Annotated[Path | None, arg(metavar="CAM.json", help_behavior_hint="")] = None
     """The first view (CAM.json, a PNG that carries one, or FILE:N of a capture); --elevation, --fov and --distance are
     then ignored."""
+    hdri: Annotated[str, arg(metavar="SKY")] = ""
+    """Light the asset by this environment, as `splatpainter light --hdri`."""
+    sun: Annotated[tuple[str, ...], arg(metavar="LIGHT ...")] = ()
+    """Light it by suns, as `splatpainter light --sun`."""
+    rig: Annotated[str, arg(metavar="RIG")] = ""
+    """Light it by a rig, as `splatpainter light --rig`."""
+    turns: Literal["camera", "lights", "both"] = "camera"
+    """What turns: the camera, the lights about the asset, or both."""
     size: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
     """Pixels of the longer side; default: 800, or what the camera says. MP4 has an even number of rows and columns."""
     width: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
@@ -88,11 +100,12 @@ class Config:
 
 def run(config: Config) -> Outcome:
     """Render, encode, save."""
-    from splatpainter.video.turntable import turn, turntable_bytes
+    from splatpainter.video.turntable import turn, turn_angles, turntable_bytes
 
     # Format and options first: an encoder that is missing is told before anything is rendered.
     options = _options(config)
     _check(config)
+    light = _light(config)
     given = None if config.camera is None else given_camera(config.camera, config.size, config.asset)
     check_target(config.out, config.overwrite, [config.asset])
     # The camera may come from a file or from the asset's size, so the asset is read in between.
@@ -103,10 +116,11 @@ def run(config: Config) -> Outcome:
     warn_of_doubts(splats, config.asset)
     # Turned about the centre of nearly all of it: strays would make it wobble.
     center, up = bounding_sphere(splats)[0], UPS[AUTO_UP if config.up == "auto" else config.up]
-    cameras = turn(first, center, up, options.frames, config.degrees)
+    cameras = turn(first, center, up, options.frames, config.degrees if config.turns != "lights" else 0.0)
+    shown = splats if light is None else _lit(splats, light, config, turn_angles(options.frames, config.degrees))
     # Rendered and encoded in one go, so the bar follows frame by frame.
     with _bar(options.frames) as on_frame:
-        data = turntable_bytes(splats, cameras, options, on_frame)
+        data = turntable_bytes(shown, cameras, options, on_frame)
     with files.writing(config.out) as file:
         file.write(data)
     width, height = first.width, first.height
@@ -121,6 +135,32 @@ def run(config: Config) -> Outcome:
     }
     line = f"{config.out}: {options.frames} frames of {record['width']}x{record['height']}, {size(len(data))}"
     return Outcome(record, [line, *axes_news(splats)])
+
+
+def _light(config: Config) -> Relight | None:
+    """The light that the options ask for, checked. Raises ValueError."""
+    from splatpainter.operations.light import Relight
+
+    if not (config.hdri or config.sun or config.rig):
+        if config.turns != "camera":
+            raise ValueError(f"turntable: expected lights for --turns {config.turns}: --hdri, --sun or --rig")
+        return None
+    light = Relight(hdri=config.hdri, sun=config.sun, rig=config.rig, up=config.up)
+    light.check()
+    return light
+
+
+def _lit(splats: Splats, light: Relight, config: Config, angles: np.ndarray) -> Splats | Callable[[int], Splats]:
+    """The asset in that light, or what it is in each frame where the light turns."""
+    from splatpainter.lights.relight import relight
+    from splatpainter.lights.turning import turned_lights
+    from splatpainter.operations.operation import Report
+
+    lights = light.lights(Report(), {})
+    center = bounding_sphere(splats)[0] + np.array(splats.offset)
+    if config.turns == "camera":
+        return relight(splats, lights).splats
+    return lambda k: relight(splats, turned_lights(lights, float(angles[k]), center)).splats
 
 
 @contextmanager

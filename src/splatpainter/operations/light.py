@@ -32,6 +32,7 @@ from splatpainter.lights.rig_files import WRITTEN_RIGS, read_rig, write_rig
 from splatpainter.lights.skies import SKIES
 from splatpainter.lights.sky_maps import SkyMap, read_sky, write_sky
 from splatpainter.lights.studio_rigs import RIGS
+from splatpainter.lights.turning import turned_lights
 from splatpainter.operations.operation import AS_PYTHON, Operation, ReadyOperation, Report, Tools, Wording, parameter
 from splatpainter.operations.region import Region, check_terms
 from splatpainter.painter import Asset, Painter
@@ -249,6 +250,15 @@ class Relight(LightBefore):
         if sky is None or name in SKIES:
             return replace(kept, hdri=name), held
         return replace(kept, hdri=name), {**held, "hdri": sky_to_png(sky)}
+
+    def turned(self, degrees: float, center: np.ndarray) -> Relight:
+        """With its lights turned about the vertical through a centre ([3], world coordinates), counter-clockwise seen
+        from above. A rig must be one that needs no file. Raises ValueError."""
+        lights = read_rig(self.rig, self.up)[0] if self.rig in RIGS else Lights(up=self.up)
+        lights = turned_lights(self._added_to(replace(lights, up=self.up)), degrees, center)
+        # As options again: what stands for them is the same at every angle, so that nothing flickers.
+        alone = replace(self, **{kind: () for kind in FORMS}, sun=(), sun_at=(), rig="", rotate=0.0, exposure=0.0)
+        return replace(alone, **rig_options(replace(alone, fill=None), lights))
 
     def glance(self, splats: Splats, tools: Tools) -> np.ndarray | None:
         if self.match or self.match_asset or self.where:

@@ -77,6 +77,11 @@ class Placement:
             limits = f"{PLACEMENTS.min_scale:g} to {PLACEMENTS.max_scale:g}"
             raise ValueError(f"transform: expected a scale of {limits}, got {self.scale:g}")
 
+    def point_before(self, point: np.ndarray) -> np.ndarray:
+        """[3] float64 the point of the asset's own axes that a point of the scene is; both in world coordinates."""
+        turn = quat_to_matrix(np.array(self.quat)[None])[0]
+        return (turn.T @ (np.asarray(point, float) - np.array(self.move))) / self.scale
+
     @staticmethod
     def of(
         move: tuple[float, float, float] = (0.0, 0.0, 0.0),

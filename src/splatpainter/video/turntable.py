@@ -92,11 +92,16 @@ def turn(camera: Camera, center: np.ndarray, up: Sequence[float], count: int, de
     tilt = float(np.degrees(np.arctan2(height, max(np.linalg.norm(flat), 1e-9))))
     zero = orbit(center, distance, 1, elevation=0, up=axis)[0].position - center
     start = float(np.degrees(np.arctan2(float(np.cross(zero, flat) @ axis), float(zero @ flat))))
-    # A full turn ends one step before its first view, so that a loop does not stutter.
-    closed = degrees % 360 == 0 and degrees != 0
-    steps = degrees * np.arange(count) / max(count if closed else count - 1, 1)
+    steps = turn_angles(count, degrees)
     ring = (orbit(center, distance, 1, elevation=tilt, start=start + step, up=axis)[0] for step in steps.tolist())
     return [replace(camera, world_to_camera=view.world_to_camera) for view in ring]
+
+
+def turn_angles(count: int, degrees: float = 360.0) -> np.ndarray:
+    """[count] degrees from 0 on, of views or of lights that turn."""
+    # A full turn ends one step before its first view, so that a loop does not stutter.
+    closed = degrees % 360 == 0 and degrees != 0
+    return degrees * np.arange(count) / max(count if closed else count - 1, 1)
 
 
 def even(camera: Camera) -> Camera:
@@ -105,13 +110,14 @@ def even(camera: Camera) -> Camera:
 
 
 def turntable_bytes(
-    splats: Splats,
+    splats: Splats | Callable[[int], Splats],
     cameras: Sequence[Camera],
     options: TurntableOptions,
     on_frame: Callable[[int, int], None] = lambda done, total: None,
 ) -> bytes:
-    """Render and encode. cameras: of one size, `options.frames` of them or as many as the turntable shall have.
-    on_frame(done, total): called before each frame; what it raises ends the work. Raises ValueError."""
+    """Render and encode. splats: the asset, or what it is in the k-th frame (under lights that turn). cameras: of one
+    size, `options.frames` of them or as many as the turntable shall have. on_frame(done, total): called before each
+    frame; what it raises ends the work. Raises ValueError."""
     options.check_installed()
     sizes = {(camera.width, camera.height) for camera in cameras}
     if len(sizes) != 1 or not MIN_FRAMES <= len(cameras) <= MAX_FRAMES:
@@ -124,7 +130,7 @@ def turntable_bytes(
 
     def draw(k: int) -> np.ndarray:
         on_frame(k, len(cameras))
-        return frame(splats, cameras[k], options)
+        return frame(splats(k) if callable(splats) else splats, cameras[k], options)
 
     if options.format == "mp4":
         # In parts of bounded memory, each beginning with a picture at which a player can start.

@@ -9,7 +9,7 @@ import { editor, run } from "../editor/editor";
 import type { LayerInfo, LightOptions } from "../messages";
 import { chosenAsset } from "../state/assets";
 import { NewestOnly } from "../state/newest-only";
-import { dragged, setLayer, shownLayers } from "../state/pending-layers";
+import { dragged, shownLayers } from "../state/pending-layers";
 import { readOnly, selectedLayer, state } from "../state/store";
 import { axisName } from "../state/up-axis";
 import {
@@ -57,8 +57,24 @@ export const shownLights = computed<LightSettings>(() => {
   return lightsOf(layer.parameters as LayerLight, layer.opacity);
 });
 
+/**
+ * Layers that go with one: those of the other assets of the scene that are as it is, made by one light over all of them,
+ * unless one asset is chosen.
+ */
+export function linkedTo(layer: LayerInfo): LayerInfo[] {
+  if (chosenAsset.value) return [layer];
+  const alike = (one: LayerInfo) =>
+    one.kind === "light" && one.asset !== layer.asset && one.name === layer.name && one.opacity === layer.opacity;
+  const others = shownLayers.value.filter((one) => alike(one) && same(shape(one), shape(layer)));
+  return [layer, ...others];
+}
+/** What of a layer is set here; what it keeps to is of its asset. */
+const shape = ({ parameters, opacity }: LayerInfo) => optionsOf(lightsOf(parameters as LayerLight, opacity));
+
 interface Gesture {
   layer: string;
+  /** It, and those that go with it. */
+  layers: readonly string[];
   send: ReturnType<typeof dragged>;
   start: LightSettings;
   /** Whether the server can show a drag of it without changing the layer. */
@@ -95,14 +111,14 @@ export async function letGo(): Promise<void> {
 }
 
 interface Glance {
-  layer: string;
   lights: LightSettings;
   gesture: Gesture;
 }
 /** One at a time, the newest next: a drag is followed as fast as the server can. */
-const glances = new NewestOnly<Glance>(async ({ layer, lights, gesture: now }) => {
-  const fields = { layer, parameters: { ...changesOf(now, lights) }, opacity: lights.mix };
-  const answer = await editor.link.do("layer.preview", { layers: [fields] }).catch(() => null);
+const glances = new NewestOnly<Glance>(async ({ lights, gesture: now }) => {
+  const parameters = { ...changesOf(now, lights) };
+  const layers = now.layers.map((layer) => ({ layer, parameters, opacity: lights.mix }));
+  const answer = await editor.link.do("layer.preview", { layers }).catch(() => null);
   if (answer && !answer.possible) now.glances = false;
 });
 
@@ -127,15 +143,18 @@ export async function changeLights(lights: LightSettings): Promise<void> {
   const { rig, sun_at: places } = layer.parameters as LayerLight; // not the panel's, and light all the same
   if (!isLit(lights) && !rig && !places?.length) return remove(layer, lights);
   const start = shownLights.value;
-  if (gesture.value?.layer !== layer.id)
+  if (gesture.value?.layer !== layer.id) {
+    const layers = linkedTo(layer).map(({ id }) => id);
     gesture.value = {
       layer: layer.id,
-      send: dragged(layer.id, `Changing ${layer.name}`),
+      layers,
+      send: dragged(layers, `Changing ${layer.name}`),
       start,
       glances: true,
       touched: new Set(),
       faded: false,
     };
+  }
   const now = gesture.value;
   const parameters = changesOf(now, lights);
   now.faded ||= lights.mix !== now.start.mix;
@@ -143,7 +162,7 @@ export async function changeLights(lights: LightSettings): Promise<void> {
   asked.value = request;
   if (held && now.glances && layer.visible) {
     unsent = lights;
-    await glances.add({ layer: layer.id, lights, gesture: now });
+    await glances.add({ lights, gesture: now });
     // Where it could not be shown so, it is done at once, as is what follows of this gesture.
     if (!now.glances && held && unsent === lights) {
       unsent = null;
@@ -183,9 +202,20 @@ async function remove(layer: LayerInfo, lights: LightSettings): Promise<void> {
   await run("layer.delete", { layer: layer.id }, `Deleting ${layer.name}`);
 }
 
+/** The light that is baked in taken out, as a layer below what comes next. */
+export async function takeLightOut(): Promise<void> {
+  const up = axisName(state.value?.asset.up);
+  const operation = { kind: "delight" as const, ...(up && up !== "-y" && { up }) };
+  const fields = { operation, name: "White light", asset: chosenAsset.value?.id ?? null };
+  await run("layer.add", fields, "Taking the light out");
+}
+
 /** Before and after. */
 export const toggleLight = (layer: LayerInfo): Promise<unknown> =>
-  setLayer(layer.id, { visible: !layer.visible }, `${layer.visible ? "Hiding" : "Showing"} ${layer.name}`);
+  dragged(
+    linkedTo(layer).map(({ id }) => id),
+    `${layer.visible ? "Hiding" : "Showing"} ${layer.name}`,
+  )({ visible: !layer.visible });
 
 /** Leave the chosen one: the next light is a layer of its own. */
 export function anotherLight(): void {

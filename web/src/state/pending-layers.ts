@@ -45,14 +45,18 @@ export const setLayer = (layer: string, fields: Fields, what: string) =>
 export const moveLayer = (layer: string, to: number, what: string) =>
   during({ layer, to }, run("layer.move", { layer, to }, what));
 
-/** A slider that is dragged: one command at a time, the latest value last, one step of the history. */
-export function dragged(layer: string, what: string): (fields: Fields) => Promise<void> {
+/**
+ * A slider that is dragged: one command at a time, the latest value last, one step of the history. Several layers: each gets
+ * the same.
+ */
+export function dragged(layers: string | readonly string[], what: string): (fields: Fields) => Promise<void> {
   const gesture = `${what} ${Math.random().toString(36).slice(2)}`;
   let sent = "";
   const changes = new NewestOnly<Fields>(async (fields) => {
     if (JSON.stringify(fields) === sent) return; // let go where it was
     sent = JSON.stringify(fields);
-    await setLayer(layer, { ...fields, gesture }, what);
+    for (const layer of typeof layers === "string" ? [layers] : layers)
+      await setLayer(layer, { ...fields, gesture }, what);
   });
   return (fields) => changes.add(fields);
 }

@@ -8,9 +8,11 @@ import {
   changeLights,
   hold,
   letGo,
+  linkedTo,
   lightLayer,
   selectedLamp,
   shownLights,
+  takeLightOut,
   toggleLight,
 } from "../lights/light-layers";
 import { learnSkies, lightsOfRig, matchPictures, rigs, skies, skyFromFile } from "../lights/light-files";
@@ -77,6 +79,7 @@ export function LightTab() {
         {layer ? (
           <p class="row">
             <b>{layer.name}</b>
+            {linkedTo(layer).length > 1 && <span class="quiet">of {linkedTo(layer).length} assets</span>}
             <Button
               icon={layer.visible ? "eye" : "hidden"}
               label={layer.visible ? "Before: hide this light" : "After: show this light"}
@@ -92,10 +95,20 @@ export function LightTab() {
             />
           </p>
         ) : (
-          <p class="quiet">
-            Choose a sky, or add a sun or a lamp: it is a layer at once
-            {selectedCount.value > 0 && `, on what is selected (${selectedCount.value.toLocaleString()} Gaussians)`}.
-          </p>
+          <>
+            <p class="row">
+              <Button
+                label="Take the light that is there out, as a layer"
+                text="Take the light out"
+                disabled={readOnly.value}
+                onClick={() => void takeLightOut()}
+              />
+            </p>
+            <p class="quiet">
+              Choose a sky, or add a sun or a lamp: it is a layer at once
+              {selectedCount.value > 0 && `, on what is selected (${selectedCount.value.toLocaleString()} Gaussians)`}.
+            </p>
+          </>
         )}
       </LightPanel>
     </div>

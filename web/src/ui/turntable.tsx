@@ -3,6 +3,7 @@
 import { signal } from "@preact/signals";
 
 import { download } from "../net/blobs";
+import { shownLayers } from "../state/pending-layers";
 import { camera, toast } from "../state/store";
 import { run } from "../editor/editor";
 import { chosenCamera, FrameSize, frameChoice } from "./frame-size";
@@ -25,6 +26,13 @@ const TURNS = [
   ["180", "Half"],
 ] as const;
 
+const WHAT = [
+  ["camera", "The camera turns"],
+  ["lights", "The lights turn"],
+  ["both", "Both turn"],
+] as const;
+
+const turns = signal<(typeof WHAT)[number][0]>("camera");
 const choice = frameChoice("1080x1080");
 const format = signal<"mp4" | "webp">("mp4");
 const seconds = signal(6);
@@ -37,7 +45,12 @@ async function make(): Promise<boolean> {
   if (!first) return false;
   const transparent = format.value === "webp" && choice.background.value === "straight";
   const fields = { format: format.value, seconds: seconds.value, fps: Number(rate.value), quality: quality.value };
-  const turn = { camera: first, degrees: Number(degrees.value), transparent };
+  const turn = {
+    camera: first,
+    degrees: Number(degrees.value),
+    turns: shownLayers.value.some((one) => one.kind === "light") ? turns.value : ("camera" as const),
+    transparent,
+  };
   const answer = await run("turntable", { ...fields, ...turn }, "Turntable");
   if (!answer) return false;
   download(answer.url, answer.file);
@@ -54,6 +67,9 @@ export function TurntableDialog({ onClose }: { onClose: () => void }) {
       <p class="row">
         <Choice label="File" value={format.value} options={FORMATS} onChange={(value) => (format.value = value)} />
         <Choice label="Turn" value={degrees.value} options={TURNS} onChange={(value) => (degrees.value = value)} />
+        {shownLayers.value.some((one) => one.kind === "light") && (
+          <Choice label="What turns" value={turns.value} options={WHAT} onChange={(value) => (turns.value = value)} />
+        )}
       </p>
       <FrameSize choice={choice} view={view} clear={clear} />
       <Slider

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from pydantic import Field
 
@@ -11,6 +13,7 @@ from splatpainter.server.commands.context import CommandContext, RawExpr, comman
 from splatpainter.server.commands.viewing import MAX_EXPORT_PIXELS, resized
 from splatpainter.server.describe import up_axis
 from splatpainter.server.protocol import CameraInfo, Command, Exported, FileName
+from splatpainter.splats import Splats
 from splatpainter.video.turntable import (
     MAX_FPS,
     MAX_FRAMES,
@@ -19,6 +22,7 @@ from splatpainter.video.turntable import (
     TurntableFormat,
     TurntableOptions,
     turn,
+    turn_angles,
     turntable_bytes,
 )
 
@@ -39,6 +43,8 @@ class Turntable(Command):
     """Frames, in place of `seconds`."""
     degrees: float = Field(default=360, ge=-3600, le=3600)
     """Counter-clockwise seen from above."""
+    turns: Literal["camera", "lights", "both"] = "camera"
+    """What turns: the camera about the asset, the lights of its light layers about it, or all but the asset."""
     transparent: bool = False
     """An alpha channel in place of the camera's background; WebP only."""
     quality: int = Field(default=88, ge=1, le=100)
@@ -56,8 +62,16 @@ def turntable(context: CommandContext, request: Turntable) -> Exported:
     )
     sized = camera if request.size is None else resized(camera, request.size)
     # The centre of the asset as it was opened, so that the turn does not depend on the edits.
-    center, splats = np.array(studio.state.asset.center), studio.session.splats
-    cameras = turn(sized, center, up_axis(studio.session), options.frames, request.degrees)
+    session, snapshot = studio.session, studio.session.snapshot
+    center = np.array(studio.state.asset.center)
+    turning = request.degrees if request.turns != "lights" else 0.0
+    cameras = turn(sized, center, up_axis(session), options.frames, turning)
+    angles, world = turn_angles(options.frames, request.degrees), center + np.array(session.original.offset)
+
+    def lit(k: int) -> Splats:
+        return session.layers.under_turned_lights(float(angles[k]), world, snapshot)
+
+    splats = snapshot.splats if request.turns == "camera" else lit
     data = turntable_bytes(splats, cameras, options, lambda k, n: context.ticket.report(k / n, f"frame {k + 1} of {n}"))
     path = studio.downloads.folder() / f"{request.name}.{request.format}"
     with writing(path) as file:

@@ -18,8 +18,10 @@ import numpy as np
 
 from splatpainter.holes.body import body_of
 from splatpainter.io import files
+from splatpainter.operations.light import Relight
 from splatpainter.operations.operation import Operation
 from splatpainter.painter import Edit
+from splatpainter.scene.placement import Placement
 from splatpainter.session.commands.scene_edits import add_to_scene, relief_on_asset
 from splatpainter.session.commands.session_core import SessionCore
 from splatpainter.session.commands.session_selections import SessionSelections
@@ -49,6 +51,7 @@ from splatpainter.session.kinds.operation_layers import OperationLayer
 from splatpainter.session.kinds.painted_layers import PaintedLayer, PaintLayer
 from splatpainter.session.kinds.relief_layers import ReliefLayer
 from splatpainter.session.replay import conflicts
+from splatpainter.session.replay.snapshot import Snapshot
 from splatpainter.session.selection.selection import Selection
 from splatpainter.splats import Splats
 from splatpainter.system.jsonio import brief
@@ -156,6 +159,30 @@ class SessionLayers(Sequence[Layer]):
             values = {"opacity": opacity, "blend": blend, "visible": visible}
             fields = {name: value for name, value in values.items() if value is not None}
             return core.replay.blend_preview(change_layer(document, layer, **fields), layer, document)
+
+    def under_turned_lights(self, degrees: float, center: np.ndarray, snapshot: Snapshot | None = None) -> Splats:
+        """The Gaussians with the lights of all visible layers of light turned about the vertical through a centre ([3]
+        world coordinates), counter-clockwise seen from above; nothing is stored. snapshot: None: as it is now. Raises
+        ValueError: there is no such layer."""
+        core = self._core
+        with core.lock:
+            document, count = (snapshot or core.snapshot).document, 0
+            for layer in document.layers:
+                operation = layer.operation
+                if not isinstance(operation, OperationLayer) or not isinstance(operation.operation, Relight):
+                    continue
+                placed = core.asset(layer.asset).placement if document.assets else Placement()
+                lit = operation.operation.turned(degrees, placed.point_before(center))
+                document = change_layer(document, layer.id, operation=replace(operation, operation=lit))
+                count += layer.visible
+            if not count:
+                raise ValueError("light: no layer of light is visible; add a light first, for it to turn")
+            try:
+                return core.replay.compose(document).splats
+            finally:
+                # What was computed for one picture of a film is no result of a step.
+                core.replay.forget(set(core.transaction.results))
+                core.transaction.clear()
 
     def color_preview(
         self, layer: str, *, opacity: float | None = None, **options: Any
