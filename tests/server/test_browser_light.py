@@ -89,13 +89,13 @@ def test_skies_rigs_and_hours_are_taken_from_files_and_lists(
     page.wait("the layer", lambda: page.names() == ["Light"])
     parameters = page.state()["layers"][0]["parameters"]
     assert parameters["hdri"] == "my sky.hdr" and [*parameters["held"]] == ["hdri"]
-    mine = page.tab.get_by_role("radio", name="my sky.hdr")
-    page.wait("its thumbnail", lambda: mine.get_attribute("aria-checked") == "true")
+    radio = page.tab.get_by_role("radio", name="my sky.hdr")
+    page.wait("its thumbnail", lambda: radio.get_attribute("aria-checked") == "true")
     assert page.tab.locator(".skies img").count() == 9
     lit = live.studio.session.splats.sh.copy()
     page.tab.get_by_role("radio", name="Dawn").click()
     page.wait("another sky", lambda: page.state()["layers"][0]["parameters"] == {"hdri": "dawn"})
-    mine.click()
+    radio.click()
     page.wait("the sky again", lambda: page.state()["layers"][0]["parameters"] == parameters)
     assert (live.studio.session.splats.sh == lit).all()
     # A broken one is a line, and changes nothing.
@@ -108,14 +108,14 @@ def test_skies_rigs_and_hours_are_taken_from_files_and_lists(
     page.wait("its lights", lambda: len(page.state()["layers"][0]["parameters"].get("sun", ())) == 3)
     assert page.state()["layers"][0]["parameters"]["fill"] == 0.12
     page.wait("balls", lambda: page.tab.locator(".sun-ball").count() == 3)
-    place = page.tab.locator(".sun-at").first
-    place.locator("summary").click()
-    place.locator("input[type=datetime-local]").fill("2026-06-21T12:00")
+    by_hour = page.tab.locator(".sun-at").first
+    by_hour.locator("summary").click()
+    by_hour.locator("input[type=datetime-local]").fill("2026-06-21T12:00")
     for label, value in (("UTC +", "0"), ("Latitude", "51.5"), ("Longitude", "0")):
-        field = place.get_by_role("textbox", name=label)
+        field = by_hour.get_by_role("textbox", name=label)
         field.fill(value)
         field.press("Enter")
-    place.get_by_role("button").click()
+    by_hour.get_by_role("button").click()
     first = lambda: page.state()["layers"][0]["parameters"]["sun"][0].split(",")  # noqa: E731
     page.wait("midsummer", lambda: abs(float(first()[1]) - 61.9) < 0.2)
     assert abs(float(first()[0])) < 2
@@ -170,8 +170,8 @@ def test_lamps_are_dragged_in_the_view(opened: tuple[studio_scenes.Live, Page]) 
     stage = page.tab.locator("#stage").bounding_box()
     sphere = page.tab.locator(".lamp-handles").get_by_role("button", name="Sphere 2: drag it")
     box = sphere.bounding_box()
-    shown = at(before)[:2] * shrink + (stage["x"], stage["y"])
-    assert np.allclose(shown, (box["x"] + box["width"] / 2, box["y"] + box["height"] / 2), atol=1.5), (
+    expected = at(before)[:2] * shrink + (stage["x"], stage["y"])
+    assert np.allclose(expected, (box["x"] + box["width"] / 2, box["y"] + box["height"] / 2), atol=1.5), (
         "it is where it is"
     )
     drag(sphere, 60, 45)

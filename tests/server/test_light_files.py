@@ -44,12 +44,12 @@ def refusal(studio: Live, command: str, /, **fields: object) -> str:
 
 def test_a_sky_from_a_file_goes_into_the_project(studio: Live, tmp_path: Path) -> None:
     answer = studio.post("light.sky", file=studio.send(hdr(tmp_path), "my dawn.hdr"))
-    found = answer["sky"]
-    assert found["name"] == "my dawn.hdr" and answer["note"] == ""
-    picture = Image.open(io.BytesIO(studio.http.get(f"/api/blobs/{found['picture']}").content))
+    answer_sky = answer["sky"]
+    assert answer_sky["name"] == "my dawn.hdr" and answer["note"] == ""
+    picture = Image.open(io.BytesIO(studio.http.get(f"/api/blobs/{answer_sky['picture']}").content))
     assert picture.size == (128, 64)
-    held = {"hdri": found["held"]}
-    made = studio.post("layer.add", operation={"kind": "light", "hdri": found["name"]}, held=held)["layer"]
+    held = {"hdri": answer_sky["held"]}
+    made = studio.post("layer.add", operation={"kind": "light", "hdri": answer_sky["name"]}, held=held)["layer"]
     assert made["parameters"] == {"hdri": "my dawn.hdr", "held": held} and made["problem"] == ""
     direct = sp.Relight(hdri=str(tmp_path / "dawn.hdr")).apply(Asset(ball())).splats
     assert np.abs(studio.studio.session.splats.sh - direct.sh).max() < 5e-3
@@ -131,15 +131,15 @@ def test_the_light_of_a_picture_is_found_and_is_a_layer(studio: Live) -> None:
     camera = view(128)
     look = to_display(render(truth, camera).colors[0], "srgb")
     sent = studio.send(png_bytes(look, camera), "relit.png")
-    found = studio.post("light.match", pictures=[sent], camera=view(64, 90).record() | {"background": [0, 0, 0]})
+    answer_sky = studio.post("light.match", pictures=[sent], camera=view(64, 90).record() | {"background": [0, 0, 0]})
     operation = {
         "kind": "light",
-        "hdri": found["sky"]["name"],
-        "exposure": found["exposure"],
+        "hdri": answer_sky["sky"]["name"],
+        "exposure": answer_sky["exposure"],
         "source_light": "before.png",
         "up": studio.studio.session.scene.up,
     }
-    held = {"hdri": found["sky"]["held"], "source_light": found["source"]}
+    held = {"hdri": answer_sky["sky"]["held"], "source_light": answer_sky["source"]}
     studio.post("layer.add", operation=operation, held=held)
 
     def error(splats: sp.Splats) -> float:

@@ -82,11 +82,11 @@ def test_one_light_over_all_assets_is_dragged_and_set_as_one(studio: Live, tmp_p
     with studio.greeted() as browser:
         dragged = [{"layer": layer, "parameters": {"exposure": 1.0}} for layer in layers]
         assert browser.do("layer.preview", layers=dragged)["gaussians"] == len(session.splats)
-        shown = browser.mirror.columns["sh"][:, 0].copy()
+        colors = browser.mirror.columns["sh"][:, 0].copy()
         for layer in layers:
             browser.do("layer.set", layer=layer, parameters={"exposure": 1.0}, gesture="one")
         assert browser.mirror.agrees(session.splats)
-        assert np.abs(shown - session.splats.sh[:, 0]).max() < 4e-3 and len(session.history) == steps + 1
+        assert np.abs(colors - session.splats.sh[:, 0]).max() < 4e-3 and len(session.history) == steps + 1
         browser.do("undo")
         assert all("exposure" not in layer.operation.record() for layer in session.layers)
 

@@ -30,11 +30,11 @@ def large(name: str, rows: int = 300) -> SkyMap:
 
 
 def test_what_is_held_lights_as_the_file_does() -> None:
-    whole = large("sunset")
-    data = sky_to_png(whole)
+    original = large("sunset")
+    data = sky_to_png(original)
     held = sky_of_png(data, "sunset.hdr")
     assert held.radiance.shape == (128, 256, 3) and len(data) < 200_000
-    assert np.abs(held.coefficients() - whole.coefficients()).max() < 2e-3
+    assert np.abs(held.coefficients() - original.coefficients()).max() < 2e-3
     small = sky_of_png(sky_to_png(sky("noon")), "noon.hdr")
     assert small.radiance.shape == (64, 128, 3)
     assert np.abs(small.coefficients() - sky("noon").coefficients()).max() < 1e-3

@@ -24,7 +24,7 @@ def session(tmp_path: Path) -> Session:
     return Session(ball(), tmp_path / "p.splatproj")
 
 
-def shown(session: Session, layer: str, **change: Any) -> np.ndarray:
+def dragged_colors(session: Session, layer: str, **change: Any) -> np.ndarray:
     """[N, 3] base colours during a drag, as its preview changes what is shown; nothing else may come of it."""
     before, steps = session.splats, len(session.history)
     preview = session.layers.color_preview(layer, **change)
@@ -39,7 +39,7 @@ def shown(session: Session, layer: str, **change: Any) -> np.ndarray:
 
 def off(session: Session, layer: str, **change: Any) -> float:
     """The largest difference of a base colour between a preview and what it then comes to."""
-    colors, before = shown(session, layer, **change), base_color(session.splats.sh)
+    colors, before = dragged_colors(session, layer, **change), base_color(session.splats.sh)
     session.layers.set(layer, **change)
     after = base_color(session.splats.sh)
     assert np.abs(after - before).max() > 0.02, "it is a change that can be seen"
@@ -80,7 +80,7 @@ def test_it_keeps_to_masks_selections_and_blends(session: Session) -> None:
     layer = session.layers.add("light", hdri="noon", blend="luminosity").id
     session.masks.set_selection(layer, weights)
     assert off(session, layer, sun=("30,50",), opacity=0.8) < 1e-5
-    colors, below = shown(session, layer, exposure=2.0), base_color(session.layers.below(layer).sh)
+    colors, below = dragged_colors(session, layer, exposure=2.0), base_color(session.layers.below(layer).sh)
     assert np.abs(colors - below)[weights == 0].max() == 0
 
 
@@ -120,7 +120,7 @@ def test_a_project_holds_nothing_of_a_drag(session: Session, tmp_path: Path) -> 
     layer = session.layers.add("light", hdri="noon").id
     stored = session.splats.sh.copy()
     for exposure in (0.5, 1.0, 1.5):
-        shown(session, layer, exposure=exposure)
+        dragged_colors(session, layer, exposure=exposure)
     # As after a kill: another process finds what was let go last.
     session._core.project.close()
     with Session(tmp_path / "p.splatproj") as again:

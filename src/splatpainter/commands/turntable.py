@@ -117,10 +117,10 @@ def run(config: Config) -> Outcome:
     # Turned about the centre of nearly all of it: strays would make it wobble.
     center, up = bounding_sphere(splats)[0], UPS[AUTO_UP if config.up == "auto" else config.up]
     cameras = turn(first, center, up, options.frames, config.degrees if config.turns != "lights" else 0.0)
-    shown = splats if light is None else _lit(splats, light, config, turn_angles(options.frames, config.degrees))
+    asset = splats if light is None else _lit(splats, light, config, turn_angles(options.frames, config.degrees))
     # Rendered and encoded in one go, so the bar follows frame by frame.
     with _bar(options.frames) as on_frame:
-        data = turntable_bytes(shown, cameras, options, on_frame)
+        data = turntable_bytes(asset, cameras, options, on_frame)
     with files.writing(config.out) as file:
         file.write(data)
     width, height = first.width, first.height

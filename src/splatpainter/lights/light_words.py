@@ -42,9 +42,9 @@ def parse_sky(text: str, full_range: bool = False) -> SkyMap:
 
 def parse_sun(text: str, size: float, white: Rgb = WHITE) -> Sun:
     """white: linear colour where the words have none. Raises ValueError."""
-    words, _, own = text.rpartition(",") if text.count(",") == SUN_COMMAS else (text, "", "")
+    words, _, last = text.rpartition(",") if text.count(",") == SUN_COMMAS else (text, "", "")
     # A sun of a rig has a size of its own, the last of its words.
-    sizes = _numbers([own]) if own else [size]
+    sizes = _numbers([last]) if last else [size]
     if sizes is None:
         raise _wrong("sun", SUN_FORM, text)
     numbers, color, intensity = _split("sun", SUN_FORM, words, white)
@@ -91,8 +91,8 @@ def sun_words(sun: Sun) -> str:
 
 def lamp_words(lamp: Lamp) -> str:
     """What `parse_lamp` reads."""
-    places = [*lamp.position, *(lamp.target or ())]
-    return ",".join([*(f"{value:.12g}" for value in places), *map(_short, lamp.sizes), *_color_words(lamp)])
+    positions = [*lamp.position, *(lamp.target or ())]
+    return ",".join([*(f"{value:.12g}" for value in positions), *map(_short, lamp.sizes), *_color_words(lamp)])
 
 
 def _color_words(light: Sun | Lamp) -> list[str]:

@@ -71,12 +71,12 @@ class _Middle(Lamp):
 
 def quick_sun(surface: LitSurface, sun: Sun, axes: np.ndarray) -> Sun:
     """A sun as it can be shown at once: with a sharp shadow, unless its soft one is at hand."""
-    return sun if _is_known(surface, _sun_key(sun, axes)) else replace(sun, size=0.0)
+    return sun if _is_at_hand(surface, _sun_key(sun, axes)) else replace(sun, size=0.0)
 
 
 def quick_lamp(surface: LitSurface, lamp: Lamp, offset: tuple[float, float, float]) -> Lamp:
     """A lamp as it can be shown at once: with a sharp shadow, unless its soft one is at hand."""
-    if lamp.radius == 0 or _is_known(surface, _lamp_key(lamp, offset)):
+    if lamp.radius == 0 or _is_at_hand(surface, _lamp_key(lamp, offset)):
         return lamp
     return _Middle(lamp.kind, lamp.position, lamp.color, lamp.intensity, lamp.target, lamp.sizes)
 
@@ -89,16 +89,16 @@ def _lamp_key(lamp: Lamp, offset: tuple[float, float, float]) -> tuple[Any, ...]
     return (type(lamp), lamp.kind, lamp.position, lamp.target, lamp.sizes, offset)
 
 
-def _is_known(surface: LitSurface, key: tuple[Any, ...]) -> bool:
-    found = _RECEIVED.find((id(surface), key))
-    return found is not None and found[0] is surface
+def _is_at_hand(surface: LitSurface, key: tuple[Any, ...]) -> bool:
+    item = _RECEIVED.find((id(surface), key))
+    return item is not None and item[0] is surface
 
 
 def _received(surface: LitSurface, key: tuple[Any, ...], make: Callable[[], np.ndarray]) -> np.ndarray:
     # Light is linear, so colours and levels need nothing anew. The surface is held with it: another one could get its
     # id.
     with _LOCK:
-        if _is_known(surface, key):
+        if _is_at_hand(surface, key):
             return _RECEIVED.find((id(surface), key))[1]
         received = make()
         received.flags.writeable = False

@@ -233,23 +233,23 @@ class Relight(LightBefore):
         return lights
 
     def packed(self) -> tuple[Operation, dict[str, bytes]]:
-        kept, held = super().packed()
-        assert isinstance(kept, Relight)
+        packed, held = super().packed()
+        assert isinstance(packed, Relight)
         # A rig becomes the lights that are in it: they can be changed one by one, and need no file.
         sky, name = None, Path(self.hdri).name
         if self.rig and self.rig not in RIGS:
             rig, _ = read_rig(self.rig, self.up, self.full_range)
-            kept, sky = replace(kept, rig="", **rig_options(kept, rig)), rig.sky
+            packed, sky = replace(packed, rig="", **rig_options(packed, rig)), rig.sky
             name = name or (sky.name if sky is not None else "")
         if self.match_asset is not None:
             captured = captured_light(read(self.match_asset), self.shadows)
             name = self.match_asset.name
-            kept, sky = replace(kept, match_asset=None), sky_of(captured.coefficients, self.up, name)
+            packed, sky = replace(packed, match_asset=None), sky_of(captured.coefficients, self.up, name)
         if self.hdri:
             sky = parse_sky(self.hdri, self.full_range)
         if sky is None or name in SKIES:
-            return replace(kept, hdri=name), held
-        return replace(kept, hdri=name), {**held, "hdri": sky_to_png(sky)}
+            return replace(packed, hdri=name), held
+        return replace(packed, hdri=name), {**held, "hdri": sky_to_png(sky)}
 
     def turned(self, degrees: float, center: np.ndarray) -> Relight:
         """With its lights turned about the vertical through a centre ([3], world coordinates), counter-clockwise seen

@@ -171,7 +171,7 @@ def preview_layers(context: CommandContext, request: LayerPreview) -> LayersPrev
     # A new preview replaces the one before, also where it shows nothing.
     context.clear_preview = True
     context.page.dragged_layers = {one.layer for one in request.layers}
-    snapshot, shown = session.snapshot, []
+    snapshot, previews = session.snapshot, []
     for one in request.layers:
         operation = session.layers.by_id(one.layer).operation
         options = _options(operation, one.parameters, session.original.color_space)
@@ -183,14 +183,14 @@ def preview_layers(context: CommandContext, request: LayerPreview) -> LayersPrev
         if preview is None:
             context.page.dragged_layers = set()
             return LayersPreviewed(gaussians=0, possible=False)
-        shown.append(preview)
-    if not shown:
+        previews.append(preview)
+    if not previews:
         return LayersPreviewed(gaussians=0, possible=True)
-    ids, sh = shown[0][0], shown[0][1].sh
-    if len(shown) > 1:
+    ids, sh = previews[0][0], previews[0][1].sh
+    if len(previews) > 1:
         # Layers of several assets, which have Gaussians of their own; where they share some the last one has them.
-        ids, first = np.unique(np.concatenate([ids for ids, _ in reversed(shown)]), return_index=True)
-        sh = np.concatenate([splats.sh for _, splats in reversed(shown)])[first]
+        ids, first = np.unique(np.concatenate([ids for ids, _ in reversed(previews)]), return_index=True)
+        sh = np.concatenate([splats.sh for _, splats in reversed(previews)])[first]
     context.preview = frames.preview_colors(sh, ids, len(snapshot.splats), snapshot.version)
     context.previewed_ids = ids
     return LayersPreviewed(gaussians=len(ids), possible=True)

@@ -139,7 +139,7 @@ def open_rig(context: CommandContext, request: RigOpen) -> RigRead:
     return RigRead(operation=LightOptions(kind="light", hdri=named, **{**fields, "up": up}), notes=notes)
 
 
-class SunFound(Answer):
+class SunPosition(Answer):
     azimuth: float
     """Degrees, as suns of a light have it."""
     elevation: float
@@ -149,7 +149,7 @@ class SunAt(Command):
     """Where the sun stands at a time and a place."""
 
     NAME = "light.sun_at"
-    ANSWER = SunFound
+    ANSWER = SunPosition
     time: str = Field(max_length=40)
     """2026-06-21T15:00+02:00, with its zone."""
     latitude: float = Field(ge=-90, le=90)
@@ -161,7 +161,7 @@ class SunAt(Command):
 
 
 @command(SunAt)
-def find_sun(context: CommandContext, request: SunAt) -> SunFound:
+def find_sun(context: CommandContext, request: SunAt) -> SunPosition:
     try:
         when = datetime.fromisoformat(request.time)
     except ValueError:
@@ -170,7 +170,7 @@ def find_sun(context: CommandContext, request: SunAt) -> SunFound:
         sun = sun_at(when, request.latitude, request.longitude, request.north)
     except ValueError as error:
         raise ValueError(f"sun: {error}; choose another time or place") from None
-    return SunFound(azimuth=(sun.azimuth + 180) % 360 - 180, elevation=sun.elevation)
+    return SunPosition(azimuth=(sun.azimuth + 180) % 360 - 180, elevation=sun.elevation)
 
 
 class LightMatched(Answer):
@@ -201,8 +201,8 @@ def match_pictures(context: CommandContext, request: LightMatch) -> LightMatched
         camera = request.camera
         # What `render` and exports write says its camera; programs that drop it give a picture of the view.
         with contextlib.suppress(ValueError):
-            found = find_camera(context.studio.blobs.get(picture, "picture").path)
-            camera = CameraInfo.of(found.relative_to(splats.offset))
+            carried = find_camera(context.studio.blobs.get(picture, "picture").path)
+            camera = CameraInfo.of(carried.relative_to(splats.offset))
         edits.append(edit_from_upload(context, EditedView(picture=picture, camera=camera), "global"))
     matched = match_light(splats, edits)
     # Environments are of one level each; how much brighter the new one is becomes the exposure.

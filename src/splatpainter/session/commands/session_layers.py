@@ -460,8 +460,8 @@ class SessionLayers(Sequence[Layer]):
 
 def held_by_project(operation: Operation) -> tuple[OperationLayer, list[bytes]]:
     """(an operation as a layer, PNG bytes that it names by their hash): of its files what a project holds of them."""
-    kept, held = operation.packed()
-    return OperationLayer(kept, held={name: files.sha256(data) for name, data in held.items()}), [*held.values()]
+    packed, held = operation.packed()
+    return OperationLayer(packed, held={name: files.sha256(data) for name, data in held.items()}), [*held.values()]
 
 
 def operation_from(what: str | LayerOperation | Operation, options: Mapping[str, Any]) -> LayerOperation:

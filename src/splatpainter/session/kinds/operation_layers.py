@@ -62,8 +62,8 @@ class OperationLayer(LayerOperation):
             raise ValueError(f"expected {expected}, got {paths}")
 
     def record(self) -> dict[str, Any]:
-        own = {"selection": self.selection, "held": dict(self.held)}
-        return self.operation.record() | {name: value for name, value in own.items() if value}
+        blobs = {"selection": self.selection, "held": dict(self.held)}
+        return self.operation.record() | {name: value for name, value in blobs.items() if value}
 
     def blobs(self) -> set[str]:
         return super().blobs() | set(self.held.values())
