@@ -26,8 +26,8 @@ FORMS: dict[LampKind, tuple[str, int, int]] = {
 """Kind -> its numbers, how many of them are where it looks to, and how many are sizes."""
 SUN_FORM = "AZIMUTH,ELEVATION"
 SUN_AT_FORM = "TIME,LATITUDE,LONGITUDE"
-SUN_COMMAS = 4
-"""Of a sun with a colour, an intensity and a size (angular diameter, degrees)."""
+SIZED_SUN = f"{SUN_FORM},#RRGGBB,INTENSITY,SIZE"
+"""A sun of a rig: its angular diameter, degrees, is its own."""
 WHITE: Rgb = (1.0, 1.0, 1.0)
 
 
@@ -42,7 +42,7 @@ def parse_sky(text: str, full_range: bool = False) -> SkyMap:
 
 def parse_sun(text: str, size: float, white: Rgb = WHITE) -> Sun:
     """white: linear colour where the words have none. Raises ValueError."""
-    words, _, last = text.rpartition(",") if text.count(",") == SUN_COMMAS else (text, "", "")
+    words, _, last = text.rpartition(",") if text.count(",") == SIZED_SUN.count(",") else (text, "", "")
     # A sun of a rig has a size of its own, the last of its words.
     sizes = _numbers([last]) if last else [size]
     if sizes is None:

@@ -24,14 +24,13 @@ SURFACES = 3
 """Of the assets used last; one of a million Gaussians takes 200 MB."""
 SOURCES = 16
 """Estimated lights; small."""
-RECEIVED_BYTES = 1 << 27
-"""Of what single suns and lamps give to each Gaussian: 16 of them on a million."""
 MAX_CLOSED = 0.35
 """Share of a Gaussian's sky that may be hidden, for it to be a witness of the light: what comes back from what hides it
 is not known well."""
 _SURFACES = Recent[LitSurface](SURFACES)
 _SOURCES = Recent[SourceLight](SOURCES)
-_RECEIVED = Recent[tuple[LitSurface, np.ndarray]](RECEIVED_BYTES, lambda item: item[1].nbytes)
+_RECEIVED = Recent[tuple[LitSurface, np.ndarray]](128 << 20, lambda item: item[1].nbytes)
+"""What single suns and lamps give to each Gaussian: 128 MiB, 16 of them on a million."""
 _LOCK = RLock()
 
 

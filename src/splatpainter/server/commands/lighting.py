@@ -18,7 +18,7 @@ from splatpainter.image_files import find_camera
 from splatpainter.lights.held_skies import sky_of_png, sky_to_png
 from splatpainter.lights.match import match_light, sky_of
 from splatpainter.lights.rig_files import read_rig
-from splatpainter.lights.skies import SKIES, sky
+from splatpainter.lights.skies import HEIGHT, SKIES, sky
 from splatpainter.lights.sky_maps import SkyMap, read_sky
 from splatpainter.lights.solar import sun_at
 from splatpainter.lights.studio_rigs import RIGS
@@ -32,7 +32,6 @@ from splatpainter.session.kinds.operation_layers import OperationLayer
 
 THUMBNAIL_MEAN = 0.25
 """Mean of a thumbnail, linear: as light they all have the same mean, too."""
-THUMBNAIL_ROWS = 64
 SKY = "hdri"
 """The option of a light that names its environment."""
 
@@ -227,7 +226,7 @@ def _sky_info(context: CommandContext, environment: SkyMap, held: str | None = N
     held = held or blobs.put(sky_to_png(environment), "sky.png").sha256
     # Of what is held: it is small already, and the same picture for the same sky.
     radiance = sky_of_png(context.studio.picture_bytes(held)[0], environment.name).radiance
-    step = max(1, radiance.shape[0] // THUMBNAIL_ROWS)
+    step = max(1, radiance.shape[0] // HEIGHT)
     picture = blobs.put(_picture(radiance[::step, ::step]), "thumbnail.png").sha256
     return SkyInfo(name=environment.name, picture=picture, held=held)
 
