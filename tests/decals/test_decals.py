@@ -275,8 +275,16 @@ OBLIQUE = sp.look_at((2.6, 1.3, 1.6), (0, -0.1, 0), width=256, height=256, fov=3
 
 @pytest.mark.parametrize(
     ("camera", "at", "width"),
-    [(HERO, (130, 120), 0.45), (HERO, (190, 165), 0.22), (HERO, (115, 200), 0.4), (HERO, (128, 219), 0.4)],
-    ids=["pot", "lemon", "board", "rim of the board"],
+    [
+        (HERO, (130, 120), 0.45),
+        (HERO, (190, 165), 0.22),
+        (HERO, (115, 200), 0.4),
+        (HERO, (128, 219), 0.4),
+        (HERO, (130, 160), 0.4),
+        (HERO, (187, 127), 0.35),
+        (HERO, (187, 188), 0.35),
+    ],
+    ids=["pot", "lemon", "board", "rim of the board", "foot of the pot", "spout and pot", "lemon on board"],
 )
 def test_it_lies_where_its_preview_shows_it_on_the_demo_asset(camera: sp.Camera, at, width: float) -> None:
     """And nowhere else: paint over an outline used to land on what stands far behind it."""

@@ -100,7 +100,8 @@ def decal_placement(
     up = picture_up(camera, around, angle, level)
     up -= (up @ normal) * normal
     up /= np.linalg.norm(up)
-    patch = survey(asset, surface, (point, normal), up, size, spacing, math.radians(wrap))
+    seen_from = (camera.position - point) / np.linalg.norm(camera.position - point)
+    patch = survey(asset, surface, (point, normal), up, size, spacing, math.radians(wrap), seen_from)
     return DecalPlacement(point, normal, up, size, spacing, patch)
 
 

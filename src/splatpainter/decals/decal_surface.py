@@ -37,6 +37,8 @@ class DecalSurfaceThresholds:
     """How often a camera comes nearer where something else stands in between, at most."""
     approach: float = 0.6
     """Factor of its distance each time."""
+    lean_steps: int = 4
+    """Steps in which a camera whose sight stays blocked leans towards where its target is known to be seen from."""
 
 
 DECAL_SURFACE = DecalSurfaceThresholds()
@@ -177,25 +179,47 @@ def facing_camera(
     pixel: float,
     *,
     nearer: bool = True,
+    seen_from: np.ndarray | None = None,
 ) -> Camera:
     """A square camera that looks at `target` ([3]) from `direction` ([3] unit, from there to the camera), with room for
     a ball of `radius` (world units) around it at `pixel` world units per pixel. It stands nearer where something is in
-    between, and where that does not help, or it must not (`nearer`), at the first distance outside the asset."""
-    # As far as is good for parallel rays, nearer if a wall or another part stands in between.
-    distance, outside = DECAL_SURFACE.sizes_away * 2 * radius, 0.0
-    for _ in range(DECAL_SURFACE.max_approaches):
-        if not inside(asset.grid, asset.grid.occupancy, target + distance * direction):
-            if not nearer or _clear(asset, target, direction, distance, radius):
-                break
-            outside = outside or distance
-        distance *= DECAL_SURFACE.approach
-    else:
-        distance = outside or distance
+    between; where that does not help, it leans towards `seen_from` ([3] unit: a direction from which the target is
+    seen), and where that does not either, or it must not come nearer (`nearer`), it stands at the first distance
+    outside the asset."""
+    distance, clear = _standing(asset, target, direction, radius, nearer=nearer)
+    if seen_from is None or not nearer:
+        seen_from, clear = direction, True  # nowhere to lean to
+    # In a crease the surface may face what stands before it, and a camera beyond that shows another body.
+    for step in range(1, 1 if clear else DECAL_SURFACE.lean_steps + 1):
+        share = step / DECAL_SURFACE.lean_steps
+        leaning = (1 - share) * direction + share * seen_from
+        length = float(np.linalg.norm(leaning))
+        if length < 1e-6:
+            continue
+        away, clear = _standing(asset, target, leaning / length, radius)
+        if clear:
+            distance, direction = away, leaning / length
+            break
     half = min(radius / max(distance**2 - radius**2, (0.5 * distance) ** 2) ** 0.5, 1.5)
     size = max(int(np.ceil(2 * half * distance / pixel)), 8)
     camera = look_at(target + distance * direction, target, up, width=size, height=size)
     focal = distance / pixel
     return Camera(size, size, focal, focal, size / 2, size / 2, camera.world_to_camera, offset=None)
+
+
+def _standing(
+    asset: Asset, target: np.ndarray, direction: np.ndarray, radius: float, *, nearer: bool = True
+) -> tuple[float, bool]:
+    """(how far from a target along a direction a camera stands best, whether its sight from there is clear)."""
+    # As far as is good for parallel rays, nearer if a wall or another part stands in between.
+    distance, outside = DECAL_SURFACE.sizes_away * 2 * radius, 0.0
+    for _ in range(DECAL_SURFACE.max_approaches):
+        if not inside(asset.grid, asset.grid.occupancy, target + distance * direction):
+            if not nearer or _clear(asset, target, direction, distance, radius):
+                return distance, True
+            outside = outside or distance
+        distance *= DECAL_SURFACE.approach
+    return outside or distance, False
 
 
 def _clear(asset: Asset, target: np.ndarray, direction: np.ndarray, distance: float, radius: float) -> bool:

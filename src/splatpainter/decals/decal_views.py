@@ -13,10 +13,12 @@ from splatpainter.cameras import Camera
 from splatpainter.decals.decal_fusion import fused_surface
 from splatpainter.decals.decal_surface import DECAL_SURFACE, SurfacePixels, depth_pixels, facing_camera, surface_pixels
 from splatpainter.lift.masks import dilated
+from splatpainter.lift.nearest import nearest_pixels
 from splatpainter.lift.sheets.near_surface import NearSurface
 from splatpainter.lift.sheets.resurface import clear_pixels
 from splatpainter.painter import Asset
-from splatpainter.rendering.cpu.projected_view import project, tiles_of_mask
+from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
+from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.unwrap import Unwrapped, smoothed, thinned, unwrap
 from splatpainter.voxels.raycast import inside
@@ -61,6 +63,16 @@ class DecalViewThresholds:
     """Alpha of a pixel from which a decal is continued over an outline, so that the Gaussians there are painted."""
     fill_px: int = 3
     """Pixels by which a decal is continued over an outline."""
+    max_front: float = 0.05
+    """Share of a pixel's light from what stands before the surface, up to which a view paints it."""
+    min_speck_share: float = 0.2
+    """Share of the pixels around one that show a near place of the decal, below which a view does not paint it."""
+    speck_reach_px: float = 12.0
+    """How near, pixels that face the decal."""
+    min_distance: float = 0.5
+    """Depth of a pixel, in distances of the camera from what it faces, from which it is painted."""
+    front_px: int = 2
+    """Pixels around one of more than that which it does not paint either: paint spreads by as much."""
     rim_slope: float = 4.0
     """Slope, depth over width, by which the surface may fall away there."""
     max_surveys: int = 10
@@ -80,6 +92,13 @@ class DecalViewThresholds:
     edge asks along a line."""
     frontal_cosine: float = np.cos(np.radians(42.0))
     """Cosine between normal and line of sight from which a view counts as frontal."""
+    min_resumed: float = 0.25
+    """Share of the samples for which a camera was placed that it must see, or it stands on the other side of a wall."""
+    resumed_spacings: float = 3.0
+    """Difference in depth, in spacings, up to which it sees one."""
+    max_hidden: float = 0.02
+    """Share of the painted samples that no view that faces some shows, from which they are painted from where they were
+    found."""
     side_turn: float = np.radians(38.0)
     """Angle to both sides of a view that paints fog: more cameras that paint the same part."""
     min_clear: float = 0.25
@@ -118,6 +137,8 @@ class UnwrappedPatch:
     """[S] bool ... and under the decal's rectangle."""
     smoothing: float
     """Radius within which the samples were smoothed, world units; 0: not."""
+    lines: np.ndarray = field(repr=False)
+    """[S, 3] unit directions from which they were seen."""
 
 
 def survey(
@@ -128,44 +149,59 @@ def survey(
     size: tuple[float, float],
     spacing: float,
     max_turn: float,
+    seen_from: np.ndarray,
 ) -> UnwrappedPatch:
     """The surface under a decal: seen by a camera that faces its start (point, normal), then by others that face what
     those before saw at a grazing angle, or that look over a rim; rough surface is fused out of views from all around.
-    up: [3] of the decal; size: (width, height), world
-    units; max_turn: wrap limit, radians."""
+    up: [3] of the decal; size: (width, height), world units; max_turn: wrap limit, radians; seen_from: [3] unit, a
+    direction from which the start is seen."""
     # Start with the point that was clicked; every round adds what one more camera sees.
     radius = 0.5 * float(np.hypot(*size))
     smoothing = max(DECAL_VIEWS.smoothed_spacings * spacing, DECAL_VIEWS.smoothed_size * 2 * radius)
     points, normals, rough = start[0][None], start[1][None], np.zeros(1, bool)
     half = (size[0] / 2, size[1] / 2)
     directions: list[np.ndarray] = []
-    best = np.zeros(1)
+    lines = np.zeros((1, 3))
     target, direction = start
+    requesting = np.zeros(0, np.int64)
     while True:
         # From behind the start one looks past it: nearer to it is within what it is the surface of.
         nearer = bool(direction @ start[1] > 0)
+        pixel = spacing / DECAL_VIEWS.pixels_per_spacing
         camera = facing_camera(
-            asset, target, direction, up, radius * 1.08, spacing / DECAL_VIEWS.pixels_per_spacing, nearer=nearer
+            asset,
+            target,
+            direction,
+            up,
+            radius * 1.08,
+            pixel,
+            nearer=nearer,
+            seen_from=None if directions else seen_from,
         )
         view = project(asset.splats, camera)
         _, alpha, depth = view.rasterize()
         # Only what no earlier camera saw frontally is asked for: most pixels are known after two views.
-        frontal = best > DECAL_VIEWS.min_facing_cosine
+        frontal = (lines * normals).sum(1) > DECAL_VIEWS.min_facing_cosine
         requested = (alpha > DECAL_SURFACE.min_alpha) & ~_surveyed(
             camera, depth, points[frontal], normals[frontal], spacing
         )
         ys, xs = np.nonzero(requested)
         requested[ys, xs] = _near_strip(camera.unproject(depth[ys, xs], np.stack([xs, ys], 1) + 0.5), start, up, size)
         seen = surface_pixels(asset, surface, view, requested, depth)
+        # A view that shows nothing of what asked for it shows another side of a wall, or another body.
+        resumed = (
+            not directions
+            or _share_seen(camera, depth, points[requesting], normals[requesting], spacing) > DECAL_VIEWS.min_resumed
+        )
         # The first look decides: on fog one fused surface serves all views.
         if not directions and len(seen.ys) and seen.rough.mean() > DECAL_VIEWS.max_rough:
-            patch = _fused_patch(asset, surface, start, up, size, max_turn)
+            patch = _fused_patch(asset, surface, start, up, size, max_turn, seen_from)
             if patch is not None:
                 return patch
         # No point farther than the decal's half diagonal can be under it.
         near = ((seen.points - start[0]) ** 2).sum(1) < (1.06 * radius) ** 2
-        near &= ~_facing_inwards(seen, alpha.shape, 4 * spacing)
-        points, normals, best, rough = _joined((points, normals, best, rough), seen, near, camera, spacing)
+        near &= resumed & ~_facing_inwards(seen, alpha.shape, 4 * spacing)
+        points, normals, lines, rough = _joined((points, normals, lines, rough), seen, near, camera, spacing)
         # Unwrapped on smoothed samples where they scatter, as they are elsewhere.
         even, turned = points, normals
         scatters = rough.mean() > DECAL_VIEWS.max_rough
@@ -184,22 +220,25 @@ def survey(
             - np.sin(DECAL_VIEWS.lean_radians) * samples.rims / np.maximum(rim, 1e-9)[:, None],
             turned,
         )
-        asking = under & (at_rim | (best < DECAL_VIEWS.min_facing_cosine))
+        asking = under & (at_rim | ((lines * normals).sum(1) < DECAL_VIEWS.min_facing_cosine))
         asking &= (leaning @ np.stack(directions, 1)).max(1) < DECAL_VIEWS.min_camera_cosine
         asking[0] = False
         if asking.sum() <= max(DECAL_VIEWS.min_open * min(size) / spacing, 3):
             break
         if len(directions) == DECAL_VIEWS.max_surveys or len(points) > DECAL_VIEWS.max_samples:
             break
+        requesting = np.flatnonzero(asking)
         view_requests = leaning[asking]
         candidates = view_requests[:: max(len(view_requests) // 200, 1)]
         # The direction that serves most requests; then what they want in the mean.
         votes = view_requests @ candidates.T > np.cos(np.radians(35.0))
         winner = votes[:, votes.sum(0).argmax()]
+        requesting = requesting[winner]
         direction = view_requests[winner].mean(0)
         direction /= np.linalg.norm(direction)
         target = start[0]
-    return UnwrappedPatch(samples, within, under, smoothing if scatters else 0.0)
+    lines[0] = seen_from
+    return UnwrappedPatch(samples, within, under, smoothing if scatters else 0.0, lines)
 
 
 def _fused_patch(
@@ -209,6 +248,7 @@ def _fused_patch(
     up: np.ndarray,
     size: tuple[float, float],
     max_turn: float,
+    seen_from: np.ndarray,
 ) -> UnwrappedPatch | None:
     """`survey` on rough surface: one made of all views (`fused_surface`); None where there is none at the start."""
     radius = DECAL_VIEWS.fused_radius_diagonals * float(np.hypot(*size))
@@ -227,7 +267,8 @@ def _fused_patch(
     samples = unwrap(points[order], normals[order], up, voxel, half, max_turn)
     within = samples.reached & (samples.normals @ samples.normals[0] >= np.cos(min(max_turn, np.pi)) - 1e-9)
     under = within & (np.abs(samples.uv) < half).all(1)
-    return UnwrappedPatch(samples, within, under, DECAL_VIEWS.smoothed_voxels * voxel)
+    lines = np.broadcast_to(seen_from, samples.points.shape)
+    return UnwrappedPatch(samples, within, under, DECAL_VIEWS.smoothed_voxels * voxel, lines)
 
 
 def _facing_inwards(seen: SurfacePixels, shape: tuple[int, int], reach: float) -> np.ndarray:
@@ -282,22 +323,21 @@ def _joined(
     camera: Camera,
     spacing: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Samples (points [S, 3], normals [S, 3], [S] cosines towards the cameras that saw them, [S] bool rough) and those
+    """Samples (points [S, 3], normals [S, 3], [S, 3] unit lines to the cameras that saw them, [S] bool rough) and those
     that another camera sees near the decal (near: [Q] bool of `seen`), no nearer to each other than the spacing. The
     first one stays the first."""
-    points, normals, best, rough = samples
+    points, normals, lines, rough = samples
     new, facing, new_rough = seen.points[near], seen.normals[near], seen.rough[near]
     line = camera.position - new
-    cosine = (line * facing).sum(1) / np.linalg.norm(line, axis=1)
+    line /= np.linalg.norm(line, axis=1, keepdims=True)
     # Grazing points are rough: leave them to another camera.
-    good = cosine > 0.17
+    good = (line * facing).sum(1) > 0.17
     points, normals = np.concatenate([points, new[good]]), np.concatenate([normals, facing[good]])
-    best, rough = np.concatenate([best, cosine[good]]), np.concatenate([rough, new_rough[good]])
-    order = np.concatenate(
-        [[0], 1 + np.argsort(-(best[1:] > DECAL_VIEWS.min_facing_cosine).astype(int), kind="stable")]
-    )
+    lines, rough = np.concatenate([lines, line[good]]), np.concatenate([rough, new_rough[good]])
+    frontal = (lines[1:] * normals[1:]).sum(1) > DECAL_VIEWS.min_facing_cosine
+    order = np.concatenate([[0], 1 + np.argsort(-frontal.astype(int), kind="stable")])
     order = order[thinned(points[order], normals[order], spacing)]
-    return points[order], normals[order], best[order], rough[order]
+    return points[order], normals[order], lines[order], rough[order]
 
 
 def _surveyed(camera: Camera, depth: np.ndarray, points: np.ndarray, normals: np.ndarray, spacing: float) -> np.ndarray:
@@ -311,6 +351,16 @@ def _surveyed(camera: Camera, depth: np.ndarray, points: np.ndarray, normals: np
     same = np.abs(depth[y, x] - z[faces]) < 4 * spacing
     out[y[same], x[same]] = True
     return dilated(out, 1)
+
+
+def _share_seen(camera: Camera, depth: np.ndarray, points: np.ndarray, normals: np.ndarray, spacing: float) -> float:
+    """Share of some samples ([K, 3] points and normals) that a camera sees, by its rendered depth [H, W]."""
+    uv, z = camera.project(points)
+    seen = ((camera.position - points) * normals).sum(1) > 0
+    seen &= (z > 0) & (uv >= 0).all(1) & (uv[:, 0] < camera.width) & (uv[:, 1] < camera.height)
+    x, y = uv[seen].astype(int).T
+    seen[seen] = np.abs(depth[y, x] - z[seen]) < DECAL_VIEWS.resumed_spacings * spacing
+    return float(seen.mean()) if len(seen) else 0.0
 
 
 def _near_strip(
@@ -352,24 +402,36 @@ def faced_parts(
     samples = patch.samples
     views: list[PatchView] = []
     # One camera for each face, one between two faces that meet at an outward edge.
-    groups = _directions(samples.points[painted], samples.normals[painted], limit)
+    groups = _directions(np.flatnonzero(painted), samples.normals, limit)
     creases = (
         []
         if patch.smoothing
         else _creases(samples, painted, groups, max(DECAL_VIEWS.crease_px * pixel, samples.spacing))
     )
     faces = len(groups)
-    groups += [(direction, samples.points[beside]) for direction, beside in creases[: limit - faces]]
+    groups += [(direction, np.flatnonzero(beside)) for direction, beside in creases[: limit - faces]]
     for direction, members in groups:
         views.append(_view(asset, surface, patch, painted, direction, members, up, pixel))
     for view, (_, beside) in zip(views[faces:], creases, strict=False):
         view.cosines[:] = np.where(beside & (view.cosines > 0), 2, 0)  # there before all others, and nowhere else
-    # A camera inside something solid sees its inner side.
+    # A camera inside something solid sees its inner side, and one beyond another body sees little of what it is for.
     free = [not inside(asset.grid, asset.grid.occupancy, view.camera.position) for view in views]
+    sees = [
+        (v.cosines[members] > 0).mean() > DECAL_VIEWS.min_resumed for v, (_, members) in zip(views, groups, strict=True)
+    ]
+    if any(f and s for f, s in zip(free, sees, strict=True)):
+        free = [f and s for f, s in zip(free, sees, strict=True)]
     if not any(free):
         raise ValueError("decal: no camera that faces it stands free of the asset; choose another pixel")
     views = [view for view, f in zip(views, free, strict=True) if f]
     groups = [group for group, f in zip(groups, free, strict=True) if f]
+    # In a crease another body may hide what faces it from all that face it: those that found it see it.
+    hidden = painted & ~np.any([view.cosines > 0 for view in views], axis=0)
+    if hidden.sum() > DECAL_VIEWS.max_hidden * painted.sum():
+        useful = sum((view.cosines[painted] > 0).mean() >= DECAL_VIEWS.min_share for view in views)
+        for direction, members in _directions(np.flatnonzero(hidden), patch.lines, limit - useful):
+            groups.append((direction, members))
+            views.append(_view(asset, surface, patch, painted, direction, members, up, pixel))
     # Every sample belongs to the view that sees it most frontally.
     cosines = np.stack([view.cosines for view in views])
     keep = np.ones(len(views), bool)
@@ -459,11 +521,12 @@ def _view(
     up: np.ndarray,
     pixel: float,
 ) -> PatchView:
-    """The patch from a direction, in a picture with room for some of its points ([M, 3])."""
+    """The patch from a direction, in a picture with room for some of its samples (members: [M] int64)."""
+    points = patch.samples.points[members]
     # Quantiles: a few far samples must not move the camera.
-    middle = (np.quantile(members, 0.02, 0) + np.quantile(members, 0.98, 0)) / 2
-    target = members[np.linalg.norm(members - middle, axis=1).argmin()]
-    radius = float(np.quantile(np.linalg.norm(members - target, axis=1), 0.995)) + DECAL_VIEWS.margin_px * pixel
+    middle = (np.quantile(points, 0.02, 0) + np.quantile(points, 0.98, 0)) / 2
+    target = points[np.linalg.norm(points - middle, axis=1).argmin()]
+    radius = float(np.quantile(np.linalg.norm(points - target, axis=1), 0.995)) + DECAL_VIEWS.margin_px * pixel
     camera = facing_camera(asset, target, direction, up, radius, pixel)
     return mapped_view(asset, surface, patch, painted, camera, pixel)
 
@@ -480,6 +543,7 @@ def mapped_view(
     as the camera shows the samples, which need not face it."""
     samples = patch.samples
     uv, z = camera.project(samples.points[painted])
+    painting = pixel is not None
     # Only the surroundings of projected samples are rendered.
     region = np.zeros((camera.height, camera.width), bool)
     inside_picture = (z > 0) & (uv >= 0).all(1) & (uv[:, 0] < camera.width) & (uv[:, 1] < camera.height)
@@ -510,6 +574,17 @@ def mapped_view(
         clear, _ = clear_pixels(asset.splats, view, NearSurface.of(seen.visible, drawn), drawn)
     # The place of every pixel on the decal.
     coordinates, nearest = samples.at(points, normals)
+    if painting and (nearest >= 0).any():
+        # A speck is where another body, and what is behind it, have the depth of the surface in their mean.
+        speck = _specks(seen, coordinates, region.shape, DECAL_VIEWS.speck_reach_px * pixel)
+        # What is much nearer than what the camera faces is a blur of a few Gaussians.
+        speck |= depth[seen.ys, seen.xs] < DECAL_VIEWS.min_distance * camera.fx * pixel
+        coordinates[speck], nearest[speck] = np.nan, -1
+        # What stands before the surface shows in the same pixels at its rim: their paint would land on it.
+        front = _front_share(asset.splats, view, seen, nearest >= 0, depth, pixel, samples.spacing)
+        beside = dilated(front > DECAL_VIEWS.max_front, DECAL_VIEWS.front_px)[seen.ys, seen.xs]
+        coordinates[beside], nearest[beside] = np.nan, -1
+        region[seen.ys[beside | speck], seen.xs[beside | speck]] = False
     uv = np.full((*region.shape, 2), np.nan)
     index = np.full(region.shape, -1, np.int64)
     uv[seen.ys, seen.xs], index[seen.ys, seen.xs] = coordinates, nearest
@@ -529,6 +604,51 @@ def mapped_view(
     # A sample that is seen at all belongs to someone, however grazing.
     cosine = np.where(visible, np.maximum(cosine, 1e-3), 0)
     return PatchView(camera, before, alpha, ys, xs, uv[ys, xs], index[ys, xs], cosine, clear)
+
+
+def _specks(seen: SurfacePixels, uv: np.ndarray, shape: tuple[int, int], reach: float) -> np.ndarray:
+    """[Q] bool mapped pixels of a picture [H, W] with few others around them whose (u, v) is near. uv: [Q, 2], NaN
+    where a pixel is not mapped; reach: world units."""
+    speck = np.isfinite(uv[:, 0])
+    on_decal = np.concatenate([uv[speck], np.zeros((int(speck.sum()), 1))], 1)
+    margin = DECAL_SURFACE.max_fit_px
+    share = _share_near(
+        on_decal,
+        seen.ys[speck] + margin,
+        seen.xs[speck] + margin,
+        (shape[0] + 2 * margin, shape[1] + 2 * margin),
+        reach,
+    )
+    speck[speck] = share < DECAL_VIEWS.min_speck_share
+    return speck
+
+
+def _front_share(
+    splats: Splats,
+    view: ProjectedView,
+    seen: SurfacePixels,
+    mapped: np.ndarray,
+    depth: np.ndarray,
+    pixel: float,
+    spacing: float,
+) -> np.ndarray:
+    """[H, W] share of each pixel's light that comes from Gaussians that stand before the surface at the nearest mapped
+    pixel (mapped: [Q] bool of `seen`). depth: [H, W] z; pixel, spacing: world units of one."""
+    on = np.zeros(depth.shape, bool)
+    on[seen.ys[mapped], seen.xs[mapped]] = True
+    nearest = nearest_pixels(on)
+    ids = view.gaussian_ids
+    uv, z = view.camera.project(splats.numpy().means[ids].astype(np.float64))
+    x = np.clip(uv[:, 0], 0, depth.shape[1] - 1).astype(int)
+    y = np.clip(uv[:, 1], 0, depth.shape[0] - 1).astype(int)
+    at = nearest[y, x]
+    # Farther from it along the picture the surface may rise, and more so the larger a Gaussian is.
+    away = np.hypot(uv[:, 0] - at % depth.shape[1], uv[:, 1] - at // depth.shape[1])
+    size = splats.numpy().scales[ids].max(1)
+    front = depth.ravel()[at] - z > 3 * spacing + DECAL_VIEWS.rim_slope * away * pixel + 2 * size
+    colors = np.zeros((len(ids), 3), np.float32)
+    colors[front, 0] = 1
+    return view.rasterize(colors)[0][..., 0]  # over the black of cameras that face a decal
 
 
 def _on_rays(
@@ -615,13 +735,14 @@ def _beside(points: np.ndarray, neighbours: np.ndarray, reach: float) -> np.ndar
     return np.isin(keys[0], np.unique(keys[1][:, None] + steps))
 
 
-def _directions(points: np.ndarray, normals: np.ndarray, limit: int) -> list[tuple[np.ndarray, np.ndarray]]:
-    """(direction [3], points [M, 3] that face it) of at most `limit` cameras: each faces most of what those before do
-    not. points, normals: [S, 3]."""
+def _directions(ids: np.ndarray, normals: np.ndarray, limit: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """(direction [3], [M] int64 samples that face it) of at most `limit` cameras: each faces most of what those before
+    do not. ids: [P] int64 samples; normals: [S, 3] of all."""
     out = []
-    left = np.ones(len(points), bool)
+    normals = normals[ids]
+    left = np.ones(len(ids), bool)
     for _ in range(limit):
-        if left.sum() <= max(DECAL_VIEWS.min_share * len(points), 0) and out:
+        if left.sum() <= max(DECAL_VIEWS.min_share * len(ids), 0) and out:
             break
         # The normal with most others around it, then their mean, a few times (mean shift).
         candidates = normals[left][:: max(int(left.sum()) // 256, 1)]
@@ -633,6 +754,6 @@ def _directions(points: np.ndarray, normals: np.ndarray, limit: int) -> list[tup
         near = left & (normals @ direction > DECAL_VIEWS.frontal_cosine)
         if not near.any():
             break
-        out.append((direction, points[near]))
+        out.append((direction, ids[near]))
         left &= ~near
     return out
