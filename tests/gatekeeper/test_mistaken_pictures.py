@@ -141,16 +141,32 @@ def test_paint_is_no_mistake(made: Callable[[], np.ndarray]) -> None:
     assert (explanation is None) == (made not in (PAINT["all one colour"], PAINT["a pattern multiplied on all"]))
 
 
-def test_a_look_of_the_asset_alone_may_be_meant() -> None:
-    warmer = np.where(ALPHA[..., None] > 0, VIEW * np.array([1.15, 1, 0.75]), VIEW)
-    explanation = explain(eight_bits(warmer), VIEW, ALPHA)
+def on_the_asset(graded: np.ndarray) -> np.ndarray:
+    return eight_bits(np.where(ALPHA[..., None] > 0, graded, VIEW))
+
+
+@pytest.mark.parametrize("color", [(0.7, 0.2, 0.1), (0.1, 0.3, 0.8), (0.5, 0.5, 0.5)])
+@pytest.mark.parametrize("opacity", [0.3, 0.5])
+def test_a_color_laid_over_all_of_the_asset_may_be_meant(color: tuple[float, float, float], opacity: float) -> None:
+    glazed = VIEW + opacity * (np.array(color) - VIEW)
+    explanation = explain(on_the_asset(glazed), VIEW, ALPHA)
     assert explanation is not None and explanation.cause == "look"
 
 
-def test_a_contrast_curve_that_spares_the_background_is_named() -> None:
-    curve = 0.5 + 0.5 * np.tanh(3 * (VIEW - 0.5)) / np.tanh(1.5)
-    explanation = explain(eight_bits(np.where(ALPHA[..., None] > 0, curve, VIEW)), VIEW, ALPHA)
-    assert explanation is not None and explanation.cause == "look" and "graded as a whole" in explanation.words
+@pytest.mark.parametrize(
+    "graded",
+    [
+        0.5 + 0.5 * np.tanh(3 * (VIEW - 0.5)) / np.tanh(1.5),
+        VIEW * np.array([1.15, 1, 0.75]),
+        VIEW**1.3,
+        np.clip(1.19 * VIEW, 0, 1),
+    ],
+    ids=["contrast curve", "warmer", "gamma", "half a stop"],
+)
+def test_a_grade_that_spares_the_background_is_a_mistake(graded: np.ndarray) -> None:
+    """In mode local it would paint the one side that the picture shows."""
+    explanation = explain(on_the_asset(graded), VIEW, ALPHA)
+    assert explanation is not None and explanation.cause == "tone" and "graded as a whole" in explanation.words
 
 
 def test_another_asset_of_the_very_outline_is_named() -> None:

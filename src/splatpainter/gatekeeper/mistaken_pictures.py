@@ -20,10 +20,10 @@ from splatpainter.pictures.encodings import busiest, detailed, few_colors
 from splatpainter.pictures.picture_reader import resample
 
 Cause = Literal["turned", "colors", "tone", "look", "filter", "detail", "moved", "axes", "other"]
-"""turned: mirrored or turned round; colors: other colours than sRGB; tone: graded as a whole; look: the asset graded or
-painted over as a whole, its background not, which may well be meant; filter: blurred or smoothed all over; detail:
-sharpened all over, or with detail added, which may well be meant; moved: shifted or scaled; axes: the asset's axes
-are read another way; other: another asset, view or camera."""
+"""turned: mirrored or turned round; colors: other colours than sRGB; tone: graded as a whole, its background too or
+not; look: one colour laid over all of the asset, or all of it painted over, its background not, which may well be
+meant; filter: blurred or smoothed all over; detail: sharpened all over, or with detail added, which may well be meant;
+moved: shifted or scaled; axes: the asset's axes are read another way; other: another asset, view or camera."""
 Change: TypeAlias = Callable[[np.ndarray], np.ndarray]
 """[H, W, 3] -> [H, W, 3] (turns may exchange H and W), colours 0..1."""
 Size: TypeAlias = tuple[int, int]
@@ -108,6 +108,10 @@ class MistakeThresholds:
     """Reach over which noise averages out."""
     min_tone_contrast: float = 0.35
     """Standard deviation of a graded picture in parts of the render's: one flat colour is paint."""
+    max_glaze_gain: float = 0.9
+    """Contrast in parts of the render's up to which a colour may have been laid over all of the asset."""
+    min_glazed: float = 0.9
+    """Share of the asset that such a colour must explain."""
     min_registered_px: int = 16
     """Pixels of the shorter side of a small copy from which it is looked where it lies."""
     min_moved_score: float = 0.6
@@ -120,8 +124,8 @@ MISTAKES = MistakeThresholds()
 
 
 GRADED_WORDS = (
-    "graded as a whole, but for its background: its other sides stay as they are; --mode global carries the look all "
-    "around"
+    "graded, or glazed with one colour, as a whole, but for its background: its other sides stay as they are; --mode "
+    "global carries the look all around"
 )
 PAINTED_OVER_WORDS = "painted over everywhere; if it is not, it is of another view or asset"
 SMOOTHED_WORDS = "blurred, denoised or smoothed as a whole"
@@ -416,9 +420,11 @@ def _graded(view: _Small) -> Explanation | None:
 
     if tone_change(view.picture, view.render, solid) is None:
         return None
-    # The background did not change: somebody graded or painted the asset, and may mean it.
+    # The background did not change: a colour laid over all of the asset is paint; any other curve is a grade.
     if view.paint_is_on_asset:
-        return Explanation("look", GRADED_WORDS, view.agreeing, 1.0)
+        if _is_glaze(view, solid):
+            return Explanation("look", GRADED_WORDS, view.agreeing, 1.0)
+        return Explanation("tone", "graded as a whole, but for its background", view.agreeing, 1.0)
     # Gain and offset can be taken back; a free curve cannot.
     drift = estimate_drift(view.picture, view.render, solid, certain=True)
     words, undone, after = "graded as a whole", None, MISTAKES.min_explained
@@ -428,6 +434,19 @@ def _graded(view: _Small) -> Explanation | None:
         undone = drift.corrected
         after = float((_difference(undone(view.picture), view.render) <= MISTAKES.max_difference)[view.compared].mean())
     return Explanation("tone", words, view.agreeing, after, Mistake("tone", words, lambda colors: colors, undone))
+
+
+def _is_glaze(view: _Small, solid: np.ndarray) -> bool:
+    """Whether one colour may have been laid over all solid pixels ([h, w] bool), through which they still show: then
+    all channels lose the same share of their contrast. Lower contrast is a glaze of grey."""
+    before, after = (image[solid].astype(np.float64) for image in (view.render, view.picture))
+    away = before - before.mean(0)
+    gains = (away * (after - after.mean(0))).sum(0) / np.maximum((away**2).sum(0), 1e-9)
+    gain = float(((away**2).sum(0) * gains).sum() / max((away**2).sum(), 1e-9))
+    color = (after.mean(0) - gain * before.mean(0)) / max(1 - gain, 1e-3)
+    left = np.abs(gain * before + (1 - gain) * color - after).max(1)
+    possible = gain < MISTAKES.max_glaze_gain and color.min() > -0.1 and color.max() < 1.1
+    return bool(possible and (left <= MISTAKES.max_difference).mean() > MISTAKES.min_glazed)
 
 
 def _moved(view: _Small) -> Explanation | None:

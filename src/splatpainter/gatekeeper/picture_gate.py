@@ -125,7 +125,8 @@ def _advice(explanation: Explanation) -> str:
     ways = ["--mask M.png says what was painted"]
     if explanation.cause in LOOKS:
         ways.insert(0, "--mode global takes it as a look of the whole asset")
-    if explanation.cause not in ("axes", "other", "filter"):
+    # A grade of the asset alone is taken back by no mistake.
+    if explanation.cause not in ("axes", "other", "filter") and (explanation.cause != "tone" or explanation.mistake):
         ways.append("--correct puts it right and paints what is left")
     return f"nothing was painted: {', '.join(ways)}, --force paints with it as it is"
 
