@@ -93,8 +93,12 @@ def test_the_page_moves_a_second_tile_by_what_it_shows(studio: Live, tmp_path: P
     with studio.greeted() as browser:
         added = browser.do("scene.add", blob=blob)["asset"]
         apart = np.array(studio.studio.session.scene.original_of(added).offset) - np.array(UTM)
+        browser.do("scene.set", asset=added, move=apart.tolist(), turn=[0, 0, 0])
+        surveyed = studio.http.get("/api/state").json()["assets"][1]
+        np.testing.assert_allclose(surveyed["moved"], (0, 0, 0), atol=1e-6)
         browser.do("scene.set", asset=added, move=(apart + (0.5, 0, 0.25)).tolist(), turn=[0, 0, 0])
         info = studio.http.get("/api/state").json()["assets"][1]
+    np.testing.assert_allclose(info["moved"], (0.5, 0, 0.25), atol=1e-6)
     np.testing.assert_allclose(info["move"], apart + (0.5, 0, 0.25), atol=1e-6)
     np.testing.assert_allclose(info["center"], np.median(positions, 0) - np.array(UTM) + (0.5, 0, 0.25), atol=1e-4)
     session = studio.studio.session

@@ -20,7 +20,7 @@ import numpy as np
 from splatpainter.cameras import UpAxis
 from splatpainter.color import base_color, linear_to_srgb, luminance, sh_from_color, to_light
 from splatpainter.kernels import portable
-from splatpainter.lights.facing import MIN_FLAT_SHARE, SEEN_PX
+from splatpainter.lights.facing import MIN_FLAT_SHARE, ORIENTATION
 from splatpainter.lights.irradiance import LitSurface
 from splatpainter.lights.lamps import Lamp
 from splatpainter.lights.light_set import Lights, axes_of, turned_sky
@@ -250,7 +250,7 @@ def _share_lit(
     """0..1 of the chosen Gaussians that can be seen from around; 1 where none can. received: [N] of intensity 1."""
     away = surface.points - (np.array(lamp.position) - np.array(offset))
     lit = received * (away * away).sum(1) > MIN_COSINE
-    seen = surface.facing.seen[chosen] > SEEN_PX
+    seen = surface.facing.seen[chosen] > ORIENTATION.seen_px
     return float(lit[chosen][seen].mean()) if seen.any() else 1.0
 
 

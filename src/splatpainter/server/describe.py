@@ -115,6 +115,7 @@ def scene_assets(session: Session, name: str) -> list[protocol.SceneAssetInfo]:
                 name=name if is_main else asset.name,
                 visible=asset.visible,
                 move=list(placement.move),
+                moved=list(asset.placement.move),
                 turn=[round(angle, 6) for angle in placement.turn],
                 scale=placement.scale,
                 center=center.tolist(),

@@ -170,7 +170,9 @@ class SceneAssetInfo(Message):
     name: str
     visible: bool
     move: Point
-    """World units."""
+    """World units, in the page's scene, whose origin is the first asset's offset."""
+    moved: Point
+    """World units by which it was moved in the world: zeros where it lies as it was surveyed."""
     turn: Point
     """Degrees about x, then y, then z."""
     scale: float

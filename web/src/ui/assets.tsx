@@ -123,7 +123,9 @@ function Stand({ asset, several }: { asset: SceneAssetInfo; several: boolean }) 
   );
   return (
     <div class="stand">
-      {row("Move", asset.move, 3, (move) => set({ move }))}
+      {row("Move", asset.moved, 3, (moved) =>
+        set({ move: asset.move.map((old, k) => old + moved[k] - asset.moved[k]) }),
+      )}
       {row("Turn", asset.turn, 1, (turn) => set({ turn }))}
       <div class="stand-row">
         <span>Scale</span>
