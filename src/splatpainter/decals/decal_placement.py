@@ -11,7 +11,8 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.decals.decal_surface import mean_normal, surface_under
-from splatpainter.decals.decal_views import UnwrappedPatch, mapped_view, survey
+from splatpainter.decals.decal_survey import UnwrappedPatch, survey
+from splatpainter.decals.decal_views import mapped_view
 from splatpainter.painter import Asset
 from splatpainter.surface.estimate import Surface
 

@@ -1,4 +1,4 @@
-"""Where to stand around a patch of surface: cameras that face it, what they see of it, and which sees what best.
+"""Where to stand around a patch of surface to paint it: cameras that face it, and which of them shows what best.
 
 Used by decals, which are laid over more of a surface than one camera sees.
 """
@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.decals.decal_fusion import fused_surface
 from splatpainter.decals.decal_surface import DECAL_SURFACE, SurfacePixels, depth_pixels, facing_camera, surface_pixels
+from splatpainter.decals.decal_survey import SURVEY, UnwrappedPatch, share_near
 from splatpainter.lift.masks import dilated
 from splatpainter.lift.nearest import nearest_pixels
 from splatpainter.lift.sheets.near_surface import NearSurface
@@ -20,7 +20,7 @@ from splatpainter.painter import Asset
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
-from splatpainter.surface.unwrap import Unwrapped, smoothed, thinned, unwrap
+from splatpainter.surface.unwrap import Unwrapped, smoothed
 from splatpainter.voxels.raycast import inside
 
 
@@ -28,37 +28,11 @@ from splatpainter.voxels.raycast import inside
 class DecalViewThresholds:
     """Which cameras paint which part of a decal. Source: taste, tried on boxes, cylinders, rims and captures."""
 
-    max_rough: float = 0.1
-    """Share of the samples that are rough, from which all are smoothed: smoothed ones beside others would lie on two
-    layers."""
-    smoothed_voxels: float = 4.0
-    """Radius within which what views see of rough surface is moved onto the fused one, voxels."""
     ray_rounds: int = 2
     """How often it is moved, each time back onto its line of sight: all views find the same letters at the same
     place."""
     min_slope: float = 0.2
     """Cosine of the angle at which a line of sight must meet the surface for that."""
-    same_side: float = 0.3
-    """Cosine between the normals of the first point and of the fused surface there, at least."""
-    smoothed_spacings: float = 5.0
-    """Radius of the smoothing of samples, in spacings of samples."""
-    smoothed_size: float = 0.06
-    """The least of that radius, in diagonals of the decal."""
-    smoothing_rounds: int = 2
-    """Rounds of smoothing of the samples."""
-    min_outline_share: float = 0.05
-    """Share of the pixels around one that show the same surface, up to which it is a speck."""
-    max_outline_share: float = 0.85
-    """The same, up to which it lies at an outline."""
-    inward_sine: float = 0.5
-    """Sine of the angle by which these pixels lie above its tangent plane, times their share, from which its normal is
-    wrong."""
-    fused_radius_diagonals: float = 0.54
-    """Radius of the ball in which views of rough surface are fused, in diagonals of the decal."""
-    max_samples: int = 60_000
-    """Most samples of one decal; from which on no further view is surveyed."""
-    strip_margin: float = 0.35
-    """How far beyond its rectangle's side a turned decal may wind around something, in lengths of the other side."""
     min_rim_alpha: float = 0.15
     """Alpha of a pixel from which a decal is continued over an outline, so that the Gaussians there are painted."""
     fill_px: int = 3
@@ -75,27 +49,8 @@ class DecalViewThresholds:
     """Pixels around one of more than that which it does not paint either: paint spreads by as much."""
     rim_slope: float = 4.0
     """Slope, depth over width, by which the surface may fall away there."""
-    max_surveys: int = 10
-    """Cameras that look for the surface under a decal."""
-    pixels_per_spacing: float = 1.4
-    """Resolution of these cameras, where they face the surface."""
-    min_facing_cosine: float = np.cos(np.radians(58.0))
-    """Cosine between the normal and the line of sight below which a sample should be seen from elsewhere."""
-    lean_radians: float = np.radians(50.0)
-    """Angle by which a camera leans outwards over a rim, to see how the surface goes on behind it."""
-    min_rim_length: float = 0.22
-    """Length of `Unwrapped.rims` from which a sample is at a rim."""
-    min_camera_cosine: float = np.cos(np.radians(40.0))
-    """Cosine between the direction in which a sample asks for a camera and that of one, from which it has got it."""
-    min_open: float = 0.25
-    """Samples of a decal that must ask for a camera, over those along its shorter side: a word that goes on around an
-    edge asks along a line."""
     frontal_cosine: float = np.cos(np.radians(42.0))
     """Cosine between normal and line of sight from which a view counts as frontal."""
-    min_resumed: float = 0.25
-    """Share of the samples for which a camera was placed that it must see, or it stands on the other side of a wall."""
-    resumed_spacings: float = 3.0
-    """Difference in depth, in spacings, up to which it sees one."""
     max_hidden: float = 0.02
     """Share of the painted samples that no view that faces some shows, from which they are painted from where they were
     found."""
@@ -124,257 +79,6 @@ class DecalViewThresholds:
 
 
 DECAL_VIEWS = DecalViewThresholds()
-
-
-@dataclass(frozen=True)
-class UnwrappedPatch:
-    """The surface under a decal, unwrapped."""
-
-    samples: Unwrapped
-    within: np.ndarray = field(repr=False)
-    """[S] bool samples within the wrap limit, reached."""
-    under: np.ndarray = field(repr=False)
-    """[S] bool ... and under the decal's rectangle."""
-    smoothing: float
-    """Radius within which the samples were smoothed, world units; 0: not."""
-    lines: np.ndarray = field(repr=False)
-    """[S, 3] unit directions from which they were seen."""
-
-
-def survey(
-    asset: Asset,
-    surface: Surface,
-    start: tuple[np.ndarray, np.ndarray],
-    up: np.ndarray,
-    size: tuple[float, float],
-    spacing: float,
-    max_turn: float,
-    seen_from: np.ndarray,
-) -> UnwrappedPatch:
-    """The surface under a decal: seen by a camera that faces its start (point, normal), then by others that face what
-    those before saw at a grazing angle, or that look over a rim; rough surface is fused out of views from all around.
-    up: [3] of the decal; size: (width, height), world units; max_turn: wrap limit, radians; seen_from: [3] unit, a
-    direction from which the start is seen."""
-    # Start with the point that was clicked; every round adds what one more camera sees.
-    radius = 0.5 * float(np.hypot(*size))
-    smoothing = max(DECAL_VIEWS.smoothed_spacings * spacing, DECAL_VIEWS.smoothed_size * 2 * radius)
-    points, normals, rough = start[0][None], start[1][None], np.zeros(1, bool)
-    half = (size[0] / 2, size[1] / 2)
-    directions: list[np.ndarray] = []
-    lines = np.zeros((1, 3))
-    target, direction = start
-    requesting = np.zeros(0, np.int64)
-    while True:
-        # From behind the start one looks past it: nearer to it is within what it is the surface of.
-        nearer = bool(direction @ start[1] > 0)
-        pixel = spacing / DECAL_VIEWS.pixels_per_spacing
-        camera = facing_camera(
-            asset,
-            target,
-            direction,
-            up,
-            radius * 1.08,
-            pixel,
-            nearer=nearer,
-            seen_from=None if directions else seen_from,
-        )
-        view = project(asset.splats, camera)
-        _, alpha, depth = view.rasterize()
-        # Only what no earlier camera saw frontally is asked for: most pixels are known after two views.
-        frontal = (lines * normals).sum(1) > DECAL_VIEWS.min_facing_cosine
-        requested = (alpha > DECAL_SURFACE.min_alpha) & ~_surveyed(
-            camera, depth, points[frontal], normals[frontal], spacing
-        )
-        ys, xs = np.nonzero(requested)
-        requested[ys, xs] = _near_strip(camera.unproject(depth[ys, xs], np.stack([xs, ys], 1) + 0.5), start, up, size)
-        seen = surface_pixels(asset, surface, view, requested, depth)
-        # A view that shows nothing of what asked for it shows another side of a wall, or another body.
-        resumed = (
-            not directions
-            or _share_seen(camera, depth, points[requesting], normals[requesting], spacing) > DECAL_VIEWS.min_resumed
-        )
-        # The first look decides: on fog one fused surface serves all views.
-        if not directions and len(seen.ys) and seen.rough.mean() > DECAL_VIEWS.max_rough:
-            patch = _fused_patch(asset, surface, start, up, size, max_turn, seen_from)
-            if patch is not None:
-                return patch
-        # No point farther than the decal's half diagonal can be under it.
-        near = ((seen.points - start[0]) ** 2).sum(1) < (1.06 * radius) ** 2
-        near &= resumed & ~_facing_inwards(seen, alpha.shape, 4 * spacing)
-        points, normals, lines, rough = _joined((points, normals, lines, rough), seen, near, camera, spacing)
-        # Unwrapped on smoothed samples where they scatter, as they are elsewhere.
-        even, turned = points, normals
-        scatters = rough.mean() > DECAL_VIEWS.max_rough
-        for _ in range(DECAL_VIEWS.smoothing_rounds if scatters else 0):
-            even, turned = smoothed((even, turned), (even, turned), smoothing)
-        samples = unwrap(even, turned, up, spacing, half, max_turn)
-        within = samples.reached & (samples.normals @ turned[0] >= np.cos(min(max_turn, np.pi)) - 1e-9)
-        under = within & (np.abs(samples.uv) < half).all(1)
-        directions.append(direction)
-        rim = np.linalg.norm(samples.rims, axis=1)
-        at_rim = under & (rim > DECAL_VIEWS.min_rim_length)
-        # Where to look next: frontally at what was seen at an angle, over a rim at what goes on behind it.
-        leaning = np.where(
-            at_rim[:, None],
-            np.cos(DECAL_VIEWS.lean_radians) * turned
-            - np.sin(DECAL_VIEWS.lean_radians) * samples.rims / np.maximum(rim, 1e-9)[:, None],
-            turned,
-        )
-        asking = under & (at_rim | ((lines * normals).sum(1) < DECAL_VIEWS.min_facing_cosine))
-        asking &= (leaning @ np.stack(directions, 1)).max(1) < DECAL_VIEWS.min_camera_cosine
-        asking[0] = False
-        if asking.sum() <= max(DECAL_VIEWS.min_open * min(size) / spacing, 3):
-            break
-        if len(directions) == DECAL_VIEWS.max_surveys or len(points) > DECAL_VIEWS.max_samples:
-            break
-        requesting = np.flatnonzero(asking)
-        view_requests = leaning[asking]
-        candidates = view_requests[:: max(len(view_requests) // 200, 1)]
-        # The direction that serves most requests; then what they want in the mean.
-        votes = view_requests @ candidates.T > np.cos(np.radians(35.0))
-        winner = votes[:, votes.sum(0).argmax()]
-        requesting = requesting[winner]
-        direction = view_requests[winner].mean(0)
-        direction /= np.linalg.norm(direction)
-        target = start[0]
-    lines[0] = seen_from
-    return UnwrappedPatch(samples, within, under, smoothing if scatters else 0.0, lines)
-
-
-def _fused_patch(
-    asset: Asset,
-    surface: Surface,
-    start: tuple[np.ndarray, np.ndarray],
-    up: np.ndarray,
-    size: tuple[float, float],
-    max_turn: float,
-    seen_from: np.ndarray,
-) -> UnwrappedPatch | None:
-    """`survey` on rough surface: one made of all views (`fused_surface`); None where there is none at the start."""
-    radius = DECAL_VIEWS.fused_radius_diagonals * float(np.hypot(*size))
-
-    def facing(direction: np.ndarray, pixel: float) -> Camera:
-        return facing_camera(asset, start[0], direction, up, radius * 1.08, pixel)
-
-    points, normals, voxel = fused_surface(asset.splats, surface, start, up, radius, facing)
-    # The fused surface has to pass by the start, facing the same way.
-    away = np.where(normals @ start[1] > DECAL_VIEWS.same_side, np.linalg.norm(points - start[0], axis=1), np.inf)
-    if not len(away) or away.min() > DECAL_VIEWS.smoothed_voxels * voxel:
-        return None
-    order = np.concatenate([[away.argmin()], np.delete(np.arange(len(points)), away.argmin())])
-    order = order[thinned(points[order], normals[order], voxel)]
-    half = (size[0] / 2, size[1] / 2)
-    samples = unwrap(points[order], normals[order], up, voxel, half, max_turn)
-    within = samples.reached & (samples.normals @ samples.normals[0] >= np.cos(min(max_turn, np.pi)) - 1e-9)
-    under = within & (np.abs(samples.uv) < half).all(1)
-    lines = np.broadcast_to(seen_from, samples.points.shape)
-    return UnwrappedPatch(samples, within, under, DECAL_VIEWS.smoothed_voxels * voxel, lines)
-
-
-def _facing_inwards(seen: SurfacePixels, shape: tuple[int, int], reach: float) -> np.ndarray:
-    """[Q] bool specks, and pixels at an outline of a picture [H, W] whose normal leads into it: that of a face behind
-    the outline, turned to the camera. reach: world units up to which neighbours belong together."""
-    rows, columns = seen.ys + DECAL_SURFACE.max_fit_px, seen.xs + DECAL_SURFACE.max_fit_px
-    # Cheap first: only pixels near an outline are looked at closely.
-    share = _share_near(
-        seen.points,
-        rows,
-        columns,
-        (shape[0] + 2 * DECAL_SURFACE.max_fit_px, shape[1] + 2 * DECAL_SURFACE.max_fit_px),
-        reach,
-    )
-    outline = np.flatnonzero((share >= DECAL_VIEWS.min_outline_share) & (share < DECAL_VIEWS.max_outline_share))
-    index = np.full((shape[0] + 2 * DECAL_SURFACE.max_fit_px, shape[1] + 2 * DECAL_SURFACE.max_fit_px), -1)
-    index[rows, columns] = np.arange(len(rows))
-    total = np.zeros((len(outline), 3))
-    for dy, dx in np.ndindex(2 * DECAL_SURFACE.max_fit_px + 1, 2 * DECAL_SURFACE.max_fit_px + 1):
-        other = index[seen.ys[outline] + dy, seen.xs[outline] + dx]
-        way = seen.points[other] - seen.points[outline]
-        near = (other >= 0) & ((way**2).sum(1) < reach**2)
-        total += np.where(near[:, None], way, 0)
-    inwards = share < DECAL_VIEWS.min_outline_share  # specks
-    inwards[outline] = (total * seen.normals[outline]).sum(1) > DECAL_VIEWS.inward_sine * np.linalg.norm(total, axis=1)
-    return inwards
-
-
-def _share_near(
-    points: np.ndarray, rows: np.ndarray, columns: np.ndarray, shape: tuple[int, int], reach: float
-) -> np.ndarray:
-    """[Q] share of the pixels up to DECAL_SURFACE.max_fit_px away, itself too, with points nearer than `reach`. points:
-    [Q, 3] at rows and columns ([Q], so far from the edges) of a picture [H, W]."""
-    planes = np.full((3, *shape), np.nan)
-    planes[:, rows, columns] = points.T
-    count = np.ones(shape, np.uint8)
-    for dy in range(DECAL_SURFACE.max_fit_px + 1):
-        for dx in range(-DECAL_SURFACE.max_fit_px if dy else 1, DECAL_SURFACE.max_fit_px + 1):  # each pair once
-            first = slice(0, shape[0] - dy), slice(max(-dx, 0), shape[1] - max(dx, 0))
-            second = slice(dy, None), slice(max(dx, 0), shape[1] - max(-dx, 0))
-            x, y, z = (plane[first] - plane[second] for plane in planes)
-            near = x * x + y * y + z * z < reach**2
-            count[first] += near
-            count[second] += near
-    return count[rows, columns] / (2 * DECAL_SURFACE.max_fit_px + 1) ** 2
-
-
-def _joined(
-    samples: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
-    seen: SurfacePixels,
-    near: np.ndarray,
-    camera: Camera,
-    spacing: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Samples (points [S, 3], normals [S, 3], [S, 3] unit lines to the cameras that saw them, [S] bool rough) and those
-    that another camera sees near the decal (near: [Q] bool of `seen`), no nearer to each other than the spacing. The
-    first one stays the first."""
-    points, normals, lines, rough = samples
-    new, facing, new_rough = seen.points[near], seen.normals[near], seen.rough[near]
-    line = camera.position - new
-    line /= np.linalg.norm(line, axis=1, keepdims=True)
-    # Grazing points are rough: leave them to another camera.
-    good = (line * facing).sum(1) > 0.17
-    points, normals = np.concatenate([points, new[good]]), np.concatenate([normals, facing[good]])
-    lines, rough = np.concatenate([lines, line[good]]), np.concatenate([rough, new_rough[good]])
-    frontal = (lines[1:] * normals[1:]).sum(1) > DECAL_VIEWS.min_facing_cosine
-    order = np.concatenate([[0], 1 + np.argsort(-frontal.astype(int), kind="stable")])
-    order = order[thinned(points[order], normals[order], spacing)]
-    return points[order], normals[order], lines[order], rough[order]
-
-
-def _surveyed(camera: Camera, depth: np.ndarray, points: np.ndarray, normals: np.ndarray, spacing: float) -> np.ndarray:
-    """[H, W] bool pixels of a view that show samples ([K, 3] points and normals), by its rendered depth [H, W]."""
-    out = np.zeros(depth.shape, bool)
-    uv, z = camera.project(points)
-    line = camera.position - points
-    faces = (line * normals).sum(1) > 0.35 * np.linalg.norm(line, axis=1)
-    faces &= (z > 0) & (uv >= 0).all(1) & (uv[:, 0] < camera.width) & (uv[:, 1] < camera.height)
-    x, y = uv[faces].astype(int).T
-    same = np.abs(depth[y, x] - z[faces]) < 4 * spacing
-    out[y[same], x[same]] = True
-    return dilated(out, 1)
-
-
-def _share_seen(camera: Camera, depth: np.ndarray, points: np.ndarray, normals: np.ndarray, spacing: float) -> float:
-    """Share of some samples ([K, 3] points and normals) that a camera sees, by its rendered depth [H, W]."""
-    uv, z = camera.project(points)
-    seen = ((camera.position - points) * normals).sum(1) > 0
-    seen &= (z > 0) & (uv >= 0).all(1) & (uv[:, 0] < camera.width) & (uv[:, 1] < camera.height)
-    x, y = uv[seen].astype(int).T
-    seen[seen] = np.abs(depth[y, x] - z[seen]) < DECAL_VIEWS.resumed_spacings * spacing
-    return float(seen.mean()) if len(seen) else 0.0
-
-
-def _near_strip(
-    points: np.ndarray, start: tuple[np.ndarray, np.ndarray], up: np.ndarray, size: tuple[float, float]
-) -> np.ndarray:
-    """[K] bool whether points ([K, 3]) may lie under a decal of a size (width, height) around a start (point, normal):
-    no point is farther along a direction than the way along the surface is, and no way is longer than its sides."""
-    right = np.cross(up, start[1])
-    right /= np.linalg.norm(right)
-    way = points - start[0]
-    u, v = np.abs(way @ right), np.abs(way @ np.cross(start[1], right))
-    width, height = size
-    along, across = 0.5 * width + DECAL_VIEWS.strip_margin * height, 0.5 * height + DECAL_VIEWS.strip_margin * width
-    return (u < along) & (v < across) & ((way**2).sum(1) < 0.4 * (width**2 + height**2))
 
 
 @dataclass(frozen=True)
@@ -416,9 +120,7 @@ def faced_parts(
         view.cosines[:] = np.where(beside & (view.cosines > 0), 2, 0)  # there before all others, and nowhere else
     # A camera inside something solid sees its inner side, and one beyond another body sees little of what it is for.
     free = [not inside(asset.grid, asset.grid.occupancy, view.camera.position) for view in views]
-    sees = [
-        (v.cosines[members] > 0).mean() > DECAL_VIEWS.min_resumed for v, (_, members) in zip(views, groups, strict=True)
-    ]
+    sees = [(v.cosines[members] > 0).mean() > SURVEY.min_resumed for v, (_, members) in zip(views, groups, strict=True)]
     if any(f and s for f, s in zip(free, sees, strict=True)):
         free = [f and s for f, s in zip(free, sees, strict=True)]
     if not any(free):
@@ -612,7 +314,7 @@ def _specks(seen: SurfacePixels, uv: np.ndarray, shape: tuple[int, int], reach: 
     speck = np.isfinite(uv[:, 0])
     on_decal = np.concatenate([uv[speck], np.zeros((int(speck.sum()), 1))], 1)
     margin = DECAL_SURFACE.max_fit_px
-    share = _share_near(
+    share = share_near(
         on_decal,
         seen.ys[speck] + margin,
         seen.xs[speck] + margin,
