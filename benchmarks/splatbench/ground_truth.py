@@ -287,7 +287,7 @@ def _over(base: GroundTruthViews, background: tuple[float, float, float]) -> lis
     return views
 
 
-def _coarse(truth: GroundTruth) -> Splats:
+def _coarse(truth: GroundTruth) -> Splats[Any]:
     from splattrain.data.lights import shade
     from splattrain.data.surfels import coarse_asset, sample_surfels, to_splats
 

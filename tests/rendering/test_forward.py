@@ -97,6 +97,7 @@ def test_one_gaussian_by_hand(backend, antialiased):
         assert picture.depths[0, y, x, 0] == pytest.approx(2, abs=1e-12)
         color = alpha * np.array([0.8, 0.5, 0.1]) + (1 - alpha) * np.array([0, 0, 1])
         np.testing.assert_allclose(picture.colors[0, y, x], color, atol=1e-12)
+    assert picture.contributions is not None
     assert picture.contributions[0, 0] == pytest.approx(picture.alphas.sum(), abs=1e-12)
 
 
@@ -114,6 +115,7 @@ def test_order_of_gaussians_does_not_matter():
     order = np.random.default_rng(0).permutation(300)
     one, other = sp.render(splats, views, contributions=True), sp.render(splats.take(order), views, contributions=True)
     np.testing.assert_array_equal(one.colors, other.colors)
+    assert one.contributions is not None and other.contributions is not None
     np.testing.assert_array_equal(one.contributions[:, order], other.contributions)
 
 

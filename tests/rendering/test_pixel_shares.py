@@ -34,7 +34,7 @@ def test_a_footprint_means_the_picture_under_it_whatever_is_before_it() -> None:
     ramp = np.tile((np.arange(SIZE) + 0.5) / SIZE, (SIZE, 1))
     means = footprint_mean(splats, camera, ramp)
     pixels, _ = camera.project(splats.means)
-    inside = ((pixels > 8) & (pixels < SIZE - 8)).all(1)
+    inside = np.all((pixels > 8) & (pixels < SIZE - 8), axis=1)
     assert inside[: 24**2].any() and inside[24**2 :].any()
     np.testing.assert_allclose(means[inside], pixels[inside, 0] / SIZE, atol=0.01)
     np.testing.assert_array_equal(footprint_mean(splats, camera, np.ones((SIZE, SIZE), bool))[inside], 1)

@@ -53,6 +53,7 @@ def test_gaussians_out_of_range_are_invisible_and_counted(dtype, size):
         without = sp.render(valid, views, contributions=True, profile=profile)
         for name in ("colors", "alphas", "depths"):
             np.testing.assert_array_equal(getattr(with_them, name), getattr(without, name))
+        assert with_them.contributions is not None
         assert not with_them.contributions[:, ~splats.drawable].any()
 
 
@@ -61,6 +62,7 @@ def test_the_reference_leaves_the_same_gaussians_out():
     ours = sp.render(splats, views, contributions=True)
     theirs = sp.render(splats, views, contributions=True, backend="reference")
     np.testing.assert_allclose(ours.colors, theirs.colors, atol=1e-9)
+    assert ours.contributions is not None and theirs.contributions is not None
     np.testing.assert_allclose(ours.contributions, theirs.contributions, atol=1e-9)
 
 

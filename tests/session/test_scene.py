@@ -33,7 +33,7 @@ WIDE = look_at((0.7, 0, -4.5), (0.7, 0, 0), (0, -1, 0), width=64, height=64, fov
 
 def has_color(splats: Splats, color: tuple[float, float, float]) -> np.ndarray:
     """[N] bool."""
-    return (np.abs(base_color(splats.sh) - np.array(color)) < 0.004).all(1)
+    return np.all(np.abs(base_color(splats.sh) - np.array(color)) < 0.004, axis=1)
 
 
 @pytest.fixture

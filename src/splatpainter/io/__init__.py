@@ -196,7 +196,7 @@ def read(
 @formerly(axes="frame")
 def write(
     path: str | os.PathLike[str],
-    splats: Splats,
+    splats: Splats[Any],
     *,
     overwrite: bool = False,
     axes: Axes = "auto",
@@ -340,7 +340,7 @@ def format_of_name(path: Path) -> str | None:
     return None
 
 
-def canonical(splats: Splats) -> Splats:
+def canonical(splats: Splats[Any]) -> Splats:
     """`splats` with C-contiguous float32 numpy attributes; raises ValueError where shapes do not fit together."""
     # Shapes are judged here, once for all formats.
     converted = splats.numpy()
