@@ -208,9 +208,11 @@ def _local_choice(method: Method, notes: Mapping[str, Any]) -> tuple[Method, str
     """What makes a local edit where the network that reads pictures is at hand, and the line that says why. method:
     "ttt" or "auto", which takes that network only where its notes hold a measured gain, {"gain": {"local": dB over the
     lift}}, above 0."""
-    if method == "ttt":
-        return "ttt", ""
     gain = notes.get("gain", {}).get("local")
+    if method == "ttt":
+        if gain is None or gain > 0:
+            return "ttt", ""
+        return "ttt", f"the local network: the lift is {-gain:.2f} dB better on held-out objects"
     measured = "not measured on captures" if gain is None else f"{gain:+.2f} dB over the lift on held-out objects"
     why = f"weights of preset 'local' ({measured})"
     if gain is not None and gain > 0:

@@ -16,7 +16,7 @@ from splatpainter.color import base_color, sh_from_color
 from splatpainter.lift.edit_views import EditView, edit_views
 from splatpainter.lift.edits import LiftedEdit
 from splatpainter.lift.features import no_features
-from splatpainter.models import local_edit_colors, picture_patches
+from splatpainter.models import local_edit_colors
 from splatpainter.models.config import RefineConfig
 from splatpainter.models.local_config import LocalConfig
 from splatpainter.models.local_edit_colors import (
@@ -28,16 +28,14 @@ from splatpainter.models.local_edit_colors import (
     with_colors,
 )
 from splatpainter.models.local_network import LocalNetwork
-from splatpainter.models.picture_patches import BANDS, PATCH_PX, cosine_basis, cosines, picture_regions
+from splatpainter.models.picture_patches import BANDS, PATCH_PX, SLOTS, cosine_basis, cosines, picture_regions
 from splatpainter.models.refine import RidgeMixer
 from splatpainter.painter import Edit, Painter
 from splatpainter.rendering import render
 from splatpainter.splats import Splats
 
 CONFIG = LocalConfig(
-    waves=48,
-    position_width=48,
-    content_width=56,
+    content_width=75,
     refine=RefineConfig(blocks=1, mixer="ridge", fast_hidden=128, hidden=32, heads=4, patch=4, detail=True),
 )
 SIZE = 48
@@ -94,41 +92,54 @@ def test_cosines_are_the_dct_and_read_the_pixels_that_they_were_made_of() -> Non
     np.testing.assert_allclose(np.einsum("k,tkc->tc", basis, coefficients), patches[:, 2, 1], atol=1e-6)
 
 
-def test_patches_lie_on_the_surface_and_every_gaussian_is_asked_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    splats, _ = sheet()
+def test_patches_are_the_pictures_and_every_gaussian_asks_the_one_over_it() -> None:
+    splats, camera = sheet()
     lifted, view, _ = painted(0)
-    (region,) = picture_regions(splats, lifted, view)
-    np.testing.assert_array_equal(region.index, np.arange(len(splats)))
-    # Places of the frame -> world: all on the plane z = 0, within the sheet.
-    assert np.abs(region.tokens.positions).max() <= 1 + 1e-6
-    spread = np.linalg.svd(region.tokens.positions - region.tokens.positions.mean(0), compute_uv=False)
-    assert spread[2] < 0.02 * spread[0]
-    monkeypatch.setattr(picture_patches, "MAX_TOKENS", 40)
-    parts = list(picture_regions(splats, lifted, view))
-    assert len(parts) > 3 and max(len(part.tokens.weights) for part in parts) <= 40
-    np.testing.assert_array_equal(np.sort(np.concatenate([part.index for part in parts])), np.arange(len(splats)))
+    regions = list(picture_regions(splats, lifted, view))
+    assert len(regions) > 1
+    np.testing.assert_array_equal(np.sort(np.concatenate([part.index for part in regions])), np.arange(len(splats)))
+    pixels, _ = camera.project(splats.means.astype(np.float64))
+    readable = 0
+    for region in regions:
+        assert len(np.unique(region.tokens.cells)) == len(region.tokens.cells) <= SLOTS
+        number = np.full(SLOTS, -1)
+        number[region.tokens.cells] = np.arange(len(region.tokens.cells))
+        for reader, gaussian in enumerate(region.index):
+            k = number[region.readers.cells[reader]]
+            x, y = np.floor(pixels[gaussian]).astype(int)
+            if k < 0 or not (0 <= x < SIZE and 0 <= y < SIZE):
+                continue
+            bands = region.tokens.values[k, : 3 * BANDS].reshape(BANDS, 3)
+            # The middle of the pixel that the Gaussian lies in, read from the patch's cosines.
+            (basis,) = cosine_basis(
+                np.array([[(x % PATCH_PX + 0.5) / PATCH_PX, (y % PATCH_PX + 0.5) / PATCH_PX]]) - 0.5
+            )
+            np.testing.assert_allclose(0.5 + 2 * basis @ bands, view.target[y, x], atol=1e-5)
+            readable += 1
+    assert readable > 0.9 * len(splats)
 
 
 def test_a_gaussian_is_told_nothing_of_the_lifts_answer() -> None:
     splats, _ = sheet()
     lifted, view, truth = painted(0)
     answered = replace(lifted, splats=replace(splats, sh=sh_from_color(truth)[:, None].astype(np.float32)))
-    (one,), (other,) = (list(picture_regions(splats, edit, view)) for edit in (lifted, answered))
-    for name in ("positions", "inside", "facts", "before"):
-        np.testing.assert_array_equal(getattr(one.readers, name), getattr(other.readers, name))
+    regions = (picture_regions(splats, edit, view) for edit in (lifted, answered))
+    for one, other in zip(*regions, strict=True):
+        for name in ("cells", "inside", "facts", "before"):
+            np.testing.assert_array_equal(getattr(one.readers, name), getattr(other.readers, name))
 
 
-@pytest.mark.parametrize("mixer", ["ridge", "cross_attention"])
+@pytest.mark.parametrize("mixer", ["ttt", "ridge", "cross_attention"])
 def test_an_untrained_network_reads_the_picture_under_each_gaussian(mixer: str, float32: None) -> None:
     splats, _ = sheet()
     lifted, view, truth = painted(0)
     answer = network_colors(network(mixer=mixer), splats, lifted, [view])
-    assert decibels(answer.colors, truth) > 20 > 12 > decibels(base_color(splats.sh), truth)
+    assert decibels(answer.colors, truth) > 18 > 12 > decibels(base_color(splats.sh), truth)
     other = network_colors(network(mixer=mixer), splats, lifted, [painted(1)[1]])
     assert decibels(other.colors, truth) < 14
-    if mixer == "ridge":
+    if mixer != "cross_attention":  # which has no strength
         nothing = network_colors(network(mixer=mixer), splats, lifted, [view], strength=0.0)
-        assert decibels(nothing.colors, truth) < decibels(answer.colors, truth) - 8
+        np.testing.assert_allclose(nothing.colors, np.clip(base_color(splats.sh), 0, 1), atol=0.02)  # no paint
 
 
 @pytest.mark.parametrize("mixer", ["ttt", "ridge"])
@@ -137,15 +148,15 @@ def test_thirty_steps_on_pictures_leave_half_the_error_that_other_memories_do(mi
     memory of another picture."""
     splats, _ = sheet()
     learner = network(mixer=mixer, detail=False).train()
-    optimizer = torch.optim.AdamW(learner.parameters(), lr=2e-3)
+    optimizer = torch.optim.AdamW(learner.parameters(), lr=1e-4)
     seen = [(picture_regions(splats, *painted(seed)[:2]), painted(seed)[2]) for seed in range(2, 6)]
-    samples = [(next(iter(regions)), truth) for regions, truth in seen]
+    samples = [(max(regions, key=lambda region: len(region.index)), truth) for regions, truth in seen]
     for step in range(30):
         region, truth = samples[step % len(samples)]
-        pick = np.random.default_rng(step).permutation(len(truth))[:256]
-        state = learner.adapt(learner.initial_state(), patches_of(region.tokens, region.finest))
-        answer = learner.read(state, readers_of(region.readers.take(pick), region.finest))
-        loss = torch.log((answer.colors - torch.from_numpy(truth[pick])).square().mean() + 1e-4)
+        pick = np.random.default_rng(step).permutation(len(region.index))[:256]
+        state = learner.adapt(learner.initial_state(), patches_of(region.tokens))
+        answer = learner.read(state, readers_of(region.readers.take(pick)))
+        loss = torch.log((answer.colors - torch.from_numpy(truth[region.index[pick]])).square().mean() + 1e-4)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
@@ -252,5 +263,7 @@ def test_auto_takes_it_only_where_it_was_measured_to_be_better() -> None:
         assert chosen == method and "preset 'local'" in why
     assert "not measured on captures" in Painter(local=network()).choose("auto", "local")[1]
     assert Painter(local=made).choose("ttt", "local") == ("ttt", "")
+    made.notes = {"gain": {"local": -0.1}}
+    assert "lift is 0.10 dB better" in Painter(local=made).choose("ttt", "local")[1]
     with pytest.raises(ValueError, match="needs a preset with trained weights"):
         Painter(local=made).choose("ttt", "global")

@@ -47,14 +47,13 @@ def test_a_sample_is_the_same_in_any_order_and_from_disk(tmp_path: Path) -> None
     for again in (cached[1], cached[5], PaintedGaussianStream(ProceduralSource(3, 0), SAMPLES, 0, count=4,
                                                           folder=tmp_path, asset_kinds=("coarse",))[1]):  # fmt: skip
         assert (again.name, again.kind) == (first.name, first.kind)
-        for one, two in (
-            (again.truth, first.truth),
-            (again.lift, first.lift),
-            (again.region.tokens.values, first.region.tokens.values),
-            (again.region.readers.facts, first.region.readers.facts),
-            (again.region.readers.positions, first.region.readers.positions),
-        ):
-            np.testing.assert_array_equal(one, two)
+        np.testing.assert_array_equal(again.truth, first.truth)
+        for one, two in zip(again.regions, first.regions, strict=True):
+            np.testing.assert_array_equal(one.index, two.index)
+            np.testing.assert_array_equal(one.tokens.cells, two.tokens.cells)
+            np.testing.assert_array_equal(one.tokens.values, two.tokens.values)
+            np.testing.assert_array_equal(one.readers.cells, two.readers.cells)
+            np.testing.assert_array_equal(one.readers.facts, two.readers.facts)
     (path,) = tmp_path.rglob("000001.npz")
     path.write_bytes(b"damaged")
     np.testing.assert_array_equal(stream(tmp_path)[1].truth, first.truth)  # made anew
@@ -103,7 +102,7 @@ def test_steps_lower_the_loss_and_validation_has_its_columns(float32: None) -> N
         loss.backward()
         optimizer.step()
         losses.append(float(loss.detach()))
-    assert losses[-1] < losses[0] - 0.3
+    assert losses[-1] < losses[0] - 0.1
     task.eval()
     score = task.judge(example())
     figures = {"rows ours", "rows strength 0", "rows another picture", "rows lift", "edited ours", "edited held"}
@@ -115,8 +114,7 @@ def test_steps_lower_the_loss_and_validation_has_its_columns(float32: None) -> N
 def test_the_command_trains_stops_and_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sizes = """--data procedural:4 --samples.size 48 --samples.rows 300 --samples.surfels 3000 --samples.novel-views 2
      --samples.steps-per-object 2 --edits 4 --readers 64 --steps 4 --warmup 1 --validation-samples 1 --validate-every 4
-     --local.waves 8
-     --local.position-width 16 --local.content-width 16 --local.refine.fast-hidden 16 --local.refine.hidden 16
+     --local.content-width 15 --local.refine.fast-hidden 72 --local.refine.hidden 16
      --local.refine.blocks 1 --device cpu --json""".split()
     words = ["train", "rows", "--recipe", "paint", *sizes, "--assets", str(tmp_path / "assets")]
     assert main([*words, "--out", str(tmp_path / "whole")]) == 0
@@ -132,6 +130,6 @@ def test_the_command_trains_stops_and_goes_on(tmp_path: Path, capsys: pytest.Cap
     assert painter.model is None and painter.local is not None and painter.preset == "local"
     capsys.readouterr()
     other = [*words, "--out", str(tmp_path / "next"), "--from", str(tmp_path / "whole" / "model")]
-    other[other.index("--local.position-width") + 1] = "24"
+    other[other.index("--local.content-width") + 1] = "23"
     assert main(other) == 2
-    assert "weights of another model: position_width 16 there, 24 here" in capsys.readouterr().err
+    assert "weights of another model: content_width 15 there, 23 here" in capsys.readouterr().err

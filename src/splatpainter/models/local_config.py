@@ -9,6 +9,10 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from splatpainter.models.config import RefineConfig, read_json
+from splatpainter.models.picture_patches import SLOTS
+
+PLACE_WIDTH = SLOTS + 1
+"""Width of the code of a place."""
 
 
 @dataclass(frozen=True)
@@ -19,17 +23,13 @@ class LocalConfig:
     """Format name in its checkpoints."""
     preset: str = "local"
     """Name under which its checkpoint is found."""
-    waves: int = 64
-    """Sines, and cosines, that tell a place."""
-    position_width: int = 64
-    """Width of a place."""
-    content_width: int = 64
+    content_width: int = 95
     """Width of what a patch or a Gaussian is, beside its place."""
     refine: RefineConfig = field(
         default_factory=lambda: RefineConfig(
             blocks=2,
-            fast_hidden=256,
-            hidden=192,
+            fast_hidden=128,
+            hidden=128,
             heads=4,
             patch=4,
             inner_loss="dot",
@@ -39,9 +39,12 @@ class LocalConfig:
     """Blocks, fast weights and the extra layer; of the other fields none is read."""
 
     def __post_init__(self) -> None:
-        for name in ("waves", "position_width", "content_width"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"config: expected {name} of at least 1, got {getattr(self, name)}")
+        if self.content_width < 2:
+            raise ValueError(f"config: expected content_width of at least 2, got {self.content_width}")
+        if self.refine.fast_hidden <= SLOTS:
+            raise ValueError(
+                f"config: expected fast_hidden above the {SLOTS} cells of a tile, got {self.refine.fast_hidden}"
+            )
         if self.dim % self.refine.heads:
             raise ValueError(
                 f"config: expected a width that is a multiple of {self.refine.heads} heads, got {self.dim}"
@@ -50,7 +53,7 @@ class LocalConfig:
     @property
     def dim(self) -> int:
         """D."""
-        return self.position_width + self.content_width
+        return PLACE_WIDTH + self.content_width
 
     def to_json(self) -> str:
         """Every field."""

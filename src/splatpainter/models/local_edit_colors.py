@@ -56,9 +56,9 @@ def network_colors(
             if not len(region.index):
                 continue
             with torch.no_grad():
-                patches = patches_of(region.tokens, region.finest)
+                patches = patches_of(region.tokens)
                 state = network.adapt(network.initial_state(), patches, strength)
-                answer = network.read(state, readers_of(region.readers, region.finest), strength)
+                answer = network.read(state, readers_of(region.readers), strength)
             sure = np.exp(-answer.log_variance.numpy().astype(np.float64))
             total[region.index] += sure[:, None] * answer.colors.numpy()
             weight[region.index] += sure
@@ -118,16 +118,12 @@ def held(
     return result
 
 
-def patches_of(tokens: PatchTokens, finest: float, device: str | torch.device = "cpu") -> Patches:
+def patches_of(tokens: PatchTokens, device: str | torch.device = "cpu") -> Patches:
     """A region's patches as tensors."""
-    positions, values, weights = (
-        torch.from_numpy(x).to(device) for x in (tokens.positions, tokens.values, tokens.weights)
-    )
-    return Patches(positions, values, weights, finest)
+    return Patches(torch.from_numpy(tokens.cells).to(device), torch.from_numpy(tokens.values).to(device))
 
 
-def readers_of(readers: PatchReaders, finest: float, device: str | torch.device = "cpu") -> Readers:
+def readers_of(readers: PatchReaders, device: str | torch.device = "cpu") -> Readers:
     """A region's Gaussians as tensors."""
-    arrays = (readers.positions, cosine_basis(readers.inside), readers.facts, readers.before)
-    positions, basis, facts, before = (torch.from_numpy(x).to(device) for x in arrays)
-    return Readers(positions, basis, facts, before, finest)
+    arrays = (readers.cells, cosine_basis(readers.inside), readers.facts, readers.before)
+    return Readers(*(torch.from_numpy(x).to(device) for x in arrays))

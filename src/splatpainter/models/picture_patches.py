@@ -1,12 +1,12 @@
-"""What the local network reads (models/local_network.py): patches of an edited picture at their places on the surface,
-and the Gaussians that the lift has laid out for the edit, which ask what colour they are.
+"""What the local network reads (models/local_network.py): patches of an edited picture, and the Gaussians that the
+lift has laid out for the edit, which ask what colour they are.
 
     for region in picture_regions(asset, lifted, view):
         region.tokens, region.readers, lifted.ids[region.index]
 
-Patches and Gaussians are told of in one frame, that of the box around the patches' surface points. A picture with more
-than MAX_TOKENS patches is cut into regions, each an edit with a frame of its own. numpy, no torch.
-T patches, R Gaussians, J = len(lifted.ids).
+The picture is cut into tiles of TILE x TILE patches, each an edit of its own: as much as a small memory holds without
+blurring it. Patches and Gaussians are told of by their cell in the tile and the ring of patches around it.
+numpy, no torch. T patches, R Gaussians, J = len(lifted.ids).
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from splatpainter.rendering.cpu.projected_view import project, tiles_of_mask
 from splatpainter.transforms import quat_to_matrix
 
 if TYPE_CHECKING:
-    from splatpainter.cameras import Camera
     from splatpainter.lift.edit_views import EditView
     from splatpainter.lift.edits import LiftedEdit
     from splatpainter.splats import Splats
@@ -33,17 +32,21 @@ PATCH_PX = 4
 """Pixels per edge of a patch."""
 BANDS = PATCH_PX**2
 """Cosines of a patch and channel, and pixels that they stand for."""
-MAX_TOKENS = 1024
-"""Patches of one region."""
-FINEST_PX = 2.0 * PATCH_PX
-"""Shortest wavelength that positions are told with: between patches there is no shorter one."""
+TILE = 6
+"""Patches per edge of a tile."""
+RING_TILE = TILE + 2
+"""The same with the ring around it, whose patches say what stays and how the edit goes on."""
+SLOTS = RING_TILE**2
+"""Cells of a tile and its ring."""
 MIN_SOLID_SHARE = 0.2
 """Share of a patch that shows the asset, from which it has a place."""
 SOLID_ALPHA = 0.5
 MAX_DEPTH_PX = 8.0
 """Distances before and behind the shown surface are told up to this many pixels."""
-TOKEN_CHANNELS = 2 * 3 * BANDS + BANDS + 1
-"""Cosines of the picture and of the render before it, what was edited, and how much of it shows the asset."""
+HELD_CHANNELS = 4 * BANDS
+"""The first channels of a token: cosines of the picture, [BANDS, 3], and of the edit's mask."""
+TOKEN_CHANNELS = HELD_CHANNELS + 3 * BANDS + 1
+"""Beside these the cosines of the render before the edit, and how much of the patch shows the asset."""
 READER_CHANNELS = 20
 """Numbers per Gaussian: `_facts`."""
 BEHIND_FEATURE, PEAK_FEATURE, BESIDE_FEATURE, APPENDED_FEATURE = 10, 15, READER_CHANNELS - 2, READER_CHANNELS - 1
@@ -55,21 +58,18 @@ picture does not show its place, and that the lift has appended it."""
 class PatchTokens:
     """Patches of a region, float32."""
 
-    positions: np.ndarray = field(repr=False)
-    """[T, 3] of their middles on the surface, in the region's frame, -1..1."""
+    cells: np.ndarray = field(repr=False)
+    """[T] int64 below SLOTS, row by row."""
     values: np.ndarray = field(repr=False)
     """[T, TOKEN_CHANNELS] of order 1."""
-    weights: np.ndarray = field(repr=False)
-    """[T] share of edited pixels, 0..1; those beside the edit say what stays."""
 
 
 @dataclass(frozen=True)
 class PatchReaders:
     """Gaussians of a region, float32."""
 
-    positions: np.ndarray = field(repr=False)
-    """[R, 3] of the patch over each, in the region's frame; of those that are far before or behind the surface, and
-    where there is no patch, where its middle would be at their depth."""
+    cells: np.ndarray = field(repr=False)
+    """[R] int64 of the patch over each, below SLOTS."""
     inside: np.ndarray = field(repr=False)
     """[R, 2] place in that patch, right and down, -0.5..0.5."""
     facts: np.ndarray = field(repr=False)
@@ -79,7 +79,7 @@ class PatchReaders:
 
     def take(self, ids: np.ndarray) -> PatchReaders:
         """Some of them. ids: [K] int64."""
-        return PatchReaders(self.positions[ids], self.inside[ids], self.facts[ids], self.before[ids])
+        return PatchReaders(self.cells[ids], self.inside[ids], self.facts[ids], self.before[ids])
 
 
 @dataclass(frozen=True)
@@ -90,14 +90,12 @@ class PictureRegion:
     readers: PatchReaders
     index: np.ndarray = field(repr=False)
     """[R] int64 which of lifted.ids they are."""
-    finest: float
-    """FINEST_PX in the region's frame."""
 
 
 def picture_regions(asset: Splats, lifted: LiftedEdit, view: EditView) -> Iterator[PictureRegion]:
-    """Regions of a view, whose readers together are the J Gaussians of a lifted edit, each once. asset: before the
-    edit, numpy. Raises ValueError for a view without depth and alpha; yields nothing where the picture has no patch
-    with a place."""
+    """Regions of a view, whose readers together are the J Gaussians of a lifted edit, each at most once: a tile without
+    a patch that shows the asset has none. asset: before the edit, numpy. Raises ValueError for a view without depth and
+    alpha."""
     if view.depth is None or view.alpha is None:
         raise ValueError(f"{view.name}: expected a view with depth and alpha, which the network reads")
     patches = _Patches.of(view)
@@ -113,26 +111,19 @@ def picture_regions(asset: Splats, lifted: LiftedEdit, view: EditView) -> Iterat
     before = np.clip(base_color(asset.sh[lifted.parents]), 0, 1).astype(np.float32)
     facts = _facts(splats, lifted.ids, len(asset), view, pixels, depths, before)
     inside = (pixels / PATCH_PX - cells - 0.5).astype(np.float32)
-    # The middle of the patch at the Gaussian's own depth: the words in which the patch under it tells its place.
-    middles = view.camera.unproject(np.maximum(depths, 1e-6), (cells + 0.5) * PATCH_PX)
-    for box in patches.regions():
-        # Every Gaussian belongs to one region, so that of two answers none has to win.
-        index = np.flatnonzero(box.holds(cells, patches.used.shape))
-        frame, tokens = patches.tokens(box)
-        positions = np.clip((middles[index] - frame.center) / frame.half_extent, -2, 2).astype(np.float32)
-        # Those near the surface that the picture shows ask for the patch over them by its own name.
-        number = patches.numbers(box)[
-            np.clip(cells[index, 1], 0, len(patches.used) - 1).astype(np.int64),
-            np.clip(cells[index, 0], 0, patches.used.shape[1] - 1).astype(np.int64),
-        ]
-        over = (number >= 0) & (np.abs(facts[index, BEHIND_FEATURE]) < 1) & (facts[index, BESIDE_FEATURE] == 0)
-        positions[over] = tokens.positions[number[over]]
-        yield PictureRegion(
-            tokens,
-            PatchReaders(positions, inside[index], facts[index], before[index]),
-            index,
-            frame.finest,
-        )
+    low, high = patches.box()
+    # What lies beside the box asks the nearest of its patches.
+    cells = np.clip(cells, low, np.subtract(high, 1)).astype(np.int64)
+    tiles = (cells - low) // TILE
+    for corner in np.unique(tiles, axis=0):
+        index = np.flatnonzero((tiles == corner).all(1))
+        left, top = (corner * TILE + low - 1).tolist()
+        tokens = patches.tokens(top, left)
+        if tokens is None:
+            continue
+        inner = cells[index] - (left, top)
+        readers = PatchReaders(inner[:, 1] * RING_TILE + inner[:, 0], inside[index], facts[index], before[index])
+        yield PictureRegion(tokens, readers, index)
 
 
 def cosine_basis(inside: np.ndarray) -> np.ndarray:
@@ -152,60 +143,15 @@ def cosines(patches: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class _Frame:
-    center: np.ndarray
-    half_extent: float
-    finest: float
-
-
-@dataclass(frozen=True)
-class _Box:
-    """Patches of rows top to bottom and columns left to right, without the last ones."""
-
-    top: int
-    left: int
-    bottom: int
-    right: int
-    outer: tuple[int, int, int, int]
-    """The box of all regions: what lies beside it belongs to the nearest of them."""
-
-    def holds(self, cells: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-        """[R] bool of cells [R, 2] (x, y)."""
-        top, left, bottom, right = self.outer
-        x, y = np.clip(cells[:, 0], left, right - 1), np.clip(cells[:, 1], top, bottom - 1)
-        return (x >= self.left) & (x < self.right) & (y >= self.top) & (y < self.bottom)
-
-    def halves(self) -> tuple[_Box, _Box]:
-        if self.bottom - self.top >= self.right - self.left:
-            middle = (self.top + self.bottom) // 2
-            return (
-                _Box(self.top, self.left, middle, self.right, self.outer),
-                _Box(middle, self.left, self.bottom, self.right, self.outer),
-            )
-        middle = (self.left + self.right) // 2
-        return (
-            _Box(self.top, self.left, self.bottom, middle, self.outer),
-            _Box(self.top, middle, self.bottom, self.right, self.outer),
-        )
-
-
-@dataclass(frozen=True)
 class _Patches:
     """All patches of a view, on its grid of [GH, GW]."""
 
-    camera: Camera
     used: np.ndarray
     """[GH, GW] bool: edited, or beside such a one, and with a place."""
-    edited: np.ndarray
-    """[GH, GW] share of edited pixels."""
     pictures: np.ndarray
     """[GH, GW, P, P, 7] target, before, mask."""
     solid: np.ndarray
     """[GH, GW] share of pixels that show the asset."""
-    points: np.ndarray
-    """[GH, GW, 3] world points of their middles."""
-    depths: np.ndarray
-    """[GH, GW]."""
 
     @staticmethod
     def of(view: EditView) -> _Patches:
@@ -218,77 +164,35 @@ class _Patches:
         # What is beyond the picture is not edited and shows nothing.
         edited = _cut(np.pad(view.mask, pad)[..., None])[..., 0].mean((2, 3))
         visible = _cut(np.pad((view.alpha > SOLID_ALPHA) & (view.depth > 0), pad)[..., None])[..., 0]
-        depths = _cut(np.pad(view.depth, pad)[..., None])[..., 0]
         solid = visible.mean((2, 3))
-        # The mean over what is visible alone: background would pull a patch at a silhouette behind the asset.
-        depth = (depths * visible).sum((2, 3)) / np.maximum(visible.sum((2, 3)), 1)
         # The ring around the edit says what stays as it was.
         grown = np.pad(edited > 0, 1)
         near = np.zeros(edited.shape, bool)
         for dy in range(3):
             for dx in range(3):
                 near |= grown[dy : dy + edited.shape[0], dx : dx + edited.shape[1]]
-        y, x = np.indices(edited.shape)
-        middles = (np.stack([x, y], -1) + 0.5) * PATCH_PX
-        points = view.camera.unproject(np.maximum(depth.astype(np.float64), 1e-6), middles)
         used = near & (solid > MIN_SOLID_SHARE)
-        return _Patches(view.camera, used, edited, pictures, solid, points, depth)
+        return _Patches(used, pictures, solid)
 
-    def regions(self) -> Iterator[_Box]:
-        """Boxes that together hold all used patches, none with more than MAX_TOKENS."""
+    def box(self) -> tuple[tuple[int, int], tuple[int, int]]:
+        """First and last + 1 (x, y) of the used patches."""
         lines, columns = (np.flatnonzero(self.used.any(axis)) for axis in (1, 0))
-        outer = (int(lines[0]), int(columns[0]), int(lines[-1]) + 1, int(columns[-1]) + 1)
-        # Halved until each fits: a large edit becomes several, and no patch is looked at more coarsely.
-        open_boxes = [_Box(*outer, outer)]
-        while open_boxes:
-            box = open_boxes.pop()
-            if self._chosen(box).sum() > MAX_TOKENS:
-                open_boxes += box.halves()
-            else:
-                yield box
+        return (int(columns[0]), int(lines[0])), (int(columns[-1]) + 1, int(lines[-1]) + 1)
 
-    def _chosen(self, box: _Box) -> np.ndarray:
-        """[GH, GW] bool: the used patches of a box and of the ring around it; where there are none, the nearest
-        ones."""
-        around = np.zeros(self.used.shape, bool)
-        around[max(box.top - 1, 0) : box.bottom + 1, max(box.left - 1, 0) : box.right + 1] = True
-        chosen = self.used & around
-        if chosen.any():
-            return chosen
-        # A region without patches of its own may still have Gaussians, which need something to ask.
-        ys, xs = np.nonzero(self.used)
-        away = (ys - (box.top + box.bottom) / 2) ** 2 + (xs - (box.left + box.right) / 2) ** 2
-        nearest = np.argsort(away, kind="stable")[:BANDS]
-        chosen[ys[nearest], xs[nearest]] = True
-        return chosen
-
-    def numbers(self, box: _Box) -> np.ndarray:
-        """[GH, GW] int64 which of a region's patches each is, -1: none."""
-        chosen = self._chosen(box)
-        numbers = np.full(chosen.shape, -1, np.int64)
-        numbers[chosen] = np.arange(int(chosen.sum()))
-        return numbers
-
-    def tokens(self, box: _Box) -> tuple[_Frame, PatchTokens]:
-        """(the frame of a region, its patches)."""
-        chosen = self._chosen(box)
-        points = self.points[chosen]
-        low, high = points.min(0), points.max(0)
-        pixel = float(np.median(self.depths[chosen])) / self.camera.fy
-        # At least a patch wide: a single one has no extent, and places would be divided by nothing.
-        half_extent = max(float((high - low).max()) / 2, PATCH_PX * pixel)
-        frame = _Frame((low + high) / 2, half_extent, FINEST_PX * pixel / half_extent)
-        planes = self.pictures[chosen]
+    def tokens(self, top: int, left: int) -> PatchTokens | None:
+        """The used patches among the RING_TILE x RING_TILE from there on, which may be beside the picture; None where
+        there is no such patch."""
+        height, width = self.used.shape
+        y, x = np.divmod(np.arange(SLOTS), RING_TILE) + np.array([[top], [left]])
+        there = (y >= 0) & (y < height) & (x >= 0) & (x < width)
+        there[there] = self.used[y[there], x[there]]
+        if not there.any():
+            return None
+        planes, solid = self.pictures[y[there], x[there]], self.solid[y[there], x[there]]
         target, before = (0.5 * cosines(planes[..., part] - 0.5) for part in (slice(0, 3), slice(3, 6)))
-        count = len(planes)
-        values = [target.reshape(count, -1), before.reshape(count, -1), planes[..., 6].reshape(count, -1)]
-        values.append(2 * self.solid[chosen][:, None] - 1)
-        positions = (points - frame.center) / half_extent
-        return frame, PatchTokens(
-            positions.astype(np.float32),
-            np.concatenate(values, 1, dtype=np.float32),
-            self.edited[chosen].astype(np.float32),
-        )
+        mask, count = 0.25 * cosines(planes[..., 6:]), len(planes)
+        values = [target.reshape(count, -1), mask[..., 0], before.reshape(count, -1), 2 * solid[:, None] - 1]
+        return PatchTokens(np.flatnonzero(there), np.concatenate(values, 1, dtype=np.float32))
 
 
 def _cut(picture: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
-from splatpainter.nn.precision import Arithmetic, resolve
+from splatpainter.nn.precision import Arithmetic
 from splatpainter.painting.asset import Asset
 from splatpainter.painting.edit_settings import EditSettings
 from splatpainter.painting.edited_picture import Edit, Method, Mode
@@ -247,7 +247,7 @@ class PicturesMethod(EditMethod):
 
     @property
     def arithmetic(self) -> Arithmetic | Literal[""]:
-        return resolve(self.settings.precision, "cpu")
+        return "float32"
 
     def preset(self, painter: str) -> str:
         return "local"
@@ -256,7 +256,8 @@ class PicturesMethod(EditMethod):
         from splatpainter.models.local_edit_colors import repainted
 
         # Colours are replaced before the lift's result becomes an asset, so that parents and confidence are the lift's.
-        with inference(self.network, self.settings.precision):
+        # In float32 whatever the precision: bf16 would round away what its memory holds beside the markers of cells.
+        with inference(self.network, "float32"):
             lifted = repainted(self.network, asset.splats, lifted, views)
         result = super().finish(asset, lifted, views, clock)
         clock.record_time("ttt")

@@ -52,10 +52,12 @@ if TYPE_CHECKING:
 PaintedAssetKind = Literal["coarse", "fitted"]
 PAINTED_KINDS = (*PAINTED, "recolor", "zoom")
 """Kinds of edits that a picture of one view tells."""
-VERSION = 2
+VERSION = 3
 """Version of how edits are made: files of another one are made anew."""
-MAX_READERS = 1536
-"""Gaussians of an edit that are kept, a random choice."""
+MAX_REGIONS = 4
+"""Regions of an edit that are kept, a random choice."""
+MAX_READERS = 256
+"""Gaussians of a region that are kept, a random choice."""
 TRUTH_NEIGHBOURS = 16
 """Surfels whose mean is a Gaussian's colour."""
 MAX_TRIES = 16
@@ -96,11 +98,10 @@ class PaintedGaussians:
     name: str
     kind: str
     """Of the edit and of the asset."""
-    region: PictureRegion
+    regions: tuple[PictureRegion, ...]
+    """Their `index` is into `truth`."""
     truth: np.ndarray = field(repr=False)
     """[R, 3] base colours in truth."""
-    lift: np.ndarray = field(repr=False)
-    """[R, 3] what the lift says: for comparison, never an input."""
 
 
 class PaintedGaussianStream:
@@ -142,14 +143,15 @@ class PaintedGaussianStream:
         if not regions:
             raise ValueError(f"{edit.name}: the picture shows no surface")
         rng = self._generator("readers", number)
-        region = regions[int(rng.integers(len(regions)))]
-        chosen = np.sort(rng.permutation(len(region.index))[:MAX_READERS])
-        if len(chosen) == 0:
-            raise ValueError(f"{edit.name}: the paint reaches no Gaussian")
-        numbers = region.index[chosen]
-        lift = np.clip(base_color(edit.lifted.splats.sh[edit.lifted.ids[numbers]]), 0, 1).astype(np.float32)
-        part = replace(region, readers=region.readers.take(chosen), index=numbers)
-        arrays = _arrays(PaintedGaussians(edit.name, edit.kind, part, edit.truth[numbers], lift))
+        parts, truths, first = [], [], 0
+        for k in np.sort(rng.permutation(len(regions))[:MAX_REGIONS]).tolist():
+            region = regions[k]
+            chosen = np.sort(rng.permutation(len(region.index))[:MAX_READERS])
+            rows = np.arange(first, first + len(chosen))
+            parts.append(replace(region, readers=region.readers.take(chosen), index=rows))
+            truths.append(edit.truth[region.index[chosen]])
+            first += len(chosen)
+        arrays = _arrays(PaintedGaussians(edit.name, edit.kind, tuple(parts), np.concatenate(truths)))
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
             with writing(path) as file:
@@ -257,29 +259,35 @@ def true_colors(truth: Splats[Tensor], gaussians: Splats) -> np.ndarray:
 
 def _arrays(edit: PaintedGaussians) -> dict[str, np.ndarray]:
     """What is kept of an edit, in half precision."""
-    region = edit.region
-    arrays = {
-        "places": region.tokens.positions,
-        "values": region.tokens.values,
-        "weights": region.tokens.weights,
-        "reader_places": region.readers.positions,
-        "inside": region.readers.inside,
-        "facts": region.readers.facts,
-        "before": region.readers.before,
+    tokens, readers = [region.tokens for region in edit.regions], [region.readers for region in edit.regions]
+    wide = {
+        "values": np.concatenate([part.values for part in tokens]),
+        "inside": np.concatenate([part.inside for part in readers]),
+        "facts": np.concatenate([part.facts for part in readers]),
+        "before": np.concatenate([part.before for part in readers]),
         "truth": edit.truth,
-        "lift": edit.lift,
     }
-    words = {"name": np.array(edit.name), "kind": np.array(edit.kind), "finest": np.array(region.finest)}
-    return {name: values.astype(np.float16) for name, values in arrays.items()} | words
+    exact = {
+        "cells": np.concatenate([part.cells for part in tokens]),
+        "reader_cells": np.concatenate([part.cells for part in readers]),
+        "counts": np.array([(len(one.cells), len(two.cells)) for one, two in zip(tokens, readers, strict=True)]),
+        "name": np.array(edit.name),
+        "kind": np.array(edit.kind),
+    }
+    return {name: values.astype(np.float16) for name, values in wide.items()} | exact
 
 
 def _edit(arrays: dict[str, np.ndarray]) -> PaintedGaussians:
     """The inverse of `_arrays`."""
     wide = {key: values.astype(np.float32) for key, values in arrays.items() if values.dtype == np.float16}
-    tokens, finest = PatchTokens(wide["places"], wide["values"], wide["weights"]), float(arrays["finest"])
-    readers = PatchReaders(wide["reader_places"], wide["inside"], wide["facts"], wide["before"])
-    region = PictureRegion(tokens, readers, np.arange(len(wide["truth"])), finest)
-    return PaintedGaussians(str(arrays["name"]), str(arrays["kind"]), region, wide["truth"], wide["lift"])
+    regions, token, reader = [], 0, 0
+    for tokens, readers in arrays["counts"].tolist():
+        of, by = slice(token, token + tokens), slice(reader, reader + readers)
+        asking = PatchReaders(arrays["reader_cells"][by], wide["inside"][by], wide["facts"][by], wide["before"][by])
+        patches = PatchTokens(arrays["cells"][of], wide["values"][of])
+        regions.append(PictureRegion(patches, asking, np.arange(reader, reader + readers)))
+        token, reader = token + tokens, reader + readers
+    return PaintedGaussians(str(arrays["name"]), str(arrays["kind"]), tuple(regions), wide["truth"])
 
 
 def _read(path: Path) -> PaintedGaussians | None:
