@@ -1,7 +1,7 @@
 """Remake the pictures of the studio in docs/images: the screenshots of its guide (studio*.jpg) and the README's moving
 picture (painting.webp), by driving a real Chromium over a studio of the demo asset.
 
-    python scripts/studio_pictures.py [NAME ...]    # studio, paint, select, text, layers, files, moving
+    python scripts/studio_pictures.py [NAME ...]    # studio, paint, select, text, layers, light, files, moving
 
 Needs Playwright, Chromium and the built page. A minute or two; nothing of it depends on the machine's speed.
 """
@@ -185,12 +185,27 @@ def files(artist: Artist) -> None:
     artist.tab.locator("dialog").get_by_label("Axes").focus()
 
 
+def light(artist: Artist) -> None:
+    """A sunset, a sun from the left, and a warm lamp before the pot."""
+    artist.tab_of("Light")
+    artist.until("document.querySelectorAll('.skies img').length >= 8")
+    artist.tab.get_by_role("radio", name="Sunset").click()
+    artist.saved()
+    artist.tab.get_by_role("button", name="Sun", exact=True).click()
+    artist.saved()
+    artist.tab.get_by_role("button", name="Point", exact=True).click()
+    artist.saved()
+    artist.until("!document.querySelector('.layer .spinner')")
+    artist.tab.wait_for_timeout(800)
+
+
 SCREENSHOTS: dict[str, Callable[[Artist], None]] = {
     "studio": studio,
     "paint": paint,
     "select": select,
     "text": text,
     "layers": layers,
+    "light": light,
     "files": files,
 }
 
