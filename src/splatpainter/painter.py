@@ -96,7 +96,7 @@ class Painter:
         network = self.model or self.local
         return "lift" if network is None else network.config.preset
 
-    def encode(self, splats: Splats, method: Method = "auto", modes: Sequence[Mode] = DEFAULT_MODES) -> Asset:
+    def encode(self, splats: Splats[Any], method: Method = "auto", modes: Sequence[Mode] = DEFAULT_MODES) -> Asset:
         """Prepare an asset for edits by `method` in these modes: for "ttt", run the LRM and Stage I where they are
         needed (`encodes`). In `copy` representation its Gaussians are then Stage I's. Raises ValueError when it has
         no Gaussian that can be drawn."""

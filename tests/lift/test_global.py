@@ -172,6 +172,7 @@ def test_the_later_of_two_conflicting_views_wins_where_both_see(swapped):
     ]
     result = lift_global(splats, views).splats
     weights = sp.render(splats, [FRONT, NEAR_FRONT], contributions=True).contributions
+    assert weights is not None
     both = (weights > 3).all(0)
     assert both.sum() > 200
     expected, other = (np.abs(base_colors(result) - base_colors(truth))[both] for truth in (last, first))

@@ -65,7 +65,7 @@ def test_a_rectangle_is_found_to_the_pixel(background, opacity):
         mask = change_mask(picture, image)
         assert mask.dtype == bool and mask.shape == where.shape
         assert not (mask & ~grown(where, 1)).any()
-        missed = binary_erosion(where, np.ones((3, 3))) & ~mask
+        missed = np.asarray(binary_erosion(where, np.ones((3, 3))), bool) & ~mask
         # Where the texture already has the paint's colour there is nothing to see.
         assert (np.abs(edited - image).max(-1)[missed] < 4 / 255).all()
         assert fractions(mask, where)[0] < 0.02

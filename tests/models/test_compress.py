@@ -52,7 +52,7 @@ def block(layer: PackedBlock, x: Tensor) -> Tensor:
 
 
 def by_voxel(
-    net: Compressor, tokens: Tensor, gaussians: Splats, tied: TokenLinks, groups: GaussianGroups, share: float
+    net: Compressor, tokens: Tensor, gaussians: Splats[Tensor], tied: TokenLinks, groups: GaussianGroups, share: float
 ) -> dict[int, Tensor]:
     """Gaussian -> latent: one voxel at a time, the token and the attributes concatenated as in the paper."""
     features = attribute_features(gaussians, groups, net.degree)

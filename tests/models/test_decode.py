@@ -21,7 +21,7 @@ from splatpainter.models.decode import (
 from splatpainter.splats import ATTRIBUTES, Splats
 
 
-def some_gaussians(count: int = 40, degree: int = 3, dtype: torch.dtype = torch.float32) -> Splats:
+def some_gaussians(count: int = 40, degree: int = 3, dtype: torch.dtype = torch.float32) -> Splats[Tensor]:
     g = torch.Generator().manual_seed(3)
 
     def normal(*shape: int) -> Tensor:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -65,7 +66,7 @@ def edit(
     )
 
 
-def same_bits(a: Splats, b: Splats) -> bool:
+def same_bits(a: Splats[Any], b: Splats[Any]) -> bool:
     """-0.0 and 0.0 differ."""
     ours, other = a.numpy(), b.numpy()
     return all((getattr(ours, n).view(np.int32) == getattr(other, n).view(np.int32)).all() for n in ATTRIBUTES)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -85,7 +86,7 @@ def links(count: int, tokens: int, seed: int = 3) -> TokenLinks:
     return TokenLinks(rng.integers(0, tokens, (count, 3)), weights)
 
 
-def grid_of(splats: Splats, config: ModelConfig) -> VoxelGrid:
+def grid_of(splats: Splats[Any], config: ModelConfig) -> VoxelGrid:
     return voxelize(splats, config.compress.resolution)
 
 

@@ -199,7 +199,7 @@ class _Run:
             out[name] = values
         return replace(reference, **out)
 
-    def _drawn(self) -> Splats:
+    def _drawn(self) -> Splats[Any]:
         """What is rendered: attributes that are not optimised come straight from the start."""
         moved = self.raw.splats(self.start)
         if self.full is None and len(self.options.attributes) == len(ATTRIBUTES):

@@ -7,7 +7,6 @@ from typing import Literal
 
 import numpy as np
 
-from splatpainter.array_types import Bools
 from splatpainter.cameras import Camera
 
 Mode = Literal["local", "global", "spread"]
@@ -27,8 +26,9 @@ class Edit:
     image: np.ndarray = field(repr=False)
     """[H, W, 3] the edited view, float 0..1 (or uint8), of the camera's size."""
     camera: Camera
-    mask: Bools | None = field(default=None, repr=False)
-    """[H, W] bool, pixels that were edited; None: found by comparing with the current render."""
+    mask: np.ndarray | None = field(default=None, repr=False)
+    """[H, W] pixels that were edited: bool, or floats or uint8 above 0, kept as bool. None: found by comparing with the
+    current render."""
     name: str = "edit"
     """What errors call it, e.g. its file."""
 

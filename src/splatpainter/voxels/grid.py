@@ -22,6 +22,7 @@ hit nothing or more than 3 voxels behind it / more than 4 in front of it / neith
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -69,7 +70,7 @@ class VoxelGrid:
         return self.min_corner + (cell + 0.5) * self.voxel
 
 
-def voxelize(splats: Splats, resolution: int = RESOLUTION) -> VoxelGrid:
+def voxelize(splats: Splats[Any], resolution: int = RESOLUTION) -> VoxelGrid:
     """Group an asset's Gaussians in resolution^3 voxels over `bounding_cube`. Every drawable one gets a voxel.
     Permuting them permutes `index` and the members of each group; equal opacities in a group are in the asset's order.
     Raises ValueError when none can be drawn."""
