@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from splatpainter.io import read
 from splatpainter.painter import Painter
@@ -29,6 +30,7 @@ from splatpainter.session.commands.session_scene import SessionScene
 from splatpainter.session.commands.session_selections import SessionSelections
 from splatpainter.session.commands.session_strokes import SessionStrokes
 from splatpainter.session.commands.session_surface import SessionSurface
+from splatpainter.session.former_names import under_former_name
 from splatpainter.session.project import asset_files
 from splatpainter.session.project.asset_files import ANY_FILE, OriginalRule
 from splatpainter.session.project.database import SUFFIX
@@ -152,6 +154,12 @@ class Session:
         self.history = SessionHistory(core)
         self.bookmarks = SessionBookmarks(core)
         self.files = SessionFileCommands(core)
+
+    # Hidden from type checkers, to which a mistyped name would be one of these.
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            return under_former_name(self, name)
 
     # ---- what there is: changes nothing
 
