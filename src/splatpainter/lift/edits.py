@@ -57,10 +57,6 @@ class EditThresholds:
     with 2 to 4 edited views, near them: 26.4 dB with a detail layer per view, 27.3 with one for the last; in the edited
     views 29.0 and 29.5."""
 
-    rounds_of_several: int = 2
-    """Colour rounds of a sheet where others are laid beside it: with 3, as one view has, sheets of two views that meet
-    on a wall lose 0.6 dB (tests/lift/test_view_selection.py), since each is fitted to its own view's pixels."""
-
 
 EDITS = EditThresholds()
 
@@ -248,7 +244,6 @@ def _on_surface(
     if len(views) == 1:
         view = views[0]
         return result.after(painted_by(view, view.mask, options, at_hand=view.projected)).lifted(len(splats))
-    options = replace(options, sheet_rounds=min(options.sheet_rounds, EDITS.rounds_of_several))
     # Which view paints which point of the surface is decided before anything is painted, on the asset as it is.
     shares = view_shares(splats, surface, views)
     settings = [replace(options, max_error=1.0) if again else options for again in _shown_again(splats, grid, views)]

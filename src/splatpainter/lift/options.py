@@ -41,8 +41,8 @@ class LocalOptions:
     fine_px: float = 12.0
     """Painted pixels per Gaussian that makes them up to which most of a side is split, not covered by sheets (0: never;
     `paint.is_fine`)."""
-    sheet_rounds: int = 3
-    """Colour rounds of sheets; of several views at most `EDITS.rounds_of_several`."""
+    sheet_rounds: int = 2
+    """Colour rounds of sheets."""
     max_pieces: int = 12_000
     """Pieces of Gaussians across the edge of a sheet from which on none is halved any more."""
     angle_limit: float = ranged(85.0, ge=0, le=90)
