@@ -9,6 +9,7 @@ import pytest
 from PIL import Image, ImageFilter
 
 from splatpainter.gatekeeper.mistaken_pictures import explain, filtered
+from splatpainter.lift.masks import box_mean, contrast
 from tests.support.distorted_pictures import drawn_scene, jpeg, moved
 
 VIEW, ALPHA = drawn_scene(240)
@@ -228,3 +229,23 @@ def test_pictures_of_a_few_pixels_are_judged(size: tuple[int, int]) -> None:
         for one in (picture, view, np.zeros_like(view)):
             explain(one, view, alpha)
     assert explain(view, view, np.ones(size, np.float32)) is None
+
+
+def test_a_better_picture_of_a_coarse_asset_is_not_taken_for_a_smoothed_one():
+    """A close-up of few Gaussians blurs true edges and is full of their own; the true picture has less contrast."""
+    rng = np.random.default_rng(5)
+    y, x = np.mgrid[:240, :240]
+    rings = np.where(np.hypot(x - 90, y - 80) % 30 < 15, 0.3, 0.7)
+    truth = np.repeat(rings[..., None], 3, -1).astype(np.float32)
+    noise = box_mean(rng.normal(0, 0.1, (240, 240, 3)).astype(np.float32), 1)
+    render = box_mean(box_mean(truth, 4), 4) + noise
+    alpha = np.ones(render.shape[:2], np.float32)
+    found = filtered(box_mean(box_mean(render, 2), 2), render, alpha)
+    assert found is not None and found.cause == "filter"
+    contrast_ratio = np.median(contrast(truth)) / np.median(contrast(render))
+    assert contrast_ratio < 0.85, "it would be one by its contrast"
+    assert filtered(truth, render, alpha) is None
+    # The edges of blocks are no detail: JPEG's of low quality, and large pixels.
+    for blocks in (jpeg(blurred(render), 5), pixels(render)):
+        found = filtered(blocks, render, alpha)
+        assert found is not None and found.cause == "filter"

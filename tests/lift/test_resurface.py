@@ -230,9 +230,9 @@ def test_the_depth_edge_limit_leaves_out_a_strip_on_both_sides_of_a_step():
 
 @pytest.mark.parametrize("limits", [{"angle_limit": -1.0}, {"angle_limit": 91.0}, {"depth_edge_limit": 17.0}])
 def test_limits_out_of_range_are_refused(limits: dict[str, float]):
-    with pytest.raises(ValueError, match="limit: expected 0"):
+    with pytest.raises(ValueError, match="expected (angle|depth_edge)_limit from 0"):
         replace(LOCAL_DEFAULTS, **limits)
-    with pytest.raises(ValueError, match="limit: expected 0"):
+    with pytest.raises(ValueError, match="expected (angle|depth_edge)_limit from 0"):
         replace(LOCAL_DEFAULTS, **{name: float("nan") for name in limits})
 
 
