@@ -123,6 +123,13 @@ class Painter:
         config = self.model.config
         return config.edits_locally if mode == "local" else not config.predictor_only
 
+    def reads_pictures(self, mode: Mode) -> bool:
+        """Whether edits by "ttt" are the local network's. Two networks can make a local edit: the one that reads
+        pictures is taken where the other never learnt to."""
+        if mode != "local" or self.local is None:
+            return False
+        return self.model is None or not self.model.config.edits_locally
+
     def apply(self, asset: Asset, edits: Sequence[Edit], mode: Mode = "local", method: Method = "auto") -> Asset:
         """The asset after 1..16 edits; `asset` itself does not change. Later edits win where edits conflict.
 
@@ -164,9 +171,7 @@ class Painter:
         hold `gain`, {mode: dB over the lift on objects kept out of training}, are used by "auto" only where that is
         above 0; a Stage II that has learnt global edits alone makes no local ones. Raises ValueError for a method that
         is not known, or needs a model that is not there."""
-        # Two networks can make a local edit. The one that reads pictures is taken where the other never learnt to.
-        reads_pictures = mode == "local" and self.local is not None
-        reads_pictures &= self.model is None or not self.model.config.edits_locally
+        reads_pictures = self.reads_pictures(mode)
         if method == "ttt" and self.model is None and not reads_pictures:
             raise ValueError(
                 "method 'ttt' needs a preset with trained weights; use method 'lift' or 'auto' without them"
@@ -212,7 +217,8 @@ def _local_choice(method: Method, notes: Mapping[str, Any]) -> tuple[Method, str
     if method == "ttt":
         if gain is None or gain > 0:
             return "ttt", ""
-        return "ttt", f"the local network: the lift is {-gain:.2f} dB better on held-out objects"
+        measured = f"{gain:+.2f} dB on held-out objects, lower end"
+        return "ttt", f"the local network, as asked for: it measured no better than the lift ({measured})"
     measured = "not measured on captures" if gain is None else f"{gain:+.2f} dB over the lift on held-out objects"
     why = f"weights of preset 'local' ({measured})"
     if gain is not None and gain > 0:

@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 import torch
 
+from splatpainter.models.config import RefineConfig
+from splatpainter.models.local_config import LocalConfig
+from splatpainter.models.local_network import LocalNetwork
 from splatpainter.painter import Asset, Edit, EditSettings, Painter
 from splatpainter.session import Session
 from tests.lift.test_global import FRONT, SIDE, ball, draw, regraded
@@ -26,6 +29,11 @@ def eight_bits(edit: Edit) -> Edit:
 
 
 EDITS = [eight_bits(dab(SPLATS, RED, 26)), eight_bits(dab(SPLATS, BLUE, 38)), eight_bits(dab(SPLATS, GREEN, 32, 38))]
+
+
+def local_network(seed: int) -> LocalNetwork:
+    torch.manual_seed(seed)
+    return LocalNetwork(LocalConfig(refine=RefineConfig(blocks=1, fast_hidden=128, hidden=32, heads=4, patch=4))).eval()
 
 
 def straight(painter: Painter, edits: list[Edit]) -> Asset:
@@ -123,6 +131,18 @@ def test_other_weights_are_said(tmp_path: Path):
         assert "another painter" not in session.layers.facts("2")["note"]
         session.layers.set("1", visible=False)
         assert "computed by another painter than it was made with" in session.layers.facts("2")["note"]
+
+
+@pytest.mark.parametrize(("seed", "said"), [(0, False), (8, True)])
+def test_other_weights_of_the_local_network_are_said(tmp_path: Path, seed: int, said: bool):
+    path = tmp_path / "a.splatproj"
+    with Session(SPLATS, path, painter=Painter(local=local_network(0))) as session:
+        for edit in EDITS[:2]:
+            session.layers.add("paint", [edit], method="ttt")
+        assert session.layers.facts("2")["method"] == "ttt"
+    with Session.load(path, painter=Painter(local=local_network(seed))) as session:
+        session.layers.set("1", visible=False)
+        assert ("computed by another painter" in session.layers.facts("2").get("note", "")) == said
 
 
 def test_the_precision_of_layers_is_in_the_receipt_and_another_one_is_said(tmp_path: Path):

@@ -37,6 +37,9 @@ class FlatPainter:
             )
         return ("lift" if self.model is None else "ttt") if method == "auto" else method, ""
 
+    def reads_pictures(self, mode: str) -> bool:
+        return False
+
     def encodes(self, method: str, mode: str) -> bool:
         return method == "ttt"
 

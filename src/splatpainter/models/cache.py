@@ -26,6 +26,7 @@ from splatpainter.voxels.grid import VoxelGrid, voxelize
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from splatpainter.models.local_network import LocalNetwork
     from splatpainter.models.model import SplatPainterModel
 
 VARIABLE = "SPLATPAINTER_CACHE"
@@ -43,7 +44,7 @@ def cache_folder() -> Path:
     return Path(named) if named else user_folders.cache_folder()
 
 
-def digest(model: SplatPainterModel) -> str:
+def digest(model: SplatPainterModel | LocalNetwork) -> str:
     """Hex SHA-256 of a model's config and weights."""
     sha = hashlib.sha256(model.config.to_json().encode())
     for name, tensor in sorted(model.state_dict().items()):

@@ -108,8 +108,8 @@ class LayerWork(Protocol):
         """(`splats` as the painter got them, what it made of them and of all views)."""
         ...
 
-    def fingerprint(self, method: Method) -> str:
-        """What of the painter of now decides the results of a method."""
+    def fingerprint(self, method: Method, mode: Mode) -> str:
+        """What of the painter of now decides the results of a method in a mode."""
         ...
 
     @property

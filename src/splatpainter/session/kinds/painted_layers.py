@@ -142,7 +142,7 @@ class PaintedLayer(LayerOperation):
     def repainted(self, painter: Painter, method: Method | None = None) -> LayerOperation:
         # "auto" is decided once: a painter that gains a network later must not change layers that are there.
         method = painter.choose(self.method if method is None else method, self.mode)[0]
-        return replace(self, method=method, painter=fingerprint(painter, method))
+        return replace(self, method=method, painter=fingerprint(painter, method, self.mode))
 
     # ---- what it does
 
@@ -192,7 +192,7 @@ class PaintedLayer(LayerOperation):
             facts = {name: record[name] for name in RECEIPT_FACTS if name in record}
             facts["stages"] = record["seconds"]
         # Said and not refused: the layer is there, though perhaps not as its maker saw it.
-        if self.painter != work.fingerprint(self.method):
+        if self.painter != work.fingerprint(self.method, self.mode):
             facts["note"] = "; ".join(filter(None, (facts.get("note"), OTHER_PAINTER)))
         return facts
 

@@ -577,8 +577,8 @@ class ReplayedWork:
         edits = [self._replay.edit_of(view, self._layer, below) for view in self.views]
         return self._replay.adapter.apply(self.splats, self._below.painter_state, edits, mode, method, options, spread)
 
-    def fingerprint(self, method: Method) -> str:
-        return fingerprint(self._replay.painter, method)
+    def fingerprint(self, method: Method, mode: Mode) -> str:
+        return fingerprint(self._replay.painter, method, mode)
 
 
 class _NotAtHand(Exception):

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 from splatpainter.nn.precision import resolve
-from splatpainter.painter import Method, Painter
+from splatpainter.painter import Method, Mode, Painter
 
 if TYPE_CHECKING:
+    from splatpainter.models.local_network import LocalNetwork
     from splatpainter.models.model import SplatPainterModel
 
 LIFT = "lift-1"
@@ -16,20 +17,30 @@ LIFT = "lift-1"
 are; where one has to be computed anew it is lifted as now, and the layer's note says so."""
 
 
-def fingerprint(painter: Painter, method: Method) -> str:
-    """What of a painter decides the results of a method, as text: its settings, the hash of its weights, and bf16 where
-    its networks are rounded to that. method: not "auto"."""
+def fingerprint(painter: Painter, method: Method, mode: Mode) -> str:
+    """What of a painter decides the results of a method in a mode, as text: its settings, the hash of the weights that
+    it uses there, and bf16 where its networks are rounded to that. method: not "auto"."""
     settings = f"{painter.settings.local_options!r} {painter.settings.global_options!r} {LIFT}"
-    if method != "ttt" or painter.model is None:
+    if method != "ttt":
         return f"{method} {settings}"
-    if painter.model not in _DIGESTS:
-        from splatpainter.models.cache import digest
-
-        _DIGESTS[painter.model] = digest(painter.model)
+    # The network that reads pictures has no polish and is never rounded.
+    if painter.reads_pictures(mode):
+        assert painter.local is not None
+        return f"ttt {settings} local {_digest(painter.local)}"
+    if painter.model is None:
+        return f"{method} {settings}"
     device = next(painter.model.parameters()).device
     rounded = " bfloat16" if resolve(painter.settings.precision, device) == "bfloat16" else ""
-    return f"ttt {settings} polish={painter.settings.polish} {_DIGESTS[painter.model]}{rounded}"
+    return f"ttt {settings} polish={painter.settings.polish} {_digest(painter.model)}{rounded}"
 
 
-_DIGESTS: WeakKeyDictionary[SplatPainterModel, str] = WeakKeyDictionary()
-"""Digests of the models in use, whose weights do not change meanwhile; hashing one takes longer than a small edit."""
+def _digest(network: SplatPainterModel | LocalNetwork) -> str:
+    if network not in _DIGESTS:
+        from splatpainter.models.cache import digest
+
+        _DIGESTS[network] = digest(network)
+    return _DIGESTS[network]
+
+
+_DIGESTS: WeakKeyDictionary[SplatPainterModel | LocalNetwork, str] = WeakKeyDictionary()
+"""Digests of the networks in use, whose weights do not change meanwhile; hashing one takes longer than a small edit."""
