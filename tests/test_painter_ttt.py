@@ -400,7 +400,7 @@ def test_weights_that_cannot_be_used_are_one_line(weights: Path) -> None:
         str(newer): "newer SplatPainter",
         str(torn): "missing",
         str(weights.parent / "empty"): "no weights there",
-        "huge": "expected one of auto, lift, paper, compact, rows, or a folder of weights, got 'huge'",
+        "huge": "expected one of auto, lift, paper, compact, rows, local, or a folder of weights, got 'huge'",
     }.items():
         with pytest.raises(ValueError, match=pattern) as error:
             Painter.load(preset)

@@ -109,6 +109,32 @@ def test_networks_that_make_no_local_edits_are_refused_before_they_are_read(
     assert "make global edits alone, and those of preset 'local' are not there" in line
 
 
+@pytest.mark.parametrize("preset", ["auto", "local"])
+def test_the_local_network_that_ships_paints_by_request_alone(
+    view: Path, capfd: Capture, monkeypatch: pytest.MonkeyPatch, preset: str
+) -> None:
+    monkeypatch.setattr("splatpainter.models.weights.PACKAGED", checkpoint.PACKAGED)
+    here = view.parent
+    words = ["edit", here / "ball.ply", view, "--preset", preset, "--json", "--out"]
+    by_default = run(capfd, *words, here / "auto.ply").json["receipt"]
+    assert by_default["method"] == "lift" and "preset 'local'" in by_default["note"]
+    done = run(capfd, *words, here / "ttt.ply", "--method", "ttt").json
+    receipt = done["receipt"]
+    assert done["verified"] and (receipt["method"], receipt["preset"], receipt["mode"]) == ("ttt", "local", "local")
+    assert "no better than the lift" in receipt["note"]
+    assert (here / "auto.ply").read_bytes() != (here / "ttt.ply").read_bytes()
+
+
+@pytest.mark.parametrize("preset", ["auto", "local"])
+def test_without_their_distribution_networks_are_refused_in_a_line(
+    view: Path, capfd: Capture, monkeypatch: pytest.MonkeyPatch, preset: str
+) -> None:
+    monkeypatch.setattr("splatpainter.models.weights.PACKAGED", checkpoint.PACKAGED)
+    monkeypatch.setattr(checkpoint, "DISTRIBUTION_PACKAGE", "not_installed_here")
+    line = refused(capfd, view.parent, view, "--preset", preset, "--method", "ttt")
+    assert "the networks of 'local' are not installed" in line and "pip install 'splatpainter[networks]'" in line
+
+
 def test_weights_that_cannot_be_used_are_refused(view: Path, tmp_path: Path, capfd: Capture) -> None:
     here = view.parent
     newer = save(tmp_path / "newer", ASSET_BASE)
@@ -118,7 +144,10 @@ def test_weights_that_cannot_be_used_are_refused(view: Path, tmp_path: Path, cap
     copy = save(tmp_path / "copy", COPY)
     cases = [
         (["--preset", "compact"], "preset 'compact': no trained weights"),
-        (["--preset", "tiny"], "expected one of auto, lift, paper, compact, rows, or a folder of weights, got 'tiny'"),
+        (
+            ["--preset", "tiny"],
+            "expected one of auto, lift, paper, compact, rows, local, or a folder of weights, got 'tiny'",
+        ),
         (["--preset", "paper"], "these are of preset 'compact'"),
         (["--preset", newer], "newer SplatPainter"),
         (["--preset", here], "no weights there"),

@@ -16,7 +16,7 @@ from splatpainter.color import base_color, sh_from_color
 from splatpainter.lift.edit_views import EditView, edit_views
 from splatpainter.lift.edits import LiftedEdit
 from splatpainter.lift.features import no_features
-from splatpainter.models import local_edit_colors
+from splatpainter.models import local_edit_colors, weights
 from splatpainter.models.config import RefineConfig
 from splatpainter.models.local_config import LocalConfig
 from splatpainter.models.local_edit_colors import (
@@ -224,6 +224,20 @@ def test_rounds_count_pixels_by_their_variance(monkeypatch: pytest.MonkeyPatch) 
     # Damped least squares of the colour: the rounds' divisor counts weights, their residual weights times alpha.
     assert level < colored < target
     np.testing.assert_allclose(colored, (weight * target + hold * level) / (weight + hold), atol=0.01)
+
+
+@pytest.mark.parametrize(("seed", "other"), [(0, 1), (1, 2), (2, 0)])
+def test_the_shipped_weights_leave_half_the_error_that_other_memories_do(seed: int, other: int, float32: None) -> None:
+    splats, _ = sheet()
+    lifted, view, truth = painted(seed)
+    shipped = weights.deferred_local(weights.PACKAGED / weights.LOCAL)
+    assert shipped is not None
+    errors = [
+        float(np.square(network_colors(shipped, splats, lifted, [picture], strength).colors - truth).mean())
+        for picture, strength in ((view, None), (view, 0.0), (painted(other)[1], None))
+    ]
+    assert errors[0] < 0.5 * min(errors[1:]), errors
+    assert errors[0] < 0.5 * float(np.square(truth.mean(0) - truth).mean()), "than the mean colour, too"
 
 
 def test_a_painter_makes_local_edits_by_it(tmp_path: Path, float32: None) -> None:

@@ -133,8 +133,8 @@ def test_other_weights_are_said(tmp_path: Path):
         assert "computed by another painter than it was made with" in session.layers.facts("2")["note"]
 
 
-@pytest.mark.parametrize(("seed", "said"), [(0, False), (8, True)])
-def test_other_weights_of_the_local_network_are_said(tmp_path: Path, seed: int, said: bool):
+@pytest.mark.parametrize(("seed", "expected"), [(0, False), (8, True)])
+def test_other_weights_of_the_local_network_are_said(tmp_path: Path, seed: int, expected: bool):
     path = tmp_path / "a.splatproj"
     with Session(SPLATS, path, painter=Painter(local=local_network(0))) as session:
         for edit in EDITS[:2]:
@@ -142,7 +142,7 @@ def test_other_weights_of_the_local_network_are_said(tmp_path: Path, seed: int, 
         assert session.layers.facts("2")["method"] == "ttt"
     with Session.load(path, painter=Painter(local=local_network(seed))) as session:
         session.layers.set("1", visible=False)
-        assert ("computed by another painter" in session.layers.facts("2").get("note", "")) == said
+        assert ("computed by another painter" in session.layers.facts("2").get("note", "")) == expected
 
 
 def test_the_precision_of_layers_is_in_the_receipt_and_another_one_is_said(tmp_path: Path):

@@ -144,7 +144,7 @@ def load(preset: str) -> SplatPainterModel:
     else:
         folder = Path(preset)
         if not folder.is_dir():
-            choices = ", ".join(["auto", "lift", *NAMES])
+            choices = ", ".join(["auto", "lift", *NAMES, LOCAL])
             raise ValueError(f"preset: expected one of {choices}, or a folder of weights, got {preset!r}")
     require("torch", f"preset '{preset}'")
     from splatpainter.models.model import SplatPainterModel

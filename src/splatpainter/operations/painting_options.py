@@ -47,8 +47,8 @@ class PaintingOptions(ViewLimits):
     the picture, local edits only), ttt (the networks of PRESET); auto: ttt where trained weights are better, else
     lift."""
     preset: str = parameter("auto", metavar="NAME|DIR")
-    """Weights: compact, rows, paper, a folder of weights, or lift (none); auto: compact where its weights are, else
-    lift."""
+    """Weights: compact, rows, paper, local, a folder of weights, or lift (none); auto: compact where its weights are,
+    else lift. Local edits by ttt are those of local, unless the weights have learnt local ones."""
     precision: Precision = "auto"
     """Arithmetic of the networks; auto: what SPLATPAINTER_PRECISION says, else bfloat16 where the machine has it."""
     polish: bool = False

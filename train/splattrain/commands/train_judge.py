@@ -170,11 +170,11 @@ def judge(config: JudgeConfig) -> Outcome:
 
 
 def _judge_local(config: JudgeConfig) -> Outcome:
-    """As `judge`, of a local network: painted close-ups of held-out objects. Its gain is no note: method auto uses it
-    only where captures were measured too."""
+    """As `judge`, of a local network: painted close-ups of held-out objects. A gain above 0 is no note: method auto
+    would go by it, and captures were not measured."""
     from splatpainter.models import checkpoint
     from splatpainter.models.local_network import LocalNetwork
-    from splattrain.judge import as_json, edit_rows, judge_painted, table, write_table
+    from splattrain.judge import as_json, edit_rows, gains, judge_painted, table, write_table
     from splattrain.stages.painted_gaussians_task import PaintedGaussiansTask
     from splattrain.training_data import painted_gaussian_streams
 
@@ -213,7 +213,8 @@ def _judge_local(config: JudgeConfig) -> Outcome:
     )
     paths = write_table(config.out, rows, scores, heading, ["\n".join(f"- {line}" for line in problems)])
     if config.write_notes:
-        checkpoint.add_notes(config.checkpoint, {"judged": judged})
+        behind = {mode: gain for mode, gain in gains(rows).items() if gain <= 0}
+        checkpoint.add_notes(config.checkpoint, {"judged": judged} | ({"gain": behind} if behind else {}))
     return Outcome({**judged, "problems": problems, "files": paths}, [heading, table(rows), *problems[:5]])
 
 

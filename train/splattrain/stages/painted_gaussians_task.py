@@ -79,13 +79,16 @@ class PaintedGaussiansTask(Task[LocalNetwork]):
     @torch.no_grad()
     def judge(self, sample: PaintedEdit) -> ValidationScore:  # type: ignore[override]
         """PSNR in the paint of the edited view (`edited`) and of novel views near it (`novel`), of the network alone,
-        held, and of the lift; and of Gaussians whose true colour changed (`rows`)."""
+        held, of the paint's mean colour, and of the lift; and of Gaussians whose true colour changed (`rows`)."""
         network, asset, lifted = self.model, sample.painted.asset, sample.lifted
         before = np.clip(base_color(asset.sh[lifted.parents]), 0, 1)
         answer = network_colors(network, asset, lifted, [sample.view])
         nothing = network_colors(network, asset, lifted, [sample.view], strength=0.0)
         other = self._of_another_picture(sample)
         answers = {"ours": answer, "strength 0": nothing, "another picture": other}
+        # What is known without places: whoever does not beat it has read no picture.
+        paint = sample.view.edited[sample.view.mask].mean(0)
+        answers["mean color"] = replace(answer, colors=np.broadcast_to(paint, answer.colors.shape).astype(np.float32))
         numbers: dict[str, float] = {}
         changed = np.abs(sample.truth - before).max(1) > CHANGED
         if changed.any():
