@@ -88,8 +88,8 @@ def in_a_process(group: str, config: argparse.Namespace) -> Iterator[Line]:
     words = [sys.executable, __file__, str(config.inputs), "--group", group, "--only", *config.only]
     # Bytecode is kept, as installations have it: compiling the modules anew is no part of a command's time.
     variables = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-    with tempfile.TemporaryFile("w+") as errors:
-        with subprocess.Popen(words, env=variables, stdout=subprocess.PIPE, stderr=errors, text=True) as running:
+    with tempfile.TemporaryFile("w+", encoding="utf-8") as errors:
+        with subprocess.Popen(words, env=variables, stdout=subprocess.PIPE, stderr=errors, encoding="utf-8") as running:
             assert running.stdout is not None
             for text in running.stdout:
                 if text.startswith("{"):

@@ -248,6 +248,16 @@ def test_hostile_files_are_one_line_and_decoded_only_within_bounds(tmp_path: Pat
         read_picture(tmp_path / "cut.png")
 
 
+def test_errors_that_quote_bytes_of_damaged_files_are_text() -> None:
+    """OpenImageIO's Python face fails on such errors: they came once in some thousand damaged files."""
+
+    class Damaged:
+        def geterror(self) -> str:
+            return b"no such channel '\xd9'".decode("utf-8")
+
+    assert image_files.problem_of(Damaged()) == "no such channel '\ufffd'"
+
+
 @deep
 def test_the_camera_travels_in_every_kind_of_file(tmp_path: Path) -> None:
     camera = look_at([0, 0, 3], [0, 0, 0], width=5, height=4)

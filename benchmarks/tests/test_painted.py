@@ -168,7 +168,7 @@ def test_bench_painted_writes_its_tables_and_keeps_its_cases(tmp_path: Path, mon
             {"methods": ("nothing", "magic")},
             "--methods of nothing, rounds, split, lift, fit, auto, network, got 'magic'",
         ),
-        ({"methods": ("network",), "preset": "rows"}, "no network of preset 'rows' makes local edits"),
+        ({"methods": ("network",), "preset": "lift"}, "needs a preset with trained weights"),
         ({"methods": ()}, "at least one of --methods"),
         ({"size": 32}, "--size of at least 64"),
         ({"novel_views": 0}, "--novel-views"),

@@ -157,7 +157,7 @@ def _encode(
         path = Path(folder) / f"picture.{ending}"
         out = oiio.ImageOutput.create(str(path))
         done = out is not None and out.open(str(path), spec) and out.write_image(np.ascontiguousarray(pixels))
-        problem = "" if done else (out.geterror() if out is not None else oiio.geterror())
+        problem = "" if done else (problem_of(out if out is not None else oiio))
         if out is not None:
             done = out.close() and done
         if not done:
@@ -226,7 +226,7 @@ def read_deep(path: Path, max_pixels: int) -> PixelSamples:
             raise ValueError(f"{path}: expected the colour channels side by side, got {last - first - 1} between them")
         pixels = source.read_image(0, 0, first, last, "float")
         if pixels is None or not isinstance(pixels, np.ndarray):
-            raise ValueError(f"{path}: damaged picture ({_short(source.geterror())})")
+            raise ValueError(f"{path}: damaged picture ({_short(problem_of(source))})")
         pixels = pixels.reshape(spec.height, spec.width, last - first)[
             ..., [position - first for position in positions]
         ]
@@ -306,7 +306,7 @@ def _opened(path: Path, max_pixels: int) -> Iterator[tuple[Any, Any]]:
     hints.attribute("oiio:UnassociatedAlpha", 1)  # leave colours and alpha as they are stored
     source = oiio.ImageInput.open(str(path), hints)
     if source is None:
-        raise ValueError(f"{path}: cannot be read as a picture ({_short(oiio.geterror())})")
+        raise ValueError(f"{path}: cannot be read as a picture ({_short(problem_of(oiio))})")
     try:
         if source.format_name() not in READS:
             raise ValueError(f"{path}: expected PNG, TIFF or OpenEXR, got {source.format_name()}")
@@ -319,6 +319,15 @@ def _opened(path: Path, max_pixels: int) -> Iterator[tuple[Any, Any]]:
         yield source, spec
     finally:
         source.close()
+
+
+def problem_of(source: Any) -> str:
+    """The last error of OpenImageIO, or of one of its inputs or outputs. It quotes bytes of damaged files, which need
+    not be text; its Python face then fails."""
+    try:
+        return source.geterror()
+    except UnicodeDecodeError as error:
+        return error.object.decode("ascii", "replace")
 
 
 def _short(problem: str) -> str:

@@ -240,12 +240,12 @@ def test_a_better_picture_of_a_coarse_asset_is_not_taken_for_a_smoothed_one():
     noise = box_mean(rng.normal(0, 0.1, (240, 240, 3)).astype(np.float32), 1)
     render = box_mean(box_mean(truth, 4), 4) + noise
     alpha = np.ones(render.shape[:2], np.float32)
-    found = filtered(box_mean(box_mean(render, 2), 2), render, alpha)
-    assert found is not None and found.cause == "filter"
+    explanation = filtered(box_mean(box_mean(render, 2), 2), render, alpha)
+    assert explanation is not None and explanation.cause == "filter"
     contrast_ratio = np.median(contrast(truth)) / np.median(contrast(render))
     assert contrast_ratio < 0.85, "it would be one by its contrast"
     assert filtered(truth, render, alpha) is None
     # The edges of blocks are no detail: JPEG's of low quality, and large pixels.
     for blocks in (jpeg(blurred(render), 5), pixels(render)):
-        found = filtered(blocks, render, alpha)
-        assert found is not None and found.cause == "filter"
+        explanation = filtered(blocks, render, alpha)
+        assert explanation is not None and explanation.cause == "filter"

@@ -154,7 +154,7 @@ def read_samples(path: Path, where: str) -> np.ndarray:
     source = oiio.ImageInput.open(str(path))
     if source is None or source.format_name() != format_name:
         kind = "a Radiance .hdr" if format_name == "hdr" else "an OpenEXR"
-        raise ValueError(f"{where}: is not {kind} picture ({_one_line(oiio.geterror(), path)})")
+        raise ValueError(f"{where}: is not {kind} picture ({_one_line(image_files.problem_of(oiio), path)})")
     try:
         # The header is judged before pixels are read: its size may be a lie of terabytes.
         spec = source.spec()
@@ -164,7 +164,7 @@ def read_samples(path: Path, where: str) -> np.ndarray:
             )
         pixels = source.read_image(0, 0, 0, min(spec.nchannels, 4), "float")
         if pixels is None:
-            raise ValueError(f"{where}: damaged picture ({_one_line(source.geterror(), path)})")
+            raise ValueError(f"{where}: damaged picture ({_one_line(image_files.problem_of(source), path)})")
         return np.asarray(pixels, np.float32).reshape(spec.height, spec.width, -1)
     finally:
         source.close()

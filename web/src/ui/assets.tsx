@@ -124,7 +124,7 @@ function Stand({ asset, several }: { asset: SceneAssetInfo; several: boolean }) 
   return (
     <div class="stand">
       {row("Move", asset.moved, 3, (moved) =>
-        set({ move: asset.move.map((old, k) => old + moved[k] - asset.moved[k]) }),
+        set({ move: asset.move.map((old, k) => moved[k] + (old - asset.moved[k])) }),
       )}
       {row("Turn", asset.turn, 1, (turn) => set({ turn }))}
       <div class="stand-row">
