@@ -219,8 +219,8 @@ def _local_choice(method: Method, notes: Mapping[str, Any]) -> tuple[Method, str
             return "ttt", ""
         measured = f"{gain:+.2f} dB on held-out objects, lower end"
         return "ttt", f"the local network, as asked for: it measured no better than the lift ({measured})"
-    measured = "not measured on captures" if gain is None else f"{gain:+.2f} dB over the lift on held-out objects"
-    why = f"weights of preset 'local' ({measured})"
-    if gain is not None and gain > 0:
-        return "ttt", f"{why}: the local network"
-    return "lift", f"{why}: the analytic lift"
+    if gain is None:
+        return "lift", "made by the analytic lift: the network of preset 'local' was not measured on captures"
+    if gain > 0:
+        return "ttt", f"weights of preset 'local' ({gain:+.2f} dB over the lift on held-out objects): the local network"
+    return "lift", "made by the analytic lift: the network of preset 'local' measured no better"
