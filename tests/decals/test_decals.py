@@ -14,6 +14,7 @@ from PIL import Image
 import splatpainter as sp
 from splatpainter.decals import decal_views
 from splatpainter.decals.decal_placement import picture_up
+from splatpainter.decals.decal_surface import SurfacePixels
 from splatpainter.decals.decals import DECALS, Decal, parse_width, rough_length_px, text_picture
 from splatpainter.demo_asset import demo_asset, demo_view
 from splatpainter.lift.masks import dilated
@@ -333,3 +334,16 @@ def test_no_view_of_a_large_sticker_is_taken_for_a_zoom_in() -> None:
     assert laid.coverage > 0.99
     for edit in laid.edits:
         assert edit.mask is not None and 0.1 < edit.mask.mean() < 0.4
+
+
+def test_lone_pixels_of_a_decal_are_specks() -> None:
+    """A patch of 24 x 24 pixels, and one pixel apart from it, as where a rim in front has the surface's mean depth."""
+    ys, xs = (part.ravel() for part in np.mgrid[10:34, 10:34])
+    ys, xs = np.append(ys, 50), np.append(xs, 50)
+    uv = 0.01 * np.stack([xs, ys], 1).astype(np.float64)
+    points = np.zeros((len(ys), 3))
+    seen = SurfacePixels(ys, xs, points, points, np.zeros(len(ys), bool), None)
+    speck = decal_views._specks(seen, uv, (64, 64), 0.12)
+    assert speck[-1] and not speck[:-1].any()
+    unmapped = np.full_like(uv, np.nan)
+    assert not decal_views._specks(seen, unmapped, (64, 64), 0.12).any()
