@@ -89,10 +89,10 @@ def test_the_light_is_taken_out(tmp_path: Path, capfd: Capture) -> None:
         (["--hdri", "square.png"], "square.png: expected a lat-long picture, twice as wide as high, got 8x8"),
         (["--hdri", "ball.ply"], "ball.ply: expected an environment (.hdr, .exr, .png"),
         (["--hdri", "noon", "--source-light", "broken.hdr"], "broken.hdr: is not a Radiance .hdr picture"),
-        (["--hdri", "noon", "--exposure", "99"], "expected an exposure of -10 to 10 stops, got 99.0"),
+        (["--hdri", "noon", "--exposure", "99"], "expected --exposure from -10 to 10, got 99.0"),
         (["--hdri", "noon", "--mix", "0"], "expected --mix above 0, up to 1, got 0"),
-        (["--hdri", "noon", "--fill", "-1"], "expected a fill of 0 to 10, got -1.0"),
-        (["--sun", "0,40", "--kelvin", "100"], "--kelvin: expected a colour temperature from 1667 to 25000 K, got 100"),
+        (["--hdri", "noon", "--fill", "-1"], "expected --fill from 0 to 10, got -1.0"),
+        (["--sun", "0,40", "--kelvin", "100"], "expected --kelvin from 1667 to 25000, got 100"),
         (["--sun", "0,40", "--where", "x=9.."], "reaches none of 1200 Gaussians"),
     ],
 )

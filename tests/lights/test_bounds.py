@@ -124,7 +124,7 @@ def test_a_light_in_the_object_is_one_line() -> None:
         (["--hdri", "noon", "--mix", "0"], "--mix above 0"),
         (["--hdri", "missing.hdr"], "no such file"),
         (["--rig", "softest"], "expected a rig"),
-        (["--kelvin", "20", "--sun", "0,30"], "temperature"),
+        (["--kelvin", "20", "--sun", "0,30"], "expected --kelvin from 1667"),
         (["--match", "missing.png"], "missing.png"),
         (["--hdri", "noon", "--match-asset", "a.ply"], "got both"),
         (["--hdri", "noon", "--save-rig", "rig.fbx"], "rig to write"),

@@ -206,7 +206,7 @@ def test_bad_gaussians_and_formats_that_round(tmp_path: Path, capfd: Capture) ->
         (["--where", "x=0..", "--color", "red"], "splatpainter pixelate: expected --color like #808080, got 'red'"),
         (
             ["--where", "x=0..", "--margin", "-1"],
-            "splatpainter pixelate: expected --margin from 0 to 100 cells, got -1",
+            "splatpainter pixelate: expected --margin from 0 to 100, got -1",
         ),
         (["--where", "x=9.."], "splatpainter: --where x=9..: reaches none of 900 Gaussians; widen it"),
         (["--where", "x=0..", "--size", "1e-9"], "splatpainter: pixelate: expected cells of at least"),

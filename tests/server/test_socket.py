@@ -565,7 +565,7 @@ def test_a_light_is_dragged_on_the_screen_of_one_window_alone(studio: Live) -> N
         inside = {"point": ["0,0,0"]}
         assert browser.do("layer.preview", layers=[{"layer": made, "parameters": inside}])["possible"]
         assert (
-            "expected an exposure"
+            "expected exposure from"
             in (browser.ask("layer.set", layer=made, parameters={"exposure": 99})["error"]["message"])
         )
         assert browser.mirror.agrees(lit)

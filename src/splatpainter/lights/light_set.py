@@ -11,12 +11,11 @@ from splatpainter.cameras import AUTO_UP, UPS, UpAxis
 from splatpainter.kernels import portable
 from splatpainter.lights.lamps import Lamp, Sun
 from splatpainter.lights.sky_maps import SkyMap
+from splatpainter.system.ranges import out_of_range, ranged
 from splatpainter.transforms import sh_rotations
 
 LAMP_FILL = 0.15
 """White light from all around where lamps come without an environment: shadows are not black."""
-MAX_EXPOSURE = 10.0
-"""Stops, to either side."""
 MAX_LAMPS = 64
 
 
@@ -26,15 +25,15 @@ class Lights:
 
     sky: SkyMap | None = None
     """Light from all around; its mean counts as that of the light before."""
-    sky_intensity: float = 1.0
+    sky_intensity: float = ranged(1.0, gt=0, le=1e6)
     """Of the sky's mean, over that of the light before."""
     suns: tuple[Sun, ...] = ()
     lamps: tuple[Lamp, ...] = ()
     rotate: float = 0.0
     """Degrees by which the sky turns, counter-clockwise seen from above."""
-    exposure: float = 0.0
+    exposure: float = ranged(0.0, ge=-10, le=10)
     """Stops, of all of them."""
-    fill: float | None = None
+    fill: float | None = ranged(None, ge=0, le=10)
     """White light from all around, added; None: LAMP_FILL where there is no sky."""
     add: bool = False
     """Whether they are added to the light before, which stays."""
@@ -48,18 +47,10 @@ class Lights:
             raise ValueError("light: expected a light (an environment, a sun or a lamp), got none")
         if len(self.suns) + len(self.lamps) > MAX_LAMPS:
             raise ValueError(f"light: expected at most {MAX_LAMPS} suns and lamps, got {len(self.suns + self.lamps)}")
-        if not -MAX_EXPOSURE <= self.exposure <= MAX_EXPOSURE:
-            raise ValueError(
-                f"light: expected an exposure of -{MAX_EXPOSURE:g} to {MAX_EXPOSURE:g} stops, got {self.exposure}"
-            )
-        if not 0 < self.sky_intensity <= 1e6:
-            raise ValueError(
-                f"light: expected an intensity of the environment above 0, up to 1e6, got {self.sky_intensity:g}"
-            )
+        if (line := out_of_range(self)) is not None:
+            raise ValueError(f"light: {line}")
         if not math.isfinite(self.rotate):
             raise ValueError(f"light: expected a rotation in degrees, got {self.rotate}")
-        if self.fill is not None and not 0 <= self.fill <= 10:
-            raise ValueError(f"light: expected a fill of 0 to 10, got {self.fill}")
         for sun in self.suns:
             if not (abs(sun.azimuth) <= 36000 and -90 <= sun.elevation <= 90):
                 raise ValueError(

@@ -13,7 +13,7 @@ import numpy as np
 from splatpainter.cameras import UpAxis
 from splatpainter.io import read
 from splatpainter.lights.held_skies import sky_of_png, sky_to_png
-from splatpainter.lights.lamps import SUN_DEGREES
+from splatpainter.lights.lamps import KELVIN_RANGE, SUN_DEGREES
 from splatpainter.lights.light_set import Lights, axes_of, turned_sky
 from splatpainter.lights.light_words import (
     FORMS,
@@ -37,6 +37,7 @@ from splatpainter.operations.operation import AS_PYTHON, Operation, ReadyOperati
 from splatpainter.operations.region import Region, check_terms
 from splatpainter.painter import Asset, Painter
 from splatpainter.splats import Splats
+from splatpainter.system.ranges import same_range
 
 SKY_FILES = (".exr", ".hdr")
 """Endings of environments that are written."""
@@ -50,7 +51,7 @@ class LightBefore(Operation):
 
     holds: ClassVar[tuple[str, ...]] = ("source_light",)
 
-    mix: float = 1.0
+    mix: float = parameter(1.0, gt=0, le=1)
     """How much of the new look, 0 .. 1; the rest is the captured one."""
     shadows: bool = True
     """Shadows and occlusion by the asset itself, in the light before and now."""
@@ -65,8 +66,7 @@ class LightBefore(Operation):
     """Which way is up for environments and suns; auto: -y, as captures have it."""
 
     def check(self, wording: Wording = AS_PYTHON) -> None:
-        if not 0 < self.mix <= 1:
-            raise wording.error(self.kind, f"expected {wording.option('mix')} above 0, up to 1, got {self.mix:g}")
+        super().check(wording)
         if self.where:
             check_terms(self.where)
 
@@ -123,11 +123,11 @@ class Relight(LightBefore):
     .png ends at white). Its mean counts as that of the light before: brighter or darker by --exposure."""
     rotate: float = 0.0
     """Degrees by which the environment turns, counter-clockwise seen from above."""
-    exposure: float = 0.0
+    exposure: float = same_range(Lights, "exposure", 0.0)
     """Stops, of all lights."""
     sun: tuple[str, ...] = parameter((), metavar="LIGHT ...")
     """Suns: AZIMUTH,ELEVATION in degrees, azimuths as of cameras."""
-    sun_size: float = SUN_DEGREES
+    sun_size: float = parameter(SUN_DEGREES, ge=0, le=90)
     """Angular diameter of the suns, degrees: softness of their shadows."""
     point: tuple[str, ...] = parameter((), metavar="LIGHT ...")
     """Points: X,Y,Z in world units, as `splatpainter info` prints bounds."""
@@ -163,14 +163,15 @@ class Relight(LightBefore):
     """Write the new environment, .exr or .hdr, for --hdri."""
     save_source: Path | None = parameter(None, metavar="SKY", output=True)
     """Write the light before, .exr or .hdr, for --source-light."""
-    kelvin: float | None = parameter(None, metavar="K")
+    kelvin: float | None = parameter(None, metavar="K", ge=KELVIN_RANGE[0], le=KELVIN_RANGE[1])
     """Colour of suns and lamps that say none, as a temperature: 1667 to 25000; 2700 a bulb, 6500 about white."""
-    fill: float | None = parameter(None, metavar="LEVEL")
+    fill: float | None = parameter(None, metavar="LEVEL", ge=0, le=10)
     """White light from all around besides; default: 0.15 where suns and lamps come without --hdri, else 0."""
     add: bool = False
     """Add the lights to the one that is baked in; default: they replace it."""
 
     def check(self, wording: Wording = AS_PYTHON) -> None:
+        super().check(wording)
         # A rig may bring everything; whether its lights go together is said once it is read.
         lights = self._added_to(Lights(up=self.up))
         # Without a file that may bring more lights, what is there must be enough; the sky's file is not read for that.
@@ -183,7 +184,6 @@ class Relight(LightBefore):
             if path is not None and path.suffix.lower() not in suffixes:
                 raise ValueError(f"{path}: expected a name that ends in {' or '.join(suffixes)}")
         self._check_match(wording)
-        super().check(wording)
 
     def _check_match(self, wording: Wording) -> None:
         name = wording.option

@@ -75,13 +75,14 @@ class Pixelate(Operation):
     """One colour for all in place of the cells' means: then nothing of the old colours is left."""
     view: Path | None = parameter(None, metavar="CAM.json", file=True, holds="camera")
     """Camera along whose axes the cells lie, so that they look like pixels from there; default: the asset's axes."""
-    margin: int = 0
+    margin: int = parameter(0, ge=0, le=100)  # each cell around costs a pass over 27 neighbours
     """Further cells around the region."""
     merge: bool = False
     """Also make one Gaussian of all in a cell: letters that the places and sizes of small Gaussians spell go with
     them."""
 
     def check(self, wording: Wording = AS_PYTHON) -> None:
+        super().check(wording)
         name = wording.option
         if not self.where:
             raise wording.error(self.kind, f"expected {name('where')}, the region that becomes unreadable, got none")
@@ -89,9 +90,6 @@ class Pixelate(Operation):
         parse_width(self.size)
         if self.color and from_hex(self.color) is None:
             raise wording.error(self.kind, f"expected {name('color')} like #808080, got {ascii(self.color[:40])}")
-        # Each further cell around costs a pass over 27 neighbours, so their number is bounded.
-        if not 0 <= self.margin <= 100:
-            raise wording.error(self.kind, f"expected {name('margin')} from 0 to 100 cells, got {self.margin}")
 
     def ready(self, tools: Tools) -> ReadyOperation:
         from splatpainter.pictures.edit_files import camera_from
