@@ -30,7 +30,8 @@ class TintLayer(LayerOperation):
     channel: Literal["red", "all"] = "all"
     backwards: bool = False
     picture: str = field(default="", metadata={"blob": True})
-    limit: float | None = None
+    limit: float | None = ranged(None, ge=0, le=1)
+    names: tuple[str, ...] = ()
 
     def result(self, work: LayerWork) -> LayerResult:
         sh = work.splats.sh.copy()
@@ -50,9 +51,9 @@ def studio(tmp_path: Path) -> Iterator[Live]:
 
 
 def test_options_are_those_of_the_dataclass(tint: None, studio: Live) -> None:
-    """Without pictures, and without what may be None."""
+    """Without pictures."""
     layer = studio.studio.session.layers.add("tint", amount=0.25)
-    amount, channel, backwards = studio.post("layer.options", layer=layer.id)["options"]
+    amount, channel, backwards, limit, names = studio.post("layer.options", layer=layer.id)["options"]
     assert amount == {
         "name": "amount",
         "label": "Amount",
@@ -61,11 +62,19 @@ def test_options_are_those_of_the_dataclass(tint: None, studio: Live) -> None:
         "value": 0.25,
         "default": 0.0,
         "choices": [],
+        "optional": False,
         "low": -1,
         "high": 1,
     }
     assert (channel["kind"], channel["choices"], channel["value"]) == ("choice", ["red", "all"], "all")
     assert (backwards["kind"], backwards["value"]) == ("flag", False)
+    assert (limit["kind"], limit["value"], limit["optional"]) == ("number", None, True)
+    assert (names["kind"], names["value"], names["optional"]) == ("lines", [], False)
+    studio.post("layer.set", layer=layer.id, parameters={"limit": 0.5, "names": ["a", "b"]})
+    operation = studio.studio.session.layers.by_id(layer.id).operation
+    assert isinstance(operation, TintLayer) and (operation.limit, operation.names) == (0.5, ("a", "b"))
+    studio.post("layer.set", layer=layer.id, parameters={"limit": None})
+    assert "limit" not in studio.studio.session.layers.by_id(layer.id).operation.changes()
 
 
 def test_options_of_an_operation_are_set_back_to_where_they_were(studio: Live) -> None:
@@ -98,4 +107,11 @@ def test_the_page_has_controls_for_a_kind_of_another_package(tint: None, browser
         np.testing.assert_allclose(change, [[1, 0, 0]] * len(change), atol=1e-6)
         panel.get_by_label("Backwards").check()
         page.wait("the other way", lambda: studio.studio.session.splats.sh[0, 0, 0] < before[0, 0, 0])
+        panel.get_by_label("Set limit").click()
+        page.wait("a limit", lambda: page.state()["layers"][1]["parameters"].get("limit") == 0)
+        panel.get_by_label("Set limit").click()
+        page.wait("none", lambda: "limit" not in page.state()["layers"][1]["parameters"])
+        panel.get_by_label("Names, one in a line").fill("one\n two \n")
+        panel.get_by_label("Names, one in a line").blur()
+        page.wait("names", lambda: page.state()["layers"][1]["parameters"].get("names") == ["one", "two"])
         assert page.serious() == []

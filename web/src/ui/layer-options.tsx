@@ -24,14 +24,15 @@ export function OptionSettings({ layer }: { layer: LayerInfo | null }) {
   }, [of]);
   // While the newest are on their way the controls of the same layer stay where they are.
   if (!layer || !of || listed.value.of.split(" ", 1)[0] !== layer.id) return null;
-  const set = (option: OptionInfo, value: number | boolean | string) =>
+  const set = (option: OptionInfo, value: OptionInfo["value"]) =>
     void run("layer.set", { layer: layer.id, parameters: { [option.name]: value } }, layer.name);
   return (
     <details class="layer-mask" open>
       <summary>Options of {layer.kind}</summary>
       {listed.value.options.map((option) => (
         <div key={option.name} title={option.help}>
-          <OptionControl option={option} onChange={(value) => set(option, value)} />
+          {option.optional && <OptionalCheck option={option} onChange={(value) => set(option, value)} />}
+          {option.value !== null && <OptionControl option={option} onChange={(value) => set(option, value)} />}
         </div>
       ))}
     </details>
@@ -40,7 +41,21 @@ export function OptionSettings({ layer }: { layer: LayerInfo | null }) {
 
 interface ControlProps {
   option: OptionInfo;
-  onChange: (value: number | boolean | string) => void;
+  onChange: (value: OptionInfo["value"]) => void;
+}
+
+/** What may be left open is set or not; once set, its control stands below. */
+function OptionalCheck({ option, onChange }: ControlProps) {
+  const first = { number: option.low ?? 0, whole: option.low ?? 0, flag: true, choice: option.choices[0] ?? "" };
+  const begin = option.default ?? (option.kind === "lines" ? [] : option.kind === "text" ? "" : first[option.kind]);
+  return (
+    <Check
+      label={`Set ${option.label.toLowerCase()}`}
+      value={option.value !== null}
+      disabled={readOnly.value}
+      onChange={(set) => onChange(set ? begin : null)}
+    />
+  );
 }
 
 function OptionControl({ option, onChange }: ControlProps) {
@@ -50,6 +65,22 @@ function OptionControl({ option, onChange }: ControlProps) {
   if (kind === "choice") {
     const options = option.choices.map((one) => [one, one] as const);
     return <Choice label={label} value={String(value)} options={options} disabled={disabled} onChange={onChange} />;
+  }
+  if (kind === "lines") {
+    const lines = Array.isArray(value) ? value : [];
+    return (
+      <label class="choice">
+        <span>{label}</span>
+        <textarea
+          aria-label={`${label}, one in a line`}
+          rows={Math.min(lines.length + 1, 6)}
+          value={lines.join("\n")}
+          disabled={disabled}
+          onChange={(event) => onChange(event.currentTarget.value.split("\n").map((one) => one.trim()).filter(Boolean))}
+          onKeyDown={(event) => event.stopPropagation()}
+        />
+      </label>
+    );
   }
   if (kind === "text") {
     return (
