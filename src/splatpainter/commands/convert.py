@@ -21,10 +21,8 @@ from splatpainter.io.formats.packing import morton_order
 from splatpainter.io.losses import MIN_DRAWN_OPACITY, Losses, loss_line, measure, measured_as
 from splatpainter.io.ply_columns import add_columns
 from splatpainter.io.write_options import WriteOptions
-from splatpainter.lights.prepared import lit_surface
 from splatpainter.output_paths import check_target, placed, splat_format
 from splatpainter.splats import Splats
-from splatpainter.surface.proxy_mesh import thickness
 
 HTML = ".html"
 SEEN_IN_THE_FILE = {"sh_degree": None, "antialiased": None, "spz_version": None, "mark_axes": None}
@@ -189,6 +187,10 @@ def chosen_rows(splats: Splats, config: Config) -> Splats:
 
 def surface_columns(splats: Splats, names: list[str], signs: tuple[int, int, int]) -> dict[str, np.ndarray]:
     """Columns of a PLY: normals (nx, ny, nz, in the axes of the file: `signs`), thickness, occlusion."""
+    # Imported here: few conversions look at a surface, and none of them should wait for it.
+    from splatpainter.lights.prepared import lit_surface
+    from splatpainter.surface.proxy_mesh import thickness
+
     # One surface for all columns; shadows take the longest and are left out where nobody asks.
     surface = lit_surface(splats, shadows="occlusion" in names)
     out: dict[str, np.ndarray] = {}

@@ -120,7 +120,8 @@ def is_lossy_webp(data: bytes) -> bool:
 
 def decode_image(data: bytes, where: Path | str) -> Bytes:
     """[height, width, 4] uint8 RGBA. The caller has judged `image_size`. Raises ValueError: a damaged image."""
-    from PIL import Image
+    # By its own name, or Pillow imports its readers of forty other formats to look for this one.
+    from PIL import Image, WebPImagePlugin  # noqa: F401
 
     expected = image_size(data, where)
     try:
@@ -150,7 +151,7 @@ def decode_image(data: bytes, where: Path | str) -> Bytes:
 
 def encode_image(pixels: np.ndarray) -> bytes:
     """[height, width, 4] uint8 -> lossless WebP that gives back every byte."""
-    from PIL import Image
+    from PIL import Image, WebPImagePlugin  # noqa: F401
 
     out = io.BytesIO()
     # exact: WebP otherwise rewrites the colour of pixels whose alpha is 0, and here those bytes are data.
