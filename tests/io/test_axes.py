@@ -384,11 +384,12 @@ def test_projects_keep_the_axes_that_an_spz_file_was_taken_for(embed: bool, tmp_
 
 
 def test_a_project_that_says_no_up_has_the_usual_one(tmp_path: Path) -> None:
+    import contextlib
     import sqlite3
 
     with Session(alone(random_splats(20, 0)), tmp_path / "a.splatproj") as session:
         assert session.scene.up == "-y"
-    with sqlite3.connect(tmp_path / "a.splatproj") as db:
+    with contextlib.closing(sqlite3.connect(tmp_path / "a.splatproj")) as db, db:
         assert not db.execute("SELECT value FROM facts WHERE name IN ('up', 'frame')").fetchall()
         db.execute("INSERT INTO facts VALUES ('up', 'sideways')")
     db.close()

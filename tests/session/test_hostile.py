@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
@@ -36,10 +37,9 @@ def path(tmp_path: Path) -> Path:
 
 
 def changed(path: Path, *statements: str, values: tuple = ()) -> None:
-    connection = sqlite3.connect(path, isolation_level=None)
-    for statement in statements:
-        connection.execute(statement, values if "?" in statement else ())
-    connection.close()
+    with contextlib.closing(sqlite3.connect(path, isolation_level=None)) as connection:
+        for statement in statements:
+            connection.execute(statement, values if "?" in statement else ())
 
 
 def test_a_view_has_as_many_pixels_as_a_picture_that_can_be_read() -> None:

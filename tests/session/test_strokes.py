@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sqlite3
 from dataclasses import replace
 from pathlib import Path
@@ -114,7 +115,7 @@ def test_what_an_undone_stroke_stored_goes_when_another_is_painted(path: Path) -
         session.undo()
         session.undo()
         session.strokes.paint(layer, [dab(BLUE, 8)])
-    with sqlite3.connect(path) as database:
+    with contextlib.closing(sqlite3.connect(path)) as database, database:
         counts = [database.execute(f"SELECT count(*) FROM {name}").fetchone()[0] for name in ("results", "layers")]
         assert counts == [3, 3 + 4]  # the strokes, and the layer with none to three of them
     with load(path) as session:
@@ -125,7 +126,7 @@ def test_a_project_grows_by_the_stroke_not_by_the_layer(path: Path) -> None:
     """Rows that name strokes: one per stroke, whatever the layer holds already."""
     with flat(project=path) as session:
         painted(session, 12)
-    with sqlite3.connect(path) as database:
+    with contextlib.closing(sqlite3.connect(path)) as database, database:
         sizes = [len(text) for (text,) in database.execute("SELECT content FROM layers ORDER BY id")]
         rows = database.execute("SELECT count(*) FROM step_results").fetchone()[0]
     assert max(sizes) < 2 * min(sizes) + 1500 and rows == 12
@@ -310,7 +311,7 @@ def test_a_layer_of_strokes_goes_through_a_file(tmp_path: Path) -> None:
 def test_a_project_whose_strokes_are_gone_is_damaged_in_one_line(path: Path) -> None:
     with flat(project=path) as session:
         painted(session, 3)
-    with sqlite3.connect(path) as database:
+    with contextlib.closing(sqlite3.connect(path)) as database, database:
         database.execute("UPDATE layers SET previous = id WHERE previous IS NOT NULL")  # a circle
     with pytest.raises(ValueError, match="damaged"):
         load(path)

@@ -284,7 +284,8 @@ def _inside(project: Path, name: str, folder: Path) -> Path:
         resolved = (root / path).resolve()
     except (OSError, RuntimeError):  # a circle of links
         raise outside from None
-    if not resolved.is_relative_to(root):
+    # From Python 3.13 on a circle of links is no error there: it stays a link.
+    if not resolved.is_relative_to(root) or resolved.is_symlink():
         raise outside
     return resolved
 
