@@ -32,11 +32,10 @@ constexpr double PRECISE_RESIDUAL = 0.12, CLOUDY_RESIDUAL = 0.27;
 constexpr double RAY_SHARE = 0.25;
 constexpr double RAY_RADIUS = 0.5;     // distance of the six rays around the query, in windows
 // Logistic regression: 1; residual, its square, at most 0.15 of it; thickness; 1 - agreement; cosine between normal and
-// line of sight, its square; the step from the query to the surface in windows, up to 1 and beyond. Fitted on eight
-// training objects (clean, and fitted by 3DGS from noisy points or true depths: each kind counts a third), 90,000
-// queries as cameras around make them; on five held-out objects AUC 0.85 / 0.61 / 0.68 and 0.83 over all kinds,
-// calibrated to 0.06 in every tenth.
-constexpr double TRUST_WEIGHTS[] = {3.37, -9.01, 15.02, -5.28, -3.81, -2.40, 2.58, -1.89, -0.49, -0.42};
+// line of sight, its square; the step from the query to the surface in windows, up to 1 and beyond. Fitted by
+// scripts/calibrate/trust.py, which prints these numbers, on eight training objects (clean, and fitted by 3DGS from
+// noisy points or from true depths: each kind counts a third); on five held-out objects AUC 0.85, 0.63, 0.73.
+constexpr double TRUST_WEIGHTS[] = {3.32, -8.97, 15.03, -5.27, -3.77, -2.38, 2.65, -1.82, -0.65, -0.60};
 constexpr double MAX_TRUST_MOVE = 2.5;
 constexpr double FEW_PATCHES = 3.0;    // effective number below which trust falls in proportion
 constexpr int DEPTH_BINS = 128;        // into which patches are sorted by depth
