@@ -5,6 +5,7 @@
 
 SP_KERNELS(algebra,
     BOTH(multiply_matrices),
+    ONE(multiply_by_doubles),
     BOTH(add_transposed_product),
     BOTH(add_normal_equations),
     ONE(solve_symmetric),

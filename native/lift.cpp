@@ -5,6 +5,7 @@
 #include "lift/merging.h"
 #include "lift/near_surface.h"
 #include "lift/nearest_pixels.h"
+#include "lift/regression.h"
 #include "lift/visible_depth.h"
 
 SP_KERNELS(lift,
@@ -19,5 +20,6 @@ SP_KERNELS(lift,
     ONE(choose_details),
     ONE(change_colors),
     ONE(add_residual),
-    ONE(add_squares)
+    ONE(add_squares),
+    ONE(fill_regression_features)
 )

@@ -2,6 +2,7 @@
 #include "kernels.h"
 #include "rendering/backproject.h"
 #include "rendering/backward.h"
+#include "rendering/color_rounds.h"
 #include "rendering/projection.h"
 #include "rendering/projection_backward.h"
 #include "rendering/rasterize.h"
@@ -11,6 +12,7 @@
 SP_KERNELS(rendering,
     FLOAT_FIRST(select_near_window),
     FLOAT_FIRST(project_gaussians),
+    FLOAT_FIRST(shade_entries),
     FLOAT_FIRST(project_gaussians_backward),
     ONE(sort_depths),
     FLOAT_FIRST(gather_sorted),
@@ -28,6 +30,9 @@ SP_KERNELS(rendering,
     FLOAT_FIRST(backproject_tiles),
     FLOAT_FIRST(mask_sums_tiles),
     FLOAT_FIRST(sirt_tiles),
+    FLOAT_FIRST(add_gains),
+    ONE(set_changed_colors),
+    ONE(step_changes),
     FLOAT_FIRST(reduce_pairs),
     FLOAT_FIRST(reduce_mask_sums),
     FLOAT_FIRST(cache_tiles),

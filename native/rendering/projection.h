@@ -44,6 +44,17 @@ struct Projected {
         ex[LANES], ey[LANES], basis[25][LANES];
 };
 
+// The SH basis in the directions in which the camera sees lanes l .. l + W.
+template <class F>
+SP_INLINE void store_basis(const F* cam, Wide<F> px, Wide<F> py, Wide<F> pz, i64 degree, int l, F (*out)[LANES]) {
+    using V = Wide<F>;
+    const V dx = px - cam[EYE_X], dy = py - cam[EYE_Y], dz = pz - cam[EYE_Z];
+    const V rn = F(1) / sqrt_of(dx * dx + dy * dy + dz * dz);
+    V basis[25];
+    sh_basis(dx * rn, dy * rn, dz * rn, degree, basis);
+    for (i64 k = 0; k < (degree + 1) * (degree + 1); ++k) store(&out[k][l], basis[k]);
+}
+
 // Projects LANES Gaussians; returns those that may be drawn, a bit each. Every test is written so that NaN fails it.
 // Ranges are those of Splats.drawable, and are tested where they cost least: what is not drawn anyway needs none.
 template <class F>
@@ -100,11 +111,7 @@ SP_INLINE u32 project_lanes(const F (*in)[LANES], const F* cam, bool antialiased
         store(&out.mx[l], mx), store(&out.my[l], my), store(&out.z[l], z), store(&out.opacity[l], opacity);
         store(&out.ca[l], cyy / det), store(&out.cb[l], -cxy / det), store(&out.cc[l], cxx / det);
         store(&out.radius[l], radius), store(&out.ex[l], ex), store(&out.ey[l], ey);
-        const V dx = px - cam[EYE_X], dy = py - cam[EYE_Y], dz = pz - cam[EYE_Z];
-        const V rn = F(1) / sqrt_of(dx * dx + dy * dy + dz * dz);
-        V basis[25];
-        sh_basis(dx * rn, dy * rn, dz * rn, degree, basis);
-        for (i64 k = 0; k < (degree + 1) * (degree + 1); ++k) store(&out.basis[k][l], basis[k]);
+        store_basis(cam, px, py, pz, degree, l, out.basis);
     }
     return drawn;
 }
@@ -133,6 +140,13 @@ SP_INLINE Shade<F> shade(const F* c, i64 coefficients, const F (*basis)[LANES], 
     for (i64 k = channels & ~i64(3); k < channels; ++k) magnitude += abs_of(c[k]);
     const Four total = color[0] + color[1], sizes = size[0] + size[1];
     return {total[0], total[1], total[2], magnitude + ((sizes[0] + sizes[1]) + (sizes[2] + sizes[3]))};
+}
+
+template <class F>
+SP_INLINE void put_color(const Shade<F>& color, F* out) {
+    const F red = F(0.5) + color.red, green = F(0.5) + color.green, blue = F(0.5) + color.blue;
+    out[RED] = max_of(red, F(0)), out[GREEN] = max_of(green, F(0)), out[BLUE] = max_of(blue, F(0));
+    out[UNCLAMPED_RED] = red, out[UNCLAMPED_GREEN] = green, out[UNCLAMPED_BLUE] = blue;
 }
 
 // flat_sh: [N, 3 K]. selected [N], or [0]: all. grid [4]: tile columns and rows in use, x0, x1, y0, y1. tile_slots
@@ -189,14 +203,12 @@ void project_gaussians(Rows<const F, 3> means, Rows<const F, 4> quats, Rows<cons
                 if (touched <= 0) continue;
                 const Shade<F> color = shade(flat_sh.row(ids[l]), coefficients, g.basis, l);
                 if (!(color.magnitude <= largest)) continue;
-                const F red = F(0.5) + color.red, green = F(0.5) + color.green, blue = F(0.5) + color.blue;
                 F* out = projected.row(at);
+                put_color(color, out);
                 out[MEAN_X] = mx, out[MEAN_Y] = my;
                 out[CONIC_A] = ca, out[CONIC_B] = cb, out[CONIC_C] = g.cc[l];
                 out[OPACITY] = g.opacity[l];
-                out[RED] = max_of(red, zero), out[GREEN] = max_of(green, zero), out[BLUE] = max_of(blue, zero);
                 out[DEPTH] = g.z[l], out[EXTENT_Y] = ey, out[EXTENT_X] = ex, out[SQUARED_RADIUS] = g.radius[l];
-                out[UNCLAMPED_RED] = red, out[UNCLAMPED_GREEN] = green, out[UNCLAMPED_BLUE] = blue;
                 keys(at) = g.z[l];
                 gaussian_ids(at) = (i32)ids[l];
                 tile_counts(at) = (i32)touched;
@@ -205,6 +217,28 @@ void project_gaussians(Rows<const F, 3> means, Rows<const F, 4> quats, Rows<cons
         }
         counts(block) = (i32)(at - block * GAUSSIANS_PER_BLOCK);
     }
+}
+
+// Colours of the entries of a view that is there (ids [M]), from other SH: into its `projected` [M, 16]. beyond [share]:
+// set where an entry's are out of range, so that it would not be drawn.
+template <class F>
+void shade_entries(Rows<const F, 3> means, Array2<const F> flat_sh, i64 degree, Array1<const F> camera,
+                   Array1<const i64> ids, Rows<F, COLUMNS> projected, Array1<bool> beyond, i64 thread, i64 threads) {
+    const i64 coefficients = (degree + 1) * (degree + 1), m = ids.shape[0], shares = beyond.shape[0];
+    checked(CAMERA_SIZE - 1, camera.shape[0]), checked(3 * coefficients - 1, flat_sh.shape[1]);
+    alignas(64) F at[3][LANES], basis[25][LANES];
+    for (i64 share = thread; share < shares; share += threads)
+        for (i64 i = m * share / shares, end = m * (share + 1) / shares; i < end; i += LANES) {
+            const int count = (int)min_of<i64>(LANES, end - i);
+            for (int l = 0; l < LANES; ++l)
+                for (int k = 0; k < 3; ++k) at[k][l] = means.row(ids(i + (l < count ? l : 0)))[k];
+            SP_LANES(F, l) store_basis(camera.data, load(&at[0][l]), load(&at[1][l]), load(&at[2][l]), degree, l, basis);
+            for (int l = 0; l < count; ++l) {
+                const Shade<F> color = shade(flat_sh.row(ids(i + l)), coefficients, basis, l);
+                if (!(color.magnitude <= F(MAX_MAGNITUDE))) beyond(share) = true;
+                put_color(color, projected.row(i + l));
+            }
+        }
 }
 
 } }  // namespace sp

@@ -64,6 +64,29 @@ def test_an_edit_is_drawn_where_it_changed_the_view(changed: int, appended: int)
     np.testing.assert_array_equal(full.colors, sp.render(after, CAMERA).colors[0])
 
 
+@pytest.mark.parametrize("case", ["moved", "recolored", "beyond range", "from beyond range", "appended"])
+def test_a_view_that_was_kept_is_drawn_again_as_it_would_be_anew(case: str) -> None:
+    before, rng = cloud(300), np.random.default_rng(5)
+    ids = np.sort(rng.permutation(300)[:40])
+    if case == "from beyond range":
+        before.sh[ids[0], 0] = 3e15
+    sh = before.sh.copy()
+    sh[ids] = rng.normal(0, 0.4, (40, 4, 3))
+    if case == "beyond range":
+        sh[ids[0], 0, 1] = np.nan
+    after = replace(before, sh=sh)
+    if case == "moved":
+        after = replace(after, means=before.means + np.float32(0.01))
+        ids = np.arange(300)
+    if case == "appended":
+        after = after.append(cloud(7, 3))
+    kept = PartialRender.of(before, CAMERA, keep=True)
+    assert kept.view is not None
+    old, new = kept.after(after, ids)
+    assert_equal(old, before)
+    assert_equal(new, after)
+
+
 def test_pictures_beyond_all_measure_are_refused() -> None:
     with pytest.raises(ValueError, match="expected views of 1 to 8192 pixels a side"):
         PartialRender.of(cloud(3), CAMERA.resized(9000, 75), np.zeros((5, 563), bool))

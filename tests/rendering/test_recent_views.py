@@ -71,5 +71,6 @@ def test_a_drawn_view_is_what_render_shows_and_is_drawn_once_while_it_is_held():
     gc.collect()
     assert recent_view(splats, camera) is None
     assert PartialRender.of(splats, camera).view is None
+    assert PartialRender.of(splats, camera, keep=True).view is not None
     with pytest.raises(ValueError, match="expected views of 1 to"):
         drawn_view(splats, replace(camera, width=9000))

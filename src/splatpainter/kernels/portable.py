@@ -36,7 +36,10 @@ def matmul(first: np.ndarray, second: np.ndarray) -> np.ndarray:
         return np.zeros(shape, dtype)
     out = np.empty(shape, dtype)
     stack = out if second.ndim == 3 else out.reshape(1, one.shape[1], shape[-1])
-    _run("multiply_matrices", stack.size, _input(one, dtype), _input(other, dtype), stack)
+    # Many rows in single precision are not copied into double first.
+    by_doubles = one.dtype == np.float32 and other.dtype == np.float64
+    name, kind = ("multiply_by_doubles", one.dtype) if by_doubles else ("multiply_matrices", dtype)
+    _run(name, stack.size, _input(one, kind), _input(other, dtype), stack)
     return out
 
 

@@ -17,8 +17,13 @@ import numpy as np
 
 from splatpainter.array_types import Bools, Floats
 from splatpainter.cameras import Camera
+from splatpainter.kernels.arrays import aligned
+from splatpainter.kernels.library import kernels
+from splatpainter.kernels.parallel import run
 from splatpainter.lift.options import LOCAL_DEFAULTS
+from splatpainter.rendering.cpu.geometry import STEP_SUMS
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
+from splatpainter.rendering.cpu.recent_views import drawn_view
 from splatpainter.rendering.cpu.sirt import sirt_steps
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.transforms import row_max
@@ -126,9 +131,8 @@ class SolidView:
     @staticmethod
     def of(splats: Splats, camera: Camera, target: np.ndarray, mask: Bools) -> SolidView:
         """mask: [H, W] bool."""
-        projected = project(splats, camera)
-        _, alpha, _ = projected.rasterize()
-        use = (mask & (alpha > MIN_SOLID_ALPHA)).astype(np.float32)
+        drawn = drawn_view(splats, camera)
+        projected, use = drawn.view, (mask & (drawn.alphas > MIN_SOLID_ALPHA)).astype(np.float32)
         weight = np.zeros(len(splats), np.float32)
         # The picture back-projected here does not matter: only the sums of weights are read.
         weight[projected.gaussian_ids] = projected.backproject(target, use).weight
@@ -151,21 +155,42 @@ def joint_change(
     """[N, 3] float32 change of base colour after `rounds`; zeros for Gaussians that are not seen. projected: the asset
     in each view, where it is no longer the one before the edit; hold: pixels of weight that pull every Gaussian back to
     no change; limit: the largest change."""
-    projected = projected or [view.projected for view in views]
     total = total_weight(views)
-    change = np.zeros((len(total), 3), np.float32)
+    change, gain = np.zeros((2, len(total), 3), np.float32)
+    # What is drawn and summed in each round has its place once: at a million Gaussians a round would mostly wait for
+    # memory otherwise.
+    drawn = [_InRounds.of(view) for view in projected or [view.projected for view in views]]
     for _ in range(rounds):
-        gain = np.zeros_like(change)
         # Gains of all views are summed before the step, so that views that disagree meet in the middle, by weight.
-        for now, view in zip(projected, views, strict=True):
-            ids, before = now.gaussian_ids, now.unclamped_colors
-            colors = np.clip(before + change[ids], 0, np.maximum(before, MAX_COLOR))
-            gain_here = now.sirt_step(view.target, view.use, colors)[0]
-            # A view whose weight was set to 0 (it lost a conflict) says nothing about the Gaussian.
-            gain[ids] += np.where(view.weight[ids, None] > 0, gain_here, 0)
-        change += (gain - hold * change) / np.maximum(total + hold, 1e-6)[:, None]
-        np.clip(change, -limit, limit, out=change)
+        for now, view in zip(drawn, views, strict=True):
+            now.add_gains(change, view, gain)
+        run(kernels.step_changes, gain, total, hold, limit, change)
     return np.where(total[:, None] > MIN_SEEN_PX, change, 0)
+
+
+@dataclass(frozen=True)
+class _InRounds:
+    """A view whose colours move from round to round."""
+
+    view: ProjectedView
+    projected: np.ndarray
+    """[M, 16] what is drawn: the view's own, in other colours."""
+    sums: np.ndarray
+    """[P, 4]"""
+
+    @staticmethod
+    def of(view: ProjectedView) -> _InRounds:
+        projected = aligned(view.projected.shape, view.projected.dtype)
+        projected[:] = view.projected
+        return _InRounds(view, projected, aligned((len(view.flatten_ids), STEP_SUMS), view.projected.dtype))
+
+    def add_gains(self, change: np.ndarray, edit: SolidView, gain: np.ndarray) -> None:
+        """gain [N, 3] += what the edit's picture asks for where the colours have moved by change [N, 3]; but nothing
+        for Gaussians of weight 0: a view that lost a conflict says nothing about them."""
+        ids = self.view.gaussian_ids
+        run(kernels.set_changed_colors, ids, change, MAX_COLOR, self.projected)
+        self.view.step_sums(edit.target, edit.use, self.projected, self.sums)
+        run(kernels.add_gains, self.view.pair_offsets, self.sums, ids, edit.weight, gain)
 
 
 def refine_colors_local(

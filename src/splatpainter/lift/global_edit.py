@@ -16,6 +16,9 @@ from splatpainter.array_types import Floats
 from splatpainter.cameras import Camera
 from splatpainter.color import base_color, sh_from_color
 from splatpainter.kernels import portable
+from splatpainter.kernels.arrays import readonly
+from splatpainter.kernels.library import kernels
+from splatpainter.kernels.parallel import run
 from splatpainter.lift.colors import MAX_COLOR, MIN_SEEN_PX, SolidView, joint_change, total_weight
 from splatpainter.lift.depth_normals import outward_normals, scattered
 from splatpainter.lift.options import GLOBAL_DEFAULTS, GlobalOptions
@@ -104,7 +107,8 @@ def lift_global(
     result = replace(splats, sh=sh.astype(splats.sh.dtype))
     if options.last_rounds:
         # Last rounds start from the prediction, so that they only mend what the edited views still show wrong.
-        projected = [project(result, view.camera) for view in solid]
+        # In each view it is where it was, in other colours.
+        projected = [view.projected.recolored(result) or project(result, view.camera) for view in solid]
         last = joint_change(solid, options.last_rounds, projected=projected, hold=options.hold)
         result.sh[:, 0] += last / SH_C0  # its own copy
     # How far a Gaussian's features are from all that was seen (leverage of the regression): far ones are guesses.
@@ -202,11 +206,11 @@ def _solid_views(splats: Splats, views: Sequence[tuple[Camera, np.ndarray, np.nd
 
 
 def regression_features(colors: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """[N, 36]: nine real spherical harmonics of the normal, each times (r, g, b, 1); the constant one's four first."""
-    x, y, z = normals.T
-    basis = np.stack([np.ones_like(x), y, z, x, x * y, y * z, 3 * z * z - 1, x * z, x * x - y * y], 1)
-    rgb1 = np.concatenate([colors, np.ones((len(colors), 1), colors.dtype)], 1)
-    return (basis[:, :, None] * rgb1[:, None]).reshape(len(colors), 36).astype(np.float32)
+    """[N, 36] float32: nine real spherical harmonics of the normal, each times (r, g, b, 1); the constant one's four
+    first."""
+    features = np.empty((len(colors), 36), np.float32)
+    run(kernels.fill_regression_features, readonly(colors, np.float32), readonly(normals, np.float32), features)
+    return features
 
 
 def ridge(

@@ -18,12 +18,14 @@ if TYPE_CHECKING:
 def prepared_views(asset: Asset, edits: Sequence[Edit], mode: Mode, partly: bool) -> list[EditView]:
     """Each edit with the render that it is of. partly: under an edit's mask, where it has one, that is enough. Raises
     ValueError, naming the edit, where there is nothing to do."""
-    return _changed_together([_prepare(asset, edit, mode, partly) for edit in edits], edits)
+    # One view goes with its edit up to the receipt; many of a large asset would be more memory than time.
+    keep = len(edits) == 1
+    return _changed_together([_prepare(asset, edit, mode, partly, keep) for edit in edits], edits)
 
 
-def _prepare(asset: Asset, edit: Edit, mode: Mode, partly: bool) -> EditView:
-    """The edit beside what the asset shows; partly: under the edit's mask, where it has one, that is enough. Raises
-    ValueError, naming the edit, where there is nothing to do."""
+def _prepare(asset: Asset, edit: Edit, mode: Mode, partly: bool, keep: bool) -> EditView:
+    """The edit beside what the asset shows; partly: under the edit's mask, where it has one, that is enough; keep:
+    whether it keeps the projected view. Raises ValueError, naming the edit, where there is nothing to do."""
     from splatpainter.lift.edit_views import EditView, errors_name
     from splatpainter.lift.masks import dilated, edited_mask
     from splatpainter.lift.sheets.resurface import RING_PX
@@ -41,7 +43,7 @@ def _prepare(asset: Asset, edit: Edit, mode: Mode, partly: bool) -> EditView:
         if partly and mask is not None and mask.any():
             tiles, beside = tiles_of_mask(mask), tiles_of_mask(dilated(mask, RING_PX))
             view = recent_view(asset.splats, edit.camera)
-        drawn = PartialRender.of(asset.splats, edit.camera, tiles, beside, view)
+        drawn = PartialRender.of(asset.splats, edit.camera, tiles, beside, view, keep=keep)
         if mask is None:
             mask = drawn.alphas > 0.5 if mode == "global" else edited_mask(edit.image, drawn.colors, drawn.alphas)
         # Which reason is named tells what to do: turn the camera, change the picture, or paint a mask.

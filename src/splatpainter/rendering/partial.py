@@ -13,7 +13,7 @@ import numpy as np
 from splatpainter.array_types import Bools, Floats
 from splatpainter.cameras import Camera
 from splatpainter.rendering import check_views
-from splatpainter.splats import Splats
+from splatpainter.splats import ATTRIBUTES, Splats
 
 if TYPE_CHECKING:
     from splatpainter.rendering.cpu.projected_view import ProjectedView
@@ -35,7 +35,8 @@ class PartialRender:
     depths: Floats = field(repr=False)
     """[H, W] float32 expected z-depth."""
     view: ProjectedView | None = field(default=None, repr=False)
-    """The Gaussians in these tiles, and in those that were asked for beside them; None where nobody asked."""
+    """The Gaussians in these tiles, and in those that were asked for beside them; None where nobody asked to keep
+    it."""
 
     @staticmethod
     def of(
@@ -44,17 +45,21 @@ class PartialRender:
         tiles: Bools | None = None,
         beside: np.ndarray | None = None,
         view: ProjectedView | None = None,
+        *,
+        keep: bool = False,
     ) -> PartialRender:
         """tiles: [TH, TW] bool; None: all of them; beside: more that the `view` is to have; view: one of the splats
-        that has these, if at hand. Raises ValueError for sizes that `render` does not draw."""
+        that has these, if at hand; keep: whether a view of all tiles is kept, about 150 bytes per Gaussian. Raises
+        ValueError for sizes that `render` does not draw."""
         from splatpainter.rendering.cpu.projected_view import project, tile_shape
         from splatpainter.rendering.cpu.recent_views import drawn_view, recent_view
 
         everywhere = np.ones(tile_shape(camera), bool)
         if tiles is None or tiles.all():
-            at_hand = recent_view(splats, camera)  # held by another: many views of large assets are not kept here
+            at_hand = recent_view(splats, camera)  # held by another
             drawn = drawn_view(splats, camera)
-            return PartialRender(splats, camera, everywhere, drawn.colors, drawn.alphas, drawn.depths, at_hand)
+            pictures = (drawn.colors, drawn.alphas, drawn.depths)
+            return PartialRender(splats, camera, everywhere, *pictures, drawn.view if keep else at_hand)
         check_views([camera])
         if view is None:
             view = project(splats, camera, tiles=tiles if beside is None else tiles | beside)
@@ -79,27 +84,43 @@ class PartialRender:
             tiles |= self.view.touched_tiles(left[self.view.gaussian_ids])
             left[self.view.gaussian_ids] = False
             old = np.flatnonzero(left)
+        view = self._recolored(splats, old)
+        if view is not None:
+            before = self.with_tiles(tiles)
+            return before, before._redrawn(splats, tiles, view)
         new = new[splats.opacities[new] > 0]
-        for asset, ids in ((self.splats, old), (splats, new)):
-            if len(ids):
-                some = np.ones(len(ids), bool)
-                tiles |= project(asset.take(ids), self.camera).tiles_of(some)
+        if len(old):
+            tiles |= project(self.splats.take(old), self.camera).tiles_of(np.ones(len(old), bool))
+        fresh = project(splats.take(new), self.camera)
+        tiles |= fresh.tiles_of(np.ones(len(new), bool))
         before = self.with_tiles(tiles)
         if not tiles.any():
             return before, replace(before, splats=splats)
-        view = None
         if self.view is not None and self._has(self.view, tiles):
             same = np.ones(count, bool)
             same[changed] = False
-            fresh = project(splats.take(new), self.camera, tiles=tiles)
+            fresh = fresh.part(tiles=tiles)
             fresh = replace(fresh, gaussian_ids=new[fresh.gaussian_ids], num_gaussians=len(splats))
             view = self.view.merged(fresh, tiles=tiles, gaussian_mask=same)
         return before, before._redrawn(splats, tiles, view)
 
+    def _recolored(self, splats: Splats, unseen: np.ndarray) -> ProjectedView | None:
+        """The view where nothing but colours changed. unseen: [U] int Gaussians that changed and are not in it."""
+        from splatpainter.rendering.cpu.projected_view import project
+
+        geometry = [name for name in ATTRIBUTES if name != "sh"]
+        same = all(getattr(splats, name) is getattr(self.splats, name) for name in geometry)
+        if self.view is None or not self.view.tiles.all() or not same or splats.antialiased != self.splats.antialiased:
+            return None
+        # One whose coefficients were out of range may be drawn now.
+        if len(unseen) and len(project(splats.take(unseen), self.camera, tiles=self.view.tiles)):
+            return None
+        return self.view.recolored(splats)
+
     @staticmethod
     def _has(view: ProjectedView, tiles: np.ndarray) -> bool:
-        """Whether a view can show these tiles; all tiles are drawn by `render`."""
-        return not tiles.all() and not (tiles & ~view.tiles).any()
+        """Whether a view can show these tiles."""
+        return not (tiles & ~view.tiles).any()
 
     def _redrawn(self, splats: Splats, tiles: np.ndarray, view: ProjectedView | None = None) -> PartialRender:
         """What it shows is of `splats` in these tiles, and as it was in all others. view: of `splats`, if at hand."""

@@ -25,6 +25,8 @@ GAUSSIANS_PER_BLOCK = 1024
 """Gaussians per unit of work of projection; each block's results are written side by side from the block's start."""
 SUMS = 8
 """Columns of what back-projection sums per pair of a Gaussian and a tile."""
+STEP_SUMS = 4
+"""Columns of what a step in all colours sums per pair."""
 
 # Columns of the camera vector [27], after the rotation, row by row (0..8), and the translation (9..11): focal lengths
 # and principal point (px); bounds of x / z and y / z for Jacobians; window (px); camera centre (world units).

@@ -18,7 +18,7 @@ from splatpainter.kernels.arrays import aligned, readonly
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run, threads
 from splatpainter.rendering.cpu import geometry
-from splatpainter.rendering.cpu.geometry import COLUMNS, GAUSSIANS_PER_BLOCK, SUMS, TILE
+from splatpainter.rendering.cpu.geometry import COLUMNS, GAUSSIANS_PER_BLOCK, STEP_SUMS, SUMS, TILE
 from splatpainter.rendering.profiles import Profile
 from splatpainter.splats import ATTRIBUTES, MAX_MAGNITUDE, Splats
 
@@ -302,15 +302,22 @@ class ProjectedView:
         """One step of the lift, fused: rasterize with `colors` [M, 3], and return sum_p w_ip m_p (target_p - image_p)
         [M, 3] and sum_p m_p |target_p - image_p|^2 over pixels and channels. target: [H, W, 3]; mask: [H, W] >= 0.
         Costs time in proportion to the drawn tiles under the mask."""
+        gain = np.zeros((len(self), 3), self.projected.dtype)
+        sums, errors = self.step_sums(target, mask, self.with_colors(colors))
+        run(kernels.add_gains, self.pair_offsets, sums, None, None, gain)
+        return gain, float(errors.sum(dtype=np.float64))
+
+    def step_sums(
+        self, target: np.ndarray, mask: np.ndarray, projected: np.ndarray, sums: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """What `sirt_step` adds up: ([P, 4] per pair of a Gaussian and a tile, [T] squared errors). projected: [M, 16]
+        as of `with_colors`; sums: to be written to in place of new ones."""
         dtype = self.projected.dtype
-        sums, errors = (
-            aligned((len(self.flatten_ids), SUMS), dtype),
-            np.empty(len(self.tile_ids), dtype),
-        )
-        target, mask = self._readonly_pictures(target, mask)
-        lists = self.tile_lists(self.with_colors(colors))
-        run(kernels.sirt_tiles, *lists, self._background(), target, mask, sums, errors)
-        return self._reduce(sums)[:, :3], float(errors.sum(dtype=np.float64))
+        sums = aligned((len(self.flatten_ids), STEP_SUMS), dtype) if sums is None else sums
+        errors = np.empty(len(self.tile_ids), dtype)
+        pictures = self._readonly_pictures(target, mask)
+        run(kernels.sirt_tiles, *self.tile_lists(projected), self._background(), *pictures, sums, errors)
+        return sums, errors
 
     def heaviest_gaussians(self, profile: Profile = "inria") -> Ids:
         """[H, W] int64: the Gaussian with the largest weight w = alpha T in each pixel, of equal ones the front one; -1
@@ -329,6 +336,18 @@ class ProjectedView:
         projected[:] = self.projected
         projected[:, geometry.RED : geometry.BLUE + 1] = colors
         return readonly(projected, projected.dtype)
+
+    def recolored(self, splats: Splats) -> ProjectedView | None:
+        """This view of the splats with other SH coefficients: what `project` would give, bit for bit, where it draws
+        the same Gaussians. None where coefficients of a drawn one are out of range."""
+        assert len(splats) == self.num_gaussians, f"{len(splats)} Gaussians in place of {self.num_gaussians}"
+        projected, beyond = aligned(self.projected.shape, self.projected.dtype), np.zeros(threads(), bool)
+        projected[:] = self.projected
+        means, sh = (readonly(values, projected.dtype) for values in (splats.means, splats.sh))
+        camera = geometry.camera_vector(self.camera, np.zeros(4), projected.dtype)
+        where = (camera, self.gaussian_ids, projected, beyond)
+        run(kernels.shade_entries, means, sh.reshape(len(sh), -1), splats.sh_degree, *where)
+        return None if beyond.any() else replace(self, projected=readonly(projected, projected.dtype))
 
     def _with_tiles(self, tiles: np.ndarray) -> ProjectedView:
         """This view for rasterizing some drawn tiles alone: all Gaussians, in no pairs."""
