@@ -79,6 +79,13 @@ def each(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Resu
     return results
 
 
+def beside(function: Callable[[], Result]) -> Callable[[], Result]:
+    """Begin function() on a thread beside the caller's, for long work that leaves Python alone (hashes, files, large
+    arrays); the call that is returned waits for its result, and raises what it raised. With one thread function()
+    runs when the result is asked for."""
+    return function if threads() == 1 else _workers().submit(function).result
+
+
 def _workers() -> ThreadPoolExecutor:
     global _pool
     if _pool is None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from splatpainter.array_types import Bools
+from splatpainter.kernels.parallel import beside
 from splatpainter.painting.asset import Asset
 from splatpainter.painting.edited_picture import Mode
 from splatpainter.receipts import Receipt, ViewScore, scores, untouched_hashes
@@ -49,12 +50,13 @@ def edit_receipt(
     trusted = not settings.proof and method.names_its_gaussians
     among = lifted.ids[: np.searchsorted(lifted.ids, len(asset.splats))] if trusted else None
     touched = changed_rows(asset.splats, result.splats, among)
-    hashes = untouched_hashes(asset.splats, result.splats, touched) if settings.proof else ("", "")
+    # All rows are read for their hashes while views are drawn.
+    hashing = beside(lambda: untouched_hashes(asset.splats, result.splats, touched) if settings.proof else ("", ""))
 
     # How near it came: in the edited views, and from the side, where paint on a wrong depth comes apart.
     aside = _side_scores(asset, result, views) if settings.aside and mode != "global" else ()
     notes.append(_seen_aside(aside))
-    judged = _judged(asset, result, views, touched)
+    judged, hashes = _judged(asset, result, views, touched), hashing()
     return Receipt(
         asset_sha256=asset.splats.sha256 if settings.proof else "",
         asset_rows=len(asset.splats),
