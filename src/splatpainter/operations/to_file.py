@@ -5,7 +5,7 @@ name that was asked for, beside one receipt that names each.
     done.receipt.operations, done.verification.ok
 
 Nothing is spent before what can be wrong was looked at: options, then the names of the outputs, then the files that
-operations read and the sources that they ask, then the asset.
+operations read and the sources that they ask (the asset is read meanwhile), then the asset.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from typing import Any
 
 from splatpainter.doubts import doubts
 from splatpainter.io import files, read, write
+from splatpainter.kernels.parallel import beside
 from splatpainter.operations.file_options import AS_USUAL, FileOptions, Worder, check_to_file
 from splatpainter.operations.operation import (
     AS_PYTHON,
@@ -124,13 +125,12 @@ def apply_to_asset(
     wording: Worder = lambda operation: AS_PYTHON,
 ) -> AppliedOperations:
     """The first half of `apply_to_file`: all but writing."""
-    # Files of all operations are read first: a wrong picture of the last one must not cost the first ones' time.
+    # Files of all operations are looked at first: a wrong picture of the last one must not cost the first ones' time.
+    # The asset is read meanwhile; what is wrong with it comes after what is wrong with them.
+    reading = beside(lambda: _read(asset, options))
     ready = [operation.ready(replace(tools, wording=wording(operation))) for operation in operations]
     stage("reading")
-    clock = time.perf_counter()
-    splats = read(asset, axes=options.in_axes, lenient=options.lenient)
-    read_seconds = time.perf_counter() - clock
-    doubtful = doubts_of(splats)
+    splats, doubtful, read_seconds = reading()
     for line in doubtful:
         report.warn(f"{asset}: {line}")
     # Each operation sees the asset as those before it left it, with its surface as it was when it was read.
@@ -146,6 +146,14 @@ def apply_to_asset(
     # One proof from the first bytes to the last: what an operation changed and the next changed back did not change.
     edited = replace(edited, receipt=receipt_of_all(splats, edited.splats, steps))
     return AppliedOperations(splats, edited, tuple(steps), tuple(doubtful), read_seconds)
+
+
+def _read(asset: Path, options: FileOptions) -> tuple[Splats, list[str], float]:
+    """(the asset, what looks wrong about it, seconds that reading took)."""
+    clock = time.perf_counter()
+    splats = read(asset, axes=options.in_axes, lenient=options.lenient)
+    seconds = time.perf_counter() - clock
+    return splats, doubts_of(splats), seconds
 
 
 def doubts_of(splats: Splats) -> list[str]:
