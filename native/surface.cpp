@@ -1,10 +1,12 @@
 #include "kernels.h"
 #include "surface/curvature.h"
 #include "surface/estimate.h"
+#include "surface/patches.h"
 #include "surface/unwrap.h"
 #include "surface/visible.h"
 
 SP_KERNELS(surface,
+    ONE(fill_patches),
     ONE(estimate_surface),
     BOTH(find_front_entries),
     ONE(interpolate_planes),

@@ -25,7 +25,7 @@ from splatpainter.array_types import Floats
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
 from splatpainter.splats import Splats
-from splatpainter.surface.surface_samples import SurfaceSamples
+from splatpainter.surface.surface_samples import SCALES, SurfaceSamples
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Surface:
     @cached_property
     def typical_width(self) -> float:
         """Median width sqrt(s0 s1) of the patches, world units; 0 where there are none."""
-        scales = self.samples.scales
+        scales = self.samples.patches[:, SCALES]
         return float(np.median(np.sqrt(scales[:, 0] * scales[:, 1]))) if len(scales) else 0.0
 
     def at(self, points: np.ndarray, directions: np.ndarray, widths: np.ndarray) -> SurfacePoints:
