@@ -16,7 +16,7 @@ import numpy as np
 from splatpainter.array_types import Floats, FloatsOrTensor
 from splatpainter.kernels import portable
 from splatpainter.splats import Splats
-from splatpainter.transforms import GOLDEN_ANGLE, stacked
+from splatpainter.transforms import GOLDEN_ANGLE, row_max, row_norm, stacked
 
 VERSION = 1
 MIN_FRAMED_OPACITY = 0.1
@@ -341,12 +341,13 @@ def bounding_sphere(splats: Splats) -> tuple[np.ndarray, float]:
     if not len(means):
         return np.zeros(3), 1.0
     # The median stands where most Gaussians are, wherever floaters pull the mean.
-    distances = np.linalg.norm(means - np.median(means, axis=0), axis=1)
-    core = means[distances <= 3 * np.median(distances)] if np.median(distances) > 0 else means
+    distances = row_norm(means - np.median(means, axis=0))
+    reach = np.median(distances)
+    core = means[distances <= 3 * reach] if reach > 0 else means
     low, high = np.quantile(core, [0.01, 0.99], axis=0)
     center = (low + high) / 2
-    radius = float(np.quantile(np.linalg.norm(core - center, axis=1), 0.98))
-    typical = float(np.median(arrays.scales[drawable].max(1)))
+    radius = float(np.quantile(row_norm(core - center), 0.98))
+    typical = float(np.median(row_max(arrays.scales[drawable])))
     return center, max(radius, 3 * typical, 1e-6)  # one Gaussian, or all at one point, is still something to look at
 
 

@@ -583,7 +583,8 @@ def score(pixels: np.ndarray, other: np.ndarray, mask: np.ndarray) -> float | No
     # The masked pixels that differ alone: around a dab they are a few of a million.
     chosen = mask & ((pixels[..., 0] != other[..., 0]) | (pixels[..., 1] != other[..., 1]))
     chosen |= mask & (pixels[..., 2] != other[..., 2])
-    one, two = (np.clip(picture[chosen], 0, 1).astype(np.float64) for picture in (pixels, other))
+    at = np.flatnonzero(chosen)
+    one, two = (np.clip(picture.reshape(-1, 3)[at], 0, 1).astype(np.float64) for picture in (pixels, other))
     error = float(((one - two) ** 2).sum()) / (3 * int(mask.sum()))
     return math.inf if error == 0 else -10 * math.log10(error)
 

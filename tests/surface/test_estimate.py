@@ -237,8 +237,8 @@ def test_one_search_looks_at_bounded_numbers_and_finds_what_brute_force_finds():
     for window in (1e-3, 0.02, 0.2):
         for point in rng.uniform(-1.2, 1.2, (20, 3)):
             kernels.probe_gather(*arrays, point, window, out, number, 0, 1)
-            square = ((s.means.astype(np.float64) - point) ** 2).sum(1)
-            reach = s.scales[:, 0].astype(np.float64) ** 2 + window**2
+            square = ((s.patches[:, :3].astype(np.float64) - point) ** 2).sum(1)
+            reach = s.patches[:, 12].astype(np.float64) ** 2 + window**2
             np.testing.assert_array_equal(np.sort(out[: number[0]]), np.flatnonzero(square < 2.5**2 * reach))
     kernels.probe_gather(*arrays, np.zeros(3), 10.0, np.empty(101, np.int64), number, 0, 1)
     assert number[0] == 101

@@ -227,16 +227,15 @@ def _agreeing(index, points, normals, windows, valid) -> np.ndarray:
     """[L] int how many of a lattice point's eight neighbours lie on its plane, as it lies on theirs."""
     out = np.zeros(len(points), int)
     height, width = index.shape
-    for dy in (-1, 0, 1):
-        for dx in (-1, 0, 1):
-            if not (dy or dx):
-                continue
-            first = index[max(dy, 0) : height + min(dy, 0), max(dx, 0) : width + min(dx, 0)]
-            second = index[max(-dy, 0) : height + min(-dy, 0), max(-dx, 0) : width + min(-dx, 0)]
-            pair = (first >= 0) & (second >= 0)
-            a, b = first[pair], second[pair]
-            way = points[b] - points[a]
-            limit = VISIBLE.max_disagreement * np.minimum(windows[a], windows[b])
-            close = (np.abs((way * normals[a]).sum(1)) < limit) & (np.abs((way * normals[b]).sum(1)) < limit)
-            out[a] += close & valid[b]
+    # Each pair of neighbours once: what holds for the one holds for the other.
+    for dy, dx in ((0, 1), (1, -1), (1, 0), (1, 1)):
+        first = index[dy:, max(dx, 0) : width + min(dx, 0)]
+        second = index[: height - dy, max(-dx, 0) : width + min(-dx, 0)]
+        pair = (first >= 0) & (second >= 0)
+        a, b = first[pair], second[pair]
+        way = points[b] - points[a]
+        limit = VISIBLE.max_disagreement * np.minimum(windows[a], windows[b])
+        close = (np.abs((way * normals[a]).sum(1)) < limit) & (np.abs((way * normals[b]).sum(1)) < limit)
+        out[a] += close & valid[b]
+        out[b] += close & valid[a]
     return out

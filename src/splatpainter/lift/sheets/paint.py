@@ -161,7 +161,6 @@ def _paint_part(
     limited = float((mask & solid).sum() - share.sum())
     # Outlines have no surface to limit by, but paint reaches them.
     share[mask & ~solid & (alpha > PAINTING.min_alpha)] = 1
-    target = (before + share[..., None] * (edited - before)).astype(np.float32)
     painted = share > PAINTING.min_paint
     if not painted.any():
         if not limited:
@@ -171,8 +170,8 @@ def _paint_part(
             "angle_limit 0 and depth_edge_limit 0"
         )
     # The ring is covered too, with what it shows: the paint's edge then lies within the sheet.
-    pixels = dilated(painted, RING_PX) & solid
-    target = np.where(painted[..., None], target, before)
+    pixels, target = dilated(painted, RING_PX) & solid, before.copy()
+    target[painted] += share[painted][:, None] * (edited[painted] - before[painted])
     may, none = gaussians_in_mask(splats, camera, mask, None, view), np.zeros(0, np.int64)
     sheet, on_surface = None, np.zeros_like(mask)
     # Gaussians nearly as fine as the pixels are split: a sheet would only bring its own errors.

@@ -228,7 +228,9 @@ def _picture(view: ProjectedView, around: ProjectedView, before: np.ndarray, til
     missing = tiles & ~view.tiles
     if not missing.any():
         return before
-    return np.where(_pixels_of(missing, view.camera)[..., None], around.rasterize(tiles=missing)[0], before)
+    picture, pixels = before.copy(), _pixels_of(missing, view.camera)
+    picture[pixels] = around.rasterize(tiles=missing)[0][pixels]
+    return picture
 
 
 def _pixels_of(tiles: np.ndarray, camera: Camera) -> Bools:
