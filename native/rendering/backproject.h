@@ -12,13 +12,11 @@ enum { W_VALUES, W_MASK = W_VALUES + 3, ALPHA_MASK, PEAK, GATHERED_COLUMNS };
 // Those of a second mask n, which stand in place of the values.
 enum { W_SECOND = W_VALUES, ALPHA_SECOND, PEAK_SECOND };
 constexpr int SUMS = 8;
-// Of a step only the values are read: the columns of one pair's sums, the last of which is unused.
-enum { STEP_VALUES = 3, STEP_SUMS };
 // Fields of a tile's state after T: m v, or n in place of the first of them, and m.
 enum { MASKED_VALUES = TRANSMITTANCE + 1, SECOND_MASK = MASKED_VALUES, MASK = MASKED_VALUES + 3, MASKED_FIELDS };
 
-// values: sums of one mask with values; masks: of two masks; step: of the values alone.
-enum class Gathered { values, masks, step };
+// values: sums of one mask with values; masks: of two masks.
+enum class Gathered { values, masks };
 template <Gathered gathered>
 SP_INLINE constexpr bool is_peak(int column) {
     return column == PEAK || (gathered == Gathered::masks && column == PEAK_SECOND);
@@ -26,10 +24,10 @@ SP_INLINE constexpr bool is_peak(int column) {
 
 // sums[pair_ids[p]] for list entries [begin, end) from the fields of the tile. way: `through` also counts the alpha of
 // Gaussians behind the point where all pixels stop. Returns one past the last entry used.
-template <Profile profile, Gathered gathered, Walk way, i64 WIDTH, class F>
+template <Profile profile, Gathered gathered, Walk way, class F>
 SP_INLINE i64 backproject_tile(const Rows<const F, COLUMNS>& projected, const Array1<const i32>& flatten_ids,
                                const Array1<const i32>& pair_ids, i64 begin, i64 end, Pixel first,
-                               Field<F>* __restrict state, BlockSet& open, const Rows<F, WIDTH>& sums) {
+                               Field<F>* __restrict state, BlockSet& open, const Rows<F, SUMS>& sums) {
     alignas(64) F lanes[GATHERED_COLUMNS][LANES];
     return walk<way>(projected, flatten_ids, begin, end, first, state, open, [&](i64 p, Footprint<F> g) {
         const i64 ahead = min_of(p + PREFETCH_ENTRIES, end - 1);
@@ -39,8 +37,8 @@ SP_INLINE i64 backproject_tile(const Rows<const F, COLUMNS>& projected, const Ar
             Wide<F> s[GATHERED_COLUMNS] = {};
             over_blocks(drawn, [&](int b) {
                 const Wide<F> alpha = alpha_of<profile>(g, b, l), zero = {};
-                const Wide<F> w = accept<profile>(&state[TRANSMITTANCE][b][l], alpha);
-                if constexpr (gathered != Gathered::masks) {
+                const Wide<F> w = accept<profile>(&state[TRANSMITTANCE][b][l], alpha), m = load(&state[MASK][b][l]);
+                if constexpr (gathered == Gathered::values) {
                     for (int c = 0; c < 3; ++c)
                         s[W_VALUES + c] = fused(w, load(&state[MASKED_VALUES + c][b][l]), s[W_VALUES + c]);
                 } else {
@@ -49,29 +47,21 @@ SP_INLINE i64 backproject_tile(const Rows<const F, COLUMNS>& projected, const Ar
                     s[ALPHA_SECOND] = fused(alpha, n, s[ALPHA_SECOND]);
                     s[PEAK_SECOND] = counted > s[PEAK_SECOND] ? counted : s[PEAK_SECOND];
                 }
-                if constexpr (gathered != Gathered::step) {
-                    const Wide<F> m = load(&state[MASK][b][l]), counted = m > F(0) ? w : zero;
-                    s[W_MASK] = fused(w, m, s[W_MASK]);
-                    s[ALPHA_MASK] = fused(alpha, m, s[ALPHA_MASK]);
-                    s[PEAK] = counted > s[PEAK] ? counted : s[PEAK];
-                }
+                s[W_MASK] = fused(w, m, s[W_MASK]);
+                s[ALPHA_MASK] = fused(alpha, m, s[ALPHA_MASK]);
+                const Wide<F> counted = m > F(0) ? w : zero;
+                s[PEAK] = counted > s[PEAK] ? counted : s[PEAK];
             });
             for (int c = 0; c < GATHERED_COLUMNS; ++c) store(&lanes[c][l], s[c]);
         }
+        // All but the last are sums over the lanes; what is a peak is put right after.
         F* out = sums.row(pair_ids(p));
-        if constexpr (gathered == Gathered::step) {
-            alignas(64) F values[SUMS];
-            sums_of<STEP_VALUES, F>(lanes, values);
-            __builtin_memcpy(out, values, STEP_SUMS * sizeof(F));
-        } else {
-            // All but the last are sums over the lanes; what is a peak is put right after.
-            sums_of<PEAK, F>(lanes, out);
-            for (int c = 0; c < GATHERED_COLUMNS; ++c) {
-                if (!is_peak<gathered>(c)) continue;
-                F peak = F(0);
-                for (int l = 0; l < LANES; ++l) peak = max_of(peak, lanes[c][l]);
-                out[c] = peak;
-            }
+        sums_of<PEAK, F>(lanes, out);
+        for (int c = 0; c < GATHERED_COLUMNS; ++c) {
+            if (!is_peak<gathered>(c)) continue;
+            F peak = F(0);
+            for (int l = 0; l < LANES; ++l) peak = max_of(peak, lanes[c][l]);
+            out[c] = peak;
         }
     });
 }
@@ -90,9 +80,9 @@ SP_INLINE BlockSet load_mask(const Array2<const F>& mask, Pixel first, Field<F>&
     return some;
 }
 
-template <class F, i64 WIDTH>
-SP_INLINE void clear(const Array1<const i32>& pair_ids, i64 begin, i64 end, const Rows<F, WIDTH>& sums) {
-    for (i64 p = begin; p < end; ++p) __builtin_memset(sums.row(pair_ids(p)), 0, WIDTH * sizeof(F));
+template <class F>
+SP_INLINE void clear(const Array1<const i32>& pair_ids, i64 begin, i64 end, const Rows<F, SUMS>& sums) {
+    for (i64 p = begin; p < end; ++p) __builtin_memset(sums.row(pair_ids(p)), 0, SUMS * sizeof(F));
 }
 
 template <Profile profile, class F>
@@ -146,64 +136,6 @@ void mask_sums_tiles(Rows<const F, COLUMNS> projected, Array1<const i32> flatten
         }
         backproject_tile<Profile::inria, Gathered::masks, Walk::through>(projected, flatten_ids, pair_ids, begin, end,
                                                                          first, state, open, sums);
-    }
-}
-
-// Rasterize, subtract and backproject, tile by tile, while the tile is in cache. errors [T]: sum of m |target -
-// image|^2.
-template <class F>
-void sirt_tiles(Rows<const F, COLUMNS> projected, Array1<const i32> flatten_ids, Array1<const i32> pair_ids,
-                Array1<const i32> tile_ids, Array1<const i64> isect_offsets, Array1<const F> background,
-                Pixels<const F, 3> target, Array2<const F> mask, Rows<F, STEP_SUMS> sums, Array1<F> errors, i64 thread,
-                i64 threads) {
-    const i64 height = mask.shape[0], width = mask.shape[1];
-    alignas(64) Field<F> rasterized[SEEN_FIELDS], state[MASKED_FIELDS];
-    for (i64 k = thread; k < tile_ids.shape[0]; k += threads) {
-        const Pixel first = open_tile<F>(tile_ids(k), width, height, state, MASKED_FIELDS);
-        open_tile<F>(tile_ids(k), width, height, rasterized, SEEN_FIELDS);
-        const i64 begin = isect_offsets(k), end = isect_offsets(k + 1);
-        errors(k) = F(0);
-        BlockSet open = load_mask<F>(mask, first, state[MASK]);
-        if (!open) {
-            clear(pair_ids, begin, end, sums);
-            continue;
-        }
-        const BlockSet masked = open;
-        i64 stop = composite<Profile::inria>(projected, flatten_ids, begin, end, first, rasterized, open);
-        open = masked;
-        F error = F(0);
-        for (int b = 0; b < BLOCKS; ++b)
-            for (int l = 0; l < LANES; ++l) {
-                const F m = state[MASK][b][l];
-                if (!(m > F(0))) continue;
-                const auto [x, y] = pixel_of(first.x, first.y, b, l);
-                const F T = abs_of(rasterized[TRANSMITTANCE][b][l]);
-                for (int c = 0; c < 3; ++c) {
-                    const F difference = target(y, x, c) - (rasterized[SEEN + c][b][l] + T * background(c));
-                    error += m * difference * difference;
-                    state[MASKED_VALUES + c][b][l] = m * difference;
-                }
-            }
-        errors(k) = error;
-        stop = backproject_tile<Profile::inria, Gathered::step, Walk::until_closed>(
-            projected, flatten_ids, pair_ids, begin, stop, first, state, open, sums);
-        clear(pair_ids, stop, end, sums);
-    }
-}
-
-// gain [N, 3] += each entry's sums over its tiles, at its Gaussian: ids [M], no Gaussian twice; not where the weight
-// ([N]) of the Gaussian is 0. Without ids at the entry itself, without weights of all.
-template <class F>
-void add_gains(Array1<const i64> pair_offsets, Rows<const F, STEP_SUMS> sums, Array1<const i64> ids,
-               Array1<const F> weight, Rows<F, STEP_VALUES> gain, i64 thread, i64 threads) {
-    const Share share = share_of(pair_offsets.shape[0] - 1, thread, threads);
-    for (i64 i = share.begin; i < share.end; ++i) {
-        const i64 to = ids.empty() ? i : ids(i);
-        if (!weight.empty() && !(weight(to) > F(0))) continue;
-        F total[STEP_VALUES] = {};
-        for (i64 pair = pair_offsets(i); pair < pair_offsets(i + 1); ++pair)
-            for (int k = 0; k < STEP_VALUES; ++k) total[k] += sums.row(pair)[k];
-        for (int k = 0; k < STEP_VALUES; ++k) gain.row(to)[k] += total[k];
     }
 }
 

@@ -219,8 +219,8 @@ void project_gaussians(Rows<const F, 3> means, Rows<const F, 4> quats, Rows<cons
     }
 }
 
-// Colours of the entries of a view that is there (ids [M]), from other SH: into its `projected` [M, 16]. beyond [share]:
-// set where an entry's are out of range, so that it would not be drawn.
+// Colours of the entries of a view that is there (ids [M]), from other SH: into its `projected` [M, 16].
+// beyond [share]: set where an entry's are out of range, so that it would not be drawn.
 template <class F>
 void shade_entries(Rows<const F, 3> means, Array2<const F> flat_sh, i64 degree, Array1<const F> camera,
                    Array1<const i64> ids, Rows<F, COLUMNS> projected, Array1<bool> beyond, i64 thread, i64 threads) {
@@ -232,7 +232,9 @@ void shade_entries(Rows<const F, 3> means, Array2<const F> flat_sh, i64 degree, 
             const int count = (int)min_of<i64>(LANES, end - i);
             for (int l = 0; l < LANES; ++l)
                 for (int k = 0; k < 3; ++k) at[k][l] = means.row(ids(i + (l < count ? l : 0)))[k];
-            SP_LANES(F, l) store_basis(camera.data, load(&at[0][l]), load(&at[1][l]), load(&at[2][l]), degree, l, basis);
+            SP_LANES(F, l) {
+                store_basis(camera.data, load(&at[0][l]), load(&at[1][l]), load(&at[2][l]), degree, l, basis);
+            }
             for (int l = 0; l < count; ++l) {
                 const Shade<F> color = shade(flat_sh.row(ids(i + l)), coefficients, basis, l);
                 if (!(color.magnitude <= F(MAX_MAGNITUDE))) beyond(share) = true;

@@ -13,22 +13,34 @@ enum { SEEN = TRANSMITTANCE + 1, SEEN_DEPTH = SEEN + 3, SEEN_FIELDS };
 // The columns of `projected` that are summed there.
 constexpr int COLOR_AND_DEPTH[4] = {RED, GREEN, BLUE, DEPTH};
 
+// What `composite` tells of the weights that it finds: batch after batch, of each open block vector by vector, of each
+// entry j of the batch that it adds there. Nothing is made of them here.
+template <class F>
+struct NoWeights {
+    SP_INLINE void begin_batch(BlockSet) {}
+    SP_INLINE void begin_pixels(int, int) {}
+    SP_INLINE void add(int, Wide<F>) {}
+    SP_INLINE void end_batch(i64, i64) {}
+};
+
 // Add list entries [begin, end) to the fields of a tile; returns one past the last entry used, as `walk` would. Not by
 // `walk`: here a pixel's sums stay in registers for a batch of entries, which no sum over the pixels asks for.
-template <Profile profile, class F>
+template <Profile profile, class F, class Weights>
 SP_INLINE i64 composite(const Rows<const F, COLUMNS>& projected, const Array1<const i32>& flatten_ids, i64 begin,
-                        i64 end, Pixel first, Field<F>* __restrict state, BlockSet& open) {
+                        i64 end, Pixel first, Field<F>* __restrict state, BlockSet& open, Weights&& weights) {
     using V = Wide<F>;
     Footprints<F> drawn;
     i64 closing = begin;  // the entry that closed a block last
     for (i64 from = begin; from < end; from += BATCH) {
         drawn.read(projected, flatten_ids, from, end, first);
+        weights.begin_batch(open);
         over_blocks(open, [&](int b) {
             const u64 hits = drawn.entries[b];
             int last = 0;
             bool some = false;
             SP_LANES(F, l) {
                 V T = load(&state[TRANSMITTANCE][b][l]), sums[4];
+                weights.begin_pixels(b, l);
                 if (!bits_where(T > F(0))) continue;
                 for (int c = 0; c < 4; ++c) sums[c] = load(&state[SEEN + c][b][l]);
                 bool accepts = true;
@@ -38,6 +50,7 @@ SP_INLINE i64 composite(const Rows<const F, COLUMNS>& projected, const Array1<co
                     if constexpr (FUSED_IS_EMULATED && profile == Profile::inria)
                         if (!bits_where(alpha > F(0))) continue;  // changes nothing, and sums are dear
                     const V w = accept_into<profile, F>(T, alpha);
+                    weights.add(j, w);
                     for (int c = 0; c < 4; ++c) sums[c] = fused(w, all(drawn.row[j][COLOR_AND_DEPTH[c]]), sums[c]);
                     if (!bits_where(T > F(0))) {
                         accepts = false;
@@ -53,6 +66,7 @@ SP_INLINE i64 composite(const Rows<const F, COLUMNS>& projected, const Array1<co
             open &= ~(1u << b);
             closing = max_of(closing, from + last);
         });
+        weights.end_batch(from, drawn.count);
         if (!open) return min_of(end, begin + ((closing - begin) | 7) + 1);
     }
     return end;
@@ -69,7 +83,7 @@ void rasterize_tiles_as(Rows<const F, COLUMNS> projected, Array1<const i32> flat
         const Pixel first = open_tile<F>(tile_ids(k), width, height, state, SEEN_FIELDS);
         BlockSet open = ALL_BLOCKS;
         const i64 begin = isect_offsets(k), end = isect_offsets(k + 1);
-        ends(k) = composite<profile>(projected, flatten_ids, begin, end, first, state, open);
+        ends(k) = composite<profile>(projected, flatten_ids, begin, end, first, state, open, NoWeights<F>{});
         for (int b = 0; b < BLOCKS; ++b)
             for (int l = 0; l < LANES; ++l) {
                 const auto [x, y] = pixel_of(first.x, first.y, b, l);

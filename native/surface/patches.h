@@ -13,8 +13,8 @@ constexpr float MIN_QUAT_NORM = 1e-15f;
 // patches [M, 16] of the Gaussians ids [M]: mean (3), unit axes (9), the longest first, the last one the (unsigned)
 // normal, standard deviations along them (3), opacity. Axes of equal length keep their order.
 void fill_patches(Array1<const i64> ids, Rows<const float, 3> means, Rows<const float, 4> quats,
-                  Rows<const float, 3> scales, Array1<const float> opacities, Rows<float, surface::PATCH_COLUMNS> patches,
-                  i64 thread, i64 threads) {
+                  Rows<const float, 3> scales, Array1<const float> opacities,
+                  Rows<float, surface::PATCH_COLUMNS> patches, i64 thread, i64 threads) {
     using namespace surface;
     const Share share = share_of(ids.shape[0], thread, threads);
     for (i64 m = share.begin; m < share.end; ++m) {

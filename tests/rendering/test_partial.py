@@ -80,9 +80,9 @@ def test_a_view_that_was_kept_is_drawn_again_as_it_would_be_anew(case: str) -> N
         ids = np.arange(300)
     if case == "appended":
         after = after.append(cloud(7, 3))
-    kept = PartialRender.of(before, CAMERA, keep=True)
-    assert kept.view is not None
-    old, new = kept.after(after, ids)
+    picture = PartialRender.of(before, CAMERA, keep=True)
+    assert picture.view is not None
+    old, new = picture.after(after, ids)
     assert_equal(old, before)
     assert_equal(new, after)
 

@@ -10,7 +10,8 @@ import torch
 
 import splatpainter as sp
 from splatpainter.rendering import reference
-from splatpainter.rendering.cpu import sirt
+from splatpainter.rendering.cpu import projected_view, sirt
+from splatpainter.rendering.cpu.geometry import StepSizes
 from splatpainter.rendering.cpu.projected_view import project, tile_shape, tiles_of_mask
 from splatpainter.rendering.cpu.sirt import sirt_steps
 from splatpainter.rendering.cpu.views import render_views, render_views_backward
@@ -225,6 +226,21 @@ def test_a_round_is_draw_subtract_accumulate():
     np.testing.assert_allclose(sums, view.backproject(target - image, mask).values, atol=1e-5)
     assert error == pytest.approx(float((mask[..., None] * (target - image) ** 2).sum()), rel=1e-5)
     assert view.sirt_step(image, mask, colors)[1] == pytest.approx(0, abs=1e-8)
+
+
+@pytest.mark.parametrize(("weights", "groups"), [(1 << 18, 1 << 14), (0, 1 << 14), (160, 1 << 14), (1 << 18, 9)])
+def test_a_step_gives_back_what_its_picture_lacks_whether_a_tiles_weights_are_kept_or_not(
+    monkeypatch: pytest.MonkeyPatch, weights: int, groups: int
+):
+    monkeypatch.setattr(projected_view, "STEP_SIZES", StepSizes(tile_weights=weights, tile_groups=groups))
+    splats, camera = with_odd_gaussians(scene(300, seed=4, dtype=np.float32)), cameras(150, 110)[0]
+    rng, view = np.random.default_rng(1), project(splats, camera)
+    target, mask = rng.random((110, 150, 3), np.float32), rng.random((110, 150), np.float32)
+    mask[:40] = 0
+    image = view.rasterize()[0]
+    gain = view.sirt_step(target, mask)[0]
+    np.testing.assert_array_equal(gain, view.backproject(target - image, mask).values)
+    assert np.abs(gain).max() > 1
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])

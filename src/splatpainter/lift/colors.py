@@ -21,7 +21,7 @@ from splatpainter.kernels.arrays import aligned
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
 from splatpainter.lift.options import LOCAL_DEFAULTS
-from splatpainter.rendering.cpu.geometry import STEP_SUMS
+from splatpainter.rendering.cpu.geometry import STEP_SIZES
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.rendering.cpu.recent_views import drawn_view
 from splatpainter.rendering.cpu.sirt import sirt_steps
@@ -182,7 +182,7 @@ class _InRounds:
     def of(view: ProjectedView) -> _InRounds:
         projected = aligned(view.projected.shape, view.projected.dtype)
         projected[:] = view.projected
-        return _InRounds(view, projected, aligned((len(view.flatten_ids), STEP_SUMS), view.projected.dtype))
+        return _InRounds(view, projected, aligned((len(view.flatten_ids), STEP_SIZES.sums), view.projected.dtype))
 
     def add_gains(self, change: np.ndarray, edit: SolidView, gain: np.ndarray) -> None:
         """gain [N, 3] += what the edit's picture asks for where the colours have moved by change [N, 3]; but nothing

@@ -6,6 +6,8 @@ EWA splatting (Zwicker et al. 2001) as in Kerbl et al. 2023: cov2d = (J W R S)(J
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from splatpainter.cameras import Camera
@@ -25,12 +27,25 @@ GAUSSIANS_PER_BLOCK = 1024
 """Gaussians per unit of work of projection; each block's results are written side by side from the block's start."""
 SUMS = 8
 """Columns of what back-projection sums per pair of a Gaussian and a tile."""
-STEP_SUMS = 4
-"""Columns of what a step in all colours sums per pair."""
 
 # Columns of the camera vector [27], after the rotation, row by row (0..8), and the translation (9..11): focal lengths
 # and principal point (px); bounds of x / z and y / z for Jacobians; window (px); camera centre (world units).
 FX, FY, CX, CY, U_MIN, U_MAX, V_MIN, V_MAX, X_MIN, X_MAX, Y_MIN, Y_MAX, EYE_X, EYE_Y, EYE_Z = range(12, 27)
+
+
+@dataclass(frozen=True)
+class StepSizes:
+    """What a step in all colours of a view works with (native/rendering/color_rounds.h)."""
+
+    sums: int = 4
+    """Columns that it sums per pair of a Gaussian and a tile."""
+    tile_weights: int = 1 << 18
+    """Weights of one tile's pixels that a thread keeps: 1 MiB in float32, what a core has near it."""
+    tile_groups: int = 1 << 14
+    """Groups of these: one per batch of 64 list entries, and one per vector of pixels in it."""
+
+
+STEP_SIZES = StepSizes()
 
 
 def camera_vector(camera: Camera, window: np.ndarray, dtype: np.dtype) -> np.ndarray:

@@ -18,7 +18,13 @@ from splatpainter.kernels.arrays import aligned, readonly
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run, threads
 from splatpainter.rendering.cpu import geometry
-from splatpainter.rendering.cpu.geometry import COLUMNS, GAUSSIANS_PER_BLOCK, STEP_SUMS, SUMS, TILE
+from splatpainter.rendering.cpu.geometry import (
+    COLUMNS,
+    GAUSSIANS_PER_BLOCK,
+    STEP_SIZES,
+    SUMS,
+    TILE,
+)
 from splatpainter.rendering.profiles import Profile
 from splatpainter.splats import ATTRIBUTES, MAX_MAGNITUDE, Splats
 
@@ -313,10 +319,15 @@ class ProjectedView:
         """What `sirt_step` adds up: ([P, 4] per pair of a Gaussian and a tile, [T] squared errors). projected: [M, 16]
         as of `with_colors`; sums: to be written to in place of new ones."""
         dtype = self.projected.dtype
-        sums = aligned((len(self.flatten_ids), STEP_SUMS), dtype) if sums is None else sums
+        sums = aligned((len(self.flatten_ids), STEP_SIZES.sums), dtype) if sums is None else sums
         errors = np.empty(len(self.tile_ids), dtype)
         pictures = self._readonly_pictures(target, mask)
-        run(kernels.sirt_tiles, *self.tile_lists(projected), self._background(), *pictures, sums, errors)
+        space, groups = (
+            aligned((threads(), STEP_SIZES.tile_weights), dtype),
+            np.empty((threads(), STEP_SIZES.tile_groups), np.int64),
+        )
+        lists = (*self.tile_lists(projected), self._background())
+        run(kernels.sirt_tiles, *lists, *pictures, sums, errors, space, groups)
         return sums, errors
 
     def heaviest_gaussians(self, profile: Profile = "inria") -> Ids:
