@@ -13,8 +13,11 @@ import torch
 from splatpainter.models.config import ModelConfig
 from splatpainter.models.encode import encode_asset
 from splatpainter.nn.precision import autocast
+from splatpainter.rendering import render
+from splatpainter.splats import SH_C0
 from splatpainter.voxels.grid import voxelize
 from splattrain.build import make_task
+from splattrain.data.lit_scenes import PosedViews
 from splattrain.data.object_sources import ProceduralSource
 from splattrain.data.samples import Sample, SampleRecipe, SampleStream
 from splattrain.recipes import Recipe
@@ -226,6 +229,28 @@ def test_the_first_stages_learn(tmp_path: Path, stage: Any, config: ModelConfig)
     assert np.mean(losses[-4:]) < 0.95 * np.mean(losses[:4])
     score = run.task.eval().judge(supply[1])
     assert np.isfinite(score.numbers["ours"])
+
+
+def test_validation_of_the_lrm_says_what_its_pictures_are_worth() -> None:
+    """Half red, half blue: grey pictures, and those of other cameras, lose that; of a red asset these hardly do."""
+    plain = SampleStream(ProceduralSource(2, seed=3), PLAIN, seed=1)[0]
+    task = task_of(replace(RECIPE, stage="lrm", samples=PLAIN), SMALL).eval()
+
+    def judged(left: tuple[float, ...], right: tuple[float, ...]) -> dict[str, float]:
+        asset, cameras = plain.asset.numpy(), plain.novel_before.cameras
+        colors = np.where(asset.means[:, :1] < np.median(asset.means[:, 0]), left, right)
+        sh = np.zeros_like(asset.sh)
+        sh[:, 0] = (colors - 0.5) / SH_C0
+        asset = replace(asset, sh=sh)
+        truth = PosedViews(cameras, torch.from_numpy(render(asset, list(cameras)).colors))
+        return task.judge(replace(plain, asset=asset, novel_before=truth)).numbers
+
+    painted = judged((0.95, 0.05, 0.05), (0.05, 0.05, 0.95))
+    assert painted["adapts"] == painted["ours"] - painted["strength 0"] > 1
+    assert painted["another edit"] < painted["ours"] - 0.5
+    assert 0 < painted["between Gaussians"] <= 1
+    red = judged((0.95, 0.05, 0.05), (0.95, 0.05, 0.05))
+    assert red["ours"] - red["another edit"] < 0.5 * (painted["ours"] - painted["another edit"])
 
 
 def test_compress_of_copy_sees_the_lrm_frozen() -> None:

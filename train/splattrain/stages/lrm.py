@@ -6,6 +6,7 @@ without (paper) they are pictures of the object.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +21,7 @@ from splatpainter.models.model import SplatPainterModel
 from splatpainter.splats import Splats
 from splatpainter.voxels.grid import VoxelGrid, voxelize
 from splattrain.loss import PictureLoss, PictureTarget, global_target, masked_psnr, scattered_depth
-from splattrain.stages.task import Task, ValidationScore, draw, freeze, tensor
+from splattrain.stages.task import Task, ValidationScore, between_share, draw, freeze, tensor
 
 if TYPE_CHECKING:
     from splattrain.data.samples import Sample
@@ -54,10 +55,26 @@ class LrmTask(Task[SplatPainterModel]):
 
     @torch.no_grad()
     def judge(self, sample: Sample) -> ValidationScore:
+        """As `judged`, and what the pictures are worth: `strength 0` is the answer to grey ones, `another edit` that to
+        the same ones shown from each other's cameras, `between Gaussians` of what the tokens say."""
         views = input_views(self.model, sample, self.device)
         with self.arithmetic():
-            predicted = self.model.lrm(views).splats
-        return judged(_drawn(predicted, views, self.model), sample, views, self.device)
+            output = self.model.lrm(views)
+        score = judged(_drawn(output.splats, views, self.model), sample, views, self.device)
+        numbers = score.numbers
+        if "ours" in numbers:
+            cameras, target = truth(sample, self.device)
+            others = {"strength 0": torch.full_like(views.colors, 0.5), "another edit": views.colors.roll(1, 0)}
+            for name, colors in others.items():
+                shown = replace(views, colors=colors)
+                with self.arithmetic():
+                    predicted = _drawn(self.model.lrm(shown).splats, shown, self.model)
+                value = masked_psnr(draw(predicted, cameras, self.device)[0], target)
+                assert value is not None  # as of "ours", over the same pixels
+                numbers[name] = value
+            numbers["adapts"] = numbers["ours"] - numbers["strength 0"]
+        numbers["between Gaussians"] = between_share(output.tokens)
+        return score
 
 
 def judged(

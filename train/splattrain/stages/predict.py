@@ -18,8 +18,9 @@ from splatpainter.lift.global_edit import regressed
 from splatpainter.lift.options import GlobalOptions
 from splatpainter.models.gaussian_facts import gaussian_facts
 from splatpainter.models.model import SplatPainterModel
+from splatpainter.models.predictor import described_facts
 from splattrain.data.global_edits import GlobalEdit
-from splattrain.stages.task import Task, ValidationScore, freeze
+from splattrain.stages.task import Task, ValidationScore, between_share, freeze
 
 MIN_SQUARED_ERROR = 1e-5
 """Added to the squared error: 50 dB are enough."""
@@ -43,6 +44,8 @@ class PredictTask(Task[SplatPainterModel]):
 
     @torch.no_grad()
     def judge(self, sample: GlobalEdit) -> ValidationScore:  # type: ignore[override]
+        """PSNR of base colours after the edit; `strength 0`: the predictor is told of no change, `another edit`: of
+        another one; `between Gaussians`: of its description of each."""
         ours = self._predicted(sample)
         lift = regressed(sample.asset, sample.normals, sample.observed, sample.weight)
         # Nothing done: a change of 0 wherever a Gaussian is seen, too.
@@ -53,16 +56,28 @@ class PredictTask(Task[SplatPainterModel]):
             "lift": _decibels(float(self._squared(sample, self._tensor(lift)))),
             "ours": _decibels(float(self._squared(sample, ours))),
         }
+        # The same pictures' pixels decide what is seen; only what is predicted of the others is another.
+        evidence = {"strength 0": 0 * sample.observed, "another edit": -sample.observed[:, ::-1]}
+        for name, observed in evidence.items():
+            numbers[name] = _decibels(float(self._squared(sample, self._predicted(sample, observed))))
+        numbers["adapts"] = numbers["ours"] - numbers["strength 0"]
+        assert self.model.predictor is not None
+        numbers["between Gaussians"] = between_share(self.model.predictor.own(described_facts(self._facts(sample))))
         numbers["gain"] = numbers["ours"] - numbers["lift"]
         return ValidationScore(f"{sample.kind} {sample.views}", numbers, ())
 
-    def _predicted(self, sample: GlobalEdit) -> Tensor:
+    def _predicted(self, sample: GlobalEdit, observed: np.ndarray | None = None) -> Tensor:
+        """[N, 3] change. observed: [N, 3] what the predictor is told of seen Gaussians; None: the sample's."""
         predictor = self.model.predictor
         assert predictor is not None
         if not (sample.weight > MIN_SEEN_PX).any():
             raise ValueError("the pictures show no Gaussian")
-        facts = gaussian_facts(sample.asset, sample.normals, sample.transfer)
-        return predictor(self._tensor(facts), self._tensor(sample.observed), self._tensor(sample.weight))
+        told = sample.observed if observed is None else observed
+        return predictor(self._facts(sample), self._tensor(told), self._tensor(sample.weight))
+
+    def _facts(self, sample: GlobalEdit) -> Tensor:
+        """[N, 21] of `gaussian_facts`."""
+        return self._tensor(gaussian_facts(sample.asset, sample.normals, sample.transfer))
 
     def _squared(self, sample: GlobalEdit, predicted: Tensor) -> Tensor:
         """Mean squared error of the base colours 0..1 that a global edit would give."""

@@ -126,6 +126,11 @@ def test_the_stage_trains_the_predictor_alone_and_learns(tmp_path: Path) -> None
     after = run.validate()["all"]
     assert after["lift"] == before["lift"] and after["nothing"] == before["nothing"]
     assert after["ours"] > before["ours"] + 0.7
+    # What the pictures tell is worth something, and only what they tell of this edit.
+    assert after["adapts"] == pytest.approx(after["ours"] - after["strength 0"]) and after["adapts"] > 1
+    assert after["another edit"] < after["ours"] - 1 and 0 < after["between Gaussians"] < 1
+    columns = (tmp_path / "run" / "validation.csv").read_text().splitlines()[0]
+    assert all(f"all {name}" in columns for name in ("strength 0", "adapts", "another edit", "between Gaussians"))
     saved = checkpoint.load(tmp_path / "run" / "model")
     assert saved.notes["stage"] == "predict"
     assert "predictor.describe.weight" in saved.tensors and "refiner.pictures.weight" in saved.tensors
