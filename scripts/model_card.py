@@ -1,23 +1,29 @@
-"""The model card of a Stage II checkpoint that `train judge --write-notes` has judged: fixed text about the method and
-its data (model_card_sources.md), figures from the checkpoint's notes.
+"""The card of the weights that ship (docs/MODEL_CARD.md), or that of one Stage II checkpoint that `train judge
+--write-notes` has judged: fixed text (model_card_shipped.md, model_card_sources.md), figures from the notes beside the
+weights.
 
-Run: python scripts/model_card.py runs/refine/model > docs/MODEL_CARD.md
+Run: python scripts/model_card.py > docs/MODEL_CARD.md
+     python scripts/model_card.py runs/refine/model
 """
 
 from __future__ import annotations
 
+import importlib.util
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import Annotated, Any
 
 import tyro
 
-from splatpainter.models import checkpoint
+from splatpainter.models import checkpoint, weights
 from splatpainter.models.config import ModelConfig
 from splattrain import state
-from splattrain.judge import from_json, goals, table, weak_kinds
+from splattrain.judge import CopyRow, EditRow, from_json, goals, table, weak_kinds
 
+SHIPPED = Path(__file__).with_name("model_card_shipped.md")
 SOURCES = Path(__file__).with_name("model_card_sources.md")
 OBJECTS = "Single objects, mostly furniture, tools, toys, packaging, vehicles. Few plants, creatures, people; no rooms."
 
@@ -39,10 +45,10 @@ NETWORKS = {
 
 @dataclass(frozen=True)
 class Options:
-    """Print the model card of a judged Stage II checkpoint."""
+    """Print the model card of the weights that ship, or of a judged Stage II checkpoint."""
 
-    checkpoint: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="CHECKPOINT")]
-    """Folder of weights."""
+    checkpoint: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="CHECKPOINT")] = None
+    """Folder of weights; none: those of the packages."""
     earlier: tuple[Path, ...] = ()
     """Weights of the stages before, first one first; default: what the checkpoint's notes say of them."""
     hardware: str = "two CPU cores, no GPU"
@@ -51,6 +57,8 @@ class Options:
 
 def main(options: Options) -> str:
     """The card as text. Raises ValueError for weights that have not been judged."""
+    if options.checkpoint is None:
+        return _script("wrap_docs").wrapped(shipped_card())
     saved = checkpoint.load(options.checkpoint)
     stages = state.history(options.checkpoint, saved.notes)
     if options.earlier:
@@ -86,6 +94,160 @@ def card(
         LICENCE,
     ]
     return "\n\n".join(part.strip() for part in parts if part) + "\n"
+
+
+def shipped_card() -> str:
+    """Markdown of the presets that the packages hold. Raises ValueError for weights that have not been judged."""
+    folders = {name: weights.PACKAGED / name for name in ("compact", "rows", "local")}
+    notes = {name: checkpoint.notes(folder) for name, folder in folders.items()}
+    for name, of in notes.items():
+        if "judged" not in of:
+            raise ValueError(f"model card: '{name}' has not been judged; run train judge {folders[name]} --write-notes")
+    predictor, rows, local = (_edit_rows(notes[name]["judged"]) for name in ("compact", "rows", "local"))
+    figures = {name: notes[name]["validation"]["all"] for name in ("rows", "local")}
+    history = [
+        *notes["rows"].get("history", []),
+        *(state.record(folders[name], notes[name]) for name in ("rows", "local")),
+    ]
+    shipped = [stage for stage in history if stage["stage"] not in ("lrm", "compress")]
+    recipe = {name: notes[name]["recipe"] for name in ("rows", "local")}
+    config = checkpoint.config(folders["rows"])
+    judged = notes["rows"]["judged"]
+    if (
+        judged["samples"] != notes["compact"]["judged"]["samples"]
+        or judged["seed"] != notes["compact"]["judged"]["seed"]
+    ):
+        raise ValueError("model card: 'compact' and 'rows' were judged on other samples; judge both alike")
+    core, networks = (sum(_shard_bytes(folder, apart) for folder in folders.values()) for apart in (True, False))
+    everywhere = [row for row in rows.values() if row.kind not in ("local", "global")]
+    behind = [_kind(row) for row in everywhere if row.gain < 0]
+    shown = {name: figures["rows"][name] for name in ("nothing", "lift", "ours", "strength 0", "another edit")}
+    values = {
+        "core_mb": f"{core / 1e6:.1f}",
+        "networks_mb": f"{networks / 1e6:.1f}",
+        "sizes": _sizes(folders),
+        "encoders": "It reads LRM and Stage I." if config.refine.latents else "It has neither LRM nor Stage I.",
+        "predictor_gain": _gain(predictor["global", None]),
+        "predictor_gain_one": _gain(predictor["relight", 1]),
+        "predictor_note": f"{notes['compact']['gain']['global']:+.2f}",
+        "rows_gain": f"at {_gain(rows['global', None])} against it",
+        "local_gain": _gain(local["local", None]),
+        "training": judged["objects"]["training"],
+        "validation": judged["objects"]["validation"],
+        "sources": SOURCES.read_text(encoding="utf-8").strip(),
+        "trained": _training_table(shipped),
+        "kinds": "; ".join(f"{'Stage II' if n == 'rows' else 'local network'} {_shares(r)}" for n, r in recipe.items()),
+        "samples": judged["samples"],
+        "judged_objects": judged["judged_objects"],
+        "size": judged["size"],
+        "seed": judged["seed"],
+        "global_table": _global_table(rows, predictor),
+        "rows_samples": recipe["rows"]["validation_samples"],
+        "rows_validation": ", ".join(f"{SAID.get(name, name)} {value:.2f} dB" for name, value in shown.items()),
+        "local_samples": recipe["local"]["validation_samples"],
+        "local_px": recipe["local"]["samples"]["size"],
+        "local_table": _local_table(figures["local"]),
+        "local_judged": notes["local"]["judged"]["samples"],
+        "local_judged_objects": notes["local"]["judged"]["judged_objects"],
+        "local_ours": f"{local['local', None].ours:.2f}",
+        "local_lift": f"{local['local', None].lift:.2f}",
+        "local_note": f"{notes['local']['gain']['local']:+.2f}",
+        "rows_weak": f" and below the lift in {', '.join(behind)}" if behind else "",
+        "rows_count": f"{recipe['rows']['samples']['rows']:,}",
+        "steps": f"{sum(stage['step'] for stage in shipped):,}",
+    }
+    return SHIPPED.read_text(encoding="utf-8").format_map(values)
+
+
+SAID = {"ours": "Stage II", "lift": "the lift's regression"}
+"""Figures of a validation, as people call them."""
+LOCAL_ROWS = {
+    "nothing": "nothing",
+    "mean color": "the paint's mean colour",
+    "ours": "the network alone",
+    "strength 0": "... edit strength 0",
+    "another picture": "... another picture's memory",
+    "held": "the network, held against the picture",
+    "lift": "the lift",
+}
+"""Figures of the local network's validation -> rows of its table."""
+
+
+def _edit_rows(judged: Mapping[str, Any]) -> dict[tuple[str, int | None], EditRow]:
+    """(kind, number of views) -> its row."""
+    rows = from_json(judged["rows"])
+    return {(row.kind, row.views): row for row in rows if not isinstance(row, CopyRow)}
+
+
+def _shard_bytes(folder: Path, with_core: bool) -> int:
+    """Bytes of the weights of a packaged preset that lie with the core, or in the distribution of the networks."""
+    paths = [checkpoint._shard_path(folder, shard["file"]) for shard in checkpoint._index(folder)["shards"]]
+    return sum(path.stat().st_size for path in paths if (path.parent == folder) == with_core)
+
+
+def _sizes(folders: Mapping[str, Path]) -> str:
+    """Millions of weights of each network."""
+    counts: dict[str, int] = {}
+    for name in ("compact", "local"):
+        for tensor, entry in checkpoint._index(folders[name])["tensors"].items():
+            part = "local network" if name == "local" else NETWORKS[tensor.split(".", 1)[0]]
+            size = 1
+            for edge in entry["shape"]:
+                size *= edge
+            counts[part] = counts.get(part, 0) + size
+    return ", ".join(f"{part} {count / 1e6:.2f}" for part, count in counts.items())
+
+
+def _gain(row: EditRow) -> str:
+    between = "" if row.gain_low is None else f" ({row.gain_low:+.2f} to {row.gain_high:+.2f})"
+    return f"{row.gain:+.2f} dB{between}"
+
+
+def _kind(row: EditRow) -> str:
+    return row.kind if row.views is None else f"{row.kind} from {row.views} view{'s' * (row.views > 1)}"
+
+
+def _shares(recipe: Mapping[str, Any]) -> str:
+    kinds = {kind: weight for kind, weight in recipe["samples"]["kinds"].items() if weight > 0}
+    return ", ".join(f"{kind} {100 * weight / sum(kinds.values()):.0f} %" for kind, weight in kinds.items())
+
+
+def _global_table(rows: Mapping[Any, EditRow], predictor: Mapping[Any, EditRow]) -> str:
+    """Both carriers of global edits side by side."""
+    head = ("edit", "views", "samples", "objects", "nothing", "lift", "Stage II", "gain", "interval")
+    head += ("strength 0", "another edit", "predictor", "its gain")
+    lines = [f"| {' | '.join(head)} |", "|---|---|" + "---:|" * (len(head) - 2)]
+    for key, row in rows.items():
+        other = predictor[key]
+        named = "all global" if row.kind == "global" else row.kind
+        cells = [named, row.views or "all", row.samples, row.objects]
+        cells += [f"{row.nothing:.2f}", f"{row.lift:.2f}", f"{row.ours:.2f}", *_gain(row).rstrip(")").split(" dB (")]
+        cells += [_or_dash(row.strength_zero), _or_dash(row.another_edit), f"{other.ours:.2f}", f"{other.gain:+.2f}"]
+        lines.append(f"| {' | '.join(map(str, cells))} |")
+    return "\n".join(lines)
+
+
+def _local_table(figures: Mapping[str, float]) -> str:
+    """The local network's validation."""
+    columns = {"edited": "edited view", "novel": "novel views", "rows": "Gaussians that changed"}
+    lines = [f"| | {' | '.join(columns.values())} |", "|---|" + "---:|" * len(columns)]
+    for name, label in LOCAL_ROWS.items():
+        cells = [_or_dash(figures.get(f"{column} {name}")) for column in columns]
+        lines.append(f"| {label} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _or_dash(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2f}"
+
+
+def _script(name: str) -> ModuleType:
+    """Another script of this folder."""
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
+    assert spec is not None and spec.loader is not None
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def _head(config: ModelConfig, weights: Mapping[str, int]) -> str:
@@ -148,15 +310,17 @@ def _procedural(judged: Mapping[str, Any]) -> bool:
     return str(judged.get("data", "")).startswith("procedural:")
 
 
-def _training(stages: Sequence[Mapping[str, Any]], hardware: str) -> str:
+def _training_table(stages: Sequence[Mapping[str, Any]]) -> str:
+    """One row per stage."""
     lines = [
         "| stage | steps | hours | batch | peak rate | loss, first steps | loss, last steps |",
         "|---|---:|---:|---:|---:|---:|---:|",
     ]
     for stage in stages:
         recipe, loss = stage.get("recipe", {}), stage.get("loss", {})
+        local = recipe.get("carrier") == "pictures"
         cells = (
-            STAGES.get(stage.get("stage", ""), "?"),
+            "local network" if local else STAGES.get(stage.get("stage", ""), "?"),
             f"{stage.get('step', 0):,}",
             f"{stage.get('seconds', 0) / 3600:.2f}",
             recipe.get("batch", "–"),
@@ -164,6 +328,10 @@ def _training(stages: Sequence[Mapping[str, Any]], hardware: str) -> str:
             *(f"{loss[end]:.4g}" if end in loss else "–" for end in ("first", "last")),
         )
         lines.append("| " + " | ".join(map(str, cells)) + " |")
+    return "\n".join(lines)
+
+
+def _training(stages: Sequence[Mapping[str, Any]], hardware: str) -> str:
     seconds = sum(stage.get("seconds", 0) for stage in stages)
     return "\n".join(
         [
@@ -174,7 +342,7 @@ def _training(stages: Sequence[Mapping[str, Any]], hardware: str) -> str:
             "different things, so compare them within a row only. (The paper: 80,000 steps of Stage I and 200,000 of",
             "Stage II at 512 px on 16 GPUs.)",
             "",
-            *lines,
+            _training_table(stages),
         ]
     )
 

@@ -61,7 +61,7 @@ def parameters(config: ModelConfig) -> ParameterCounts:
 
     with torch.device("meta"):
         model = SplatPainterModel(config)
-    parts = (model.lrm, model.compressor, model.refiner, model.head, model.predictor)
+    parts = (*(model.encoders or (None, None)), model.refiner, model.head, model.predictor)
     return ParameterCounts(*(sum(p.numel() for p in part.parameters()) if part else 0 for part in parts))
 
 
@@ -76,8 +76,10 @@ def flops(config: ModelConfig, gaussians_per_voxel: float = 8.0, views: int | No
     keep = 1.0 if native else config.compress.keep
     decode = 2 * dim * output_count(config.sh_degree)
     return Flops(
-        view=_lrm(config.lrm, views or config.lrm.views, head=not native),
-        gaussian=_compress(config.compress, config.sh_degree, gaussians_per_voxel, keep),
+        view=_lrm(config.lrm, views or config.lrm.views, head=not native) if config.refine.latents else 0.0,
+        gaussian=_compress(config.compress, config.sh_degree, gaussians_per_voxel, keep)
+        if config.refine.latents
+        else 0.0,
         picture=tokens * _adapt(config.refine, dim),
         edit=config.refine.blocks * _orthogonalise(config.refine, dim)
         + config.refine.row_tokens * _teach(config.refine, dim),

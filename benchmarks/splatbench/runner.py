@@ -122,10 +122,7 @@ def write_table(
         expected = fingerprint(digests[record.label], versions[record.method], config.budget, perceptual)
         return record.fingerprint != expected
 
-    labels = {
-        name: method.label_of(config.protocol, config.budget) if method.label_of else method.label
-        for name, method in methods.items()
-    }
+    labels = {name: method.label for name, method in methods.items()}
     state = RunState(
         config=config,
         objects=tuple(dict.fromkeys(key.name for key in keys)),

@@ -227,8 +227,8 @@ def test_a_setting_that_is_the_weights_own_is_not_run_twice(tmp_path: Path) -> N
         for name in ("lift", "own")
     }
     usual = {"same-inner-steps-1", "same-inner-l2", "same-newton-schulz-5", "same-strength-1", "same-no-row-tokens"}
-    usual |= {"same-no-predictor"}
-    assert repeated["lift"] == usual and repeated["own"] == usual | {"same-no-drift"}
+    usual |= {"same-no-predictor", "same-no-detail"}
+    assert repeated["lift"] == usual and repeated["own"] == usual - {"same-no-detail"} | {"same-no-drift"}
     budget = Budget(weights={"compact": str(tmp_path / "lift")})
     assert ROWS["same-strength-1"].missing(budget) == AS_TRAINED
     versions = {m.version(budget) for m in ablations.METHODS}
@@ -240,7 +240,10 @@ def test_a_setting_that_is_the_weights_own_is_not_run_twice(tmp_path: Path) -> N
         for preset in ("compact", "rows")
         if (folder := weights.find(preset))
     }
-    assert runs["compact"] == {"same-no-predictor"} and {"same-strength-0", "same-inner-steps-5"} < runs["rows"]
+    assert (
+        runs["compact"] == {"same-no-predictor", "same-as-trained"}
+        and {"same-strength-0", "same-inner-steps-5"} < runs["rows"]
+    )
 
 
 def test_a_row_runs_end_to_end_and_differs_from_the_weights_own_settings(tmp_path: Path) -> None:

@@ -16,6 +16,8 @@ from splatbench.methods.weights import SHIPPED, Weights
 
 from splatpainter.cameras import Camera, orbit
 from splatpainter.lift.options import LocalOptions
+from splatpainter.models import checkpoint
+from splatpainter.models.config import PredictConfig
 from splatpainter.models.local_network import LocalNetwork
 from splatpainter.models.lrm import DEPTH_REACH, AssetViews, patchify
 from splatpainter.models.model import SplatPainterModel
@@ -150,7 +152,9 @@ def test_rows_of_the_networks_apart(tmp_path: Path) -> None:
 
 def test_cross_attention_wants_a_model_of_its_kind(tmp_path: Path) -> None:
     method = row_of("cross-attention")
-    assert method.missing(Budget()).startswith("no weights: train with `splatpainter train refine --model.refine.mixer")
+    assert method.missing(Budget()).startswith(
+        "no weights: train with `splatpainter train rows --recipe compact --model.refine.mixer"
+    )
     ttt = Budget(weights={"cross-attention": saved(built(LIFT), tmp_path / "ttt")})
     assert "of no model with refine.mixer cross_attention" in method.missing(ttt)
     with pytest.raises(ValueError, match="cross_attention"):
@@ -327,15 +331,18 @@ def test_results_are_plain_splats() -> None:
     assert isinstance(done, EditResult) and isinstance(done.splats.means, np.ndarray)
 
 
-def test_a_row_is_named_by_the_weights_that_make_it() -> None:
-    """In the table of relighting, `compact` makes all edits by its predictor, `rows` by test-time training."""
-    from splatbench.cases import Budget
-    from splatbench.methods import all_methods
-
-    from splatpainter.models import weights
-
-    ttt, folder = all_methods()["ttt"], weights.find("rows")
-    assert ttt.label_of is not None and folder is not None
-    rows = Budget(weights={"compact": str(folder)})
-    assert ttt.label_of("relight", Budget()) == "Ours (predictor)"
-    assert ttt.label_of("relight", rows) == ttt.label_of("refine", rows) == ttt.label == "Ours (TTT)"
+def test_a_row_is_named_by_what_makes_its_edits(tmp_path: Path) -> None:
+    """The predictor's row is no test-time training, and such a row takes no weights whose global edits are theirs."""
+    alone = with_refine(replace(LIFT, predict=PredictConfig(features=8, hidden=16, alone=True)))
+    budget = Budget(weights={"compact": saved(built(alone), tmp_path / "alone")})
+    task = work(grade(thing()), "global")
+    assert "test-time" not in row_of("predictor").edit(task, budget).note
+    with pytest.raises(ValueError, match="by their predictor"):
+        row_of("ttt").edit(task, budget)
+    whole = Budget(weights={"compact": saved(built(LIFT), tmp_path / "whole")})
+    assert "of no model whose predictor makes global edits" in row_of("predictor").missing(whole)
+    # The default edit goes by the notes: here no gain was measured, and below it is a loss.
+    assert "seconds_ttt" in row_of("auto").edit(task, whole).numbers
+    checkpoint.add_notes(tmp_path / "whole", {"gain": {"global": -0.1}})
+    lifted = row_of("auto").edit(task, Budget(weights={"compact": str(tmp_path / "whole")}))
+    assert same(lifted.splats, row_of("lift").edit(task, Budget()).splats)

@@ -214,4 +214,5 @@ def test_rows_stand_beside_the_method_that_they_are() -> None:
     assert list(both) == ["3dgs-colors"], "the closest, and once"
     left = [row.label for row in published.unmatched("relight", ["ttt", "3dgs"], 4)]
     assert left == ["RelitLRM", "GS-LRM + CrossAtt"]
+    assert list(published.published_rows("relight", ["predictor", "ttt-global"], 1)) == ["ttt-global"], "no predictor"
     assert published.published_rows("relight", ["ttt"], 3) == {}

@@ -57,6 +57,12 @@ def start(recipe: Recipe, weights: Path | None, report: Say = print, until: Stag
         parts = TRAINED[until]
         if saved.config.predict.features:  # it stands beside the stages
             parts = tuple(dict.fromkeys((*parts, "predictor.")))
+    if recipe.model.refine.latents and not saved.config.refine.latents:
+        raise ValueError(
+            f"{weights}: weights without LRM and Stage I, which this model has; start from those of train compress"
+        )
+    if not recipe.model.refine.latents:
+        parts = tuple(part for part in parts if part not in ("lrm.", "compressor."))
     sizes = [(c.predict.features, c.predict.hidden) for c in (saved.config, recipe.model)]
     if sizes[0] != sizes[1] and (recipe.stage == "predict" or not saved.config.predict.features):  # a new predictor
         parts = tuple(part for part in parts if part != "predictor.")
@@ -114,6 +120,8 @@ def make_painted_task(recipe: Recipe, weights: Path | None, report: Say = print)
 
 def make_task(recipe: Recipe, model: SplatPainterModel, perceptual_weights: Path | None, report: Say = print) -> Task:
     """The task of the recipe's stage. say: told where the perceptual term has no weights and is dropped."""
+    if recipe.stage in ("lrm", "compress") and not model.encoders:
+        raise ValueError(f"train {recipe.stage}: expected a model with LRM and Stage I; give --model.refine.latents")
     device = next(model.parameters()).device
     views = recipe.perceptual_views
     if recipe.stage == "predict":

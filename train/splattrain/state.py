@@ -37,7 +37,7 @@ MOMENTS = {"first": "exp_avg", "second": "exp_avg_sq"}
 LOG = "log.csv"
 FIRST_STEPS, LAST_STEPS = 20, 100
 """Steps whose mean loss is recorded, at both ends of a run."""
-RECORDED = ("learning_rate", "batch", "perceptual", "seed", "train_encoder")
+RECORDED = ("learning_rate", "batch", "perceptual", "seed", "train_encoder", "carrier")
 """Keys of the recipe that a record keeps."""
 RECORDED_SAMPLES = ("size", "rows", "surfels", "kinds")
 
@@ -230,14 +230,14 @@ def history(folder: Path, notes: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def record(folder: Path, notes: Mapping[str, Any]) -> dict[str, Any]:
-    """{"stage", "step", "seconds", "recipe": some of it, "loss": {"first", "last"} from the log beside the folder where
-    it is there, "judged" where `train judge` has noted it}. JSON values."""
+    """{"stage", "step", "seconds", "recipe": some of it, "loss": {"first", "last"} from the log beside the folder, or
+    from the notes of weights that have left it, "judged" where `train judge` has noted it}. JSON values."""
     recipe = notes.get("recipe", {})
     recipe_part = {key: recipe[key] for key in RECORDED if key in recipe}
     samples = recipe.get("samples", {})
     recipe_part["samples"] = {key: samples[key] for key in RECORDED_SAMPLES if key in samples}
     facts = {key: notes[key] for key in ("stage", "step", "seconds", "judged", NOTE) if key in notes}
-    losses = _losses(folder.parent / LOG)
+    losses = _losses(folder.parent / LOG) or notes.get("loss")
     return facts | {"recipe": recipe_part} | ({"loss": losses} if losses else {})
 
 

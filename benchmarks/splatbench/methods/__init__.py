@@ -84,8 +84,6 @@ class Method:
     """Tables that it has a row in by default."""
     is_upper_bound: bool = False
     """It sees true edited views."""
-    label_of: Callable[[str, Budget], str] | None = None
-    """(name of a table, budget) -> what it is called there, with the weights that it is given; None: its label."""
     missing: Callable[[Budget], str] = lambda _: ""
     """Why it cannot run here ("not installed: ...", "needs a CUDA GPU", "no weights: ..."), or "". Cheap."""
     version: Callable[[Budget], str] = lambda _: "1"

@@ -17,13 +17,13 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from splatbench.cases import Budget, PosedImages
 from splatbench.methods import EditResult, EditTask, Method
-from splatbench.methods.weights import COMPACT, SHIPPED, Weights
+from splatbench.methods.weights import COMPACT, Weights
 from splatpainter.models.config import Grouping, LrmConfig, ModelConfig
 from splatpainter.nn.precision import autocast
 from splatpainter.splats import ATTRIBUTES
@@ -226,7 +226,13 @@ COPY = Weights(
     fits=_is_copy,
     train="compress --model.representation copy",
 )
-BEFORE = Weights((*reversed(GROUPINGS), COMPACT), COMPACT)
+HAS_LRM: dict[str, Any] = {
+    "model": "model with an LRM",
+    "fits": lambda config: config.refine.latents,
+    "train": "lrm --recipe compact",
+}
+LRM = Weights((COMPACT,), **HAS_LRM)
+BEFORE = Weights((*reversed(GROUPINGS), COMPACT), **HAS_LRM)
 """Any model that has an LRM; those of the rows that it is compared with first."""
 
 
@@ -242,7 +248,7 @@ def _compressing(name: str) -> Method:
 
 
 METHODS = (
-    _method("lrm", "GS-LRM, all views", SHIPPED, reconstruction(SHIPPED, stage_one=False), "refine"),
+    _method("lrm", "GS-LRM, all views", LRM, reconstruction(LRM, stage_one=False), "refine"),
     _method("stage-1", "Ours (Stage I)", COPY, reconstruction(COPY, stage_one=True), "refine"),
     *(_compressing(name) for name in GROUPINGS),
     _method("stage1-before", "Before compression (GS-LRM)", BEFORE, unedited(BEFORE, compress=False), "compress"),

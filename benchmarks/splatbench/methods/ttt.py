@@ -1,5 +1,6 @@
-"""Test-time training, with and without polish, a model whose Stage II attends to the pictures instead of adapting, and
-the networks apart: test-time training of global edits, and the local network.
+"""The networks apart, each row named by the weights that make it: method auto (the best of them by its notes), the
+predictor, test-time training of global edits, the local network, a Stage II that attends instead of adapting; and, of
+weights that are given, test-time training with and without polish.
 
 Weights are read before any clock starts. Their encodings are never taken from the cache on disk, so that set-up is what
 a new asset costs.
@@ -12,7 +13,7 @@ from collections.abc import Callable
 from splatbench.cases import Budget
 from splatbench.methods import EditResult, EditTask, Method
 from splatbench.methods.lift import TABLES, painted
-from splatbench.methods.weights import SHIPPED, Weights
+from splatbench.methods.weights import COMPACT, SHIPPED, Weights
 from splatpainter.models.local_config import LocalConfig
 from splatpainter.painter import EditSettings, Painter
 
@@ -20,7 +21,7 @@ CROSS = Weights(
     ("cross-attention",),
     model="model with refine.mixer cross_attention",
     fits=lambda config: config.refine.mixer == "cross_attention",
-    train="refine --model.refine.mixer cross_attention --model.refine.row-tokens 0",
+    train="rows --recipe compact --model.refine.mixer cross_attention",
 )
 
 
@@ -28,11 +29,19 @@ def refined(weights: Weights, *, polish: bool = False) -> Callable[[EditTask, Bu
     """A row: Stage II with these weights, and two rounds of the lift afterwards with polish."""
 
     def edit(task: EditTask, budget: Budget) -> EditResult:
+        if task.step.mode == "global" and weights.config(budget).predictor_only:
+            raise ValueError("these weights make global edits by their predictor: see the row of that name")
         return painted(Painter(model=weights.load(budget), settings=EditSettings(polish=polish)), "ttt", task)
 
     return edit
 
 
+PREDICTOR = Weights(
+    packaged=COMPACT,
+    model="model whose predictor makes global edits",
+    fits=lambda config: config.predictor_only,
+    train="predict --recipe compact",
+)
 ROWS = Weights(
     ("rows",),
     packaged="rows",
@@ -43,6 +52,17 @@ ROWS = Weights(
 LOCAL = Weights(
     ("local",), packaged="local", model="local network", train="rows --recipe paint", config_class=LocalConfig
 )
+
+
+def auto(task: EditTask, budget: Budget) -> EditResult:
+    """What an edit without options is: each mode by what its weights' notes say is best."""
+    model, local = (None if w.missing(budget) else w.load(budget) for w in (SHIPPED, LOCAL))
+    return painted(Painter(model=model, local=local), "auto", task)
+
+
+def by_predictor(task: EditTask, budget: Budget) -> EditResult:
+    """Global edits by the predictor, without test-time training."""
+    return painted(Painter(model=PREDICTOR.load(budget)), "ttt", task)
 
 
 def global_ttt(task: EditTask, budget: Budget) -> EditResult:
@@ -60,22 +80,29 @@ def local_network(task: EditTask, budget: Budget) -> EditResult:
     return painted(Painter(local=LOCAL.load(budget)), "ttt", task)
 
 
-def _method(name: str, label: str, weights: Weights, relit: str = "", **options: bool) -> Method:
-    """relit: its label where all edits are global and these weights have their predictor make those, without Stage
-    II."""
-
-    def label_of(table: str, budget: Budget) -> str:
-        alone = relit and table == "relight" and not weights.missing(budget) and weights.config(budget).predictor_only
-        return relit if alone else label
-
+def _method(name: str, label: str, weights: Weights, tables: tuple[str, ...] = (), **options: bool) -> Method:
+    """tables: that it has a row in by default; of weights that are given, none."""
     edit = refined(weights, **options)
-    return Method(name, label, edit, TABLES, label_of=label_of, missing=weights.missing, version=weights.version)
+    return Method(name, label, edit, tables, missing=weights.missing, version=weights.version)
+
+
+def _auto_version(budget: Budget) -> str:
+    return f"{SHIPPED.version(budget)} {LOCAL.version(budget)}"
 
 
 METHODS = (
-    _method("ttt", "Ours (TTT)", SHIPPED, "Ours (predictor)"),
-    _method("ttt-polish", "Ours (TTT + polish)", SHIPPED, "Ours (predictor + polish)", polish=True),
-    _method("cross-attention", "Ours (cross-attention)", CROSS),
+    Method("auto", "Ours (auto)", auto, TABLES, version=_auto_version),
+    Method(
+        "predictor",
+        "Ours (predictor)",
+        by_predictor,
+        ("relight",),
+        missing=PREDICTOR.missing,
+        version=PREDICTOR.version,
+    ),
+    _method("ttt", "Ours (TTT)", SHIPPED),
+    _method("ttt-polish", "Ours (TTT + polish)", SHIPPED, polish=True),
+    _method("cross-attention", "Ours (cross-attention)", CROSS, ("relight",)),
     Method(
         "ttt-global",
         "Ours (TTT, global)",

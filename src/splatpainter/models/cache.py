@@ -66,6 +66,8 @@ def encode_cached(
     weights: `digest` of the model, if at hand; limit: bytes that the folder may hold. Raises ValueError when no
     Gaussian can be drawn."""
     splats = splats.numpy()
+    if not model.config.refine.latents:
+        return encode_asset(model, splats, grid)  # there is nothing to keep
     if grid is None or grid.resolution != model.config.compress.resolution:
         grid = voxelize(splats, model.config.compress.resolution)
     path = cache_folder() / (_key(model, splats, weights or digest(model)) + SUFFIX)

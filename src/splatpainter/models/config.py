@@ -32,6 +32,7 @@ MISSING_KEY_DEFAULTS: dict[str, Any] = {
     "refine.answers": "all",
     "refine.facts": False,
     "refine.picture_tokens": True,
+    "refine.latents": True,
 }
 """Keys that older checkpoints lack, and what they mean there."""
 MAX_CONFIG_BYTES = 1 << 20
@@ -154,6 +155,9 @@ class RefineConfig:
     facts: bool = False
     """Gaussians also come with what the predictor knows of them (predictor.gaussian_facts: normal, size, the light that
     reaches them)."""
+    latents: bool = True
+    """Whether Gaussians are told by what the LRM and Stage I know of them. False: by what is known without (place,
+    colour, normal, facts); such a model has neither network, and an asset needs no encoding."""
     picture_tokens: bool = True
     """Whether tokens of the edited pictures teach; without them only Gaussians do (row_tokens), which no renderer is
     needed to train (`train rows`)."""
@@ -248,6 +252,8 @@ class ModelConfig:
         if self.compress.dim % self.refine.heads:
             sizes = f"{self.compress.dim} and {self.refine.heads}"
             raise ValueError(f"config: expected compress.dim a multiple of refine.heads, got {sizes}")
+        if not self.refine.latents and (self.refine.inputs != "normalised" or self.representation != "native"):
+            raise ValueError("config: expected inputs='normalised' and representation='native' with latents=False")
         if self.refine.base == "lift" and self.decoder == "absolute":
             raise ValueError("config: expected a residual decoder with refine.base='lift', got 'absolute'")
 

@@ -1,4 +1,5 @@
-"""From an asset to what Stage II reads: canonical views, tokens, Stage I. Once per asset.
+"""From an asset to what Stage II reads: canonical views, tokens, Stage I. Once per asset; of models without LRM and
+Stage I, voxels alone.
 
 N Gaussians of the asset, K latents, V canonical views. In `native` representation the latents belong to the asset's own
 Gaussians; in `copy` the asset is replaced by what Stage I decodes of the LRM's Gaussians.
@@ -108,7 +109,8 @@ def encode_asset(
     *,
     dtype: torch.dtype | None = None,
 ) -> Encoded:
-    """LRM and Stage I of an asset, on the model's device; with gradients where torch has them enabled.
+    """LRM and Stage I of an asset, on the model's device; with gradients where torch has them enabled. A model without
+    them has latents of zeros, and only the voxels are made.
 
     splats: numpy or torch; grid: its voxels where they are at hand already (another resolution than the model's is
     ignored); dtype: how latents are kept, default float32. Raises ValueError when no Gaussian can be drawn."""
@@ -122,6 +124,13 @@ def encode_asset(
     if grid is None or grid.resolution != config.compress.resolution:
         grid = voxelize(arrays, config.compress.resolution)
     gaussians = splats.torch(str(device))
+    if not config.refine.latents:
+        from splatpainter.models.compress import Latents
+
+        groups = model.groups(grid).most_opaque(1.0)[0]
+        # One row for all of them: a million would be a gigabyte of zeros.
+        nothing = torch.zeros(1, config.compress.dim, device=device).expand(len(groups), -1)
+        return Encoded(Latents(nothing, groups), gaussians)
     cameras = canonical_cameras(arrays, config.lrm)
     views, contributions = asset_views(gaussians if device.type == "cuda" else arrays, cameras, grid)
     if config.representation == "copy":

@@ -101,8 +101,11 @@ class GaussianInputs:
 
 
 class SplatPainterModel(nn.Module):
-    """The networks with their weights: LRM, Stage I, Stage II, decoder, and, where there is one, the predictor."""
+    """The networks with their weights: LRM and Stage I (where config.refine.latents), Stage II, decoder, and, where
+    there is one, the predictor."""
 
+    lrm: GaussianLrm
+    compressor: Compressor
     notes: dict[str, Any]
     """What the checkpoint said about these weights; empty for untrained ones."""
 
@@ -113,8 +116,9 @@ class SplatPainterModel(nn.Module):
         self.config, self.notes = config, {}
         # Native Gaussians are the user's, and every one keeps its latent; of a copy the model may choose.
         share = 1.0 if config.representation == "native" else config.compress.keep
-        self.lrm = GaussianLrm(config.lrm)
-        self.compressor = Compressor(config.compress, config.lrm.dim, config.sh_degree, share)
+        if config.refine.latents:
+            self.lrm = GaussianLrm(config.lrm)
+            self.compressor = Compressor(config.compress, config.lrm.dim, config.sh_degree, share)
         self.refiner = Refiner(config.refine, config.compress.dim)
         self.head = AttributeHead(config.compress.dim, config.sh_degree, config.decoder)
         self.predictor = Predictor(config.predict) if config.predict.features else None
@@ -157,6 +161,11 @@ class SplatPainterModel(nn.Module):
                 f"encode: expected a grid of {self.config.compress.resolution} voxels per edge, got {grid.resolution}"
             )
         return GaussianGroups.of(grid, self.config.compress.largest_group)
+
+    @property
+    def encoders(self) -> tuple[nn.Module, ...]:
+        """LRM and Stage I; () for a model without."""
+        return (self.lrm, self.compressor) if self.config.refine.latents else ()
 
     @property
     def stored_predictor(self) -> StoredPredictor | None:

@@ -207,8 +207,10 @@ def fixed_ridge(sample: GaussianEdit) -> Tensor:
 
 def _digest(model: SplatPainterModel) -> str:
     """Hash of what encodes an asset: LRM and Stage I."""
-    sha = hashlib.sha256(repr((model.config.lrm, model.config.compress, model.config.sh_degree)).encode())
-    for part in (model.lrm, model.compressor):
+    config = model.config
+    sizes = (config.refine.latents, config.lrm, config.compress, config.sh_degree)
+    sha = hashlib.sha256(repr(sizes).encode())
+    for part in model.encoders:
         for name, tensor in sorted(part.state_dict().items()):
             sha.update(name.encode() + tensor.detach().cpu().contiguous().numpy().tobytes())
     return sha.hexdigest()

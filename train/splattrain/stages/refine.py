@@ -110,11 +110,13 @@ class RefineTask(Task[SplatPainterModel]):
                 raise ValueError("train: expected train_encoder nothing with 'copy': the Gaussians would move")
             freeze(model.head)  # the paper trains the decoder in Stage I and freezes it with that
         self._prepared: Recent[PreparedAsset] = Recent(options.objects)
-        if options.train_encoder != "all":
-            freeze(model.lrm)
-        freeze(model.lrm.head, model.lrm.norm_out, model.predictor)
+        freeze(model.predictor)
         if options.train_encoder == "nothing":
-            freeze(model.compressor)
+            freeze(*model.encoders)
+        elif not model.encoders:
+            raise ValueError("train: expected train_encoder nothing for a model without LRM and Stage I")
+        else:
+            freeze(model.lrm if options.train_encoder == "compress" else None, model.lrm.head, model.lrm.norm_out)
         if self.base == "lift" or "local" not in modes:
             refiner = model.refiner
             freeze(*(getattr(refiner, n, None) for n in ("detail_mixer", "norm_refined", "norm_original")))
