@@ -243,7 +243,7 @@ def _grazing(source: Splats, asset: Asset, painter: Painter, method: Method, con
     except ValueError:  # too little of it is solid
         return Grazing()
     assert painted.receipt is not None
-    inside, _ = _novel(asset.splats, layers, before, CloseupViews(painted.splats, view, turns))
+    inside, _ = novel_scores(asset.splats, layers, before, CloseupViews(painted.splats, view, turns))
     cells = _cells(edit, painted.splats, view)
     return Grazing(painted.receipt.views[0].psnr_after, float(np.mean(inside)) if inside else None, cells)
 
@@ -308,7 +308,7 @@ def _scored(
     receipt = painted.receipt
     assert receipt is not None
     view = receipt.views[0]
-    inside, outside = _novel(asset.splats, layers, before, CloseupViews(painted.splats, closeup_view))
+    inside, outside = novel_scores(asset.splats, layers, before, CloseupViews(painted.splats, closeup_view))
     return Lift(
         asset=name,
         rows=len(asset.splats),
@@ -347,7 +347,7 @@ def _caption(line: Lift, method: Method) -> str:
     )
 
 
-def _novel(
+def novel_scores(
     splats: Splats, layers: Sequence[np.ndarray], before: CloseupViews, after: CloseupViews
 ) -> tuple[list[float], list[float]]:
     """PSNR per other view: (under the paint against the expected picture, elsewhere against the render before)."""

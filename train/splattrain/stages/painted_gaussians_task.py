@@ -90,13 +90,11 @@ class PaintedGaussiansTask(Task[LocalNetwork]):
         paint = sample.view.edited[sample.view.mask].mean(0)
         answers["mean color"] = replace(answer, colors=np.broadcast_to(paint, answer.colors.shape).astype(np.float32))
         numbers: dict[str, float] = {}
-        changed = np.abs(sample.truth - before).max(1) > CHANGED
-        if changed.any():
-            named = {name: colored.colors for name, colored in answers.items()}
-            named |= {"nothing": before, "lift": np.clip(base_color(lifted.splats.sh[lifted.ids]), 0, 1)}
-            for name, colors in named.items():
-                squared = float(np.square(np.clip(colors, 0, 1) - sample.truth)[changed].mean())
-                numbers[f"rows {name}"] = -10 * math.log10(max(squared, 1e-9))
+        named = {name: colored.colors for name, colored in answers.items()}
+        named |= {"nothing": before, "lift": np.clip(base_color(lifted.splats.sh[lifted.ids]), 0, 1)}
+        for name, colors in named.items():
+            if (value := row_decibels(sample, colors)) is not None:
+                numbers[f"rows {name}"] = value
         edits: dict[str, LiftedEdit] = {name: with_colors(lifted, colored) for name, colored in answers.items()}
         edits |= {"held": held(lifted, answer, [sample.view]), "lift": lifted}
         edits["nothing"] = replace(lifted, splats=asset)
@@ -122,11 +120,11 @@ class PaintedGaussiansTask(Task[LocalNetwork]):
 
     def _of_another_picture(self, sample: PaintedEdit) -> NetworkColors:
         """The answer with the patches of a picture that shows something else there: its colours turned and negated."""
-        network = _OtherPicture(self.model)
+        network = OtherPicture(self.model)
         return network_colors(network, sample.painted.asset, sample.lifted, [sample.view])  # type: ignore[arg-type]
 
 
-class _OtherPicture:
+class OtherPicture:
     """A network that is shown another picture than it is given."""
 
     def __init__(self, network: LocalNetwork) -> None:
@@ -138,6 +136,13 @@ class _OtherPicture:
         bands = values[:, : 3 * BANDS].unflatten(1, (BANDS, 3))
         values[:, : 3 * BANDS] = -bands.flip(2).flip(0).flatten(1)
         return self.network.adapt(state, patches._replace(values=values), strength)
+
+
+def row_decibels(sample: PaintedEdit, colors: np.ndarray) -> float | None:
+    """PSNR of the base colours [J, 3] of the Gaussians whose true colour changed; None where none did."""
+    before = np.clip(base_color(sample.painted.asset.sh[sample.lifted.parents]), 0, 1)
+    changed = np.abs(sample.truth - before).max(1) > CHANGED
+    return _decibels(np.clip(colors, 0, 1), sample.truth, changed)
 
 
 def picture_scores(sample: PaintedEdit, edit: LiftedEdit) -> tuple[float | None, float | None, np.ndarray | None]:
