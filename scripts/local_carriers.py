@@ -27,6 +27,7 @@ from splatbench.closeups import closeup
 from splatbench.local_edits import BACKGROUND, CloseupViews, LiftBench, novel_scores, painted_edit
 
 from splatpainter import io
+from splatpainter.color import base_color
 from splatpainter.lift.edit_views import EditView
 from splatpainter.lift.edits import LiftedEdit
 from splatpainter.models.local_edit_colors import network_colors, with_colors
@@ -55,6 +56,7 @@ CARRIERS: dict[str, dict[str, Any]] = {
 """Carrier -> what differs from the recipe's network (RefineConfig)."""
 RATE_STEPS = 1000
 """Into which the budget is divided for the learning rate's course."""
+REFERENCES = ("nothing", "lift")
 FIGURES = ("edited", "novel", "rows")
 CAPTURE_PX = 256
 """Edge of the pictures of captures."""
@@ -94,7 +96,8 @@ def main(options: Options) -> str:
             if not path.is_file():
                 write_text(path, json.dumps(_trained(name, seed, options.seconds, recipe, usable, judged, captures)))
             print(path.name, path.read_text(), flush=True)
-    table = _table([json.loads(path.read_text()) for path in sorted(options.out.glob("*.json"))])
+    results = [json.loads(path.read_text()) for path in sorted(options.out.glob("*.json"))]
+    table = _table([*_references(judged, captures), *results])
     write_text(options.out / "carriers.md", table)
     return table
 
@@ -208,10 +211,30 @@ def scores(
     return means
 
 
+def _references(judged: Sequence[PaintedEdit], captures: Sequence[Capture]) -> list[dict[str, Any]]:
+    """What needs no memory: nothing done, and the lift."""
+    found = []
+    for name in REFERENCES:
+        figures: dict[str, list[float]] = {}
+        for sample in judged:
+            lifted = sample.lifted if name == "lift" else replace(sample.lifted, splats=sample.painted.asset)
+            colors = base_color((lifted.splats if name == "lift" else lifted.splats.take(lifted.parents)).sh)
+            colors = colors[sample.lifted.ids] if name == "lift" else colors
+            edited, novel, _ = picture_scores(sample, lifted)
+            for figure, value in zip(FIGURES, (edited, novel, row_decibels(sample, colors)), strict=True):
+                figures.setdefault(figure, []).extend([] if value is None else [value])
+        means = {figure: float(np.mean(values)) for figure, values in figures.items()}
+        if captures:
+            pairs = [one.scored(one.lifted.splats if name == "lift" else one.asset) for one in captures]
+            means |= dict(zip(("captures edited", "captures beside"), np.mean(pairs, 0).tolist(), strict=True))
+        found.append({"carrier": name, "untrained": means})
+    return found
+
+
 def _table(results: Sequence[dict[str, Any]]) -> str:
     """One row per carrier and what was asked of it: mean over seeds, and the least and the largest."""
     rows = []
-    for name in CARRIERS:
+    for name in (*REFERENCES, *CARRIERS):
         of = [result for result in results if result["carrier"] == name]
         for what in ("untrained", "trained", "strength 0", "another picture"):
             values = [result[what] for result in of if what in result]
@@ -219,9 +242,15 @@ def _table(results: Sequence[dict[str, Any]]) -> str:
                 continue
             cells = {figure: [value[figure] for value in values] for figure in values[0]}
             steps = f"{np.mean([r['steps'] for r in of]):.0f}" if what == "trained" else ""
-            shown = {f: f"{np.mean(v):.2f} ({min(v):.2f} to {max(v):.2f})" for f, v in cells.items()}
+            shown = {figure: _spread(numbers) for figure, numbers in cells.items()}
             rows.append({"carrier": name if what == "untrained" else f"... {what}", "steps": steps, **shown})
     return markdown(rows)
+
+
+def _spread(numbers: Sequence[float]) -> str:
+    """Mean, and the least and the largest where there are several."""
+    between = f" ({min(numbers):.2f} to {max(numbers):.2f})" if len(numbers) > 1 else ""
+    return f"{np.mean(numbers):.2f}{between}"
 
 
 if __name__ == "__main__":
