@@ -14,7 +14,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -22,7 +22,8 @@ from typing import Annotated
 import tyro
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGE = ROOT / "src" / "splatpainter"
+PACKAGES = {"splatpainter": ROOT / "src/splatpainter", "splattrain": ROOT / "train/splattrain"}
+"""Packages that are copied; files of the first are named without it."""
 TIMEOUT_SECONDS = 600.0
 """Of the tests of a mutation; those that hang have noticed it."""
 
@@ -34,7 +35,7 @@ class Mutation:
     name: str
     """What is wrong, in words."""
     file: str
-    """Below src/splatpainter."""
+    """Below src/splatpainter, or "splattrain/..."."""
     old: str
     """Text that stands there once."""
     new: str
@@ -48,7 +49,10 @@ COLORS = "tests/lift/test_color_refine.py"
 SHEETS = "tests/lift/test_resurface.py"
 GLOBAL = "tests/lift/test_global.py"
 MODEL = ("tests/models/test_model.py", GAIN)
-HELD_OUT = "train/train/train/train/tests/data/test_held_out.py"
+LOCAL = "tests/models/test_local_network.py"
+PAINTED = "train/tests/test_painted_gaussians.py"
+ON_ROWS = "train/tests/test_gaussian_edit_task.py"
+HELD_OUT = "train/tests/data/test_held_out.py"
 MUTATIONS = (
     Mutation(
         "the sign of Stage II's answer",
@@ -135,6 +139,139 @@ MUTATIONS = (
         ("tests/nn",),
     ),
     Mutation(
+        "an edit forgets those before it",
+        "models/edit_propagation.py",
+        "total = so_far + moved",
+        "total = moved",
+        (CARRY,),
+    ),
+    Mutation(
+        "agreeing edits are made twice",
+        "models/edit_propagation.py",
+        "(1 - agrees * _share(before[:, 0])[:, None])",
+        "1",
+        (CARRY,),
+    ),
+    Mutation(
+        "a contradiction is taken for the same edit",
+        "models/edit_propagation.py",
+        "AGREES, CONTRADICTS = 0.3, 0.6",
+        "AGREES, CONTRADICTS = 30.0, 60.0",
+        (CARRY,),
+    ),
+    Mutation(
+        "latents that are not there take room",
+        "models/encode.py",
+        "device=device).expand(len(groups), -1)",
+        "device=device).repeat(len(groups), 1)",
+        ("tests/models/test_encode.py",),
+    ),
+    Mutation(
+        "places are not told",
+        "models/refine.py",
+        "/ scale.rms + position_waves(positions, latents.shape[1])",
+        "/ scale.rms",
+        (CARRY, "tests/models/test_refine.py"),
+    ),
+    Mutation(
+        "patches are all of one cell",
+        "models/local_network.py",
+        "torch.cat([_cell_codes(patches.cells)",
+        "torch.cat([_cell_codes(0 * patches.cells)",
+        (LOCAL,),
+    ),
+    Mutation(
+        "queries of places start apart",
+        "models/local_network.py",
+        "query.weight.copy_(keys)",
+        "bool(query.weight is keys)",
+        (LOCAL,),
+    ),
+    Mutation(
+        "what lies beside the paint is painted",
+        "models/local_network.py",
+        "readers.before + edited * change",
+        "readers.before + change",
+        (LOCAL,),
+    ),
+    Mutation(
+        "the local network hears no strength",
+        "models/local_network.py",
+        "block.adapt(memory, x, None, None, strength, None, None)",
+        "block.adapt(memory, x, None, None, None, None, None)",
+        (LOCAL,),
+    ),
+    Mutation(
+        "all read the second set",
+        "models/local_network.py",
+        "readers.facts[:, APPENDED_FEATURE, None] > 0",
+        "readers.facts[:, APPENDED_FEATURE, None] > -9",
+        (LOCAL,),
+    ),
+    Mutation(
+        "the extra layer of the local network learns nothing",
+        "models/local_network.py",
+        "self.norm_refined(x), None, strength)",
+        "self.norm_refined(x), None, 0.0)",
+        (LOCAL,),
+    ),
+    Mutation(
+        "views weigh alike, however sure",
+        "models/local_edit_colors.py",
+        "sure = np.exp(-answer.log_variance",
+        "sure = np.exp(0 * answer.log_variance",
+        (LOCAL,),
+    ),
+    Mutation(
+        "the network is deaf to the picture",
+        "models/local_edit_colors.py",
+        "MIN_HOLD, MAX_HOLD = 0.01, 1.0",
+        "MIN_HOLD, MAX_HOLD = 1e3, 1e6",
+        (LOCAL,),
+    ),
+    Mutation(
+        "of several views the first wins",
+        "models/local_edit_colors.py",
+        "    for view in views:\n        splats = result.splats",
+        "    for view in views[::-1]:\n        splats = result.splats",
+        (LOCAL,),
+    ),
+    Mutation(
+        "the memory of the local network is trained",
+        "splattrain/stages/painted_gaussians_task.py",
+        "weight.requires_grad_(name.startswith(LEARNT))",
+        "weight.requires_grad_(True)",
+        (PAINTED,),
+    ),
+    Mutation(
+        "hidden Gaussians count like those that show",
+        "splattrain/stages/painted_gaussians_task.py",
+        "LEAST_COUNT = 0.05",
+        "LEAST_COUNT = 50.0",
+        (PAINTED,),
+    ),
+    Mutation(
+        "another picture is the same one",
+        "splattrain/stages/painted_gaussians_task.py",
+        "-bands.flip(2).flip(0).flatten(1)",
+        "bands.flatten(1)",
+        (PAINTED,),
+    ),
+    Mutation(
+        "Gaussians that teach are asked",
+        "splattrain/stages/gaussian_edit_task.py",
+        "readers = np.concatenate([rng.permutation(hidden), spare])",
+        "readers = np.concatenate([teachers, rng.permutation(hidden), spare])",
+        (ON_ROWS,),
+    ),
+    Mutation(
+        "another edit is told as the same one",
+        "splattrain/stages/gaussian_edit_task.py",
+        "change = (sample if evidence is None else evidence).change",
+        "change = sample.change",
+        (ON_ROWS,),
+    ),
+    Mutation(
         "the sign of the hold of colours",
         "lift/colors.py",
         "gain - pull[:, None] * (colors - first)",
@@ -159,9 +296,17 @@ MUTATIONS = (
         "out = sh * 1",
         (COLORS, "tests/lift/test_local.py"),
     ),
-    Mutation("edges as wide as the rest", "lift/sheets/sheet.py", "EDGE_WIDTH = 0.6", "EDGE_WIDTH = 1.0", (SHEETS,)),
-    Mutation("edges too narrow", "lift/sheets/sheet.py", "EDGE_WIDTH = 0.6", "EDGE_WIDTH = 0.4", (SHEETS,)),
-    Mutation("sheets too faint", "lift/sheets/sheet.py", "SHEET_OPACITY = 0.97", "SHEET_OPACITY = 0.5", (SHEETS,)),
+    Mutation(
+        "edges as wide as the rest",
+        "lift/sheets/sheet.py",
+        "edge_width: float = 0.6",
+        "edge_width: float = 1.0",
+        (SHEETS,),
+    ),
+    Mutation(
+        "edges too narrow", "lift/sheets/sheet.py", "edge_width: float = 0.6", "edge_width: float = 0.4", (SHEETS,)
+    ),
+    Mutation("sheets too faint", "lift/sheets/sheet.py", " opacity: float = 0.97", " opacity: float = 0.5", (SHEETS,)),
     Mutation(
         "what was seen is not trusted",
         "lift/global_edit.py",
@@ -178,28 +323,28 @@ MUTATIONS = (
     ),
     Mutation(
         "the split moves with the number of objects",
-        "data/object_sources.py",
+        "splattrain/data/object_sources.py",
         'f"{seed}:{name}".encode()',
         'f"{seed}:{name}:{len(names)}".encode()',
-        ("train/train/train/train/tests/data/test_object_sources.py", HELD_OUT),
+        ("train/tests/data/test_object_sources.py", HELD_OUT),
     ),
     Mutation(
         "objects held out are trained on",
-        "data/held_out.py",
+        "splattrain/data/held_out.py",
         'return "" if self.share <= share else',
         'return "" if True else',
         (HELD_OUT,),
     ),
     Mutation(
         "only the last stage is asked what it held out",
-        "data/held_out.py",
+        "splattrain/data/held_out.py",
         '(*notes.get("history", []), notes)',
         "(notes,)",
         (HELD_OUT,),
     ),
     Mutation(
         "a stage that trained nothing saves",
-        "train/loop.py",
+        "splattrain/loop.py",
         "if step and not self._used:",
         "if step and False:",
         ("train/tests/test_stages.py",),
@@ -231,10 +376,16 @@ class Options:
     """List the mutations and run nothing."""
 
 
+def path_of(mutation: Mutation, packages: Mapping[str, Path]) -> Path:
+    """Its file. packages: name -> folder."""
+    first, _, rest = mutation.file.partition("/")
+    return packages[first] / rest if first in packages else packages["splatpainter"] / mutation.file
+
+
 def survives(mutation: Mutation, copy: Path) -> bool:
     """Whether the tests pass with this mistake in `copy`, a folder that holds a copy of the package. Raises ValueError
     where the text to be changed does not stand there exactly once."""
-    path = copy / "splatpainter" / mutation.file
+    path = path_of(mutation, {name: copy / name for name in PACKAGES})
     text = path.read_text(encoding="utf-8")
     if text.count(mutation.old) != 1:
         raise ValueError(f"{mutation.file}: {mutation.old!r} stands there {text.count(mutation.old)} times, not once")
@@ -265,7 +416,8 @@ def main(options: Options) -> int:
     survivors = []
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder)
-        shutil.copytree(PACKAGE, copy / "splatpainter", ignore=shutil.ignore_patterns("__pycache__", "static"))
+        for name, package in PACKAGES.items():
+            shutil.copytree(package, copy / name, ignore=shutil.ignore_patterns("__pycache__", "static"))
         if not passes(sorted({test for mutation in chosen for test in mutation.tests}), copy):
             print("the tests fail without any mutation: make them pass first")
             return 2
