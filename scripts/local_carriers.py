@@ -58,6 +58,7 @@ RATE_STEPS = 1000
 """Into which the budget is divided for the learning rate's course."""
 REFERENCES = ("nothing", "lift")
 FIGURES = ("edited", "novel", "rows")
+ON_CAPTURES = ("captures edited", "captures beside")
 CAPTURE_PX = 256
 """Edge of the pictures of captures."""
 
@@ -163,7 +164,7 @@ def _trained(
     torch.manual_seed(seed)
     network = LocalNetwork(replace(recipe.local, refine=replace(recipe.local.refine, **CARRIERS[name])))
     task = PaintedGaussiansTask(network, recipe.readers)
-    ask = partial(scores, judged=judged, captures=captures)
+    ask = partial(scores, judged=judged, captures=())
     result: dict[str, Any] = {"carrier": name, "seed": seed, "untrained": ask(network)}
     parameters = [(key, weight) for key, weight in task.named_parameters() if weight.requires_grad]
     optimizer, average = (
@@ -185,10 +186,15 @@ def _trained(
         steps += 1
         spent += time.process_time() - begun
     with average.used_by(task):
-        result |= {"steps": steps, "seconds": round(spent, 1), "trained": ask(network.eval())}
-        if network.config.refine.mixer != "cross_attention":  # which has no strength
+        result |= {
+            "steps": steps,
+            "seconds": round(spent, 1),
+            "trained": ask(network.eval(), captures=[] if seed else captures),
+        }
+        if not seed and network.config.refine.mixer != "cross_attention":  # which has no strength
             result["strength 0"] = ask(network, strength=0.0)
-        result["another picture"] = ask(OtherPicture(network))  # type: ignore[arg-type]
+        if not seed:  # one of them says it, and asking takes as long as training
+            result["another picture"] = ask(OtherPicture(network))  # type: ignore[arg-type]
     return result
 
 
@@ -207,7 +213,7 @@ def scores(
     if captures:
         answers = [network_colors(network, one.asset, one.lifted, [one.view], strength) for one in captures]
         pairs = [one.scored(with_colors(one.lifted, a).splats) for one, a in zip(captures, answers, strict=True)]
-        means |= dict(zip(("captures edited", "captures beside"), np.mean(pairs, 0).tolist(), strict=True))
+        means |= dict(zip(ON_CAPTURES, np.mean(pairs, 0).tolist(), strict=True))
     return means
 
 
@@ -226,7 +232,7 @@ def _references(judged: Sequence[PaintedEdit], captures: Sequence[Capture]) -> l
         means = {figure: float(np.mean(values)) for figure, values in figures.items()}
         if captures:
             pairs = [one.scored(one.lifted.splats if name == "lift" else one.asset) for one in captures]
-            means |= dict(zip(("captures edited", "captures beside"), np.mean(pairs, 0).tolist(), strict=True))
+            means |= dict(zip(ON_CAPTURES, np.mean(pairs, 0).tolist(), strict=True))
         found.append({"carrier": name, "untrained": means})
     return found
 
@@ -240,7 +246,7 @@ def _table(results: Sequence[dict[str, Any]]) -> str:
             values = [result[what] for result in of if what in result]
             if not values:
                 continue
-            cells = {figure: [value[figure] for value in values] for figure in values[0]}
+            cells = {f: [value[f] for value in values if f in value] for f in (*FIGURES, *ON_CAPTURES)}
             steps = f"{np.mean([r['steps'] for r in of]):.0f}" if what == "trained" else ""
             shown = {figure: _spread(numbers) for figure, numbers in cells.items()}
             rows.append({"carrier": name if what == "untrained" else f"... {what}", "steps": steps, **shown})
@@ -250,7 +256,7 @@ def _table(results: Sequence[dict[str, Any]]) -> str:
 def _spread(numbers: Sequence[float]) -> str:
     """Mean, and the least and the largest where there are several."""
     between = f" ({min(numbers):.2f} to {max(numbers):.2f})" if len(numbers) > 1 else ""
-    return f"{np.mean(numbers):.2f}{between}"
+    return f"{np.mean(numbers):.2f}{between}" if numbers else "–"
 
 
 if __name__ == "__main__":

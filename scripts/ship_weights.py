@@ -24,7 +24,7 @@ from splattrain import state
 ROOT = Path(__file__).resolve().parents[1]
 CORE, NETWORKS = ROOT / "src/splatpainter/weights", ROOT / "networks/src/splatpainter_networks"
 PREDICTOR = weights.PREDICTOR
-STAGE_TWO = ("refiner.", "head.")
+SHARED = ("lrm.", "compressor.", "refiner.", "head.")
 
 
 def ship(source: Path, core: Path = CORE, networks: Path = NETWORKS) -> list[str]:
@@ -47,8 +47,8 @@ def ship(source: Path, core: Path = CORE, networks: Path = NETWORKS) -> list[str
 
 def _model(made: Path, config: ModelConfig, tensors: dict[str, Any], notes: dict[str, Any], core: Path) -> None:
     """Folders `compact` and `rows`."""
-    if config.refine.latents or not config.predictor_only or config.edits_locally:
-        raise ValueError("ship: expected a predictor and a Stage II of train rows --recipe compact, without LRM")
+    if not config.predictor_only or config.edits_locally:
+        raise ValueError("ship: expected a predictor and a Stage II of train rows --recipe compact")
     shipped = checkpoint.load_arrays(core / "compact", PREDICTOR) if (core / "compact" / INDEX).is_file() else {}
     same = bool(shipped) and all((tensors[PREDICTOR + name].numpy() == array).all() for name, array in shipped.items())
     kept = (
@@ -59,7 +59,7 @@ def _model(made: Path, config: ModelConfig, tensors: dict[str, Any], notes: dict
     # Stage II alone: without a predictor it is what makes global edits.
     alone = replace(config, preset="rows", predict=replace(config.predict, features=0, alone=False))
     rest = {name: tensor for name, tensor in tensors.items() if not name.startswith(PREDICTOR)}
-    checkpoint.save(made / "rows", alone, rest, notes=notes, base="compact", shared=STAGE_TWO)
+    checkpoint.save(made / "rows", alone, rest, notes=notes, base="compact", shared=SHARED)
 
 
 def _install(made: Path, core: Path, networks: Path) -> None:

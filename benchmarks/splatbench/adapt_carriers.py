@@ -15,6 +15,7 @@ from typing import Any
 import torch
 
 from splatpainter.models import checkpoint
+from splatpainter.models.config import ModelConfig
 from splatpainter.models.model import SplatPainterModel
 from splattrain.data.gaussian_edits import GaussianEdit, GaussianEditStream
 from splattrain.optim import Average, Guard, adamw, rate_at
@@ -58,19 +59,29 @@ def recipe() -> Recipe:
     return load("compact", "rows")
 
 
-def carrier_training(name: str, seed: int = 0) -> CarrierTraining:
-    """A carrier before its training."""
+def carrier_training(name: str, encoder: Path, seed: int = 0) -> CarrierTraining:
+    """A carrier before its training. encoder: a checkpoint, of which LRM and Stage I are taken. Raises ValueError for a
+    checkpoint of other sizes."""
     settings = recipe()
     refine = replace(settings.model.refine, **STAGE2.get(name, {}))
     config = replace(settings.model, refine=refine)
     torch.manual_seed(seed)
-    model = SplatPainterModel(config)
+    model = with_encoder(config, encoder)
     carrier: Carrier = "predictor" if name == MESA else "stage2"
     options = GaussianEditOptions(carrier, settings.teachers, settings.readers, objects=1 << 10)
     task = GaussianEditTask(model, options)
     parameters = list(task.named_parameters())
     optimizer = adamw(parameters, settings.learning_rate, settings.weight_decay)
     return CarrierTraining(name, task, optimizer, Average.of(parameters, settings.average), Guard(settings.spike))
+
+
+def with_encoder(config: ModelConfig, folder: Path) -> SplatPainterModel:
+    """A new model with the LRM and Stage I of a checkpoint. Raises ValueError where they are of other sizes."""
+    saved = checkpoint.load(folder)
+    model = SplatPainterModel(config)
+    taken = {name: values for name, values in saved.tensors.items() if name.startswith(("lrm.", "compressor."))}
+    checkpoint.fill(model, {**model.state_dict(), **taken}, str(folder))
+    return model
 
 
 def side_by_side(

@@ -27,32 +27,35 @@ TINY_RECIPE: Recipe = replace(RECIPE, model=replace(CARRYING, predict=PredictCon
 
 @pytest.fixture
 def tiny(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """Tiny shipped weights; recipes, lights and fits as small."""
+    """A checkpoint with a tiny encoder; recipes, lights and fits as small."""
     monkeypatch.setattr(adapt_carriers, "recipe", lambda: TINY_RECIPE)
     monkeypatch.setattr(adapt_carriers, "SLICE_SECONDS", 0.05)
     monkeypatch.setattr(lit_assets, "FIT_STEPS", 4)
     monkeypatch.setattr(gaussian_edits, "LIGHT_COUNT", 6)
     monkeypatch.setattr(adapt, "STOPS", (0.5, 1.0))
     monkeypatch.setattr(adapt, "MIN_UNSEEN", 8)
-    monkeypatch.setattr(weights, "find", lambda preset, *more: tmp_path / "shipped")
+    monkeypatch.setattr(weights, "find", lambda preset, *more: tmp_path / "encoder")
     monkeypatch.setenv("SPLATPAINTER_CACHE", str(tmp_path / "cache"))
     torch.manual_seed(0)
-    SplatPainterModel(TINY_RECIPE.model).save(tmp_path / "shipped", dtype="float32")
+    SplatPainterModel(TINY_RECIPE.model).save(tmp_path / "encoder", dtype="float32")
     yield tmp_path
 
 
 def test_carriers_differ_in_their_memory_alone(tiny: Path) -> None:
-    made = {name: carrier_training(name) for name in TRAINED}
+    made = {name: carrier_training(name, tiny / "encoder") for name in TRAINED}
     stage2 = [one.task.model for name, one in made.items() if name != MESA]
     for one in stage2[1:]:
         plain = replace(one.config.refine, mixer="ttt", inner_steps=1, newton_schulz_steps=5)
         assert plain == stage2[1].config.refine
+        assert torch.equal(one.compressor.token.weight, stage2[0].compressor.token.weight)
     assert {one.task.options.carrier for one in made.values()} == {"predictor", "stage2"}
 
 
 def test_from_start_to_end(tiny: Path) -> None:
     chosen = (MESA, "TTT, Muon, 1 step")
-    config = AdaptBench(seconds=0.2, objects=1, training_objects=1, carriers=chosen, out=tiny / "out")
+    config = AdaptBench(
+        seconds=0.2, objects=1, training_objects=1, encoder=tiny / "encoder", carriers=chosen, out=tiny / "out"
+    )
     rows = adapt.run(config)
     names = [row.carrier for row in rows]
     assert names[:2] == ["nothing", "ridge on fixed features"] and set(chosen) < set(names)

@@ -339,10 +339,10 @@ def test_a_row_is_named_by_what_makes_its_edits(tmp_path: Path) -> None:
     assert "test-time" not in row_of("predictor").edit(task, budget).note
     with pytest.raises(ValueError, match="by their predictor"):
         row_of("ttt").edit(task, budget)
-    whole = Budget(weights={"compact": saved(built(LIFT), tmp_path / "whole")})
-    assert "of no model whose predictor makes global edits" in row_of("predictor").missing(whole)
+    other_budget = Budget(weights={"compact": saved(built(LIFT), tmp_path / "whole")})
+    assert "of no model whose predictor makes global edits" in row_of("predictor").missing(other_budget)
     # The default edit goes by the notes: here no gain was measured, and below it is a loss.
-    assert "seconds_ttt" in row_of("auto").edit(task, whole).numbers
+    assert "seconds_ttt" in row_of("auto").edit(task, other_budget).numbers
     checkpoint.add_notes(tmp_path / "whole", {"gain": {"global": -0.1}})
     lifted = row_of("auto").edit(task, Budget(weights={"compact": str(tmp_path / "whole")}))
     assert same(lifted.splats, row_of("lift").edit(task, Budget()).splats)

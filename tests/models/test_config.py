@@ -97,3 +97,12 @@ def test_a_residual_on_the_lift_has_no_second_set_and_no_absolute_decoder() -> N
     assert ModelConfig.from_json(replace(compact, refine=refine).to_json()).refine.base == "lift"
     with pytest.raises(ValueError, match="expected a residual decoder"):
         replace(compact, refine=refine, decoder="absolute")
+
+
+def test_without_latents_gaussians_need_places_of_their_own() -> None:
+    compact = PRESETS["compact"]
+    with pytest.raises(ValueError, match="expected inputs='normalised' and representation='native'"):
+        replace(compact, refine=replace(compact.refine, latents=False, inputs="raw"))
+    with pytest.raises(ValueError, match="expected inputs='normalised' and representation='native'"):
+        replace(compact, refine=replace(compact.refine, latents=False), representation="copy")
+    assert not replace(compact, refine=replace(compact.refine, latents=False)).refine.latents

@@ -13,8 +13,9 @@ from splatpainter.models.encode import asset_views, canonical_cameras, encode_as
 from splatpainter.models.gaussian_groups import links_from_views
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.voxels.grid import bounding_cube, voxelize
+from tests.models.test_edit_propagation import CARRYING
 from tests.support.lift_scenes import dense_weights
-from tests.support.model_scenes import TINY
+from tests.support.model_scenes import TINY, with_refine
 from tests.support.painter_scenes import ASSET_BASE, COPY, DRAWABLE, built, thing, uneven
 
 
@@ -152,3 +153,18 @@ def test_nothing_to_draw_is_one_line() -> None:
     nothing = thing().take(np.arange(DRAWABLE, DRAWABLE + 2))
     with pytest.raises(ValueError, match="at least one Gaussian that can be drawn"):
         encode_asset(built(), nothing)
+
+
+def test_a_model_without_lrm_and_stage_one_looks_at_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither network is there, no picture is drawn, and its latents take no room; every Gaussian that can be drawn has
+    one."""
+    monkeypatch.setattr("splatpainter.models.encode.asset_views", lambda *_: pytest.fail("drawn"))
+    model, splats = built(with_refine(CARRYING, latents=False)), thing()
+    assert model.encoders == () and not any(k.startswith(("lrm.", "compressor.")) for k in model.state_dict())
+    encoded = encode_asset(model, splats)
+    values = encoded.latents.values
+    assert values.shape == (splats.drawable.sum(), model.config.compress.dim) and not values.any()
+    assert values.untyped_storage().nbytes() == 4 * model.config.compress.dim
+    np.testing.assert_array_equal(encoded.latent_ids >= 0, splats.drawable)
+    # Places are told in the asset's cube, as they are beside latents.
+    np.testing.assert_allclose(encoded.latents.groups.half_extent, bounding_cube(splats)[1] / 2)

@@ -27,8 +27,16 @@ from splatpainter.models.local_edit_colors import (
     readers_of,
     with_colors,
 )
-from splatpainter.models.local_network import LocalNetwork
-from splatpainter.models.picture_patches import BANDS, PATCH_PX, SLOTS, cosine_basis, cosines, picture_regions
+from splatpainter.models.local_network import LocalNetwork, Readers
+from splatpainter.models.picture_patches import (
+    APPENDED_FEATURE,
+    BANDS,
+    PATCH_PX,
+    SLOTS,
+    cosine_basis,
+    cosines,
+    picture_regions,
+)
 from splatpainter.models.refine import RidgeMixer
 from splatpainter.painter import Edit, Painter
 from splatpainter.rendering import render
@@ -281,3 +289,25 @@ def test_auto_takes_it_only_where_it_was_measured_to_be_better() -> None:
     assert "no better than the lift (-0.10 dB" in Painter(local=made).choose("ttt", "local")[1]
     with pytest.raises(ValueError, match="needs a preset with trained weights"):
         Painter(local=made).choose("ttt", "global")
+
+
+def test_appended_gaussians_alone_read_a_second_set_that_the_others_teach() -> None:
+    """The extra layer learns from the refined tokens of all, and only finer Gaussians are read from it."""
+    net, plain = network(mixer="ttt"), network(mixer="ttt", detail=False)
+    with torch.no_grad():
+        torch.nn.init.normal_(net.detail_mixer.ttt.out.weight, std=0.1)
+    plain.load_state_dict({name: net.state_dict()[name] for name in plain.state_dict()})
+    lifted, view, _ = painted(1)
+    region = next(iter(picture_regions(sheet()[0], lifted, view)))
+    readers = readers_of(region.readers)
+    facts = readers.facts.clone()
+    facts[:, APPENDED_FEATURE] = torch.where(torch.arange(len(facts)) % 2 == 0, 1.0, -1.0)
+    readers = readers._replace(facts=facts)
+    with torch.no_grad():
+        state = net.adapt(net.initial_state(), patches_of(region.tokens))
+        both, one = net.read(state, readers).colors, plain.read(state, readers).colors
+        untaught = net.read(state, readers, strength=0.0).colors
+        few = net.read(state, Readers(*(part[::2] for part in readers))).colors
+    assert torch.equal(both[1::2], one[1::2]) and torch.equal(untaught[1::2], both[1::2])
+    moved = [(both[::2] - other).abs().amax() for other in (one[::2], untaught[::2], few)]
+    assert min(moved) > 1e-4, moved

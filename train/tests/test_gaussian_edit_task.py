@@ -177,6 +177,20 @@ def test_training_goes_on_from_the_shipped_weights() -> None:
         start(recipes.load("compact", "refine"), folder)
 
 
+def test_stages_of_lrm_and_stage_one_want_a_model_that_has_them(tmp_path: Path) -> None:
+    without = replace(MODEL, refine=replace(MODEL.refine, latents=False))
+    for stage in ("lrm", "compress"):
+        with pytest.raises(ValueError, match=f"train {stage}: expected a model with LRM and Stage I"):
+            make_task(replace(RECIPE, stage=stage, model=without), model(without), None)
+    with_none = SplatPainterModel(without)
+    with_none.save(tmp_path / "without", notes={"stage": "rows"})
+    with pytest.raises(ValueError, match="without LRM and Stage I, .* start from those of train compress"):
+        start(RECIPE, tmp_path / "without")
+    # One that has none takes neither from weights that do.
+    SplatPainterModel(MODEL).save(tmp_path, notes={"stage": "compress"})
+    assert start(replace(RECIPE, model=without), tmp_path, lambda line: None).encoders == ()
+
+
 def test_train_refine_leaves_it_to_rows() -> None:
     made = make_task(replace(RECIPE, stage="refine"), model(MODEL), None, lambda line: None)
     with pytest.raises(ValueError, match="use train rows"):

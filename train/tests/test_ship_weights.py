@@ -89,5 +89,5 @@ def test_a_local_network_is_a_preset_and_other_weights_do_not_ship(script: Modul
     assert script.ship(tmp_path / "local/model", tmp_path / "core", tmp_path / "networks") == ["local"]
     assert (tmp_path / "core/local/model.json").is_file() and list((tmp_path / "networks/local").iterdir())
     SplatPainterModel(CARRYING).save(tmp_path / "whole/model")
-    with pytest.raises(ValueError, match="without LRM"):
+    with pytest.raises(ValueError, match="expected a predictor and a Stage II"):
         script.ship(tmp_path / "whole/model", tmp_path / "core", tmp_path / "networks")

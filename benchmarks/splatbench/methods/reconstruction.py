@@ -231,8 +231,8 @@ HAS_LRM: dict[str, Any] = {
     "fits": lambda config: config.refine.latents,
     "train": "lrm --recipe compact",
 }
-LRM = Weights((COMPACT,), **HAS_LRM)
-BEFORE = Weights((*reversed(GROUPINGS), COMPACT), **HAS_LRM)
+LRM = Weights((COMPACT,), COMPACT, **HAS_LRM)
+BEFORE = Weights((*reversed(GROUPINGS), COMPACT), COMPACT, **HAS_LRM)
 """Any model that has an LRM; those of the rows that it is compared with first."""
 
 

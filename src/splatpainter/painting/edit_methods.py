@@ -177,7 +177,7 @@ class PredictorMethod(EditMethod):
 
 @dataclass(frozen=True)
 class EncodingMethod(PredictorMethod):
-    """Stage II, on an asset that the LRM and Stage I have encoded."""
+    """Stage II, on an asset encoded for it: by LRM and Stage I, or, for a model without them, by its voxels."""
 
     encodes: ClassVar[bool] = True
 

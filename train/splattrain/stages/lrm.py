@@ -64,11 +64,11 @@ class LrmTask(Task[SplatPainterModel]):
         numbers = score.numbers
         if "ours" in numbers:
             cameras, target = truth(sample, self.device)
-            others = {"strength 0": torch.full_like(views.colors, 0.5), "another edit": views.colors.roll(1, 0)}
-            for name, colors in others.items():
-                shown = replace(views, colors=colors)
+            inputs = {"strength 0": torch.full_like(views.colors, 0.5), "another edit": views.colors.roll(1, 0)}
+            for name, colors in inputs.items():
+                other_views = replace(views, colors=colors)
                 with self.arithmetic():
-                    predicted = _drawn(self.model.lrm(shown).splats, shown, self.model)
+                    predicted = _drawn(self.model.lrm(other_views).splats, other_views, self.model)
                 value = masked_psnr(draw(predicted, cameras, self.device)[0], target)
                 assert value is not None  # as of "ours", over the same pixels
                 numbers[name] = value

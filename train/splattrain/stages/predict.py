@@ -72,8 +72,8 @@ class PredictTask(Task[SplatPainterModel]):
         assert predictor is not None
         if not (sample.weight > MIN_SEEN_PX).any():
             raise ValueError("the pictures show no Gaussian")
-        told = sample.observed if observed is None else observed
-        return predictor(self._facts(sample), self._tensor(told), self._tensor(sample.weight))
+        evidence = sample.observed if observed is None else observed
+        return predictor(self._facts(sample), self._tensor(evidence), self._tensor(sample.weight))
 
     def _facts(self, sample: GlobalEdit) -> Tensor:
         """[N, 21] of `gaussian_facts`."""
