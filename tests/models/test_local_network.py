@@ -27,7 +27,7 @@ from splatpainter.models.local_edit_colors import (
     readers_of,
     with_colors,
 )
-from splatpainter.models.local_network import LocalNetwork, Readers
+from splatpainter.models.local_network import LocalAnswer, LocalNetwork, Patches, Readers
 from splatpainter.models.picture_patches import (
     APPENDED_FEATURE,
     BANDS,
@@ -212,6 +212,49 @@ def test_the_picture_decides_where_it_can_and_the_network_where_it_is_sure() -> 
     assert errors[0] < 0.05 * start and errors[0] < 0.5 * errors[1] < start
     unread = NetworkColors(wrong, np.full(len(wrong), np.inf, np.float32))
     np.testing.assert_array_equal(with_colors(lifted, unread).splats.sh, splats.sh)
+
+
+def plain_view(level: float) -> EditView:
+    """The sheet painted in one grey."""
+    splats, camera = sheet()
+    mask = render(splats, camera).alphas[0, ..., 0] > 0.5
+    (view,) = edit_views(splats, [camera], [np.full((SIZE, SIZE, 3), level, np.float32)], [mask])
+    return view
+
+
+class Certain:
+    """Says of every Gaussian the grey of its patches, and of bright pictures that it is sure of it."""
+
+    def initial_state(self) -> None:
+        return None
+
+    def adapt(self, state: None, patches: Patches, strength: float | None) -> float:
+        return 0.2 if patches.values[:, 0].mean() < 0 else 0.8
+
+    def read(self, state: float, readers: Readers, strength: float | None) -> LocalAnswer:
+        count = len(readers.before)
+        return LocalAnswer(torch.full((count, 3), state), torch.full((count,), -3.0 if state > 0.5 else -1.0))
+
+
+def test_of_several_views_the_surer_ones_weigh_more() -> None:
+    lifted, _, _ = painted(0)
+    answer = network_colors(Certain(), sheet()[0], lifted, [plain_view(0.2), plain_view(0.8)])  # type: ignore[arg-type]
+    weights_of = np.exp([1.0, 3.0])
+    read = np.isfinite(answer.variance)
+    assert read.mean() > 0.9
+    np.testing.assert_allclose(answer.colors[read], np.average([0.2, 0.8], weights=weights_of), rtol=1e-5)
+    np.testing.assert_allclose(answer.variance[read], 1 / weights_of.sum(), rtol=1e-5)
+
+
+def test_of_views_that_contradict_each_other_the_latest_is_held_against() -> None:
+    splats, camera = sheet()
+    lifted, _, _ = painted(0)
+    answer = NetworkColors(np.full((len(splats), 3), 0.5, np.float32), np.full(len(splats), 0.1, np.float32))
+    levels = 0.2, 0.8
+    for order in (levels, levels[::-1]):
+        made = held(lifted, answer, [plain_view(level) for level in order]).splats
+        drawn = render(made, camera).colors[0][plain_view(0.2).mask].mean()
+        assert abs(drawn - order[1]) < 0.1 * abs(levels[1] - levels[0]), order
 
 
 def test_rounds_count_pixels_by_their_variance(monkeypatch: pytest.MonkeyPatch) -> None:
