@@ -7,6 +7,7 @@ import json
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,13 +17,15 @@ from splatpainter.cli import main
 from splatpainter.color import base_color
 from splatpainter.models import checkpoint
 from splatpainter.models.local_config import LocalConfig
-from splatpainter.models.local_network import LocalNetwork
+from splatpainter.models.local_edit_colors import patches_of, readers_of
+from splatpainter.models.local_network import LocalNetwork, Patches
+from splatpainter.models.picture_patches import BANDS, PEAK_FEATURE, TOKEN_CHANNELS
 from splatpainter.painter import Painter
 from splatpainter.splats import Splats
 from splattrain.data.object_sources import ProceduralSource
 from splattrain.data.painted_gaussians import PaintedEdit, PaintedGaussianStream, true_colors
 from splattrain.data.sample_recipes import SampleRecipe
-from splattrain.stages.painted_gaussians_task import PaintedGaussiansTask
+from splattrain.stages.painted_gaussians_task import OtherPicture, PaintedGaussiansTask
 from tests.models.test_local_network import CONFIG
 
 SAMPLES = SampleRecipe(
@@ -88,6 +91,37 @@ def test_a_whole_edit_is_painted_where_its_truth_says() -> None:
     # The lift, which is no part of the truth, goes the same way.
     along = ((lift - before) * (edit.truth - before))[changed].sum()
     assert along > 0.5 * np.square(edit.truth - before)[changed].sum()
+
+
+def test_gaussians_count_by_what_the_picture_shows_of_them(float32: None) -> None:
+    torch.manual_seed(0)
+    network = LocalNetwork(CONFIG).eval()
+    sample = stream()[0]
+    total = weight = 0.0
+    with torch.no_grad():
+        for region in sample.regions:
+            state = network.adapt(network.initial_state(), patches_of(region.tokens))
+            colors = network.read(state, readers_of(region.readers)).colors.numpy()
+            counts = 0.05 + (region.readers.facts[:, PEAK_FEATURE].astype(np.float64) + 1) / 2
+            total += (counts * np.square(colors - sample.truth[region.index]).mean(1)).sum()
+            weight += counts.sum()
+        squared = PaintedGaussiansTask(network, readers=1 << 20).losses(sample, 0)["squared"]
+    assert float(squared) == pytest.approx(total / weight, rel=1e-4)
+
+
+def test_another_picture_has_its_colours_turned_and_negated() -> None:
+    seen: list[Patches] = []
+    network = SimpleNamespace(
+        initial_state=None, read=None, adapt=lambda state, patches, strength: seen.append(patches)
+    )
+    values = torch.arange(3 * TOKEN_CHANNELS, dtype=torch.float32).view(3, -1) + 1
+    OtherPicture(network).adapt(None, Patches(torch.arange(3), values))  # type: ignore[arg-type]
+    (other,) = seen
+    for patch in range(3):
+        for band in range(BANDS):
+            red, green, blue = values[2 - patch, 3 * band : 3 * band + 3]
+            assert other.values[patch, 3 * band : 3 * band + 3].tolist() == [-blue, -green, -red]
+    assert torch.equal(other.values[:, 3 * BANDS :], values[:, 3 * BANDS :])
 
 
 def test_steps_lower_the_loss_and_validation_has_its_columns(float32: None) -> None:

@@ -69,7 +69,7 @@ def altered(model: AnyNetwork, change: Change) -> AnyNetwork:
     import torch
 
     with torch.device("meta"):
-        other = type(model)(change.of(model.config))
+        other = type(model)(change.of(model.config))  # pyright: ignore[reportArgumentType]
     tensors, expected = model.state_dict(), other.state_dict()
     unfit = [name for name, tensor in expected.items() if name not in tensors or tensors[name].shape != tensor.shape]
     if unfit:
