@@ -17,10 +17,10 @@ from splatpainter.models import weights
 from splatpainter.models.compress import LatentScale
 from splatpainter.models.config import ModelConfig, RefineConfig
 from splatpainter.models.decode import color_change
-from splatpainter.models.edit_propagation import CarriedEdit, EncodedGaussians, carry
+from splatpainter.models.edit_propagation import CarriedEdit, EncodedGaussians, carry, remembered
 from splatpainter.models.encode import Encoded, encode_asset
 from splatpainter.models.model import GaussianInputs, SplatPainterModel
-from splatpainter.models.refine import position_waves, unit_rms
+from splatpainter.models.refine import RefineState, position_waves, unit_rms
 from splatpainter.painter import NOT_LOCAL, Asset, Edit, Painter
 from splatpainter.splats import SH_C0, Splats
 from tests.lift.test_global import FRONT, SIDE, ball, draw, regraded
@@ -190,6 +190,29 @@ def test_relit_views_in_turn_make_what_they_make_together_and_the_latest_light_w
     np.testing.assert_array_equal(again.splats.sh, once.splats.sh)
     other = after(once, view("b", FRONT))
     assert decibels(other.splats, lights["b"]) > decibels(other.splats, lights["a"]) + 1
+
+
+def test_what_the_memory_did_not_foretell_is_another_edit(float32: None) -> None:
+    """Where new pictures contradict the memory, Gaussians that were shown before are answered for like all others."""
+    made, splats, encoded, _ = scene()
+    normals = outward_normals(splats)
+    transfer = prt_transfer(splats.means, normals)
+    change, weight = (x.numpy() for x in edit())
+
+    def carried(asset: Splats, state: RefineState | None = None) -> CarriedEdit:
+        return CarriedEdit(made, encoded.latents, encoded.latent_ids, asset, normals, lambda: transfer, state)
+
+    first = carried(splats)
+    first(change, weight)
+    sh = splats.sh.copy()
+    sh[:, 0] += (change / SH_C0).astype(sh.dtype)
+    state = first.after(replace(splats, sh=sh))
+    second = carried(replace(splats, sh=sh), state)
+    answer = second(-2 * change, weight)
+    assert state.evidence is not None and second.state is not None and second.state.evidence is state.evidence
+    with torch.no_grad():
+        everyone = remembered(made, second.gaussians, second.state, torch.arange(len(splats)))
+    np.testing.assert_allclose(answer, (everyone - state.evidence[:, :3]).numpy(), atol=1e-5)
 
 
 def test_terms_have_rms_one() -> None:

@@ -76,6 +76,16 @@ def test_shipped_weights_say_the_same_without_torch() -> None:
     np.testing.assert_allclose(stored.predict(*(x.numpy() for x in observed)), predict_edit(net, *observed), atol=5e-6)
 
 
+def test_an_edit_has_a_say_in_how_gaussians_are_described() -> None:
+    """With features of the asset alone a prediction would be affine in the change; these hear what the pictures say."""
+    deferred = weights.deferred("compact")
+    assert deferred is not None and deferred.stored_predictor is not None
+    facts, change, weight = (x.numpy() for x in edit(300))
+    one, two, three = (deferred.stored_predictor.predict(facts, k * change, weight) for k in (1, 2, 3))
+    bend = np.square(three - 2 * two + one).mean() / np.square(two - one).mean()
+    assert bend > 1e-3, bend
+
+
 def test_weights_of_another_shape_are_refused() -> None:
     tensors = dict(awake().stored().tensors)
     assert stored_predictor.checked(tensors, "here").features == CONFIG.features

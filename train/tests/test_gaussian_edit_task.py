@@ -106,6 +106,22 @@ def test_what_no_picture_shows_is_not_told(carrier: str) -> None:
     assert math.isclose(made.decibels(sample, None), by_hand, rel_tol=1e-3)
 
 
+def test_a_step_asks_gaussians_that_do_not_teach(monkeypatch: pytest.MonkeyPatch) -> None:
+    made, sample, asked = task(), stream()[0], []
+    honest = GaussianEditTask.predicted
+
+    def watched(self: GaussianEditTask, edit: GaussianEdit, teachers: np.ndarray, readers: np.ndarray) -> torch.Tensor:
+        asked.append((teachers, readers))
+        return honest(self, edit, teachers, readers)
+
+    monkeypatch.setattr(GaussianEditTask, "predicted", watched)
+    for seed in range(3):
+        made.losses(sample, seed)
+    for teachers, readers in asked:
+        assert sample.seen[teachers].all() and not set(teachers) & set(readers)
+        assert len(set(readers) & set(unseen(sample))) == min(60, len(unseen(sample)))
+
+
 def test_the_memory_of_another_edit_gives_another_answer() -> None:
     made, sample = task(), stream()[0]
     torch.nn.init.normal_(made.model.head.linear.weight, std=0.1)
