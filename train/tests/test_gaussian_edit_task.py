@@ -107,17 +107,17 @@ def test_what_no_picture_shows_is_not_told(carrier: str) -> None:
 
 
 def test_a_step_asks_gaussians_that_do_not_teach(monkeypatch: pytest.MonkeyPatch) -> None:
-    made, sample, asked = task(), stream()[0], []
+    made, sample, calls = task(), stream()[0], []
     honest = GaussianEditTask.predicted
 
     def watched(self: GaussianEditTask, edit: GaussianEdit, teachers: np.ndarray, readers: np.ndarray) -> torch.Tensor:
-        asked.append((teachers, readers))
+        calls.append((teachers, readers))
         return honest(self, edit, teachers, readers)
 
     monkeypatch.setattr(GaussianEditTask, "predicted", watched)
     for seed in range(3):
         made.losses(sample, seed)
-    for teachers, readers in asked:
+    for teachers, readers in calls:
         assert sample.seen[teachers].all() and not set(teachers) & set(readers)
         assert len(set(readers) & set(unseen(sample))) == min(60, len(unseen(sample)))
 
