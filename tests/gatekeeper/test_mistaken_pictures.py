@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageFilter
 
+from splatpainter.gatekeeper.fitted_mistakes import moved_a_little
 from splatpainter.gatekeeper.mistaken_pictures import explain, filtered
 from splatpainter.lift.masks import box_mean, contrast
 from tests.support.distorted_pictures import drawn_scene, jpeg, moved
@@ -140,6 +141,98 @@ def test_paint_is_no_mistake(made: Callable[[], np.ndarray]) -> None:
     explanation = explain(eight_bits(made()), VIEW, ALPHA)
     assert explanation is None or ("painted over everywhere" in explanation.words and explanation.cause == "look")
     assert (explanation is None) == (made not in (PAINT["all one colour"], PAINT["a pattern multiplied on all"]))
+
+
+def radius() -> np.ndarray:
+    """[H, W, 1] 0 in the middle of the picture, 1 in its corners."""
+    return (np.hypot(*np.mgrid[-119.5:120, -119.5:120]) / np.hypot(119.5, 119.5))[..., None]
+
+
+def saturated(colors: np.ndarray, gain: float) -> np.ndarray:
+    grey = colors @ np.array([0.299, 0.587, 0.114])
+    return grey[..., None] + gain * (colors - grey[..., None])
+
+
+def cropped(colors: np.ndarray, rim: int) -> np.ndarray:
+    picture = Image.fromarray((colors * 255).round().astype(np.uint8)).crop((rim, rim, 240 - rim, 240 - rim))
+    return np.asarray(picture.resize((240, 240), Image.Resampling.LANCZOS), np.float32) / 255
+
+
+FITTED: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
+    "vignette": ("towards its corners", lambda p: p * (1 - 0.5 * radius() ** 2)),
+    "strong vignette": ("towards its corners", lambda p: p * (1 - 0.8 * radius() ** 4)),
+    "dark corners": ("towards its corners", lambda p: p * (1 - 0.6 * np.clip(2 * radius() - 0.9, 0, 1))),
+    "white vignette": ("lightened towards its corners", lambda p: 1 - (1 - p) * (1 - 0.6 * radius() ** 2)),
+    "gradient": ("from side to side", lambda p: p * np.linspace(1, 0.5, 240)[:, None, None]),
+    "more saturation": ("of more saturation", lambda p: np.clip(saturated(p, 1.6), 0, 1)),
+    "less saturation": ("of less saturation", lambda p: saturated(p, 0.4)),
+    "red and green": ("channels mixed or exchanged", lambda p: p[..., [1, 0, 2]]),
+    "by a pixel": ("moved, scaled or turned", lambda p: np.roll(p, 1, 1)),
+    "by half a pixel": ("moved, scaled or turned", lambda p: moved(p, right=0.5, down=0.5)[0]),
+    "by three pixels": ("moved, scaled or turned", lambda p: np.roll(p, (3, -1), (0, 1))),
+    "turned by 3 degrees": ("moved, scaled or turned", lambda p: moved(p, degrees=3)[0]),
+    "turned by half a degree": ("moved, scaled or turned", lambda p: moved(p, degrees=0.5)[0]),
+    "enlarged by 2 %": ("moved, scaled or turned", lambda p: moved(p, scale=1.02)[0]),
+    "cropped and enlarged": ("moved, scaled or turned", lambda p: cropped(p, 3)),
+}
+"""Mistakes of an amount that has to be found: part of the words, and how they are made."""
+
+
+@pytest.mark.parametrize("dabbed", [False, True], ids=["", "dabbed"])
+@pytest.mark.parametrize("name", FITTED)
+def test_a_mistake_of_unknown_amount_is_named(name: str, dabbed: bool) -> None:
+    words, made = FITTED[name]
+    picture = np.array(made(VIEW), np.float32)
+    if dabbed:
+        picture[90:130, 90:120] = (0.1, 0.6, 0.2)
+    explanation = explain(eight_bits(picture), VIEW, ALPHA)
+    assert explanation is not None and words in explanation.words, explanation
+
+
+def test_what_changes_less_than_half_of_an_asset_is_only_remarked() -> None:
+    """A vignette that reaches its corners alone; grey where only a quarter of the asset has a colour."""
+    corners = explain(eight_bits(VIEW * (1 - 0.8 * radius() ** 6)), VIEW, ALPHA)
+    assert corners is not None and corners.cause == "shade" and corners.may_be_meant
+    all_of_it = explain(eight_bits(1 - (1 - VIEW) * (1 - 0.9 * radius())), VIEW, ALPHA)
+    assert all_of_it is not None and all_of_it.cause == "shade" and not all_of_it.may_be_meant
+    mostly_grey = np.where(top(0.75) > 0, grey_by_pillow(VIEW), VIEW)
+    grey = explain(grey_by_pillow(mostly_grey), mostly_grey, ALPHA)
+    assert grey is not None and grey.words == "grey" and grey.may_be_meant
+    grey = explain(grey_by_pillow(VIEW), VIEW, ALPHA)
+    assert grey is not None and grey.words == "grey" and not grey.may_be_meant
+
+
+def test_saturation_is_taken_back() -> None:
+    explanation = explain(eight_bits(saturated(VIEW, 0.5)), VIEW, ALPHA)
+    assert explanation is not None and explanation.mistake is not None and explanation.mistake.undone is not None
+    assert np.abs(explanation.mistake.undone(eight_bits(saturated(VIEW, 0.5))) - VIEW).max() < 0.05
+
+
+def test_a_part_that_was_moved_by_hand_is_paint() -> None:
+    for part in (top(0.4), top(0.8)):
+        assert explain(eight_bits(np.where(part > 0, np.roll(VIEW, 3, 1), VIEW)), VIEW, ALPHA) is None
+
+
+@pytest.mark.parametrize("name", PAINT)
+def test_paint_does_not_lie_beside_its_view(name: str) -> None:
+    assert moved_a_little(eight_bits(PAINT[name]()), VIEW, ALPHA, 0.0) is None
+
+
+def test_a_soft_brush_over_the_background_is_no_other_asset() -> None:
+    """It darkens a third of the background and all of the asset, more in the middle."""
+    brush = np.exp(-((np.hypot(*np.mgrid[-120:120, -120:120]) / 130) ** 2))[..., None]
+    explanation = explain(eight_bits(VIEW * (1 - 0.4 * brush)), VIEW, ALPHA)
+    assert explanation is not None and explanation.cause == "look" and "softly" in explanation.words
+
+
+def test_a_negative_of_the_asset_alone_is_no_glaze() -> None:
+    explanation = explain(on_the_asset(1 - VIEW), VIEW, ALPHA)
+    assert explanation is not None and not explanation.may_be_meant
+
+
+def test_a_dark_glaze_in_the_background_s_colour_is_no_other_asset() -> None:
+    explanation = explain(on_the_asset(VIEW + 0.7 * (0.25 - VIEW)), VIEW, ALPHA)
+    assert explanation is not None and explanation.cause == "look" and "glazed" in explanation.words
 
 
 def on_the_asset(graded: np.ndarray) -> np.ndarray:

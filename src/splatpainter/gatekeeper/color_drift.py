@@ -145,8 +145,16 @@ def estimate_drift(picture: np.ndarray, render: np.ndarray, reference: np.ndarra
 
 def tone_change(picture: np.ndarray, render: np.ndarray, reference: np.ndarray) -> float | None:
     """How much a picture [H, W, 3] that lies over its render changed tone as a whole: the largest mean change of a
-    channel, display values, where one smooth function of colour explains the pixels `reference` [H, W] bool; None where
-    something else changed, too.
+    channel, display values, where `expected_tone` explains the pixels `reference` [H, W] bool; None where something
+    else changed, too."""
+    if expected_tone(picture, render, reference) is None:
+        return None
+    return float(np.abs(picture - render)[reference].mean(0).max())
+
+
+def expected_tone(picture: np.ndarray, render: np.ndarray, reference: np.ndarray) -> np.ndarray | None:
+    """[H, W, 3] what one smooth function of colour makes of a render [H, W, 3], where it explains the pixels
+    `reference` [H, W] bool of a picture [H, W, 3] over it; None where something else changed, too.
 
     The function is a cubic polynomial of the display colours (curves, exposure, balance, hue, saturation); what it
     clips may be clipped in the picture."""
@@ -177,7 +185,7 @@ def tone_change(picture: np.ndarray, render: np.ndarray, reference: np.ndarray) 
         or (box_mean(left, DRIFT.painted_px) > DRIFT.painted_share).any()
     ):
         return None
-    return float(np.abs(picture - render)[reference].mean(0).max())
+    return expected
 
 
 def _powers(colors: np.ndarray) -> np.ndarray:

@@ -10,24 +10,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
 
 import numpy as np
 
 from splatpainter.color import LUMA, linear_to_srgb, srgb_to_linear
-from splatpainter.lift.masks import box_mean, contrast, dilated, largest_channel
+from splatpainter.gatekeeper.fitted_mistakes import FITS, MOVED_WORDS, fitted_mistakes, laid_softly, moved_a_little
+from splatpainter.gatekeeper.small_copies import (
+    COPIES,
+    Change,
+    Explanation,
+    Mistake,
+    Size,
+    SmallView,
+    explained_by,
+    mean_difference,
+)
+from splatpainter.lift.masks import box_mean, contrast, largest_channel
 from splatpainter.pictures.encodings import busiest, detailed, few_colors
-from splatpainter.pictures.picture_reader import resample
-
-Cause = Literal["turned", "colors", "tone", "look", "filter", "detail", "moved", "axes", "other"]
-"""turned: mirrored or turned round; colors: other colours than sRGB; tone: graded as a whole, its background too or
-not; look: one colour laid over all of the asset, or all of it painted over, its background not, which may well be
-meant; filter: blurred or smoothed all over; detail: sharpened all over, or with detail added, which may well be meant;
-moved: shifted or scaled; axes: the asset's axes are read another way; other: another asset, view or camera."""
-Change: TypeAlias = Callable[[np.ndarray], np.ndarray]
-"""[H, W, 3] -> [H, W, 3] (turns may exchange H and W), colours 0..1."""
-Size: TypeAlias = tuple[int, int]
-"""(width, height)."""
 
 
 @dataclass(frozen=True)
@@ -35,46 +34,17 @@ class MistakeThresholds:
     """Which pictures were saved or chosen by mistake. In display values, pixels of small copies. Measured where an
     entry says on what, else taste."""
 
-    small_px: int = 160
-    """Pixels of the longer side of the small copies: noise of compression averages out."""
-    max_difference: float = 4.5 / 255
-    """Mean difference over 3 x 3 pixels of small copies up to which they agree."""
-    min_predicted: float = 7 / 255
-    """Difference to the render from which a mistake says that a pixel changed."""
-    max_unchanged: float = 2.5 / 255
-    """Difference up to which a pixel is as it was rendered, and no mistake changed it."""
-    min_predicted_share: float = 0.08
-    """Share of what the picture and the view show that a mistake must change to be told at all."""
-    min_explained: float = 0.5
-    """Share of what a mistake changes that must be as it makes it: the rest may be painted over. On eighteen views of
-    six captures: mistakes 0.77 to 1.00, recoloured by hand over 70 % 0.52 to 0.93; those have more than
-    max_contradicting."""
-    max_contradicting: float = 0.015
-    """Share of what a mistake changes that may be as it was rendered. Mistakes have none of it; colours changed by hand
-    over 85 % 0.03 and more."""
     min_alike: float = 0.95
     """Share of what the picture and the view show that agrees from which nothing is looked for."""
     max_agreeing: float = 0.15
     """Share of what the picture and the view show from which a picture that nothing explains is taken for a painted
     one. Other views and assets have up to 0.08, a decal over 90 % 0.06 to 0.08."""
-    max_stray: float = 0.02
-    """Share of the bare background that differs up to which all paint lies on the asset: it may be all painted over."""
-    min_bare_share: float = 0.03
-    """Share of a picture that must be bare background to say that."""
     max_agreeing_full: float = 0.03
     """As max_agreeing, where no background is bare."""
     max_agreeing_moved: float = 0.4
     """As max_agreeing, for pictures of another outline, which are looked at whether they were moved."""
-    max_erased: float = 0.05
-    """Share of the asset where a picture may show nothing but the background."""
     min_sure: float = 0.95
     """Share that agrees after a mistake from which no other is looked for."""
-    min_cover: float = 0.5
-    """Alpha from which a pixel of a small copy shows the asset."""
-    max_bare: float = 0.02
-    """Alpha up to which it shows none of it."""
-    rim_px: int = 2
-    """Pixels of a small copy beside the asset that are not bare background."""
     min_intact: float = 0.005
     """Share of the asset's detail below which nothing of it is as it was rendered. Other views and assets, and looks,
     leave 0.000 of it on eighteen views of six captures; paint over 90 % of the asset 0.007 and more."""
@@ -123,12 +93,16 @@ class MistakeThresholds:
     """Standard deviation of a graded picture in parts of the render's: one flat colour is paint."""
     max_glaze_gain: float = 0.9
     """Contrast in parts of the render's up to which a colour may have been laid over all of the asset."""
+    min_glaze_gain: float = 0.1
+    """The same down to which the asset shows through a colour."""
     min_glazed: float = 0.9
     """Share of the asset that such a colour must explain."""
     min_registered_px: int = 16
     """Pixels of the shorter side of a small copy from which it is looked where it lies."""
     min_moved_score: float = 0.6
     """Score of a registration from which a picture was moved."""
+    max_left_behind: float = 0.1
+    """Share of what a move changes that may be as it was rendered: a part that was moved by hand leaves the rest."""
     min_moved_px: float = 0.8
     """Pixels of a small copy from which it was moved."""
 
@@ -143,32 +117,6 @@ GRADED_WORDS = (
 PAINTED_OVER_WORDS = "painted over everywhere; if it is not, it is of another view or asset"
 SMOOTHED_WORDS = "blurred, denoised or smoothed as a whole"
 SHARPENED_WORDS = "sharpened, or detail or noise was added, all over: all of it is painted anew"
-
-
-@dataclass(frozen=True)
-class Mistake:
-    """Something that changes all of a picture."""
-
-    cause: Cause
-    words: str
-    """What it says of the picture: "the picture is ..."."""
-    made: Change
-    """What it makes of a render."""
-    undone: Change | None = None
-    """What takes it back in a picture; None: it cannot be."""
-
-
-@dataclass(frozen=True)
-class Explanation:
-    """Why a picture differs from its view nearly everywhere."""
-
-    cause: Cause
-    words: str
-    agreeing: float
-    """Share of what the picture and the view show that agrees as it is, 0..1."""
-    agreeing_after: float
-    """Share that agrees with what the mistake makes of the view, 0..1; 0 where none explains the picture."""
-    mistake: Mistake | None = None
 
 
 SRGB_TO_P3 = np.array([[0.8224621, 0.1775380, 0], [0.0331941, 0.9668058, 0], [0.0170827, 0.0723974, 0.9105199]])
@@ -232,17 +180,17 @@ COLORS = (
     Mistake("colors", "of another gamma, 2.2 for 1.8", _power(2.2 / 1.8), _power(1.8 / 2.2)),
     Mistake("colors", "in limited video levels (16 to 235)", _video, _darker),
     Mistake("colors", "stretched as if it were video levels (16 to 235)", _darker, _video),
-    Mistake("colors", "Display P3 numbers without their profile", _to_p3, _from_p3),
-    Mistake("colors", "converted from Display P3 although it was sRGB", _from_p3, _to_p3),
-    Mistake("colors", "Adobe RGB numbers without their profile", _to_adobe, _from_adobe),
-    Mistake("colors", "converted from Adobe RGB although it was sRGB", _from_adobe, _to_adobe),
-    Mistake("colors", "with red and blue exchanged", lambda p: p[..., ::-1], lambda p: p[..., ::-1]),
+    Mistake("colors", "Display P3 numbers without their profile", _to_p3, _from_p3, "grey"),
+    Mistake("colors", "converted from Display P3 although it was sRGB", _from_p3, _to_p3, "grey"),
+    Mistake("colors", "Adobe RGB numbers without their profile", _to_adobe, _from_adobe, "grey"),
+    Mistake("colors", "converted from Adobe RGB although it was sRGB", _from_adobe, _to_adobe, "grey"),
+    Mistake("colors", "with red and blue exchanged", lambda p: p[..., ::-1], lambda p: p[..., ::-1], "grey"),
     Mistake("colors", "inverted (a negative)", lambda p: 1 - p, lambda p: 1 - p),
-    Mistake("colors", "grey", _grey(LUMA)),
-    Mistake("colors", "grey", _grey(LUMA_601)),
-    Mistake("colors", "grey", _grey(LUMA, linear=True)),
-    Mistake("colors", "grey", _grey((1 / 3, 1 / 3, 1 / 3))),
-    Mistake("colors", "grey", lambda p: np.repeat((p.max(-1) + p.min(-1))[..., None] / 2, 3, -1)),
+    Mistake("colors", "grey", _grey(LUMA), spares="grey"),
+    Mistake("colors", "grey", _grey(LUMA_601), spares="grey"),
+    Mistake("colors", "grey", _grey(LUMA, linear=True), spares="grey"),
+    Mistake("colors", "grey", _grey((1 / 3, 1 / 3, 1 / 3)), spares="grey"),
+    Mistake("colors", "grey", lambda p: np.repeat((p.max(-1) + p.min(-1))[..., None] / 2, 3, -1), spares="grey"),
 )
 
 
@@ -256,20 +204,25 @@ def explain(
     may well be paint. render: [H, W, 3]; alpha: [H, W] of it; with_other_axes: gives views of that size of the asset
     read with other axes, and what to do about each; asked only where nothing else explains the picture."""
     # Small copies: compression averages out, and thirty mistakes can be tried in no time.
-    view = _Small.of(picture, render, alpha)
-    if not view.compared.any() or view.agreeing > MISTAKES.min_alike:
+    view = SmallView.of(picture, render, alpha)
+    if not view.compared.any():
         return None
-    # Every mistake is made of the render and compared; the best explanation wins ...
-    judged = (_judged(mistake, view) for mistake in (*TURNS, *COLORS))
-    best = max(filter(None, judged), key=lambda one: one.agreeing_after, default=None)
-    if best is not None and (best.cause == "turned" or best.agreeing_after > MISTAKES.min_sure):
-        return best
-    # ... against one smooth function of colour, which many mistakes of encoding resemble.
-    intact = intact_share(picture, render, alpha) if view.agreeing < MISTAKES.max_agreeing_moved else 1.0
-    graded = _graded(view) if view.agreeing <= MISTAKES.max_agreeing or intact < MISTAKES.min_intact else None
-    likeliest = max(filter(None, (graded, best)), key=lambda one: one.agreeing_after, default=None)
-    if likeliest is not None:
-        return likeliest
+    intact = intact_share(picture, render, alpha)
+    if view.agreeing <= MISTAKES.min_alike:
+        # Every mistake is made of the render and compared; the best explanation wins ...
+        judged = [*(_judged(mistake, view) for mistake in (*TURNS, *COLORS)), *fitted_mistakes(view)]
+        best = max(filter(None, judged), key=lambda one: one.agreeing_after, default=None)
+        if best is not None and (best.cause == "turned" or best.agreeing_after > MISTAKES.min_sure):
+            return best
+        # ... against one smooth function of colour, which many mistakes of encoding resemble.
+        graded = _graded(view) if view.agreeing <= MISTAKES.max_agreeing or intact < MISTAKES.min_intact else None
+        likeliest = max(filter(None, (graded, best)), key=lambda one: one.agreeing_after, default=None)
+        if likeliest is not None:
+            return likeliest
+    # By a pixel or a degree small copies hardly move: that is looked for at full size, where little is intact.
+    moved = moved_a_little(picture, render, alpha, view.agreeing) if _may_be_moved(view, intact) else None
+    if moved is not None or view.agreeing > MISTAKES.min_alike:
+        return moved
     # Much of it agrees: it was painted on, unless its outline says that it was moved.
     if view.agreeing > MISTAKES.max_agreeing and not (
         view.agreeing < MISTAKES.max_agreeing_moved and view.has_other_outline
@@ -281,7 +234,12 @@ def explain(
         return moved
     if intact >= MISTAKES.min_intact:
         return None
-    return _of_other_axes(view, with_other_axes) or _posterised(picture, view) or _something_else(view)
+    softly = laid_softly(view)
+    return softly or _of_other_axes(view, with_other_axes) or _posterised(picture, view) or _something_else(view)
+
+
+def _may_be_moved(view: SmallView, intact: float) -> bool:
+    return intact < FITS.max_intact and min(view.alpha.shape) >= MISTAKES.min_registered_px
 
 
 def intact_share(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray) -> float:
@@ -289,7 +247,7 @@ def intact_share(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray) -> 
     nothing but paint leaves any. alpha: [H, W] of the render. 1 where there is no detail."""
     part = busiest(alpha, MISTAKES.max_intact_px)
     seen, before = picture[part], np.clip(render[part], 0, 1)
-    detail = detailed(before, alpha[part] > MISTAKES.min_cover)
+    detail = detailed(before, alpha[part] > COPIES.min_cover)
     return float(_intact(seen, before)[detail].mean()) if detail.any() else 1.0
 
 
@@ -298,7 +256,7 @@ def filtered(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray) -> Expl
     the render [H, W, 3] (as it was stored) has it: blurring, a median, denoising, pixels, sharpening, noise. None where
     there is no such; what paint covers does not count. alpha: [H, W] of the render."""
     part = busiest(alpha, MISTAKES.max_intact_px)
-    seen, before, solid = picture[part], np.clip(render[part], 0, 1), alpha[part] > MISTAKES.min_cover
+    seen, before, solid = picture[part], np.clip(render[part], 0, 1), alpha[part] > COPIES.min_cover
     detail = detailed(before, solid)
     if detail.sum() < MISTAKES.min_filtered_px:
         return None
@@ -332,7 +290,7 @@ def _has_new_detail(after: np.ndarray, before: np.ndarray, pixels: np.ndarray) -
     for axis in (0, 1):
         reach = range(-MISTAKES.new_reach_px, MISTAKES.new_reach_px + 1)
         around = np.max([np.roll(around, step, axis) for step in reach], axis=0)
-    new = pixels & (after > MISTAKES.new_contrast * around + MISTAKES.max_unchanged)
+    new = pixels & (after > MISTAKES.new_contrast * around + COPIES.max_unchanged)
     if new.sum() <= MISTAKES.max_new_detail * pixels.sum():
         return False
     rows, columns = np.nonzero(new)
@@ -347,130 +305,57 @@ def _has_new_detail(after: np.ndarray, before: np.ndarray, pixels: np.ndarray) -
 
 def _intact(picture: np.ndarray, render: np.ndarray) -> np.ndarray:
     """[H, W] bool: pixels with whose surroundings nothing happened."""
-    same = box_mean(largest_channel(np.abs(picture - render)), 1) <= MISTAKES.max_unchanged
+    same = box_mean(largest_channel(np.abs(picture - render)), 1) <= COPIES.max_unchanged
     return box_mean(same.astype(np.float32), MISTAKES.intact_px) > MISTAKES.min_same
 
 
-@dataclass(frozen=True)
-class _Small:
-    """Small copies [h, w] of a picture and its view."""
-
-    picture: np.ndarray
-    render: np.ndarray
-    alpha: np.ndarray
-    compared: np.ndarray
-    """[h, w] bool: where the view shows the asset, or the picture something else than the view's background."""
-    unchanged: np.ndarray
-    """[h, w] bool: as it was rendered."""
-    agreeing: float
-    """Share of `compared` that agrees."""
-
-    @staticmethod
-    def of(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray) -> _Small:
-        seen, before, cover = (_small(values) for values in (picture, render, alpha))
-        difference = _difference(seen, before)
-        agrees = difference <= MISTAKES.max_difference
-        compared = (cover > MISTAKES.min_cover) | ~agrees
-        agreeing = float(agrees[compared].mean()) if compared.any() else 1.0
-        return _Small(seen, before, cover, compared, difference <= MISTAKES.max_unchanged, agreeing)
-
-    @property
-    def bare(self) -> np.ndarray:
-        """[h, w] bool: background, not beside the asset."""
-        return ~dilated(self.alpha > MISTAKES.max_bare, MISTAKES.rim_px)
-
-    @property
-    def paint_is_on_asset(self) -> bool:
-        """Whether the background is as it was rendered, where there is enough of it to say."""
-        bare = self.bare
-        differs = _difference(self.picture, self.render) > MISTAKES.max_difference
-        return bool(bare.mean() >= MISTAKES.min_bare_share and differs[bare].mean() <= MISTAKES.max_stray)
-
-    @property
-    def has_other_outline(self) -> bool:
-        """Whether the picture shows its background where the asset is, or something else beside it: paint does
-        neither."""
-        bare = self.bare
-        if bare.mean() < MISTAKES.min_bare_share:
-            return False
-        # The render's bare pixels say what the background is, whatever colour it has.
-        background = np.median(self.render[bare], axis=0)
-        solid = self.alpha > MISTAKES.min_cover
-        empty, before = (
-            largest_channel(np.abs(image - background)) <= MISTAKES.max_unchanged
-            for image in (self.picture, self.render)
-        )
-        erased = (empty & ~before & solid).sum() > MISTAKES.max_erased * max(int(solid.sum()), 1)
-        return bool(erased or not self.paint_is_on_asset)
-
-
-def _small(values: np.ndarray) -> np.ndarray:
-    height, width = values.shape[:2]
-    shrink = max(max(height, width) / MISTAKES.small_px, 1.0)
-    size = max(round(width / shrink), 1), max(round(height / shrink), 1)
-    clipped = np.clip(values, 0, 1).astype(np.float32)
-    # NaN alone passes the bounds, and any of it shows in the sum: nan_to_num asks every pixel three times.
-    if np.isnan(clipped.sum()):
-        clipped[np.isnan(clipped)] = 0
-    return clipped if size == (width, height) else resample(clipped, *size)
-
-
-def _difference(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    return largest_channel(np.abs(box_mean(one - other, 1)))
-
-
-def _judged(mistake: Mistake, view: _Small) -> Explanation | None:
+def _judged(mistake: Mistake, view: SmallView) -> Explanation | None:
     """The mistake as an explanation; None where it is none."""
     made = np.ascontiguousarray(mistake.made(view.render), np.float32)
-    return None if made.shape != view.picture.shape else _compared(mistake, made, view)
+    return None if made.shape != view.picture.shape else explained_by(mistake, made, view)
 
 
-def _compared(mistake: Mistake, made: np.ndarray, view: _Small) -> Explanation | None:
-    # Only pixels that the mistake would have changed can tell whether it was made.
-    predicted = view.compared & (_difference(made, view.render) > MISTAKES.min_predicted)
-    if predicted.sum() < MISTAKES.min_predicted_share * view.compared.sum():
-        return None
-    # A mistake changes everything: pixels that are as they were rendered speak against it. The likeliest answer, as
-    # most pictures were painted on, so it is asked first.
-    if float(view.unchanged[predicted].mean()) > MISTAKES.max_contradicting:
-        return None
-    agrees = _difference(view.picture, made) <= MISTAKES.max_difference
-    if float(agrees[predicted].mean()) < MISTAKES.min_explained:
-        return None
-    return Explanation(mistake.cause, mistake.words, view.agreeing, float(agrees[view.compared].mean()), mistake)
-
-
-def _graded(view: _Small) -> Explanation | None:
+def _graded(view: SmallView) -> Explanation | None:
     """One smooth function of colour changed all of the asset; of the picture, where its background changed, too."""
-    solid = view.alpha > MISTAKES.min_cover
+    solid = view.solid
     if not solid.any():
         return None
     changed = largest_channel(np.abs(box_mean(view.picture - view.render, MISTAKES.tone_px)))[solid]
     contrast_ratio = view.picture[solid].std(0).mean() / max(float(view.render[solid].std(0).mean()), 1e-6)
+    if view.paint_is_on_asset and _is_glaze(view, solid):
+        return Explanation("look", GRADED_WORDS, view.agreeing, 1.0)
     # Noise, or one flat colour over the asset: paint, though a (constant) function explains it.
-    if np.median(changed) < MISTAKES.max_difference or contrast_ratio < MISTAKES.min_tone_contrast:
+    if np.median(changed) < COPIES.max_difference or contrast_ratio < MISTAKES.min_tone_contrast:
         return None
-    from splatpainter.gatekeeper.color_drift import estimate_drift, tone_change  # few pictures come so far
+    from splatpainter.gatekeeper.color_drift import estimate_drift, expected_tone  # few pictures come so far
 
-    if tone_change(view.picture, view.render, solid) is None:
+    # A grade changes all of the background or nothing of it; a large brush reaches a part.
+    if not view.paint_is_on_asset and (view.stray < COPIES.min_uniform or not view.background_is_uniform):
+        return None
+    expected = expected_tone(view.picture, view.render, solid)
+    if expected is None:
+        return None
+    # What the function would have changed and is as it was rendered was left out by a hand.
+    predicted = solid & (mean_difference(expected, view.render) > COPIES.min_predicted)
+    if predicted.any() and view.unchanged[predicted].mean() > COPIES.max_contradicting:
         return None
     # The background did not change: a colour laid over all of the asset is paint; any other curve is a grade.
     if view.paint_is_on_asset:
-        if _is_glaze(view, solid):
-            return Explanation("look", GRADED_WORDS, view.agreeing, 1.0)
         return Explanation("tone", "graded as a whole, but for its background", view.agreeing, 1.0)
     # Gain and offset can be taken back; a free curve cannot.
     drift = estimate_drift(view.picture, view.render, solid, certain=True)
-    words, undone, after = "graded as a whole", None, MISTAKES.min_explained
+    words, undone, after = "graded as a whole", None, COPIES.min_explained
     if drift.kind in ("gain", "gain and offset"):
         words = f"graded as a whole (exposure or white balance by {drift.strength:.1f} stops)"
     if drift.kind != "none":
         undone = drift.corrected
-        after = float((_difference(undone(view.picture), view.render) <= MISTAKES.max_difference)[view.compared].mean())
+        after = float(
+            (mean_difference(undone(view.picture), view.render) <= COPIES.max_difference)[view.compared].mean()
+        )
     return Explanation("tone", words, view.agreeing, after, Mistake("tone", words, lambda colors: colors, undone))
 
 
-def _is_glaze(view: _Small, solid: np.ndarray) -> bool:
+def _is_glaze(view: SmallView, solid: np.ndarray) -> bool:
     """Whether one colour may have been laid over all solid pixels ([h, w] bool), through which they still show: then
     all channels lose the same share of their contrast. Lower contrast is a glaze of grey."""
     before, after = (image[solid].astype(np.float64) for image in (view.render, view.picture))
@@ -479,41 +364,47 @@ def _is_glaze(view: _Small, solid: np.ndarray) -> bool:
     gain = float(((away**2).sum(0) * gains).sum() / max((away**2).sum(), 1e-9))
     color = (after.mean(0) - gain * before.mean(0)) / max(1 - gain, 1e-3)
     left = np.abs(gain * before + (1 - gain) * color - after).max(1)
-    possible = gain < MISTAKES.max_glaze_gain and color.min() > -0.1 and color.max() < 1.1
-    return bool(possible and (left <= MISTAKES.max_difference).mean() > MISTAKES.min_glazed)
+    possible = MISTAKES.min_glaze_gain <= gain < MISTAKES.max_glaze_gain and color.min() > -0.1 and color.max() < 1.1
+    return bool(possible and (left <= COPIES.max_difference).mean() > MISTAKES.min_glazed)
 
 
-def _moved(view: _Small) -> Explanation | None:
+def _moved(view: SmallView) -> Explanation | None:
     if min(view.alpha.shape) < MISTAKES.min_registered_px:
         return None
     # Judged at the small size: a shift below a small pixel is not what makes everything differ.
-    from splatpainter.gatekeeper.registration import register  # few pictures come so far
+    from splatpainter.gatekeeper.registration import register, warped  # few pictures come so far
 
     laid = register(view.picture, view.render)
     reach = max(view.alpha.shape) / 2
     moved = max(abs(laid.right), abs(laid.down), reach * abs(laid.scale - 1))
     if laid.score < MISTAKES.min_moved_score or (laid.framing == "full" and moved < MISTAKES.min_moved_px):
         return None
-    words = "moved, scaled or turned by a little" if laid.framing == "full" else f"{laid.framing} within its frame"
-    return Explanation("moved", words, view.agreeing, laid.score)
+    if laid.framing != "full":
+        return Explanation("moved", f"{laid.framing} within its frame", view.agreeing, laid.score)
+    # Parts that are still where they were rendered were left out by a hand.
+    made, inside = warped(view.render, np.linalg.inv(np.vstack([laid.matrix, [0, 0, 1]]))[:2], view.alpha.shape[::-1])
+    predicted = inside & view.solid & (mean_difference(made, view.render) > COPIES.min_predicted)
+    if predicted.any() and view.unchanged[predicted].mean() > MISTAKES.max_left_behind:
+        return None
+    return Explanation("moved", MOVED_WORDS, view.agreeing, laid.score)
 
 
 def _of_other_axes(
-    view: _Small, with_other_axes: Callable[[Size], Iterable[tuple[str, np.ndarray]]] | None
+    view: SmallView, with_other_axes: Callable[[Size], Iterable[tuple[str, np.ndarray]]] | None
 ) -> Explanation | None:
     if with_other_axes is None:
         return None
     height, width = view.alpha.shape
     for words, other in with_other_axes((width, height)):
-        explanation = _compared(Mistake("axes", words, lambda colors: colors), other.astype(np.float32), view)
+        explanation = explained_by(Mistake("axes", words, lambda colors: colors), other.astype(np.float32), view)
         if explanation is not None:
             return explanation
     return None
 
 
-def _posterised(picture: np.ndarray, view: _Small) -> Explanation | None:
+def _posterised(picture: np.ndarray, view: SmallView) -> Explanation | None:
     colors = few_colors(picture)
-    solid = view.alpha > MISTAKES.min_cover
+    solid = view.solid
     if colors is None or len(colors) > MISTAKES.max_posterised or not solid.any():
         return None
     if view.picture[solid].std(0).mean() < MISTAKES.min_tone_contrast * view.render[solid].std(0).mean():
@@ -521,11 +412,11 @@ def _posterised(picture: np.ndarray, view: _Small) -> Explanation | None:
     return Explanation("filter", f"posterised: it has {len(colors)} colours", view.agreeing, 0.0)
 
 
-def _something_else(view: _Small) -> Explanation | None:
+def _something_else(view: SmallView) -> Explanation | None:
     # Same outline, nothing agrees: painted over everywhere, if anything.
-    if view.bare.mean() >= MISTAKES.min_bare_share and not view.has_other_outline:
+    if view.bare.mean() >= COPIES.min_bare_share and not view.has_other_outline:
         return Explanation("look", PAINTED_OVER_WORDS, view.agreeing, 0.0)
-    if view.bare.mean() < MISTAKES.min_bare_share and view.agreeing > MISTAKES.max_agreeing_full:
+    if view.bare.mean() < COPIES.min_bare_share and view.agreeing > MISTAKES.max_agreeing_full:
         return None
     words = "of another asset, another view or another camera"
     return Explanation("other", words, view.agreeing, 0.0)

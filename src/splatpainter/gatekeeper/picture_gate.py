@@ -32,7 +32,7 @@ MismatchPolicy = Literal["refuse", "correct", "force"]
 USUAL_REASONS = "recompressed, another gamma or profile, mirrored, another asset, other axes or another camera"
 NEVER_MEANT = ("turned", "axes", "other")
 """Causes that are no look of an asset, and no paint under a mask."""
-LOOKS = ("colors", "tone")
+LOOKS = ("colors", "tone", "shade")
 """Causes that may be a look of the asset."""
 OTHER_AXES = (
     ("of the asset with its axes read another way (try --in-axes rub or --in-axes rdf)", np.diag([1.0, -1.0, -1.0])),
@@ -90,7 +90,7 @@ def checked_picture(
     # A mask says where paint is, and mode global means all of it: then a difference everywhere may be meant.
     free = source.mask is None and mode != "global"
     warning = ""
-    if explanation is not None and explanation.cause == "look":
+    if explanation is not None and explanation.may_be_meant:
         warning = f"{source.path}: it looks {explanation.words}" if free and policy == "refuse" else ""
     elif explanation is not None and free and policy == "refuse":
         raise ValueError(f"{_complaint(source, explanation)}; {_advice(explanation)}")

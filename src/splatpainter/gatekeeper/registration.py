@@ -156,6 +156,21 @@ def register(
     return final if gained and not final.is_still(render.shape[1], render.shape[0]) else still
 
 
+def small_motion(picture: np.ndarray, render: np.ndarray) -> np.ndarray | None:
+    """[2, 3] how a picture [H, W, 3] of its render's size was moved, turned or scaled by a few pixels, as a
+    Registration's matrix; None where the coarsest level of the pyramid sees no motion. Without a search and a score:
+    what it says has to be judged."""
+    frame = _frame(1, 1)
+    weight = np.ones(render.shape[:2], np.float32)
+    motion = _refined(picture, render, weight, None, frame, _NOT_MOVED, REGISTRATION.levels_px[:1])
+    height, width = render.shape[:2]
+    corners = np.array([[0, 0, 1], [width, 0, 1], [0, height, 1], [width, height, 1]]).T
+    moved = float(np.abs((motion - _NOT_MOVED) @ corners).max())
+    if moved * REGISTRATION.levels_px[0] / max(width, height) < REGISTRATION.still_px * 4:
+        return None
+    return _refined(picture, render, weight, None, frame, motion, REGISTRATION.levels_px[1:])[:2]
+
+
 def warped(picture: np.ndarray, matrix: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """([H, W] or [H, W, C] what the picture [h, w] or [h, w, C], 0..1, shows at each pixel of a `size` = (W, H) render,
     [H, W] bool where it shows anything). matrix: of a Registration. Bicubic (Catmull and Rom), after Lanczos where it

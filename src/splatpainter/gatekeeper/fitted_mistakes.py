@@ -1,0 +1,253 @@
+"""Mistakes of which the amount is not known: colours mixed, shaded towards the corners or from side to side, moved by a
+little. The amount that fits best is found first, then it is judged as every other mistake is.
+
+Pure. H, W: pixels of the view; h, w: of its small copy; colours are display sRGB 0..1.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from splatpainter.color import LUMA
+from splatpainter.gatekeeper.small_copies import COPIES, Explanation, Mistake, SmallView, explained_by, mean_difference
+from splatpainter.lift.masks import box_mean
+from splatpainter.pictures.picture_reader import resample
+
+
+@dataclass(frozen=True)
+class FitThresholds:
+    """What is taken for a mistake of an amount that was found. Measured on fourteen views of seven assets where an
+    entry says so, else taste."""
+
+    reweightings: int = 6
+    """Rounds of reweighting by which painted pixels stop to count."""
+    min_deviation: float = 0.004
+    """Deviation of what is left, display values, below which it is rounding."""
+    min_chroma: float = 0.03
+    """Distance from grey, display values, from which a pixel has a colour."""
+    min_colored: int = 64
+    """Pixels that have a colour, at least."""
+    min_mixed: float = 0.8
+    """Share of what picture and view show that agrees after a mixture of channels, grey parts, too."""
+    min_saturation: tuple[float, float] = (0.95, 1.05)
+    """Gains of saturation that are none."""
+    max_hue_turn: float = 0.08
+    """Largest entry of a mixture of channels that is left beside a gain of saturation."""
+    rings: int = 24
+    """Rings around the middle of a picture whose shade is measured each."""
+    min_lit: float = 0.04
+    """Brightness from which a pixel says how much light is left of it."""
+    min_ring_px: int = 8
+    """Pixels of a ring that say so, at least."""
+    max_middle_shade: float = 0.04
+    """Loss in the middle of a picture, up to which a shade towards its corners leaves the middle alone."""
+    min_corner_shade: float = 0.1
+    """Loss in the outermost ring, at least."""
+    max_ring_rise: float = 0.02
+    """By how much a ring may be lighter than the one inside of it."""
+    min_background: float = 0.2
+    """Share of the bare background that a shade must change: paint stays on the asset, a shade does not."""
+    min_shade_explained: float = 0.8
+    """Share of the background that a shade changes that is as it makes it."""
+    min_shaded: float = 0.5
+    """Share of what picture and view show that agrees after a shade: the rest may be painted over."""
+    min_shaded_asset: float = 0.9
+    """The same where the background is spared: a free profile fits some of any paint."""
+    soft_px: int = 4
+    """Reach over which a soft brush is the same, pixels of a small copy."""
+    min_soft: float = 0.9
+    """Share of what differs that a soft brush explains."""
+    max_intact: float = 0.5
+    """Share of the detail that may be as it was rendered where a picture is looked at whether it was moved. A shift by
+    a pixel leaves up to 0.41 of it, on a smooth asset; a dab or a decal leaves more."""
+    min_moved_share: float = 0.03
+    """Share of the asset's pixels that a small move must change to be told."""
+    min_moved_explained: float = 0.8
+    """Share of what a small move changes that is as it makes it: 0.87 to 1.00 where it is one, up to 0.10 where a
+    filter shifted edges."""
+    max_moved_px: int = 1024
+    """Longer side of the copies on which it is looked for."""
+
+
+FITS = FitThresholds()
+
+MIXED_WORDS = "with its hues turned, or its channels mixed or exchanged"
+VIGNETTE_WORDS = "darkened towards its corners (a vignette)"
+LIGHT_VIGNETTE_WORDS = "lightened towards its corners (a vignette)"
+GRADIENT_WORDS = "darkened or lightened from side to side (a gradient over all of it)"
+SOFT_WORDS = "painted over softly everywhere, its background too, or shaded as a whole"
+MOVED_WORDS = "moved, scaled or turned by a little"
+
+
+def fitted_mistakes(view: SmallView) -> Iterator[Explanation]:
+    """Explanations by mistakes whose amount fits the picture best: channels mixed, shaded as a whole."""
+    mixed = _mixed_channels(view)
+    for made, min_explained in (*(() if mixed is None else ((mixed, FITS.min_mixed),)), *_shadings(view)):
+        explanation = explained_by(*made, view)
+        # What is fitted to a picture explains some of any picture.
+        if explanation is not None and explanation.agreeing_after >= min_explained:
+            yield explanation
+
+
+def _mixed_channels(view: SmallView) -> tuple[Mistake, np.ndarray] | None:
+    """The mixture of channels that leaves grey as it is and fits the picture best, and what it makes of the view
+    [h, w, 3]: more or less saturation, hues turned, channels exchanged. None where nothing has a colour."""
+    before, after = (image[view.solid].astype(np.float64) for image in (view.render, view.picture))
+    # Over 3 x 3 pixels compression averages out; grey says nothing, as it stays.
+    chroma = before - before.mean(1, keepdims=True)
+    colored = np.abs(chroma).max(1) > FITS.min_chroma
+    if colored.sum() < FITS.min_colored:
+        return None
+    # Of what each channel gains only the two differences to green can tell: their sum is zero on grey.
+    away = before[colored][:, (0, 2)] - before[colored][:, 1:2]
+    gained = after[colored] - before[colored]
+    weight = np.ones(len(away))
+    mixture = np.zeros((2, 3))
+    for _ in range(FITS.reweightings):
+        normal = (away * weight[:, None]).T @ away
+        normal += 1e-6 * np.trace(normal) * np.eye(2)
+        mixture = np.linalg.solve(normal, (away * weight[:, None]).T @ gained)
+        left = np.abs(gained - away @ mixture).max(1)
+        weight = 1 / (1 + (left / max(float(np.median(left)), FITS.min_deviation)) ** 2)
+    # Rows of the full matrix sum to one: (r - g) and (b - g) times the mixture.
+    full = np.eye(3) + np.stack([mixture[0], -mixture[0] - mixture[1], mixture[1]])
+    made = np.clip(view.render @ full, 0, 1).astype(np.float32)
+    inverse = np.linalg.inv(full) if abs(np.linalg.det(full)) > 0.05 else None
+    undone = None if inverse is None else lambda colors: np.clip(colors @ inverse, 0, 1)
+    return Mistake("colors", _mixture_words(full), lambda colors: np.clip(colors @ full, 0, 1), undone, "grey"), made
+
+
+def _mixture_words(full: np.ndarray) -> str:
+    grey = np.tile(np.asarray(LUMA)[:, None], (1, 3))
+    away = np.eye(3) - grey
+    gain = float((away * (full - grey)).sum() / (away**2).sum())
+    low, high = FITS.min_saturation
+    if np.abs(full - grey - gain * away).max() < FITS.max_hue_turn + 0.2 * abs(gain - 1) and gain > 0:
+        if gain < low:
+            return f"of less saturation (by about {100 * (1 - gain):.0f} %)"
+        if gain > high:
+            return f"of more saturation (by about {100 * (gain - 1):.0f} %)"
+    return MIXED_WORDS
+
+
+def _shadings(view: SmallView) -> Iterator[tuple[tuple[Mistake, np.ndarray], float]]:
+    """Shades that fit the picture best, and what each makes of the view [h, w, 3], and the share of the picture that
+    they must explain: towards the corners, dark and light, and from side to side."""
+    height, width = view.alpha.shape
+    y, x = np.mgrid[:height, :width] + 0.5
+    x, y = 2 * x / width - 1, 2 * y / height - 1
+    oval, round_ = np.hypot(x, y) / math.sqrt(2), np.hypot(x * width, y * height) / math.hypot(width, height)
+    for dark in (True, False):
+        # Towards white is what towards black is of the negative.
+        before, after = (image if dark else 1 - image for image in (view.render, view.picture))
+        brightness = before.mean(-1)
+        lit = (brightness > FITS.min_lit) & (view.solid if view.paint_is_on_asset else True)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            left = np.where(lit, after.mean(-1) / brightness, 1)
+        vignette = VIGNETTE_WORDS if dark else LIGHT_VIGNETTE_WORDS
+        fields = [(vignette, _rings(left, lit, radius)) for radius in (oval, round_)]
+        for words, field in (*fields, (GRADIENT_WORDS, _slope(left, lit, x, y))):
+            if field is None:
+                continue
+            made = before * field[..., None]
+            made = (made if dark else 1 - made).astype(np.float32)
+            if _is_on_background(made, view):
+                yield (Mistake("shade", words, lambda colors: colors, spares="middle"), made), FITS.min_shaded
+            elif view.paint_is_on_asset and words == vignette:
+                made = np.where(view.bare[..., None], view.render, made)
+                words = f"{words}, but for its background"
+                yield (Mistake("shade", words, lambda colors: colors, spares="background"), made), FITS.min_shaded_asset
+
+
+def _rings(left: np.ndarray, lit: np.ndarray, radius: np.ndarray) -> np.ndarray | None:
+    """[h, w] the light that is left in each ring around the middle; None where that is no shade towards the corners.
+    left, lit, radius: [h, w], radius 0..1."""
+    ring = np.minimum((radius * FITS.rings).astype(int), FITS.rings - 1)
+    centers, values = [], []
+    for number in range(FITS.rings):
+        inside = lit & (ring == number)
+        if inside.sum() >= FITS.min_ring_px:
+            centers.append((number + 0.5) / FITS.rings)
+            values.append(float(np.median(left[inside])))
+    if len(values) < FITS.rings // 2:
+        return None
+    profile = np.asarray(values)
+    falls = np.diff(profile).max() <= FITS.max_ring_rise
+    if not falls or abs(1 - profile[0]) > FITS.max_middle_shade or profile[0] - profile[-1] < FITS.min_corner_shade:
+        return None
+    return np.interp(radius, centers, profile)
+
+
+def _slope(left: np.ndarray, lit: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray | None:
+    """[h, w] the light that is left, as a plane over the picture; None where it is level."""
+    terms = np.stack([np.ones_like(x), x, y], -1)
+    samples, values, weight = terms[lit], left[lit], np.ones(int(lit.sum()))
+    if len(values) < FITS.min_colored:
+        return None
+    plane = np.zeros(3)
+    for _ in range(FITS.reweightings):
+        normal = (samples * weight[:, None]).T @ samples + 1e-6 * np.eye(3)
+        plane = np.linalg.solve(normal, (samples * weight[:, None]).T @ values)
+        error = np.abs(values - samples @ plane)
+        weight = 1 / (1 + (error / max(float(np.median(error)), FITS.min_deviation)) ** 2)
+    return terms @ plane if np.abs(plane[1:]).sum() >= FITS.min_corner_shade / 2 else None
+
+
+def _is_on_background(made: np.ndarray, view: SmallView) -> bool:
+    bare = view.bare
+    if bare.mean() < COPIES.min_bare_share:
+        return False
+    shaded = bare & (mean_difference(made, view.render) > COPIES.min_predicted)
+    if shaded.sum() < FITS.min_background * bare.sum():
+        return False
+    agrees = mean_difference(view.picture, made) <= COPIES.max_difference
+    return bool(agrees[shaded].mean() >= FITS.min_shade_explained)
+
+
+def laid_softly(view: SmallView) -> Explanation | None:
+    """Whether one colour, laid over it more here and less there, makes the view the picture everywhere: a very large
+    soft brush, which may be meant."""
+    before, after = view.render.astype(np.float64), view.picture.astype(np.float64)
+    # Around each pixel: after = gain * before + colour, by least squares over its surroundings.
+    mean_before, mean_after = (box_mean(image, FITS.soft_px) for image in (before, after))
+    away = (box_mean(before**2, FITS.soft_px) - mean_before**2).sum(-1)
+    together = (box_mean(before * after, FITS.soft_px) - mean_before * mean_after).sum(-1)
+    gain = np.clip(together / np.maximum(away, 1e-6), 0, 1)[..., None]
+    made = (gain * before + mean_after - gain * mean_before).astype(np.float32)
+    differs = view.compared & (mean_difference(view.picture, view.render) > COPIES.max_difference)
+    if not differs.any():
+        return None
+    agrees = mean_difference(view.picture, made) <= COPIES.max_difference
+    if agrees[differs].mean() < FITS.min_soft or float(gain[differs].mean()) < FITS.min_lit:
+        return None
+    return Explanation("look", SOFT_WORDS, view.agreeing, float(agrees[view.compared].mean()))
+
+
+def moved_a_little(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray, agreeing: float) -> Explanation | None:
+    """A picture [H, W, 3] that lies beside its render [H, W, 3] by some pixels, degrees or per cent: what that changes
+    is nowhere as it was rendered, and nearly everywhere as it makes it. alpha: [H, W]."""
+    from splatpainter.gatekeeper.registration import small_motion, warped  # few pictures come so far
+
+    # Larger pictures are looked at smaller: a pixel of a large one is half of one there, which is seen as well.
+    height, width = alpha.shape
+    shrink = max(height, width) / FITS.max_moved_px
+    if shrink > 1:
+        width, height = max(round(width / shrink), 1), max(round(height / shrink), 1)
+        picture, render, alpha = (resample(np.clip(one, 0, 1), width, height) for one in (picture, render, alpha))
+    motion = small_motion(picture, render)
+    if motion is None:
+        return None
+    made, inside = warped(render, np.linalg.inv(np.vstack([motion, [0, 0, 1]]))[:2], (width, height))
+    solid = inside & (alpha > COPIES.min_cover)
+    moved = solid & (mean_difference(made, render) > COPIES.min_predicted)
+    if moved.sum() <= FITS.min_moved_share * solid.sum():
+        return None
+    unchanged = mean_difference(picture, render) <= COPIES.max_unchanged
+    agrees = mean_difference(picture, made) <= COPIES.max_difference
+    if unchanged[moved].mean() > COPIES.max_contradicting or agrees[moved].mean() < FITS.min_moved_explained:
+        return None
+    return Explanation("moved", MOVED_WORDS, agreeing, float(agrees[solid].mean()))

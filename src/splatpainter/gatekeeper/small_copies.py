@@ -1,0 +1,223 @@
+"""Small copies of a picture and of its view, and whether a mistake explains the one by the other.
+
+Compression averages out in a small copy, and thirty mistakes can be tried on one in no time. Pure. H, W: pixels of the
+view; h, w: of its small copy; colours are display sRGB 0..1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from splatpainter.lift.masks import box_mean, dilated, largest_channel
+from splatpainter.pictures.picture_reader import resample
+
+Cause = Literal["turned", "colors", "tone", "shade", "look", "filter", "detail", "moved", "axes", "other"]
+"""turned: mirrored or turned round; colors: other colours than sRGB; tone: graded as a whole, its background too or
+not; shade: darkened or lightened from the middle outwards or from side to side; look: one colour laid over all of the
+asset, or all of it painted over, which may well be meant; filter: blurred or smoothed all over; detail: sharpened all
+over, or with detail added, which may well be meant; moved: shifted or scaled; axes: the asset's axes are read another
+way; other: another asset, view or camera."""
+Change: TypeAlias = Callable[[np.ndarray], np.ndarray]
+"""[H, W, 3] -> [H, W, 3] (turns may exchange H and W), colours 0..1."""
+Size: TypeAlias = tuple[int, int]
+"""(width, height)."""
+
+
+@dataclass(frozen=True)
+class CopyThresholds:
+    """When two small copies agree, and when a mistake explains a picture. In display values, pixels of small copies.
+    Measured where an entry says on what, else taste."""
+
+    small_px: int = 160
+    """Pixels of the longer side of the small copies: noise of compression averages out."""
+    max_difference: float = 4.5 / 255
+    """Mean difference over 3 x 3 pixels of small copies up to which they agree."""
+    min_predicted: float = 7 / 255
+    """Difference to the render from which a mistake says that a pixel changed."""
+    max_unchanged: float = 2.5 / 255
+    """Difference up to which a pixel is as it was rendered, and no mistake changed it."""
+    min_predicted_share: float = 0.08
+    """Share of what the picture and the view show that a mistake must change to be told at all."""
+    min_explained: float = 0.5
+    """Share of what a mistake changes that must be as it makes it: the rest may be painted over. On eighteen views of
+    six captures: mistakes 0.77 to 1.00, recoloured by hand over 70 % 0.52 to 0.93; those have more than
+    max_contradicting."""
+    max_contradicting: float = 0.015
+    """Share of what a mistake changes that may be as it was rendered. Mistakes have none of it; colours changed by hand
+    over 85 % 0.03 and more."""
+    min_reach: float = 0.5
+    """Share of the asset that a mistake which spares something changes from which it is refused, and not only remarked:
+    of a grey asset only the coloured parts become grey, as a brush makes them, too."""
+    min_uniform: float = 0.7
+    """Share of the bare background that a mistake must either change or leave alone: of what is painted there, soft
+    brushes reach a part."""
+    max_stray: float = 0.02
+    """Share of the bare background that differs up to which all paint lies on the asset: it may be all painted over."""
+    min_bare_share: float = 0.03
+    """Share of a picture that must be bare background to say that."""
+    max_erased: float = 0.05
+    """Share of the asset where a picture may show nothing but the background."""
+    min_cover: float = 0.5
+    """Alpha from which a pixel of a small copy shows the asset."""
+    max_bare: float = 0.02
+    """Alpha up to which it shows none of it."""
+    rim_px: int = 2
+    """Pixels of a small copy beside the asset that are not bare background."""
+
+
+COPIES = CopyThresholds()
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """Something that changes all of a picture."""
+
+    cause: Cause
+    words: str
+    """What it says of the picture: "the picture is ..."."""
+    made: Change
+    """What it makes of a render."""
+    undone: Change | None = None
+    """What takes it back in a picture; None: it cannot be."""
+    spares: Literal["nothing", "grey", "middle", "background"] = "nothing"
+    """What it leaves as it was. Much of an asset may be grey, or in the middle of the picture."""
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Why a picture differs from its view nearly everywhere."""
+
+    cause: Cause
+    words: str
+    agreeing: float
+    """Share of what the picture and the view show that agrees as it is, 0..1."""
+    agreeing_after: float
+    """Share that agrees with what the mistake makes of the view, 0..1; 0 where none explains the picture."""
+    mistake: Mistake | None = None
+    reach: float = 1.0
+    """Share of the asset that the mistake changed, 0..1."""
+
+    @property
+    def may_be_meant(self) -> bool:
+        """Whether it is only remarked: all of the asset was painted on purpose, or much of it is left as it was."""
+        spares = "nothing" if self.mistake is None else self.mistake.spares
+        partial = spares != "nothing" and (spares == "background" or self.reach < COPIES.min_reach)
+        return self.cause in ("look", "detail") or partial
+
+
+@dataclass(frozen=True)
+class SmallView:
+    """Small copies [h, w] of a picture and its view."""
+
+    picture: np.ndarray
+    render: np.ndarray
+    alpha: np.ndarray
+    compared: np.ndarray
+    """[h, w] bool: where the view shows the asset, or the picture something else than the view's background."""
+    unchanged: np.ndarray
+    """[h, w] bool: as it was rendered."""
+    agreeing: float
+    """Share of `compared` that agrees."""
+
+    @staticmethod
+    def of(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray) -> SmallView:
+        seen, before, cover = (small_copy(values) for values in (picture, render, alpha))
+        differences = mean_difference(seen, before)
+        agrees = differences <= COPIES.max_difference
+        compared = (cover > COPIES.min_cover) | ~agrees
+        agreeing = float(agrees[compared].mean()) if compared.any() else 1.0
+        return SmallView(seen, before, cover, compared, differences <= COPIES.max_unchanged, agreeing)
+
+    @property
+    def solid(self) -> np.ndarray:
+        """[h, w] bool: where the view shows the asset."""
+        return self.alpha > COPIES.min_cover
+
+    @property
+    def bare(self) -> np.ndarray:
+        """[h, w] bool: background, not beside the asset."""
+        return ~dilated(self.alpha > COPIES.max_bare, COPIES.rim_px)
+
+    @property
+    def stray(self) -> float:
+        """Share of the bare background that differs, 0..1; 1 where there is too little of it to say."""
+        bare = self.bare
+        if bare.mean() < COPIES.min_bare_share:
+            return 1.0
+        return float((mean_difference(self.picture, self.render) > COPIES.max_difference)[bare].mean())
+
+    @property
+    def paint_is_on_asset(self) -> bool:
+        """Whether the background is as it was rendered, where there is enough of it to say."""
+        return self.stray <= COPIES.max_stray
+
+    @property
+    def background_is_uniform(self) -> bool:
+        """Whether the same happened to most of the bare background."""
+        change = (self.picture - self.render)[self.bare]
+        if not len(change):
+            return True
+        near = largest_channel(np.abs(change - np.median(change, axis=0))) <= COPIES.max_unchanged
+        return bool(near.mean() >= COPIES.min_uniform)
+
+    @property
+    def has_other_outline(self) -> bool:
+        """Whether the picture shows its background where the asset is, or something else beside it: paint does
+        neither."""
+        bare = self.bare
+        if bare.mean() < COPIES.min_bare_share:
+            return False
+        # The render's bare pixels say what the background is, whatever colour it has.
+        background = np.median(self.render[bare], axis=0)
+        solid = self.solid
+        empty, before = (
+            largest_channel(np.abs(image - background)) <= COPIES.max_unchanged for image in (self.picture, self.render)
+        )
+        erased = (empty & ~before & solid).sum() > COPIES.max_erased * max(int(solid.sum()), 1)
+        return bool(erased or not self.paint_is_on_asset)
+
+
+def small_copy(values: np.ndarray) -> np.ndarray:
+    """[h, w(, C)] of [H, W(, C)], cut to 0..1."""
+    height, width = values.shape[:2]
+    shrink = max(max(height, width) / COPIES.small_px, 1.0)
+    size = max(round(width / shrink), 1), max(round(height / shrink), 1)
+    clipped = np.clip(values, 0, 1).astype(np.float32)
+    # NaN alone passes the bounds, and any of it shows in the sum: nan_to_num asks every pixel three times.
+    if np.isnan(clipped.sum()):
+        clipped[np.isnan(clipped)] = 0
+    return clipped if size == (width, height) else resample(clipped, *size)
+
+
+def mean_difference(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """[H, W] how far two pictures [H, W, 3] are apart over 3 x 3 pixels, in the channel that differs most."""
+    return largest_channel(np.abs(box_mean(one - other, 1)))
+
+
+def explained_by(mistake: Mistake, made: np.ndarray, view: SmallView) -> Explanation | None:
+    """The mistake as an explanation of the picture; None where it is none. made: [h, w, 3] what it makes of the
+    view."""
+    # Only pixels that the mistake would have changed can tell whether it was made.
+    predicted = view.compared & (mean_difference(made, view.render) > COPIES.min_predicted)
+    if predicted.sum() < COPIES.min_predicted_share * view.compared.sum():
+        return None
+    # A mistake changes everything: pixels that are as they were rendered speak against it. The likeliest answer, as
+    # most pictures were painted on, so it is asked first.
+    if float(view.unchanged[predicted].mean()) > COPIES.max_contradicting:
+        return None
+    agrees = mean_difference(view.picture, made) <= COPIES.max_difference
+    if float(agrees[predicted].mean()) < COPIES.min_explained:
+        return None
+    # What changes colours changes all of the background or nothing of it; a large brush reaches a part.
+    bare = view.bare & (mean_difference(made, view.render) > COPIES.min_predicted)
+    if mistake.cause in ("colors", "shade") and bare.any():
+        told = max(float(agrees[bare].mean()), float(view.unchanged[bare].mean()))
+        if told < COPIES.min_uniform:
+            return None
+    solid = view.solid
+    reach = float(predicted[solid].mean()) if solid.any() else 1.0
+    return Explanation(mistake.cause, mistake.words, view.agreeing, float(agrees[view.compared].mean()), mistake, reach)
