@@ -55,6 +55,26 @@ def lines(path: Path) -> str:
     return "\n".join(doubt.line for doubt in doubts(io.read(path)))
 
 
+@pytest.mark.parametrize(("kind", "most"), [("uchar", 255), ("float", 255), ("float", 100), ("int", 255)])
+def test_opacities_of_another_scale_than_logits_are_named(kind: str, most: int, tmp_path: Path) -> None:
+    columns = columns_of(ball(500))
+    columns["opacity"] = np.linspace(0.05, 1, 500) * most
+    said = lines(ply(tmp_path / "a.ply", columns, {"opacity": kind}))
+    assert "opacity is 16 or more" in said and "logit" in said
+
+
+def test_a_file_of_large_logits_is_sound(tmp_path: Path) -> None:
+    """Training drives some opacities far up, and leaves others below a half."""
+    columns = columns_of(ball(500))
+    columns["opacity"] = np.where(np.arange(500) % 3, 20.0, -2.0)
+    assert not lines(ply(tmp_path / "a.ply", columns))
+
+
+def test_the_filter_of_mip_splatting_is_named(tmp_path: Path) -> None:
+    columns = columns_of(ball(500)) | {"filter_3D": np.full(500, 0.02)}
+    assert "filter_3D (Mip-Splatting)" in lines(ply(tmp_path / "a.ply", columns))
+
+
 @pytest.mark.parametrize("radius", [1.0, 50.0, 0.01])
 def test_sound_assets_raise_no_doubt(radius: float, tmp_path: Path) -> None:
     splats = ball(2000, radius=radius)

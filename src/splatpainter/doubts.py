@@ -38,6 +38,10 @@ class DoubtThresholds:
     """Sizes of a Gaussian between neighbouring positions from which rounding is seen."""
     bright: float = 4.0
     """Base colour from which, as the median of all, colours are on another scale than 0 to 1."""
+    solid: float = 1 - 1e-7
+    """Opacity that only logits of 16 and more have: of opacities from 0 to 1 there are none."""
+    mostly: float = 0.5
+    """Share of all Gaussians that are as solid from which their opacities are on another scale."""
     dark: float = 0.02
     """Base colour up to which all are black."""
 
@@ -74,7 +78,10 @@ def doubts(splats: Splats) -> tuple[Doubt, ...]:
             reason = _log_scales_in_glb(splats, splats)
             return (nothing,) if reason is None else (reason, nothing)
         few = _sample(splats)
-        looks = (_activated, _log_scales_in_glb, _lossy_planes, _coarse_positions, _color_scale, _colors)
+        looks = (
+            *(_activated, _opacity_scale, _unfiltered, _log_scales_in_glb, _lossy_planes, _coarse_positions),
+            *(_color_scale, _colors),
+        )
         return tuple(doubt for look in looks if (doubt := look(splats, few)) is not None)
 
 
@@ -153,7 +160,13 @@ def _activated(splats: Splats, few: Splats) -> Doubt | None:
         logits = _logits(few.opacities)
         seen = f"opacity is all within 0..1 ({logits.min():.3g} to {logits.max():.3g})"
         parts.append((seen, "logit", "opacities", "logit for opacities"))
-    if _has_f_dc(splats) and base.min() >= 0 and base.max() <= 1 and base.min() < 0.25 and base.max() > 0.75:
+    if (
+        _has_column(splats, "f_dc_0")
+        and base.min() >= 0
+        and base.max() <= 1
+        and base.min() < 0.25
+        and base.max() > 0.75
+    ):
         seen = f"f_dc_0..2 are all within 0..1 ({base.min():.2g} to {base.max():.2g})"
         parts.append((seen, "offset and factor of SH", "colours", f"(colour - 0.5) / {SH_C0:.4f} for f_dc"))
     if not parts:
@@ -191,12 +204,6 @@ def _fits_better_without_exp(few: Splats) -> bool:
     if not (spacing > 0 and size > 1):
         return False
     return abs(np.log(size / spacing)) > abs(np.log(np.log(size) / spacing)) + np.log(DOUBTS.min_better_fit)
-
-
-def _has_f_dc(splats: Splats) -> bool:
-    record = splats.source.detail if splats.source is not None else None
-    vertex = record.header.element("vertex") if isinstance(record, PlyFile) else None
-    return vertex is not None and "f_dc_0" in vertex.names
 
 
 def _log_scales_in_glb(splats: Splats, few: Splats) -> Doubt | None:
@@ -261,6 +268,39 @@ def _holds_doubles(splats: Splats) -> bool:
     types = {p.name: p.type for p in vertex.properties} if vertex is not None else {}
     text = record.header.format == "ascii"
     return all(types.get(name) == "f8" or text for name in ("x", "y", "z"))
+
+
+def _opacity_scale(splats: Splats, few: Splats) -> Doubt | None:
+    """Opacities of 0 to 255, or 0 to 100, in place of logits: all but the emptiest are drawn solid."""
+    if not _has_column(splats, "opacity"):
+        return None
+    # In float32 the sigmoid of 16 and more is 1, so what the file held is not seen in it; training gives few of them.
+    solid = few.opacities >= DOUBTS.solid
+    if len(few) < DOUBTS.min_rows or solid.mean() < DOUBTS.mostly or few.opacities.min() < 0.5:
+        return None
+    return Doubt(
+        f"opacity is 16 or more in {100 * solid.mean():.0f} % of the Gaussians, and nowhere below 0",
+        "as logits of opacity that is all solid: opacities of 0 to 255 or 0 to 100 were probably stored as they are",
+        "export again as INRIA's PLY has it (logit for opacities)",
+    )
+
+
+def _unfiltered(splats: Splats, few: Splats) -> Doubt | None:
+    """Mip-Splatting's column of filter sizes (Yu et al. 2024, eq. 8), which its own viewer adds to scales and takes off
+    opacities."""
+    if not _has_column(splats, "filter_3D"):
+        return None
+    return Doubt(
+        "has a column filter_3D (Mip-Splatting)",
+        "its 3D filter is not applied here, nor in other viewers: Gaussians are shown too small and too opaque",
+        "fuse it first (create_fused_ply.py of Mip-Splatting)",
+    )
+
+
+def _has_column(splats: Splats, name: str) -> bool:
+    record = splats.source.detail if splats.source is not None else None
+    vertex = record.header.element("vertex") if isinstance(record, PlyFile) else None
+    return vertex is not None and name in vertex.names
 
 
 def _color_scale(splats: Splats, few: Splats) -> Doubt | None:
