@@ -225,6 +225,14 @@ def test_a_soft_brush_over_the_background_is_no_other_asset() -> None:
     assert explanation is not None and explanation.cause == "look" and "softly" in explanation.words
 
 
+def test_a_picture_multiplied_by_its_transparency_is_no_brush() -> None:
+    """Half of it transparent, and its colours halved: three quarters of the view are left, and a painted square."""
+    picture = 0.75 * VIEW
+    picture[90:130, 90:150] = (0.5, 0.3, 0.1)
+    explanation = explain(eight_bits(picture), VIEW, ALPHA)
+    assert explanation is not None and not explanation.may_be_meant
+
+
 def test_a_negative_of_the_asset_alone_is_no_glaze() -> None:
     explanation = explain(on_the_asset(1 - VIEW), VIEW, ALPHA)
     assert explanation is not None and not explanation.may_be_meant

@@ -61,6 +61,10 @@ class FitThresholds:
     """Reach over which a soft brush is the same, pixels of a small copy."""
     min_soft: float = 0.9
     """Share of what differs that a soft brush explains."""
+    min_texture: float = 1e-4
+    """Variance of the colours around a pixel, from which it says how much of them is left."""
+    min_gain_range: float = 0.08
+    """Range of what is left, between the middle four fifths of such pixels, below which it is the same everywhere."""
     max_intact: float = 0.5
     """Share of the detail that may be as it was rendered where a picture is looked at whether it was moved. A shift by
     a pixel leaves up to 0.41 of it, on a smooth asset; a dab or a decal leaves more."""
@@ -80,6 +84,7 @@ VIGNETTE_WORDS = "darkened towards its corners (a vignette)"
 LIGHT_VIGNETTE_WORDS = "lightened towards its corners (a vignette)"
 GRADIENT_WORDS = "darkened or lightened from side to side (a gradient over all of it)"
 SOFT_WORDS = "painted over softly everywhere, its background too, or shaded as a whole"
+EVEN_WORDS = "darkened, lightened or tinted as a whole, or its transparency was lost"
 MOVED_WORDS = "moved, scaled or turned by a little"
 
 
@@ -210,7 +215,7 @@ def _is_on_background(made: np.ndarray, view: SmallView) -> bool:
 
 def laid_softly(view: SmallView) -> Explanation | None:
     """Whether one colour, laid over it more here and less there, makes the view the picture everywhere: a very large
-    soft brush, which may be meant."""
+    soft brush, which may be meant; or as much of it everywhere, which is none."""
     before, after = view.render.astype(np.float64), view.picture.astype(np.float64)
     # Around each pixel: after = gain * before + colour, by least squares over its surroundings.
     mean_before, mean_after = (box_mean(image, FITS.soft_px) for image in (before, after))
@@ -224,7 +229,15 @@ def laid_softly(view: SmallView) -> Explanation | None:
     agrees = mean_difference(view.picture, made) <= COPIES.max_difference
     if agrees[differs].mean() < FITS.min_soft or float(gain[differs].mean()) < FITS.min_lit:
         return None
-    return Explanation("look", SOFT_WORDS, view.agreeing, float(agrees[view.compared].mean()))
+    # The same everywhere is no brush: a layer that was multiplied by its transparency, or one of a flat colour.
+    textured = gain[differs & (away > FITS.min_texture)]
+    even = len(textured) > FITS.min_colored and float(np.ptp(np.quantile(textured, (0.1, 0.9)))) < FITS.min_gain_range
+    after = float(agrees[view.compared].mean())
+    return (
+        Explanation("tone", EVEN_WORDS, view.agreeing, after)
+        if even
+        else Explanation("look", SOFT_WORDS, view.agreeing, after)
+    )
 
 
 def moved_a_little(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray, agreeing: float) -> Explanation | None:
