@@ -20,6 +20,7 @@ from splatpainter.demo_asset import demo_asset, demo_view
 from splatpainter.lift.masks import dilated
 from splatpainter.painter import Painter
 from splatpainter.pictures.picture_reader import Picture
+from splatpainter.surface.estimate import Surface
 from tests.support import surface_shapes
 from tests.support.cli_scenes import Capture, run, saved
 
@@ -347,3 +348,49 @@ def test_lone_pixels_of_a_decal_are_specks() -> None:
     assert speck[-1] and not speck[:-1].any()
     unmapped = np.full_like(uv, np.nan)
     assert not decal_views._specks(seen, unmapped, (64, 64), 0.12).any()
+
+
+def test_a_view_asks_which_of_its_pixels_are_specks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is called a speck is neither mapped nor filled from its neighbours."""
+    asset = Painter().encode(surface_shapes.sphere(1500))
+    surface = Surface.of(asset.splats)
+    placed = Decal(np.ones((64, 64, 3), np.float32), MIDDLE, FRONT, 0.4).placed(asset, surface)
+    patch, pixel = placed.patch, 0.4 / 64
+
+    def mapped() -> np.ndarray:
+        view = decal_views.mapped_view(asset, surface, patch, patch.under, FRONT, pixel)
+        out = np.zeros((FRONT.height, FRONT.width), bool)
+        out[view.ys, view.xs] = True
+        return out
+
+    whole = mapped()
+    ys, xs = np.nonzero(whole)
+    block = np.zeros_like(whole)
+    block[int(ys.mean()) - 4 : int(ys.mean()) + 4, int(xs.mean()) - 4 : int(xs.mean()) + 4] = True
+    assert whole[block].all()
+    monkeypatch.setattr(decal_views, "_specks", lambda seen, *_: block[seen.ys, seen.xs])
+    assert not mapped()[block].any() and (mapped() | block)[whole].all()
+
+
+@pytest.mark.parametrize(("seen", "paints"), [(1.0, True), (0.4, True), (0.15, False)])
+def test_a_camera_that_sees_little_of_what_it_is_for_paints_nothing(
+    seen: float, paints: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A decal over the edge of a box; of its right side the camera that faces it sees this share, as where another body
+    stands close before it."""
+    asset = Painter().encode(surface_shapes.box(6_000))
+    edge = looking(np.array([0.5, 0, 0.5]), np.array([0.75, 0, 1.0]) / 1.25)
+    decal = Decal(np.ones((64, 64, 3), np.float32), MIDDLE, edge, 0.5)
+    view_of = decal_views._view
+
+    def hidden(asset, surface, patch, painted, direction, members, up, pixel):  # type: ignore[no-untyped-def]
+        view = view_of(asset, surface, patch, painted, direction, members, up, pixel)
+        if direction[0] > 0.9:
+            rows = members[view.cosines[members] > 0]
+            view.cosines[rows[round(seen * len(members)) :]] = 0
+        return view
+
+    monkeypatch.setattr(decal_views, "_view", hidden)
+    # How far each camera looks along -x, onto the right side.
+    facing = [-float(edit.camera.world_to_camera[2, 0]) for edit in decal.laid(asset).edits]
+    assert (max(facing) > 0.9) == paints, facing
