@@ -205,7 +205,15 @@ def test_a_zip_without_a_picture_or_with_a_damaged_one_is_one_line(tmp_path: Pat
         (b"GIF89a" + bytes(40), "a GIF; export it as PNG"),
         (b"\0\0\0\x18ftypheic" + bytes(40), "a HEIC picture; export it as PNG"),
         (b"\0\0\0\x18ftypavif" + bytes(40), "an AVIF picture; export it as PNG"),
-        (b"something else" + bytes(40), "another kind of file"),
+        (b"something else" + bytes(40), "another kind of file; export it as PNG"),
+        (b"\n  <!DOCTYPE html><html>log in</html>", "a web page; export it as PNG"),
+        (b'<?xml version="1.0"?><svg/>', "an XML or SVG file; export it as PNG"),
+        (b"II*\0\x10\0\0\0CR\2\0" + bytes(40), "a raw photograph; export it as PNG"),
+        (b"qoif" + bytes(40), "a QOI picture; export it as PNG"),
+        (
+            b"version https://git-lfs.github.com/spec/v1\noid sha256:0",
+            "a pointer of Git LFS (git lfs pull fetches what it stands for); export it as PNG",
+        ),
     ],
 )
 def test_what_is_not_read_is_named(data: bytes, words: str, tmp_path: Path) -> None:
@@ -214,3 +222,10 @@ def test_what_is_not_read_is_named(data: bytes, words: str, tmp_path: Path) -> N
     with pytest.raises(ValueError) as refusal:
         read_picture(path)
     assert str(refusal.value) == f"{path}: expected a PNG, JPEG, WebP or TIFF picture, got {words}"
+
+
+def test_an_empty_picture_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "a.png"
+    path.write_bytes(b"")
+    with pytest.raises(ValueError, match=r"a\.png: is empty \(0 bytes\); expected a picture: save it again"):
+        read_picture(path)

@@ -41,6 +41,18 @@ FOREIGN = {
     b"\xff\x4f\xff\x51": "a JPEG 2000 picture",
     b"P6": "a PPM picture",
     b"\x0a\x05\x01": "a PCX picture",
+    b"DDS ": "a DDS texture",
+    b"\xabKTX ": "a KTX texture",
+    b"qoif": "a QOI picture",
+    b"#?RADIANCE": "a Radiance HDR picture",
+    b"%!PS": "a PostScript file",
+    b"<svg": "an SVG drawing",
+    b"<?xml": "an XML or SVG file",
+    b"<!DOCTYPE": "a web page",
+    b"<html": "a web page",
+    b"version https://git-lfs": "a pointer of Git LFS (git lfs pull fetches what it stands for)",
+    b"II*\x00\x10\x00\x00\x00CR": "a raw photograph",
+    b"FUJIFILMCCD-RAW": "a raw photograph",
 }
 """First bytes of files that picture programs save and nobody reads here."""
 BRANDS = {b"heic": "a HEIC picture", b"heix": "a HEIC picture", b"mif1": "a HEIC picture", b"avif": "an AVIF picture"}
@@ -53,10 +65,12 @@ MAX_PROFILE_BYTES = 16 << 20
 
 def foreign_kind(path: Path) -> str | None:
     """What a file is that is exported as PNG before it is used: "a GIF"; None of others."""
-    head = first_bytes(path, 32)
+    head = first_bytes(path, 64)
     if head[4:8] == b"ftyp":
         return BRANDS.get(head[8:12])
-    return next((words for magic, words in FOREIGN.items() if head.startswith(magic)), None)
+    # Texts may begin with white space.
+    heads = (head, head.lstrip())
+    return next((words for magic, words in FOREIGN.items() if any(one.startswith(magic) for one in heads)), None)
 
 
 def is_psd(path: Path) -> bool:

@@ -198,14 +198,18 @@ def _opened(path: Path, decode: bool = True) -> Iterator[Image]:
         raise ValueError(f"{path}: is a folder; expected a picture")
     if not path.is_file():
         raise ValueError(f"{path}: is not a regular file; expected a picture")
+    if not path.stat().st_size:
+        raise ValueError(f"{path}: is empty (0 bytes); expected a picture: save it again")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Pillow's own size warning and remarks about EXIF: judged here or harmless
         try:
             image = Image.open(path, formats=PICTURE_KINDS)
         except UnidentifiedImageError:
             kind = foreign_kind(path)
-            actual = "another kind of file" if kind is None else f"{kind}; export it as PNG"
-            raise ValueError(f"{path}: expected a PNG, JPEG, WebP or TIFF picture, got {actual}") from None
+            actual = kind or "another kind of file"
+            raise ValueError(
+                f"{path}: expected a PNG, JPEG, WebP or TIFF picture, got {actual}; export it as PNG"
+            ) from None
         except Image.DecompressionBombError:
             raise ValueError(f"{path}: expected {SIZE_LIMIT}; scale it down") from None
         except Exception as error:
