@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import math
+import re
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -312,7 +313,7 @@ PLAIN = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
     ("content", "problem"),
     [
         (b"[{}, 1]", "camera 0: has no width"),
-        (b"[]", "expected a capture"),
+        (b"[]", "expected cameras, it lists none"),
         (b'[{"id": 0}]', "camera 0: has no width, height, fx, fy, position, rotation"),
         (json.dumps([{"width": 9, "height": 9, "fx": 1, "fy": 1, "position": [0, 0], "rotation": 1}]).encode(), "3x3"),
         (b'{"frames": []}', "it lists none"),
@@ -445,3 +446,21 @@ def test_a_missing_name_lists_what_there_is(tmp_path: Path) -> None:
 def test_a_view_of_another_size_sees_the_same() -> None:
     view = CapturedView("a", some_cameras()[0]).resized(60, 45)
     assert abs(view.camera.project(POINTS)[0] * 2 - some_cameras()[0].project(POINTS)[0]).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("[]", "expected cameras, it lists none"),
+        ("[{", "the list of cameras is not JSON"),
+        ('[{"fx": NaN}]', "NaN is not a JSON number"),
+        ("[1, 2]", "camera 0: expected an object"),
+    ],
+)
+def test_a_damaged_list_of_cameras_says_what_is_wrong_with_it(text: str, problem: str, tmp_path: Path) -> None:
+    """And not that it is no camera of splatpainter's."""
+    path = tmp_path / "cameras.json"
+    path.write_text(text)
+    assert is_capture(path)
+    with pytest.raises(ValueError, match=re.escape(problem)):
+        captured_views(path)

@@ -138,11 +138,13 @@ def _capture_file(path: Path) -> Path | None:
     if path.name in ("cameras.bin", "images.bin", "points3D.bin", "cameras.txt", "images.txt", "points3D.txt"):
         return colmap.model_folder(path)
     # The first bytes tell JSON from anything else before a large file is read whole.
-    if files.read_head(path, 64).lstrip(b"\xef\xbb\xbf \t\r\n")[:1] not in (b"{", b"["):
+    first = files.read_head(path, 64).lstrip(b"\xef\xbb\xbf \t\r\n")[:1]
+    # A list is one of cameras: nothing of splatpainter's begins so, and reading it says what is wrong with it.
+    if first == b"[":
+        return path
+    if first != b"{":
         return None
     record = load_document(files.read_all(path), path, "the list of cameras", MAX_TABLE_BYTES)
-    if isinstance(record, list):
-        return path if record and isinstance(record[0], dict) else None
     return path if "frames" in record or "camera_path" in record else None
 
 
