@@ -14,7 +14,7 @@ import numpy as np
 
 from splatpainter.color import LUMA
 from splatpainter.gatekeeper.small_copies import COPIES, Explanation, Mistake, SmallView, explained_by, mean_difference
-from splatpainter.lift.masks import box_mean
+from splatpainter.lift.masks import box_mean, largest_channel
 from splatpainter.pictures.picture_reader import resample
 
 
@@ -73,6 +73,12 @@ class FitThresholds:
     min_moved_explained: float = 0.8
     """Share of what a small move changes that is as it makes it: 0.87 to 1.00 where it is one, up to 0.10 where a
     filter shifted edges."""
+    mean_reach: float = 1 / 24
+    """Reach over which a move leaves means as they are, in parts of the longer side."""
+    max_mean: float = 10 / 255
+    """By how much it may change such a mean."""
+    min_still: float = 0.6
+    """Share of the asset whose means have to be so."""
     max_moved_px: int = 1024
     """Longer side of the copies on which it is looked for."""
 
@@ -251,11 +257,17 @@ def moved_a_little(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray, a
     if shrink > 1:
         width, height = max(round(width / shrink), 1), max(round(height / shrink), 1)
         picture, render, alpha = (resample(np.clip(one, 0, 1), width, height) for one in (picture, render, alpha))
+    # A small move leaves the means of colours where they are; paint over much of it does not. Asked before what is dear.
+    solid = alpha > COPIES.min_cover
+    reach = max(round(max(height, width) * FITS.mean_reach), 1)
+    mean = largest_channel(np.abs(box_mean(picture - np.clip(render, 0, 1), reach)))
+    if not solid.any() or (mean <= FITS.max_mean)[solid].mean() < FITS.min_still:
+        return None
     motion = small_motion(picture, render)
     if motion is None:
         return None
     made, inside = warped(render, np.linalg.inv(np.vstack([motion, [0, 0, 1]]))[:2], (width, height))
-    solid = inside & (alpha > COPIES.min_cover)
+    solid = inside & solid
     moved = solid & (mean_difference(made, render) > COPIES.min_predicted)
     if moved.sum() <= FITS.min_moved_share * solid.sum():
         return None
