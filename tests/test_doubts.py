@@ -59,8 +59,8 @@ def lines(path: Path) -> str:
 def test_opacities_of_another_scale_than_logits_are_named(kind: str, most: int, tmp_path: Path) -> None:
     columns = columns_of(ball(500))
     columns["opacity"] = np.linspace(0.05, 1, 500) * most
-    said = lines(ply(tmp_path / "a.ply", columns, {"opacity": kind}))
-    assert "opacity is 16 or more" in said and "logit" in said
+    words = lines(ply(tmp_path / "a.ply", columns, {"opacity": kind}))
+    assert "opacity is 16 or more" in words and "logit" in words
 
 
 def test_a_file_of_large_logits_is_sound(tmp_path: Path) -> None:

@@ -363,13 +363,13 @@ def test_a_view_asks_which_of_its_pixels_are_specks(monkeypatch: pytest.MonkeyPa
         out[view.ys, view.xs] = True
         return out
 
-    whole = mapped()
-    ys, xs = np.nonzero(whole)
-    block = np.zeros_like(whole)
+    expected = mapped()
+    ys, xs = np.nonzero(expected)
+    block = np.zeros_like(expected)
     block[int(ys.mean()) - 4 : int(ys.mean()) + 4, int(xs.mean()) - 4 : int(xs.mean()) + 4] = True
-    assert whole[block].all()
+    assert expected[block].all()
     monkeypatch.setattr(decal_views, "_specks", lambda seen, *_: block[seen.ys, seen.xs])
-    assert not mapped()[block].any() and (mapped() | block)[whole].all()
+    assert not mapped()[block].any() and (mapped() | block)[expected].all()
 
 
 @pytest.mark.parametrize(("seen", "paints"), [(1.0, True), (0.4, True), (0.15, False)])

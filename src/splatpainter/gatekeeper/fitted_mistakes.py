@@ -257,7 +257,7 @@ def moved_a_little(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray, a
     if shrink > 1:
         width, height = max(round(width / shrink), 1), max(round(height / shrink), 1)
         picture, render, alpha = (resample(np.clip(one, 0, 1), width, height) for one in (picture, render, alpha))
-    # A small move leaves the means of colours where they are; paint over much of it does not. Asked before what is dear.
+    # A small move leaves the means of colours where they are; paint over much of it does not. It is cheap.
     solid = alpha > COPIES.min_cover
     reach = max(round(max(height, width) * FITS.mean_reach), 1)
     mean = largest_channel(np.abs(box_mean(picture - np.clip(render, 0, 1), reach)))

@@ -215,8 +215,8 @@ def explained_by(mistake: Mistake, made: np.ndarray, view: SmallView) -> Explana
     # What changes colours changes all of the background or nothing of it; a large brush reaches a part.
     bare = view.bare & (mean_difference(made, view.render) > COPIES.min_predicted)
     if mistake.cause in ("colors", "shade") and bare.any():
-        told = max(float(agrees[bare].mean()), float(view.unchanged[bare].mean()))
-        if told < COPIES.min_uniform:
+        uniform = max(float(agrees[bare].mean()), float(view.unchanged[bare].mean()))
+        if uniform < COPIES.min_uniform:
             return None
     solid = view.solid
     reach = float(predicted[solid].mean()) if solid.any() else 1.0
