@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import importlib.util
 
-EXTRAS = {"torch": "networks", "safetensors": "networks", "scipy": "train", "trimesh": "train", "mitsuba": "train"}
+EXTRAS = {
+    "torch": "networks",
+    "safetensors": "networks",
+    "scipy": "train",
+    "trimesh": "train",
+    "mitsuba": "train",
+    "fast_simplification": "mesh",
+}
 """Module -> the extra of this distribution that brings it. Those that one function alone imports are named there."""
 
 

@@ -14,7 +14,7 @@ from splatpainter.cli import main
 from splatpainter.io.ply_columns import add_columns
 from splatpainter.lights.prepared import lit_surface
 from splatpainter.splats import Splats
-from splatpainter.surface.proxy_mesh import proxy_mesh, thickness
+from splatpainter.surface.proxy_mesh import is_closed, proxy_mesh, thickness
 from tests.support.cli_scenes import ball, with_bad_gaussians
 
 trimesh = pytest.importorskip("trimesh")
@@ -40,6 +40,42 @@ def test_a_proxy_is_closed(asset: Splats, triangles: int) -> None:
     assert len(mesh.triangles) <= triangles and np.isfinite(mesh.vertices).all()
     agree = (other.vertex_normals * mesh.normals).sum(1)
     assert np.median(agree) > 0.9, "normals look outwards"
+
+
+@pytest.mark.parametrize("triangles", [300, 2000])
+@pytest.mark.parametrize("asset", [ball(1500), sheet(), with_bad_gaussians(ball(800))], ids=["ball", "sheet", "bad"])
+def test_a_decimated_proxy_is_closed(asset: Splats, triangles: int) -> None:
+    pytest.importorskip("fast_simplification")
+    mesh = proxy_mesh(asset, triangles, decimate=True)
+    other = trimesh.Trimesh(mesh.vertices, mesh.triangles, process=False)
+    assert other.is_watertight and other.is_winding_consistent and other.volume > 0
+    assert 0.9 * triangles < len(mesh.triangles) <= triangles < mesh.cut_triangles
+    assert len(mesh.colors) == len(mesh.normals) == len(mesh.vertices)
+
+
+def test_decimation_shows_more_for_as_many_triangles() -> None:
+    pytest.importorskip("fast_simplification")
+    slabs, shells = [], []
+    for decimate in (False, True):
+        mesh = proxy_mesh(sheet(100), 2000, decimate=decimate)
+        slabs.append(float(np.ptp(mesh.vertices[:, 2])))
+        mesh = proxy_mesh(ball(6000), 2000, decimate=decimate)
+        shells.append(np.abs(np.linalg.norm(mesh.vertices[mesh.triangles].mean(1), axis=1) - 1).mean())
+    assert slabs[1] < 0.6 * slabs[0], "a sheet is no slab"
+    assert shells[1] < 0.95 * shells[0]
+
+
+def test_a_mesh_with_an_open_edge_is_not_closed() -> None:
+    tetrahedron = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+    assert is_closed(tetrahedron) and not is_closed(tetrahedron[:3])
+    assert not is_closed(np.concatenate([tetrahedron, tetrahedron])), "edges of four triangles"
+    assert not is_closed(np.concatenate([tetrahedron[:3], tetrahedron[3:, ::-1]])), "one turned over"
+
+
+def test_without_the_extra_decimation_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(ValueError, match=r"fast_simplification.*splatpainter\[mesh\]"):
+        proxy_mesh(ball(300), decimate=True)
 
 
 def test_a_proxy_lies_on_the_surface() -> None:
@@ -79,8 +115,12 @@ def test_thickness_is_the_way_through() -> None:
 
 def test_khronos_validator_has_no_objection(tmp_path: Path, gltf_validator: Callable[[Path], list[dict]]) -> None:
     io.write(tmp_path / "a.ply", ball(900))
-    assert main(["mesh", str(tmp_path / "a.ply"), "--colors", "--triangles", "2500", "--out", f"{tmp_path}/p.glb"]) == 0
-    assert [message for message in gltf_validator(tmp_path / "p.glb") if message["severity"] < 2] == []
+    words = ["mesh", str(tmp_path / "a.ply"), "--colors", "--overwrite", "--out", f"{tmp_path}/p.glb"]
+    for more in (["--triangles", "2500"], ["--triangles", "400", "--decimate"]):
+        if "--decimate" in more:
+            pytest.importorskip("fast_simplification")
+        assert main([*words, *more]) == 0
+        assert [message for message in gltf_validator(tmp_path / "p.glb") if message["severity"] < 2] == []
 
 
 def test_the_mesh_lies_where_the_glb_of_its_asset_lies(tmp_path: Path) -> None:

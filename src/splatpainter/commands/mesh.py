@@ -14,11 +14,12 @@ from splatpainter.commands import Outcome
 from splatpainter.commands.parts.asset_doubts import warn_of_doubts
 from splatpainter.commands.parts.option_parsing import AssetFile, InAxesOption
 from splatpainter.commands.parts.terminal import count, stages
+from splatpainter.extras import require
 from splatpainter.io import files, read
 from splatpainter.io.axes import AXES
 from splatpainter.io.gltf_mesh import mesh_glb
 from splatpainter.output_paths import check_target
-from splatpainter.surface.proxy_mesh import MIN_TRIANGLES, proxy_mesh
+from splatpainter.surface.proxy_mesh import MIN_DECIMATED, MIN_TRIANGLES, proxy_mesh
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class Config:
     example:
       splatpainter mesh vase.ply --out proxy.glb
       splatpainter mesh vase.ply --triangles 5000 --colors --out proxy.glb
+      splatpainter mesh vase.ply --triangles 500 --decimate --out light.glb
     """
 
     asset: AssetFile
@@ -38,7 +40,10 @@ class Config:
     out: Annotated[Path, arg(metavar="PROXY.glb")]
     """The file to write."""
     triangles: int = 20_000
-    """Triangles, at most about; 2,000 or more."""
+    """Triangles, at most about; 2,000 or more, with --decimate 100 or more."""
+    decimate: bool = False
+    """Cut a finer mesh and collapse its edges where it is flat: more detail for as many triangles, still without holes
+    (needs fast-simplification, the extra `mesh`)."""
     colors: bool = False
     """Colours of the asset at the vertices."""
     axes: Literal["rub", "rdf"] = "rub"
@@ -58,8 +63,12 @@ def run(config: Config) -> Outcome:
     # Another ending would be taken for another format, and only this one is written.
     if config.out.suffix.lower() != ".glb":
         raise ValueError(f"{config.out}: expected a mesh to write (.glb), got {config.out.suffix or 'no suffix'}")
-    if config.triangles < MIN_TRIANGLES:
-        raise ValueError(f"splatpainter: expected --triangles of {MIN_TRIANGLES} or more, got {config.triangles}")
+    least = MIN_DECIMATED if config.decimate else MIN_TRIANGLES
+    if config.triangles < least:
+        hint = "" if config.decimate else f"; with --decimate {MIN_DECIMATED}"
+        raise ValueError(f"splatpainter: expected --triangles of {least} or more{hint}, got {config.triangles}")
+    if config.decimate:
+        require("fast_simplification", "--decimate")
     # Refused before the asset is read and meshed.
     check_target(config.out, config.overwrite, [config.asset])
     with stages(3) as bar:
@@ -67,7 +76,7 @@ def run(config: Config) -> Outcome:
         splats = read(config.asset, axes=config.in_axes, lenient=config.lenient)
         doubts = warn_of_doubts(splats, config.asset)
         bar.enter("meshing")
-        mesh = proxy_mesh(splats, config.triangles)
+        mesh = proxy_mesh(splats, config.triangles, decimate=config.decimate)
         bar.enter("writing")
         # The file's axes are a matter of signs; where they mirror, triangles turn over and are turned back.
         signs = np.array(AXES[config.axes], np.float32)
@@ -93,12 +102,14 @@ def run(config: Config) -> Outcome:
             "triangles": len(triangles),
             "vertices": len(mesh.vertices),
             "voxel": mesh.voxel,
+            "cut_triangles": mesh.cut_triangles,
         },
         "doubts": doubts,
     }
+    of = f" of {mesh.cut_triangles:,}" if len(triangles) < mesh.cut_triangles else ""
     lines = [
         f"{config.asset} -> {config.out}",
-        f"{count(len(triangles), 'triangle')}, {count(len(mesh.vertices), 'vertex', 'vertices')}",
+        f"{count(len(triangles), 'triangle')}{of}, {count(len(mesh.vertices), 'vertex', 'vertices')}",
         f"finest detail: {mesh.voxel:.3g} world units",
     ]
     return Outcome(record, lines)

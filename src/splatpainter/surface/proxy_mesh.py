@@ -3,6 +3,9 @@
 Gaussians fill voxels, gaps of a voxel are closed, what cannot be reached from outside is solid, and the border of that
 solid, blurred, is cut out by marching tetrahedra (Doi and Koide 1991; six to a cube, all cubes alike): a mesh without
 holes and without edges that more than two triangles share. A sheet becomes a slab of one or two voxels.
+
+Such meshes have as many triangles on a plane as on a curl. Decimated (edges collapsed by quadrics, Garland and Heckbert
+1997, by fast-simplification) the same number shows finer detail.
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ import numpy as np
 
 from splatpainter.array_types import Floats, Ids
 from splatpainter.color import base_color
+from splatpainter.extras import require
 from splatpainter.splats import Splats
 from splatpainter.transforms import quat_to_matrix
 
@@ -37,6 +41,11 @@ class ProxyMeshThresholds:
     """Voxels along the longest side of the asset where its thickness is measured."""
     triangles_per_square: float = 14.0
     """Triangles for each square of the resolution, about, that a mesh has: the first guess."""
+    decimated_from: float = 5.0
+    """Times as many triangles that a mesh has before it is decimated."""
+    eagerness: tuple[float, ...] = (5.0, 6.0, 4.0, 7.0, 3.0, 8.0)
+    """How fast quadrics' limits grow (fast-simplification's `agg`, 7 by default), in the order tried until the result
+    is closed. Of balls, a sheet and a capture at 2,000 to 20,000 triangles all are at 5."""
 
 
 PROXY = ProxyMeshThresholds()
@@ -46,6 +55,8 @@ RESOLUTIONS = (6, 192)
 """Voxels along the longest side."""
 MIN_TRIANGLES = 2000
 """That can be asked for: a ball of six voxels has 1,700."""
+MIN_DECIMATED = 100
+"""That can be asked for where they are decimated."""
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1]])
 TETRAHEDRA = np.array([[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]])
 """Of a cube, all around its diagonal, all of one orientation."""
@@ -73,25 +84,32 @@ class ProxyMesh:
     """[V, 3] float32 display colours 0..1 of the Gaussians nearby."""
     voxel: float
     """Edge of a voxel, world units: what is finer is not there."""
+    cut_triangles: int
+    """Before decimation."""
 
 
-def proxy_mesh(splats: Splats, max_triangles: int = 20_000) -> ProxyMesh:
-    """At most about max_triangles, and as fine as that allows. Raises ValueError: nothing that could be drawn, or fewer
-    than MIN_TRIANGLES asked for."""
-    if max_triangles < MIN_TRIANGLES:
-        raise ValueError(f"mesh: expected at least {MIN_TRIANGLES} triangles, got {max_triangles}")
+def proxy_mesh(splats: Splats, max_triangles: int = 20_000, *, decimate: bool = False) -> ProxyMesh:
+    """At most about max_triangles, and as fine as that allows. decimate: by the extra `mesh`, finer for as many. Raises
+    ValueError: nothing that could be drawn, fewer triangles asked for than MIN_TRIANGLES (MIN_DECIMATED), the extra is
+    missing."""
+    least = MIN_DECIMATED if decimate else MIN_TRIANGLES
+    if max_triangles < least:
+        raise ValueError(f"mesh: expected at least {least} triangles, got {max_triangles}")
+    if decimate:
+        require("fast_simplification", "mesh: decimation")
     splats = splats.numpy()
     solid = splats.drawable & (splats.opacities >= PROXY.min_opacity)
     if not solid.any():
         raise ValueError("mesh: expected Gaussians that hide something (an opacity of 0.25), got none")
     splats = splats.take(solid)
     low, high = RESOLUTIONS
-    resolution = int(np.clip(np.sqrt(max_triangles / PROXY.triangles_per_square) * 2, low, high))
+    limit = max(int(max_triangles * PROXY.decimated_from), MIN_TRIANGLES) if decimate else max_triangles
+    resolution = int(np.clip(np.sqrt(limit / PROXY.triangles_per_square) * 2, low, high))
     while True:
-        mesh = _mesh(splats, resolution)
-        if len(mesh.triangles) <= max_triangles or resolution <= low:
+        mesh = _mesh(splats, resolution, max_triangles if decimate else None)
+        if mesh.cut_triangles <= limit or resolution <= low:
             return mesh
-        shrink = np.sqrt(max_triangles / len(mesh.triangles))
+        shrink = np.sqrt(limit / mesh.cut_triangles)
         resolution = max(low, min(resolution - 1, int(resolution * shrink)))
 
 
@@ -133,12 +151,16 @@ def _voxels(points: np.ndarray, resolution: int) -> tuple[np.ndarray, np.ndarray
     return _solid(filled), origin, voxel, flat
 
 
-def _mesh(splats: Splats, resolution: int) -> ProxyMesh:
+def _mesh(splats: Splats, resolution: int, decimated: int | None) -> ProxyMesh:
+    """decimated: triangles, at most, that are left; None: all."""
     points, owners = _samples(splats, resolution)
     solid, origin, voxel, flat = _voxels(points, resolution)
     shape = np.array(solid.shape)
     density = _blurred(solid.astype(np.float32))
     vertices, triangles = _marching_tetrahedra(density, PROXY.cut_density)
+    cut = len(triangles)
+    if decimated is not None and cut > decimated:
+        vertices, triangles = _decimated(vertices, triangles, decimated)
     # Colours: means of voxels, spread over their neighbours where none is.
     colors = base_color(splats.sh).clip(0, 1)[owners]
     total = np.bincount(flat, minlength=solid.size).reshape(shape).astype(np.float32)
@@ -152,7 +174,33 @@ def _mesh(splats: Splats, resolution: int) -> ProxyMesh:
     behind = tuple(np.clip(np.rint(vertices - 2 * normals).astype(np.int64), 0, shape - 1).T)
     back = np.where(density[behind] > PROXY.cut_density, PROXY.inwards, PROXY.inwards_thin)[:, None]
     world = (origin + (vertices + 0.5 - back * normals) * voxel).astype(np.float32)
-    return ProxyMesh(world, triangles, normals.astype(np.float32), shade.clip(0, 1).astype(np.float32), voxel)
+    return ProxyMesh(world, triangles, normals.astype(np.float32), shade.clip(0, 1).astype(np.float32), voxel, cut)
+
+
+def _decimated(vertices: np.ndarray, triangles: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """([V, 3] float64 vertices, [T, 3] int64 triangles, about `count` of them) of the same closed surface; as they were
+    where no try ends closed."""
+    from fast_simplification import simplify
+
+    for eagerness in PROXY.eagerness:
+        fewer = simplify(vertices.astype(np.float32), triangles.astype(np.int32), target_count=count, agg=eagerness)
+        points, faces = np.asarray(fewer[0], np.float64), np.asarray(fewer[1], np.int64)
+        # A collapse may lay two triangles on each other, back to back: both go, and what is around stays closed.
+        _, which, copies = np.unique(np.sort(faces, 1), axis=0, return_inverse=True, return_counts=True)
+        used, kept = np.unique(faces[copies[which.reshape(-1)] == 1], return_inverse=True)
+        faces = kept.reshape(-1, 3)
+        if is_closed(faces) and len(faces) <= count:
+            return points[used], faces
+    return vertices, triangles
+
+
+def is_closed(triangles: np.ndarray) -> bool:
+    """Whether each edge of triangles [T, 3] belongs to two of them, once each way."""
+    if not len(triangles):
+        return False
+    edges = np.concatenate([triangles[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))])
+    forth, back = (np.unique(pairs, axis=0, return_counts=True) for pairs in (edges, edges[:, ::-1]))
+    return bool((forth[1] == 1).all()) and forth[0].shape == back[0].shape and bool((forth[0] == back[0]).all())
 
 
 def _vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> Floats:
