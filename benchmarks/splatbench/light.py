@@ -28,7 +28,6 @@ from splatpainter import text_tables as tables
 from splatpainter.cameras import Camera
 from splatpainter.color import base_color, linear_to_srgb, luminance, sh_from_color, to_light
 from splatpainter.contact_sheet import Strip, sheet, write_sheet
-from splatpainter.lights.facing import Facing
 from splatpainter.lights.irradiance import LitSurface
 from splatpainter.lights.prepared import captured_light, lit_surface
 from splatpainter.lights.relight import transfer
@@ -419,7 +418,7 @@ def _with_true_normals(case: LightCase) -> LitSurface:
     points, normals = case.surface
     _, nearest = KDTree(points).query(case.asset.means)
     sides = lit_surface(case.asset).facing
-    sides = Facing(normals[nearest].astype(np.float32), np.ones_like(sides.front), sides.seen, sides.flat_share)
+    sides = replace(sides, normals=normals[nearest].astype(np.float32), front=np.ones_like(sides.front))
     return LitSurface.of(case.asset, sides=sides)
 
 

@@ -44,6 +44,10 @@ class LitSurface:
     closed: np.ndarray = field(repr=False)
     """[N] float64 0..1 share of the cosine-weighted hemisphere that is blocked."""
     shadows: bool
+    place_transfer: np.ndarray = field(repr=False)
+    """[S, 9] float64 SH transfer over pi of the side that is seen of `facing.places`, with what is in the way."""
+    place_closed: np.ndarray = field(repr=False)
+    """[S] float64 0..1 share of their hemispheres that is blocked."""
 
     @staticmethod
     def of(splats: Splats, shadows: bool = True, sides: Facing | None = None) -> LitSurface:
@@ -60,13 +64,23 @@ class LitSurface:
         # Both sides, by the share of each that is seen: a leaf takes light from behind.
         above, below = unoccluded_transfer(normals) / np.pi, unoccluded_transfer(-normals) / np.pi
         closed = np.zeros(len(points))
+        places = sides.places
+        where = places.points if places else np.zeros((0, 3), np.float32)
+        towards = places.normals if places else where
+        place_transfer = (unoccluded_transfer(towards.astype(np.float64)) / np.pi).astype(np.float64)
+        place_closed = np.zeros(len(where))
         if shadows and len(blockers) > 1:
-            visible = visibility(points, sides.normals, spacing, blockers=blockers)
-            above = above - visible.blocked_front / np.pi
-            below = below - visible.blocked_back / np.pi
-            closed = 1 - (front[:, 0] * visible.front + (1 - front[:, 0]) * visible.back)
-        transfer = front * above + (1 - front) * below
-        return LitSurface(points, sides, blockers, spacing, transfer.astype(np.float64), closed, shadows)
+            # Gaussians and places of the surface look into the same maps.
+            both = np.concatenate([points, where]), np.concatenate([sides.normals, towards])
+            visible = visibility(*both, spacing, blockers=blockers)
+            count = len(points)
+            above = above - visible.blocked_front[:count] / np.pi
+            below = below - visible.blocked_back[:count] / np.pi
+            closed = 1 - (front[:, 0] * visible.front[:count] + (1 - front[:, 0]) * visible.back[:count])
+            place_transfer -= visible.blocked_front[count:] / np.pi
+            place_closed = 1 - visible.front[count:].astype(np.float64)
+        transfer = (front * above + (1 - front) * below).astype(np.float64)
+        return LitSurface(points, sides, blockers, spacing, transfer, closed, shadows, place_transfer, place_closed)
 
     def from_sky(self, coefficients: np.ndarray) -> np.ndarray:
         """[N, 3] float64 >= 0 under an environment with SH coefficients [9, 3], in the asset's axes."""

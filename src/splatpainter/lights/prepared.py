@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 
 from splatpainter.cameras import UpAxis
-from splatpainter.color import base_color, to_light
 from splatpainter.lights.irradiance import LitSurface, sun_light
 from splatpainter.lights.lamps import Lamp, Sun
-from splatpainter.lights.source_light import SourceLight, estimate_source
+from splatpainter.lights.source_light import SourceLight, estimate_source, uniform_source
 from splatpainter.splats import Splats
 from splatpainter.system.recent import Recent
 
@@ -41,8 +40,8 @@ def lit_surface(splats: Splats, shadows: bool = True) -> LitSurface:
 
 
 def captured_light(splats: Splats, shadows: bool = True, up: UpAxis = "auto") -> SourceLight:
-    """`estimate_source` of the asset's base colours, computed once for equal assets. up: where light usually comes
-    from. Raises ValueError."""
+    """`estimate_source` of the asset's base colours as views show them, computed once for equal assets. up: where light
+    usually comes from. Raises ValueError."""
     with _LOCK:
         surface = lit_surface(splats, shadows)
         key = (_shape_hash(splats), shadows, up, splats.color_space, _hash(splats.sh[:, 0]))
@@ -104,15 +103,14 @@ def _received(surface: LitSurface, key: tuple[Any, ...], make: Callable[[], np.n
         return _RECEIVED.put((id(surface), key), (surface, received))[1]
 
 
-def linear_colors(splats: Splats) -> np.ndarray:
-    """[N, 3] base colours as linear light; grey where a Gaussian cannot be drawn."""
-    sh = np.where(splats.drawable[:, None, None], splats.sh[:, :1], np.float32(0))
-    return to_light(base_color(sh), splats.color_space)
-
-
 def _estimate(splats: Splats, surface: LitSurface, up: UpAxis) -> SourceLight:
-    witnesses = surface.facing.trusted & (surface.closed < MAX_CLOSED)
-    return estimate_source(linear_colors(splats), surface.transfer, surface.points, witnesses, up)
+    places = surface.facing.places
+    if places is None:
+        return uniform_source("source light: uniform grey, for want of a surface that was looked at")
+    # Of pixels, not of Gaussians: several make the colour of each, and their own are what a fit left them.
+    light, filled = places.colors(splats)
+    witnesses = filled & (surface.place_closed < MAX_CLOSED)
+    return estimate_source(light, surface.place_transfer, places.points, witnesses, up)
 
 
 def _shape_hash(splats: Splats) -> bytes:

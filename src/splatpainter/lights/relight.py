@@ -49,6 +49,9 @@ MAX_NOTE = 2000
 """Characters of what a receipt says of lights."""
 SH_PRODUCT, SH_ZZ, SH_SQUARES = 1.0925484305920792, 0.31539156525252005, 0.5462742152960396
 """Of the functions of band 2, as in `transforms.sh_basis`."""
+MIN_MIRRORED = 0.5
+"""Sum of squares of a band's coefficients of mirrored light, all channels, up to which it tells less of gloss.
+Nine in ten photographed skies of mean radiance 1 have more than 4.6."""
 PIECE = 8192
 """Gaussians whose mirrored light is computed at a time."""
 
@@ -336,9 +339,9 @@ def _response(bands: np.ndarray, mirrored: np.ndarray) -> np.ndarray:
     for first, last in ((0, 3), (3, 8)):
         if bands.shape[1] >= last:
             ours, theirs = bands[:, first:last], mirrored[:, first:last]
-            # The floor keeps light without a direction from dividing by nothing: it has no mirror image.
+            # The floor keeps light nearly without a direction from explaining noise: it has no mirror image.
             power = (theirs * theirs).sum((1, 2))
-            share = (ours * theirs).sum((1, 2)) / np.maximum(power, 1e-3)
+            share = (ours * theirs).sum((1, 2)) / np.maximum(power, MIN_MIRRORED)
             out[:, first:last] = np.clip(share, 0, 1)[:, None, None]
     return out
 

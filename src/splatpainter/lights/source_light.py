@@ -33,7 +33,8 @@ class EstimateThresholds:
     """Of the fit. Lengths of the asset are in rms distances from its middle."""
 
     patch_extents: float = 0.25
-    """Edge of a patch of one material."""
+    """Edge of a patch of one material. 16 path traced tuning meshes, fitted: with 0.4 the rms error of irradiance is 0.43
+    in place of 0.47, and relit pictures and albedos are no better; clean ones lose 0.2 dB."""
     patch_chroma: float = 0.3
     """The same edge in natural logarithms of red and blue over green."""
     patch_brightness: float = 0.7
@@ -65,7 +66,8 @@ class EstimateThresholds:
     are 0.21 and 0.23 in the mean square."""
     variance: tuple[float, float, float] = (0.001, 0.5, 20.0)
     """Of the fit's coefficients as a polynomial in the jackknife's variance: 44 training meshes under 132 lights. Where
-    materials go with directions, every part of an asset misleads alike, and more than the parts differ."""
+    materials go with directions, every part of an asset misleads alike, and more than the parts differ. Three times as
+    much has the same error on path traced meshes and loses 0.2 dB of relit pictures."""
 
 
 LIMITS = EstimateThresholds()

@@ -1,0 +1,96 @@
+"""What views all around tell light of a fitted asset, whose single Gaussians are noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from splatpainter.color import linear_to_srgb, sh_from_color
+from splatpainter.lights.facing import facing
+from splatpainter.lights.irradiance import LitSurface
+from splatpainter.lights.light_set import turned_sky
+from splatpainter.lights.prepared import captured_light
+from splatpainter.lights.relight import delight
+from splatpainter.lights.sightings import look_around
+from splatpainter.lights.skies import sky
+from splatpainter.splats import Splats
+from tests.support.cli_scenes import ball
+
+
+def product(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Hamilton's of quaternions [N, 4], w first."""
+    a, b, c, d = first.T
+    w, x, y, z = second.T
+    columns = (a * w - b * x - c * y - d * z, a * x + b * w + c * z - d * y)
+    return np.stack([*columns, a * y - b * z + c * w + d * x, a * z + b * y - c * x + d * w], 1)
+
+
+def fitted(count: int = 4000, colors: float = 0.0) -> Splats:
+    """A grey ball under the sky "noon" as a fit leaves it: axes off by 25 degrees, of any sign, a cloud of some depth,
+    colours of single Gaussians off by natural logarithms of `colors`."""
+    rng = np.random.default_rng(7)
+    splats = ball(count)
+    normals = splats.means.astype(np.float64)
+    light = LitSurface.of(splats, shadows=False).from_sky(turned_sky(sky("noon"), np.eye(3)))
+    light = 0.3 * light / light.mean() * rng.lognormal(0, colors, (count, 1))
+    sh = sh_from_color(linear_to_srgb(light))[:, None].astype(np.float32)
+    means = normals * (1 + rng.normal(0, 0.015, (count, 1)))
+    axes = rng.normal(size=(count, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    half = np.radians(25) / 2
+    turns = np.concatenate([np.full((count, 1), np.cos(half)), np.sin(half) * axes], 1)
+    # Half a turn about its x axis changes the sign of the shortest one.
+    flips = np.where(rng.random((count, 1)) < 0.5, [1.0, 0, 0, 0], [0.0, 1, 0, 0])
+    quats = product(turns, product(splats.quats.astype(np.float64), flips)).astype(np.float32)
+    flat = splats.scales * np.array([1, 1, 6], np.float32)
+    return replace(splats, means=means.astype(np.float32), quats=quats, scales=flat, sh=sh)
+
+
+def test_normals_are_those_of_the_surface_that_is_seen() -> None:
+    splats = fitted()
+    true = splats.means / np.linalg.norm(splats.means, axis=1, keepdims=True)
+    sides = facing(splats)
+    seen = sides.seen > 1
+    assert seen.mean() > 0.5
+    degrees = np.degrees(np.arccos(np.clip((sides.normals * true).sum(1)[seen], -1, 1)))
+    assert np.median(degrees) < 6 and (degrees < 20).mean() > 0.95, "axes are off by 25"
+    assert (sides.front[seen] == 1).mean() > 0.95
+
+
+def test_the_light_is_found_though_gaussians_are_speckled() -> None:
+    splats = fitted(colors=0.3)
+    surface = LitSurface.of(splats, shadows=False)
+    truth = surface.from_sky(turned_sky(sky("noon"), np.eye(3)))
+    believed = surface.from_sky(captured_light(splats, shadows=False, up="+y").coefficients)
+    shape, expected = believed / believed.mean(0), truth / truth.mean(0)
+    assert np.abs(shape - expected).mean() < 0.3 * np.abs(1 - expected).mean()
+
+
+def test_delight_of_a_fitted_asset_leaves_less_light_than_was_there() -> None:
+    splats = fitted()
+    flat = delight(splats, up="+y", shadows=False).splats
+    seen = facing(splats).seen > 1
+    spread = [float((one.sh[seen, 0] * 0.28209479 + 0.5).std()) for one in (splats, flat)]
+    assert spread[1] < 0.4 * spread[0]
+
+
+def test_places_lie_on_the_surface_and_show_its_colour() -> None:
+    splats = ball(4000)
+    splats = replace(splats, sh=np.full_like(splats.sh[:, :1], sh_from_color(np.array(0.6))))
+    places = look_around(splats).places
+    assert len(places.views) > 5000
+    assert np.abs(np.linalg.norm(places.points, axis=1) - 1).max() < 0.05
+    outwards = (places.normals * places.points).sum(1) > 0.95
+    assert outwards.mean() > 0.999, "but for what is seen through gaps"
+    light, filled = places.colors(splats)
+    assert filled.mean() > 0.8
+    np.testing.assert_allclose(light[filled], ((0.6 + 0.055) / 1.055) ** 2.4, atol=2e-3)
+
+
+def test_undrawable_gaussians_have_no_part() -> None:
+    splats = fitted(1500)
+    broken = replace(splats, opacities=np.where(np.arange(1500) % 7 == 0, np.nan, splats.opacities).astype(np.float32))
+    whole, part = facing(broken), facing(splats.take(np.arange(1500) % 7 != 0))
+    np.testing.assert_array_equal(whole.normals[np.arange(1500) % 7 != 0], part.normals)
+    assert not whole.normals[::7].any()
