@@ -75,15 +75,15 @@ def test_delight_of_a_fitted_asset_leaves_less_light_than_was_there() -> None:
     assert spread[1] < 0.4 * spread[0]
 
 
-def test_places_lie_on_the_surface_and_show_its_colour() -> None:
+def test_pixels_lie_on_the_surface_and_show_its_colour() -> None:
     splats = ball(4000)
     splats = replace(splats, sh=np.full_like(splats.sh[:, :1], sh_from_color(np.array(0.6))))
-    places = look_around(splats).places
-    assert len(places.views) > 5000
-    assert np.abs(np.linalg.norm(places.points, axis=1) - 1).max() < 0.05
-    outwards = (places.normals * places.points).sum(1) > 0.95
+    pixels = look_around(splats).surface_pixels
+    assert len(pixels.views) > 5000
+    assert np.abs(np.linalg.norm(pixels.points, axis=1) - 1).max() < 0.05
+    outwards = (pixels.normals * pixels.points).sum(1) > 0.95
     assert outwards.mean() > 0.999, "but for what is seen through gaps"
-    light, filled = places.colors(splats)
+    light, filled = pixels.colors(splats)
     assert filled.mean() > 0.8
     np.testing.assert_allclose(light[filled], ((0.6 + 0.055) / 1.055) ** 2.4, atol=2e-3)
 
@@ -91,6 +91,6 @@ def test_places_lie_on_the_surface_and_show_its_colour() -> None:
 def test_undrawable_gaussians_have_no_part() -> None:
     splats = fitted(1500)
     broken = replace(splats, opacities=np.where(np.arange(1500) % 7 == 0, np.nan, splats.opacities).astype(np.float32))
-    whole, part = facing(broken), facing(splats.take(np.arange(1500) % 7 != 0))
-    np.testing.assert_array_equal(whole.normals[np.arange(1500) % 7 != 0], part.normals)
-    assert not whole.normals[::7].any()
+    full, part = facing(broken), facing(splats.take(np.arange(1500) % 7 != 0))
+    np.testing.assert_array_equal(full.normals[np.arange(1500) % 7 != 0], part.normals)
+    assert not full.normals[::7].any()

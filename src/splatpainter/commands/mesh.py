@@ -19,7 +19,7 @@ from splatpainter.io import files, read
 from splatpainter.io.axes import AXES
 from splatpainter.io.gltf_mesh import mesh_glb
 from splatpainter.output_paths import check_target
-from splatpainter.surface.proxy_mesh import MIN_DECIMATED, MIN_TRIANGLES, proxy_mesh
+from splatpainter.surface.proxy_mesh import MIN_TRIANGLES, PROXY, proxy_mesh
 
 
 @dataclass(frozen=True)
@@ -63,9 +63,9 @@ def run(config: Config) -> Outcome:
     # Another ending would be taken for another format, and only this one is written.
     if config.out.suffix.lower() != ".glb":
         raise ValueError(f"{config.out}: expected a mesh to write (.glb), got {config.out.suffix or 'no suffix'}")
-    least = MIN_DECIMATED if config.decimate else MIN_TRIANGLES
+    least = PROXY.min_decimated if config.decimate else MIN_TRIANGLES
     if config.triangles < least:
-        hint = "" if config.decimate else f"; with --decimate {MIN_DECIMATED}"
+        hint = "" if config.decimate else f"; with --decimate {PROXY.min_decimated}"
         raise ValueError(f"splatpainter: expected --triangles of {least} or more{hint}, got {config.triangles}")
     if config.decimate:
         require("fast_simplification", "--decimate")

@@ -10,7 +10,7 @@ import numpy as np
 from splatpainter.cameras import bounding_sphere
 from splatpainter.kernels import portable
 from splatpainter.lift.depth_normals import scattered
-from splatpainter.lights.sightings import Places, look_around
+from splatpainter.lights.sightings import SeenPixels, look_around
 from splatpainter.splats import Splats
 from splatpainter.transforms import fibonacci_sphere, quat_to_matrix
 
@@ -24,8 +24,8 @@ class FacingThresholds:
     one_sided: float = 0.35
     """Mean cosine between the normal and the lines of sight from which only the one side counts."""
     one_sided_share: float = 0.75
-    """Share of a side in what is seen of a Gaussian from which only that side counts. Without such a limit albedos of 16
-    fitted tuning meshes are 0.1 dB better, and a low sun shines through walls of two layers."""
+    """Share of a side in what is seen of a Gaussian from which only that side counts. Without such a limit albedos of
+    16 fitted tuning meshes are 0.1 dB better, and a low sun shines through walls of two layers."""
     oriented_share: float = 0.97
     """Of what is seen from one side, by pixels, that must show the positive end of its shortest axis: then the asset
     was made of oriented patches (from a mesh), and those that are hidden are believed too. Of fitted assets
@@ -70,7 +70,7 @@ class Facing:
     """[N] float32 pixels' worth of it, over all views."""
     flat_share: float
     """0..1 of the drawable Gaussians that are flat."""
-    places: Places | None = field(repr=False, default=None)
+    surface_pixels: SeenPixels | None = field(repr=False, default=None)
     """Of the surface, as views all around see it."""
 
     @property
@@ -88,7 +88,7 @@ def facing(splats: Splats) -> Facing:
     if not drawable.all():
         part = facing(splats.take(drawable))
         arrays = (scattered(values, drawable) for values in (part.normals, part.front, part.seen))
-        return Facing(*arrays, flat_share=part.flat_share, places=part.places)
+        return Facing(*arrays, flat_share=part.flat_share, surface_pixels=part.surface_pixels)
     count = len(splats)
     shortest = splats.scales.argmin(1)
     axes = quat_to_matrix(splats.quats)[np.arange(count), :, shortest].astype(np.float32)
@@ -128,7 +128,7 @@ def facing(splats: Splats) -> Facing:
     # Round Gaussians have no normal to speak of, and who moves light asks for this share first.
     ordered = np.sort(splats.scales, 1)
     flat_share = float((ordered[:, 0] <= ORIENTATION.max_flatness * ordered[:, 1]).mean())
-    return Facing(normals, front, seen, flat_share, sights.places)
+    return Facing(normals, front, seen, flat_share, sights.surface_pixels)
 
 
 def _coherence(splats: Splats, axes: np.ndarray, radius: float) -> float:

@@ -44,9 +44,9 @@ class LitSurface:
     closed: np.ndarray = field(repr=False)
     """[N] float64 0..1 share of the cosine-weighted hemisphere that is blocked."""
     shadows: bool
-    place_transfer: np.ndarray = field(repr=False)
-    """[S, 9] float64 SH transfer over pi of the side that is seen of `facing.places`, with what is in the way."""
-    place_closed: np.ndarray = field(repr=False)
+    pixel_transfer: np.ndarray = field(repr=False)
+    """[S, 9] float64 SH transfer over pi of what `facing.surface_pixels` show, with what is in the way."""
+    pixel_closed: np.ndarray = field(repr=False)
     """[S] float64 0..1 share of their hemispheres that is blocked."""
 
     @staticmethod
@@ -64,23 +64,23 @@ class LitSurface:
         # Both sides, by the share of each that is seen: a leaf takes light from behind.
         above, below = unoccluded_transfer(normals) / np.pi, unoccluded_transfer(-normals) / np.pi
         closed = np.zeros(len(points))
-        places = sides.places
-        where = places.points if places else np.zeros((0, 3), np.float32)
-        towards = places.normals if places else where
-        place_transfer = (unoccluded_transfer(towards.astype(np.float64)) / np.pi).astype(np.float64)
-        place_closed = np.zeros(len(where))
+        pixels = sides.surface_pixels
+        where = pixels.points if pixels else np.zeros((0, 3), np.float32)
+        towards = pixels.normals if pixels else where
+        pixel_transfer = (unoccluded_transfer(towards.astype(np.float64)) / np.pi).astype(np.float64)
+        pixel_closed = np.zeros(len(where))
         if shadows and len(blockers) > 1:
-            # Gaussians and places of the surface look into the same maps.
+            # Gaussians and pixels of the surface look into the same maps.
             both = np.concatenate([points, where]), np.concatenate([sides.normals, towards])
             visible = visibility(*both, spacing, blockers=blockers)
             count = len(points)
             above = above - visible.blocked_front[:count] / np.pi
             below = below - visible.blocked_back[:count] / np.pi
             closed = 1 - (front[:, 0] * visible.front[:count] + (1 - front[:, 0]) * visible.back[:count])
-            place_transfer -= visible.blocked_front[count:] / np.pi
-            place_closed = 1 - visible.front[count:].astype(np.float64)
+            pixel_transfer -= visible.blocked_front[count:] / np.pi
+            pixel_closed = 1 - visible.front[count:].astype(np.float64)
         transfer = (front * above + (1 - front) * below).astype(np.float64)
-        return LitSurface(points, sides, blockers, spacing, transfer, closed, shadows, place_transfer, place_closed)
+        return LitSurface(points, sides, blockers, spacing, transfer, closed, shadows, pixel_transfer, pixel_closed)
 
     def from_sky(self, coefficients: np.ndarray) -> np.ndarray:
         """[N, 3] float64 >= 0 under an environment with SH coefficients [9, 3], in the asset's axes."""

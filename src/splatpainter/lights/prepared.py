@@ -104,13 +104,13 @@ def _received(surface: LitSurface, key: tuple[Any, ...], make: Callable[[], np.n
 
 
 def _estimate(splats: Splats, surface: LitSurface, up: UpAxis) -> SourceLight:
-    places = surface.facing.places
-    if places is None:
+    pixels = surface.facing.surface_pixels
+    if pixels is None:
         return uniform_source("source light: uniform grey, for want of a surface that was looked at")
     # Of pixels, not of Gaussians: several make the colour of each, and their own are what a fit left them.
-    light, filled = places.colors(splats)
-    witnesses = filled & (surface.place_closed < MAX_CLOSED)
-    return estimate_source(light, surface.place_transfer, places.points, witnesses, up)
+    light, filled = pixels.colors(splats)
+    witnesses = filled & (surface.pixel_closed < MAX_CLOSED)
+    return estimate_source(light, surface.pixel_transfer, pixels.points, witnesses, up)
 
 
 def _shape_hash(splats: Splats) -> bytes:

@@ -41,7 +41,7 @@ class SightThresholds:
     clear: float = 0.5
     """Length of the mean of normals that a Gaussian shows, from which their mean tells its outside, whatever its
     axes."""
-    shown_px: float = 0.05
+    min_footprint_px: float = 0.05
     """Pixels' worth of a Gaussian from which what views show of it is its surface."""
     min_alpha: float = 0.9
     """Of a pixel whose colour bears witness: at silhouettes the background shines through."""
@@ -51,8 +51,8 @@ SIGHTS = SightThresholds()
 
 
 @dataclass(frozen=True)
-class Places:
-    """S places of the surface, each as one view sees it."""
+class SeenPixels:
+    """S pixels in which views show the surface."""
 
     cameras: tuple[Camera, ...]
     views: Ids = field(repr=False)
@@ -91,10 +91,10 @@ class Sights:
     """[N] float32 pixels' worth of each, over all views, where it does not only shimmer through."""
     towards: Floats = field(repr=False)
     """[N, 3] float32 mean direction to those who see it, times `seen`."""
-    shown: tuple[tuple[Ids, Floats, Floats, Bools], ...] = field(repr=False)
+    footprints: tuple[tuple[Ids, Floats, Floats, Bools], ...] = field(repr=False)
     """Of each view: [M] int64 Gaussians, [M, 3] float32 normals of the surface in the pixels that each is a part of,
     [M] float32 pixels' worth, both sums over pixels; [M] bool where it does not only shimmer through."""
-    places: Places
+    surface_pixels: SeenPixels
 
     def surface_normals(self, sides: np.ndarray) -> tuple[Floats, Floats, Bools]:
         """([N, 3] float32 unit mean normals of the surface that each Gaussian shows, on the side that it shows more,
@@ -102,22 +102,22 @@ class Sights:
         tell both sides apart where views see both about as much."""
         count = len(sides)
         total, weight = np.zeros((count, 3)), np.zeros(count)
-        for ids, normals, shown, _ in self.shown:
+        for ids, normals, weights, _ in self.footprints:
             total[ids] += normals
-            weight[ids] += shown
+            weight[ids] += weights
         # What is seen from all sides alike has no mean: there its own axis tells above from below.
         length = np.sqrt((total * total).sum(1))
         outside = np.where((length > SIGHTS.clear * weight)[:, None], total, sides)
         total, above, below = np.zeros((count, 3)), np.full(count, 1e-9), np.zeros(count)
-        for ids, normals, shown, witness in self.shown:
+        for ids, normals, weights, witness in self.footprints:
             front = (normals * outside[ids]).sum(1) > 0
             total[ids] += np.where(front[:, None], normals, -normals)
             # Normals may come from what shimmers through, as the surface does; that a side is seen may not.
-            above[ids] += np.where(front & witness, shown, 0)
-            below[ids] += np.where(~front & witness, shown, 0)
+            above[ids] += np.where(front & witness, weights, 0)
+            below[ids] += np.where(~front & witness, weights, 0)
         share = above / (above + below)
         length = np.sqrt((total * total).sum(1))
-        there = (weight > SIGHTS.shown_px) & (length > 1e-6)
+        there = (weight > SIGHTS.min_footprint_px) & (length > 1e-6)
         normals = total / np.maximum(length, 1e-9)[:, None] * np.where(share < 0.5, -1, 1)[:, None]
         return normals.astype(np.float32), np.maximum(share, 1 - share).astype(np.float32), there
 
@@ -134,7 +134,7 @@ def look_around(splats: Splats) -> Sights:
     # Of every other pixel, as neighbours tell the same.
     # Neighbouring pixels tell the same.
     sparse = (ys % SIGHTS.surface_step == 0) & (xs % SIGHTS.surface_step == 0)
-    shown, views, pixels, points, normals = [], [], [], [], []
+    footprints, views, pixels, points, normals = [], [], [], [], []
     for number, camera in enumerate(cameras):
         projected = project(splats, camera)
         everywhere = np.ones((px, px), bool)
@@ -150,18 +150,18 @@ def look_around(splats: Splats) -> Sights:
         towards[ids] += (weight / np.linalg.norm(away, axis=1))[:, None] * away
         seen[ids] += weight
         part = sums.weight > 0
-        shown.append((projected.gaussian_ids[part], sums.values[part], sums.weight[part], witness[part]))
-        place = sparse & (at.depth > 0)
-        spots = np.stack([xs[place], ys[place]], 1) + 0.5
-        points.append(camera.to_world(camera.sight_lines(spots) * at.depth[place][:, None]))
-        normals.append(turned[place])
-        pixels.append(np.flatnonzero(place))
+        footprints.append((projected.gaussian_ids[part], sums.values[part], sums.weight[part], witness[part]))
+        lattice = sparse & (at.depth > 0)
+        spots = np.stack([xs[lattice], ys[lattice]], 1) + 0.5
+        points.append(camera.to_world(camera.sight_lines(spots) * at.depth[lattice][:, None]))
+        normals.append(turned[lattice])
+        pixels.append(np.flatnonzero(lattice))
         views.append(np.full(len(spots), number))
-    places = Places(
+    surface_pixels = SeenPixels(
         cameras,
         np.concatenate(views),
         np.concatenate(pixels),
         np.concatenate(points).astype(np.float32),
         np.concatenate(normals).astype(np.float32),
     )
-    return Sights(seen, towards, tuple(shown), places)
+    return Sights(seen, towards, tuple(footprints), surface_pixels)

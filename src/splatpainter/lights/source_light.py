@@ -33,8 +33,8 @@ class EstimateThresholds:
     """Of the fit. Lengths of the asset are in rms distances from its middle."""
 
     patch_extents: float = 0.25
-    """Edge of a patch of one material. 16 path traced tuning meshes, fitted: with 0.4 the rms error of irradiance is 0.43
-    in place of 0.47, and relit pictures and albedos are no better; clean ones lose 0.2 dB."""
+    """Edge of a patch of one material. 16 path traced tuning meshes, fitted: with 0.4 the rms error of irradiance is
+    0.43 in place of 0.47, and relit pictures and albedos are no better; clean ones lose 0.2 dB."""
     patch_chroma: float = 0.3
     """The same edge in natural logarithms of red and blue over green."""
     patch_brightness: float = 0.7

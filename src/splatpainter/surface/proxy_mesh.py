@@ -43,6 +43,8 @@ class ProxyMeshThresholds:
     """Triangles for each square of the resolution, about, that a mesh has: the first guess."""
     decimated_from: float = 5.0
     """Times as many triangles that a mesh has before it is decimated."""
+    min_decimated: int = 100
+    """Triangles that can be asked for where they are decimated."""
     eagerness: tuple[float, ...] = (5.0, 6.0, 4.0, 7.0, 3.0, 8.0)
     """How fast quadrics' limits grow (fast-simplification's `agg`, 7 by default), in the order tried until the result
     is closed. Of balls, a sheet and a capture at 2,000 to 20,000 triangles all are at 5."""
@@ -55,8 +57,6 @@ RESOLUTIONS = (6, 192)
 """Voxels along the longest side."""
 MIN_TRIANGLES = 2000
 """That can be asked for: a ball of six voxels has 1,700."""
-MIN_DECIMATED = 100
-"""That can be asked for where they are decimated."""
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1]])
 TETRAHEDRA = np.array([[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]])
 """Of a cube, all around its diagonal, all of one orientation."""
@@ -90,9 +90,9 @@ class ProxyMesh:
 
 def proxy_mesh(splats: Splats, max_triangles: int = 20_000, *, decimate: bool = False) -> ProxyMesh:
     """At most about max_triangles, and as fine as that allows. decimate: by the extra `mesh`, finer for as many. Raises
-    ValueError: nothing that could be drawn, fewer triangles asked for than MIN_TRIANGLES (MIN_DECIMATED), the extra is
-    missing."""
-    least = MIN_DECIMATED if decimate else MIN_TRIANGLES
+    ValueError: nothing that could be drawn, fewer triangles asked for than MIN_TRIANGLES (PROXY.min_decimated), the
+    extra is missing."""
+    least = PROXY.min_decimated if decimate else MIN_TRIANGLES
     if max_triangles < least:
         raise ValueError(f"mesh: expected at least {least} triangles, got {max_triangles}")
     if decimate:
@@ -183,12 +183,12 @@ def _decimated(vertices: np.ndarray, triangles: np.ndarray, count: int) -> tuple
     from fast_simplification import simplify
 
     for eagerness in PROXY.eagerness:
-        fewer = simplify(vertices.astype(np.float32), triangles.astype(np.int32), target_count=count, agg=eagerness)
+        fewer = simplify(vertices, triangles.astype(np.int32), target_count=count, agg=eagerness)
         points, faces = np.asarray(fewer[0], np.float64), np.asarray(fewer[1], np.int64)
         # A collapse may lay two triangles on each other, back to back: both go, and what is around stays closed.
         _, which, copies = np.unique(np.sort(faces, 1), axis=0, return_inverse=True, return_counts=True)
-        used, kept = np.unique(faces[copies[which.reshape(-1)] == 1], return_inverse=True)
-        faces = kept.reshape(-1, 3)
+        used, index = np.unique(faces[copies[which.reshape(-1)] == 1], return_inverse=True)
+        faces = index.reshape(-1, 3)
         if is_closed(faces) and len(faces) <= count:
             return points[used], faces
     return vertices, triangles
