@@ -19,6 +19,7 @@ import {
   type LampLight,
   type LightSettings,
 } from "../src/lights/lights";
+import { rounded } from "../src/ui/parts";
 import { draggedAcross, draggedAlong, eyeOf, outlines } from "../src/lights/lamp-drag";
 import { zoned } from "../src/lights/light-files";
 import { azimuthOf, ballPoint, nudged, shownPoint, spokenPlace, sunAt } from "../src/lights/sun-ball";
@@ -217,4 +218,13 @@ describe("a layer of light", () => {
     expect(azimuthOf(row([-1, 0, 0]), [0, 0, 1])).toBeCloseTo(0);
     expect(azimuthOf(row([0, -1, 0]), [0, 0, 1])).toBeCloseTo(90);
   });
+});
+
+it("what rounds to zero has no sign", () => {
+  expect([rounded(-0.001, 2), rounded(-0, 0), rounded(-0.006, 2), rounded(3.14159, 3)]).toEqual([
+    "0.00",
+    "0",
+    "-0.01",
+    "3.142",
+  ]);
 });

@@ -141,8 +141,11 @@ interface NumberProps {
   onChange: (value: number) => void;
 }
 
+/** With so many digits behind the point; what rounds to zero has no sign. */
+export const rounded = (value: number, digits: number): string => (Number(value.toFixed(digits)) + 0).toFixed(digits);
+
 export function NumberField({ label, value, min, max, digits, unit, disabled, onChange }: NumberProps) {
-  const formatted = value.toFixed(digits);
+  const formatted = rounded(value, digits);
   const [draft, setDraft] = useState<string | null>(null);
   const latest = useRef<string | null>(null); // the field is left before it is drawn again
   const write = (text: string | null) => setDraft((latest.current = text));
