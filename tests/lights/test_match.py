@@ -77,6 +77,22 @@ def test_a_match_is_mixed_as_light_and_kept_to_its_region() -> None:
     np.testing.assert_array_equal(result_again.sh, result.sh)
 
 
+def test_what_one_picture_does_not_show_is_not_darkened() -> None:
+    """A lamp from the front is all that the picture tells of; behind, the asset keeps its look, nearly."""
+    before = sh_light("overcast")
+    front = pictures(textured_ball(before), 1)[0].camera.position
+    front = front / np.linalg.norm(front)
+    after = 0.3 * before
+    after[1:4] += np.array([-front[1], front[2], -front[0]])[:, None] * 2.0
+    asset, truth = textured_ball(before), textured_ball(after)
+    lit = match_light(asset, pictures(truth, 1), shadows=False).asset.splats
+    cosine = asset.means @ front
+    ahead, behind = cosine > 0.5, cosine < -0.5
+    errors = [np.abs(linear(one) - linear(truth))[ahead].mean() for one in (lit, asset)]
+    assert errors[0] < 0.3 * errors[1]
+    assert linear(lit)[behind].mean() > 0.4 * linear(asset)[behind].mean(), "0.14 by the light alone"
+
+
 def test_a_given_light_helps_one_picture() -> None:
     before, after = sh_light("overcast"), sh_light("sunset")
     asset, truth = textured_ball(before), textured_ball(after)
