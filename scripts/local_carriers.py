@@ -96,8 +96,8 @@ def main(options: Options) -> str:
             path = options.out / f"{name.replace(', ', '-').replace(' ', '-')}-{seed}.json"
             if not path.is_file():
                 write_text(path, json.dumps(_trained(name, seed, options.seconds, recipe, usable, judged, captures)))
-            print(path.name, path.read_text(), flush=True)
-    results = [json.loads(path.read_text()) for path in sorted(options.out.glob("*.json"))]
+            print(path.name, path.read_text(encoding="utf-8"), flush=True)
+    results = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(options.out.glob("*.json"))]
     table = _table([*_references(judged, captures), *results])
     write_text(options.out / "carriers.md", table)
     return table

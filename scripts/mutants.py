@@ -285,8 +285,8 @@ MUTATIONS = (
     Mutation(
         "the sign of a global round",
         "lift/colors.py",
-        "change += (gain - hold * change)",
-        "change -= (gain - hold * change)",
+        "run(kernels.step_changes, gain, total, hold, limit, change)",
+        "run(kernels.step_changes, -gain, total, hold, limit, change)",
         (COLORS,),
     ),
     Mutation(

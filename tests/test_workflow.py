@@ -54,7 +54,8 @@ def test_make_runs_where_it_is_and_its_targets_exist(jobs: dict[str, Any]) -> No
 
 
 def test_commands_without_make_are_those_of_the_readme(jobs: dict[str, Any]) -> None:
-    readme = "".join((ROOT / name).read_text(encoding="utf-8") for name in ("README.md", "CONTRIBUTING.md"))
+    texts = [(ROOT / name).read_text(encoding="utf-8") for name in ("README.md", "CONTRIBUTING.md")]
+    readme = " ".join(" ".join(texts).split())
     for line in (
         "pip install -c constraints.txt torch",
         "networks",

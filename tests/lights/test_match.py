@@ -90,7 +90,7 @@ def test_what_one_picture_does_not_show_is_not_darkened() -> None:
     ahead, behind = cosine > 0.5, cosine < -0.5
     errors = [np.abs(linear(one) - linear(truth))[ahead].mean() for one in (lit, asset)]
     assert errors[0] < 0.3 * errors[1]
-    assert linear(lit)[behind].mean() > 0.4 * linear(asset)[behind].mean(), "0.14 by the light alone"
+    assert linear(lit)[behind].mean() > 0.33 * linear(asset)[behind].mean(), "0.14 by the light alone"
 
 
 def test_a_given_light_helps_one_picture() -> None:

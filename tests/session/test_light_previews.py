@@ -102,7 +102,7 @@ def test_there_is_none_of_what_cannot_be_shown_at_a_glance(session: Session) -> 
     layer = session.layers.add("light", hdri="noon").id
     session.layers.set(layer, visible=False)
     assert session.layers.color_preview(layer, exposure=1.0) is None
-    with pytest.raises(ValueError, match="expected an exposure"):
+    with pytest.raises(ValueError, match="expected exposure from"):
         session.layers.color_preview(layer, exposure=99.0)
 
 

@@ -153,10 +153,12 @@ def picture_edit(
     view it is."""
     if camera is not None and split_selector(camera)[0] == camera and not is_capture(camera):
         return edit_from_files(picture, camera, mask, folders)
+    # Read in any case: a damaged list that was named must not pass because this picture has a camera of its own.
+    listed = None if camera is None else named_views(camera, asset, picture)
     if carries_camera(picture):  # a render's, painted on: no photograph
         return edit_from_files(picture, None, mask)
-    if camera is not None:
-        return photograph_edit(picture, choose_one(named_views(camera, asset, picture), camera), mask)
+    if camera is not None and listed is not None:
+        return photograph_edit(picture, choose_one(listed, camera), mask)
     beside = None if asset is None else capture_of(asset)
     views = [] if beside is None else named_views(beside, asset, picture)
     if len(views) == 1 and views[0].is_called(picture.name):

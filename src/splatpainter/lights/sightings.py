@@ -131,7 +131,6 @@ def look_around(splats: Splats) -> Sights:
     surface = Surface.of(splats)
     towards, seen = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
     ys, xs = (grid.ravel() for grid in np.indices((px, px)))
-    # Of every other pixel, as neighbours tell the same.
     # Neighbouring pixels tell the same.
     sparse = (ys % SIGHTS.surface_step == 0) & (xs % SIGHTS.surface_step == 0)
     footprints, views, pixels, points, normals = [], [], [], [], []

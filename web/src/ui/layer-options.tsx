@@ -1,7 +1,7 @@
 /** The options of a layer whose kind has no panel of its own: controls made from what the server says of them. */
 
 import { signal } from "@preact/signals";
-import { useEffect } from "preact/hooks";
+import { useEffect, useState } from "preact/hooks";
 
 import type { LayerInfo, OptionInfo } from "../messages";
 import { run } from "../editor/editor";
@@ -66,37 +66,7 @@ function OptionControl({ option, onChange }: ControlProps) {
     const options = option.choices.map((one) => [one, one] as const);
     return <Choice label={label} value={String(value)} options={options} disabled={disabled} onChange={onChange} />;
   }
-  if (kind === "lines") {
-    const lines = Array.isArray(value) ? value : [];
-    return (
-      <label class="choice">
-        <span>{label}</span>
-        <textarea
-          aria-label={`${label}, one in a line`}
-          rows={Math.min(lines.length + 1, 6)}
-          value={lines.join("\n")}
-          disabled={disabled}
-          onChange={(event) => onChange(event.currentTarget.value.split("\n").map((one) => one.trim()).filter(Boolean))}
-          onKeyDown={(event) => event.stopPropagation()}
-        />
-      </label>
-    );
-  }
-  if (kind === "text") {
-    return (
-      <label class="choice">
-        <span>{label}</span>
-        <input
-          type="text"
-          aria-label={label}
-          value={String(value)}
-          disabled={disabled}
-          onChange={(event) => onChange(event.currentTarget.value)}
-          onKeyDown={(event) => event.stopPropagation()}
-        />
-      </label>
-    );
-  }
+  if (kind === "lines" || kind === "text") return <TextControl option={option} onChange={onChange} />;
   const digits = kind === "whole" ? 0 : 2;
   const rounded = (to: number) => onChange(kind === "whole" ? Math.round(to) : to);
   if (low !== null && high !== null) {
@@ -124,6 +94,46 @@ function OptionControl({ option, onChange }: ControlProps) {
         max={high ?? Infinity}
         onChange={rounded}
       />
+    </label>
+  );
+}
+
+/** Words, or a list of them, one in a line. What is being typed stays while answers to other changes come in. */
+function TextControl({ option, onChange }: ControlProps) {
+  const { label, value } = option;
+  const [draft, setDraft] = useState<string | null>(null);
+  const lines = Array.isArray(value) ? value : null;
+  const shown = draft ?? (lines ? lines.join("\n") : String(value));
+  const field = {
+    "aria-label": lines ? `${label}, one in a line` : label,
+    value: shown,
+    disabled: readOnly.value,
+    onKeyDown: (event: KeyboardEvent) => event.stopPropagation(),
+  };
+  const commit = (text: string) => {
+    setDraft(null);
+    const words = text.split("\n").map((one) => one.trim());
+    onChange(lines ? words.filter(Boolean) : text);
+  };
+  return (
+    <label class="choice">
+      <span>{label}</span>
+      {lines ? (
+        <textarea
+          {...field}
+          rows={Math.min(shown.split("\n").length + 1, 6)}
+          onInput={(event) => setDraft(event.currentTarget.value)}
+          onBlur={(event) => draft !== null && commit(event.currentTarget.value)}
+        />
+      ) : (
+        <input
+          type="text"
+          {...field}
+          onInput={(event) => setDraft(event.currentTarget.value)}
+          onBlur={(event) => draft !== null && commit(event.currentTarget.value)}
+          onChange={(event) => draft !== null && commit(event.currentTarget.value)}
+        />
+      )}
     </label>
   );
 }
