@@ -178,7 +178,7 @@ def test_the_readme_and_the_first_page_say_the_same() -> None:
     readme, index = (
         " ".join((ROOT / name).read_text(encoding="utf-8").split()) for name in ("README.md", "docs/index.md")
     )
-    for sentence in ("in one to two seconds", "two CPU cores open a capture"):
+    for sentence in ("in about a second", "two CPU cores open a capture"):
         assert sentence in readme and sentence in index
 
 

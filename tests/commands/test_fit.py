@@ -84,9 +84,10 @@ def test_pictures_that_carry_their_camera(tmp_path: Path, capfd: Capture) -> Non
     assert np.quantile(np.linalg.norm(first, axis=1), 0.9) < 1.4, "carved to about the ball of radius 1"
 
 
-@pytest.mark.parametrize("optics", ["angle", "focal"])
+@pytest.mark.parametrize("optics", ["angle", "focal", "white"])
 def test_a_nerf_style_table(optics: str, tmp_path: Path, capfd: Capture) -> None:
-    """Matrices written here from their definition: columns right, up, backward, eye; pictures with transparency."""
+    """Matrices written here from their definition: columns right, up, backward, eye; pictures with transparency,
+    or before one colour, which is no fog of that colour then."""
     cameras = pictures(tmp_path / "views")
     frames = []
     for k, camera in enumerate(cameras):
@@ -97,7 +98,8 @@ def test_a_nerf_style_table(optics: str, tmp_path: Path, capfd: Capture) -> None
         alpha = drawn.alphas[0]
         colors = np.clip((drawn.colors[0] - (1 - alpha) * camera.background) / np.maximum(alpha, 1e-3), 0, 1)
         (tmp_path / "views" / f"view_{k:03d}.png").unlink()
-        Image.fromarray(to_uint8(np.concatenate([colors, alpha], 2)), "RGBA").save(tmp_path / "views" / f"r_{k}.png")
+        parts = [colors * alpha + 1 - alpha] if optics == "white" else [colors, alpha]
+        Image.fromarray(to_uint8(np.concatenate(parts, 2))).save(tmp_path / "views" / f"r_{k}.png")
         frames.append({"file_path": f"./r_{k}", "transform_matrix": matrix.tolist()})
     focal = cameras[0].fx
     angle = {"camera_angle_x": 2 * np.arctan(20 / focal)}
@@ -107,6 +109,8 @@ def test_a_nerf_style_table(optics: str, tmp_path: Path, capfd: Capture) -> None
     done = run(capfd, "fit", tmp_path / "views", "--out", tmp_path / "ball.ply", *SMALL)
     assert done.code == 0 and json.loads(done.out)["psnr"]["training"] > 18
     assert upper_cap_is_red(tmp_path / "ball.ply")
+    corners = render(read(tmp_path / "ball.ply"), cameras).alphas[:, ::39, ::39]
+    assert corners.shape[1:3] == (2, 2) and corners.mean() < 0.1, "no fog"
 
 
 def test_people_get_lines(tmp_path: Path, capfd: Capture) -> None:

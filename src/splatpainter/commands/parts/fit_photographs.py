@@ -32,6 +32,10 @@ MAX_STEP_OF_REACH = 1e-5
 to an offset: a hundredth of a pixel in pictures of a thousand."""
 MIN_POINTS = 16
 """Of a start."""
+SAME_COLOR = 3 / 255
+"""Difference up to which a pixel is of the background's colour."""
+MIN_EDGE_SHARE = 0.9
+"""Share of the pixels along the edges of all pictures that are of one colour, from which that is the background."""
 
 
 @dataclass(frozen=True)
@@ -51,13 +55,41 @@ def posed_pictures(folder: Path, size: int | None) -> list[PosedPicture]:
     if is_capture(folder):
         views = captured_views(folder)
         paths = [_checked(view) for view in views]  # before the first is decoded
-        return [_photograph(path, view, size, k) for k, (path, view) in enumerate(zip(paths, views, strict=True))]
+        return over_common_color(
+            [_photograph(path, view, size, k) for k, (path, view) in enumerate(zip(paths, views, strict=True))]
+        )
     paths = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in PICTURES and path.is_file()]
     if not paths:
         raise ValueError(
             f"{folder}: expected pictures with cameras, {' or '.join(TABLES)}, or COLMAP's sparse/0; found neither"
         )
     return [_picture(path, find_camera(path), size, k) for k, path in enumerate(paths)]
+
+
+def over_common_color(pictures: list[PosedPicture]) -> list[PosedPicture]:
+    """The pictures, with the one colour that lies along the edges of all of them as the background: renders and product
+    shots before white. As they are where there is no such colour, or where transparency told the background."""
+    # Transparent pictures stand over black and white in turn already.
+    if len({picture.camera.background for picture in pictures}) > 1:
+        return pictures
+    edges = [
+        np.concatenate([part.reshape(-1, 3) for part in (seen[0], seen[-1], seen[:, 0], seen[:, -1])])
+        for seen in (picture.colors for picture in pictures)
+    ]
+    common = np.median(np.concatenate(edges), axis=0)
+    shares = [float((np.abs(edge - common).max(1) <= SAME_COLOR).mean()) for edge in edges]
+    # An object may reach over the edge of a picture, but no photograph of a room has one colour along its edges.
+    if float(np.mean(shares)) < MIN_EDGE_SHARE or min(shares) < MIN_EDGE_SHARE / 2:
+        return pictures
+    background = common[0].item(), common[1].item(), common[2].item()
+    return [
+        PosedPicture(
+            replace(picture.camera, background=background),
+            picture.colors,
+            np.abs(picture.colors - common).max(-1) > SAME_COLOR,
+        )
+        for picture in pictures
+    ]
 
 
 def near_zero(pictures: list[PosedPicture]) -> tuple[list[PosedPicture], Offset]:
@@ -125,7 +157,7 @@ def _posed(camera: Camera, picture: Picture, k: int) -> PosedPicture:
         alpha, background = picture.alpha[..., None], np.array(camera.background, np.float32)
         return PosedPicture(camera, picture.colors * alpha + background * (1 - alpha), picture.alpha > 0.02)
     background = np.array(camera.background, np.float32)
-    return PosedPicture(camera, picture.colors, np.abs(picture.colors - background).max(-1) > 3 / 255)
+    return PosedPicture(camera, picture.colors, np.abs(picture.colors - background).max(-1) > SAME_COLOR)
 
 
 def first_gaussians(
