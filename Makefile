@@ -81,7 +81,7 @@ format: .venv/installed-dev
 	scripts/install-torch $(PY)
 	$(PIP) -e '.[dev]' -e train -e benchmarks -e networks
 	$(PIP) --no-deps gsplat  # its plain-torch formulas are an oracle of the tests; its kernels need CUDA
-	$(PIP) --no-deps gsply gaussforge usd-core  # readers and writers of SPZ and USD, oracles of the tests
+	$(PIP) --no-deps gsply numba llvmlite gaussforge usd-core  # readers and writers of SPZ and USD, oracles of the tests; gsply wants numba
 	touch $@
 
 clean:
