@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from splatpainter.color import linear_to_srgb, sh_from_color
 from splatpainter.lights.facing import facing
@@ -12,7 +13,7 @@ from splatpainter.lights.irradiance import LitSurface
 from splatpainter.lights.light_set import turned_sky
 from splatpainter.lights.prepared import captured_light
 from splatpainter.lights.relight import delight
-from splatpainter.lights.sightings import look_around
+from splatpainter.lights.sightings import SeenPixels, Sights, look_around
 from splatpainter.lights.skies import sky
 from splatpainter.splats import Splats
 from tests.support.cli_scenes import ball
@@ -94,3 +95,37 @@ def test_undrawable_gaussians_have_no_part() -> None:
     full, part = facing(broken), facing(splats.take(np.arange(1500) % 7 != 0))
     np.testing.assert_array_equal(full.normals[np.arange(1500) % 7 != 0], part.normals)
     assert not full.normals[::7].any()
+
+
+NO_PIXELS = SeenPixels((), *(np.zeros(0, np.int64),) * 2, *(np.zeros((0, 3), np.float32),) * 2)
+UP = np.array([[0.0, 0.0, 1.0]], np.float32)
+
+
+def seen_from(*views: tuple[tuple[float, float, float], float]) -> Sights:
+    """One Gaussian, by views that see a surface of this normal with this weight."""
+    footprints = tuple(
+        (
+            np.zeros(1, np.int64),
+            np.array([normal], np.float32) * weight,
+            np.full(1, weight, np.float32),
+            np.ones(1, bool),
+        )
+        for normal, weight in views
+    )
+    return Sights(np.ones(1, np.float32), UP, footprints, NO_PIXELS)
+
+
+@pytest.mark.parametrize(("front", "back", "height", "share"), [(2, 1, 1, 2 / 3), (1, 2, -1, 2 / 3), (3, 3, 1, 0.5)])
+def test_a_sheet_faces_where_more_of_it_is_seen(front: float, back: float, height: float, share: float) -> None:
+    normals, shares, there = seen_from(((0, 0, 1), front), ((0, 0, -1), back)).surface_normals(UP)
+    np.testing.assert_allclose(normals, [[0, 0, height]], atol=1e-6)
+    np.testing.assert_allclose(shares, [share], atol=1e-6)
+    assert there.all()
+
+
+def test_both_sides_of_a_sheet_are_one_surface() -> None:
+    """A slope seen from above, and from below with the opposite normal, is the same slope."""
+    normals, _, _ = seen_from(((0.6, 0, 0.8), 1.5), ((-0.6, 0, -0.8), 1.4)).surface_normals(UP)
+    np.testing.assert_allclose(normals, [[0.6, 0, 0.8]], atol=1e-6)
+    tilted, _, _ = seen_from(((0, 0, 1), 1.5), ((0.6, 0, -0.8), 1.4)).surface_normals(UP)
+    assert tilted[0, 0] < -0.2, "the mean of (0, 0, 1) and (-0.6, 0, 0.8)"
