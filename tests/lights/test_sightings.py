@@ -97,7 +97,8 @@ def test_undrawable_gaussians_have_no_part() -> None:
     assert not full.normals[::7].any()
 
 
-NO_PIXELS = SeenPixels((), *(np.zeros(0, np.int64),) * 2, *(np.zeros((0, 3), np.float32),) * 2)
+NO_IDS, NO_VECTORS = np.zeros(0, np.int64), np.zeros((0, 3), np.float32)
+NO_PIXELS = SeenPixels((), NO_IDS, NO_IDS, NO_VECTORS, NO_VECTORS)
 UP = np.array([[0.0, 0.0, 1.0]], np.float32)
 
 
