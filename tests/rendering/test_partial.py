@@ -64,7 +64,7 @@ def test_an_edit_is_drawn_where_it_changed_the_view(changed: int, appended: int)
     np.testing.assert_array_equal(full.colors, sp.render(after, CAMERA).colors[0])
 
 
-@pytest.mark.parametrize("case", ["moved", "recolored", "beyond range", "from beyond range", "appended"])
+@pytest.mark.parametrize("case", ["moved", "recolored", "beyond range", "from beyond range", "appended", "marked"])
 def test_a_view_that_was_kept_is_drawn_again_as_it_would_be_anew(case: str) -> None:
     before, rng = cloud(300), np.random.default_rng(5)
     ids = np.sort(rng.permutation(300)[:40])
@@ -78,6 +78,8 @@ def test_a_view_that_was_kept_is_drawn_again_as_it_would_be_anew(case: str) -> N
     if case == "moved":
         after = replace(after, means=before.means + np.float32(0.01))
         ids = np.arange(300)
+    if case == "marked":
+        after, ids = replace(after, antialiased=True), np.arange(300)
     if case == "appended":
         after = after.append(cloud(7, 3))
     picture = PartialRender.of(before, CAMERA, keep=True)
