@@ -244,6 +244,61 @@ def painting(rng: np.random.Generator, dtype: type) -> None:
     assert edited.receipt.untouched_sha256_before == edited.receipt.untouched_sha256_after
 
 
+def rounds(rng: np.random.Generator, dtype: type) -> None:
+    """Rounds in the colours of all Gaussians, and a view in other colours."""
+    from dataclasses import replace
+
+    from splatpainter.kernels.library import kernels
+    from splatpainter.kernels.parallel import run
+    from splatpainter.rendering.cpu.geometry import STEP_SIZES
+    from splatpainter.rendering.cpu.projected_view import project
+
+    splats, camera = rows(rng, dtype, rng.choice([0, 0.01, 0.1])), view(rng)
+    frame, n = project(splats, camera), len(splats)
+    projected = extreme(rng, frame.projected, rng.choice([0, 0.1]))
+    sums = extreme(rng, rng.normal(size=(len(frame.flatten_ids), STEP_SIZES.sums)).astype(dtype), 0.1)
+    weight = np.abs(extreme(rng, rng.random(n).astype(dtype), 0.2))
+    gain, of_entries = np.zeros((n, 3), dtype), np.zeros((len(frame), 3), dtype)
+    run(kernels.add_gains, frame.pair_offsets, sums, frame.gaussian_ids, weight, gain)
+    run(kernels.add_gains, frame.pair_offsets, sums, None, None, of_entries)
+    unseen = np.ones(n, bool)
+    unseen[frame.gaussian_ids] = False
+    assert not gain[unseen | ~(weight > 0)].any(), "a Gaussian gained that no pixel asks for"
+    change = extreme(rng, rng.normal(size=(n, 3)).astype(np.float32), 0.2)
+    if dtype == np.float32:
+        run(kernels.set_changed_colors, frame.gaussian_ids, change, float(rng.choice([0, 1.3, 1e30])), projected)
+        run(kernels.step_changes, gain, weight, abs(float(rng.choice(EXTREMES))), 1.3, change)
+        assert not gain.any(), "gains are taken once"
+        assert (np.abs(change[~np.isnan(change)]) <= np.float32(1.3)).all(), "a change beyond its limit"
+    shaded = frame.recolored(replace(splats, sh=extreme(rng, splats.sh, rng.choice([0, 0.1, 0.5]))))
+    assert shaded is None or np.isfinite(shaded.colors).all()
+    same = frame.recolored(splats)
+    assert same is not None and same.projected.tobytes() == frame.projected.tobytes()
+
+
+def samples(rng: np.random.Generator, dtype: type) -> None:
+    """Gaussians as patches of a surface, as features of a regression, and products of these."""
+    from splatpainter.kernels import portable
+    from splatpainter.kernels.library import kernels
+    from splatpainter.kernels.parallel import run
+    from splatpainter.lift.global_edit import regression_features
+
+    splats = rows(rng, np.float32, rng.choice([0, 0.1, 0.5])).numpy()
+    n = len(splats)
+    ids = rng.integers(0, n, int(rng.integers(0, 60)))
+    patches = np.empty((len(ids), 16), np.float32)
+    run(kernels.fill_patches, ids, splats.means, splats.quats, splats.scales, splats.opacities, patches)
+    assert np.array_equal(patches[:, :3], splats.means[ids], equal_nan=True)
+    normals = extreme(rng, rng.normal(size=(n, 3)).astype(np.float32), rng.choice([0, 0.2]))
+    features = regression_features(extreme(rng, rng.random((n, 3)).astype(np.float32), 0.1), normals)
+    columns = int(rng.choice([1, 3, 4, 7, 16, 17, 33]))
+    solution = extreme(rng, rng.normal(size=(36, columns)), rng.choice([0, 0.05]))
+    portable.matmul(features, solution)
+    stacks, inner = (1, n) if rng.random() < 0.5 else (n, 1), int(rng.integers(1, 20))
+    first, second = (rng.normal(size=(count, inner, inner)) for count in stacks)
+    portable.matmul(extreme(rng, first, 0.05).astype(np.float32), extreme(rng, second, 0.05))
+
+
 def stickers(rng: np.random.Generator, dtype: type) -> None:
     """The surface unwrapped around a point, and how much it bends."""
     from splatpainter.session.measures.curvature import bend_degrees
@@ -356,6 +411,8 @@ CASES: dict[str, Callable[[np.random.Generator, type], None]] = {
     "fitting": fitting,
     "lifting": lifting,
     "painting": painting,
+    "rounds": rounds,
+    "samples": samples,
     "stickers": stickers,
     "views": views,
     "files": files,
