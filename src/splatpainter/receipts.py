@@ -33,6 +33,8 @@ from splatpainter.io import (
 from splatpainter.io.losses import loss_line, measure
 from splatpainter.io.write_options import AS_IT_IS, WriteOptions
 from splatpainter.kernels import library
+from splatpainter.kernels.arrays import set_pixels
+from splatpainter.kernels.rows import differing
 from splatpainter.splats import ATTRIBUTES, Axes, Splats, row_blocks, rows_sha256
 from splatpainter.system.old_names import formerly, formerly_called
 
@@ -373,6 +375,8 @@ def _same_bits(before: np.ndarray, after: np.ndarray, rows: np.ndarray) -> bool:
         return True
     if before.dtype != after.dtype or before.shape[1:] != after.shape[1:]:
         return False
+    if before.dtype == np.float32:
+        return not differing(before, after, rows).any()
 
     def taken(values: np.ndarray, ids: np.ndarray) -> np.ndarray:
         # As bytes, as a NaN equals itself and -0 is not 0 there.
@@ -580,10 +584,12 @@ def score(pixels: np.ndarray, other: np.ndarray, mask: np.ndarray) -> float | No
     """PSNR in dB over the masked pixels of two [H, W, 3] pictures, clipped to 0..1; inf if equal, None if empty."""
     if not mask.any():
         return None
-    # The masked pixels that differ alone: around a dab they are a few of a million.
-    chosen = mask & ((pixels[..., 0] != other[..., 0]) | (pixels[..., 1] != other[..., 1]))
-    chosen |= mask & (pixels[..., 2] != other[..., 2])
-    at = np.flatnonzero(chosen)
+    # The masked pixels that differ alone, in the rows that have any: around a dab they are a few of a million.
+    differs = pixels != other
+    rows = np.flatnonzero(mask.any(1) & differs.reshape(len(mask), -1).any(1))
+    channels = differs[rows]
+    row, column = set_pixels(mask[rows] & (channels[..., 0] | channels[..., 1] | channels[..., 2]))
+    at = rows[row] * mask.shape[1] + column
     one, two = (np.clip(picture.reshape(-1, 3)[at], 0, 1).astype(np.float64) for picture in (pixels, other))
     error = float(((one - two) ** 2).sum()) / (3 * int(mask.sum()))
     return math.inf if error == 0 else -10 * math.log10(error)

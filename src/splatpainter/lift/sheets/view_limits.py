@@ -10,6 +10,7 @@ import numpy as np
 from splatpainter.array_types import Bools, Floats
 from splatpainter.cameras import Camera
 from splatpainter.kernels import portable
+from splatpainter.kernels.arrays import set_pixels
 from splatpainter.lift.masks import dilated
 from splatpainter.lift.options import MAX_DEPTH_EDGE_LIMIT_PX
 from splatpainter.rendering.cpu.projected_view import project
@@ -71,7 +72,7 @@ def paintable(visible: VisibleSurface, pixels: Bools, angle_limit: float, depth_
     that are left out, fading over as many again; 0: none. Where the surface is not trusted there is nothing to limit
     by: 1."""
     out = pixels.astype(np.float32)
-    ys, xs = np.nonzero(pixels)
+    ys, xs = set_pixels(pixels)
     centers = np.stack([xs, ys], 1) + 0.5
     at = visible.at(centers)
     seen = at.depth > 0

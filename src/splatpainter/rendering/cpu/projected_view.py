@@ -220,9 +220,14 @@ class ProjectedView:
         # Zeros that nobody writes cost nothing: the system hands out pages when they are touched.
         image, alpha, depth = np.zeros((*shape, 3), dtype), np.zeros(shape, dtype), np.zeros(shape, dtype)
         if len(self.tile_ids) < self.tiles.size and any(self.camera.background):
-            image[:] = self._background()
+            self._fill(image)
         self.rasterize_into(image, alpha, depth, colors, empty=True)
         return image, alpha, depth
+
+    def redraw(self, tiles: Bools, image: np.ndarray, alpha: np.ndarray, depth: np.ndarray) -> None:
+        """Some of the drawn tiles ([TH, TW] bool) drawn anew into given pictures, whose other pixels stay."""
+        view = self._with_tiles(tiles & self.tiles) if (self.tiles & ~tiles).any() else self
+        view.rasterize_into(image, alpha, depth, empty=True)
 
     def rasterize_into(
         self,
@@ -238,7 +243,8 @@ class ProjectedView:
         [T] int64 where in `flatten_ids` each drawn tile stopped, for `rasterize_backward`."""
         background = self._background()
         if len(self.tile_ids) < self.tiles.size and not empty:
-            image[:], alpha[:], depth[:] = background, 0, 0
+            self._fill(image)
+            alpha[:], depth[:] = 0, 0
         ends = np.empty(len(self.tile_ids), np.int64)
         lists = (self.with_colors(colors), self.flatten_ids, self.tile_ids, self.isect_offsets)
         run(kernels.rasterize_tiles, *lists, background, image, alpha, depth, ends, _profile_number(profile))
@@ -373,6 +379,10 @@ class ProjectedView:
         """What every kernel over pairs begins with."""
         return projected, self.flatten_ids, self.pair_ids, self.tile_ids, self.isect_offsets
 
+    def _fill(self, image: np.ndarray) -> None:
+        """Background everywhere. Row by row: numpy copies long rows, and three numbers one by one."""
+        image[:] = np.tile(self._background(), (image.shape[1], 1))
+
     def _background(self) -> np.ndarray:
         return readonly(np.array(self.camera.background), self.projected.dtype)
 
@@ -396,8 +406,10 @@ def tiles_of_mask(mask: np.ndarray) -> Bools:
     """[TH, TW] bool: tiles in which a [H, W] mask has any pixel > 0."""
     height, width = mask.shape
     padded = np.zeros((-(-height // TILE) * TILE, -(-width // TILE) * TILE), bool)
-    padded[:height, :width] = mask > 0
-    return np.any(padded.reshape(padded.shape[0] // TILE, TILE, -1, TILE), axis=(1, 3))
+    padded[:height, :width] = mask if mask.dtype == bool else mask > 0
+    # Rows first, then eight pixels at a time as one number.
+    rows = np.logical_or.reduce(padded.reshape(-1, TILE, padded.shape[1]), 1).view(np.uint64)
+    return (rows[:, ::2] | rows[:, 1::2]) != 0
 
 
 def project(
