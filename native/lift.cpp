@@ -5,11 +5,14 @@
 #include "lift/merging.h"
 #include "lift/near_surface.h"
 #include "lift/nearest_pixels.h"
+#include "lift/picture_change.h"
 #include "lift/regression.h"
 #include "lift/visible_depth.h"
 
 SP_KERNELS(lift,
     ONE(mean_over_boxes),
+    BOTH(compare_pictures),
+    BOTH(measure_contrast),
     ONE(find_nearest_pixels),
     BOTH(classify_sides),
     ONE(find_partners),

@@ -1,6 +1,7 @@
 #include "kernels.h"
 #include "surface/curvature.h"
 #include "surface/estimate.h"
+#include "surface/lattice.h"
 #include "surface/patches.h"
 #include "surface/unwrap.h"
 #include "surface/visible.h"
@@ -9,6 +10,9 @@ SP_KERNELS(surface,
     ONE(fill_patches),
     ONE(estimate_surface),
     BOTH(find_front_entries),
+    ONE(choose_lattice_pixels),
+    BOTH(measure_depths_along),
+    ONE(count_agreeing),
     ONE(interpolate_planes),
     ONE(thin_points),
     ONE(smooth_points),

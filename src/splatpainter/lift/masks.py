@@ -74,17 +74,22 @@ def change_mask(edited: np.ndarray, render: np.ndarray) -> Bools:
 
     Measured on four captures, 384 px, JPEG of quality 85 to 95: of a red rectangle nothing was missed, of a pale one
     (10 % opaque) up to 5 %; of the other pixels up to 0.5 % were taken for edits, without an edit up to 0.1 %."""
-    before = np.clip(render, 0, 1)
-    signed = np.clip(edited, 0, 1) - before
+    return _change_mask(edited, render, largest_difference(edited, render))
+
+
+def _change_mask(edited: np.ndarray, render: np.ndarray, apart: np.ndarray) -> Bools:
+    """`change_mask`; apart: their `largest_difference`."""
     # Exact zeros for what is rounding, so that lossless pictures have a noise of 0.
-    signed[np.abs(signed) < 0.51 / 255] = 0  # what rounding to 8 bits leaves
-    difference = largest_channel(np.abs(signed))
-    near, detail = box_mean(difference, 1), contrast(before)
+    rounding = 0.51 / 255  # what rounding to 8 bits leaves
+    difference = np.where(apart < rounding, apart.dtype.type(0), apart)
+    near, detail = box_mean(difference, 1), contrast(np.clip(render, 0, 1))
     detailed = detail > 0.5 / 255
     # Lossless: where there is detail, some pixels agree exactly. JPEG leaves a little nearly everywhere.
-    if not detailed.any() or np.quantile(near[detailed], 0.05) <= MASKS.max_lossless:
+    if _is_lossless(near, detailed):
         core = near > MASKS.max_rounding
     else:
+        signed = np.clip(edited, 0, 1) - np.clip(render, 0, 1)
+        signed[np.abs(signed) < rounding] = 0
         # JPEG: noise averages out over 5 x 5 pixels, an edit does not.
         shift = largest_channel(np.abs(box_mean(signed, 2)))
         noise = _noise(shift, box_mean(detail, 8))  # 17 x 17: the reach of JPEG's blocks
@@ -131,9 +136,10 @@ def exact_share(near: np.ndarray, region: np.ndarray) -> float:
 def edited_mask(edited: np.ndarray, render: np.ndarray, alpha: np.ndarray) -> Bools:
     """[H, W] bool: what was edited in a picture without a mask: all of it where all that it shows of the asset changed
     (`changed_throughout`), else `change_mask`. Arguments as of these."""
-    if changed_throughout(edited, render, alpha):
+    apart = largest_difference(edited, render)
+    if _changed_throughout(edited, render, alpha, apart):
         return np.ones(alpha.shape, bool)
-    return change_mask(edited, render)
+    return _change_mask(edited, render, apart)
 
 
 def changed_throughout(edited: np.ndarray, render: np.ndarray, alpha: np.ndarray) -> bool:
@@ -143,8 +149,16 @@ def changed_throughout(edited: np.ndarray, render: np.ndarray, alpha: np.ndarray
     A change of colours lasts where it is averaged over 9 x 9 pixels; detail need not, but there is more of it. Of 18
     training meshes, fitted and sampled: all close-ups of the truth (without the second rule 72 %), no painted view as
     PNG, 2 % of them as JPEG of quality 50 to 90, no render as such JPEG or with noise."""
+    return _changed_throughout(edited, render, alpha, largest_difference(edited, render))
+
+
+def _changed_throughout(edited: np.ndarray, render: np.ndarray, alpha: np.ndarray, apart: np.ndarray) -> bool:
+    """`changed_throughout`; apart: their `largest_difference`."""
     solid = alpha > 0.9
-    median = median_change(edited, render, alpha)
+    # Counted first: most pictures changed in a part, and no order of all pixels has to be found for that.
+    if 2 * np.count_nonzero(solid & (apart < MIN_MEDIAN_CHANGE)) > np.count_nonzero(solid) + 1:
+        return False
+    median = float(np.median(apart[solid])) if solid.any() else 0.0
     if median < MIN_MEDIAN_CHANGE:
         return False
     edited, render = np.clip(edited, 0, 1), np.clip(render, 0, 1)
@@ -170,7 +184,7 @@ def median_change(edited: np.ndarray, render: np.ndarray, alpha: np.ndarray) -> 
     solid = alpha > 0.9
     if not solid.any():
         return 0.0
-    return float(np.median(largest_channel(np.abs(np.clip(edited, 0, 1) - np.clip(render, 0, 1)))[solid]))
+    return float(np.median(largest_difference(edited, render)[solid]))
 
 
 def dilated(mask: np.ndarray, reach: int) -> Bools:
@@ -201,7 +215,26 @@ def pasted(picture: np.ndarray, other: np.ndarray, mask: Bools) -> np.ndarray:
 def contrast(image: np.ndarray) -> np.ndarray:
     """[H, W] difference of each pixel's grey to its right and lower neighbours'."""
     grey = (image[..., 0] + image[..., 1] + image[..., 2]) * np.asarray(1 / 3, image.dtype)
-    return np.abs(np.diff(grey, axis=1, append=grey[:, -1:])) + np.abs(np.diff(grey, axis=0, append=grey[-1:]))
+    out = np.empty(grey.shape, grey.dtype)
+    run(kernels.measure_contrast, readonly(grey, grey.dtype), out)
+    return out
+
+
+def largest_difference(edited: np.ndarray, render: np.ndarray) -> np.ndarray:
+    """[H, W] of the channel that differs most, of two pictures [H, W, 3] clipped to 0..1."""
+    dtype = np.result_type(edited, render)
+    out = np.empty(edited.shape[:2], dtype)
+    run(kernels.compare_pictures, readonly(edited, dtype), readonly(render, dtype), out)
+    return out
+
+
+def _is_lossless(near: np.ndarray, detailed: Bools) -> bool:
+    """Whether one pixel in twenty of those with detail ([H, W] bool) hardly differs. near: [H, W] differences."""
+    count = np.count_nonzero(detailed)
+    # Counted first, as the quantile, which lies between two of the values, needs an order of them.
+    if np.count_nonzero(detailed & (near <= MASKS.max_lossless)) >= 0.05 * count + 2:
+        return True
+    return not count or bool(np.quantile(near[detailed], 0.05) <= MASKS.max_lossless)
 
 
 def largest_channel(values: np.ndarray) -> np.ndarray:

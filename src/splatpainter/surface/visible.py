@@ -6,18 +6,20 @@ Knows the asset's surface and one projected view; no picture and no paint.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 
 import numpy as np
 
 from splatpainter.array_types import Bools, Floats, Ids
 from splatpainter.cameras import Camera
 from splatpainter.kernels import portable
+from splatpainter.kernels.arrays import readonly, set_pixels
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
 from splatpainter.rendering.cpu.projected_view import ProjectedView
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface, SurfacePoints
-from splatpainter.transforms import quat_to_matrix, row_norm, turned
+from splatpainter.transforms import row_norm
 
 
 @dataclass(frozen=True)
@@ -69,16 +71,45 @@ class VisibleSurface:
     """[L] bool: enough patches, close to one surface that neighbours share."""
     estimates: SightEstimates = field(repr=False)
     """What it was made of."""
+    asked: Bools = field(repr=False)
+    """[H, W] bool: pixels that it was made for."""
 
     def at(self, pixels: Floats) -> PixelSurface:
         """Surface at Q places of the picture. pixels: [Q, 2] float64 x, y (centres at .5)."""
+        return PixelSurface.of(self._planes_at(pixels))
+
+    def at_centers(self, ids: Ids) -> PixelSurface:
+        """The same at the centres of some pixels ([Q] flat indices). Those that it was made for are asked for again and
+        again while a sheet is laid, and are found once."""
+        if self.asked.shape == (self.camera.height, self.camera.width):
+            number, planes = self._at_asked
+            rows = number[ids]
+            known, out = rows >= 0, np.empty((len(ids), 6))
+            out[known], out[~known] = planes[rows[known]], self._planes_at(self._centers(ids[~known]))
+            return PixelSurface.of(out)
+        return self.at(self._centers(ids))
+
+    @cached_property
+    def _at_asked(self) -> tuple[np.ndarray, np.ndarray]:
+        """([H W] int32 number of each pixel that it was made for, -1: of none, [K, 6] what is there)."""
+        ids = np.flatnonzero(self.asked)
+        number = np.full(self.asked.size, -1, np.int32)
+        number[ids] = np.arange(len(ids))
+        return number, self._planes_at(self._centers(ids))
+
+    def _centers(self, ids: np.ndarray) -> Floats:
+        ys, xs = np.divmod(ids, self.camera.width)
+        return np.stack([xs, ys], 1) + 0.5
+
+    def _planes_at(self, pixels: np.ndarray) -> Floats:
+        """[Q, 6] columns of a PixelSurface."""
         out = np.zeros((len(pixels), 6))
         if len(pixels) and len(self.points):
             columns = (self.points, self.normals, self.windows, self.residuals)
             planes = [np.ascontiguousarray(column, np.float64) for column in columns]
             lines = [np.ascontiguousarray(a, np.float64) for a in (pixels, self.camera.slopes(pixels))]
             run(kernels.interpolate_planes, self.index, self.step, *planes, self.trusted, *lines, out)
-        return PixelSurface(out[:, 0], out[:, 1:4], out[:, 4], out[:, 5])
+        return out
 
 
 @dataclass(frozen=True)
@@ -137,6 +168,11 @@ class PixelSurface:
     residuals: Floats = field(repr=False)
     """[Q] float64 world units."""
 
+    @staticmethod
+    def of(columns: Floats) -> PixelSurface:
+        """columns: [Q, 6], in this order."""
+        return PixelSurface(columns[:, 0], columns[:, 1:4], columns[:, 4], columns[:, 5])
+
 
 def visible_surface(
     surface: Surface,
@@ -160,7 +196,7 @@ def visible_surface(
     xs, ys, index = _lattice(entry, step)
     ids = view.gaussian_ids[entry[ys, xs]]
     rays = camera.sight_lines(np.stack([xs, ys], 1) + 0.5)
-    depth, width = depths_along(splats.geometry(ids), camera, rays)
+    depth, width = depths_along(splats, ids, camera, rays)
     rotation = camera.world_to_camera[:3, :3]
     starts = camera.to_world(rays * depth[:, None])
     lengths = row_norm(rays)
@@ -177,7 +213,8 @@ def visible_surface(
     # Trusted twice: by the estimate itself, and by a neighbour that sees the same plane.
     valid = (result.trust >= VISIBLE.min_trust) & (local[:, 2] > 0)
     trusted = valid & (_agreeing(index, local, normals, result.windows, valid) >= VISIBLE.min_agreeing)
-    return VisibleSurface(camera, step, index, local, normals, result.windows, result.residuals, trusted, estimates)
+    planes = (local, normals, result.windows, result.residuals, trusted)
+    return VisibleSurface(camera, step, index, *planes, estimates, pixels)
 
 
 def _lattice_step(splats: Splats, view: ProjectedView, entry: np.ndarray) -> int:
@@ -193,49 +230,30 @@ def _lattice(entry: np.ndarray, step: int) -> tuple[np.ndarray, np.ndarray, np.n
     """(xs [L], ys [L] one pixel with a surface per block, the one nearest to its centre; index [LH, LW] int32)."""
     height, width = entry.shape
     rows, columns = -(-height // step), -(-width // step)
-    padded = np.full((rows * step, columns * step), -1, np.int32)
-    padded[:height, :width] = entry
-    blocks = padded.reshape(rows, step, columns, step).transpose(0, 2, 1, 3).reshape(rows, columns, step * step)
     dy, dx = np.divmod(np.arange(step * step), step)
     # The pixel nearest to the block's centre that has a surface stands for the block.
     order = np.argsort((dy - (step - 1) / 2) ** 2 + (dx - (step - 1) / 2) ** 2, kind="stable")
-    valid = blocks[..., order] >= 0
-    first = order[valid.argmax(-1)]
-    y, x = np.nonzero(valid.any(-1))
+    first = np.empty((rows, columns), np.int32)
+    run(kernels.choose_lattice_pixels, entry, order, step, first)
+    y, x = set_pixels(first >= 0)
     index = np.full((rows, columns), -1, np.int32)
     index[y, x] = np.arange(len(y))
     return x * step + dx[first[y, x]], y * step + dy[first[y, x]], index
 
 
-def depths_along(splats: Splats, camera: Camera, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """([Q] z-depth at which each Gaussian is densest along its ray, [Q] its width sqrt(s1 s2), world units)."""
-    turn = camera.world_to_camera[:3, :3]
-    mean = camera.to_camera(splats.means)
-    axes = turned(turn, quat_to_matrix(splats.quats.astype(np.float64)))  # columns
-    scales = splats.scales.astype(np.float64)
-    scales = np.maximum(scales, 1e-3 * scales.max(1, keepdims=True))
-    # The densest point along a ray, in the Gaussian's own axes, where it is a unit sphere.
-    along = (axes * rays[:, :, None]).sum(1) / scales
-    offset = (axes * mean[:, :, None]).sum(1) / scales
-    depth = (along * offset).sum(1) / np.maximum((along**2).sum(1), 1e-300)
-    reach = 2 * scales.max(1)
-    ordered = np.sort(scales, 1)
-    return np.clip(depth, mean[:, 2] - reach, mean[:, 2] + reach), np.sqrt(ordered[:, 1] * ordered[:, 2])
+def depths_along(splats: Splats, ids: Ids, camera: Camera, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """([Q] z-depth at which each of the Gaussians ids [Q] is densest along its ray ([Q, 3], camera space), [Q] its
+    width sqrt(s1 s2), world units)."""
+    out = np.empty((len(ids), 2))
+    arrays = (readonly(values, splats.means.dtype) for values in (splats.means, splats.quats, splats.scales))
+    lines = (readonly(rays, np.float64), readonly(camera.world_to_camera, np.float64))
+    run(kernels.measure_depths_along, *arrays, readonly(ids, np.int64), *lines, out)
+    return out[:, 0], out[:, 1]
 
 
 def _agreeing(index, points, normals, windows, valid) -> np.ndarray:
-    """[L] int how many of a lattice point's eight neighbours lie on its plane, as it lies on theirs."""
-    out = np.zeros(len(points), int)
-    height, width = index.shape
-    # Each pair of neighbours once: what holds for the one holds for the other.
-    for dy, dx in ((0, 1), (1, -1), (1, 0), (1, 1)):
-        first = index[dy:, max(dx, 0) : width + min(dx, 0)]
-        second = index[: height - dy, max(-dx, 0) : width + min(-dx, 0)]
-        pair = (first >= 0) & (second >= 0)
-        a, b = first[pair], second[pair]
-        way = points[b] - points[a]
-        limit = VISIBLE.max_disagreement * np.minimum(windows[a], windows[b])
-        close = (np.abs((way * normals[a]).sum(1)) < limit) & (np.abs((way * normals[b]).sum(1)) < limit)
-        out[a] += close & valid[b]
-        out[b] += close & valid[a]
+    """[L] int64 how many of a lattice point's eight neighbours lie on its plane, as it lies on theirs."""
+    out = np.zeros(len(points), np.int64)
+    planes = [readonly(values, np.float64) for values in (points, normals, windows)]
+    run(kernels.count_agreeing, index, *planes, valid, VISIBLE.max_disagreement, out)
     return out

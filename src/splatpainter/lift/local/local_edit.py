@@ -14,7 +14,7 @@ from splatpainter.cameras import Camera
 from splatpainter.lift.local.patch import MIN_PIXEL_SHARE, PATCHING, Patch
 from splatpainter.lift.local.split import Lattice, projected_sizes
 from splatpainter.lift.options import LOCAL_DEFAULTS, LocalOptions
-from splatpainter.rendering.cpu.projected_view import Backprojection, ProjectedView, project, tiles_of_mask
+from splatpainter.rendering.cpu.projected_view import Backprojection, MaskSums, ProjectedView, project, tiles_of_mask
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.transforms import row_max
 
@@ -120,12 +120,13 @@ def gaussians_in_mask(
     mask: np.ndarray,
     allowed: Bools | None = None,
     view: ProjectedView | None = None,
+    sums: MaskSums | None = None,
 ) -> Bools:
     """[N] bool Gaussians that visibly contribute to the masked pixels ([H, W] bool). allowed: [N] bool, the only ones
-    that count; view: the splats projected onto the mask's tiles, if at hand. Raises
-    NothingPaintableError where there is none."""
+    that count; view: the splats projected onto the mask's tiles, sums: how much of each the masked pixels show there,
+    if at hand. Raises NothingPaintableError where there is none."""
     view = view or project(splats, camera, tiles=tiles_of_mask(mask))
-    sums = _sums(view, mask)
+    sums = sums or _sums(view, mask)
     reached = np.zeros(view.num_gaussians, bool)
     # Both are needed: one bright pixel (peak), and not only a shimmer through the surface (visible share).
     reached[view.gaussian_ids[(sums.peak > MIN_PIXEL_SHARE) & (sums.weight > MIN_VISIBLE_SHARE * sums.alpha)]] = True

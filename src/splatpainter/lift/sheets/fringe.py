@@ -57,15 +57,23 @@ class FringedSurface:
 
     def at(self, pixels: np.ndarray) -> PixelSurface:
         """As `VisibleSurface.at`, the fringe's pixels included."""
-        out, camera = self.visible.at(pixels), self.camera
+        camera = self.camera
         x, y = np.clip(pixels, 0, (camera.width - 1, camera.height - 1)).astype(np.int64).T
-        source = self.source[y, x]
-        chosen = np.flatnonzero(source >= 0)
+        return self._gone_on(self.visible.at(pixels), pixels, self.source[y, x])
+
+    def at_centers(self, ids: Ids) -> PixelSurface:
+        """As `VisibleSurface.at_centers`, the fringe's pixels included."""
+        pixels = np.stack(np.divmod(ids, self.camera.width)[::-1], 1) + 0.5
+        return self._gone_on(self.visible.at_centers(ids), pixels, self.source.ravel()[ids])
+
+    def _gone_on(self, out: PixelSurface, pixels: np.ndarray, source: np.ndarray) -> PixelSurface:
+        """What is at some places ([Q, 2]), those with a source ([Q], -1: none) as the surface there goes on."""
+        camera, chosen = self.camera, np.flatnonzero(source >= 0)
         if not len(chosen):
             return out
         covered_pixels = np.stack(np.divmod(source[chosen], camera.width)[::-1], 1) + 0.5
         # The surface of the nearest covered pixel goes on as its plane.
-        near = self.visible.at(covered_pixels)
+        near = self.visible.at_centers(source[chosen])
         points = camera.to_camera(camera.unproject(near.depth, covered_pixels))
         rays = camera.to_camera(camera.unproject(np.ones(len(chosen)), pixels[chosen]))
         slope = (rays * near.normals).sum(1)

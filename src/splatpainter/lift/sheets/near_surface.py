@@ -12,7 +12,6 @@ import numpy as np
 
 from splatpainter.array_types import Bools, Bytes, Ids
 from splatpainter.cameras import Camera
-from splatpainter.kernels.arrays import set_pixels
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
 from splatpainter.lift.nearest import nearest_pixels
@@ -54,11 +53,10 @@ class NearSurface:
     @staticmethod
     def of(visible: VisibleSurface | FringedSurface, covered: Bools) -> NearSurface:
         """covered: [H, W] bool, some."""
-        ys, xs = set_pixels(covered)
-        entry = np.full(covered.shape, -1, np.int64)
+        at, entry = np.flatnonzero(covered), np.full(covered.shape, -1, np.int64)
         # Surface values are stored for covered pixels alone; others look them up through `nearest`.
-        entry[ys, xs] = np.arange(len(ys))
-        return NearSurface(nearest_pixels(covered), entry, visible.at(np.stack([xs, ys], 1) + 0.5), visible.camera)
+        entry.ravel()[at] = np.arange(len(at))
+        return NearSurface(nearest_pixels(covered), entry, visible.at_centers(at), visible.camera)
 
     def sides(self, splats: Splats, ids: np.ndarray) -> Bytes:
         """[Q] uint8, of each of some Gaussians ([Q] int64): TOUCHES where it lies on the surface at the covered pixel

@@ -11,7 +11,6 @@ import numpy as np
 
 from splatpainter.array_types import Bools, Floats, Ids
 from splatpainter.cameras import Camera
-from splatpainter.kernels.arrays import set_pixels
 from splatpainter.kernels.rows import take
 from splatpainter.lift.local.local_edit import (
     NOTHING_THERE,
@@ -26,7 +25,7 @@ from splatpainter.lift.sheets.resurface import RESURFACING, RING_PX, resurface
 from splatpainter.lift.sheets.rounding import rounded
 from splatpainter.lift.sheets.sparse_edit import SparseEdit
 from splatpainter.lift.sheets.view_limits import paintable
-from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
+from splatpainter.rendering.cpu.projected_view import MaskSums, ProjectedView, project, tiles_of_mask
 from splatpainter.rendering.cpu.recent_views import recent_view
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.surface.estimate import Surface
@@ -104,7 +103,9 @@ def paint_view(
     if view is None or (needed & ~view.tiles).any():
         view = project(splats, camera, tiles=needed)
     around = local = view.part(tiles=needed)
-    tiles = _tiles_at_work(reach, local)
+    # Both masks in one walk: who makes pixels of the ring, and who makes painted ones.
+    around_it, in_mask = local.mask_sums(reach, mask)
+    tiles = _tiles_at_work(local, around_it)
     if (tiles & ~view.tiles).any():
         view = recent_view(splats, camera)
     if (tiles & ~needed).any():
@@ -120,7 +121,8 @@ def paint_view(
     originals = len(splats) if first_appended is None else first_appended
     # Where the original's Gaussians end among those in work.
     first = int(np.searchsorted(ids, originals))
-    part = _paint_part(take(splats, ids), surface, view, around, edited, mask, options, first, originals, sight)
+    chosen, counts = take(splats, ids), (first, originals)
+    part = _paint_part(chosen, surface, view, around, edited, mask, in_mask, options, counts, sight)
     return _put_back(splats, ids, part, options.resurface)
 
 
@@ -145,14 +147,15 @@ def _paint_part(
     around: ProjectedView,
     edited: np.ndarray,
     mask: np.ndarray,
+    in_mask: MaskSums,
     options: LocalOptions,
-    first_appended: int,
-    originals: int,
+    counts: tuple[int, int],
     sight: SightEstimates | None,
 ) -> _PaintedPart:
     """`paint_view` on the Gaussians that it depends on. view: of them, the tiles of the mask and its ring; around: the
-    tiles of `read_by_edit`; originals: how many the whole asset has; sight: as of `paint_view`."""
-    camera, reach = view.camera, dilated(mask, RING_PX)
+    tiles of `read_by_edit`; in_mask: how much of the view's Gaussians the mask shows; counts: how many of the Gaussians
+    are the original's, and how many that has in all; sight: as of `paint_view`."""
+    camera, reach, (first_appended, originals) = view.camera, dilated(mask, RING_PX), counts
     # The surface under the mask and its ring, as far as the asset covers the pixels.
     before, alpha, _ = view.rasterize()
     solid = alpha > RESURFACING.min_cover
@@ -175,12 +178,12 @@ def _paint_part(
     at = np.flatnonzero(painted)
     shown, wanted = (picture.reshape(-1, 3).take(at, 0) for picture in (before, edited))
     target.reshape(-1, 3)[at] = shown + share.ravel()[at, None] * (wanted - shown)
-    may, none = gaussians_in_mask(splats, camera, mask, None, view), np.zeros(0, np.int64)
+    may, none = gaussians_in_mask(splats, camera, mask, None, view, in_mask), np.zeros(0, np.int64)
     sheet, on_surface = None, np.zeros_like(mask)
     # Gaussians nearly as fine as the pixels are split: a sheet would only bring its own errors.
     if is_fine(painted, may, first_appended, originals, options):
-        ys, xs = set_pixels(painted & solid)
-        on_surface[ys, xs] = visible.at(np.stack([xs, ys], 1) + 0.5).depth > 0
+        at = np.flatnonzero(painted & solid)
+        on_surface.ravel()[at] = visible.at_centers(at).depth > 0
     else:
         sheet = resurface(splats, view, around, visible, before, alpha, target, pixels, options, first_appended)
     # No trusted surface anywhere: split, as captures' fog needs.
@@ -241,12 +244,12 @@ def read_by_edit(splats: Splats, camera: Camera, mask: np.ndarray) -> tuple[np.n
     ValueError where no Gaussian contributes to the masked pixels."""
     reach = dilated(mask, RING_PX)
     view = project(splats, camera, tiles=tiles_of_mask(reach))
-    return _tiles_at_work(reach, view), gaussians_in_mask(splats, camera, mask, None, view)
+    around_it, in_mask = view.mask_sums(reach, mask)
+    return _tiles_at_work(view, around_it), gaussians_in_mask(splats, camera, mask, None, view, in_mask)
 
 
-def _tiles_at_work(reach: np.ndarray, view: ProjectedView) -> Bools:
-    """[TH, TW] bool tiles of `view`, and of all Gaussians that make pixels of `reach` ([H, W] bool)."""
-    sums = view.backproject(np.zeros((*reach.shape, 3), np.float32), reach.astype(np.float32))
+def _tiles_at_work(view: ProjectedView, sums: MaskSums) -> Bools:
+    """[TH, TW] bool tiles of `view`, and of all its Gaussians that make pixels of a mask (sums: of it)."""
     return view.tiles | view.touched_tiles(sums.alpha > 0)
 
 

@@ -16,7 +16,6 @@ import numpy as np
 from splatpainter.array_types import Bools, Floats, Ids
 from splatpainter.cameras import Camera
 from splatpainter.kernels import portable
-from splatpainter.kernels.arrays import set_pixels
 from splatpainter.lift.colors import MIN_CHANGE, lift_colors, recolor
 from splatpainter.lift.local.split import Lattice, projected_sizes
 from splatpainter.lift.masks import box_mean, dilated, pasted
@@ -28,7 +27,7 @@ from splatpainter.lift.sheets.pieces import Pieces, joined_view
 from splatpainter.lift.sheets.sheet import SHEET, Cells, SheetGeometry, flat_cells, sheet_geometry
 from splatpainter.lift.sheets.sparse_edit import SparseEdit
 from splatpainter.rendering.cpu.geometry import TILE
-from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
+from splatpainter.rendering.cpu.projected_view import MaskSums, ProjectedView, project, tiles_of_mask
 from splatpainter.splats import ATTRIBUTES, Splats, float_bits
 from splatpainter.surface.visible import VisibleSurface, depths_along
 from splatpainter.transforms import quat_to_matrix, row_max, row_norm
@@ -121,15 +120,14 @@ def resurface(
     the original, and their indices may take any sheet Gaussian."""
     # Which pixels get a sheet: those with a trusted surface ...
     camera = view.camera
-    ys, xs = set_pixels(pixels)
-    depth = np.zeros(pixels.shape)
-    depth[ys, xs] = visible.at(np.stack([xs, ys], 1) + 0.5).depth
+    at, depth = np.flatnonzero(pixels), np.zeros(pixels.shape)
+    depth.ravel()[at] = visible.at_centers(at).depth
     covered = without_islands(depth > 0)
     if not covered.any():
         return None
     # ... whose light comes from Gaussians that the sheet can replace.
     near = NearSurface.of(visible, covered)
-    clear, footprints = clear_pixels(splats, view, near, covered)
+    clear, sums, footprints = clear_pixels(splats, view, near, covered)
     clear &= covered
     if clear.sum() < RESURFACING.min_clear * covered.sum():
         return None
@@ -146,11 +144,11 @@ def resurface(
         surface = FringedSurface.of(visible, covered, fringe, None if near is None else near.nearest)
         colors, cover = fringe_paint(target, surface, np.asarray(camera.background, np.float32))
         covered, near = covered | fringe, None
-        ys, xs = set_pixels(fringe)
-        depth[ys, xs] = surface.at(np.stack([xs, ys], 1) + 0.5).depth
-    near = near or NearSurface.of(surface, covered)
+        at = np.flatnonzero(fringe)
+        depth.ravel()[at] = surface.at_centers(at).depth
     # Which Gaussians lie under it, and by which share of their footprint.
-    sums = view.backproject(np.zeros_like(before), covered.astype(np.float32))
+    if near is None:
+        near, sums = NearSurface.of(surface, covered), view.backproject(np.zeros_like(before), covered)
     (inside, total), (candidates, seen) = np.zeros((2, len(splats)), sums.alpha.dtype), np.zeros((2, len(splats)), bool)
     inside[view.gaussian_ids], total[view.gaussian_ids] = sums.alpha, footprints
     candidates[view.gaussian_ids[sums.alpha > 0]] = True
@@ -192,10 +190,11 @@ def without_islands(mask: np.ndarray) -> Bools:
 
 def clear_pixels(
     splats: Splats, view: ProjectedView, near: NearSurface, covered: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, MaskSums, np.ndarray]:
     """([H, W] bool pixels most of whose light comes from Gaussians that a sheet can take the place of: they lie on the
     surface, and under the sheet, or are small enough to be cut at its edge; elsewhere, in the fog of captures, a veil
-    would stay before the sheet; [M] the alpha of each of the view's Gaussians summed over the drawn tiles)."""
+    would stay before the sheet; how much of each of the view's Gaussians the covered pixels show; [M] the alpha of each
+    summed over the drawn tiles)."""
     ids = view.gaussian_ids
     sums, everywhere = view.mask_sums(covered, np.ones(covered.shape, bool))
     share = sums.alpha / np.maximum(everywhere.alpha, 1e-9)
@@ -213,7 +212,7 @@ def clear_pixels(
     image, alpha, _ = view.rasterize(colors)
     weight, hidden = image[..., 0] - image[..., 2], image[..., 1] - image[..., 2]  # over black
     clear = (weight > RESURFACING.min_handled * (alpha - hidden)) & (weight > RESURFACING.min_touching * alpha)
-    return box_mean(clear.astype(np.float32), RESURFACING.clear_radius_px) > 0.5, everywhere.alpha
+    return box_mean(clear.astype(np.float32), RESURFACING.clear_radius_px) > 0.5, sums, everywhere.alpha
 
 
 def _footprints(around: ProjectedView, tiles: np.ndarray) -> np.ndarray:
@@ -347,7 +346,7 @@ def _within_horizon(
             beside = heaviest[np.clip(ys + dy, 0, height - 1), np.clip(xs + dx, 0, width - 1)]
             outside = (beside < 0) | (_sigmas(hidden, np.maximum(beside, 0), means[far]) > RESURFACING.max_host_sigmas)
             far, xs, ys = far[outside], xs[outside], ys[outside]
-    depth, _ = depths_along(hidden.geometry(hidden_ids[far]), camera, camera.sight_lines(pixels[far]))
+    depth, _ = depths_along(hidden, hidden_ids[far], camera, camera.sight_lines(pixels[far]))
     # Moved along the line of sight: the edited view stays as it is, side views no longer see it hang in the air.
     ahead = depth > 0
     out = means.copy()

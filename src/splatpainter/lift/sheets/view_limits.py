@@ -10,7 +10,6 @@ import numpy as np
 from splatpainter.array_types import Bools, Floats
 from splatpainter.cameras import Camera
 from splatpainter.kernels import portable
-from splatpainter.kernels.arrays import set_pixels
 from splatpainter.lift.masks import dilated
 from splatpainter.lift.options import MAX_DEPTH_EDGE_LIMIT_PX
 from splatpainter.rendering.cpu.projected_view import project
@@ -72,9 +71,8 @@ def paintable(visible: VisibleSurface, pixels: Bools, angle_limit: float, depth_
     that are left out, fading over as many again; 0: none. Where the surface is not trusted there is nothing to limit
     by: 1."""
     out = pixels.astype(np.float32)
-    ys, xs = set_pixels(pixels)
-    centers = np.stack([xs, ys], 1) + 0.5
-    at = visible.at(centers)
+    ids = np.flatnonzero(pixels)
+    centers, at = np.stack(np.divmod(ids, pixels.shape[1])[::-1], 1) + 0.5, visible.at_centers(ids)
     seen = at.depth > 0
     if angle_limit > 0:
         rays = visible.camera.sight_lines(centers)
@@ -83,7 +81,7 @@ def paintable(visible: VisibleSurface, pixels: Bools, angle_limit: float, depth_
         # The fade has to end at 90 degrees, also for a limit close to it.
         soft = min(VIEW_LIMITS.soft_degrees, max(90.0 - angle_limit, 1e-3))
         share = np.clip(1 - (angle - angle_limit) / soft, 0, 1)
-        out[ys, xs] *= np.where(seen, share, 1).astype(np.float32)
+        out.ravel()[ids] *= np.where(seen, share, 1).astype(np.float32)
     if depth_edge_limit > 0:
         distance = _distance_to_edges(pixels, at.depth, at.windows)
         share = np.clip(distance / depth_edge_limit - 1, 0, 1)
