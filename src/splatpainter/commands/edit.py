@@ -27,6 +27,7 @@ from splatpainter.commands.parts.edited_file import (
 from splatpainter.commands.parts.option_parsing import OLD_OPTIONS, option_name, parse
 from splatpainter.operations.operation import KINDS, Operation, Wording, kinds, operation_class
 from splatpainter.operations.paint import Paint
+from splatpainter.system.memory import return_large_arrays
 
 PROGRAM = "splatpainter edit"
 
@@ -104,6 +105,7 @@ def dispatch(words: Sequence[str]) -> Outcome:
         # Pictures alone are painted, and then all options are on one help page.
         config = parse(Config, PROGRAM, words)
         operations, wordings = [operation_from(config, Paint)], [spoken(Paint, f"{PROGRAM}: ")]
+    return_large_arrays()
     outcome = _ran(config, operations, wordings)
     return outcome.as_json() if config.json else outcome
 

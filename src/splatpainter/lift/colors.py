@@ -111,7 +111,7 @@ def recolor(
     out = sh * keep[..., None]
     # The constant band takes what the kept bands do not give, so that this view shows the target exactly.
     out[:, 0] = (target - 0.5 - keep * varying) / SH_C0
-    return out.astype(sh.dtype)
+    return out.astype(sh.dtype, copy=False)
 
 
 @dataclass(frozen=True)

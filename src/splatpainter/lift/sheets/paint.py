@@ -157,7 +157,7 @@ def _paint_part(
     are the original's, and how many that has in all; sight: as of `paint_view`."""
     camera, reach, (first_appended, originals) = view.camera, dilated(mask, RING_PX), counts
     # The surface under the mask and its ring, as far as the asset covers the pixels.
-    before, alpha, _ = view.rasterize()
+    before, alpha = view.rasterize()[:2]
     solid = alpha > RESURFACING.min_cover
     visible = visible_surface(surface, splats, view, reach & solid, earlier=sight)
     # Limits fade paint by degrees; what they leave out is told to the user.

@@ -44,11 +44,13 @@ class Pieces:
         return base.take(ids).append(self.splats).take(order), parent_ids[order]
 
 
-def joined_view(pieces: Pieces, sheet: Splats, around: ProjectedView, tiles: np.ndarray) -> ProjectedView:
+def joined_view(pieces: Pieces, new: Splats, around: ProjectedView, tiles: np.ndarray) -> ProjectedView:
     """Some tiles of a view of N Gaussians with what remains of these, pieces in the place of those that were cut, and
-    with the sheet behind them all; numbered: those of the N as they were, pieces from N on, then the sheet."""
-    count, fresh = len(pieces.left), project(pieces.splats.append(sheet), around.camera, tiles=tiles)
-    order = np.concatenate([pieces.parent_ids, count + np.arange(len(sheet))])  # of Gaussians at equal depths
+    with the sheet behind them all; numbered: those of the N as they were, pieces from N on, then the sheet. new: the
+    pieces, then the sheet."""
+    count, fresh = len(pieces.left), project(new, around.camera, tiles=tiles)
+    sheet = np.arange(len(new) - len(pieces.parent_ids))
+    order = np.concatenate([pieces.parent_ids, count + sheet])  # of Gaussians at equal depths
     ties = order[fresh.gaussian_ids]
     fresh = replace(fresh, gaussian_ids=count + fresh.gaussian_ids, num_gaussians=count + len(order))
     # Only what is new is projected; the lists of the rest are cut out of the view at hand.

@@ -162,8 +162,11 @@ def resurface(
     # Those across the edge are halved; each piece is then clearly under the sheet or beside it.
     lattice, gone = _cut(splats, ids, share, camera, tiles, seen, near, covered, options)
     pieces = Pieces.of(lattice, gone)
+    # What is read no more goes at once: whole pictures, and at the end of all this an edit needs the most memory.
+    del near, differs, total, inside, seen, sums
     # The sheet's own Gaussians, as large as flat paint allows.
     cells = flat_cells(target, covered, depth, camera.fx)
+    del depth
     geometry, index = sheet_geometry(surface, cells, target)
     cells = Cells(cells.centers[index], cells.sizes[index])
     # What the sheet hides lends it SH bands, origin and index; where nothing goes, what is nearest.
@@ -173,12 +176,15 @@ def resurface(
     else:
         hidden, parent_ids = pieces.remaining_gaussians(splats)
     sheet, hidden_ids = _sheet(hidden, geometry, cells, colors, cover, tiles, camera)
+    fresh = pieces.splats.append(sheet)
+    del sheet, hidden, geometry, colors, cover
     # Colour rounds: the pixels beside the sheet ask for what they showed before.
     goal = pasted(_picture(view, around, before, tiles), target, covered)
     weights = np.where(painted, covered, RESURFACING.unedited_weight).astype(np.float32)
-    result = _recolored(splats, pieces, sheet, around, tiles, goal, covered, weights, options)
     # Indices whose Gaussian went: the sheet may take them, else they are empty.
     emptied = lattice.parent[gone & lattice.slot]
+    del lattice, painted
+    result = _recolored(splats, pieces, fresh, around, tiles, goal, covered, weights, options)
     return _assemble(splats, pieces, result, emptied, parent_ids[hidden_ids], covered, first_appended)
 
 
@@ -379,7 +385,7 @@ class _Recolored:
 def _recolored(
     splats: Splats,
     pieces: Pieces,
-    sheet: Splats,
+    fresh: Splats,
     around: ProjectedView,
     tiles: np.ndarray,
     goal: np.ndarray,
@@ -387,9 +393,9 @@ def _recolored(
     weights: np.ndarray,
     options: LocalOptions,
 ) -> _Recolored:
-    """Colour rounds of the sheet, of the pieces around it and of what hangs before it. around: of the N `splats`, with
-    these tiles."""
-    view, count, first = joined_view(pieces, sheet, around, tiles), len(splats), len(splats) + len(pieces.parent_ids)
+    """Colour rounds of the sheet, of the pieces around it and of what hangs before it. fresh: the pieces, then the
+    sheet, whose SH are written to; around: of the N `splats`, with these tiles."""
+    view, count, first = joined_view(pieces, fresh, around, tiles), len(splats), len(splats) + len(pieces.parent_ids)
     ids = view.gaussian_ids
     added, piece = ids >= first, (ids >= count) & (ids < first)
     inside, everywhere = view.mask_sums(covered, np.ones(covered.shape, bool))
@@ -402,8 +408,7 @@ def _recolored(
     )
     before, lifted, ids = view.unclamped_colors[editable], lifted[editable], ids[editable]
     moved = row_max(np.abs(lifted - np.maximum(before, 0))) > MIN_CHANGE
-    fresh = pieces.splats.append(sheet)
-    sh = fresh.sh.copy()
+    sh = fresh.sh
     # The sheet keeps its parents' bands whole: `_sheet` has damped them already; pieces are damped as old Gaussians
     # are.
     for chosen, damping in ((ids >= first, 1.0), ((ids >= count) & (ids < first), options.damping)):
@@ -412,7 +417,7 @@ def _recolored(
         sh[fresh_ids] = recolor(sh[fresh_ids], before[chosen], lifted[chosen], damping)
     hanging = moved & (ids < count)
     recolored = recolor(splats.sh[ids[hanging]], before[hanging], lifted[hanging], options.damping)
-    return _Recolored(replace(fresh, sh=sh), ids[hanging], recolored)
+    return _Recolored(fresh, ids[hanging], recolored)
 
 
 def _assemble(
