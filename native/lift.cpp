@@ -24,5 +24,7 @@ SP_KERNELS(lift,
     ONE(change_colors),
     ONE(add_residual),
     ONE(add_squares),
-    ONE(fill_regression_features)
+    ONE(fill_regression_features),
+    ONE(turn_bands),
+    ONE(measure_leverage)
 )

@@ -8,39 +8,74 @@ namespace sp { namespace {
 
 constexpr i64 SORT_PREFETCH = 8;
 
-// Slots of all Gaussians by increasing z, ties by slot: a stable radix sort of 11 + 11 + 10 bits. The result lies in
-// `spare` where swapped[0] is set, else in `order`.
+// Slots of all Gaussians by increasing z, ties by slot: a stable radix sort of 11 + 11 + 10 bits. Each thread sorts a
+// range of z, cut where about as many lie before as its share; the result lies in `spare` where swapped[thread] is set,
+// else in `order`. ranges [threads, 2]: where the thread's part of these begins and ends.
 void sort_depths(Array1<const float> keys, Array1<const i32> counts, Array1<i32> order, Array1<i32> spare,
-                        Array1<u32> value, Array1<u32> value2, Array1<bool> swapped, i64, i64) {
-    i64 m = 0;
-    for (i64 block = 0; block < counts.shape[0]; ++block) {
-        const i64 first = block * GAUSSIANS_PER_BLOCK;
-        for (i64 slot = first; slot < first + counts(block); ++slot, ++m) {
-            order(m) = (i32)slot;
-            value(m) = bits_of<u32>(keys(slot));
+                 Array1<u32> value, Array1<u32> value2, Array1<bool> swapped, Rows<i64, 2> ranges, i64 thread,
+                 i64 threads) {
+    const auto each_slot = [&](auto body) {
+        for (i64 block = 0; block < counts.shape[0]; ++block) {
+            const i64 first = block * GAUSSIANS_PER_BLOCK;
+            for (i64 slot = first; slot < first + counts(block); ++slot) body(slot, bits_of<u32>(keys(slot)));
         }
-    }
+    };
     i64 histogram[3][2048];
+    // Every thread counts all of them in bins between the nearest and the farthest: nobody waits for anybody.
+    u32 nearest = ~u32(0), farthest = 0, low = 0, high = 2048;
+    i64 begin = 0;
+    int width = 0;
+    if (threads > 1) {
+        each_slot([&](i64, u32 v) { nearest = min_of(nearest, v), farthest = max_of(farthest, v); });
+        while (nearest < farthest && (farthest - nearest) >> width >= 2048) ++width;
+        __builtin_memset(histogram, 0, sizeof histogram);
+        i64 total = 0;
+        each_slot([&](i64, u32 v) { ++histogram[0][(v - nearest) >> width], ++total; });
+        const auto cut = [&](i64 part, i64& before) {
+            u32 bin = 0;
+            for (before = 0; bin < 2048 && before < total * part / threads; ++bin) before += histogram[0][bin];
+            return part == threads ? 2048u : bin;
+        };
+        i64 end;
+        low = cut(thread, begin), high = cut(thread + 1, end);
+    }
+    // Those of the range go through a buffer, which takes all and keeps some: no branch that nobody could predict.
+    constexpr i64 HELD = 256;
+    i32 slots[HELD];
+    u32 held_values[HELD];
+    i64 m = begin, held_count = 0;
+    const auto flush = [&] {
+        for (i64 k = 0; k < held_count; ++k, ++m) order(m) = slots[k], value(m) = held_values[k];
+        held_count = 0;
+    };
+    each_slot([&](i64 slot, u32 v) {
+        const u32 bin = (v - nearest) >> width;
+        slots[held_count] = (i32)slot, held_values[held_count] = v;
+        held_count += (threads == 1) | ((bin >= low) & (bin < high));
+        if (held_count == HELD) flush();
+    });
+    flush();
+    ranges(thread, 0) = begin, ranges(thread, 1) = m;
     __builtin_memset(histogram, 0, sizeof histogram);
-    for (i64 i = 0; i < m; ++i) {
+    for (i64 i = begin; i < m; ++i) {
         const u32 v = value(i);
         ++histogram[0][v & 2047];
         ++histogram[1][(v >> 11) & 2047];
         ++histogram[2][v >> 22];
     }
-    swapped(0) = false;
+    swapped(thread) = false;
     for (int digit = 0; digit < 3; ++digit) {
-        i64 start = 0;
+        i64 start = begin;
         bool constant = false;
         for (i64 b = 0; b < 2048; ++b) {
             const i64 count = histogram[digit][b];
-            constant |= count == m;
+            constant |= count == m - begin;
             histogram[digit][b] = start;
             start += count;
         }
         if (constant) continue;
         const int shift = 11 * digit;
-        for (i64 i = 0; i < m; ++i) {
+        for (i64 i = begin; i < m; ++i) {
             const u32 v = value(i);
             const i64 to = histogram[digit][(v >> shift) & 2047]++;
             value2(to) = v;
@@ -48,7 +83,7 @@ void sort_depths(Array1<const float> keys, Array1<const i32> counts, Array1<i32>
         }
         Array1<u32> taken = value; value = value2; value2 = taken;
         Array1<i32> held = order; order = spare; spare = held;
-        swapped(0) = !swapped(0);
+        swapped(thread) = !swapped(thread);
     }
 }
 

@@ -103,8 +103,8 @@ def lift_global(
     sh[:, 0] = sh_from_color(new)
     if sh.shape[1] > 1:
         # View dependence is turned by the derivative of the same map: a red light makes highlights red, too.
-        sh[:, 1:] = portable.matmul(sh[:, 1:], color_matrices(features, solution).transpose(0, 2, 1))
-    result = replace(splats, sh=sh.astype(splats.sh.dtype))
+        run(kernels.turn_bands, features, _linear(solution), sh)
+    result = replace(splats, sh=sh)
     if options.last_rounds:
         # Last rounds start from the prediction, so that they only mend what the edited views still show wrong.
         # In each view it is where it was, in other colours.
@@ -112,7 +112,8 @@ def lift_global(
         last = joint_change(solid, options.last_rounds, projected=projected, hold=options.hold)
         result.sh[:, 0] += last / SH_C0  # its own copy
     # How far a Gaussian's features are from all that was seen (leverage of the regression): far ones are guesses.
-    leverage = (portable.matmul(features, inverse.astype(np.float32)) * features).sum(1)
+    leverage = np.empty(len(features), np.float32)
+    run(kernels.measure_leverage, features, readonly(inverse, np.float32), leverage)
     typical = np.maximum(np.average(leverage[seen], weights=weight[seen]), 1e-12)
     certain = share[:, 0] + (1 - share[:, 0]) * 0.5 / (1 + leverage / (4 * typical))
     values = (certain, share[:, 0], old + predicted, normals)
@@ -186,6 +187,8 @@ def unexplained_by_color(
 
 def _solid_views(splats: Splats, views: Sequence[tuple[Camera, np.ndarray, np.ndarray]]) -> list[SolidView]:
     """Where views conflict about a Gaussian, only the latest that sees it counts: in the others its weight is 0."""
+    if len(views) == 1:  # which has nobody to disagree with
+        return [SolidView.of(splats, *views[0])]
     solid: list[SolidView] = []
     decided = np.zeros(len(splats), bool)
     last = np.zeros((len(splats), 3), np.float32)  # the change that the latest view wants of each
@@ -226,12 +229,8 @@ def ridge(
     return portable.matmul(inverse, portable.transposed_product(features, change * capped[:, None])), inverse
 
 
-def color_matrices(features: np.ndarray, solution: np.ndarray) -> np.ndarray:
-    """[N, 3, 3] d new colour / d old colour of the regression, which acts on SH bands >= 1 too; kept within 0..2 on the
-    diagonal so that an extrapolation never inverts a highlight."""
-    basis = features.reshape(-1, 9, 4)[:, :, 3]  # the SH of the normal (the feature that multiplies 1)
+def _linear(solution: np.ndarray) -> Floats:
+    """[9, 9] float32: what each harmonic of the normal adds to d new colour / d old colour, by out and in. The kernel
+    that turns SH bands by it keeps the diagonal within 0..2, so that an extrapolation never inverts a highlight."""
     linear = solution.reshape(9, 4, 3)[:, :3]  # [9, in, out]
-    linear = linear.transpose(0, 2, 1).reshape(9, 9).astype(np.float32)
-    matrix = portable.matmul(basis, linear).reshape(-1, 3, 3) + np.eye(3)
-    matrix[:, range(3), range(3)] = np.clip(matrix[:, range(3), range(3)], 0, 2)
-    return matrix.astype(np.float32)
+    return np.ascontiguousarray(linear.transpose(0, 2, 1).reshape(9, 9), np.float32)

@@ -492,9 +492,11 @@ def _depth_order(keys: np.ndarray, counts: np.ndarray) -> Ids:
     if keys.dtype == np.float32:
         order, spare = np.empty((2, total), np.int32)
         value, value2 = np.empty((2, total), np.uint32)
-        swapped = np.zeros(1, bool)
-        kernels.sort_depths(keys, counts, order, spare, value, value2, swapped, 0, 1)
-        return spare if swapped[0] else order
+        swapped, ranges = np.zeros(threads(), bool), np.empty((threads(), 2), np.int64)
+        run(kernels.sort_depths, keys, counts, order, spare, value, value2, swapped, ranges)
+        for begin, end in ranges[swapped]:
+            order[begin:end] = spare[begin:end]
+        return order
     slots = np.concatenate(
         [np.arange(c) + b * GAUSSIANS_PER_BLOCK for b, c in enumerate(counts)] or [np.empty(0, np.int64)]
     )
