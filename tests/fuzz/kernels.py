@@ -294,9 +294,46 @@ def samples(rng: np.random.Generator, dtype: type) -> None:
     columns = int(rng.choice([1, 3, 4, 7, 16, 17, 33]))
     solution = extreme(rng, rng.normal(size=(36, columns)), rng.choice([0, 0.05]))
     portable.matmul(features, solution)
+    turned, leverage = np.array(splats.sh), np.empty(n, np.float32)
+    run(kernels.turn_bands, features, extreme(rng, rng.normal(size=(9, 9)).astype(np.float32), 0.05), turned)
+    square = extreme(rng, rng.normal(size=(36, 36)).astype(np.float32), rng.choice([0, 0.05]))
+    run(kernels.measure_leverage, features, square, leverage)
+    assert np.array_equal(turned[:, 0], splats.sh[:, 0], equal_nan=True), "the constant band turned"
     stacks, inner = (1, n) if rng.random() < 0.5 else (n, 1), int(rng.integers(1, 20))
     first, second = (rng.normal(size=(count, inner, inner)) for count in stacks)
     portable.matmul(extreme(rng, first, 0.05).astype(np.float32), extreme(rng, second, 0.05))
+
+
+def sights(rng: np.random.Generator, dtype: type) -> None:
+    """What a view sees of a surface: its lattice, depths along its lines, agreement; nearest pixels, differences."""
+    from splatpainter.kernels.library import kernels
+    from splatpainter.kernels.parallel import run
+    from splatpainter.lift.masks import contrast, largest_difference
+    from splatpainter.lift.nearest import nearest_pixels
+    from splatpainter.surface.visible import depths_along
+
+    splats, camera = rows(rng, dtype, rng.choice([0, 0.01, 0.1, 0.5])), view(rng)
+    ids = rng.integers(0, len(splats), int(rng.integers(0, 70)))
+    lines = extreme(rng, rng.normal(size=(len(ids), 3)), rng.choice([0, 0.1]))
+    depths_along(splats.numpy() if dtype == np.float32 else splats, ids, camera, lines)
+    height, width, step = (int(size) for size in rng.integers(1, [70, 70, 6]))
+    entry = np.where(rng.random((height, width)) < rng.random(), rng.integers(0, 9, (height, width)), -1)
+    order, places = rng.permutation(step * step), np.empty((-(-height // step), -(-width // step)), np.int32)
+    run(kernels.choose_lattice_pixels, entry.astype(np.int32), order, step, places)
+    index = np.full(places.shape, -1, np.int32)
+    count = int((places >= 0).sum())
+    index[places >= 0] = rng.permutation(count)
+    points, normals = (extreme(rng, rng.normal(size=(count, 3)), rng.choice([0, 0.1])) for _ in range(2))
+    windows, agreeing = extreme(rng, rng.random(count), 0.1), np.full(count, -1)
+    run(kernels.count_agreeing, index, points, normals, windows, rng.random(count) < 0.7, 0.6, agreeing)
+    assert count == 0 or 0 <= agreeing.min() <= agreeing.max() <= 8
+    mask = rng.random((height, width)) < rng.choice([0, 0.01, 0.5, 1])
+    nearest = nearest_pixels(mask)
+    assert (mask.ravel()[nearest] if mask.any() else nearest == -1).all(), "a pixel that is not set is the nearest"
+    one, other = (extreme(rng, rng.random((height, width, 3)).astype(dtype), 0.1) for _ in range(2))
+    with np.errstate(all="ignore"):
+        largest_difference(one, other)
+        contrast(other)
 
 
 def stickers(rng: np.random.Generator, dtype: type) -> None:
@@ -413,6 +450,7 @@ CASES: dict[str, Callable[[np.random.Generator, type], None]] = {
     "painting": painting,
     "rounds": rounds,
     "samples": samples,
+    "sights": sights,
     "stickers": stickers,
     "views": views,
     "files": files,

@@ -42,6 +42,28 @@ def box_means() -> list[np.ndarray]:
     return [box_mean(picture, radius) for radius in (1, 2, 17)]
 
 
+@golden("b8ba7296b41ac604")
+def picture_changes() -> list[np.ndarray]:
+    out = []
+    for dtype in (F, np.float64):
+        one, other = (Numbers(seed).uniform(-0.2, 1.2, 45, 67, 3).astype(dtype) for seed in (12, 13))
+        apart, detail = np.empty((2, 45, 67), dtype)
+        run(kernels.compare_pictures, one, other, apart)
+        run(kernels.measure_contrast, other[..., 0].copy(), detail)
+        out += [apart, detail]
+    return out
+
+
+@golden("acda959b2feb060c")
+def regression() -> list[np.ndarray]:
+    r, count = Numbers(14), 2001
+    features, sh = r.uniform(-1, 1, count, 36).astype(F), r.uniform(-1, 1, count, 9, 3).astype(F)
+    leverage = np.empty(count, F)
+    run(kernels.turn_bands, features, r.uniform(-1, 1, 9, 9).astype(F), sh)
+    run(kernels.measure_leverage, features, r.uniform(-1, 1, 36, 36).astype(F), leverage)
+    return [sh, leverage]
+
+
 @golden("a59d4b8d8c48a6d7")
 def partners() -> list[np.ndarray]:
     r, count = Numbers(2), 800

@@ -9,6 +9,8 @@ import pytest
 
 import splatpainter as sp
 from splatpainter.cameras import Camera, look_at
+from splatpainter.kernels.library import kernels
+from splatpainter.kernels.parallel import run
 from splatpainter.lift.depth_normals import outward_normals
 from splatpainter.lift.global_edit import GlobalLift, lift_global, one_sided, unexplained_by_color
 from splatpainter.lift.options import GLOBAL_DEFAULTS
@@ -269,3 +271,24 @@ def test_views_that_show_nothing_solid_are_an_error(case):
     with pytest.raises(ValueError, match="edit: ") as error:
         lift_global(splats, [(camera, np.full((96, 96, 3), 0.5, np.float32), mask)])
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("count", [1, 3, 7, 64])
+def test_leverage_and_turned_bands_are_those_of_their_formulas(count: int):
+    rng = np.random.default_rng(count)
+    features, matrix = rng.normal(size=(count, 36)).astype(np.float32), rng.normal(size=(36, 36)).astype(np.float32)
+    linear, sh = rng.normal(size=(9, 9)).astype(np.float32), rng.normal(size=(count, 4, 3)).astype(np.float32)
+    leverage, turned = np.empty(count, np.float32), sh.copy()
+    run(kernels.measure_leverage, features, matrix, leverage)
+    run(kernels.turn_bands, features, linear, turned)
+    wide = features.astype(np.float64)
+    assert np.allclose(leverage, np.einsum("ni,ij,nj->n", wide, matrix, wide), rtol=1e-4, atol=1e-3)
+    # The sums' order is numpy's, so that products of whole arrays gave the same bits.
+    products = np.zeros((count, 36), np.float32)
+    for k in range(36):
+        products = products + features[:, k : k + 1] * matrix[k]
+    assert np.array_equal(leverage, (products * features).sum(1))
+    maps = np.einsum("nk,kj->nj", features.reshape(count, 9, 4)[:, :, 3], linear).reshape(count, 3, 3) + np.eye(3)
+    maps[:, range(3), range(3)] = np.clip(maps[:, range(3), range(3)], 0, 2)
+    assert np.allclose(turned[:, 1:], np.einsum("nij,nkj->nki", maps, sh[:, 1:]), atol=1e-5)
+    assert np.array_equal(turned[:, 0], sh[:, 0])

@@ -12,7 +12,8 @@ from scipy.ndimage import binary_dilation, binary_erosion
 import splatpainter as sp
 from splatpainter.cameras import orbit
 from splatpainter.kernels import library
-from splatpainter.lift.masks import box_mean, change_mask
+from splatpainter.kernels.arrays import set_pixels
+from splatpainter.lift.masks import box_mean, change_mask, contrast, dilated, largest_difference, pasted
 from tests.support.kernel_goldens import CPUS, Numbers
 from tests.support.lift_scenes import disk, front, sheet
 
@@ -203,3 +204,33 @@ def test_box_means_are_sums_in_their_order(shape: tuple[int, ...], cpu: str):
                 assert out.dtype == np.float32
                 if out.size:
                     np.testing.assert_array_equal(out, mean_by_numpy(picture, radius))
+
+
+@pytest.mark.parametrize("cpu", CPUS)
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_differences_and_contrast_are_those_of_their_formulas(dtype: type, cpu: str):
+    if cpu not in library.current().cpus:
+        pytest.skip(f"this CPU is not {cpu}")
+    one, other = (Numbers(seed).uniform(-0.3, 1.3, 37, 53, 3).astype(dtype) for seed in (3, 4))
+    grey = (other[..., 0] + other[..., 1] + other[..., 2]) * dtype(1 / 3)
+    right, below = np.diff(grey, axis=1, append=grey[:, -1:]), np.diff(grey, axis=0, append=grey[-1:])
+    with library.using(cpu):
+        apart, detail = largest_difference(one, other), contrast(other)
+    assert apart.dtype == detail.dtype == dtype
+    assert np.array_equal(apart, np.abs(np.clip(one, 0, 1) - np.clip(other, 0, 1)).max(2))
+    assert np.array_equal(detail, np.abs(right) + np.abs(below))
+
+
+@pytest.mark.parametrize("where", [(0, 0), (20, 30), (39, 59)])
+def test_masks_as_pixels_grown_and_pasted(where: tuple[int, int]):
+    mask = np.zeros((40, 60), bool)
+    mask[where] = True
+    mask[where[0], 10:13] = True
+    ys, xs = np.nonzero(mask)
+    assert np.array_equal(np.stack(set_pixels(mask)), np.stack([ys, xs]))
+    square = binary_dilation(mask, np.ones((7, 7), bool))
+    assert np.array_equal(dilated(mask, 3), square) and not dilated(np.zeros_like(mask), 3).any()
+    one, other = (Numbers(seed).uniform(0, 1, 40, 60, 3) for seed in (5, 6))
+    before = one.copy()
+    assert np.array_equal(pasted(one, other, mask), np.where(mask[..., None], other, one))
+    assert np.array_equal(one, before)

@@ -9,10 +9,12 @@ import pytest
 import torch
 
 import splatpainter as sp
+from splatpainter.cameras import look_at
+from splatpainter.kernels.parallel import THREADS_VARIABLE
 from splatpainter.rendering import reference
 from splatpainter.rendering.cpu import projected_view, sirt
-from splatpainter.rendering.cpu.geometry import StepSizes
-from splatpainter.rendering.cpu.projected_view import project, tile_shape, tiles_of_mask
+from splatpainter.rendering.cpu.geometry import GAUSSIANS_PER_BLOCK, StepSizes
+from splatpainter.rendering.cpu.projected_view import _depth_order, project, tile_shape, tiles_of_mask
 from splatpainter.rendering.cpu.sirt import sirt_steps
 from splatpainter.rendering.cpu.views import render_views, render_views_backward
 from tests.support.render_scenes import cameras, opaque_stack, scene, with_odd_gaussians
@@ -368,3 +370,39 @@ def test_readonly_and_strided_gaussians_draw_the_same():
     sh = np.asfortranarray(splats.sh)
     strided = sp.Splats(packed[:, :3], splats.quats, packed[:, 3:], splats.opacities[::-1][::-1], sh)
     np.testing.assert_array_equal(sp.render(strided, camera).colors, expected)
+
+
+@pytest.mark.parametrize("count", [0, 1, 5, 700])
+@pytest.mark.parametrize("threads", ["1", "2", "3", "7"])
+def test_depths_are_sorted_stably_by_any_number_of_threads(count: int, threads: str, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv(THREADS_VARIABLE, threads)
+    rng, size = np.random.default_rng(count), GAUSSIANS_PER_BLOCK
+    blocks = -(-count // 100)
+    counts = np.minimum(100, count - 100 * np.arange(blocks)).astype(np.int32)
+    slots = np.concatenate([np.arange(0), *(np.arange(c) + b * size for b, c in enumerate(counts))])
+    for depths in (rng.uniform(2, 3, blocks * size), rng.integers(1, 4, blocks * size), np.full(blocks * size, 0.2)):
+        keys = depths.astype(np.float32)
+        expected = slots[np.argsort(keys[slots], kind="stable")]
+        assert np.array_equal(_depth_order(keys, counts), expected)
+
+
+def test_tiles_of_a_mask_are_those_with_any_pixel():
+    for shape in ((16, 16), (33, 50), (1, 200)):
+        mask = np.random.default_rng(shape[1]).random(shape) < 0.01
+        tiles = {(y // 16, x // 16) for y, x in np.argwhere(mask)}
+        found = tiles_of_mask(mask)
+        assert set(map(tuple, np.argwhere(found))) == tiles and np.array_equal(found, tiles_of_mask(mask * 0.5))
+
+
+def test_tiles_drawn_anew_leave_the_others():
+    splats = scene(60, seed=3)
+    camera = look_at([0, 0, 4], [0, 0, 0], width=70, height=50, background=(0.2, 0.4, 0.6))
+    view, tiles = project(splats, camera), np.random.default_rng(2).random((4, 5)) < 0.5
+    drawn, marked = view.rasterize(), [np.full_like(picture, 7) for picture in view.rasterize()]
+    view.redraw(tiles, *marked)
+    pixels = tiles.repeat(16, 0).repeat(16, 1)[:50, :70]
+    for picture, whole in zip(marked, drawn, strict=True):
+        assert np.array_equal(picture[pixels], whole[pixels]) and (picture[~pixels] == 7).all()
+    part = view.rasterize(tiles=tiles)[0]
+    assert np.array_equal(part[pixels], drawn[0][pixels])
+    assert (part[~pixels] == np.array(camera.background, part.dtype)).all()

@@ -1,10 +1,11 @@
 """What one view sees of a surface, and `render --aov normal,depth`, which shows it."""
 
 import json
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from splatpainter.cameras import look_at
 from splatpainter.image_files import find_camera
@@ -12,7 +13,8 @@ from splatpainter.io import read, write
 from splatpainter.pictures.picture_reader import read_picture
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.surface.estimate import Surface, SurfacePoints
-from splatpainter.surface.visible import visible_surface
+from splatpainter.surface.visible import VISIBLE, depths_along, visible_surface
+from splatpainter.transforms import quat_to_matrix, turned
 from splatpainter.view_files import draw_passes, normals_of
 from tests.support.cli_scenes import Capture, run
 from tests.surface.test_estimate import WIDTH, angles, plane, sphere
@@ -100,3 +102,57 @@ def test_render_writes_the_surface(tmp_path, capfd: Capture):
     note = json.loads((tmp_path / "views" / "view_000.json").read_text())["aov"]["depth"]
     drawn = passes.alpha > 0
     np.testing.assert_allclose([note["near"], note["far"]], [passes.depth[drawn].min(), passes.depth[drawn].max()])
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_depths_along_lines_of_sight_are_those_of_the_formula(dtype: type):
+    rng, count = np.random.default_rng(5), 300
+    splats = sphere(count)
+    values = {"quats": rng.normal(size=(count, 4)), "scales": np.exp(rng.normal(-3, 2, (count, 3)))}
+    values |= {"means": splats.means, "opacities": splats.opacities, "sh": splats.sh}
+    splats = replace(splats, **{name: np.asarray(value, dtype) for name, value in values.items()})
+    camera = look_at([0.3, -0.5, 3], [0, 0, 0], width=64, height=48)
+    ids, rays = rng.integers(0, count, 500), camera.sight_lines(rng.uniform(0, 48, (500, 2)))
+    depth, width = depths_along(splats, ids, camera, rays)
+    # As it was written in numpy.
+    mean = camera.to_camera(splats.means[ids])
+    axes = turned(camera.world_to_camera[:3, :3], quat_to_matrix(splats.quats[ids].astype(np.float64)))
+    scales = splats.scales[ids].astype(np.float64)
+    scales = np.maximum(scales, 1e-3 * scales.max(1, keepdims=True))
+    along, offset = ((axes * vectors[:, :, None]).sum(1) / scales for vectors in (rays, mean))
+    nearest = (along * offset).sum(1) / np.maximum((along**2).sum(1), 1e-300)
+    reach, ordered = 2 * scales.max(1), np.sort(scales, 1)
+    assert np.array_equal(depth, np.clip(nearest, mean[:, 2] - reach, mean[:, 2] + reach))
+    assert np.array_equal(width, np.sqrt(ordered[:, 1] * ordered[:, 2]))
+
+
+def test_lattice_points_have_pixels_near_their_middle_and_neighbours_on_their_plane():
+    splats = sphere(2000)
+    camera = look_at([0, 0, 3], [0, 0, 0], width=83, height=61)
+    view, pixels = project(splats, camera), np.random.default_rng(1).random((61, 83)) < 0.7
+    seen = visible_surface(Surface.of(splats), splats, view, pixels, 3)
+    ys, xs = np.divmod(seen.estimates.pixels, 83)
+    assert pixels[ys, xs].all() and np.array_equal(seen.index[ys // 3, xs // 3], np.arange(len(ys)))
+    # A block's pixel is its middle wherever that was asked for and shows something.
+    middles = (ys % 3 == 1) & (xs % 3 == 1)
+    shown = pixels[1::3, 1::3] & (view.rasterize()[1][1::3, 1::3] > 0.6)
+    assert middles[seen.index[: shown.shape[0], : shown.shape[1]][shown]].all() and 0.5 < middles.mean() < 1
+    # Who is trusted has a neighbour on its plane.
+    good = (seen.estimates.result.trust >= VISIBLE.min_trust) & (seen.points[:, 2] > 0)
+    for at in range(len(ys)):
+        y, x = np.argwhere(seen.index == at)[0]
+        near = seen.index[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2].ravel()
+        near = near[(near >= 0) & (near != at)]
+        near = near[good[near]]
+        way, limit = (
+            seen.points[near] - seen.points[at],
+            VISIBLE.max_disagreement * np.minimum(seen.windows[near], seen.windows[at]),
+        )
+        close = (np.abs(way @ seen.normals[at]) < limit) & (np.abs((way * seen.normals[near]).sum(1)) < limit)
+        assert seen.trusted[at] == (good[at] and close.sum() >= VISIBLE.min_agreeing)
+    # Pixels that it was made for have what any place there has, bit for bit; so have others.
+    for mask in (pixels, np.ones_like(pixels)):
+        ids = np.flatnonzero(mask)
+        places = np.stack(np.divmod(ids, 83)[::-1], 1) + 0.5
+        kept, fresh = seen.at_centers(ids), seen.at(places)
+        assert all(np.array_equal(getattr(kept, f.name), getattr(fresh, f.name)) for f in fields(kept))
