@@ -99,7 +99,7 @@ def test_a_view_of_what_remains_and_a_sheet_is_that_of_both_projected_anew(share
     np.testing.assert_array_equal(parent_ids, expected)
     assert len(pieces.parent_ids) > 50 and len(left) > 100
     tiles = np.random.default_rng(2).random(tile_shape(camera)) < share
-    view = joined_view(pieces, sheet, project(splats, camera), tiles)
+    view = joined_view(pieces, pieces.splats.append(sheet), project(splats, camera), tiles)
     anew = project(rest.append(sheet), camera, tiles=tiles)
     drawn = np.diff(anew.pair_offsets) > 0
     for name in ("projected", "isect_offsets", "pair_ids"):
