@@ -252,13 +252,12 @@ def changed_rows(before: Splats, after: Splats, among: Ids | None = None) -> Ids
     # An edit knows which rows it may have changed; the others need no look, and a row that differs in one attribute
     # needs none at the next.
     if among is not None and before.sh.shape[1:] == after.sh.shape[1:]:
-        from splatpainter.kernels.rows import differing  # which knows Splats
-
         changed = np.zeros(len(among), bool)
         for name in ("opacities", *(name for name in ATTRIBUTES if name != "opacities")):  # the cheapest first
             old, new, at = getattr(before, name), getattr(after, name), np.flatnonzero(~changed)
             if old is not new:
-                changed[at] = differing(old, new, among[at])
+                differs = float_bits(old[among[at]]) != float_bits(new[among[at]])
+                changed[at] = differs.any(tuple(range(1, differs.ndim)))
         return among[changed]
     changed = np.zeros(n, bool)
     for name in ATTRIBUTES:

@@ -84,10 +84,10 @@ def test_the_nearest_pixel_is_as_near_as_any(shape: tuple[int, int], share: floa
     rng = np.random.default_rng(shape[1])
     mask = rng.random(shape) < share
     mask[shape[0] // 2, shape[1] // 3] = True
-    found = np.stack(np.divmod(nearest_pixels(mask), shape[1]), -1)
+    nearest = np.stack(np.divmod(nearest_pixels(mask), shape[1]), -1)
     here = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), -1)
     away = np.linalg.norm(here[:, :, None] - np.argwhere(mask)[None, None], axis=-1).min(-1)
-    assert mask[tuple(found.reshape(-1, 2).T)].all()
-    apart = np.linalg.norm(found - here, axis=-1) - away
+    assert mask[tuple(nearest.reshape(-1, 2).T)].all()
+    apart = np.linalg.norm(nearest - here, axis=-1) - away
     assert apart.min() >= -1e-12 and apart.max() < 0.5 and (apart > 1e-9).mean() < 0.01
     assert (nearest_pixels(np.zeros(shape, bool)) == -1).all()

@@ -390,8 +390,8 @@ def test_tiles_of_a_mask_are_those_with_any_pixel():
     for shape in ((16, 16), (33, 50), (1, 200)):
         mask = np.random.default_rng(shape[1]).random(shape) < 0.01
         tiles = {(y // 16, x // 16) for y, x in np.argwhere(mask)}
-        found = tiles_of_mask(mask)
-        assert set(map(tuple, np.argwhere(found))) == tiles and np.array_equal(found, tiles_of_mask(mask * 0.5))
+        result = tiles_of_mask(mask)
+        assert set(map(tuple, np.argwhere(result))) == tiles and np.array_equal(result, tiles_of_mask(mask * 0.5))
 
 
 def test_tiles_drawn_anew_leave_the_others():
@@ -401,8 +401,8 @@ def test_tiles_drawn_anew_leave_the_others():
     drawn, marked = view.rasterize(), [np.full_like(picture, 7) for picture in view.rasterize()]
     view.redraw(tiles, *marked)
     pixels = tiles.repeat(16, 0).repeat(16, 1)[:50, :70]
-    for picture, whole in zip(marked, drawn, strict=True):
-        assert np.array_equal(picture[pixels], whole[pixels]) and (picture[~pixels] == 7).all()
+    for picture, full in zip(marked, drawn, strict=True):
+        assert np.array_equal(picture[pixels], full[pixels]) and (picture[~pixels] == 7).all()
     part = view.rasterize(tiles=tiles)[0]
     assert np.array_equal(part[pixels], drawn[0][pixels])
     assert (part[~pixels] == np.array(camera.background, part.dtype)).all()

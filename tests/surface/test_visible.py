@@ -135,8 +135,8 @@ def test_lattice_points_have_pixels_near_their_middle_and_neighbours_on_their_pl
     assert pixels[ys, xs].all() and np.array_equal(seen.index[ys // 3, xs // 3], np.arange(len(ys)))
     # A block's pixel is its middle wherever that was asked for and shows something.
     middles = (ys % 3 == 1) & (xs % 3 == 1)
-    shown = pixels[1::3, 1::3] & (view.rasterize()[1][1::3, 1::3] > 0.6)
-    assert middles[seen.index[: shown.shape[0], : shown.shape[1]][shown]].all() and 0.5 < middles.mean() < 1
+    visible = pixels[1::3, 1::3] & (view.rasterize()[1][1::3, 1::3] > 0.6)
+    assert middles[seen.index[: visible.shape[0], : visible.shape[1]][visible]].all() and 0.5 < middles.mean() < 1
     # Who is trusted has a neighbour on its plane.
     good = (seen.estimates.result.trust >= VISIBLE.min_trust) & (seen.points[:, 2] > 0)
     for at in range(len(ys)):
@@ -153,6 +153,6 @@ def test_lattice_points_have_pixels_near_their_middle_and_neighbours_on_their_pl
     # Pixels that it was made for have what any place there has, bit for bit; so have others.
     for mask in (pixels, np.ones_like(pixels)):
         ids = np.flatnonzero(mask)
-        places = np.stack(np.divmod(ids, 83)[::-1], 1) + 0.5
-        kept, fresh = seen.at_centers(ids), seen.at(places)
-        assert all(np.array_equal(getattr(kept, f.name), getattr(fresh, f.name)) for f in fields(kept))
+        centers = np.stack(np.divmod(ids, 83)[::-1], 1) + 0.5
+        result, expected = seen.at_centers(ids), seen.at(centers)
+        assert all(np.array_equal(getattr(result, f.name), getattr(expected, f.name)) for f in fields(result))

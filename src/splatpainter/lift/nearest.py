@@ -9,8 +9,6 @@ from splatpainter.kernels.library import kernels
 
 NOWHERE = -(1 << 20)
 """Coordinate of pixels that know of no set pixel: farther away than any."""
-MAX_SIDE_PX = 1 << 14
-"""Of a mask: twice the square fits into an int32."""
 
 
 def nearest_pixels(mask: Bools) -> Ids:
@@ -19,7 +17,7 @@ def nearest_pixels(mask: Bools) -> Ids:
     Four scans that pass on the nearest pixel of the neighbours (8SED; Danielsson 1980): exact but for rare errors of a
     fraction of a pixel."""
     height, width = mask.shape
-    assert max(mask.shape) <= MAX_SIDE_PX, f"nearest_pixels: {width} x {height} pixels"
+    assert max(mask.shape) <= 1 << 14, f"nearest_pixels: {width} x {height} pixels"  # twice the square is an int32
     rows = np.flatnonzero(mask.any(1))
     out = np.full((height, width), -1, np.int32)
     if len(rows):

@@ -71,7 +71,7 @@ class VisibleSurface:
     """[L] bool: enough patches, close to one surface that neighbours share."""
     estimates: SightEstimates = field(repr=False)
     """What it was made of."""
-    asked: Bools = field(repr=False)
+    pixels: Bools = field(repr=False)
     """[H, W] bool: pixels that it was made for."""
 
     def at(self, pixels: Floats) -> PixelSurface:
@@ -81,19 +81,19 @@ class VisibleSurface:
     def at_centers(self, ids: Ids) -> PixelSurface:
         """The same at the centres of some pixels ([Q] flat indices). Those that it was made for are asked for again and
         again while a sheet is laid, and are found once."""
-        if self.asked.shape == (self.camera.height, self.camera.width):
-            number, planes = self._at_asked
+        if self.pixels.shape == (self.camera.height, self.camera.width):
+            number, planes = self._pixel_planes
             rows = number[ids]
-            known, out = rows >= 0, np.empty((len(ids), 6))
-            out[known], out[~known] = planes[rows[known]], self._planes_at(self._centers(ids[~known]))
+            inside, out = rows >= 0, np.empty((len(ids), 6))
+            out[inside], out[~inside] = planes[rows[inside]], self._planes_at(self._centers(ids[~inside]))
             return PixelSurface.of(out)
         return self.at(self._centers(ids))
 
     @cached_property
-    def _at_asked(self) -> tuple[np.ndarray, np.ndarray]:
+    def _pixel_planes(self) -> tuple[np.ndarray, np.ndarray]:
         """([H W] int32 number of each pixel that it was made for, -1: of none, [K, 6] what is there)."""
-        ids = np.flatnonzero(self.asked)
-        number = np.full(self.asked.size, -1, np.int32)
+        ids = np.flatnonzero(self.pixels)
+        number = np.full(self.pixels.size, -1, np.int32)
         number[ids] = np.arange(len(ids))
         return number, self._planes_at(self._centers(ids))
 

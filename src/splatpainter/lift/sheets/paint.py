@@ -176,8 +176,8 @@ def _paint_part(
     # The ring is covered too, with what it shows: the paint's edge then lies within the sheet.
     pixels, target = dilated(painted, RING_PX) & solid, before.copy()
     at = np.flatnonzero(painted)
-    shown, wanted = (picture.reshape(-1, 3).take(at, 0) for picture in (before, edited))
-    target.reshape(-1, 3)[at] = shown + share.ravel()[at, None] * (wanted - shown)
+    current, edit = (picture.reshape(-1, 3).take(at, 0) for picture in (before, edited))
+    target.reshape(-1, 3)[at] = current + share.ravel()[at, None] * (edit - current)
     may, none = gaussians_in_mask(splats, camera, mask, None, view, in_mask), np.zeros(0, np.int64)
     sheet, on_surface = None, np.zeros_like(mask)
     # Gaussians nearly as fine as the pixels are split: a sheet would only bring its own errors.

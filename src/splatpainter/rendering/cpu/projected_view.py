@@ -408,8 +408,8 @@ def tiles_of_mask(mask: np.ndarray) -> Bools:
     padded = np.zeros((-(-height // TILE) * TILE, -(-width // TILE) * TILE), bool)
     padded[:height, :width] = mask if mask.dtype == bool else mask > 0
     # Rows first, then eight pixels at a time as one number.
-    rows = np.logical_or.reduce(padded.reshape(-1, TILE, padded.shape[1]), 1).view(np.uint64)
-    return (rows[:, ::2] | rows[:, 1::2]) != 0
+    lines = np.logical_or.reduce(padded.reshape(-1, TILE, padded.shape[1]), 1).view(np.uint64)
+    return (lines[:, ::2] | lines[:, 1::2]) != 0
 
 
 def project(
