@@ -158,6 +158,32 @@ def cropped(colors: np.ndarray, rim: int) -> np.ndarray:
     return np.asarray(picture.resize((240, 240), Image.Resampling.LANCZOS), np.float32) / 255
 
 
+def bent(colors: np.ndarray, source: Callable[[float, float], tuple[float, float]]) -> np.ndarray:
+    """By Pillow's meshes: `source` tells where in the picture a position, -1..1 of both sides, comes from."""
+    cells = []
+    for top_px in range(0, 240, 12):
+        for left in range(0, 240, 12):
+            corners = [(left, top_px), (left, top_px + 12), (left + 12, top_px + 12), (left + 12, top_px)]
+            moved_to = [source(x / 120 - 1, y / 120 - 1) for x, y in corners]
+            cells.append(
+                ((left, top_px, left + 12, top_px + 12), [120 * (one + 1) for corner in moved_to for one in corner])
+            )
+    picture = Image.fromarray((colors * 255).round().astype(np.uint8))
+    bent_picture = picture.transform((240, 240), Image.Transform.MESH, cells, Image.Resampling.BICUBIC)
+    return np.asarray(bent_picture, np.float32) / 255
+
+
+def lens(k: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Brown's first radial term."""
+    return lambda p: bent(p, lambda x, y: (x * (1 + k * (x * x + y * y)), y * (1 + k * (x * x + y * y))))
+
+
+def aberrated(colors: np.ndarray) -> np.ndarray:
+    """Red and blue of other focal lengths than green."""
+    larger, smaller = (bent(colors, lambda x, y, size=size: (x * size, y * size)) for size in (1.01, 0.99))
+    return np.stack([larger[..., 0], colors[..., 1], smaller[..., 2]], -1)
+
+
 FITTED: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
     "vignette": ("towards its corners", lambda p: p * (1 - 0.5 * radius() ** 2)),
     "strong vignette": ("towards its corners", lambda p: p * (1 - 0.8 * radius() ** 4)),
@@ -174,6 +200,16 @@ FITTED: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
     "turned by half a degree": ("moved, scaled or turned", lambda p: moved(p, degrees=0.5)[0]),
     "enlarged by 2 %": ("moved, scaled or turned", lambda p: moved(p, scale=1.02)[0]),
     "cropped and enlarged": ("moved, scaled or turned", lambda p: cropped(p, 3)),
+    "barrel": ("distorted by a lens", lens(0.1)),
+    "pincushion": ("distorted by a lens", lens(-0.1)),
+    "keystone": ("in perspective", lambda p: bent(p, lambda x, y: (x * (1 + 0.05 * y), y))),
+    "stretched": ("stretched in one direction", lambda p: bent(p, lambda x, y: (x * 0.96, y))),
+    "sheared": ("stretched in one direction", lambda p: bent(p, lambda x, y: (x + 0.04 * y, y))),
+    "a shifted channel": (
+        "colours that lie beside each other",
+        lambda p: np.stack([np.roll(p[..., 0], 2, 1), p[..., 1], p[..., 2]], -1),
+    ),
+    "chromatic aberration": ("colours that lie beside each other", aberrated),
 }
 """Mistakes of an amount that has to be found: part of the words, and how they are made."""
 
@@ -206,6 +242,26 @@ def test_saturation_is_taken_back() -> None:
     explanation = explain(eight_bits(saturated(VIEW, 0.5)), VIEW, ALPHA)
     assert explanation is not None and explanation.mistake is not None and explanation.mistake.undone is not None
     assert np.abs(explanation.mistake.undone(eight_bits(saturated(VIEW, 0.5))) - VIEW).max() < 0.05
+
+
+@pytest.mark.parametrize("name", ["barrel", "pincushion", "keystone", "stretched", "a shifted channel"])
+def test_what_was_bent_is_put_right(name: str) -> None:
+    """Within the picture: what was pushed over its rim is gone."""
+    picture = eight_bits(FITTED[name][1](VIEW))
+    explanation = explain(picture, VIEW, ALPHA)
+    assert explanation is not None and explanation.mistake is not None and explanation.mistake.undone is not None
+    asset = ALPHA > 0.5
+    before, after = (
+        np.abs(one - VIEW)[asset].mean() for one in (picture, np.asarray(explanation.mistake.undone(picture)))
+    )
+    assert after < 0.4 * before
+
+
+def test_a_part_that_was_pushed_by_hand_is_paint() -> None:
+    """A smudge over half of the asset, with a soft edge: what it did not reach is as it was rendered."""
+    share = blurred(top(0.5).repeat(3, -1))
+    pushed = bent(VIEW, lambda x, y: (x + 0.03 * np.sin(4 * y), y + 0.03 * np.sin(4 * x)))
+    assert explain(eight_bits(VIEW + share * (pushed - VIEW)), VIEW, ALPHA) is None
 
 
 def test_a_part_that_was_moved_by_hand_is_paint() -> None:
@@ -294,6 +350,8 @@ def pixels(colors: np.ndarray) -> np.ndarray:
         ("filter", pixels),
         ("detail", lambda p: pillow(p, ImageFilter.UnsharpMask(2, 200, 0))),
         ("detail", lambda p: eight_bits(p + RNG.normal(size=p.shape) * 0.08)),
+        ("detail", lambda p: eight_bits(p + RNG.normal(size=p.shape) * 0.02)),
+        ("detail", lambda p: eight_bits(p + RNG.normal(size=(*p.shape[:2], 1)) * 0.02)),
     ],
 )
 @pytest.mark.parametrize("dabbed", [False, True])

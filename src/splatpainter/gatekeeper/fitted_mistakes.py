@@ -92,6 +92,8 @@ GRADIENT_WORDS = "darkened or lightened from side to side (a gradient over all o
 SOFT_WORDS = "painted over softly everywhere, its background too, or shaded as a whole"
 EVEN_WORDS = "darkened, lightened or tinted as a whole, or its transparency was lost"
 MOVED_WORDS = "moved, scaled or turned by a little"
+BENT_WORDS = "bent: distorted by a lens, in perspective, or stretched in one direction"
+APART_WORDS = "of colours that lie beside each other (chromatic aberration, or a shifted channel)"
 
 
 def fitted_mistakes(view: SmallView) -> Iterator[Explanation]:
@@ -249,8 +251,6 @@ def laid_softly(view: SmallView) -> Explanation | None:
 def moved_a_little(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray, agreeing: float) -> Explanation | None:
     """A picture [H, W, 3] that lies beside its render [H, W, 3] by some pixels, degrees or per cent: what that changes
     is nowhere as it was rendered, and nearly everywhere as it makes it. alpha: [H, W]."""
-    from splatpainter.gatekeeper.registration import small_motion, warped  # few pictures come so far
-
     # Larger pictures are looked at smaller: a pixel of a large one is half of one there, which is seen as well.
     height, width = alpha.shape
     shrink = max(height, width) / FITS.max_moved_px
@@ -263,16 +263,55 @@ def moved_a_little(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray, a
     mean = largest_channel(np.abs(box_mean(picture - np.clip(render, 0, 1), reach)))
     if not solid.any() or (mean <= FITS.max_mean)[solid].mean() < FITS.min_still:
         return None
-    motion = small_motion(picture, render)
-    if motion is None:
-        return None
-    made, inside = warped(render, np.linalg.inv(np.vstack([motion, [0, 0, 1]]))[:2], (width, height))
-    solid = inside & solid
-    moved = solid & (mean_difference(made, render) > COPIES.min_predicted)
-    if moved.sum() <= FITS.min_moved_share * solid.sum():
-        return None
     unchanged = mean_difference(picture, render) <= COPIES.max_unchanged
-    agrees = mean_difference(picture, made) <= COPIES.max_difference
-    if unchanged[moved].mean() > COPIES.max_contradicting or agrees[moved].mean() < FITS.min_moved_explained:
-        return None
-    return Explanation("moved", MOVED_WORDS, agreeing, float(agrees[solid].mean()))
+    for words, mistake, made, inside in _displacements(picture, render):
+        asset = inside & solid
+        moved = asset & (mean_difference(made, render) > COPIES.min_predicted)
+        if moved.sum() <= FITS.min_moved_share * asset.sum() or unchanged[moved].mean() > COPIES.max_contradicting:
+            continue
+        agrees = mean_difference(picture, made) <= COPIES.max_difference
+        if agrees[moved].mean() >= FITS.min_moved_explained:
+            return Explanation("moved", words, agreeing, float(agrees[asset].mean()), mistake)
+    return None
+
+
+def _displacements(
+    picture: np.ndarray, render: np.ndarray
+) -> Iterator[tuple[str, Mistake | None, np.ndarray, np.ndarray]]:
+    """How a picture [H, W, 3] may lie beside its render [H, W, 3], cheapest first: words, the mistake where it can be
+    taken back, what that makes of the render [H, W, 3], and [H, W] bool where that is known."""
+    from splatpainter.gatekeeper.bent_pictures import bend_of  # few pictures come so far
+    from splatpainter.gatekeeper.registration import small_motion, warped
+
+    height, width = render.shape[:2]
+    motion = small_motion(picture, render)
+    if motion is not None:
+        inverse = np.linalg.inv(np.vstack([motion, [0, 0, 1]]))[:2]
+        yield MOVED_WORDS, None, *warped(render, inverse, (width, height))
+    bend = bend_of(picture, render)
+    if bend is not None:
+        made, inside = bend.made(render)
+        yield BENT_WORDS, Mistake("moved", BENT_WORDS, lambda colors: bend.made(colors)[0], bend.undone), made, inside
+    # A lens bends each colour by another amount; a shifted channel is the simplest case of it.
+    bends = [bend_of(*(np.repeat(image[..., [channel]], 3, -1) for image in (picture, render))) for channel in range(3)]
+    if any(bends):
+        parts = [
+            (render[..., [channel]], np.ones((height, width), bool))
+            if one is None
+            else one.made(render[..., [channel]])
+            for channel, one in enumerate(bends)
+        ]
+
+        def undone(colors: np.ndarray) -> np.ndarray:
+            planes = [colors[..., [channel]] for channel in range(3)]
+            return np.concatenate(
+                [plane if one is None else one.undone(plane) for one, plane in zip(bends, planes, strict=True)], -1
+            )
+
+        made = np.concatenate([plane for plane, _ in parts], -1)
+        yield (
+            APART_WORDS,
+            Mistake("moved", APART_WORDS, lambda colors: colors, undone),
+            made,
+            np.all([inside for _, inside in parts], axis=0),
+        )

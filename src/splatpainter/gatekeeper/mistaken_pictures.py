@@ -81,6 +81,12 @@ class MistakeThresholds:
     """Edges of blocks that are tried, pixels."""
     min_sharpened: float = 1.25
     """The same from which it was sharpened."""
+    noise_px: int = 4
+    """Reach over which the level of noise is measured."""
+    min_noise: float = 1.2 / 255
+    """Level from which noise lies over a pixel: rounding has up to half a level."""
+    min_even_noise: float = 0.3
+    """Level of the quietest tenth in parts of that of the loudest: noise lies over everything, detail does not."""
     max_median: float = 0.75
     """Contrast, in parts of the render's, up to which a filter may keep edges, and with them some detail, intact."""
     max_intact_edges: float = 0.06
@@ -276,11 +282,22 @@ def filtered(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray) -> Expl
     # A better picture of a coarse asset has less contrast, too, where that was noise; but edges that no filter makes.
     if smoothed and not _has_new_detail(contrast(seen), contrast(before), unpainted):
         return Explanation("filter", SMOOTHED_WORDS, intact, 0.0)
-    return (
-        Explanation("detail", SHARPENED_WORDS, intact, 0.0)
-        if ratio > MISTAKES.min_sharpened and intact < MISTAKES.min_intact
-        else None
-    )
+    sharpened = ratio > MISTAKES.min_sharpened and intact < MISTAKES.min_intact
+    if sharpened or _is_noisy(seen, before, np.abs(mean).max(-1) <= MISTAKES.max_filtered_mean):
+        return Explanation("detail", SHARPENED_WORDS, intact, 0.0)
+    return None
+
+
+def _is_noisy(picture: np.ndarray, render: np.ndarray, unpainted: np.ndarray) -> bool:
+    """Whether noise lies over a picture [H, W, 3] where it was not painted, [H, W] bool: asset and background alike."""
+    # Noise of the render that a clean picture lacks is none of the picture's.
+    levels = []
+    for values in (picture - render, picture):
+        noise = largest_channel(np.abs(values - box_mean(values, 1)))
+        levels.append(box_mean(noise, MISTAKES.noise_px)[unpainted])
+    level = np.minimum(*levels)
+    quiet, loud = np.quantile(level, (0.1, 0.9)) if len(level) else (0.0, 0.0)
+    return bool(quiet > max(MISTAKES.min_noise, MISTAKES.min_even_noise * loud))
 
 
 def _has_new_detail(after: np.ndarray, before: np.ndarray, pixels: np.ndarray) -> bool:

@@ -201,6 +201,22 @@ def _sampled(picture: np.ndarray, matrix: np.ndarray, size: tuple[int, int], cub
     return out[0] if picture.ndim == 2 else np.stack(out, -1)
 
 
+def resampled_at(picture: np.ndarray, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """([H, W, C] float32 a picture [H, W, C] at each pixel's centre + shift [H, W, 2] (right, down, pixels), [H, W]
+    bool where that is inside). Bilinear; beside the picture its rim goes on."""
+    height, width = picture.shape[:2]
+    y, x = np.mgrid[:height, :width]
+    x, y = x + shift[..., 0], y + shift[..., 1]
+    inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
+    x, y = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1)
+    left, top = np.minimum(x.astype(int), max(width - 2, 0)), np.minimum(y.astype(int), max(height - 2, 0))
+    right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
+    across, down = (x - left).astype(np.float32)[..., None], (y - top).astype(np.float32)[..., None]
+    upper = picture[top, left] * (1 - across) + picture[top, right] * across
+    lower = picture[bottom, left] * (1 - across) + picture[bottom, right] * across
+    return (upper * (1 - down) + lower * down).astype(np.float32), inside
+
+
 _NOT_MOVED = np.eye(3)
 
 
@@ -232,7 +248,7 @@ def _better(one: Registration | None, other: Registration) -> Registration:
 
 
 @dataclass(frozen=True)
-class _Level:
+class Level:
     """Both pictures of the pyramid at one size, as features [.., .., 2]: normalised brightness and edges."""
 
     render: np.ndarray
@@ -254,14 +270,14 @@ class _Level:
         valid: np.ndarray | None,
         frame: np.ndarray,
         longer_px: int,
-    ) -> _Level:
+    ) -> Level:
         (height, width), (h, w) = render.shape[:2], picture.shape[:2]
         shrink = max(max(height, width) / longer_px, 1.0)
         size = max(round(width / shrink), 1), max(round(height / shrink), 1)
         scales = frame[0, 0] * width / size[0], frame[1, 1] * height / size[1]
         small = max(round(w / scales[0]), 8), max(round(h / scales[1]), 8)
         content = np.ones((h, w), np.float32) if valid is None else valid.astype(np.float32)
-        return _Level(
+        return Level(
             _features(_resized(render, size)),
             _features(_resized(picture, small)),
             _resized(weight, size),
@@ -308,11 +324,11 @@ def _refined(
     for longer_px in levels_px:
         if longer_px > levels_px[0] and max(render.shape[:2]) <= longer_px / 2:
             break
-        motion = _descended(_Level.of(picture, render, weight, valid, frame, longer_px), frame, motion)
+        motion = _descended(Level.of(picture, render, weight, valid, frame, longer_px), frame, motion)
     return motion
 
 
-def _descended(level: _Level, frame: np.ndarray, motion: np.ndarray) -> np.ndarray:
+def _descended(level: Level, frame: np.ndarray, motion: np.ndarray) -> np.ndarray:
     height, width = level.weight.shape
     target, reach = level.render, max(width, height) / 2
     y, x = np.mgrid[:height, :width] + 0.5
@@ -366,7 +382,7 @@ def _searched(
     picture: np.ndarray, render: np.ndarray, weight: np.ndarray, valid: np.ndarray | None, frame: np.ndarray
 ) -> np.ndarray:
     """[3, 3] the best similarity on a grid of scales and turns, its shift by correlation of the edges."""
-    level = _Level.of(picture, render, weight, valid, frame, REGISTRATION.grid_px)
+    level = Level.of(picture, render, weight, valid, frame, REGISTRATION.grid_px)
     height, width = level.weight.shape
     # Correlation over all shifts at once, by Fourier transform, for every turn and scale of the grid.
     target = np.maximum(level.render[..., 1], 0) * level.weight

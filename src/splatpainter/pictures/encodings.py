@@ -36,12 +36,19 @@ class EncodingThresholds:
     """How a picture was compressed, guessed from what is left unpainted. Measured on painted renders where an entry
     says so, else taste."""
 
-    jpeg_qualities: tuple[int, ...] = (95, 90, 85, 80, 75, 70, 60, 50, 40, 30)
+    jpeg_qualities: tuple[int, ...] = (95, 90, 85, 80, 75, 70, 60, 50, 40, 30, 20, 15, 10, 5)
     """Qualities of JPEG that are tried."""
     webp_qualities: tuple[int, ...] = (95, 90, 80, 70, 60, 50, 40, 30, 20, 10)
     """Qualities of WebP that are tried."""
     blurs_px: tuple[float, ...] = (0.6, 1.0, 1.5, 2.0)
     """Standard deviations of blurs that are tried."""
+    rank_filters: tuple[tuple[str, str, tuple[int, ...]], ...] = (
+        ("MedianFilter", "a median filter", (3, 5, 7)),
+        ("ModeFilter", "a filter of the most common value", (3, 5, 7)),
+        ("MinFilter", "a filter that darkens (erosion)", (3, 5)),
+        ("MaxFilter", "a filter that lightens (dilation)", (3, 5)),
+    )
+    """Pillow's filters that are tried, how they are called, and their sizes in pixels."""
     search_px: int = 256
     """Side of the part of a picture on which settings of JPEG are looked for; its blocks do not depend on each
     other."""
@@ -63,6 +70,8 @@ class EncodingThresholds:
     painted renders has 0.53 to 0.60, noise and sharpening 0.88 and more."""
     min_exact: float = 0.5
     """Share of the asset's pixels that a guessed encoding must meet exactly."""
+    min_exact_filter: float = 0.8
+    """The same of a rank filter, which may have been used on a part on purpose."""
     min_gain: float = 0.25
     """Its least gain over none."""
     min_left_alone: float = 0.1
@@ -84,7 +93,8 @@ class Encoding:
     words: str
     """How it is called: "JPEG of quality 60"."""
     settings: dict[str, Any] = field(default_factory=dict, repr=False)
-    """JPEG and WebP: arguments of Pillow's encoder; none of WebP: to be distinct. blur: `radius`, pixels."""
+    """JPEG and WebP: arguments of Pillow's encoder; none of WebP: to be distinct. blur: `radius` or
+    `size` of a `filter`, pixels, or the `factor` by which it was shrunk."""
     palette: np.ndarray | None = field(default=None, repr=False)
     """[K, 3] uint8, of a palette."""
 
@@ -101,7 +111,9 @@ class Encoding:
             holder.putpalette(flat.tobytes())
             image = image.quantize(palette=holder, dither=Image.Dither.NONE)
         elif self.kind == "blur":
-            if "factor" in self.settings:
+            if "filter" in self.settings:
+                image = image.filter(getattr(ImageFilter, self.settings["filter"])(self.settings["size"]))
+            elif "factor" in self.settings:
                 size, factor = image.size, self.settings["factor"]
                 smaller = image.resize((-(-size[0] // factor), -(-size[1] // factor)), Image.Resampling.LANCZOS)
                 image = smaller.resize(size, Image.Resampling.BICUBIC)
@@ -221,10 +233,12 @@ def guessed_encoding(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray)
         plain = min(plain, _low_error(seen, before, solid))
         for option in options:
             expected = option.applied(before)
-            errors.append((_low_error(seen, expected, solid), option))
+            ranks = "filter" in option.settings
+            if not ranks:  # darkening by hand comes near an erosion
+                errors.append((_low_error(seen, expected, solid), option))
             # A guess must meet unpainted pixels exactly; being nearer on average is not enough.
             exact = _exact_share(seen, expected, solid)
-            if exact > share:
+            if exact > max(share, ENCODINGS.min_exact_filter if ranks else 0):
                 best, share = option, exact
     if best is None and errors:  # paint changes all of a WebP a little: then that which comes nearest
         error, nearest = min(errors, key=lambda pair: pair[0])
@@ -236,6 +250,9 @@ def _guesses() -> Iterator[Encoding]:
     for radius in ENCODINGS.blurs_px:
         yield Encoding("blur", "blurring or resampling", {"radius": radius})
     yield Encoding("blur", "shrinking and enlarging", {"factor": 2})
+    for name, words, sizes in ENCODINGS.rank_filters:
+        for size in sizes:
+            yield Encoding("blur", words, {"filter": name, "size": size})
     for quality in ENCODINGS.jpeg_qualities:
         for subsampling in (2, 0):
             yield Encoding("JPEG", f"JPEG of quality {quality}", {"quality": quality, "subsampling": subsampling})
