@@ -287,8 +287,9 @@ def test_contact_sheet_wraps_many_methods(tmp_path):
     path = gallery.write_contact_sheet(write(tmp_path / "refine", records), tmp_path / "s" / "a.png", TABLES, METHODS)
     assert path is not None
     with Image.open(path) as image:
-        # 15 pictures in two lines, each with a line of errors
-        assert image.width == 8 * (gallery.CELL_PX + 6) + 6 and 4 * gallery.CELL_PX < image.height < 6 * gallery.CELL_PX
+        # 15 pictures in three lines, each with a line of errors
+        cell = gallery.SHEET_SIZES.cell_px
+        assert image.width == 5 * (cell + 6) + 6 and 6 * cell < image.height < 9 * cell
     (tmp_path / "relight").mkdir()
     assert gallery.write_contact_sheet(tmp_path / "relight", tmp_path / "b.png", TABLES, METHODS) is None
     with pytest.raises(ValueError, match="expected the folder of one of refine, relight"):

@@ -27,12 +27,27 @@ from splatbench.report.summary import (
 from splatbench.tables import Column
 from splatpainter.contact_sheet import Strip, error_map, sheet, write_sheet
 
-CELL_PX = 208
-"""Edge of a picture in contact sheets."""
-PICTURES_ACROSS = 8
-"""Pictures in a line of a contact sheet; more go on below."""
-WHITE_ERROR = 0.25
-"""Error that is white in error maps."""
+
+
+@dataclass(frozen=True)
+class SheetSizes:
+    """How contact sheets are laid out. Source: taste, on a page of this width."""
+
+    cell_px: int = 232
+    """Edge of a picture."""
+    across: int = 7
+    """Pictures in a line; more go on below."""
+    letters_px: int = 14
+    """Height of letters of labels on a page that shows the sheet `shown_px` wide."""
+    shown_px: int = 900
+    """Width of such a page: a document's column."""
+    white_error: float = 0.25
+    """Error that is white in error maps."""
+    margin: float = 0.06
+    """Of the window that is shown of a picture: what is around the object, as a share of the picture's edge."""
+
+
+SHEET_SIZES = SheetSizes()
 
 
 @dataclass(frozen=True)
@@ -47,6 +62,8 @@ class Tile:
     """Figure of this answer, in the row's column."""
     answer: bool = False
     """It is to be compared with the truth."""
+    is_input: bool = False
+    """Seen by another camera than the others."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +132,7 @@ def error_of(tile: Tile, truth: np.ndarray | None) -> np.ndarray | None:
     if truth is None or not tile.answer:
         return None
     picture = read_picture(tile.path)
-    return error_map(picture, truth, WHITE_ERROR) if picture.shape == truth.shape else None
+    return error_map(picture, truth, SHEET_SIZES.white_error) if picture.shape == truth.shape else None
 
 
 def write_contact_sheet(
@@ -135,27 +152,55 @@ def write_contact_sheet(
     rows = picture_rows(folder, records, method_names(records, methods, run.labels), table)
     if not rows:
         return None
-    title = f"{table.title}. Errors: largest channel, white at {WHITE_ERROR:g} and more."
+    title = f"{table.title}. Errors: largest channel, white at {SHEET_SIZES.white_error:g} and more."
     out.parent.mkdir(parents=True, exist_ok=True)
-    write_sheet(out, sheet([strip for row in rows for strip in _strips(row)], CELL_PX, title))
+    strips = [strip for row in rows for strip in _strips(row)]
+    # Letters are to be read where the page is narrower than the sheet.
+    width = max(len(strip.cells) for strip in strips) * SHEET_SIZES.cell_px
+    letters = -(-SHEET_SIZES.letters_px * max(width, SHEET_SIZES.shown_px) // SHEET_SIZES.shown_px)
+    write_sheet(out, sheet(strips, SHEET_SIZES.cell_px, title, letters, 2))
     return out
 
 
 def _strips(row: PictureRow) -> Iterator[Strip]:
-    """One line of answers and one of errors for every PICTURES_ACROSS tiles; as even as can be, so that no line is
-    nearly empty."""
+    """One line of answers and one of errors for every SHEET_SIZES.across tiles; as even as can be, so that no line is
+    nearly empty. Of pictures the window is shown in which the object is; of those as large as the truth that of the
+    truth."""
     truth = read_picture(row.truth) if row.truth else None
-    lines = -(-len(row.tiles) // PICTURES_ACROSS)
+
+    def cut(picture: np.ndarray, own: bool = False) -> np.ndarray:
+        # The input has a camera of its own, and so a window.
+        if own or truth is None or picture.shape != truth.shape:
+            return picture[object_window(picture)]
+        return picture[object_window(truth)]
+
+    lines = -(-len(row.tiles) // SHEET_SIZES.across)
     ends = [round(k * len(row.tiles) / lines) for k in range(lines + 1)]
     figures = f"   before names: {row.column.label}{f', {row.column.group}' if row.column.group else ''}"
     for k, (start, stop) in enumerate(zip(ends, ends[1:], strict=False)):
         tiles = row.tiles[start:stop]
-        cells = tuple((_label(tile, row.column.digits), read_picture(tile.path)) for tile in tiles)
+        pictures = [read_picture(tile.path) for tile in tiles]
+        shown = [cut(p, tile.is_input) for tile, p in zip(tiles, pictures, strict=True)]
+        cells = tuple((_label(tile, row.column.digits), p) for tile, p in zip(tiles, shown, strict=True))
         yield Strip(row.title + (" (continued)" if k else figures), cells)
         errors = [error_of(tile, truth) for tile in tiles]
         if any(error is not None for error in errors):
-            blank = np.broadcast_to(np.float32(250 / 255), (8, 8, 3))
-            yield Strip("", tuple(("", blank) if error is None else ("error", error) for error in errors))
+            blank = np.broadcast_to(np.float32(250 / 255), (1, 8, 3))
+            yield Strip("", tuple(("", blank if error is None else cut(error)) for error in errors))
+
+
+def object_window(picture: np.ndarray) -> tuple[slice, slice]:
+    """(rows, columns) of a picture [H, W, 3] in which it differs from its corner, with a margin; all where nothing
+    does."""
+    differs = (np.abs(picture - picture[0, 0]) > 1.5 / 255).any(-1)
+    if not differs.any():
+        differs[:] = True
+    edge = round(SHEET_SIZES.margin * max(differs.shape))
+    sides = []
+    for axis in (1, 0):
+        inside = np.flatnonzero(differs.any(axis))
+        sides.append(slice(max(int(inside[0]) - edge, 0), int(inside[-1]) + 1 + edge))
+    return sides[0], sides[1]
 
 
 def _label(tile: Tile, digits: int) -> str:
@@ -166,7 +211,7 @@ def _label(tile: Tile, digits: int) -> str:
 def _tiles(folder: Path, case: str, answers: dict[str, Record], names: MethodNames, column: Column) -> list[Tile]:
     """Tiles of the pictures that exist."""
     inputs = _inside(folder / "cases", case)
-    tiles = [Tile("Input edit", inputs / "input.png")]
+    tiles = [Tile("Input edit", inputs / "input.png", is_input=True)]
     if "nothing" not in answers:  # whose answer it is
         tiles.append(Tile("Asset before", inputs / "before.png", answer=True))
     for name in names.order:

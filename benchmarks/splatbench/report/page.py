@@ -18,7 +18,7 @@ import numpy as np
 
 from splatbench.notes import LOAD, SIDE_BY_SIDE
 from splatbench.report.gallery import (
-    WHITE_ERROR,
+    SHEET_SIZES,
     PictureRow,
     error_of,
     picture_rows,
@@ -214,7 +214,7 @@ def _section_view(section: ReportSection) -> dict[str, object]:
         "cases": [_case_view(row) for row in rows],
         "figures": _displayed_figures(rows),
         "ranks": list(dict.fromkeys(row.rank for row in rows if row.rank)),
-        "white_error": f"{WHITE_ERROR:g}",
+        "white_error": f"{SHEET_SIZES.white_error:g}",
     }
 
 
