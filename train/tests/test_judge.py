@@ -227,6 +227,18 @@ def test_a_stage_two_of_global_edits_is_judged_by_those(tmp_path: Path, capsys: 
     assert "for weights that make global edits alone, got 'stroke'" in capsys.readouterr().err
 
 
+def test_a_carried_edit_is_judged_beside_no_adaptation_and_another_edit(held: list[Any]) -> None:
+    """In pictures: what the memory is worth there."""
+    sample = next(trial.sample for trial in held if trial.kind == "relight")
+    recipe = replace(JUDGED, model=ROWS)
+    awake = judge.refine_task(recipe, spoken(ROWS), None).eval().judge(sample).numbers
+    assert awake["adapts"] == awake["ours"] - awake["strength 0"] != 0
+    assert awake["another edit"] not in (awake["ours"], awake["strength 0"])
+    asleep = spoken(replace(ROWS, refine=replace(ROWS.refine, edit_strength=0.0)))
+    still = judge.refine_task(recipe, asleep, None).eval().judge(sample).numbers
+    assert still["adapts"] == 0 and still["ours"] == still["another edit"] == awake["strength 0"]
+
+
 def test_a_predictor_that_stands_alone_is_judged_on_the_lift(held: list[Any]) -> None:
     """Untrained it leaves the lift as it is, whatever Stage II would start from."""
     config = replace(ROWS, predict=PredictConfig(features=8, hidden=16, alone=True))

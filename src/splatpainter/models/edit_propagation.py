@@ -17,6 +17,7 @@ them asked, E encoded ones.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
@@ -152,11 +153,13 @@ class CarriedEdit:
         transfer: Callable[[], np.ndarray],
         state: RefineState | None = None,
         parent_ids: np.ndarray | None = None,
+        strength: float | None = None,
     ) -> None:
         """splats: numpy, N; latent_ids: [N] of each; transfer: computes [N, 10] of `prt_transfer`, called where the
         model reads it; state: of the edits before; parent_ids: [N] int64 the encoded Gaussian that each is or comes
-        from (default: itself). Raises ValueError for Gaussians that can be drawn but were not encoded."""
-        self.model, self._start, self._splats = model, state, splats
+        from (default: itself); strength: overrides config.refine.edit_strength. Raises ValueError for Gaussians that
+        can be drawn but were not encoded."""
+        self.model, self._start, self._splats, self._strength = model, state, splats, strength
         self.state = state
         """After the last call; every call starts from the state that was given."""
         self._parents = np.arange(len(splats)) if parent_ids is None else parent_ids
@@ -188,11 +191,22 @@ class CarriedEdit:
         everyone = torch.arange(len(moved), device=device)
         with torch.no_grad():
             if self._evidence is None:
-                self.state, changes = carry(self.model, gaussians, moved, pixels, teachers, everyone, state=self._start)
+                self.state, changes = self._carry(moved, pixels, teachers, everyone)
             else:
                 changes = self._goes_on(moved, pixels, teachers, everyone)
         answer[drawn] = changes.cpu().numpy()
         return answer
+
+    def at_strength(self, strength: float) -> CarriedEdit:
+        """The same with another edit strength; 0: nothing adapts."""
+        other = copy.copy(self)
+        other._weight, other._strength = self._weight.copy(), strength
+        return other
+
+    def _carry(self, change: Tensor, pixels: Tensor, teachers: Tensor, readers: Tensor) -> tuple[RefineState, Tensor]:
+        """As `carry`, from the state that was given."""
+        ids = (teachers, readers)
+        return carry(self.model, self.gaussians, change, pixels, *ids, strength=self._strength, state=self._start)
 
     def _goes_on(self, moved: Tensor, pixels: Tensor, teachers: Tensor, everyone: Tensor) -> Tensor:
         """[N, 3] the change from here, of a memory that knows the change since the first edit."""
@@ -207,7 +221,7 @@ class CarriedEdit:
         unlike = (share * (expected - total[teachers]).square()).sum()
         unlike = float(unlike / (share * total[teachers].square()).sum().clamp_min(1e-9))
         agrees = min(max((CONTRADICTS - unlike) / (CONTRADICTS - AGREES), 0.0), 1.0)
-        self.state, answer = carry(self.model, gaussians, total, pixels, teachers, everyone, state=self._start)
+        self.state, answer = self._carry(total, pixels, teachers, everyone)
         return (answer - so_far) * (1 - agrees * _share(before[:, 0])[:, None])
 
     def after(self, splats: Splats) -> RefineState:

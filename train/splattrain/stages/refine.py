@@ -157,6 +157,8 @@ class RefineTask(Task[SplatPainterModel]):
         drawn = {"nothing": prepared.splats, "lift": lifted.splats, "ours": edited}
         if not self._predicted(sample) and self.model.config.refine.mixer == "ttt":
             drawn |= self._not_adapted(prepared, start, views)
+        elif sample.mode == "global" and isinstance(prepared.predict, CarriedEdit):
+            drawn |= self._not_carried(prepared, prepared.predict, views)
         pictures = {name: draw(splats, cameras, self.device)[0] for name, splats in drawn.items()}
         numbers: dict[str, float] = {}
         for name, picture in pictures.items():
@@ -193,6 +195,22 @@ class RefineTask(Task[SplatPainterModel]):
                 _, edited, further = refine_edit(self.model, state, encoded, start, views, facts, strength=0.0)
                 edits[name] = assemble(start, edited, further)
         return edits
+
+    def _not_carried(
+        self, prepared: PreparedAsset, carried: CarriedEdit, views: Sequence[EditView]
+    ) -> dict[str, Splats]:
+        """As `_not_adapted`, of edits that the lift makes with Stage II's answer where no view shows a Gaussian; the
+        other edit is this one reversed and negated."""
+
+        def another(change: np.ndarray, weight: np.ndarray) -> np.ndarray:
+            return carried(np.ascontiguousarray(-change[:, ::-1]), weight)
+
+        answers = {"strength 0": carried.at_strength(0.0), "another edit": another}
+        how = {"normals": prepared.normals}
+        return {
+            name: lift_global_views(prepared.splats, views, "lift", predict=answer, **how).splats
+            for name, answer in answers.items()
+        }
 
     def _remembered(self, sample: Sample) -> PreparedAsset:
         return self._prepared.get(sample.asset.sha256, lambda: self._prepare(sample.asset.numpy()))
