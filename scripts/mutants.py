@@ -225,8 +225,8 @@ MUTATIONS = (
     Mutation(
         "the network is deaf to the picture",
         "models/local_edit_colors.py",
-        "MIN_HOLD, MAX_HOLD = 0.01, 1.0",
-        "MIN_HOLD, MAX_HOLD = 1e3, 1e6",
+        "hold: tuple[float, float] = (0.01, 1.0)",
+        "hold: tuple[float, float] = (1e3, 1e6)",
         (LOCAL,),
     ),
     Mutation(

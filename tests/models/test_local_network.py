@@ -21,6 +21,7 @@ from splatpainter.models.config import RefineConfig
 from splatpainter.models.local_config import LocalConfig
 from splatpainter.models.local_edit_colors import (
     NetworkColors,
+    applied,
     held,
     network_colors,
     patches_of,
@@ -259,7 +260,8 @@ def test_of_views_that_contradict_each_other_the_latest_is_held_against() -> Non
 
 def test_rounds_count_pixels_by_their_variance(monkeypatch: pytest.MonkeyPatch) -> None:
     """One Gaussian that fills the picture, weight W: after many rounds (W picture + h answer) / (W + h)."""
-    monkeypatch.setattr(local_edit_colors, "MAX_HOLD", 1e9)
+    wide = replace(local_edit_colors.HELD_COLORS, hold=(0.01, 1e9))
+    monkeypatch.setattr(local_edit_colors, "HELD_COLORS", wide)
     camera = look_at((0, 0, 3.0), (0, 0, 0), width=16, height=16, fov=40)
     one = Splats(
         *(np.array(x, np.float32) for x in ([[0, 0, 0]], [[1, 0, 0, 0]], [[9, 9, 0.01]], [0.9], [[[0, 0, 0]]]))  # pyright: ignore[reportArgumentType]
@@ -275,6 +277,39 @@ def test_rounds_count_pixels_by_their_variance(monkeypatch: pytest.MonkeyPatch) 
     # Damped least squares of the colour: the rounds' divisor counts weights, their residual weights times alpha.
     assert level < colored < target
     np.testing.assert_allclose(colored, (weight * target + hold * level) / (weight + hold), atol=0.01)
+
+
+def test_a_close_up_changes_gaussians_as_far_as_it_shows_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One wholly in the picture, one cut in half by its edge, one behind a wall: their shares are known."""
+    camera = look_at((0, 0, 3.0), (0, 0, 0), width=64, height=64, fov=40)
+    edge = 3 * np.tan(np.radians(20))
+    means = np.array([[-0.7, 0.7, 0], [edge, 0.6, 0], [0, -0.1, -0.1], [0, -0.1, 0]], np.float32)
+    scales = np.array([[0.05] * 3, [0.05] * 3, [0.05] * 3, [0.3, 0.3, 0.001]], np.float32)
+    opacities = np.array([0.3, 0.3, 0.3, 0.999], np.float32)
+    quats, sh = np.tile(np.array([1, 0, 0, 0], np.float32), (4, 1)), np.zeros((4, 1, 3), np.float32)
+    splats = Splats(means, quats, scales, opacities, sh)
+    ids = np.arange(3)
+    lifted = LiftedEdit(splats, ids, ids, no_features(ids))
+    picture = np.full((64, 64, 3), 0.7, np.float32)
+    (wide,) = edit_views(splats, [camera], [picture], [np.ones((64, 64), bool)])
+    (part,) = edit_views(splats, [camera], [picture], [np.indices((64, 64))[1] < 20])
+    seen: list[tuple[NetworkColors, list[np.ndarray]]] = []
+
+    def watched(lifted: LiftedEdit, answer: NetworkColors, views: object, *, hidden: object = ()) -> LiftedEdit:
+        seen.append((answer, list(hidden)))  # pyright: ignore[reportArgumentType, reportCallIssue]
+        return lifted
+
+    monkeypatch.setattr(local_edit_colors, "held", watched)
+    answer = NetworkColors(np.full((3, 3), 0.9, np.float32), np.full(3, 0.1, np.float32))
+    applied(lifted, answer, [wide])
+    applied(lifted, answer, [part])
+    # Opacities of 0.3 are drawn from alphas of 1 / 255 on: 1.3 per cent of the footprint is not.
+    kept, (hidden,) = seen[0]
+    np.testing.assert_allclose((kept.colors - 0.5) / 0.4, np.repeat([[1], [0.5], [0]], 3, 1), atol=0.03)
+    whole = 2 * np.pi * 0.3 * (0.05 / 3 * camera.fx) ** 2
+    np.testing.assert_allclose(hidden / whole, [0, 0.5, 1], atol=0.2)
+    np.testing.assert_array_equal(seen[1][0].colors, answer.colors)
+    assert not seen[1][1]
 
 
 @pytest.mark.parametrize(("seed", "other"), [(0, 1), (1, 2), (2, 0)])

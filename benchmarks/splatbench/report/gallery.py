@@ -28,7 +28,6 @@ from splatbench.tables import Column
 from splatpainter.contact_sheet import Strip, error_map, sheet, write_sheet
 
 
-
 @dataclass(frozen=True)
 class SheetSizes:
     """How contact sheets are laid out. Source: taste, on a page of this width."""
