@@ -31,8 +31,9 @@ def sheet(
     strips: Sequence[Strip], cell: int, title: str = "", letters: int | None = None, label_lines: int = 1
 ) -> np.ndarray:
     """[H, W, 3] uint8: one strip below the other, every picture fitted into cell x cell pixels, a strip as high as the
-    highest of its pictures. Strips without a caption, or without a label, stand closer below the one before. letters: size of those of labels, pixels (None: by the cell); label_lines: most lines of a label, the last of
-    which ends where its cell does."""
+    highest of its pictures. Strips without a caption, or without a label, stand closer below the one before. letters:
+    size of those of labels, pixels (None: by the cell); label_lines: most lines of a label, the last of which ends
+    where its cell does."""
     from PIL import Image, ImageDraw, ImageFont
 
     # Letters grow with the cells, and stay readable in small ones.
