@@ -304,10 +304,10 @@ def test_a_close_up_changes_gaussians_as_far_as_it_shows_them(monkeypatch: pytes
     applied(lifted, answer, [wide])
     applied(lifted, answer, [part])
     # Opacities of 0.3 are drawn from alphas of 1 / 255 on: 1.3 per cent of the footprint is not.
-    kept, (hidden,) = seen[0]
-    np.testing.assert_allclose((kept.colors - 0.5) / 0.4, np.repeat([[1], [0.5], [0]], 3, 1), atol=0.03)
-    whole = 2 * np.pi * 0.3 * (0.05 / 3 * camera.fx) ** 2
-    np.testing.assert_allclose(hidden / whole, [0, 0.5, 1], atol=0.2)
+    close_up, (hidden,) = seen[0]
+    np.testing.assert_allclose((close_up.colors - 0.5) / 0.4, np.repeat([[1], [0.5], [0]], 3, 1), atol=0.03)
+    footprint = 2 * np.pi * 0.3 * (0.05 / 3 * camera.fx) ** 2
+    np.testing.assert_allclose(hidden / footprint, [0, 0.5, 1], atol=0.2)
     np.testing.assert_array_equal(seen[1][0].colors, answer.colors)
     assert not seen[1][1]
 

@@ -37,8 +37,8 @@ class SheetSizes:
     across: int = 7
     """Pictures in a line; more go on below."""
     letters_px: int = 14
-    """Height of letters of labels on a page that shows the sheet `shown_px` wide."""
-    shown_px: int = 900
+    """Height of letters of labels on a page `page_px` wide."""
+    page_px: int = 900
     """Width of such a page: a document's column."""
     white_error: float = 0.25
     """Error that is white in error maps."""
@@ -156,7 +156,7 @@ def write_contact_sheet(
     strips = [strip for row in rows for strip in _strips(row)]
     # Letters are to be read where the page is narrower than the sheet.
     width = max(len(strip.cells) for strip in strips) * SHEET_SIZES.cell_px
-    letters = -(-SHEET_SIZES.letters_px * max(width, SHEET_SIZES.shown_px) // SHEET_SIZES.shown_px)
+    letters = -(-SHEET_SIZES.letters_px * max(width, SHEET_SIZES.page_px) // SHEET_SIZES.page_px)
     write_sheet(out, sheet(strips, SHEET_SIZES.cell_px, title, letters, 2))
     return out
 
@@ -167,9 +167,9 @@ def _strips(row: PictureRow) -> Iterator[Strip]:
     truth."""
     truth = read_picture(row.truth) if row.truth else None
 
-    def cut(picture: np.ndarray, own: bool = False) -> np.ndarray:
+    def cut(picture: np.ndarray, alone: bool = False) -> np.ndarray:
         # The input has a camera of its own, and so a window.
-        if own or truth is None or picture.shape != truth.shape:
+        if alone or truth is None or picture.shape != truth.shape:
             return picture[object_window(picture)]
         return picture[object_window(truth)]
 
@@ -179,8 +179,8 @@ def _strips(row: PictureRow) -> Iterator[Strip]:
     for k, (start, stop) in enumerate(zip(ends, ends[1:], strict=False)):
         tiles = row.tiles[start:stop]
         pictures = [read_picture(tile.path) for tile in tiles]
-        shown = [cut(p, tile.is_input) for tile, p in zip(tiles, pictures, strict=True)]
-        cells = tuple((_label(tile, row.column.digits), p) for tile, p in zip(tiles, shown, strict=True))
+        windows = [cut(p, tile.is_input) for tile, p in zip(tiles, pictures, strict=True)]
+        cells = tuple((_label(tile, row.column.digits), p) for tile, p in zip(tiles, windows, strict=True))
         yield Strip(row.title + (" (continued)" if k else figures), cells)
         errors = [error_of(tile, truth) for tile in tiles]
         if any(error is not None for error in errors):

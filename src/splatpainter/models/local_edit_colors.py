@@ -99,15 +99,15 @@ def applied(lifted: LiftedEdit, answer: NetworkColors, views: Sequence[EditView]
     as far as they show each Gaussian."""
     if not all(is_wide(view.mask) for view in views):
         return held(lifted, answer, views)
-    shown = [_shown(lifted, view) for view in views]
-    share = np.max([part for part, _ in shown], 0)[:, None]
+    parts = [_visible_part(lifted, view) for view in views]
+    share = np.max([visible for visible, _ in parts], 0)[:, None]
     before = base_color(lifted.splats.sh[lifted.ids])
     colors = np.where(np.isfinite(answer.variance)[:, None], before + share * (answer.colors - before), before)
     answer = replace(answer, colors=colors.astype(np.float32))
-    return held(lifted, answer, views, hidden=[hidden for _, hidden in shown])
+    return held(lifted, answer, views, hidden=[hidden for _, hidden in parts])
 
 
-def _shown(lifted: LiftedEdit, view: EditView) -> tuple[np.ndarray, np.ndarray]:
+def _visible_part(lifted: LiftedEdit, view: EditView) -> tuple[np.ndarray, np.ndarray]:
     """([J] share of each Gaussian, were nothing before it, that the edited pixels show; [J] pixels' worth of it that
     the picture does not show)."""
     projected, count = project(lifted.splats, view.camera), len(lifted.splats)
@@ -115,10 +115,10 @@ def _shown(lifted: LiftedEdit, view: EditView) -> tuple[np.ndarray, np.ndarray]:
         projected.backproject(np.zeros_like(view.before), mask.astype(np.float32)).weight
         for mask in (np.ones_like(view.mask), view.mask)
     )
-    whole = footprints(projected)
+    footprint = footprints(projected)
     share, hidden = np.zeros(count), np.zeros(count)
-    share[projected.gaussian_ids] = np.minimum(inside / np.maximum(whole, 1e-6), 1)
-    hidden[projected.gaussian_ids] = np.maximum(whole - everywhere, 0)
+    share[projected.gaussian_ids] = np.minimum(inside / np.maximum(footprint, 1e-6), 1)
+    hidden[projected.gaussian_ids] = np.maximum(footprint - everywhere, 0)
     return share[lifted.ids], hidden[lifted.ids]
 
 

@@ -206,9 +206,9 @@ class RefineTask(Task[SplatPainterModel]):
             return carried(np.ascontiguousarray(-change[:, ::-1]), weight)
 
         answers = {"strength 0": carried.at_strength(0.0), "another edit": another}
-        how = {"normals": prepared.normals}
+        normals = prepared.normals
         return {
-            name: lift_global_views(prepared.splats, views, "lift", predict=answer, **how).splats
+            name: lift_global_views(prepared.splats, views, "lift", normals=normals, predict=answer).splats
             for name, answer in answers.items()
         }
 
