@@ -15,12 +15,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageFont
 from splatbench.report import gallery
 from splatbench.report.page import write_markdown, write_page
 from splatbench.report.summary import MethodNames, best_methods, blocks, read_run, summarize
 
 from benchmarks.tests.support.runs import COLUMNS, METHODS, FakeTable, plain_run, record, write
+from splatpainter.contact_sheet import _wrapped, sheet
 from splatpainter.metrics.bootstrap import interval
 
 VOID = {"meta", "link", "img", "input", "br", "source"}
@@ -294,6 +295,37 @@ def test_contact_sheet_wraps_many_methods(tmp_path):
     assert gallery.write_contact_sheet(tmp_path / "relight", tmp_path / "b.png", TABLES, METHODS) is None
     with pytest.raises(ValueError, match="expected the folder of one of refine, relight"):
         gallery.write_contact_sheet(tmp_path / "s", tmp_path / "b.png")
+
+
+def test_pictures_are_cut_to_their_object() -> None:
+    picture = np.full((100, 80, 3), 0.5, np.float32)
+    picture[40:60, 30:34] = 0.9
+    rows, columns = gallery.object_window(picture)
+    margin = round(gallery.SHEET_SIZES.margin * 100)
+    assert (rows, columns) == (slice(40 - margin, 60 + margin), slice(30 - margin, 34 + margin))
+    assert picture[gallery.object_window(np.full_like(picture, 0.5))].shape == picture.shape
+
+
+def test_labels_take_two_lines_and_are_read_on_a_narrow_page(tmp_path, monkeypatch):
+    """Letters of a sheet that is shown on a page of 900 px are 14 px high there."""
+    sizes: list[tuple[int, int]] = []
+
+    def watched(strips, cell, title, letters, lines):
+        page = sheet(strips, cell, title, letters, lines)
+        sizes.append((letters, page.shape[1]))
+        return page
+
+    monkeypatch.setattr(gallery, "sheet", watched)
+    records = [record(f"method-{k:02}", "ant", 20 + k) for k in range(12)]
+    gallery.write_contact_sheet(write(tmp_path / "refine", records), tmp_path / "a.png", TABLES, METHODS)
+    ((letters, width),) = sizes
+    assert letters * 900 / width >= 13.5
+    font = ImageFont.load_default(20)
+    words = "colours fitted to true views of all sides"
+    lines = _wrapped(words, font, 160, 2)
+    assert len(lines) == 2 and words.startswith(lines[0]) and lines[1].endswith("…")
+    assert all(font.getlength(line) <= 160 for line in lines)
+    assert _wrapped("truth", font, 160, 2) == ["truth"] and _wrapped("", font, 160, 2) == []
 
 
 # ---- the Markdown file
