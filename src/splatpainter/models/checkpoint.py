@@ -376,7 +376,8 @@ def _shard_path(folder: Path, file: str) -> Path:
     path = folder / file
     if path.is_file():
         return path
-    if folder.parent == PACKAGED:
+    # However it was spelt: from a clone the folder is named by a path that begins with src/.
+    if folder.resolve().parent == PACKAGED.resolve():
         spec = importlib.util.find_spec(DISTRIBUTION_PACKAGE)
         for root in spec.submodule_search_locations or () if spec else ():
             if (elsewhere := Path(root, folder.name, file)).is_file():
