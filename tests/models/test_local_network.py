@@ -277,6 +277,12 @@ def test_rounds_count_pixels_by_their_variance(monkeypatch: pytest.MonkeyPatch) 
     # Damped least squares of the colour: the rounds' divisor counts weights, their residual weights times alpha.
     assert level < colored < target
     np.testing.assert_allclose(colored, (weight * target + hold * level) / (weight + hold), atol=0.01)
+    # What the view hides of it counts as further pixels of its colour.
+    hidden, further = np.array([800.0]), 800 * wide.hold_hidden
+    held_back = base_color(held(lifted, answer, [view], rounds=400, hidden=[hidden]).splats.sh)[0, 0]
+    expected = (weight * target + (hold + further) * level) / (weight + hold + further)
+    np.testing.assert_allclose(held_back, expected, atol=0.01)
+    assert colored - expected > 0.03
 
 
 def test_a_close_up_changes_gaussians_as_far_as_it_shows_them(monkeypatch: pytest.MonkeyPatch) -> None:
