@@ -11,11 +11,12 @@ import pytest
 from splatpainter.cameras import UpAxis
 from splatpainter.color import base_color, linear_to_srgb, sh_from_color, srgb_to_linear
 from splatpainter.lights.facing import facing
+from splatpainter.lights.gloss import mirrored_light
 from splatpainter.lights.irradiance import LitSurface, sun_light
 from splatpainter.lights.lamps import Lamp, Sun, kelvin_color
 from splatpainter.lights.light_prior import likely_light
 from splatpainter.lights.light_set import Lights, axes_of, turned_sky
-from splatpainter.lights.relight import delight, mirrored_light, relight
+from splatpainter.lights.relight import delight, relight
 from splatpainter.lights.skies import SKIES, direction, sky
 from splatpainter.lights.sky_maps import SkyMap, lat_long
 from splatpainter.lights.source_light import estimate_source

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from splatpainter.lights import prepared
+from splatpainter.lights.gloss import mirrored_light
 from splatpainter.lights.irradiance import LitSurface
 from splatpainter.lights.light_cast import cast
 from splatpainter.lights.light_set import Lights
-from splatpainter.lights.relight import mirrored_light, relight
+from splatpainter.lights.relight import relight
 from splatpainter.lights.skies import sky
 from splatpainter.transforms import fibonacci_sphere, sh_basis
 from tests.support.cli_scenes import ball, with_bad_gaussians

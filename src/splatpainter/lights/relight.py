@@ -1,8 +1,8 @@
 """An asset under other lights: colours times the ratio of the light that reaches each Gaussian now and before.
 
 After TranSplat (arXiv 2503.22676), in our words: no albedo is needed, so what de-lighting would get wrong cancels where
-the lights are alike. Colours are linear light within. Bands of SH go through the slope of that change, but for what of
-them is the mirror image of the old light: that becomes the mirror image of the new one.
+the lights are alike. Colours are linear light within. View dependence keeps its contrast; what of it is the mirror
+image of the old light becomes that of the new one (`gloss`).
 
     lit = relight(splats, Lights(sky=sky("sunset"), suns=(Sun(60, 10, intensity=2),)))
     plain = delight(splats)
@@ -20,7 +20,9 @@ import numpy as np
 from splatpainter.cameras import UpAxis
 from splatpainter.color import base_color, linear_to_srgb, luminance, sh_from_color, to_light
 from splatpainter.kernels import portable
+from splatpainter.lighting import unoccluded_transfer
 from splatpainter.lights.facing import MIN_FLAT_SHARE, ORIENTATION
+from splatpainter.lights.gloss import GLOSS, display_slope, gloss_of, mirrored_light
 from splatpainter.lights.irradiance import LitSurface
 from splatpainter.lights.lamps import Lamp
 from splatpainter.lights.light_set import Lights, axes_of, turned_sky
@@ -29,7 +31,7 @@ from splatpainter.lights.sky_maps import SkyMap
 from splatpainter.lights.source_light import SourceLight, uniform_coefficients
 from splatpainter.painter import Asset
 from splatpainter.receipts import Receipt, untouched_hashes
-from splatpainter.splats import Splats, changed_rows
+from splatpainter.splats import SH_C0, Splats, changed_rows
 from splatpainter.transforms import sh_basis
 
 FLOOR = 0.02
@@ -47,13 +49,6 @@ BURIED, MIN_COSINE = 0.12, 0.05
 in the way, from which a Gaussian is reached. In a capture of a statue: 0.05 to 0.1 inside, 0.27 and more beside it."""
 MAX_NOTE = 2000
 """Characters of what a receipt says of lights."""
-SH_PRODUCT, SH_ZZ, SH_SQUARES = 1.0925484305920792, 0.31539156525252005, 0.5462742152960396
-"""Of the functions of band 2, as in `transforms.sh_basis`."""
-MIN_MIRRORED = 0.5
-"""Sum of squares of a band's coefficients of mirrored light, all channels, up to which it tells less of gloss.
-Nine in ten photographed skies of mean radiance 1 have more than 4.6."""
-PIECE = 8192
-"""Gaussians whose mirrored light is computed at a time."""
 
 
 class Where(Protocol):
@@ -169,11 +164,8 @@ def _edited(
         notes += remarks
         if lights.add:
             now, new = before.coefficients + now, old + new
-    # The floor in both keeps the ratio finite in full shadow, and lets the way back end where it began.
-    new = np.maximum(new, 0)
-    ratio = np.clip((new + FLOOR) / (old + FLOOR), 1 / MAX_RATIO, MAX_RATIO)
     sh = splats.sh.copy()
-    sh[chosen] = _relit(splats, chosen, ratio[chosen], weights[chosen], surface, before.coefficients, now)
+    sh[chosen] = _relit(splats, chosen, old, np.maximum(new, 0), weights, surface, before, now)
     # The receipt says what decided the look, so that it can be made again.
     edited = replace(splats, sh=sh)
     what = [
@@ -278,20 +270,35 @@ def _from_all_around(lights: Lights, axes: np.ndarray) -> np.ndarray:
 def _relit(
     splats: Splats,
     chosen: np.ndarray,
-    ratio: np.ndarray,
+    old: np.ndarray,
+    new: np.ndarray,
     weights: np.ndarray,
     surface: LitSurface,
-    before: np.ndarray,
+    before: SourceLight,
     now: np.ndarray,
 ) -> np.ndarray:
-    """[M, K, 3] float32 SH of the chosen Gaussians after ratios [M, 3] of irradiance, by weights [M]. before, now:
-    [9, 3] light that shines make the mirror images of."""
+    """[M, K, 3] float32 SH of the chosen Gaussians where irradiance [N, 3] was `old` and is `new`, by weights [N]. now:
+    [9, 3] the new light that gloss makes the mirror image of."""
     sh = splats.sh[chosen].astype(np.float64)
-    base = base_color(sh)
-    light = to_light(base, splats.color_space)
-    share = weights.astype(np.float64)[:, None]
+    light = to_light(base_color(sh), splats.color_space)
+    share = weights[chosen].astype(np.float64)[:, None]
+    # The floor in both keeps the ratio finite in full shadow, and lets the way back end where it began.
+    ratio = np.clip((new[chosen] + FLOOR) / (old[chosen] + FLOOR), 1 / MAX_RATIO, MAX_RATIO)
+    shine = gloss_of(splats, surface, before)[chosen]
+    target, mirrored = light * ratio, np.zeros_like(sh[:, 1:9])
+    # What of a Gaussian is a mirror image of the light before becomes one of the new light; the rest follows the ratio,
+    # and so keeps its contrast. A mirror shows no more of a light than reaches the surface.
+    for first in range(0, len(glossy := np.flatnonzero(shine)), GLOSS.piece):
+        rows = glossy[first : first + GLOSS.piece]
+        gone = shine[rows, None, None] * _reflected(surface, chosen[rows], before.coefficients, old)
+        come = shine[rows, None, None] * _reflected(surface, chosen[rows], now, new)
+        # Never more than most of what is there, or a doubtful light would leave less than nothing.
+        portion = np.minimum(1, GLOSS.most * light[rows] / np.maximum(SH_C0 * gone[:, 0], 1e-9))[:, None]
+        change = portion * (come - ratio[rows, None] * gone)
+        target[rows] += SH_C0 * change[:, 0]
+        mirrored[rows] = change[:, 1:]
     # The limit never darkens: a Gaussian that was brighter before may stay as bright.
-    target = np.minimum(light * ratio, np.maximum(light, MAX_LEVEL))
+    target = np.minimum(np.maximum(target, 0), np.maximum(light, MAX_LEVEL))
     # Mixed as light, not as display colours.
     mixed = light + share * (target - light)
     display = mixed if splats.color_space == "linear" else linear_to_srgb(mixed)
@@ -301,76 +308,24 @@ def _relit(
     if sh.shape[1] == 1:
         return out.astype(np.float32)
     # Bands are in display colours: their slope is that of the curve at the new colour over that at the old one.
-    gain = 1 + share * (ratio - 1)
-    slope = gain if splats.color_space == "linear" else np.minimum(_slope(mixed) * gain / _slope(light), MAX_SLOPE)
-    slope = np.where(steady, 1, np.minimum(slope, MAX_SLOPE))[:, None, :]
-    # Bands beyond the second are finer than the light is known: they follow the slope alone.
-    mirrored = slice(1, min(sh.shape[1], 9))
-    for first in range(0, len(sh), PIECE):
-        piece = slice(first, first + PIECE)
-        normals = surface.facing.normals[chosen[piece]].astype(np.float64)
-        old, new = mirrored_light(before, normals)[:, mirrored], mirrored_light(now, normals)[:, mirrored]
-        rest = sh[piece, mirrored]
-        # Only what of the bands mirrors the old light is exchanged; the rest is no reflection of it.
-        gloss = _response(rest, old)
-        changed = slope[piece] * rest + share[piece][:, None] * slope[piece] * (
-            gloss * (new / _level(now, before) - old)
-        )
-        out[piece, mirrored] = np.where(steady[piece][:, None], rest, changed)
-    out[:, 9:] = sh[:, 9:] * slope
+    before_it, after_it = (display_slope(np.maximum(level, 0), splats.color_space) for level in (light, mixed))
+    gain = np.minimum(after_it / before_it * (1 + share * (ratio - 1)), MAX_SLOPE)
+    gain = np.where(steady, 1, gain)[:, None]
+    # What gloss adds is light and no multiple of what was there.
+    steep = np.where(steady, 0, share * np.minimum(after_it, MAX_SLOPE * before_it))[:, None]
+    out[:, 1:9] = gain * sh[:, 1:9] + steep * mirrored
+    # Bands beyond the second are finer than the light is known.
+    out[:, 9:] = sh[:, 9:] * gain
     return out.astype(np.float32)
 
 
-def _slope(light: np.ndarray) -> np.ndarray:
-    """Derivative of the sRGB curve at linear light >= 0."""
-    dark = np.maximum(light, 0.0031308)
-    return np.where(light <= 0.0031308, 12.92, 1.055 / 2.4 * portable.power(dark, 1 / 2.4) / dark)
-
-
-def _level(now: np.ndarray, before: np.ndarray) -> float:
-    """How much brighter the new light is in the mean: the slope has that already."""
-    return max(float(luminance(now[0])) / max(float(luminance(before[0])), 1e-9), 1e-3)
-
-
-def _response(bands: np.ndarray, mirrored: np.ndarray) -> np.ndarray:
-    """[M, B, 3] how much of the mirrored light [M, B, 3] the bands hold: least squares over each band's coefficients
-    and the colours, 0..1. What else they hold is no reflection of this light, and stays."""
-    out = np.zeros_like(bands)
-    for first, last in ((0, 3), (3, 8)):
-        if bands.shape[1] >= last:
-            ours, theirs = bands[:, first:last], mirrored[:, first:last]
-            # The floor keeps light nearly without a direction from explaining noise: it has no mirror image.
-            power = (theirs * theirs).sum((1, 2))
-            share = (ours * theirs).sum((1, 2)) / np.maximum(power, MIN_MIRRORED)
-            out[:, first:last] = np.clip(share, 0, 1)[:, None, None]
-    return out
-
-
-def mirrored_light(coefficients: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """[M, 9, 3] SH of the light that a mirror with each normal [M, 3] shows along a line of sight d: that of direction
-    d - 2 (n . d) n. Band 1 is a vector v (v . d), band 2 a symmetric matrix Q (d . Q d): the mirror, its own inverse,
-    turns them to v - 2 (n . v) n and Q - 2 n (Q n)' - 2 (Q n) n' + 4 (n . Q n) n n'."""
-    out = np.empty((len(normals), 9, 3))
-    out[:, 0] = coefficients[0]
-    n = normals.T[..., None]  # its components [3, M, 1] against the channels [3]
-    v = coefficients[[3, 1, 2]] * np.array([[-1.0], [-1.0], [1.0]])
-    along = 2 * (n[0] * v[0] + n[1] * v[1] + n[2] * v[2])
-    for row, axis, sign in ((1, 1, -1), (2, 2, 1), (3, 0, -1)):
-        out[:, row] = sign * (v[axis] - along * n[axis])
-    xy, yz, zz, xz, squares = coefficients[4:]
-    # In units in which the five functions are xy, -yz, 2 zz - xx - yy, -xz and xx - yy.
-    diagonal = (SH_SQUARES * squares - SH_ZZ * zz, -SH_SQUARES * squares - SH_ZZ * zz, 2 * SH_ZZ * zz)
-    xy, yz, xz = SH_PRODUCT / 2 * xy, -SH_PRODUCT / 2 * yz, -SH_PRODUCT / 2 * xz
-    q = (
-        diagonal[0] * n[0] + xy * n[1] + xz * n[2],
-        xy * n[0] + diagonal[1] * n[1] + yz * n[2],
-        xz * n[0] + yz * n[1] + diagonal[2] * n[2],
-    )
-    twice = 2 * (n[0] * q[0] + n[1] * q[1] + n[2] * q[2])
-    bent = [2 * (q[axis] - twice * n[axis] / 2) for axis in range(3)]  # 2 Q n - 2 (n . Q n) n: half for either side
-    out[:, 4] = (xy - n[0] * bent[1] - bent[0] * n[1]) * (2 / SH_PRODUCT)
-    out[:, 5] = (yz - n[1] * bent[2] - bent[1] * n[2]) * (-2 / SH_PRODUCT)
-    out[:, 6] = (diagonal[2] - 2 * n[2] * bent[2]) / (2 * SH_ZZ)
-    out[:, 7] = (xz - n[0] * bent[2] - bent[0] * n[2]) * (-2 / SH_PRODUCT)
-    out[:, 8] = (diagonal[0] - diagonal[1] - 2 * (n[0] * bent[0] - n[1] * bent[1])) / (2 * SH_SQUARES)
-    return out
+def _reflected(surface: LitSurface, rows: np.ndarray, light: np.ndarray, received: np.ndarray) -> np.ndarray:
+    """[M, 9, 3] SH of what perfect gloss shows of a light [9, 3] that gives some Gaussians irradiance `received`
+    [N, 3], along lines of sight."""
+    normals = surface.facing.normals[rows].astype(np.float64)
+    share = surface.facing.front[rows].astype(np.float64)[:, None]
+    above, below = unoccluded_transfer(normals) / math.pi, unoccluded_transfer(-normals) / math.pi
+    free = portable.matmul((share * above + (1 - share) * below).astype(np.float64), luminance(light)[:, None])[:, 0]
+    reaches = np.clip(luminance(received[rows]) / np.maximum(free, FLOOR), 0, 1)
+    bands = np.repeat(np.array(GLOSS.bands), (1, 3, 5))
+    return mirrored_light(light, normals) * (reaches[:, None] * bands)[..., None]

@@ -1,0 +1,124 @@
+"""What is taken for a reflection: balls whose look from every side is an integral over the sky, matte and glossy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from splatpainter.color import linear_to_srgb, luminance
+from splatpainter.lights.gloss import gloss_of
+from splatpainter.lights.lamps import Sun
+from splatpainter.lights.light_set import Lights, turned_sky
+from splatpainter.lights.prepared import captured_light, lit_surface
+from splatpainter.lights.relight import relight
+from splatpainter.lights.skies import sky
+from splatpainter.lights.sky_maps import SkyMap, lat_long
+from splatpainter.lights.source_light import SourceLight
+from splatpainter.splats import Splats
+from splatpainter.transforms import fibonacci_sphere, sh_basis
+from tests.support.cli_scenes import ball
+
+SIGHTS = fibonacci_sphere(120)
+COUNT = 1200
+NOON, SUNSET = sky("noon"), sky("sunset")
+
+
+def looks(normals: np.ndarray, picture: SkyMap, gloss: float, exponent: float = 12) -> np.ndarray:
+    """[N, V, 3] linear radiance along SIGHTS of a ball of albedo 0.3 and a Phong lobe, by summing a sky's pixels."""
+    towards, areas = (grid.reshape(512, -1) for grid in lat_long(16, 32))
+    height, width = picture.radiance.shape[:2]
+    radiance = picture.radiance.astype(np.float64).reshape(16, height // 16, 32, width // 32, 3).mean((1, 3))
+    flux = radiance.reshape(-1, 3) * areas
+    flux = flux / (flux.sum() / (12 * np.pi))
+    matte = 0.3 / np.pi * np.maximum(normals @ towards.T, 0) @ flux
+    mirrored = SIGHTS[None] - 2 * (normals @ SIGHTS.T)[..., None] * normals[:, None]
+    lobe = np.maximum(mirrored.reshape(-1, 3) @ towards.T, 0) ** exponent
+    shine = (lobe @ flux * (exponent + 1) / (2 * np.pi)).reshape(len(normals), -1, 3)
+    return 0.6 * (matte[:, None] + gloss * shine)
+
+
+def captured(picture: SkyMap, gloss: float, noise: float = 0.0) -> Splats:
+    """SH of degree 2 that fit such a ball from where each Gaussian can be seen; noise: deviation of its bands."""
+    splats = ball(COUNT, degree=2)
+    normals = splats.means / np.linalg.norm(splats.means, axis=1, keepdims=True)
+    display, sh = linear_to_srgb(looks(normals, picture, gloss)), np.empty(splats.sh.shape)
+    basis = sh_basis(SIGHTS, 2)
+    for k, normal in enumerate(normals):
+        there = SIGHTS @ normal < -0.1
+        seen = basis[there]
+        # A little damped, as what no view holds is 0 in a fit.
+        matrix = seen.T @ seen + 1e-3 * len(seen) * np.diag([0] + [1] * 8)
+        sh[k] = np.linalg.solve(matrix, seen.T @ (display[k][there] - 0.5))
+    sh[:, 1:] += np.random.default_rng(0).normal(0, noise, sh[:, 1:].shape) if noise else 0
+    return replace(splats, sh=sh.astype(np.float32))
+
+
+def views(splats: Splats) -> tuple[np.ndarray, np.ndarray]:
+    """([N, V, 3] display colours along SIGHTS, [N, V] bool from where each can be seen)."""
+    colors = 0.5 + np.einsum("vk,nkc->nvc", sh_basis(SIGHTS, 2), splats.sh.astype(np.float64))
+    return np.clip(colors, 0, 1), splats.means @ SIGHTS.T < -0.1
+
+
+def contrast(splats: Splats) -> float:
+    """Deviation of luminance over lines of sight, over its mean."""
+    colors, seen = views(splats)
+    level = np.where(seen, luminance(colors), np.nan)
+    return float(np.nanmean(np.nanstd(level, 1) / np.maximum(np.nanmean(level, 1), 0.02)))
+
+
+def flat(splats: Splats) -> Splats:
+    return replace(splats, sh=np.concatenate([splats.sh[:, :1], 0 * splats.sh[:, 1:]], 1))
+
+
+@pytest.mark.parametrize("target", ["low sun", "sunset", "noon"])
+@pytest.mark.parametrize("given", [True, False])
+def test_a_matte_ball_with_the_noise_of_a_fit_gets_no_gloss(target: str, given: bool) -> None:
+    splats = captured(NOON, 0, noise=0.06)
+    lights = {"low sun": Lights(suns=(Sun(120, 12, intensity=2.0),), up="+y")}.get(target)
+    lights = lights or Lights(sky=sky(target), rotate=70, up="+y")
+    lit = relight(splats, lights, source=NOON if given else None).splats
+    assert contrast(lit) < 1.25 * contrast(splats), "noise of the view dependence became gloss"
+
+
+def test_gloss_is_found_in_what_is_glossy_alone() -> None:
+    before = SourceLight(turned_sky(NOON, np.eye(3)), 0.0, "known")
+
+    def gloss_at(gloss: float, noise: float, doubt: float = 0.0) -> float:
+        splats = captured(NOON, gloss, noise)
+        return float(gloss_of(splats, lit_surface(splats), replace(before, uncertainty=doubt)).mean())
+
+    matte, glossy = gloss_at(0, 0.06), gloss_at(0.15, 0.06)
+    assert matte < 0.002 and 0.02 < glossy < 0.12  # of 0.09: what is in doubt counts as matte
+    assert gloss_at(0.15, 0.06, doubt=0.5) < 0.75 * glossy, "a doubtful light explains less"
+
+
+def test_a_glossy_ball_keeps_its_highlight_and_moves_it() -> None:
+    """Nearer to the integral under the new sky than with bands that only follow the brightness, or none."""
+    splats = captured(NOON, 0.15)
+    normals = splats.means / np.linalg.norm(splats.means, axis=1, keepdims=True)
+    truth = np.clip(linear_to_srgb(looks(normals, SUNSET, 0.15)), 0, 1)
+    lit = relight(splats, Lights(sky=SUNSET, up="+y"), source=NOON).splats
+
+    def error(other: Splats) -> float:
+        colors, seen = views(other)
+        return float(((colors - truth)[seen] ** 2).mean())
+
+    matte = relight(flat(splats), Lights(sky=SUNSET, up="+y"), source=NOON).splats
+    assert error(lit) < 0.75 * error(matte) and error(lit) < 0.95 * error(flat(lit))
+    assert 0.7 < contrast(lit) / contrast(captured(SUNSET, 0.15)) < 1.3
+
+
+def test_an_estimated_light_is_no_worse_than_no_gloss() -> None:
+    splats = captured(SUNSET, 0.15, noise=0.03)
+    normals = splats.means / np.linalg.norm(splats.means, axis=1, keepdims=True)
+    truth = np.clip(linear_to_srgb(looks(normals, NOON, 0.15)), 0, 1)
+    assert captured_light(splats, up="+y").uncertainty > 0
+
+    def error(lit: Splats) -> float:
+        colors, seen = views(lit)
+        return float(((colors - truth)[seen] ** 2).mean())
+
+    lit = relight(splats, Lights(sky=NOON, up="+y")).splats
+    assert error(lit) < 1.05 * error(flat(lit))
