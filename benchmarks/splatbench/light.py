@@ -33,6 +33,7 @@ from splatpainter.lights.prepared import captured_light, lit_surface
 from splatpainter.lights.relight import transfer
 from splatpainter.lights.source_light import SourceLight
 from splatpainter.splats import SH_C0, Splats
+from splattrain.data.object_sources import split
 
 SPECK_STEP = 0.15
 """Luminance, display units, by which a pixel differs from the median of the nine around it where it counts as a
@@ -198,7 +199,7 @@ def cases(config: LightBench, report: Callable[[str], None] | None = None) -> It
     if len(names) < 2:
         raise ValueError(f"bench light: expected at least two environments, got {len(names)}")
     made = 0
-    for name in objects(setup).names:
+    for name in object_names(config, setup):
         if made >= config.objects:
             return
         try:
@@ -208,6 +209,12 @@ def cases(config: LightBench, report: Callable[[str], None] | None = None) -> It
                 report(f"{name}: left out, {error}")
             continue
         made += 1
+
+
+def object_names(config: LightBench, setup: Setup) -> tuple[str, ...]:
+    """Twice as many as are wanted, as some cannot be used: of those held out, or with `tuning` of the others alone."""
+    names = objects(setup).names
+    return tuple(split(names)[0]) if config.tuning and config.meshes is not None else names
 
 
 def _cases_of(name: str, lights: Sequence[str], setup: Setup, kinds: Sequence[AssetKind]) -> Iterator[LightCase]:

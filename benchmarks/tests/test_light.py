@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from splatbench import light
+from splatbench.cases import Setup
 from splatbench.light import (
     ROWS,
     LightBench,
@@ -17,6 +18,7 @@ from splatbench.light import (
     albedo_psnr,
     lit_by,
     mean_scores,
+    object_names,
     psnr,
     specks,
 )
@@ -116,6 +118,16 @@ def test_from_start_to_end(tmp_path: Path) -> None:
     with open(tmp_path / "out" / "light.csv", newline="") as file:
         assert len(list(csv.reader(file))) >= 2 * len(ROWS)
     assert (tmp_path / "out" / "sheet.png").stat().st_size > 1000
+
+
+def test_tuning_takes_no_mesh_that_is_held_out(tmp_path: Path) -> None:
+    for k in range(60):
+        (tmp_path / f"mesh{k}.obj").write_text("v 0 0 0")
+    held, tuned = (
+        set(object_names(LightBench(meshes=tmp_path, tuning=tuning), Setup(data=tmp_path, objects=60, held_out=held)))
+        for tuning, held in ((False, True), (True, False))
+    )
+    assert held and tuned and not held & tuned and len(held | tuned) == 60
 
 
 def test_options_that_make_no_sense(tmp_path: Path) -> None:
