@@ -397,7 +397,7 @@ def test_a_roof_hides_the_sky_above_it_and_no_other() -> None:
     floor = np.arange(len(splats)) < len(splats) // 2
     under = floor & (np.maximum(x, z) < 0.2)
     mirrored = zenith.coefficients()
-    whole, by_sh = surface.from_afar(*sky_lamps(zenith, np.eye(3))), surface.from_sky(mirrored)
+    by_parts, by_sh = surface.from_afar(*sky_lamps(zenith, np.eye(3))), surface.from_sky(mirrored)
     beside = floor & (np.minimum(x, z) > 0.8)
-    assert whole[under].mean() < 0.12 * whole[beside].mean(), "light leaks through the roof"
-    assert by_sh[under].mean() > 1.5 * whole[under].mean()
+    assert by_parts[under].mean() < 0.12 * by_parts[beside].mean(), "light leaks through the roof"
+    assert by_sh[under].mean() > 1.5 * by_parts[under].mean()

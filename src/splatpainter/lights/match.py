@@ -52,6 +52,8 @@ RATIO_NOISE = 0.1
 """Of a Gaussian's ratio, natural logarithms, at least."""
 WITNESS_WEIGHT = 0.02
 """Of a Gaussian: neighbours err alike."""
+STEADFAST = 0.5
+"""Deviation of the light before, in a match, over its reported uncertainty."""
 LEVEL_STD = 1.0
 """Of the new light's mean over the old one's, times the old one's."""
 GIVEN_STD = 0.1
@@ -219,8 +221,8 @@ def _fit_lights(
             f"light: expected pictures that show at least {MIN_WITNESSES} Gaussians of a surface, got {trusted.sum()}"
         )
     old, new = before.coefficients.copy(), np.empty((9, 3))
-    # How far the estimate before may move: as far as it is doubted.
-    doubt = 0.0 if given else min(max(before.uncertainty, 0.05), 0.6)
+    # How far the estimate before may move: what it is doubted by at worst would let pictures of one side turn it.
+    doubt = 0.0 if given else min(max(STEADFAST * before.uncertainty, 0.05), 0.6)
     spread = np.concatenate([PRIOR_STD * doubt, [LEVEL_STD], PRIOR_STD]) + 1e-6
     # Luminance first: a channel that a material hardly has says little, and stays near it.
     guess, doubts, aimed = None, np.zeros((8, 8)), target is not None

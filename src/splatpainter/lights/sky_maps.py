@@ -29,13 +29,21 @@ MAX_BAD_SHARE = 0.01
 SMALL_LAMPS = 99.9
 """Percentile of an environment's values to which the rest is limited: the few pixels of a sun or a lamp, stored by some
 cameras in full and clipped by most, would else decide its whole light, which SH of degree 2 cannot hold anyway."""
-SKY_LAMPS = 64
-"""Distant lights that stand for an environment where things are in its way. On 16 path traced tuning meshes 48 to 128
-are equal."""
-GRID_ROWS = 128
-"""Most rows of the picture from which they are made: more would cost more and move them by less than a degree."""
 MAX_ASPECT_ERROR = 0.1
 """By which a lat-long picture's width over height may miss 2."""
+
+
+@dataclass(frozen=True)
+class SkyLampSizes:
+    """Of the distant lights that stand for an environment where things are in its way."""
+
+    count: int = 64
+    """Directions. On path traced tuning meshes 48 to 128 differ by less than 0.1 dB."""
+    rows: int = 128
+    """Most rows of the picture from which they are made: more would cost more and move them by less than a degree."""
+
+
+SKY_LAMPS = SkyLampSizes()
 
 
 @dataclass(frozen=True)
@@ -63,19 +71,19 @@ class SkyMap:
         return sums / mean
 
     def lamps(self) -> tuple[np.ndarray, np.ndarray]:
-        """([SKY_LAMPS, 3] float64 unit directions in the sky's axes, [SKY_LAMPS, 3] their irradiance over pi on a
+        """([K, 3] float64 unit directions in the sky's axes, [K, 3] their irradiance over pi on a
         surface that faces them): the same light as that of `coefficients` as so many distant lights, each where the
         light around it has its middle."""
-        picture = reduced(self.radiance.astype(np.float64), GRID_ROWS)
+        picture = reduced(self.radiance.astype(np.float64), SKY_LAMPS.rows)
         grid, areas = lat_long(*picture.shape[:2])
         towards = grid.reshape(-1, 3)
         flux = (picture * areas[..., None]).reshape(-1, 3)
-        around = fibonacci_sphere(SKY_LAMPS)
+        around = fibonacci_sphere(SKY_LAMPS.count)
         nearest = portable.matmul(towards, around.T).argmax(1)
-        power = np.stack([np.bincount(nearest, column, SKY_LAMPS) for column in flux.T], 1)
+        power = np.stack([np.bincount(nearest, column, SKY_LAMPS.count) for column in flux.T], 1)
         # The middle of its light and not of its cell, or a sun would stand beside its place.
         weights = luminance(flux)
-        middle = np.stack([np.bincount(nearest, weights * column, SKY_LAMPS) for column in towards.T], 1)
+        middle = np.stack([np.bincount(nearest, weights * column, SKY_LAMPS.count) for column in towards.T], 1)
         length = np.sqrt((middle * middle).sum(1, keepdims=True))
         towards = np.where(length > 1e-12, middle / np.maximum(length, 1e-30), around)
         return towards, power * (4 / float(power.sum() / 3))
