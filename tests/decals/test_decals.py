@@ -177,6 +177,30 @@ def test_fog_is_painted_from_the_sides_too(monkeypatch: pytest.MonkeyPatch) -> N
     np.testing.assert_allclose(angles, 38, atol=3)
 
 
+def veiled_box() -> sp.Splats:
+    """A rough box behind a thin veil, which draws the mean depth of a pixel towards it by four smoothing radii."""
+    y, x = (axis.ravel() for axis in np.meshgrid(np.linspace(-0.5, 0.5, 12), np.linspace(-0.5, 0.5, 12)))
+    front = np.tile(np.array([0, 0, 1.0]), (len(x), 1))
+    veil = surface_shapes.patches(np.stack([x, y, np.full(len(x), 1.0)], 1), front, 0.06)
+    return surface_shapes.box(6_000, noise=0.5).append(replace(veil, opacities=np.full(len(x), 0.15, np.float32)))
+
+
+def test_a_decal_behind_a_veil_is_shown_and_laid_whole() -> None:
+    """On rough surface its pixels are found where the surface is trusted, not at their mean depth."""
+    asset = sp.Painter().encode(veiled_box())
+    aside = sp.look_at((1.3, 0.5, 3.6), (0, 0, 0.5), UP, width=240, height=240, fov=30)
+    decal = Decal(np.full((48, 96, 3), 0.1, np.float32), MIDDLE, aside, 0.5)
+    laid, placement = decal.laid(asset), decal.placed(asset)
+    assert placement.patch.smoothing > 0, "rough"
+    uv = placement.map_on(asset, asset.surface, aside)
+    points = np.array([(u, v, 0.5) for u in (-0.25, 0.25) for v in (-0.125, 0.125)])
+    (left, low), (right, high) = (f(aside.project(points)[0], 0) for f in (np.min, np.max))
+    shown = np.isfinite(uv[..., 0]).sum()
+    assert shown > 0.75 * (right - left) * (high - low), shown
+    assert laid.coverage > 0.97
+    assert max(int(edit.mask.sum()) for edit in laid.edits if edit.mask is not None) > 0.9 * 96 * 48
+
+
 def test_large_stickers_on_rough_surface_are_averaged_down_words_are_not() -> None:
     full = np.full((384, 384, 4), 1.0, np.float32)
     sides = [rough_length_px(Picture(full[..., :3], alpha), 384) for alpha in (None, full[..., 3])]

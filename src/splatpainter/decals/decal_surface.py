@@ -85,10 +85,15 @@ def surface_pixels(
     return SurfacePixels(ys[valid], xs[valid], points[valid], normals[valid], rough[valid], seen)
 
 
-def depth_pixels(camera: Camera, pixels: np.ndarray, depth: np.ndarray) -> SurfacePixels:
-    """Some pixels ([H, W] bool) at their rendered depth ([H, W] z), as if they faced the camera."""
+def rough_pixels(
+    asset: Asset, surface: Surface, view: ProjectedView, pixels: np.ndarray, depth: np.ndarray
+) -> SurfacePixels:
+    """Some pixels ([H, W] bool) as if they faced the camera: where the surface is trusted, at its depth, else at the
+    rendered one ([H, W] z), into which all fog before and behind it goes."""
+    camera = view.camera
     ys, xs = np.nonzero(pixels)
-    points = camera.unproject(depth[ys, xs], np.stack([xs, ys], 1) + 0.5)
+    trusted = visible_surface(surface, asset.splats, view, pixels).at(np.stack([xs, ys], 1) + 0.5).depth
+    points = camera.unproject(np.where(trusted > 0, trusted, depth[ys, xs]), np.stack([xs, ys], 1) + 0.5)
     line = camera.position - points
     return SurfacePixels(ys, xs, points, line / np.linalg.norm(line, axis=1, keepdims=True), np.ones(len(ys), bool))
 

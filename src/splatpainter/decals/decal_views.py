@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.decals.decal_surface import DECAL_SURFACE, SurfacePixels, depth_pixels, facing_camera, surface_pixels
+from splatpainter.decals.decal_surface import DECAL_SURFACE, SurfacePixels, facing_camera, rough_pixels, surface_pixels
 from splatpainter.decals.decal_survey import SURVEY, UnwrappedPatch, share_near
 from splatpainter.lift.masks import dilated
 from splatpainter.lift.nearest import nearest_pixels
@@ -259,7 +259,8 @@ def mapped_view(
     view = project(asset.splats, camera, tiles=tiles)
     before, alpha, depth = view.rasterize()
     drawn = region & (alpha > DECAL_SURFACE.min_alpha)
-    seen = depth_pixels(camera, drawn, depth) if patch.smoothing else surface_pixels(asset, surface, view, drawn, depth)
+    pixels_of = rough_pixels if patch.smoothing else surface_pixels
+    seen = pixels_of(asset, surface, view, drawn, depth)
     points, normals = seen.points, seen.normals
     if patch.smoothing:
         reached = samples.reached
