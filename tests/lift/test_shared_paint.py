@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -45,6 +46,22 @@ def test_each_view_knows_what_the_other_paints_in_it() -> None:
     assert first[truth].mean() > 0.97 and not (first & ~dilated(truth, 2)).any()
     alone = paint_of_other_views(views[:1], [d for d in depths[:1] if d is not None])
     assert not alone[0].any()
+
+
+def test_a_camera_that_stands_close_asks_for_no_exacter_depths() -> None:
+    """Depths of two views of one surface differ by what its Gaussians are thick, however near the cameras stand."""
+    splats, cameras = ground((0.5, 0.5, 0.5)), [camera(-1.2), look_at((0.3, 0.4, 0), (0.3, 0, 0), (0, 0, 1), fov=60)]
+    cameras[1] = cameras[1].resized(SIDE, SIDE)
+    inside = np.abs(on_ground(cameras[1]) - (0.3, 0, 0)).max(-1) < 0.15
+    far, near = edit_views(splats, cameras, [np.full((SIDE, SIDE, 3), 0.9, np.float32)] * 2, [~inside & False, inside])
+    (x, y), _ = (values[0] for values in cameras[0].project(np.array([[0.3, 0, 0]])))
+    mask = np.zeros((SIDE, SIDE), bool)
+    mask[2:6, 2:6] = True
+    off = 0.02  # 5 % of the near camera's distance, 0.6 % of the far one's
+    depths = [far.depth, near.depth + off]
+    shared, _ = paint_of_other_views([replace(far, mask=mask), near], depths)
+    assert shared[int(y), int(x)] and shared.sum() > 30
+    assert not paint_of_other_views([replace(far, mask=mask), near], [far.depth, near.depth + 10 * off])[0].any()
 
 
 def test_a_receipt_measures_outside_of_what_all_views_painted() -> None:

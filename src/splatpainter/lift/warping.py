@@ -37,20 +37,26 @@ class ViewedChange:
         return out
 
 
-def seen_in_both(first: Camera, first_depth: np.ndarray, other: Camera, other_depth: np.ndarray) -> np.ndarray:
-    """[H, W] of `other`: the surface that it shows (z-depths, 0 for none) is the one that `first` shows there."""
+def seen_in_both(
+    first: Camera, first_depth: np.ndarray, other: Camera, other_depth: np.ndarray, min_tolerance: float = 0.0
+) -> np.ndarray:
+    """[H, W] of `other`: the surface that it shows (z-depths, 0 for none) is the one that `first` shows there.
+    min_tolerance: difference in depth, world units, up to which it is, however near the first camera stands."""
     pixels, z = first.project(other.unproject(np.where(other_depth > 0, other_depth, 1)))
-    return _is_seen(first_depth, pixels, z, other_depth)
+    return _is_seen(first_depth, pixels, z, other_depth, min_tolerance)
 
 
-def _is_seen(first_depth: np.ndarray, pixels: np.ndarray, z: np.ndarray, other_depth: np.ndarray) -> np.ndarray:
+def _is_seen(
+    first_depth: np.ndarray, pixels: np.ndarray, z: np.ndarray, other_depth: np.ndarray, min_tolerance: float = 0.0
+) -> np.ndarray:
     """`seen_in_both`; pixels, z: where the surface of the other view lies in the first, and its depth there."""
     height, width = first_depth.shape
     x, y = (np.floor(np.nan_to_num(pixels[..., k], nan=-1, posinf=-1, neginf=-1)).astype(int) for k in (0, 1))
     # NaN and infinite projections were set to -1 above and so count as outside.
     inside = (x >= 0) & (x < width) & (y >= 0) & (y < height) & (z > 0) & (other_depth > 0)
     first_depth_seen = first_depth[y.clip(0, height - 1), x.clip(0, width - 1)]
-    return inside & (first_depth_seen > 0) & (np.abs(first_depth_seen - z) < MAX_DEPTH_DIFFERENCE * z)
+    tolerance = np.maximum(MAX_DEPTH_DIFFERENCE * z, min_tolerance)
+    return inside & (first_depth_seen > 0) & (np.abs(first_depth_seen - z) < tolerance)
 
 
 def bilinear(values: np.ndarray, pixels: np.ndarray) -> np.ndarray:
