@@ -149,6 +149,22 @@ def test_joint_colors_leave_what_no_view_edits():
     assert db(draw(result, front()), views[0].before, beside) > 12  # 9.4 where nothing holds them
 
 
+def test_joint_colors_leave_long_gaussians_that_reach_out_of_the_paint():
+    """A streak of fog crosses the disk and goes on beyond the tiles that are looked at."""
+    long = sheet(2).take(np.zeros(1, np.int64))
+    long.means[:], long.scales[:], long.opacities[:] = (0, 0, 0.05), (0.9, 0.03, 0.03), 0.5
+    splats = sheet(60, opacity=0.98).append(long)
+    truth = recolored(splats, RED, radius=0.2)
+    truth.sh[-1] = splats.sh[-1]
+    views = views_of(splats, [(front(240), truth), (from_side(30, 240), truth)])
+    shares_of_all = view_shares(splats, Surface.of(splats), views)
+    result = with_joint_colors(splats, np.ones(len(splats), bool), views, shares_of_all)
+    assert np.array_equal(result.sh[-1], splats.sh[-1])
+    middle = np.hypot(*splats.means[:-1, :2].T) < 0.15
+    moved = np.abs(result.sh - splats.sh)[:-1, 0].max(-1)
+    assert moved[middle].mean() > 0.3, "what lies inside takes part"
+
+
 def test_what_others_left_to_a_view_may_lie_beyond_its_limits():
     """A view that sees the paint at 80 degrees has nothing to add, and says how much it could not paint."""
     splats = wall()
