@@ -14,7 +14,7 @@ from PIL import Image
 import splatpainter as sp
 from splatpainter.decals import decal_views
 from splatpainter.decals.decal_placement import picture_up
-from splatpainter.decals.decal_surface import SurfacePixels
+from splatpainter.decals.decal_surface import SurfacePixels, is_open, lies_outdoors, stands_free
 from splatpainter.decals.decals import DECALS, Decal, parse_width, rough_length_px, text_picture
 from splatpainter.demo_asset import demo_asset, demo_view
 from splatpainter.lift.masks import dilated
@@ -331,6 +331,41 @@ def test_it_lies_where_its_preview_shows_it_on_the_demo_asset(camera: sp.Camera,
             target = np.where(blue[..., None], (0.1, 0.1, 0.7), (0.8, 0.1, 0.1))
             core = inside & ~dilated(~inside, 2) & (np.abs(uv[..., 0]) > 0.03)
             assert np.abs(after - target)[core].mean() < 0.06, "as opaque as it is shown"
+
+
+@pytest.mark.parametrize(
+    ("place", "at", "width"),
+    [((-2.6, 1.3, 2.2), (250, 475), 0.3), (None, (390, 480), 0.4)],
+    ids=["lower handle", "foot of the pot"],
+)
+def test_no_camera_stands_in_the_hollow_of_a_pot(place, at, width: float) -> None:
+    """From in there the back of the wall is seen, and what is painted on it shows through, mirrored."""
+    asset = Painter().encode(demo_asset())
+    camera = sp.look_at(place, (0, -0.1, 0), width=768, height=768, fov=33) if place else demo_view(768)
+    square = np.full((256, 256, 3), 0.1, np.float32)
+    laid = Decal(square, at, camera, width, level=(0, 1, 0)).laid(asset)
+    # Rays of our own: from the pot's middle none gets out, from each camera many do.
+    for place, low, high in [(np.zeros(3), 0.0, 0.05), *((e.camera.position, 0.1, 1.0) for e in laid.edits)]:
+        rays = np.random.default_rng(0).standard_normal((400, 3))
+        steps = np.linspace(0.02, 3.0, 300)[:, None, None] * (rays / np.linalg.norm(rays, axis=1, keepdims=True))
+        cells = np.floor((place + steps - asset.grid.min_corner) / asset.grid.voxel).astype(int)
+        valid = ((cells >= 0) & (cells < asset.grid.resolution)).all(-1)
+        hits = np.zeros(valid.shape, bool)
+        hits[valid] = asset.grid.occupancy[tuple(cells[valid].T)]
+        assert low <= 1 - hits.any(0).mean() <= high
+
+
+def test_a_room_has_no_way_out_and_needs_none() -> None:
+    asset = Painter().encode(surface_shapes.box(6_000))
+    middle, before = np.zeros(3), np.array([0, 0, 1.5])
+    assert is_open(asset, before) and not is_open(asset, middle)
+    assert lies_outdoors(asset, np.array([0, 0, 0.5]), np.array([0, 0, 1.0]))
+    assert not lies_outdoors(asset, np.array([0, 0, 0.5]), np.array([0, 0, -1.0]))
+    assert [stands_free(asset, middle, outdoors) for outdoors in (True, False)] == [False, True]
+    assert not stands_free(asset, np.array([0, 0, 0.5]), False), "in the wall"
+    inside = sp.look_at((0, 0.1, -0.3), (0, 0, 0.5), UP, width=240, height=240, fov=60)
+    laid = Decal(np.full((48, 96, 3), 0.1, np.float32), MIDDLE, inside, 0.3).laid(asset)
+    assert laid.coverage > 0.97 and all((np.abs(e.camera.position) < 0.5).all() for e in laid.edits)
 
 
 def striped(at: tuple[float, float], camera: sp.Camera, width: float) -> Decal:

@@ -8,7 +8,13 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.decals.decal_fusion import fused_surface
-from splatpainter.decals.decal_surface import DECAL_SURFACE, SurfacePixels, facing_camera, surface_pixels
+from splatpainter.decals.decal_surface import (
+    DECAL_SURFACE,
+    SurfacePixels,
+    facing_camera,
+    lies_outdoors,
+    surface_pixels,
+)
 from splatpainter.lift.masks import dilated
 from splatpainter.painter import Asset
 from splatpainter.rendering.cpu.projected_view import project
@@ -83,6 +89,8 @@ class UnwrappedPatch:
     """Radius within which the samples were smoothed, world units; 0: not."""
     lines: np.ndarray = field(repr=False)
     """[S, 3] unit directions from which they were seen."""
+    outdoors: bool
+    """Whether it is seen from a place that is open: from no hollow of the asset, and in no room."""
 
 
 def survey(
@@ -100,89 +108,118 @@ def survey(
     up: [3] of the decal; size: (width, height), world units; max_turn: wrap limit, radians; seen_from: [3] unit, a
     direction from which the start is seen."""
     # Start with the point that was clicked; every round adds what one more camera sees.
-    radius = 0.5 * float(np.hypot(*size))
+    radius, half = 0.5 * float(np.hypot(*size)), (size[0] / 2, size[1] / 2)
     smoothing = max(SURVEY.smoothed_spacings * spacing, SURVEY.smoothed_size * 2 * radius)
-    points, normals, rough = start[0][None], start[1][None], np.zeros(1, bool)
-    half = (size[0] / 2, size[1] / 2)
+    pixel, outdoors = spacing / SURVEY.pixels_per_spacing, lies_outdoors(asset, start[0], seen_from)
+    found = (start[0][None], start[1][None], np.zeros((1, 3)), np.zeros(1, bool))
     directions: list[np.ndarray] = []
-    lines = np.zeros((1, 3))
-    target, direction = start
-    requesting = np.zeros(0, np.int64)
+    direction, requesting = start[1], np.zeros(0, np.int64)
     while True:
         # From behind the start one looks past it: nearer to it is within what it is the surface of.
-        nearer = bool(direction @ start[1] > 0)
-        pixel = spacing / SURVEY.pixels_per_spacing
         camera = facing_camera(
             asset,
-            target,
+            start[0],
             direction,
             up,
             radius * 1.08,
             pixel,
-            nearer=nearer,
+            outdoors=outdoors,
+            nearer=bool(direction @ start[1] > 0),
             seen_from=None if directions else seen_from,
         )
-        view = project(asset.splats, camera)
-        _, alpha, depth = view.rasterize()
-        # Only what no earlier camera saw frontally is asked for: most pixels are known after two views.
-        frontal = (lines * normals).sum(1) > SURVEY.min_facing_cosine
-        requested = (alpha > DECAL_SURFACE.min_alpha) & ~_surveyed(
-            camera, depth, points[frontal], normals[frontal], spacing
-        )
-        ys, xs = np.nonzero(requested)
-        requested[ys, xs] = _near_strip(camera.unproject(depth[ys, xs], np.stack([xs, ys], 1) + 0.5), start, up, size)
-        seen = surface_pixels(asset, surface, view, requested, depth)
+        sight = _Sight.of(asset, surface, camera, found, start, up, size, spacing)
         # A view that shows nothing of what asked for it shows another side of a wall, or another body.
-        resumed = (
-            not directions
-            or _share_seen(camera, depth, points[requesting], normals[requesting], spacing) > SURVEY.min_resumed
+        points, normals, _, _ = found
+        resumed = not directions or (
+            _share_seen(camera, sight.depth, points[requesting], normals[requesting], spacing) > SURVEY.min_resumed
         )
         # The first look decides: on fog one fused surface serves all views.
-        if not directions and len(seen.ys) and seen.rough.mean() > SURVEY.max_rough:
+        if not directions and len(sight.seen.ys) and sight.seen.rough.mean() > SURVEY.max_rough:
             patch = _fused_patch(asset, surface, start, up, size, max_turn, seen_from)
             if patch is not None:
                 return patch
         # No point farther than the decal's half diagonal can be under it.
-        near = ((seen.points - start[0]) ** 2).sum(1) < (1.06 * radius) ** 2
-        near &= resumed & ~_facing_inwards(seen, alpha.shape, 4 * spacing)
-        points, normals, lines, rough = _joined((points, normals, lines, rough), seen, near, camera, spacing)
+        near = ((sight.seen.points - start[0]) ** 2).sum(1) < (1.06 * radius) ** 2
+        near &= resumed & ~_facing_inwards(sight.seen, sight.depth.shape, 4 * spacing)
+        found = _joined(found, sight.seen, near, camera, spacing)
         # Unwrapped on smoothed samples where they scatter, as they are elsewhere.
-        even, turned = points, normals
+        points, normals, lines, rough = found
         scatters = rough.mean() > SURVEY.max_rough
         for _ in range(SURVEY.smoothing_rounds if scatters else 0):
-            even, turned = smoothed((even, turned), (even, turned), smoothing)
-        samples = unwrap(even, turned, up, spacing, half, max_turn)
-        within = samples.reached & (samples.normals @ turned[0] >= np.cos(min(max_turn, np.pi)) - 1e-9)
+            points, normals = smoothed((points, normals), (points, normals), smoothing)
+        samples = unwrap(points, normals, up, spacing, half, max_turn)
+        within = samples.reached & (samples.normals @ normals[0] >= np.cos(min(max_turn, np.pi)) - 1e-9)
         under = within & (np.abs(samples.uv) < half).all(1)
         directions.append(direction)
-        rim = np.linalg.norm(samples.rims, axis=1)
-        at_rim = under & (rim > SURVEY.min_rim_length)
-        # Where to look next: frontally at what was seen at an angle, over a rim at what goes on behind it.
-        leaning = np.where(
-            at_rim[:, None],
-            np.cos(SURVEY.lean_radians) * turned
-            - np.sin(SURVEY.lean_radians) * samples.rims / np.maximum(rim, 1e-9)[:, None],
-            turned,
-        )
-        asking = under & (at_rim | ((lines * normals).sum(1) < SURVEY.min_facing_cosine))
-        asking &= (leaning @ np.stack(directions, 1)).max(1) < SURVEY.min_camera_cosine
-        asking[0] = False
+        # Where to look next.
+        leaning, asking = _requests(samples, under, (lines * found[1]).sum(1), directions)
         if asking.sum() <= max(SURVEY.min_open * min(size) / spacing, 3):
             break
-        if len(directions) == SURVEY.max_surveys or len(points) > SURVEY.max_samples:
+        if len(directions) == SURVEY.max_surveys or len(found[0]) > SURVEY.max_samples:
             break
-        requesting = np.flatnonzero(asking)
-        view_requests = leaning[asking]
-        candidates = view_requests[:: max(len(view_requests) // 200, 1)]
-        # The direction that serves most requests; then what they want in the mean.
-        votes = view_requests @ candidates.T > np.cos(np.radians(35.0))
-        winner = votes[:, votes.sum(0).argmax()]
-        requesting = requesting[winner]
-        direction = view_requests[winner].mean(0)
-        direction /= np.linalg.norm(direction)
-        target = start[0]
+        direction, requesting = _most_wanted(leaning, np.flatnonzero(asking))
     lines[0] = seen_from
-    return UnwrappedPatch(samples, within, under, smoothing if scatters else 0.0, lines)
+    return UnwrappedPatch(samples, within, under, smoothing if scatters else 0.0, lines, outdoors)
+
+
+@dataclass(frozen=True)
+class _Sight:
+    """What one camera sees that no earlier one saw frontally."""
+
+    seen: SurfacePixels
+    depth: np.ndarray
+    """[H, W] z."""
+
+    @staticmethod
+    def of(
+        asset: Asset,
+        surface: Surface,
+        camera: Camera,
+        found: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+        start: tuple[np.ndarray, np.ndarray],
+        up: np.ndarray,
+        size: tuple[float, float],
+        spacing: float,
+    ) -> _Sight:
+        """found: samples so far, as of `_joined`; start, up, size: of the decal."""
+        points, normals, lines, _ = found
+        view = project(asset.splats, camera)
+        _, alpha, depth = view.rasterize()
+        # Most pixels are known after two views.
+        frontal = (lines * normals).sum(1) > SURVEY.min_facing_cosine
+        known = _surveyed(camera, depth, points[frontal], normals[frontal], spacing)
+        requested = (alpha > DECAL_SURFACE.min_alpha) & ~known
+        ys, xs = np.nonzero(requested)
+        requested[ys, xs] = _near_strip(camera.unproject(depth[ys, xs], np.stack([xs, ys], 1) + 0.5), start, up, size)
+        return _Sight(surface_pixels(asset, surface, view, requested, depth), depth)
+
+
+def _requests(
+    samples: Unwrapped, under: np.ndarray, facing: np.ndarray, directions: list[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """([S, 3] unit directions from which samples want to be seen: frontally, at a rim leaning over it to see what goes
+    on behind it; [S] bool those that ask for a camera). under: [S] bool; facing: [S] cosine at which each was seen;
+    directions: of the cameras so far."""
+    rim = np.linalg.norm(samples.rims, axis=1)
+    at_rim = under & (rim > SURVEY.min_rim_length)
+    outwards = samples.rims / np.maximum(rim, 1e-9)[:, None]
+    over_rim = np.cos(SURVEY.lean_radians) * samples.normals - np.sin(SURVEY.lean_radians) * outwards
+    leaning = np.where(at_rim[:, None], over_rim, samples.normals)
+    asking = under & (at_rim | (facing < SURVEY.min_facing_cosine))
+    asking &= (leaning @ np.stack(directions, 1)).max(1) < SURVEY.min_camera_cosine
+    asking[0] = False
+    return leaning, asking
+
+
+def _most_wanted(leaning: np.ndarray, asking: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(the direction [3] unit that serves most of the samples `asking` ([A] indices of `leaning`, [S, 3] unit), in the
+    mean of what these want; [W] their indices)."""
+    wanted = leaning[asking]
+    candidates = wanted[:: max(len(wanted) // 200, 1)]
+    votes = wanted @ candidates.T > np.cos(np.radians(35.0))
+    winner = votes[:, votes.sum(0).argmax()]
+    direction = wanted[winner].mean(0)
+    return direction / np.linalg.norm(direction), asking[winner]
 
 
 def _fused_patch(
@@ -196,9 +233,10 @@ def _fused_patch(
 ) -> UnwrappedPatch | None:
     """`survey` on rough surface: one made of all views (`fused_surface`); None where there is none at the start."""
     radius = SURVEY.fused_radius_diagonals * float(np.hypot(*size))
+    outdoors = lies_outdoors(asset, start[0], seen_from)
 
     def facing(direction: np.ndarray, pixel: float) -> Camera:
-        return facing_camera(asset, start[0], direction, up, radius * 1.08, pixel)
+        return facing_camera(asset, start[0], direction, up, radius * 1.08, pixel, outdoors=outdoors)
 
     points, normals, voxel = fused_surface(asset.splats, surface, start, up, radius, facing)
     # The fused surface has to pass by the start, facing the same way.
@@ -212,7 +250,7 @@ def _fused_patch(
     within = samples.reached & (samples.normals @ samples.normals[0] >= np.cos(min(max_turn, np.pi)) - 1e-9)
     under = within & (np.abs(samples.uv) < half).all(1)
     lines = np.broadcast_to(seen_from, samples.points.shape)
-    return UnwrappedPatch(samples, within, under, SURVEY.smoothed_voxels * voxel, lines)
+    return UnwrappedPatch(samples, within, under, SURVEY.smoothed_voxels * voxel, lines, outdoors)
 
 
 def _facing_inwards(seen: SurfacePixels, shape: tuple[int, int], reach: float) -> np.ndarray:

@@ -10,7 +10,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.decals.decal_surface import DECAL_SURFACE, SurfacePixels, facing_camera, rough_pixels, surface_pixels
+from splatpainter.decals.decal_surface import (
+    DECAL_SURFACE,
+    SurfacePixels,
+    facing_camera,
+    rough_pixels,
+    stands_free,
+    surface_pixels,
+)
 from splatpainter.decals.decal_survey import SURVEY, UnwrappedPatch, share_near
 from splatpainter.lift.masks import dilated
 from splatpainter.lift.nearest import nearest_pixels
@@ -21,7 +28,6 @@ from splatpainter.rendering.cpu.projected_view import ProjectedView, project, ti
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.unwrap import Unwrapped, smoothed
-from splatpainter.voxels.raycast import inside
 
 
 @dataclass(frozen=True)
@@ -118,8 +124,8 @@ def faced_parts(
         views.append(_view(asset, surface, patch, painted, direction, members, up, pixel))
     for view, (_, beside) in zip(views[faces:], creases, strict=False):
         view.cosines[:] = np.where(beside & (view.cosines > 0), 2, 0)  # there before all others, and nowhere else
-    # A camera inside something solid sees its inner side, and one beyond another body sees little of what it is for.
-    free = [not inside(asset.grid, asset.grid.occupancy, view.camera.position) for view in views]
+    # A camera inside something solid or hollow sees its inner side, one beyond another body little of what it is for.
+    free = [stands_free(asset, view.camera.position, patch.outdoors) for view in views]
     sees = [(v.cosines[members] > 0).mean() > SURVEY.min_resumed for v, (_, members) in zip(views, groups, strict=True)]
     if any(f and s for f, s in zip(free, sees, strict=True)):
         free = [f and s for f, s in zip(free, sees, strict=True)]
@@ -158,7 +164,7 @@ def faced_parts(
             side = np.cross(up, direction)
             turned = np.cos(turn) * direction + np.sin(turn) * side / np.linalg.norm(side)
             view = _view(asset, surface, patch, painted, turned, members, up, pixel)
-            if not inside(asset.grid, asset.grid.occupancy, view.camera.position):
+            if stands_free(asset, view.camera.position, patch.outdoors):
                 sides.append(view.part(owners == k, patch))
     return sides + parts
 
@@ -229,7 +235,7 @@ def _view(
     middle = (np.quantile(points, 0.02, 0) + np.quantile(points, 0.98, 0)) / 2
     target = points[np.linalg.norm(points - middle, axis=1).argmin()]
     radius = float(np.quantile(np.linalg.norm(points - target, axis=1), 0.995)) + DECAL_VIEWS.margin_px * pixel
-    camera = facing_camera(asset, target, direction, up, radius, pixel)
+    camera = facing_camera(asset, target, direction, up, radius, pixel, outdoors=patch.outdoors)
     return mapped_view(asset, surface, patch, painted, camera, pixel)
 
 
