@@ -195,8 +195,8 @@ def test_a_decal_behind_a_veil_is_shown_and_laid_whole() -> None:
     uv = placement.map_on(asset, asset.surface, aside)
     points = np.array([(u, v, 0.5) for u in (-0.25, 0.25) for v in (-0.125, 0.125)])
     (left, low), (right, high) = (f(aside.project(points)[0], 0) for f in (np.min, np.max))
-    shown = np.isfinite(uv[..., 0]).sum()
-    assert shown > 0.75 * (right - left) * (high - low), shown
+    mapped = np.isfinite(uv[..., 0]).sum()
+    assert mapped > 0.75 * (right - left) * (high - low), mapped
     assert laid.coverage > 0.97
     assert max(int(edit.mask.sum()) for edit in laid.edits if edit.mask is not None) > 0.9 * 96 * 48
 
@@ -334,21 +334,21 @@ def test_it_lies_where_its_preview_shows_it_on_the_demo_asset(camera: sp.Camera,
 
 
 @pytest.mark.parametrize(
-    ("place", "at", "width"),
+    ("standpoint", "at", "width"),
     [((-2.6, 1.3, 2.2), (250, 475), 0.3), (None, (390, 480), 0.4)],
     ids=["lower handle", "foot of the pot"],
 )
-def test_no_camera_stands_in_the_hollow_of_a_pot(place, at, width: float) -> None:
+def test_no_camera_stands_in_the_hollow_of_a_pot(standpoint, at, width: float) -> None:
     """From in there the back of the wall is seen, and what is painted on it shows through, mirrored."""
     asset = Painter().encode(demo_asset())
-    camera = sp.look_at(place, (0, -0.1, 0), width=768, height=768, fov=33) if place else demo_view(768)
+    camera = sp.look_at(standpoint, (0, -0.1, 0), width=768, height=768, fov=33) if standpoint else demo_view(768)
     square = np.full((256, 256, 3), 0.1, np.float32)
     laid = Decal(square, at, camera, width, level=(0, 1, 0)).laid(asset)
     # Rays of our own: from the pot's middle none gets out, from each camera many do.
-    for place, low, high in [(np.zeros(3), 0.0, 0.05), *((e.camera.position, 0.1, 1.0) for e in laid.edits)]:
+    for position, low, high in [(np.zeros(3), 0.0, 0.05), *((e.camera.position, 0.1, 1.0) for e in laid.edits)]:
         rays = np.random.default_rng(0).standard_normal((400, 3))
         steps = np.linspace(0.02, 3.0, 300)[:, None, None] * (rays / np.linalg.norm(rays, axis=1, keepdims=True))
-        cells = np.floor((place + steps - asset.grid.min_corner) / asset.grid.voxel).astype(int)
+        cells = np.floor((position + steps - asset.grid.min_corner) / asset.grid.voxel).astype(int)
         valid = ((cells >= 0) & (cells < asset.grid.resolution)).all(-1)
         hits = np.zeros(valid.shape, bool)
         hits[valid] = asset.grid.occupancy[tuple(cells[valid].T)]

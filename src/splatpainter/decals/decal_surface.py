@@ -183,10 +183,10 @@ def mean_normal(
     return mean / np.linalg.norm(mean)
 
 
-def is_open(asset: Asset, place: np.ndarray) -> bool:
-    """Whether there is a way out of the asset along some lines of sight from a place ([3]): there is none in a room,
+def is_open(asset: Asset, position: np.ndarray) -> bool:
+    """Whether there is a way out of the asset along some lines of sight from a position ([3]): there is none in a room,
     and none in the hollow of a pot."""
-    _, hits = first_hits(asset.grid.occupancy, asset.grid, place, fibonacci_sphere(DECAL_SURFACE.open_directions))
+    _, hits = first_hits(asset.grid.occupancy, asset.grid, position, fibonacci_sphere(DECAL_SURFACE.open_directions))
     return bool((hits < 0).mean() > DECAL_SURFACE.min_open)
 
 
@@ -195,11 +195,11 @@ def lies_outdoors(asset: Asset, point: np.ndarray, seen_from: np.ndarray) -> boo
     return any(is_open(asset, point + n * asset.grid.voxel * seen_from) for n in DECAL_SURFACE.open_voxels)
 
 
-def stands_free(asset: Asset, place: np.ndarray, outdoors: bool) -> bool:
-    """Whether a camera at a place ([3]) sees what a decal lies on: not from inside something solid, and where the decal
+def stands_free(asset: Asset, position: np.ndarray, outdoors: bool) -> bool:
+    """Whether a camera at a position ([3]) sees what a decal lies on: not from inside something solid, and where it
     lies `outdoors` not from a hollow, which shows the back of its walls."""
-    solid = inside(asset.grid, asset.grid.occupancy, place)
-    return not solid and (not outdoors or is_open(asset, place))
+    solid = inside(asset.grid, asset.grid.occupancy, position)
+    return not solid and (not outdoors or is_open(asset, position))
 
 
 def facing_camera(

@@ -111,7 +111,7 @@ def survey(
     radius, half = 0.5 * float(np.hypot(*size)), (size[0] / 2, size[1] / 2)
     smoothing = max(SURVEY.smoothed_spacings * spacing, SURVEY.smoothed_size * 2 * radius)
     pixel, outdoors = spacing / SURVEY.pixels_per_spacing, lies_outdoors(asset, start[0], seen_from)
-    found = (start[0][None], start[1][None], np.zeros((1, 3)), np.zeros(1, bool))
+    samples_so_far = (start[0][None], start[1][None], np.zeros((1, 3)), np.zeros(1, bool))
     directions: list[np.ndarray] = []
     direction, requesting = start[1], np.zeros(0, np.int64)
     while True:
@@ -127,9 +127,9 @@ def survey(
             nearer=bool(direction @ start[1] > 0),
             seen_from=None if directions else seen_from,
         )
-        sight = _Sight.of(asset, surface, camera, found, start, up, size, spacing)
+        sight = _Sight.of(asset, surface, camera, samples_so_far, start, up, size, spacing)
         # A view that shows nothing of what asked for it shows another side of a wall, or another body.
-        points, normals, _, _ = found
+        points, normals, _, _ = samples_so_far
         resumed = not directions or (
             _share_seen(camera, sight.depth, points[requesting], normals[requesting], spacing) > SURVEY.min_resumed
         )
@@ -141,9 +141,9 @@ def survey(
         # No point farther than the decal's half diagonal can be under it.
         near = ((sight.seen.points - start[0]) ** 2).sum(1) < (1.06 * radius) ** 2
         near &= resumed & ~_facing_inwards(sight.seen, sight.depth.shape, 4 * spacing)
-        found = _joined(found, sight.seen, near, camera, spacing)
+        samples_so_far = _joined(samples_so_far, sight.seen, near, camera, spacing)
         # Unwrapped on smoothed samples where they scatter, as they are elsewhere.
-        points, normals, lines, rough = found
+        points, normals, lines, rough = samples_so_far
         scatters = rough.mean() > SURVEY.max_rough
         for _ in range(SURVEY.smoothing_rounds if scatters else 0):
             points, normals = smoothed((points, normals), (points, normals), smoothing)
@@ -152,12 +152,12 @@ def survey(
         under = within & (np.abs(samples.uv) < half).all(1)
         directions.append(direction)
         # Where to look next.
-        leaning, asking = _requests(samples, under, (lines * found[1]).sum(1), directions)
+        leaning, asking = _requests(samples, under, (lines * samples_so_far[1]).sum(1), directions)
         if asking.sum() <= max(SURVEY.min_open * min(size) / spacing, 3):
             break
-        if len(directions) == SURVEY.max_surveys or len(found[0]) > SURVEY.max_samples:
+        if len(directions) == SURVEY.max_surveys or len(samples_so_far[0]) > SURVEY.max_samples:
             break
-        direction, requesting = _most_wanted(leaning, np.flatnonzero(asking))
+        direction, requesting = _next_direction(leaning, np.flatnonzero(asking))
     lines[0] = seen_from
     return UnwrappedPatch(samples, within, under, smoothing if scatters else 0.0, lines, outdoors)
 
@@ -175,20 +175,20 @@ class _Sight:
         asset: Asset,
         surface: Surface,
         camera: Camera,
-        found: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+        samples_so_far: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
         start: tuple[np.ndarray, np.ndarray],
         up: np.ndarray,
         size: tuple[float, float],
         spacing: float,
     ) -> _Sight:
-        """found: samples so far, as of `_joined`; start, up, size: of the decal."""
-        points, normals, lines, _ = found
+        """samples_so_far: samples so far, as of `_joined`; start, up, size: of the decal."""
+        points, normals, lines, _ = samples_so_far
         view = project(asset.splats, camera)
         _, alpha, depth = view.rasterize()
         # Most pixels are known after two views.
         frontal = (lines * normals).sum(1) > SURVEY.min_facing_cosine
-        known = _surveyed(camera, depth, points[frontal], normals[frontal], spacing)
-        requested = (alpha > DECAL_SURFACE.min_alpha) & ~known
+        frontal_pixels = _surveyed(camera, depth, points[frontal], normals[frontal], spacing)
+        requested = (alpha > DECAL_SURFACE.min_alpha) & ~frontal_pixels
         ys, xs = np.nonzero(requested)
         requested[ys, xs] = _near_strip(camera.unproject(depth[ys, xs], np.stack([xs, ys], 1) + 0.5), start, up, size)
         return _Sight(surface_pixels(asset, surface, view, requested, depth), depth)
@@ -211,14 +211,14 @@ def _requests(
     return leaning, asking
 
 
-def _most_wanted(leaning: np.ndarray, asking: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _next_direction(leaning: np.ndarray, asking: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(the direction [3] unit that serves most of the samples `asking` ([A] indices of `leaning`, [S, 3] unit), in the
     mean of what these want; [W] their indices)."""
-    wanted = leaning[asking]
-    candidates = wanted[:: max(len(wanted) // 200, 1)]
-    votes = wanted @ candidates.T > np.cos(np.radians(35.0))
+    requests = leaning[asking]
+    candidates = requests[:: max(len(requests) // 200, 1)]
+    votes = requests @ candidates.T > np.cos(np.radians(35.0))
     winner = votes[:, votes.sum(0).argmax()]
-    direction = wanted[winner].mean(0)
+    direction = requests[winner].mean(0)
     return direction / np.linalg.norm(direction), asking[winner]
 
 

@@ -20,8 +20,10 @@ def paint_of_other_views(views: Sequence[EditView], depths: Sequence[np.ndarray]
     """[H, W] bool of each view: pixels that show a place of the surface under the mask of another one. depths: [H, W] z
     of each view before the edit, 0 where there is nothing, at least where it may have changed something."""
     # How exactly depths are known is a matter of the asset: a camera that stands close knows them no better.
-    shown = [depth[view.mask & (depth > 0)] for view, depth in zip(views, depths, strict=True)]
-    tolerance = MAX_DEPTH_DIFFERENCE * max((float(np.median(part)) for part in shown if len(part)), default=0.0)
+    painted_depths = [depth[view.mask & (depth > 0)] for view, depth in zip(views, depths, strict=True)]
+    tolerance = MAX_DEPTH_DIFFERENCE * max(
+        (float(np.median(part)) for part in painted_depths if len(part)), default=0.0
+    )
     out = []
     for k, (view, depth) in enumerate(zip(views, depths, strict=True)):
         shared = np.zeros(view.mask.shape, bool)
