@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import tempfile
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from splatpainter.io.contents import Contents, contents, fields_differ, rows_dif
 from splatpainter.io.formats.ply_container import TextRows
 from splatpainter.io.write_options import AS_IT_IS, WriteOptions
 from splatpainter.splats import Source, Splats, changed_rows
+from splatpainter.system.quick_dataclass import dataclass
 
 CHUNK_ROWS = 256
 """Rows that share a row of a table that follows the rows."""

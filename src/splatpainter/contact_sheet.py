@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 
 from splatpainter.image_files import encode_png, to_uint8
 from splatpainter.io import files
+from splatpainter.system.quick_dataclass import dataclass
 
 PAPER, INK, CAPTION_COLOR = (250, 250, 248), (20, 20, 22), (110, 110, 115)
 GAP_PX = 6

@@ -7,7 +7,7 @@ open an asset, and by the studio when one is opened. What a reader cannot keep o
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from splatpainter.color import base_color
 from splatpainter.io import positions
 from splatpainter.io.formats.ply import PlyFile
 from splatpainter.splats import SH_C0, Splats
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import row_max
 
 

@@ -15,7 +15,6 @@ import logging
 import tempfile
 import warnings
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -23,6 +22,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.system.atomic import writing
+from splatpainter.system.quick_dataclass import dataclass
 
 if TYPE_CHECKING:
     from PIL.Image import Image

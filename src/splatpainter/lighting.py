@@ -7,13 +7,12 @@ directions, so that convex objects carry no sampling error.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from splatpainter.kernels import portable
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run, threads
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import fibonacci_sphere, sh_basis
 
 COSINE_BANDS = np.array([np.pi, *[2 * np.pi / 3] * 3, *[np.pi / 4] * 5])

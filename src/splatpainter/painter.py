@@ -9,7 +9,7 @@ edited.splats, edited.receipt
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -30,6 +30,7 @@ from splatpainter.painting.networks import Networks
 from splatpainter.painting.prepared_views import prepared_views
 from splatpainter.receipts import StageClock
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 if TYPE_CHECKING:
     from splatpainter.models.local_network import LocalNetwork

@@ -13,7 +13,7 @@ import math
 import os
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,7 @@ from splatpainter.kernels.arrays import set_pixels
 from splatpainter.kernels.rows import differing
 from splatpainter.splats import ATTRIBUTES, Axes, Splats, row_blocks, rows_sha256
 from splatpainter.system.old_names import formerly, formerly_called
+from splatpainter.system.quick_dataclass import dataclass
 
 MAX_RECEIPT_BYTES = 256 << 20
 """Bytes of a receipt that are read."""

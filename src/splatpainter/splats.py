@@ -7,7 +7,7 @@ Knows no files, no cameras and no network. All values are *activated* (what the 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Generic, Literal, cast
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from splatpainter.array_types import ArrayT, Bools, Floats, Ids
 from splatpainter.system.old_names import formerly_called
+from splatpainter.system.quick_dataclass import dataclass
 
 if TYPE_CHECKING:
     import torch

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -35,6 +35,7 @@ from splatpainter.rendering.profiles import Profile
 from splatpainter.splats import ColorSpace, Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import visible_surface
+from splatpainter.system.quick_dataclass import dataclass
 
 Aov = Literal["alpha", "depth", "normal", "gaussian-ids", "coverage"]
 PictureFormat = Literal["png", "exr"]

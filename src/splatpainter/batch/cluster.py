@@ -14,11 +14,11 @@ import threading
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
 from typing import Any, TypeAlias, TypeVar
 from urllib.parse import urlsplit
 
 from splatpainter.kernels.parallel import cpus
+from splatpainter.system.quick_dataclass import dataclass
 
 Result = TypeVar("Result")
 RETRIES = 3

@@ -7,7 +7,7 @@ import hashlib
 import json
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from splatpainter.io.formats.sog_container import META
 from splatpainter.operations.operation import Operation
 from splatpainter.splats import Axes
 from splatpainter.system.atomic import check_name
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.system.yamlio import Lines, read
 
 MAX_JOBS = 100_000

@@ -7,12 +7,13 @@ Texts and file names of edits may hold `{asset}` (the asset's name) and `{varian
 from __future__ import annotations
 
 import re
-from dataclasses import asdict, dataclass, field, fields, make_dataclass
+from dataclasses import asdict, field, fields, make_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_type_hints
 
 from splatpainter.operations.operation import Operation, Wording, kinds, operation_class
 from splatpainter.splats import Axes
+from splatpainter.system.quick_dataclass import dataclass
 
 FILE = {"file": True}
 """Metadata of fields that name files."""

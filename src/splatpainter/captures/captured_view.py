@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path, PurePosixPath
 
 import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.captures.lenses import Lens, pinhole_window
+from splatpainter.system.quick_dataclass import dataclass
 
 ENDINGS = ("", ".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG", ".webp", ".tif", ".tiff")
 """What a file's name may go on with where a capture names it without its ending (NeRF's scenes, old cameras.json)."""

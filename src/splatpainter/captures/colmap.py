@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import struct
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -25,6 +25,7 @@ from splatpainter.captures.lenses import (
     lens_or_none,
 )
 from splatpainter.io import files
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import quat_to_matrix
 
 MODEL_FOLDERS = ("", "sparse/0", "sparse", "colmap/sparse/0", "distorted/sparse/0")

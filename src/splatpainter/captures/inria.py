@@ -4,7 +4,6 @@ is for io/folders.py to say."""
 from __future__ import annotations
 
 import ast
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ import numpy as np
 from splatpainter.captures.captured_view import CapturedView, posed_camera, rigid
 from splatpainter.io import files
 from splatpainter.system.jsonio import brief, finite_numbers
+from splatpainter.system.quick_dataclass import dataclass
 
 CAMERAS = "cameras.json"
 ARGUMENTS = "cfg_args"

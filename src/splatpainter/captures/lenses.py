@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

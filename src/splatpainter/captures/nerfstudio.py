@@ -7,7 +7,7 @@ transform of what the capture's program said (docs.nerf.studio, "Data convention
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from splatpainter.captures.lenses import Lens, PolynomialLens, lens_or_none
 from splatpainter.image_files import picture_header
 from splatpainter.io import files
 from splatpainter.system.jsonio import brief, finite_numbers, load_object, objects_at
+from splatpainter.system.quick_dataclass import dataclass
 
 TABLES = ("transforms.json", "transforms_train.json")
 FRAME = "dataparser_transforms.json"

@@ -7,8 +7,10 @@ through `terminal`. Wrong input is a ValueError of one line.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
+
+from splatpainter.system.quick_dataclass import dataclass
 
 SUMMARIES = {
     "demo": "paint on the bundled asset: before, edited picture, after, turntable, receipt",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -24,6 +24,7 @@ from splatpainter.rendering import MAX_SIDE_PX, render
 from splatpainter.rendering.profiles import Profile
 from splatpainter.splats import Splats
 from splatpainter.system.atomic import write_text
+from splatpainter.system.quick_dataclass import dataclass
 
 if TYPE_CHECKING:
     import numpy as np

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -23,6 +23,7 @@ from splatpainter.io.ply_columns import add_columns
 from splatpainter.io.write_options import WriteOptions
 from splatpainter.output_paths import check_target, placed, splat_format
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 HTML = ".html"
 SEEN_IN_THE_FILE = {"sh_degree": None, "antialiased": None, "spz_version": None, "mark_axes": None}

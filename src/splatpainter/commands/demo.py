@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -19,6 +19,7 @@ from splatpainter.commands.parts.terminal import decibels, size, stages
 from splatpainter.io import files, read, write
 from splatpainter.output_paths import check_folder, make_folder, save_picture
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 FRAMES = 36
 DUSK = (0.150, 0.125, 0.165)

@@ -12,7 +12,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from splatpainter.commands import Outcome
@@ -28,6 +27,7 @@ from splatpainter.commands.parts.option_parsing import OLD_OPTIONS, option_name,
 from splatpainter.operations.operation import KINDS, Operation, Wording, kinds, operation_class
 from splatpainter.operations.paint import Paint
 from splatpainter.system.memory import return_large_arrays
+from splatpainter.system.quick_dataclass import dataclass
 
 PROGRAM = "splatpainter edit"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -15,6 +15,7 @@ from splatpainter.commands.info import file_size
 from splatpainter.commands.parts.option_parsing import OutFile
 from splatpainter.commands.parts.terminal import BAR_DELAY_SECONDS, count, decibels, seconds, size, warn, watched
 from splatpainter.output_paths import check_target, placed, splat_format
+from splatpainter.system.quick_dataclass import dataclass
 
 if TYPE_CHECKING:
     from splatpainter.commands.parts.fit_sources import FitPictures

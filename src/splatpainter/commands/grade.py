@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from splatpainter.commands import Outcome
 from splatpainter.commands.parts.edited_file import AssetArguments, FileArguments, run_operation
 from splatpainter.operations.grade import Grade
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +17,7 @@ from splatpainter.io.folders import iterations
 from splatpainter.io.formats.sog_container import META
 from splatpainter.io.positions import MAX_STEP, coarseness
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import json
 import os
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -19,6 +19,7 @@ from splatpainter.output_paths import check_target, placed, receipt_of, splat_fo
 from splatpainter.scene.merge import MergeVerification, Part, parts_of, write_merged
 from splatpainter.scene.placement import Placement, shift_to_the_right
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -20,6 +19,7 @@ from splatpainter.io.axes import AXES
 from splatpainter.io.gltf_mesh import mesh_glb
 from splatpainter.output_paths import check_target
 from splatpainter.surface.proxy_mesh import MIN_TRIANGLES, PROXY, proxy_mesh
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

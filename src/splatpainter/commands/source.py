@@ -6,7 +6,6 @@ import contextlib
 import sys
 import threading
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
@@ -23,6 +22,7 @@ from splatpainter.sources.picture_source import PictureRequest, Progress
 from splatpainter.sources.registry import SourceStatus, describe_sources, open_source
 from splatpainter.sources.source_options import option_words, options_help
 from splatpainter.system.atomic import writing
+from splatpainter.system.quick_dataclass import dataclass
 
 SUMMARIES = {
     "list": "list the sources, what each takes, and what each still needs",

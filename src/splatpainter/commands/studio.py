@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import threading
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +12,7 @@ from tyro.conf import Positional, arg
 from splatpainter.commands import Outcome
 from splatpainter.commands.parts.option_parsing import InAxesOption
 from splatpainter.commands.parts.terminal import complain
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

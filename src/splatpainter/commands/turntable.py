@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -20,6 +20,7 @@ from splatpainter.commands.parts.view_options import check_ranges, check_ring, c
 from splatpainter.io import axes_news, files, read
 from splatpainter.output_paths import check_target
 from splatpainter.rendering.profiles import Profile
+from splatpainter.system.quick_dataclass import dataclass
 
 if TYPE_CHECKING:
     from splatpainter.operations.light import Relight

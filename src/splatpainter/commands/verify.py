@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +13,7 @@ from splatpainter.commands.parts.option_parsing import AxesOption, InAxesOption
 from splatpainter.commands.parts.terminal import count, stages
 from splatpainter.output_paths import receipt_of
 from splatpainter.receipts import read_receipt, verify
+from splatpainter.system.quick_dataclass import dataclass
 
 RANGE_WORDS = {"bytes": "byte-identical", "values": "as converted", "transformed": "as transformed"}
 """How a range holds its source (scene/merge.py) -> what its rows are."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Annotated
 
@@ -24,6 +24,7 @@ from splatpainter.pictures.saved_pictures import LOOK_SECONDS, SavedPictures
 from splatpainter.receipts import prove
 from splatpainter.splats import Splats
 from splatpainter.system.atomic import clash
+from splatpainter.system.quick_dataclass import dataclass
 
 MASK_ENDING = ".mask.png"
 """view_000.mask.png is the mask of view_000.png: what is not black was edited."""

@@ -9,7 +9,6 @@ other view looks through is cut off.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import visible_surface
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ same for what is laid and for what is shown of it before, on any view. Pure.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from splatpainter.decals.decal_survey import UnwrappedPatch, survey
 from splatpainter.decals.decal_views import mapped_view
 from splatpainter.painter import Asset
 from splatpainter.surface.estimate import Surface
+from splatpainter.system.quick_dataclass import dataclass
 
 MAX_DECAL_PX = 384
 """Pixels of a decal's longer side in the views that paint it; larger pictures are averaged down to it."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from splatpainter.painter import Asset
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import VisibleSurface, visible_surface
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import fibonacci_sphere
 from splatpainter.voxels.raycast import first_hits, inside
 

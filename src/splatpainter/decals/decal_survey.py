@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from splatpainter.painter import Asset
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.unwrap import Unwrapped, smoothed, thinned, unwrap
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ Used by decals, which are laid over more of a surface than one camera sees.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from splatpainter.rendering.cpu.projected_view import ProjectedView, project, ti
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.unwrap import Unwrapped, smoothed
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ promise holds for decals: receipts, undo, layers. Each part is painted from the 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,7 @@ from splatpainter.decals.decal_views import FacedPart, faced_parts
 from splatpainter.painter import Asset, Edit
 from splatpainter.pictures.picture_reader import MAX_PICTURE_PIXELS, SIZE_LIMIT, Picture, read_picture
 from splatpainter.surface.estimate import Surface
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

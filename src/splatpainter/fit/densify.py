@@ -7,7 +7,6 @@ they can show: small ones are cloned, large ones split in two. Gaussians that be
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from splatpainter.cameras import Camera
 from splatpainter.fit.devices import DeviceArray, as_numpy, exp, indices, joined, on_device, sigmoid, zeros_like
 from splatpainter.fit.gradients import Pull
 from splatpainter.fit.parameters import RawGaussians
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import quat_to_matrix
 
 ORIGINAL_STEPS = 30_000

@@ -8,7 +8,6 @@ object pays for it; without the lift before it, so does paint (docs/LOG.md).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from splatpainter.fit.optimize import FitOptions, TrainingView, optimize
 from splatpainter.rendering import render
 from splatpainter.rendering.cpu.projected_view import TILE, project
 from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 __all__ = ["EditFitOptions", "fit_edited"]
 

@@ -10,7 +10,7 @@ through the shape of its projection is counted too, which hardly matters (correl
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from splatpainter.fit.image_loss import picture_loss
 from splatpainter.rendering import render
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
 from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -19,6 +19,7 @@ from splatpainter.fit.gradients import CpuPasses, Target, torch_pass
 from splatpainter.fit.image_loss import WINDOW
 from splatpainter.fit.parameters import Adam, RawGaussians, to_raw, with_degree
 from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -8,7 +8,7 @@ drawn, never copied.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from splatpainter.fit.devices import DeviceArray, exp, joined, log, on_device, s
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
 from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 MIN_OPACITY = 1e-4
 """Opacities are kept this far from 0 and 1, where the logit is infinite."""

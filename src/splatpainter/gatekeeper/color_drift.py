@@ -9,13 +9,13 @@ what was painted over does not count. Pure; colours are display sRGB 0..1, [P, 3
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from splatpainter.color import linear_to_srgb, srgb_to_linear
 from splatpainter.lift.masks import box_mean, largest_channel
+from splatpainter.system.quick_dataclass import dataclass
 
 DriftKind = Literal["none", "gain", "gain and offset", "matrix"]
 

@@ -7,11 +7,10 @@ display sRGB 0..1.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from splatpainter.pictures.picture_reader import resample
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

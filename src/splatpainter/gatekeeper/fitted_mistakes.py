@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from splatpainter.color import LUMA
 from splatpainter.gatekeeper.small_copies import COPIES, Explanation, Mistake, SmallView, explained_by, mean_difference
 from splatpainter.lift.masks import box_mean, largest_channel
 from splatpainter.pictures.picture_reader import resample
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ render is the render's.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 
 import numpy as np
@@ -27,6 +27,7 @@ from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.lift.masks import MASKS, box_mean, change_mask, dilated, largest_channel
 from splatpainter.pictures.picture_reader import resample
 from splatpainter.sources.picture_source import PictureAnswer, PictureRequest, SourceError
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

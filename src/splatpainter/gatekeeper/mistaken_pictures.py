@@ -9,7 +9,6 @@ leaves nothing. Pure. H, W: pixels of the view; colours are display sRGB 0..1.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from splatpainter.gatekeeper.small_copies import (
 )
 from splatpainter.lift.masks import box_mean, contrast, largest_channel
 from splatpainter.pictures.encodings import busiest, detailed, few_colors
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,6 +30,7 @@ from splatpainter.pictures.edit_files import MIN_MASK, Photograph, PictureFile, 
 from splatpainter.pictures.picture_reader import EXIF_STEPS, Picture, read_mask, read_picture
 from splatpainter.rendering import render as render_views
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 if TYPE_CHECKING:
     from splatpainter.gatekeeper.gatekeeper import AdmittedPicture

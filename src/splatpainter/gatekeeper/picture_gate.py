@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -26,6 +26,7 @@ from splatpainter.pictures.picture_reader import Picture
 from splatpainter.pictures.view_search import most_alike, same_view, views_in
 from splatpainter.rendering.cpu.recent_views import drawn_view
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 MismatchPolicy = Literal["refuse", "correct", "force"]
 """What becomes of a picture that differs from its view everywhere."""

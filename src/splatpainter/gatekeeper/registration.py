@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -23,6 +22,7 @@ from splatpainter.gatekeeper.crop_search import find_crop
 from splatpainter.lift.masks import box_mean, largest_channel
 from splatpainter.pictures.edit_files import MAX_ASPECT_ERROR
 from splatpainter.pictures.picture_reader import resample
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,13 @@ view; h, w: of its small copy; colours are display sRGB 0..1.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
 
 from splatpainter.lift.masks import box_mean, dilated, largest_channel
 from splatpainter.pictures.picture_reader import resample
+from splatpainter.system.quick_dataclass import dataclass
 
 Cause = Literal["turned", "colors", "tone", "shade", "look", "filter", "detail", "moved", "axes", "other"]
 """turned: mirrored or turned round; colors: other colours than sRGB; tone: graded as a whole, its background too or

@@ -13,7 +13,7 @@ so that highlights are graded with the surface they lie on. Zeros change nothing
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from splatpainter.color import LUMA, base_color, linear_to_srgb, luminance, srgb
 from splatpainter.kernels.parallel import each
 from splatpainter.splats import SH_C0, ColorSpace
 from splatpainter.system import jsonio
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.system.ranges import out_of_range, ranged
 from splatpainter.transforms import stacked
 

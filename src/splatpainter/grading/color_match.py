@@ -14,7 +14,7 @@ count. `Recolor` gives everything one colour and keeps its light and shade.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from splatpainter.cameras import bounding_sphere, spherical_cameras
 from splatpainter.color import base_color, linear_to_srgb, luminance, srgb_to_linear, to_display
 from splatpainter.pictures.picture_reader import Picture
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 ColorMap = Callable[[np.ndarray], np.ndarray]
 """[..., 3] display colours 0..1 -> the like."""

@@ -15,13 +15,14 @@ from __future__ import annotations
 import io
 import math
 import struct
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 
 import numpy as np
 
 from splatpainter.image_files import bytes_of_png, bytes_to_png
 from splatpainter.io import files
+from splatpainter.system.quick_dataclass import dataclass
 
 MAX_1D_SIZE, MAX_3D_SIZE = 65536, 129
 """Entries of a table along an axis: what the specification allows, and the largest cube that grading programs write."""

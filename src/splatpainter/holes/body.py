@@ -13,8 +13,6 @@ it, as it hangs together with all the ground around.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from splatpainter.array_types import Bools, Ids
@@ -22,6 +20,7 @@ from splatpainter.color import base_color, oklab, to_display
 from splatpainter.holes.border import cell_of
 from splatpainter.kernels import portable
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import quat_to_matrix
 from splatpainter.voxels.neighbours import joined_labels
 

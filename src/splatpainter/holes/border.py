@@ -4,12 +4,13 @@ it is looked at. Pure.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
 from splatpainter.array_types import Bools, Floats, Ids
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import quat_to_matrix
 from splatpainter.voxels.neighbours import components, nearest_within
 

@@ -8,7 +8,7 @@ something was removed) that lay before or behind it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import visible_surface
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.voxels.neighbours import components, joined_labels
 
 

@@ -8,7 +8,7 @@ that continue what surrounds it. Only appends. Pure: equal inputs give equal bit
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from splatpainter.lift.masks import dilated
 from splatpainter.lift.sheets.sheet import SHEET, pixel_gaussians
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

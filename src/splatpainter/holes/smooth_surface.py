@@ -7,11 +7,12 @@ pixel the mean of its neighbours.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
 from splatpainter.array_types import Floats
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,11 @@ blurred surroundings, which is added back.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from splatpainter.array_types import Bools, Floats
 from splatpainter.holes.smooth_surface import membrane
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

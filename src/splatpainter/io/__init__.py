@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -22,6 +22,7 @@ from splatpainter.io.formats import sog_container
 from splatpainter.io.write_options import AS_IT_IS, WriteOptions
 from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Axes, Source, Splats
 from splatpainter.system.old_names import formerly
+from splatpainter.system.quick_dataclass import dataclass
 
 Reader = Callable[..., Splats]
 Writer = Callable[..., None]

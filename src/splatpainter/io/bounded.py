@@ -17,11 +17,11 @@ from __future__ import annotations
 import struct
 import zipfile
 import zlib
-from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
 from splatpainter.io.files import printable
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

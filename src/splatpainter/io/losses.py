@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import tempfile
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from splatpainter.kernels.arrays import readonly
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run, threads
 from splatpainter.splats import ATTRIBUTES, SH_C0, Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 MIN_DRAWN_OPACITY = 1 / 255
 """Opacity of Gaussians that are drawn; what fainter ones lose cannot be seen."""

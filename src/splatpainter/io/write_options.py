@@ -8,10 +8,11 @@ Without a choice every format writes what it always does.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, fields, replace
 from typing import Any
 
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 MAX_SH_DEGREE = 4
 SPZ_VERSIONS = (2, 3, 4)

@@ -11,7 +11,7 @@ divisor and h_i (c_i - old) taken from the sum.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.rendering.cpu.recent_views import drawn_view
 from splatpainter.rendering.cpu.sirt import sirt_steps
 from splatpainter.splats import SH_C0, Splats
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import row_max
 
 MAX_COLOR = 1.3

@@ -3,8 +3,6 @@ normals of Gaussians: their shortest axes, turned to the side from which they ar
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from splatpainter.array_types import Floats
@@ -13,6 +11,7 @@ from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import quat_to_matrix, row_norm
 
 

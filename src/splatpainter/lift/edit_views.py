@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +14,7 @@ from splatpainter.cameras import Camera
 from splatpainter.lift.local.local_edit import NothingPaintableError, gaussians_in_mask
 from splatpainter.rendering import render
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.voxels.grid import VoxelGrid
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -34,6 +34,7 @@ from splatpainter.rendering.cpu.projected_view import ProjectedView, project, ti
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import SightEstimates
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.voxels.grid import VoxelGrid, voxelize
 
 

@@ -8,7 +8,7 @@ Gaussians, S of them seen.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from splatpainter.lift.depth_normals import outward_normals, scattered
 from splatpainter.lift.options import GLOBAL_DEFAULTS, GlobalOptions
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import SH_C0, Splats
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import row_norm
 
 Predict = Callable[[np.ndarray, np.ndarray], np.ndarray]

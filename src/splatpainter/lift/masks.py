@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from splatpainter.array_types import Bools, Floats
 from splatpainter.kernels.arrays import readonly
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run, threads
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.system.ranges import out_of_range, ranged
 
 ResidualBase = Literal["own", "lift"]

@@ -11,7 +11,6 @@ SIDE_VIEWS.max_side_px a view.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from splatpainter.lift.masks import box_mean, dilated
 from splatpainter.lift.warping import ViewedChange, bilinear, seen_in_both, shrunk
 from splatpainter.rendering.cpu.projected_view import project, tiles_of_mask
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 DB_PER_NEPER = 4.342944819032518
 """10 / ln 10: of a ratio of squares."""

@@ -13,7 +13,7 @@ paint it alike; where they do not, the latest view wins. H x W pixels of each vi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from splatpainter.rendering.cpu.projected_view import ProjectedView, project, ti
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import SightEstimates, visible_surface
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

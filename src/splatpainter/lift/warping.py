@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
 from splatpainter.array_types import Floats
 from splatpainter.cameras import Camera
+from splatpainter.system.quick_dataclass import dataclass
 
 MAX_DEPTH_DIFFERENCE = 0.02
 """Largest difference between a point's depth and that of the surface which a view shows there, of that depth: else

@@ -3,7 +3,7 @@ share of that side each shows where both are seen (leaves, thin walls)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from splatpainter.kernels import portable
 from splatpainter.lift.depth_normals import scattered
 from splatpainter.lights.sightings import SeenPixels, look_around
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import fibonacci_sphere, quat_to_matrix
 
 

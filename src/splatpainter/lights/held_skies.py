@@ -4,12 +4,12 @@ that was lit by a file is the same where that file is not."""
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
 
 import numpy as np
 
 from splatpainter.image_files import bytes_of_png, bytes_to_png
 from splatpainter.lights.sky_maps import SkyMap, lat_long, reduced
+from splatpainter.system.quick_dataclass import dataclass
 
 MAGIC = b"sky1"
 

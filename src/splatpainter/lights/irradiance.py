@@ -6,7 +6,7 @@ it shows a neighbour in the mean light.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from splatpainter.lighting import blocked_light, point_spacing, unoccluded_trans
 from splatpainter.lights.facing import Facing, facing
 from splatpainter.lights.lamps import Lamp, Sun
 from splatpainter.splats import SH_C0, Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 BLOCKER_RADIANCE = 0.3
 """Radiance of what blocks a direction over the mean radiance around: its albedo (a half) times its share of light."""

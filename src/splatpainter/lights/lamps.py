@@ -7,13 +7,13 @@ surface that faces it 1, a lamp of intensity 1 does so from a distance of one wo
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from splatpainter.kernels import portable
 from splatpainter.lights.skies import direction
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import GOLDEN_ANGLE, fibonacci_sphere
 
 LampKind = Literal["point", "spot", "rect", "disk", "sphere"]

@@ -6,12 +6,12 @@ than from all. A Gaussian over SH coefficients that knows no azimuth, and what a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from splatpainter.cameras import AUTO_UP, UPS, UpAxis
 from splatpainter.kernels import portable
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import sh_rotations
 
 

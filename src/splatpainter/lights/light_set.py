@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from splatpainter.cameras import AUTO_UP, UPS, UpAxis
 from splatpainter.kernels import portable
 from splatpainter.lights.lamps import Lamp, Sun
 from splatpainter.lights.sky_maps import SkyMap
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.system.ranges import out_of_range, ranged
 from splatpainter.transforms import sh_rotations
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +31,7 @@ from splatpainter.painter import Asset, Edit, Painter
 from splatpainter.rendering import render
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import SH_C0, Splats
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import sh_basis
 
 MAX_MATCHED_VIEWS = 4

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from threading import RLock
 from typing import Any
 
@@ -19,6 +19,7 @@ from splatpainter.lights.light_set import sky_lamps, turned_sky
 from splatpainter.lights.sky_maps import SkyMap
 from splatpainter.lights.source_light import SourceLight, estimate_source, uniform_source
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.system.recent import Recent
 
 SURFACES = 3

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from splatpainter.cameras import UpAxis
@@ -20,6 +20,7 @@ from splatpainter.lights.studio_rigs import RIGS, studio_rig
 from splatpainter.lights.usd_lights import read_usda, usda_text
 from splatpainter.system import jsonio
 from splatpainter.system.atomic import writing
+from splatpainter.system.quick_dataclass import dataclass
 
 RIG_SUFFIXES = (".json", ".usda", ".usd", ".glb", ".gltf")
 WRITTEN_RIGS = (".json", ".usda", ".glb")

@@ -7,7 +7,6 @@ points down (as of captures), the asset's axes where its y points up.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -16,6 +15,7 @@ from splatpainter.cameras import AUTO_UP, UpAxis
 from splatpainter.kernels import portable
 from splatpainter.lights.lamps import Lamp, Rgb, Sun, across, azimuth_elevation
 from splatpainter.lights.light_set import Lights, axes_of
+from splatpainter.system.quick_dataclass import dataclass
 
 SceneKind = Literal["distant", "point", "spot", "rect", "disk", "sphere"]
 

@@ -7,7 +7,7 @@ every pixel. What views show of them together is the surface and its colour.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import visible_surface
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

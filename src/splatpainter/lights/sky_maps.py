@@ -7,7 +7,6 @@ the picture is +z. Linear radiance. OpenImageIO reads what has more than 8 bits.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,7 @@ from splatpainter import image_files
 from splatpainter.color import luminance, srgb_to_linear
 from splatpainter.kernels import portable
 from splatpainter.system.atomic import writing
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import fibonacci_sphere, sh_basis
 
 DEEP = {".hdr": "hdr", ".exr": "openexr"}

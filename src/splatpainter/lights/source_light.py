@@ -11,7 +11,7 @@ believed is as lights usually are (`light_prior`). The light's colour in the mea
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from splatpainter.lighting import unoccluded_transfer
 from splatpainter.lights.light_cast import cast
 from splatpainter.lights.light_prior import likely_light
 from splatpainter.splats import SH_C0
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import fibonacci_sphere
 
 PRIOR_STD = np.array([0.5] * 3 + [0.25] * 5)

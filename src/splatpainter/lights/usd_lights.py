@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from splatpainter.io import files
 from splatpainter.kernels import portable
 from splatpainter.lights.lamps import PENUMBRA, Rgb, kelvin_color
 from splatpainter.lights.scene_lights import SceneLight, SceneSky
+from splatpainter.system.quick_dataclass import dataclass
 
 MAX_BYTES = 64 << 20
 MAX_DEPTH = 200

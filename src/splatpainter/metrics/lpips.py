@@ -12,13 +12,14 @@ from __future__ import annotations
 
 import functools
 import os
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from splatpainter.metrics.images import checked
+from splatpainter.system.quick_dataclass import dataclass
 
 Net = Literal["alex", "squeeze"]
 VARIABLE = "SPLATPAINTER_PERCEPTUAL"

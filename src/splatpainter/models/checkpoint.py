@@ -27,12 +27,13 @@ import json
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Protocol, TypeVar, overload
 
 from splatpainter.io.files import read_all, writing
 from splatpainter.models.config import MAX_CONFIG_BYTES, ModelConfig
+from splatpainter.system.quick_dataclass import dataclass
 
 if TYPE_CHECKING:
     import numpy as np

@@ -6,7 +6,7 @@ border, so the Gaussians are worked through in runs of whole voxels, and any run
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 
 import numpy as np
@@ -21,6 +21,7 @@ from splatpainter.nn.attention import CrossGroups, Groups
 from splatpainter.nn.layers import CrossAttention, PackedBlock, layer_norm, linear
 from splatpainter.nn.precision import exact
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 GAUSSIANS_PER_CHUNK = 1 << 13
 """Gaussians that are worked on at once without gradients: what they pass from layer to layer stays in the cache

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, ClassVar, Literal, TypeVar
 
 from splatpainter.lift.options import ResidualBase
 from splatpainter.system import jsonio
+from splatpainter.system.quick_dataclass import dataclass
 
 Grouping = Literal["feats_query", "latent_query", "voxel_mean"]
 Mixer = Literal["ttt", "cross_attention", "ridge"]

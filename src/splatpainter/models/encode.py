@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,7 @@ import numpy as np
 from splatpainter.cameras import Camera, look_at
 from splatpainter.models.config import LrmConfig
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.voxels.grid import VoxelGrid, bounding_cube, voxelize
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ canonical views), S links and A features per Gaussian.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.voxels.grid import VoxelGrid
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ Knows no network. W pictures of H x W pixels, T tokens, C channels, p pixels per
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import torch
 from torch import Tensor
@@ -16,6 +16,7 @@ from splatpainter.cameras import Camera
 from splatpainter.models.config import RefineConfig
 from splatpainter.models.gaussian_groups import GaussianGroups
 from splatpainter.models.lrm import AssetViews, nearest_points, patchify, rays, slants
+from splatpainter.system.quick_dataclass import dataclass
 
 MAX_PICTURES = 16
 """Pictures of one edit, at most."""

@@ -5,11 +5,12 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import ClassVar
 
 from splatpainter.models.config import RefineConfig, read_json
 from splatpainter.models.picture_patches import SLOTS
+from splatpainter.system.quick_dataclass import dataclass
 
 PLACE_WIDTH = SLOTS + 1
 """Width of the code of a place."""

@@ -13,7 +13,7 @@ the share that is shown, and the lift's, which views from around have held, for 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 import torch
@@ -28,6 +28,7 @@ from splatpainter.models.local_network import LocalNetwork, Patches, Readers
 from splatpainter.models.picture_patches import PatchReaders, PatchTokens, cosine_basis, picture_regions
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import SH_C0, Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

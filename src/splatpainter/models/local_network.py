@@ -13,7 +13,6 @@ painted. T patches, R Gaussians, D width.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,6 +32,7 @@ from splatpainter.models.picture_patches import (
 )
 from splatpainter.models.refine import AttentionMixer, FastMixer, Memory, RefineBlock, RidgeMixer
 from splatpainter.nn.layers import layer_norm
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

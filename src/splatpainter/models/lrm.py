@@ -11,7 +11,7 @@ its pixel i % p^2, row by row inside the patch.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 import torch
@@ -25,6 +25,7 @@ from splatpainter.nn.attention import Groups
 from splatpainter.nn.layers import PackedBlock, layer_norm, linear
 from splatpainter.nn.precision import exact
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 MAX_VIEWS = 16
 MAX_RAY_OFFSET = 1.8

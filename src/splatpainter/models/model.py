@@ -12,7 +12,7 @@ written into an argument, nothing is remembered between calls. N Gaussians, K la
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -32,6 +32,7 @@ from splatpainter.models.predictor import Predictor
 from splatpainter.models.refine import LATENTS_PER_CHUNK, Refiner, RefineState
 from splatpainter.models.stored_predictor import StoredPredictor
 from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.voxels.grid import VoxelGrid
 
 

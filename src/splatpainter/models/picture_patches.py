@@ -12,7 +12,7 @@ numpy, no torch. T patches, R Gaussians, J = len(lifted.ids).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +21,7 @@ from splatpainter.color import base_color
 from splatpainter.lift.features import HALF_SEEN_PX
 from splatpainter.lift.local.split import projected_sizes
 from splatpainter.rendering.cpu.projected_view import project, tiles_of_mask
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import quat_to_matrix
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ read afterwards, in runs of any size, with the same result. T picture tokens, K 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import torch
 from torch import Tensor, nn
@@ -25,6 +25,7 @@ from splatpainter.nn.fast_weights import FastWeights
 from splatpainter.nn.layers import CrossAttention, SelfAttention, SwiGLU, layer_norm, linear
 from splatpainter.nn.precision import exact
 from splatpainter.nn.ttt import Stream, TTTLayer, start_alike
+from splatpainter.system.quick_dataclass import dataclass
 
 LATENTS_PER_CHUNK = 1 << 12
 """Latents that are worked on at once without gradients: few enough for what they pass through to stay in the caches."""

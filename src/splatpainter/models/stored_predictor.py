@@ -9,7 +9,7 @@ N Gaussians, F features, R of them seen and regressed on. float32, but for the r
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from splatpainter.lift.colors import MIN_SEEN_PX
 from splatpainter.lift.global_edit import Predict
 from splatpainter.models.gaussian_facts import INPUT_CHANNELS, described, evenly_spread, gaussian_facts
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 MAX_WEIGHT_PX = 50.0
 """A huge Gaussian must not outvote a thousand small ones."""

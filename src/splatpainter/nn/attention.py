@@ -10,7 +10,7 @@ are batched through torch's own attention: keys padded by at most 12 %, the padd
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cache
 from itertools import pairwise
 from typing import Any
@@ -19,6 +19,8 @@ import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
+
+from splatpainter.system.quick_dataclass import dataclass
 
 MAX_PADDING_RATIO = 1.12
 """A group is padded to at most this multiple of its length."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -11,6 +11,7 @@ from splatpainter.color import from_hex
 from splatpainter.operations.operation import AS_PYTHON, ReadyOperation, Report, ReportedView, Tools, Wording, parameter
 from splatpainter.operations.painting_options import ViewLimits
 from splatpainter.painter import Asset, Method, Painter
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,13 @@ edits: a refusal need not wait for it."""
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from splatpainter.operations.operation import Operation, Wording, check_operations
 from splatpainter.output_paths import check_target, receipt_of, splat_format
 from splatpainter.splats import Axes
 from splatpainter.system.atomic import clash
+from splatpainter.system.quick_dataclass import dataclass
 
 Worder = Callable[[Operation], Wording]
 """How errors name an operation's options."""

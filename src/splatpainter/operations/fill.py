@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -10,6 +10,7 @@ from splatpainter.operations.operation import AS_PYTHON, ReadyOperation, Report,
 from splatpainter.operations.painting_options import PictureSourceOptions
 from splatpainter.operations.region import Region
 from splatpainter.painter import Asset
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

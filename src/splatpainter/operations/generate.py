@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -21,6 +20,7 @@ from splatpainter.source_edits.view_edit import AnsweredView, SourceBrief
 from splatpainter.sources.picture_source import PictureSource
 from splatpainter.splats import Splats
 from splatpainter.system.plain_words import count
+from splatpainter.system.quick_dataclass import dataclass
 
 USUAL_PX, USUAL_ELEVATION_DEGREES, USUAL_VIEWS = 800, 15.0, 8
 """Side and height of a view that no camera says, and the most views of a plan."""

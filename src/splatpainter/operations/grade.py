@@ -11,7 +11,7 @@ the look and the region leave alone keeps every one.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeAlias, runtime_checkable
 
@@ -30,6 +30,7 @@ from splatpainter.pictures.picture_reader import read_picture
 from splatpainter.receipts import Receipt, untouched_hashes
 from splatpainter.splats import Splats, changed_rows
 from splatpainter.system.jsonio import load_object
+from splatpainter.system.quick_dataclass import dataclass
 
 SLIDERS = (*(entry.name for entry in fields(ColorSliders)), "hue")
 LOOKS = ("look", "lut", "match", "recolor")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -37,6 +37,7 @@ from splatpainter.operations.operation import AS_PYTHON, Operation, ReadyOperati
 from splatpainter.operations.region import Region, check_terms
 from splatpainter.painter import Asset, Painter
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.system.ranges import same_range
 
 SKY_FILES = (".exr", ".hdr")

@@ -19,11 +19,12 @@ import dataclasses
 import importlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import MISSING, dataclass, field
+from dataclasses import MISSING, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 from splatpainter.system import jsonio
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.system.ranges import out_of_range
 
 if TYPE_CHECKING:

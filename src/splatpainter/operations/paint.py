@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -11,6 +10,7 @@ from splatpainter.operations.operation import AS_PYTHON, ReadyOperation, Report,
 from splatpainter.operations.painting_options import GateOptions, PaintingOptions
 from splatpainter.painting.edited_picture import MAX_VIEWS, Mode
 from splatpainter.spread.options import SPREAD_DEFAULTS, SpreadOptions
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.system.ranges import same_range
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ here once; an operation that means something else by one declares it again, with
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ from splatpainter.nn.precision import Precision
 from splatpainter.operations.operation import Operation, Tools, Wording, parameter
 from splatpainter.painting.edited_picture import Method, Mode
 from splatpainter.sources.picture_source import MAX_PROMPT_CHARACTERS
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.system.ranges import same_range
 
 if TYPE_CHECKING:

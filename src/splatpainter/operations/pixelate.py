@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -32,6 +32,7 @@ from splatpainter.painter import Asset
 from splatpainter.receipts import Pixelation, Receipt, untouched_hashes
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import ATTRIBUTES, Splats, changed_rows
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import matrix_to_quat, principal_axes, quat_to_matrix
 from splatpainter.voxels.neighbours import nearest_within
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Literal
 
 from splatpainter.operations.operation import AS_PYTHON, ReadyOperation, Report, ReportedView, Tools, Wording, parameter
 from splatpainter.operations.painting_options import PictureSourceOptions
 from splatpainter.painter import MAX_VIEWS, Asset, Painter
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +38,7 @@ from splatpainter.operations.session_files import Weigh, session_files
 from splatpainter.pictures.edit_files import camera_from
 from splatpainter.pictures.picture_reader import read_mask, resample
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 MAX_TERMS = 64
 TERM_BREAK = re.compile(r"\s+(?=or\s|(?:not:)?\w+=)|(?<=\bor)\s+")

@@ -5,9 +5,10 @@ imported."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
+
+from splatpainter.system.quick_dataclass import dataclass
 
 if TYPE_CHECKING:
     import numpy as np

@@ -14,7 +14,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +34,7 @@ from splatpainter.output_paths import placed, receipt_of
 from splatpainter.painter import Asset
 from splatpainter.receipts import Receipt, Verification, prove, read_receipt
 from splatpainter.splats import Axes, Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 MODE_OF_SEVERAL, MAX_NOTE = "operations", 2000
 """Mode of a receipt of several operations, and the most characters of its note."""

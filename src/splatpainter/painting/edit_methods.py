@@ -7,7 +7,7 @@ which class.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
@@ -19,6 +19,7 @@ from splatpainter.painting.edited_picture import Edit, Method, Mode
 from splatpainter.painting.networks import Networks, inference
 from splatpainter.receipts import StageClock
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 if TYPE_CHECKING:
     from splatpainter.lift.edit_views import EditView

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Literal
 
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.system.quick_dataclass import dataclass
 
 Mode = Literal["local", "global", "spread"]
 Method = Literal["auto", "ttt", "lift", "fit"]

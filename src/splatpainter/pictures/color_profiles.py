@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
 
 from splatpainter.color import linear_to_srgb, srgb_to_linear
+from splatpainter.system.quick_dataclass import dataclass
 
 Curve: TypeAlias = Callable[[np.ndarray], np.ndarray]
 """Stored value 0..1 -> light."""

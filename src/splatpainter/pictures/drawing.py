@@ -10,11 +10,12 @@ in pixels, pixel centres at +0.5. Pure: what is random is drawn by the caller or
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from splatpainter.system.quick_dataclass import dataclass
 
 if TYPE_CHECKING:
     from PIL.ImageFont import FreeTypeFont, ImageFont

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,6 +30,7 @@ from splatpainter.pictures.picture_reader import (
 )
 from splatpainter.pictures.view_search import MAX_ASPECT_ERROR, lost_camera
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 if TYPE_CHECKING:
     from splatpainter.rendering.cpu.recent_views import DrawnView

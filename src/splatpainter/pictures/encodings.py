@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -22,6 +22,7 @@ from splatpainter.lift.masks import (
     exact_share,
     largest_channel,
 )
+from splatpainter.system.quick_dataclass import dataclass
 
 if TYPE_CHECKING:
     from PIL.Image import Image as PillowImage

@@ -6,13 +6,13 @@ render and from the small one enlarged. Pure.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.lift.masks import change_mask, changed_throughout, dilated, largest_channel
 from splatpainter.pictures.picture_reader import Kernel, resample
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ import math
 import os
 import struct
 import zlib
-from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
@@ -20,6 +19,7 @@ import numpy as np
 from splatpainter.image_files import MAX_PICTURE_PIXELS
 from splatpainter.io.bounded import zip_directory
 from splatpainter.pictures.color_profiles import PNG_MAGIC
+from splatpainter.system.quick_dataclass import dataclass
 
 PSD_MAGIC, ZIP_MAGIC = b"8BPS", b"PK\x03\x04"
 MERGED = "mergedimage.png"

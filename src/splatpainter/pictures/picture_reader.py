@@ -11,7 +11,7 @@ import tempfile
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -47,6 +47,7 @@ from splatpainter.pictures.layered_files import (
     psd_size,
     read_psd,
 )
+from splatpainter.system.quick_dataclass import dataclass
 
 if TYPE_CHECKING:
     from PIL.Image import Image

@@ -8,7 +8,7 @@ looked like are compared with the picture's. Pictures are display sRGB 0..1.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.image_files import CAMERA_KEYWORD, exr_text, find_camera, is_exr
 from splatpainter.pictures.picture_reader import MAX_PICTURE_PIXELS, Picture, declared_size, read_picture, resample
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ the specification). numpy in, numpy out, without importing torch; torch in, torc
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Generic, Literal, cast
 
 import numpy as np
@@ -16,6 +16,7 @@ from splatpainter.array_types import ArrayT, Floats, FloatsOrTensor
 from splatpainter.cameras import Camera
 from splatpainter.rendering.profiles import PROFILES, Profile
 from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 Backend = Literal["auto", "cpu", "cuda", "reference"]
 BACKENDS = ("auto", "cpu", "cuda", "reference")

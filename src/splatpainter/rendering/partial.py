@@ -5,7 +5,7 @@ Tiles are independent of each other, so a tile has the same bits whichever fresh
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +14,7 @@ from splatpainter.array_types import Bools, Floats
 from splatpainter.cameras import Camera
 from splatpainter.rendering import check_views
 from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 if TYPE_CHECKING:
     from splatpainter.rendering.cpu.projected_view import ProjectedView

@@ -13,7 +13,7 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,7 @@ from splatpainter.scene.placement import Placement, check_near, scene_offset
 from splatpainter.scene.seam import SeamMatch, match_seam
 from splatpainter.splats import Splats, changed_rows
 from splatpainter.system.atomic import brief_name
+from splatpainter.system.quick_dataclass import dataclass
 
 MODE = "merge"
 """Mode of receipts of merged assets."""

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.io.positions import Offset, is_coarse, offset_of, relative, steps_in_sizes
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import quat_to_matrix, sh_rotations, snapped
 
 

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -27,6 +27,7 @@ import numpy as np
 from splatpainter.color import base_color, linear_to_srgb, srgb_to_linear, to_light
 from splatpainter.grading.color_grading import apply_to_sh
 from splatpainter.splats import ColorSpace, Splats
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.voxels.neighbours import nearest_within
 
 LIGHT = "light"

@@ -21,7 +21,6 @@ them.
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,6 +28,7 @@ from splatpainter.color import base_color, sh_from_color
 from splatpainter.kernels.parallel import each
 from splatpainter.kernels.rows import take
 from splatpainter.splats import SH_COUNTS, Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 MAGIC = 0x53504C44
 FORMAT = 1

@@ -6,7 +6,6 @@ import socket
 import sys
 import threading
 import webbrowser
-from dataclasses import dataclass
 from pathlib import Path
 
 import uvicorn
@@ -20,6 +19,7 @@ from splatpainter.server.uploads.storage import PROJECT, Projects, demo, usable_
 from splatpainter.session import Session
 from splatpainter.splats import Axes, Splats
 from splatpainter.system.old_names import formerly
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.system.user_folders import projects_folder
 
 DEFAULT_PORT = 8750

@@ -11,7 +11,6 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import Callable, Coroutine, MutableMapping
-from dataclasses import dataclass
 from typing import Any
 
 import h11
@@ -21,6 +20,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from splatpainter.server.protocol import MAX_VIEW_PIXELS
+from splatpainter.system.quick_dataclass import dataclass
 
 MAX_COMMAND_BYTES = 1 << 18
 """Most bytes of a command as JSON; all but `paint.dab` fit easily."""

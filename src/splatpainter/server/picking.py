@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.rendering.pixel_shares import before_black
 from splatpainter.session.replay.conflicts import PREDICTED, SEEN
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 OVERLAY_OPACITY = 0.65
 """Opacity of the coverage over the view."""

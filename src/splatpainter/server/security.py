@@ -12,10 +12,12 @@ import ipaddress
 import re
 import secrets
 from collections.abc import MutableMapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qsl, quote, urlencode
+
+from splatpainter.system.quick_dataclass import dataclass
 
 COOKIE = "splatpainter"
 """Beginning of the cookie's name, before the port: a browser gives a cookie to every port of a host."""

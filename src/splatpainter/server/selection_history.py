@@ -8,8 +8,10 @@ takes back the step, and redo forward. Nothing of it is kept in the project.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
+
+from splatpainter.system.quick_dataclass import dataclass
 
 MAX_BYTES = 64 << 20
 """Most bytes of remembered selections: the oldest are forgotten first."""

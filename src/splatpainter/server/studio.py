@@ -11,7 +11,7 @@ import secrets
 import threading
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +39,7 @@ from splatpainter.session import Session
 from splatpainter.session.document.layer_factory import thumbnail
 from splatpainter.session.project.scratch import ScratchFolder, sweep_folder, sweep_scratch
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.system.user_folders import projects_folder
 
 MAX_EARLIER = 3

@@ -6,7 +6,7 @@ what one of its layers paints; and adjustment layers, which `splatpainter grade`
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,7 @@ from splatpainter.session.document.document import Layer
 from splatpainter.session.kinds.look_layers import LookLayer
 from splatpainter.session.project.asset_files import read_layer
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 SAME_ASSET_SHARE = 0.1
 """Share of an asset's extent by which the median Gaussian may lie elsewhere than in the original of a project."""

@@ -8,7 +8,7 @@ Sessions stand above operations, which know this kind by its dotted name alone (
 from __future__ import annotations
 
 import tempfile
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -18,6 +18,7 @@ from splatpainter.receipts import Receipt
 from splatpainter.session.document.document import Layer, Policy
 from splatpainter.session.session import Session
 from splatpainter.splats import Splats, changed_rows
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

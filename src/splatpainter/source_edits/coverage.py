@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +17,7 @@ import numpy as np
 from splatpainter.cameras import AUTO_UP, FRAME_MARGIN, UPS, Camera, bounding_sphere, spherical_cameras
 from splatpainter.lift.masks import box_mean, dilated
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 CANDIDATE_VIEWS = 40
 """Views among which a plan chooses, evenly over all directions."""

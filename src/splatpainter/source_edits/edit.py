@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -29,6 +29,7 @@ from splatpainter.sources.picture_source import (
     SourceCancelled,
 )
 from splatpainter.splats import Splats, changed_rows
+from splatpainter.system.quick_dataclass import dataclass
 
 BACKGROUND = (0.25, 0.25, 0.25)
 """Behind the asset in the views that a source gets, in the asset's colour space."""

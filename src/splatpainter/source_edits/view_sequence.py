@@ -4,7 +4,6 @@ reached. Knows not who paints, nor on what: an asset, or layers of a session."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from splatpainter.source_edits.coverage import SurfaceView, ViewPlan, ViewShare,
 from splatpainter.source_edits.view_edit import AnsweredView, SourceBrief, ask_for_edit
 from splatpainter.sources.picture_source import CancelFlag, PictureSource, Progress, SourceCancelled, SourceError
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 if TYPE_CHECKING:
     from splatpainter.surface.estimate import Surface

@@ -10,12 +10,13 @@ judge its answer: `gatekeeper/gatekeeper.py` registers the picture, corrects its
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Protocol, TypeAlias
 
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.system.quick_dataclass import dataclass
 
 Progress: TypeAlias = Callable[[float, str], None]
 """Share done, 0..1, and a few words on what is being done."""

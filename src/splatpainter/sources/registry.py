@@ -14,7 +14,7 @@ import importlib
 import importlib.metadata
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from splatpainter.sources.picture_source import (
     check_request,
 )
 from splatpainter.sources.source_options import SourceDescription, parse_options
+from splatpainter.system.quick_dataclass import dataclass
 
 ENTRY_POINTS = "splatpainter.sources"
 """Group by which other distributions add sources: name = module:factory, factory(options) -> PictureSource."""

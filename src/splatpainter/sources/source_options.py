@@ -17,11 +17,12 @@ import math
 import os
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, dataclass
+from dataclasses import MISSING
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
 
 from splatpainter.sources.picture_source import Capabilities, SourceError, describe
+from splatpainter.system.quick_dataclass import dataclass
 
 MAX_OPTION_CHARACTERS = 10_000
 """Most characters of one value."""

@@ -12,13 +12,14 @@ Sums are taken in a fixed order in float64, so the solution has the same bits fo
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
 from splatpainter.array_types import Bools, Floats
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
+from splatpainter.system.quick_dataclass import dataclass
 
 FEATURES = 192
 """Random Fourier features."""

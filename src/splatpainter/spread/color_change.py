@@ -8,7 +8,7 @@ flat, a tint keeps hues apart, paint on an evenly lit spot keeps the shade that 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from splatpainter.color import (
 from splatpainter.kernels import portable
 from splatpainter.lift.colors import MAX_COLOR
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

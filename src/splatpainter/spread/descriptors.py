@@ -7,7 +7,7 @@ as it is. M Gaussians that can be drawn.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from splatpainter.array_types import Floats, Ids
 from splatpainter.color import base_color, oklab, to_display
 from splatpainter.splats import Splats
 from splatpainter.spread.nearest_neighbours import neighbours, weighted_means
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

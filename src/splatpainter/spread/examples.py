@@ -5,7 +5,7 @@ where the material does, or in the middle of it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from splatpainter.lift.masks import box_mean, dilated
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import Splats
 from splatpainter.spread.descriptors import UNITS
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -6,14 +6,13 @@ depends on the number of threads.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from splatpainter.array_types import Floats, Ids
 from splatpainter.kernels.arrays import readonly
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

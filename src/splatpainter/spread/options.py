@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.system.ranges import out_of_range, ranged
 
 

@@ -13,7 +13,7 @@ what is reached. N Gaussians of the asset, M of them drawable.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from splatpainter.spread.descriptors import DESCRIPTOR_CHANNELS, Descriptors
 from splatpainter.spread.examples import Examples
 from splatpainter.spread.nearest_neighbours import smoothed
 from splatpainter.spread.options import SPREAD_DEFAULTS, SpreadOptions
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ Nothing depends on the order of samples or on the number of threads: every query
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 
 import numpy as np
@@ -26,6 +26,7 @@ from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
 from splatpainter.splats import Splats
 from splatpainter.surface.surface_samples import SCALES, SurfaceSamples
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ Such meshes have as many triangles on a plane as on a curl. Decimated (edges col
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from splatpainter.array_types import Floats, Ids
 from splatpainter.color import base_color
 from splatpainter.extras import require
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import quat_to_matrix
 
 

@@ -13,7 +13,7 @@ So nothing steps through a thin wall, or across a gap in depth (native/surface/u
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from splatpainter.array_types import Bools, Floats, Ids
 from splatpainter.kernels import portable
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
+from splatpainter.system.quick_dataclass import dataclass
 
 MIN_DISTANCE = 0.7
 """Least distance between samples, in spacings."""

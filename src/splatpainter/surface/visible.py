@@ -5,7 +5,7 @@ Knows the asset's surface and one projected view; no picture and no paint.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import field, fields
 from functools import cached_property
 
 import numpy as np
@@ -19,6 +19,7 @@ from splatpainter.kernels.parallel import run
 from splatpainter.rendering.cpu.projected_view import ProjectedView
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface, SurfacePoints
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import row_norm
 
 

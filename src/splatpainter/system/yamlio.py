@@ -11,11 +11,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any, TypeVar
 
 from splatpainter.system import jsonio
+from splatpainter.system.quick_dataclass import dataclass
 
 MAX_YAML_BYTES = 1 << 20
 """Most bytes of a file."""

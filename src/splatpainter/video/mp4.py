@@ -9,8 +9,9 @@ Browsers, VLC, ffmpeg and current systems play AV1; programs from before about 2
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
 from fractions import Fraction
+
+from splatpainter.system.quick_dataclass import dataclass
 
 MATRIX = struct.pack(">9I", 0x10000, 0, 0, 0, 0x10000, 0, 0, 0, 0x40000000)
 """Identity, in 16.16 and 2.30 fixed point."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Literal, get_args
@@ -19,6 +19,7 @@ from splatpainter.pictures.picture_reader import unpremultiplied
 from splatpainter.rendering import render
 from splatpainter.rendering.profiles import Profile
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.video.mp4 import CodedFrames, avif_samples, mp4
 
 TurntableFormat = Literal["mp4", "webp"]

@@ -21,12 +21,13 @@ hit nothing or more than 3 voxels behind it / more than 4 in front of it / neith
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 import numpy as np
 
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 RESOLUTION = 128
 """Voxels along an edge, unless said."""

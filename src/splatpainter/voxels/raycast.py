@@ -8,7 +8,6 @@ lift's business, this keeps its candidates few.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from splatpainter.cameras import Camera
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.voxels import footprints
 from splatpainter.voxels.grid import RESOLUTION, VoxelGrid, bounding_cube
 

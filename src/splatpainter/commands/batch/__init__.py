@@ -9,7 +9,6 @@ import shutil
 import threading
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,6 +16,7 @@ from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
 from splatpainter.commands.parts.terminal import count, progress
+from splatpainter.system.quick_dataclass import dataclass
 
 if TYPE_CHECKING:
     from splatpainter.batch.cluster import Results

@@ -15,7 +15,7 @@ import json
 import secrets
 import shutil
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,6 +40,7 @@ from splatpainter.session.project.lock import ProjectLock
 from splatpainter.splats import Axes, Splats
 from splatpainter.system.atomic import replace as replace_file
 from splatpainter.system.atomic import sync_folder, write_text
+from splatpainter.system.quick_dataclass import dataclass
 
 if TYPE_CHECKING:
     pass

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from splatpainter.image_files import to_uint8
+from splatpainter.system.quick_dataclass import dataclass
 
 PAPER, INK, CAPTION_COLOR = (246, 244, 239), (38, 42, 46), (120, 122, 122)
 CROP = (0.0, 0.14, 1.0, 0.94)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -16,6 +16,7 @@ from splatpainter.commands.parts.option_parsing import AssetFile, AxesOption, In
 from splatpainter.commands.parts.terminal import SourceBar, complain, count, decibels, seconds, stages, warn
 from splatpainter.operations.file_options import FileOptions, Worder, check_to_file
 from splatpainter.operations.operation import Operation, Report, ReportedView, Tools, Wording
+from splatpainter.system.quick_dataclass import dataclass
 
 if TYPE_CHECKING:
     from splatpainter.operations.to_file import ProvedFile

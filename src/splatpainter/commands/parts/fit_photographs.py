@@ -3,7 +3,7 @@ where the first Gaussians of a fit to pictures are."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ from splatpainter.io.positions import NO_OFFSET, Offset, float32_step
 from splatpainter.pictures.edit_files import has_aspect
 from splatpainter.pictures.picture_reader import Picture, read_picture
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 BACKGROUNDS = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
 """Colours that stand in turn behind rendered views and transparent pictures: over one colour alone, Gaussians of that

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -19,6 +19,7 @@ from splatpainter.io.folders import iterations
 from splatpainter.io.formats.sog_container import META
 from splatpainter.io.positions import NO_OFFSET, Offset
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 FOV = 40.0
 """Degrees, of rendered views."""

@@ -15,7 +15,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +27,7 @@ from splatpainter.io.formats.ply_container import Element, Header, element_size,
 from splatpainter.io.formats.reuse import differs, drawable_rows, row_problems, unchanged
 from splatpainter.kernels.parallel import each
 from splatpainter.splats import ATTRIBUTES, Source, Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 GAUSSIANS_PER_CHUNK = 256
 PACKED_ROWS = 64 * GAUSSIANS_PER_CHUNK

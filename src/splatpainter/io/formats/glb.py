@@ -31,7 +31,7 @@ from __future__ import annotations
 
 import copy
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +45,7 @@ from splatpainter.io.formats import activations, gltf, gltf_spz
 from splatpainter.io.formats.reuse import Unchanged, drawable_rows, row_problems, unchanged
 from splatpainter.splats import ATTRIBUTES, SH_C0, Source, Splats
 from splatpainter.system.jsonio import brief
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import row_norm
 
 EXTENSION = "KHR_gaussian_splatting"

@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ import numpy as np
 from splatpainter.io import files
 from splatpainter.system import jsonio
 from splatpainter.system.jsonio import brief, objects_at
+from splatpainter.system.quick_dataclass import dataclass
 
 MAGIC = b"glTF"
 JSON_CHUNK, BIN_CHUNK = 0x4E4F534A, 0x004E4942

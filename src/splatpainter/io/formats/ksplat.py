@@ -13,7 +13,7 @@ Rows come in the file's order: full buckets, then partly filled ones, section af
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,7 @@ from splatpainter.io import files
 from splatpainter.io.formats import activations
 from splatpainter.io.formats.reuse import row_problems
 from splatpainter.splats import Source, Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 HEADER, SECTION = 4096, 1024
 MAX_DEGREE = 3

@@ -18,7 +18,7 @@ import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -38,6 +38,7 @@ from splatpainter.io.formats.ply_container import (
 )
 from splatpainter.io.formats.reuse import differs, row_problems
 from splatpainter.splats import SH_COUNTS, ColorSpace, Source, Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 DEGREES = {3 * (count - 1): degree for count, degree in SH_COUNTS.items()}
 """Number of f_rest_* properties -> SH degree."""

@@ -12,7 +12,6 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Protocol
 
@@ -20,6 +19,7 @@ import numpy as np
 
 from splatpainter.array_types import Floats, Ids
 from splatpainter.io.files import MAX_HEADER_BYTES, printable
+from splatpainter.system.quick_dataclass import dataclass
 
 TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),

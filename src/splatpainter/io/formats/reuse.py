@@ -8,12 +8,13 @@ bit for bit, the value that was decoded from those bytes.
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from splatpainter.array_types import Ids
 from splatpainter.splats import ATTRIBUTES, MAX_MAGNITUDE, Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

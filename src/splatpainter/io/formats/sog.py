@@ -37,7 +37,7 @@ from __future__ import annotations
 import copy
 import json
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +51,7 @@ from splatpainter.io.formats.sog_container import META, Container, load, named_f
 from splatpainter.splats import SH_C0, SH_COUNTS, Source, Splats
 from splatpainter.system import jsonio
 from splatpainter.system.jsonio import brief, integer, object_at
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import row_norm
 
 BANDS = {1: 3, 2: 8, 3: 15}

@@ -14,7 +14,6 @@ import re
 import struct
 import zipfile
 import zlib
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from splatpainter.io import files
 from splatpainter.io.bounded import allow, inflate, zip_directory
 from splatpainter.system import jsonio
 from splatpainter.system.jsonio import brief
+from splatpainter.system.quick_dataclass import dataclass
 
 META = "meta.json"
 LOD_META = "lod-meta.json"

@@ -11,7 +11,7 @@ Writing over a .splat source copies the bytes of every value that did not change
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,7 @@ from splatpainter.io import files
 from splatpainter.io.formats import activations
 from splatpainter.io.formats.reuse import row_problems, unchanged
 from splatpainter.splats import Source, Splats
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import row_norm
 
 ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgb", "u1", 3), ("alpha", "u1"), ("quats", "u1", 4)])

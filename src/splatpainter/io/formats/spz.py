@@ -28,7 +28,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +41,7 @@ from splatpainter.io.formats import activations
 from splatpainter.io.formats.reuse import Unchanged, drawable_rows, row_problems, unchanged
 from splatpainter.kernels.parallel import each
 from splatpainter.splats import Axes, Source, Splats
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import row_norm
 
 MAGIC = b"NGSP"

@@ -9,7 +9,6 @@ them. Spawned on an unpainted surface the same Gaussians are crisp in the edited
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from splatpainter.lift.depth_normals import VISIBLE_NORMALS, surface, surface_no
 from splatpainter.lift.masks import box_mean, dilated
 from splatpainter.rendering.cpu.projected_view import ProjectedView
 from splatpainter.splats import MAX_MAGNITUDE, Splats
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import matrix_to_quat, principal_axes, turned
 
 

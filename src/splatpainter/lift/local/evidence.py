@@ -6,11 +6,10 @@ the other sides a Gaussian shows what this view hides of it, so how far the view
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from splatpainter.rendering.cpu.projected_view import ProjectedView
+from splatpainter.system.quick_dataclass import dataclass
 
 HOLD_PER_PIXEL = 0.1
 """Pull of a Gaussian's old colour, per hidden pixel of it and squared doubt. Two close-ups of 4x zoom of four training

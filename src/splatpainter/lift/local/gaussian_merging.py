@@ -8,7 +8,7 @@ as thick as the fog was. Greedy merging of mixtures by the bound of Runnalls (20
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from splatpainter.kernels import portable
 from splatpainter.kernels.library import kernels
 from splatpainter.rendering.profiles import EPS2D, MIN_ALPHA
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import matrix_to_quat, principal_axes, quat_to_matrix, turned
 
 

@@ -5,7 +5,7 @@ Works on the tiles and Gaussians that the edit reaches, so a brush dab costs mil
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from splatpainter.lift.local.split import Lattice, projected_sizes
 from splatpainter.lift.options import LOCAL_DEFAULTS, LocalOptions
 from splatpainter.rendering.cpu.projected_view import Backprojection, MaskSums, ProjectedView, project, tiles_of_mask
 from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import row_max
 
 MIN_VISIBLE_SHARE = 0.05

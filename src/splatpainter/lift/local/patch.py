@@ -6,7 +6,7 @@ Gaussian that straddles the mask's edge is held by its full footprint, not paint
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from splatpainter.lift.masks import dilated
 from splatpainter.lift.options import LocalOptions
 from splatpainter.rendering.cpu.projected_view import TILE, ProjectedView, project
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import row_max
 
 MIN_PIXEL_SHARE = 0.004

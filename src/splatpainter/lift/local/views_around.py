@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from splatpainter.lift.edit_views import EditView
 from splatpainter.lift.warping import ViewedChange, shrunk
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import fibonacci_sphere
 
 

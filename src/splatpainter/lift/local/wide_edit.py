@@ -24,7 +24,7 @@ and the edit as views around see it (see there) 21.7 / 22.9.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -38,6 +38,7 @@ from splatpainter.lift.masks import box_mean
 from splatpainter.lift.options import LocalOptions
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.splats import Splats, changed_rows
+from splatpainter.system.quick_dataclass import dataclass
 
 GEOMETRY = ("means", "scales", "quats", "opacities")
 

@@ -6,7 +6,7 @@ nearest covered pixel goes on there for a pixel or two.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from splatpainter.cameras import Camera
 from splatpainter.lift.masks import dilated
 from splatpainter.lift.nearest import nearest_pixels
 from splatpainter.surface.visible import PixelSurface, VisibleSurface
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

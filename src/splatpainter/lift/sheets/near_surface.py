@@ -6,7 +6,7 @@ asks for its rotation only where its longest axis leaves a doubt.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from splatpainter.lift.nearest import nearest_pixels
 from splatpainter.lift.sheets.fringe import FringedSurface
 from splatpainter.splats import Splats
 from splatpainter.surface.visible import PixelSurface, VisibleSurface
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ painted = paint_view(splats, surface, camera, edited, mask, options, allowed)
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from splatpainter.rendering.cpu.recent_views import recent_view
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import SightEstimates, visible_surface
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

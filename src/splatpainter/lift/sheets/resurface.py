@@ -9,7 +9,7 @@ surface at a distance, behind it, or beside it stays.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from splatpainter.rendering.cpu.geometry import TILE
 from splatpainter.rendering.cpu.projected_view import MaskSums, ProjectedView, project, tiles_of_mask
 from splatpainter.splats import ATTRIBUTES, Splats, float_bits
 from splatpainter.surface.visible import VisibleSurface, depths_along
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import quat_to_matrix, row_max, row_norm
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from splatpainter.cameras import Camera
 from splatpainter.kernels import portable
 from splatpainter.lift.sheets.fringe import FringedSurface
 from splatpainter.surface.visible import PixelSurface, VisibleSurface
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import matrix_to_quat, row_norm, turned
 
 

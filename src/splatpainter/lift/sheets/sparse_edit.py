@@ -6,12 +6,13 @@ travels from step to step.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
 from splatpainter.array_types import Ids
 from splatpainter.splats import ATTRIBUTES, Splats, float_bits
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

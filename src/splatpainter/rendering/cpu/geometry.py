@@ -6,12 +6,11 @@ EWA splatting (Zwicker et al. 2001) as in Kerbl et al. 2023: cov2d = (J W R S)(J
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.rendering.profiles import JACOBIAN_MARGIN
+from splatpainter.system.quick_dataclass import dataclass
 
 TILE = 16
 """Tile side, pixels."""

@@ -8,7 +8,7 @@ of the splats. `values[view.gaussian_ids]` goes from the N Gaussians to these, `
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from splatpainter.rendering.cpu.geometry import (
 )
 from splatpainter.rendering.profiles import Profile
 from splatpainter.splats import ATTRIBUTES, MAX_MAGNITUDE, Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 MIN_PRESELECTED = 1 << 16
 """Gaussians from which on a first pass finds those that may touch the drawn tiles, where not all tiles are."""

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import weakref
 from collections import deque
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from splatpainter.cameras import Camera
 from splatpainter.rendering import check_views
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 MAX_RECENT = 8
 """Views that are looked through."""

@@ -9,8 +9,6 @@ threads.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from splatpainter.array_types import Bools, Ids
@@ -19,6 +17,7 @@ from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
 from splatpainter.rendering.cpu.geometry import EXTENT_X, EXTENT_Y, MEAN_X, MEAN_Y, SUMS, TILE
 from splatpainter.rendering.cpu.projected_view import ProjectedView
+from splatpainter.system.quick_dataclass import dataclass
 
 MAX_CACHED_BLOCKS = 1 << 20
 """64 MiB in float32. A Gaussian of 1 px touches about 4 blocks, one of 4 px about 30."""

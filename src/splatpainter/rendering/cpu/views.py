@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -13,6 +12,7 @@ from splatpainter.kernels.parallel import each, threads
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.rendering.profiles import Profile
 from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 Result = TypeVar("Result")
 

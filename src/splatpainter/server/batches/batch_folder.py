@@ -10,13 +10,14 @@ import json
 import os
 import re
 import shutil
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
 from splatpainter.batch.plan import JobList, read_jobs
 from splatpainter.splats import Axes
 from splatpainter.system.atomic import windows_refuses
+from splatpainter.system.quick_dataclass import dataclass
 
 JOBS, PROJECT, PREVIEW = "batch.yaml", "project.splatproj", "preview.json"
 """Files of the folder."""

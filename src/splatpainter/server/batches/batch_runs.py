@@ -14,7 +14,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import IO, Any, Literal
 
@@ -22,6 +22,7 @@ from splatpainter.batch.plan import Job, JobList
 from splatpainter.server.batches.batch_folder import JOBS
 from splatpainter.sources.backends.command import last_line
 from splatpainter.system import processes
+from splatpainter.system.quick_dataclass import dataclass
 
 BatchState = Literal["planned", "running", "cancelling", "done", "cancelled"]
 JobState = Literal["queued", "running", "done", "failed", "cancelled"]

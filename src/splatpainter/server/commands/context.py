@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -27,6 +26,7 @@ from splatpainter.server.protocol import Answer, Command, LayerMade
 from splatpainter.server.studio import Studio
 from splatpainter.server.work_queue import Lane, Ticket
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 Run = Callable[["CommandContext", Any], Answer]
 Function = TypeVar("Function", bound=Callable[..., Answer])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -32,6 +31,7 @@ from splatpainter.server.commands.context import (
 from splatpainter.server.protocol import MAX_VIEW_PIXELS, Answer, Blob, CameraInfo, Command, Message, Unit
 from splatpainter.server.uploads import image_registration as registration
 from splatpainter.server.uploads.storage import StoredBlob
+from splatpainter.system.quick_dataclass import dataclass
 
 MAX_CROP_CANDIDATES = 8
 """Latest exported views that a picture without a camera may be a part of."""

@@ -8,7 +8,7 @@ edit from `picture()`.
 from __future__ import annotations
 
 import weakref
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from splatpainter.rendering.cpu.sirt import sirt_steps
 from splatpainter.session import Session
 from splatpainter.splats import Splats
 from splatpainter.system.jsonio import brief
+from splatpainter.system.quick_dataclass import dataclass
 
 SIRT_STEPS = 3
 """Per dab; the next dab beside it continues them."""

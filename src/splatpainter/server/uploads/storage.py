@@ -17,7 +17,7 @@ import tempfile
 import threading
 import time
 from collections import OrderedDict
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 
 from splatpainter import demo_asset
@@ -30,6 +30,7 @@ from splatpainter.session.project.scratch import ScratchFolder
 from splatpainter.splats import Splats
 from splatpainter.system.atomic import MAX_NAME_BYTES
 from splatpainter.system.jsonio import brief
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.system.user_folders import PROJECTS_VARIABLE, cache_folder, projects_folder
 
 PROJECT = ".splatproj"

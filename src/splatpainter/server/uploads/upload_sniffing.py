@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import struct
 import warnings
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -17,6 +16,7 @@ from splatpainter.io.formats.ply_container import read_header
 from splatpainter.lights.rig_files import MAX_RIG_BYTES, RIG_SUFFIXES
 from splatpainter.pictures.layered_files import holds_merged, is_psd, psd_size
 from splatpainter.pictures.picture_reader import MAX_PICTURE_PIXELS, PICTURE_KINDS, SIZE_LIMIT, declared_size
+from splatpainter.system.quick_dataclass import dataclass
 
 Kind = Literal["picture", "asset", "project", "layer", "lut", "sky", "rig"]
 CUBE_ENDING = ".cube"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import contextlib
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from splatpainter.session.project.project_file import Project
 from splatpainter.session.selection.selection import Selection
 from splatpainter.splats import Splats
 from splatpainter.system.jsonio import brief
+from splatpainter.system.quick_dataclass import dataclass
 
 SELECTION_FACT = "selection "
 """Beginning of the names of facts that hold selections."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from splatpainter.painter import Method
 from splatpainter.session.document.document import Layer
@@ -19,6 +18,7 @@ from splatpainter.source_edits.edit import source_record
 from splatpainter.source_edits.view_edit import AnsweredView, SourceBrief
 from splatpainter.source_edits.view_sequence import AnsweredViews, edit_views_in_order
 from splatpainter.sources.picture_source import CancelFlag, PictureSource, Progress, SourceCancelled
+from splatpainter.system.quick_dataclass import dataclass
 
 Write = Callable[[Callable[[], Layer]], Layer]
 """Runs a command of the session where such commands run."""

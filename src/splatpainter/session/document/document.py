@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, Literal, get_args
 
@@ -22,6 +22,7 @@ from splatpainter.session.document.layer_view import Blend, View, checked_hash
 from splatpainter.session.document.scene_asset import MAIN_ASSET_ID, SceneAsset
 from splatpainter.session.replay.delta import MAX_REASON
 from splatpainter.system.jsonio import brief
+from splatpainter.system.quick_dataclass import dataclass
 
 Policy = Literal["latest", "first", "blend"]
 MAX_NESTING = 16

@@ -9,13 +9,14 @@ is finer than what it lies on has a mask that is as fine.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Literal, get_args
 
 import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 Rule = Literal["height", "slope", "coverage", "curvature"]
 MIN_SEEN_PX = 0.02

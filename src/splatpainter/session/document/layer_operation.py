@@ -15,7 +15,6 @@ import importlib
 import importlib.metadata
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
 
 import numpy as np
@@ -28,6 +27,7 @@ from splatpainter.session.replay.layer_result import LayerResult
 from splatpainter.splats import Splats
 from splatpainter.system import jsonio
 from splatpainter.system.jsonio import brief
+from splatpainter.system.quick_dataclass import dataclass
 
 if TYPE_CHECKING:
     from splatpainter.painter import Asset, Edit, Method, Mode, Painter

@@ -5,13 +5,13 @@ Pictures and masks are named by the SHA-256 of their PNG bytes; who has the byte
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.image_files import MAX_PICTURE_PIXELS
+from splatpainter.system.quick_dataclass import dataclass
 
 Blend = Literal["normal", "color", "luminosity", "darken", "lighten"]
 """How a layer mixes with what is below it (layer_blending.py)."""

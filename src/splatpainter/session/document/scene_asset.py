@@ -7,7 +7,7 @@ moved; the first asset, which the session was opened with, has the id MAIN_ASSET
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Any
 
 from splatpainter.io import AXES_CHOICES
@@ -16,6 +16,7 @@ from splatpainter.io.positions import NO_OFFSET, Offset
 from splatpainter.scene.placement import Placement
 from splatpainter.splats import MAX_MAGNITUDE, Axes
 from splatpainter.system.jsonio import brief
+from splatpainter.system.quick_dataclass import dataclass
 
 MAIN_ASSET_ID = ""
 """Id of the asset that a session was opened with."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import ClassVar
 
 from splatpainter.lift.masked_gaussians import reached_gaussians
 from splatpainter.session.document.layer_operation import Coverage, LayerOperation, LayerWork
 from splatpainter.session.replay.eraser import erase_delta, fade_delta
 from splatpainter.session.replay.layer_result import LayerResult
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

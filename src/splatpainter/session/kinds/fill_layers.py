@@ -4,7 +4,7 @@ Appends only.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -15,6 +15,7 @@ from splatpainter.session.document.layer_view import Blend
 from splatpainter.session.replay.delta import Delta, between
 from splatpainter.session.replay.layer_result import LayerResult
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 FillWhere = Literal["removed", "around"]
 SELECTED = 0.5

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import ClassVar
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from splatpainter.session.document.layer_operation import Coverage, LayerOperation, LayerWork
 from splatpainter.session.replay.delta import between
 from splatpainter.session.replay.layer_result import LayerResult
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ has by name (layer_blending.ADJUSTMENTS) or as edited pictures of the whole asse
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Any, ClassVar
 
 from splatpainter.grading.color_transfer import TABLE
@@ -16,6 +16,7 @@ from splatpainter.session.kinds.painted_layers import PaintedLayer, views_with_p
 from splatpainter.session.replay.delta import between
 from splatpainter.session.replay.layer_blending import mixed, within
 from splatpainter.session.replay.layer_result import LayerResult
+from splatpainter.system.quick_dataclass import dataclass
 
 
 def look_of(parameters: Mapping[str, Any], selection: str | None = None) -> LookLayer:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import ClassVar
 
 from splatpainter.session.document.layer_operation import LayerOperation
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

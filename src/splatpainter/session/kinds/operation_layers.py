@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -19,6 +19,7 @@ from splatpainter.session.replay.delta import between, without_source
 from splatpainter.session.replay.layer_blending import mix_sh, mixed
 from splatpainter.session.replay.layer_result import LayerResult
 from splatpainter.system.jsonio import brief
+from splatpainter.system.quick_dataclass import dataclass
 
 REGION_OPTIONS = ("where", "around")
 """Options of operations that are regions (operations/region.py)."""

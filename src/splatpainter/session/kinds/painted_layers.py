@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -19,6 +19,7 @@ from splatpainter.session.replay.layer_blending import mixed, within
 from splatpainter.session.replay.layer_result import LayerResult
 from splatpainter.source_edits import view_sequence
 from splatpainter.spread.options import SPREAD_DEFAULTS, SpreadOptions
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.system.ranges import same_range
 
 STROKE_OPTIONS: Mapping[str, Any] = {"fine_px": 0.0}

@@ -4,7 +4,7 @@ what was there: what is to be gone for good is what is exported."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from splatpainter.session.kinds.operation_layers import OperationLayer
 from splatpainter.session.replay.delta import between, without_source
 from splatpainter.session.replay.layer_result import LayerResult
 from splatpainter.system import jsonio
+from splatpainter.system.quick_dataclass import dataclass
 
 EVERYTHING = ("opacity=0..1",)
 """Stands for the region where its options are judged: a layer has a selection in its place."""

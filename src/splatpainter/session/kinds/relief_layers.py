@@ -8,7 +8,7 @@ bit.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -19,6 +19,7 @@ from splatpainter.session.replay.delta import Delta, between
 from splatpainter.session.replay.layer_result import LayerResult
 from splatpainter.splats import Splats
 from splatpainter.system.jsonio import brief
+from splatpainter.system.quick_dataclass import dataclass
 
 MAX_COPIED = 500_000
 """Gaussians of one copy."""

@@ -7,12 +7,13 @@ the best plane is a smallest eigenvector. The same asset has the same plane.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 MAX_POINTS = 700
 """Points that the asset is thinned to, about."""

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from splatpainter.cameras import AUTO_UP, FRAME_MARGIN, UPS, Camera, bounding_sphere, look_at, orbit
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 VIEW_PX = 64
 """Edge, pixels, of the views that are measured."""

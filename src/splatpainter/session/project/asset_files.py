@@ -20,7 +20,7 @@ import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 import numpy as np
@@ -52,6 +52,7 @@ from splatpainter.session.replay import conflicts
 from splatpainter.session.replay.delta import MAX_REASON, PART_BYTES, Delta, decode, encode, without_source
 from splatpainter.splats import Axes, Splats, changed_rows
 from splatpainter.system.atomic import MAX_NAME_BYTES, brief_name
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.view_files import Aov, PictureOptions, view_files
 
 NO_FILE = "rows"

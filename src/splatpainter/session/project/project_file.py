@@ -16,7 +16,7 @@ import threading
 import time
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -41,6 +41,7 @@ from splatpainter.session.replay.delta import decode
 from splatpainter.session.replay.layer_result import LayerResult
 from splatpainter.system.atomic import MAX_NAME_BYTES
 from splatpainter.system.jsonio import brief
+from splatpainter.system.quick_dataclass import dataclass
 
 MAX_STEPS = 1000
 """Steps of the history; older ones are dropped."""

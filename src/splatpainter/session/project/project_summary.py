@@ -5,10 +5,11 @@ from __future__ import annotations
 import base64
 import binascii
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 
 from splatpainter.session.project.project_file import Project
+from splatpainter.system.quick_dataclass import dataclass
 
 PICTURE_FACT = "picture"
 """Name of the fact that holds a small PNG of the asset as it was left, in base64."""

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
 from splatpainter.session.document.document import Document, Layer, Policy
+from splatpainter.system.quick_dataclass import dataclass
 
 ORIGINAL, SEEN, PREDICTED = 0, 1, 2
 """Values of a coverage."""

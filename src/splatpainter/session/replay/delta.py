@@ -10,7 +10,7 @@ import json
 import threading
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,6 +18,7 @@ import numpy as np
 from splatpainter.io.files import printable
 from splatpainter.session.replay.recent_changes import changes
 from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Splats, changed_rows, float_bits
+from splatpainter.system.quick_dataclass import dataclass
 
 PART_BYTES = 1 << 20
 """Bytes before compression of one part of a stored delta: what reading or writing one holds in memory at a time."""

@@ -25,7 +25,7 @@ everything that is reached takes the old look by that share (`fade_delta`), so t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -35,6 +35,7 @@ from splatpainter.rendering.pixel_shares import footprint_mean, share_of
 from splatpainter.session.replay.appearance import fitted_sh, moved_gaussians, picture_of
 from splatpainter.session.replay.delta import Delta, without_source
 from splatpainter.splats import ATTRIBUTES, Splats, changed_rows
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ of one asset alone, as it is, is composed by its own Replay, and is the same bit
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from splatpainter.session.replay.covered_preview import Preview
 from splatpainter.session.replay.layer_blending import AdjustmentFunction
 from splatpainter.session.replay.layer_state import LayerState, Progress, ResultStore
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.system.recent import Recent
 
 PreviewOf = Callable[[Replay, Document, str, Document], Preview | None]

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from splatpainter.session.document.document import Document
 from splatpainter.session.project.project_file import Step
 from splatpainter.session.replay.layer_state import LayerState
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ strokes together, as of one layer (compose.py). Knows no painter and no file.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import lru_cache
 from typing import Any
 
@@ -22,6 +22,7 @@ from splatpainter.session.replay.delta import Delta, changed_values, without_sou
 from splatpainter.session.replay.layer_result import LayerResult
 from splatpainter.session.replay.layer_state import LayerState, ResultStore, ancestors, nbytes
 from splatpainter.splats import ATTRIBUTES
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.system.recent import Recent
 
 CACHED_BYTES = 1 << 27

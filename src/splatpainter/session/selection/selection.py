@@ -11,7 +11,7 @@ Spatial tools (grow, connected, floaters) are in selection_space.py.
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Literal, get_args
 
 import numpy as np
@@ -22,6 +22,7 @@ from splatpainter.image_files import bytes_of_png, bytes_to_png
 from splatpainter.rendering.pixel_shares import MEASURING_OPACITY, before_black, footprint_mean
 from splatpainter.splats import Splats
 from splatpainter.system.jsonio import brief
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.voxels.neighbours import nearest_within
 
 Combine = Literal["replace", "add", "subtract", "intersect"]

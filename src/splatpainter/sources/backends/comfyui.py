@@ -21,7 +21,6 @@ import json
 import os
 import uuid
 from collections.abc import AsyncIterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote, urlencode
@@ -49,6 +48,7 @@ from splatpainter.sources.picture_source import (
     SourceError,
 )
 from splatpainter.sources.source_options import SourceDescription, option
+from splatpainter.system.quick_dataclass import dataclass
 
 KEYS = ("COMFYUI_API_KEY",)
 PREFIX = "splatpainter:"

@@ -15,7 +15,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 from splatpainter.sources.answer_pictures import (
@@ -38,6 +37,7 @@ from splatpainter.sources.picture_source import (
 )
 from splatpainter.sources.source_options import SourceDescription, option
 from splatpainter.system import processes
+from splatpainter.system.quick_dataclass import dataclass
 
 POLL_SECONDS = 0.1
 TAIL_BYTES = 8192

@@ -11,7 +11,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import json
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ from splatpainter.sources.picture_source import (
     SourceError,
 )
 from splatpainter.sources.source_options import SourceDescription, option
+from splatpainter.system.quick_dataclass import dataclass
 
 INDEX = "model_index.json"
 PICKLED_WEIGHTS = ("*.bin", "*.ckpt", "*.pt", "*.pth")

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import base64
 import re
-from dataclasses import dataclass
 from typing import Any
 
 from splatpainter.sources.answer_pictures import image_png, mask_png, read_answer, reference_png
@@ -30,6 +29,7 @@ from splatpainter.sources.picture_source import (
     SourceError,
 )
 from splatpainter.sources.source_options import SourceDescription, option
+from splatpainter.system.quick_dataclass import dataclass
 
 KEYS = ("GEMINI_API_KEY", "GOOGLE_API_KEY")
 MODEL_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,100}")

@@ -6,7 +6,7 @@ binds none of them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,7 @@ from splatpainter.sources.picture_source import (
     SourceError,
 )
 from splatpainter.sources.source_options import SourceDescription, option
+from splatpainter.system.quick_dataclass import dataclass
 
 KEYS = ("OPENAI_API_KEY",)
 OPENAI_URL = "https://api.openai.com/v1"

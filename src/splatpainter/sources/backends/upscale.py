@@ -8,7 +8,6 @@ stays within the colours around each pixel, so that no edge gets a halo.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -27,6 +26,7 @@ from splatpainter.sources.picture_source import (
     SourceError,
 )
 from splatpainter.sources.source_options import SourceDescription, option
+from splatpainter.system.quick_dataclass import dataclass
 
 PICKLES = (".pth", ".pt", ".ckpt", ".bin", ".pkl")
 SCALES = (2, 4)

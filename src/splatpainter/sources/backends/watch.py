@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import re
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 from splatpainter.pictures.saved_pictures import LOOK_SECONDS, SavedPictures
@@ -27,6 +26,7 @@ from splatpainter.sources.picture_source import (
 )
 from splatpainter.sources.source_options import SourceDescription, option
 from splatpainter.system.atomic import writing
+from splatpainter.system.quick_dataclass import dataclass
 
 MAX_VIEWS = 100_000
 """Names view_000 ... that are tried."""
