@@ -87,6 +87,41 @@ def chunks_of(data: bytes) -> list[tuple[bytes, bytes]]:
     return out
 
 
+def png_of_chunks(chunks: list[tuple[bytes, bytes]]) -> bytes:
+    parts = (
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks
+    )
+    return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
+
+
+def test_a_camera_behind_the_pixels_is_found_and_none_is_looked_for_in_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera = look_at([0, 0, 3], [0, 0, 0], width=9, height=8)
+    text = {"splatpainter": camera.to_json()}
+    ahead = chunks_of(encode_png(RNG.integers(0, 255, (8, 9, 3), np.uint8), text))
+    said = next(chunk for chunk in ahead if chunk[0] == b"tEXt")
+    bare = [chunk for chunk in ahead if chunk != said]
+    (tmp_path / "behind.png").write_bytes(png_of_chunks([*bare[:-1], said, bare[-1]]))
+    assert find_camera(tmp_path / "behind.png") == camera
+    (tmp_path / "other.png").write_bytes(png_of_chunks([*bare[:-1], (b"tEXt", b"Author\0me"), bare[-1]]))
+    assert not image_files.has_camera(tmp_path / "other.png")
+    # Cut off behind its pixels: nobody knows what it said, and Pillow does not mind.
+    (tmp_path / "cut.png").write_bytes(png_of_chunks(bare)[:-12])
+    assert not image_files.has_camera(tmp_path / "cut.png")
+
+    def decode(*_: object) -> None:
+        raise AssertionError("decoded")
+
+    (tmp_path / "bare.png").write_bytes(png_of_chunks(bare))
+    monkeypatch.setattr("PIL.ImageFile.ImageFile.load", decode)
+    assert not image_files.has_camera(tmp_path / "bare.png")
+    with pytest.raises(ValueError, match="no camera"):
+        find_camera(tmp_path / "bare.png")
+    with pytest.raises(ValueError, match="decoded"):
+        find_camera(tmp_path / "behind.png")
+
+
 @pytest.mark.parametrize("shape", [(5, 7), (5, 7, 2), (5, 7, 3), (5, 7, 4)])
 def test_eight_bit_png_says_that_it_is_srgb(shape: tuple[int, ...]) -> None:
     """One sRGB chunk ahead of the pixels, which stay as they are; data (depth, masks, ids) are no colours."""

@@ -12,6 +12,8 @@ import importlib.util
 import io
 import json
 import logging
+import os
+import struct
 import tempfile
 import warnings
 from collections.abc import Iterator, Mapping
@@ -32,6 +34,8 @@ logging.getLogger("PIL").addHandler(logging.NullHandler())
 
 EXTRA = "pictures"
 """The extra of the package that brings OpenImageIO."""
+PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
+TEXT_CHUNKS = (b"tEXt", b"zTXt", b"iTXt")
 EXR_MAGIC = b"\x76\x2f\x31\x01"
 READS = ("png", "tiff", "openexr")
 """What OpenImageIO is given to read, of all that it could."""
@@ -411,8 +415,10 @@ def _camera_text(picture: Path, explicit: Path | None) -> tuple[str | None, str]
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # Pillow's remarks about damaged tags
                 with Image.open(picture) as image:
-                    # `text` decodes the picture, to look for chunks behind it: only where none stands ahead.
-                    text = image.info.get(CAMERA_KEYWORD) or getattr(image, "text", {}).get(CAMERA_KEYWORD)
+                    # `text` decodes the picture, to look for chunks behind it: only where some stand there alone.
+                    text = image.info.get(CAMERA_KEYWORD)
+                    if not text and image.format == "PNG" and _may_say_more(picture):
+                        text = getattr(image, "text", {}).get(CAMERA_KEYWORD)
         except UnidentifiedImageError:  # of layers, or of floats: it may have a sidecar
             if not picture.is_file():
                 raise ValueError(f"{picture}: cannot be read as a picture (no regular file)") from None
@@ -423,6 +429,22 @@ def _camera_text(picture: Path, explicit: Path | None) -> tuple[str | None, str]
         return text, f"{picture} ({kind})"
     sidecar = picture.with_suffix(".json")
     return (_read_text(sidecar), str(sidecar)) if sidecar.exists() else (None, "")
+
+
+def _may_say_more(png: Path) -> bool:
+    """Whether chunks of text stand behind a PNG's first pixels; also where the chunks do not end as they should."""
+    has_pixels = False
+    with open(png, "rb") as file:
+        file.seek(len(PNG_MAGIC))
+        while len(head := file.read(8)) == 8:
+            size, kind = struct.unpack(">I4s", head)
+            if kind == b"IEND":
+                return False
+            if has_pixels and kind in TEXT_CHUNKS:
+                return True
+            has_pixels = has_pixels or kind == b"IDAT"
+            file.seek(size + 4, os.SEEK_CUR)
+    return True
 
 
 def _read_text(path: Path) -> str:

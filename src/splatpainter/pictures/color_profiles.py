@@ -16,11 +16,11 @@ from typing import TypeAlias
 import numpy as np
 
 from splatpainter.color import linear_to_srgb, srgb_to_linear
+from splatpainter.image_files import PNG_MAGIC
 from splatpainter.system.quick_dataclass import dataclass
 
 Curve: TypeAlias = Callable[[np.ndarray], np.ndarray]
 """Stored value 0..1 -> light."""
-PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 MAX_CHUNKS = 1024
 """Chunks of a PNG that are looked at ahead of its pixels."""
 SRGB_GAMMA, MAX_GAMMA_ERROR = 45455, 0.01
