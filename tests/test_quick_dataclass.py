@@ -124,8 +124,8 @@ A(x=1.0) != 3
 A(1.0, z=5) == A(1.0, z=6)
 A() == A()
 A() is A()
-hash(A(x=1.0)) == hash(A(x=1.0))
-hash(A()) == hash(A())
+len({A(x=1.0), A(x=1.0)})
+len({A(), A()})
 A.__hash__ is None
 A.__match_args__
 setattr(A(x=1.0), "x", 3)
