@@ -1,5 +1,6 @@
 // Rows of large arrays, gathered, compared and put into records of files: splatpainter/kernels/rows.py.
 #include "kernels.h"
+#include "maths.h"
 
 namespace sp { namespace {
 
@@ -60,9 +61,54 @@ void put_columns(Array2<const u32> values, Array2<const u32> before, Array1<cons
     }
 }
 
+// The nearest byte, of two the even one; NaN is 0. Beside so large a number a sum has no room for fractions.
+template <class F> SP_INLINE u8 byte_of(F value) {
+    constexpr F NO_FRACTIONS = sizeof(F) == 4 ? F(1 << 23) : F(i64(1) << 52);
+    const F positive = value > 0 ? value : F(0), inside = positive < 255 ? positive : F(255);
+    return (u8)(int)((inside + NO_FRACTIONS) - NO_FRACTIONS);
+}
+
+// Records of a .splat file (io/formats/splat.py): 12 bytes of centre, 12 of scales, red, green, blue, opacity, and the
+// four components of the rotation. base: the coefficients of degree 0; y00: their basis function.
+void pack_splat_rows(Rows<const float, 3> means, Rows<const float, 3> scales, Rows<const float, 3> base,
+                     Array1<const float> opacities, Rows<const float, 4> quats, double y00, Rows<u8, 32> records,
+                     i64 thread, i64 threads) {
+    const Share share = share_of(records.shape[0], thread, threads);
+    for (i64 i = share.begin; i < share.end; ++i) {
+        u8* out = records.row(i);
+        __builtin_memcpy(out, means.row(i), 12);
+        __builtin_memcpy(out + 12, scales.row(i), 12);
+        // In registers until all is known: bytes may lie anywhere, so that after each of them all would be read again.
+        const float *dc = base.row(i), *q = quats.row(i);
+        const double a = q[0], b = q[1], c = q[2], d = q[3];
+        const double length = sqrt_of(a * a + b * b + c * c + d * d), divisor = length > 0 ? length : 1;
+        const double turned[4] = {a / divisor, b / divisor, c / divisor, d / divisor};
+        u8 packed[8];
+        for (int k = 0; k < 3; ++k) packed[k] = byte_of((float)(0.5 + y00 * (double)dc[k]) * 255.0f);
+        packed[3] = byte_of(opacities(i) * 255.0f);
+        for (int k = 0; k < 4; ++k) packed[4 + k] = byte_of(turned[k] * 128 + 128);
+        __builtin_memcpy(out + 24, packed, 8);
+    }
+}
+
+// What the bytes of columns `first` on of records stand for.
+void look_up_bytes(Array2<const u8> records, i64 first, Array1<const float> table, Array2<float> out, i64 thread,
+                   i64 threads) {
+    const i64 width = out.shape[1];
+    checked(first, records.shape[1]), checked(first + width - 1, records.shape[1]), checked(255, table.shape[0]);
+    const Share share = share_of(out.shape[0], thread, threads);
+    for (i64 i = share.begin; i < share.end; ++i) {
+        const u8* from = records.row(i) + first;
+        float* to = out.row(i);
+        for (i64 k = 0; k < width; ++k) to[k] = table(from[k]);
+    }
+}
+
 } }  // namespace sp
 
 SP_KERNELS(rows,
+    ONE(pack_splat_rows),
+    ONE(look_up_bytes),
     ONE(take_rows),
     ONE(compare_rows),
     ONE(pick_columns),

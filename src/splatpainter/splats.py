@@ -153,6 +153,9 @@ class Splats(Generic[ArrayT]):
     def drawable(self) -> Bools:
         """[N] bool: Gaussians that can be drawn (every attribute finite and in its range, as said at each above). The
         others are counted by `info` and `render`, keep their bytes, and are drawn by no renderer of this package."""
+        # Of an asset as it was read they were looked for when it was read.
+        if self.source is not None and self.source.splats is not self and self._is_as_read:
+            return self.source.splats.drawable
         arrays = self.numpy()
         ok = np.ones(len(arrays), bool)
         with np.errstate(invalid="ignore"):
@@ -181,9 +184,15 @@ class Splats(Generic[ArrayT]):
     @cached_property
     def sha256(self) -> str:
         """Hash of the file while these are exactly the arrays that were read from it, else of the attributes."""
-        if self.source is not None and all(getattr(self, k) is getattr(self.source.splats, k) for k in ATTRIBUTES):
+        if self.source is not None and self._is_as_read:
             return self.source.sha256
         return rows_sha256(self)
+
+    @property
+    def _is_as_read(self) -> bool:
+        """Whether the arrays are those of `source`, which there is, themselves."""
+        assert self.source is not None
+        return all(getattr(self, k) is getattr(self.source.splats, k) for k in ATTRIBUTES)
 
 
 ATTRIBUTES = ("means", "quats", "scales", "opacities", "sh")

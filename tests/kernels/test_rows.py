@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splatpainter.kernels import rows
-from splatpainter.splats import Splats
+from splatpainter.io.formats.splat import pack
+from splatpainter.kernels import library, rows
+from splatpainter.kernels.parallel import run
+from splatpainter.splats import SH_C0, Splats
 from tests.support.lift_scenes import bits, same_bits
 from tests.support.render_scenes import scene
 
@@ -77,3 +79,43 @@ def test_columns_are_picked_and_put_bit_for_bit(threads: str, monkeypatch: pytes
     rows.put(target, columns, after, before, origin)
     np.testing.assert_array_equal(target, expected)
     assert (target != 2.0).sum() == 3 * np.count_nonzero(origin < 0) + (origin[7] >= 0)
+
+
+@pytest.mark.parametrize("cpu", library.current().cpus)
+@pytest.mark.parametrize("threads", ["1", "2", "3"])
+def test_bytes_of_splat_files_are_numpys(cpu: str, threads: str, monkeypatch: pytest.MonkeyPatch):
+    """Packed as the formulas of the format read in numpy, halves to the even byte, and every byte looked up."""
+    monkeypatch.setenv("SPLATPAINTER_THREADS", threads)
+    splats = asset(3)
+    splats.quats[:] = np.random.default_rng(4).normal(size=(COUNT, 4))
+    # All halves between two bytes, and what is no number.
+    splats.opacities[:] = (np.arange(COUNT) + 0.5).astype(np.float32) / np.float32(255)
+    splats.opacities[:5] = np.nan, np.inf, -np.inf, -0.0, 1e30
+    splats.sh[:9, 0] = np.array([np.nan, np.inf, -np.inf, 3e38, -3e38, 0, -0.0, 1e-45, 1e9], np.float32)[:, None]
+    splats.quats[:4] = [[0, 0, 0, 0], [np.nan, 1, 0, 0], [np.inf, 1, 0, 0], [3e38, -3e38, 3e38, 1]]
+    splats.quats[4:7] = [[1, 0, 0, 0], [-1, 0, 0, 0], [3, 4, 0, -12]]
+
+    def nearest(values: np.ndarray) -> np.ndarray:
+        return np.clip(np.rint(np.nan_to_num(values)), 0, 255).astype(np.uint8)
+
+    with np.errstate(all="ignore"):
+        wide = splats.quats.astype(np.float64)
+        norms = np.sqrt(np.cumsum(wide * wide, axis=1)[:, 3:])
+        colors = (0.5 + SH_C0 * splats.sh[:, 0].astype(np.float64)).astype(np.float32) * np.float32(255)
+        expected = {
+            "means": splats.means,
+            "scales": splats.scales,
+            "rgb": nearest(colors),
+            "alpha": nearest(splats.opacities * np.float32(255)),
+            "quats": nearest(wide / np.where(norms > 0, norms, 1) * 128 + 128),
+        }
+    with library.using(cpu):
+        packed = pack(splats)
+        for name, values in expected.items():
+            np.testing.assert_array_equal(packed[name], values, name)
+        table = np.random.default_rng(5).normal(size=256).astype(np.float32)
+        records = np.random.default_rng(6).integers(0, 256, (COUNT, 9), np.uint8)
+        for first, width in ((0, 9), (4, 3), (8, 1)):
+            out = np.full((COUNT, width), np.nan, np.float32)
+            run(library.current().look_up_bytes, records, first, table, out)
+            np.testing.assert_array_equal(out, table[records[:, first : first + width]])

@@ -18,7 +18,7 @@ from splatpainter.io import FORMATS, read, write
 from splatpainter.io.size_estimate import sample
 from splatpainter.kernels.arrays import readonly
 from splatpainter.kernels.library import kernels
-from splatpainter.kernels.parallel import run, threads
+from splatpainter.kernels.parallel import each, run, threads
 from splatpainter.splats import ATTRIBUTES, SH_C0, Splats
 from splatpainter.system.quick_dataclass import dataclass
 
@@ -49,6 +49,8 @@ class LossThresholds:
 LOSSES = LossThresholds()
 
 
+ERRORS = ("move", "color", "sh", "opacity", "scale", "rotation")
+"""What the kernel measures of each row, in its order."""
 TRIED_FORMATS = ("sog", "spz", "glb", "ply")
 """Formats that are tried when a better one is to be named, the smallest files first."""
 
@@ -174,8 +176,12 @@ def measure(before: Splats, after: Splats) -> Losses:
         return Losses(compared=total)
     with np.errstate(all="ignore"):
         base_cut, rest_cut = (_cut_rows(old, rows, part, span) for part, span in ((0, base), (1, rest)))
-    largest = {name: float(values.max()) for name, values in joined.items()}
-    rms = {name: math.sqrt(float((values * values).sum()) / total) for name, values in joined.items()}
+
+    def reach(values: np.ndarray) -> tuple[float, float]:  # of a million rows every pass counts
+        return float(values.max()), math.sqrt(float((values * values).sum()) / total)
+
+    ends = dict(zip(joined, each(reach, list(joined.values())), strict=True))
+    largest, rms = ({name: end[k] for name, end in ends.items()} for k in (0, 1))
     moves = np.concatenate([joined["move"], np.zeros(total - len(rows))])
     return Losses(
         compared=total,
@@ -208,7 +214,7 @@ def _row_errors(
     of the coefficients beyond them)."""
     count, spans = len(counted), np.full((threads(), 8), np.inf, np.float32)
     spans[:, 1::2] = -np.inf
-    errors, differs = np.empty((count, 6)), np.empty(count, bool)
+    errors, differs = np.empty((6, count)), np.empty(count, bool)
     # Rows relative to other offsets, or of another SH degree, cannot be as they were.
     comparable = old.offset == new.offset and old.sh.shape[1] == new.sh.shape[1]
     pairs: list[np.ndarray] = []
@@ -222,22 +228,24 @@ def _row_errors(
         *pairs, errors, differs, spans,
     )  # fmt: skip
     rows = np.flatnonzero(differs)
-    move, color, energy, opacity, ratio, chord = (errors[rows] if len(rows) < count else errors).T
-    return (
-        rows,
-        {
-            "move": move,
-            "color": SH_C0 * color,
+    joined = dict(zip(ERRORS, errors[:, rows] if len(rows) < count else errors, strict=True))
+
+    def finish(name: str) -> None:
+        values = joined[name]
+        if name == "color":
+            values *= SH_C0
+        elif name == "sh":
             # The mean over the sphere of a squared basis function is 1 / (4 pi), of a product of two of them 0.
-            "sh": np.sqrt(energy / (4 * np.pi)),
-            "opacity": opacity,
-            "scale": np.log(ratio),
+            np.sqrt(np.divide(values, 4 * np.pi, out=values), out=values)
+        elif name == "scale":
+            np.log(values, out=values)
+        elif name == "rotation":
             # Of the chord, as the arc cosine of a number near 1 has no digits left.
-            "rotation": np.degrees(4 * np.arcsin(np.minimum(np.sqrt(chord) / 2, 1))),
-        },
-        _Range.of(spans[:, [0, 1, 4, 5]]),
-        _Range.of(spans[:, [2, 3, 6, 7]]),
-    )
+            np.minimum(np.divide(np.sqrt(values, out=values), 2, out=values), 1, out=values)
+            np.degrees(np.multiply(4, np.arcsin(values, out=values), out=values), out=values)
+
+    each(finish, ("rotation", "scale", "sh", "color"))
+    return rows, joined, _Range.of(spans[:, [0, 1, 4, 5]]), _Range.of(spans[:, [2, 3, 6, 7]])
 
 
 @dataclass

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from splatpainter.kernels.parallel import each
 from splatpainter.splats import SH_C0
 
 BLOCK_VALUES = 1 << 16
@@ -21,10 +22,13 @@ MIN_SCALE = 2.0**-120
 def _blockwise(values: np.ndarray, formula: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
     flat = values.reshape(-1)
     out = np.empty(flat.shape, np.float32)
-    # Overflow to inf and NaN are the right float32 answers for such rows; they are reported, not hidden.
-    with np.errstate(all="ignore"):
-        for start in range(0, flat.size, BLOCK_VALUES):
+
+    def fill(start: int) -> None:
+        # Overflow to inf and NaN are the right float32 answers for such rows; they are reported, not hidden.
+        with np.errstate(all="ignore"):
             out[start : start + BLOCK_VALUES] = formula(flat[start : start + BLOCK_VALUES].astype(np.float64))
+
+    each(fill, range(0, flat.size, BLOCK_VALUES)) if flat.size > BLOCK_VALUES else fill(0)
     return out.reshape(values.shape)
 
 

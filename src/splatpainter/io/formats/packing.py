@@ -17,6 +17,7 @@ import numpy as np
 
 from splatpainter.array_types import Bytes, Floats, Ids
 from splatpainter.io.files import printable
+from splatpainter.kernels.parallel import each
 from splatpainter.transforms import row_norm
 
 MORTON_BITS = 21
@@ -120,18 +121,27 @@ def is_lossy_webp(data: bytes) -> bool:
 
 def decode_image(data: bytes, where: Path | str) -> Bytes:
     """[height, width, 4] uint8 RGBA. The caller has judged `image_size`. Raises ValueError: a damaged image."""
+    return decode_images([(data, where)])[0]
+
+
+def decode_images(images: Sequence[tuple[bytes, Path | str]]) -> list[Bytes]:
+    """The same of several (data, where), by all threads."""
+    with warnings.catch_warnings():
+        # Sizes were judged against the row count; Pillow's own limit is for pictures.
+        warnings.simplefilter("ignore")
+        return each(lambda image: _decoded(*image), images)
+
+
+def _decoded(data: bytes, where: Path | str) -> Bytes:
     # By its own name, or Pillow imports its readers of forty other formats to look for this one.
     from PIL import Image, WebPImagePlugin  # noqa: F401
 
     expected = image_size(data, where)
     try:
-        with warnings.catch_warnings():
-            # Sizes were judged against the row count; Pillow's own limit is for pictures.
-            warnings.simplefilter("ignore")
-            with Image.open(io.BytesIO(data), formats=("WEBP", "PNG")) as image:
-                if image.size != expected:
-                    raise ValueError(f"its header says {expected}, its content {image.size} pixels")
-                return np.asarray(image.convert("RGBA"))
+        with Image.open(io.BytesIO(data), formats=("WEBP", "PNG")) as image:
+            if image.size != expected:
+                raise ValueError(f"its header says {expected}, its content {image.size} pixels")
+            return np.asarray(image.convert("RGBA"))
     except (
         OSError,
         ValueError,

@@ -48,6 +48,7 @@ from splatpainter.io.bounded import allow, allow_rows
 from splatpainter.io.formats import activations, codebooks, packing
 from splatpainter.io.formats.reuse import Unchanged, drawable_rows, row_problems, unchanged
 from splatpainter.io.formats.sog_container import META, Container, load, named_files, store
+from splatpainter.kernels.parallel import each
 from splatpainter.splats import SH_C0, SH_COUNTS, Source, Splats
 from splatpainter.system import jsonio
 from splatpainter.system.jsonio import brief, integer, object_at
@@ -133,9 +134,8 @@ def _parse(container: Container, meta: dict[str, Any], path: Path, problems: lis
     allow_rows(total, count, coefficients, path)
     allow(total, sum(4 * width * height for width, height in sizes.values()), path, f"{len(sizes)} images")
     bands = _palette_bands(meta, sizes["palette"], path) if "palette" in sizes else (0, 0)
-    pixels = {
-        key: packing.decode_image(container.files[name], f"{path}: {listed[key]}") for key, name in listed.items()
-    }
+    images = packing.decode_images([(container.files[name], f"{path}: {name}") for name in listed.values()])
+    pixels = dict(zip(listed, images, strict=True))
     shape = pixels["means_l"].shape[:2]
     palette = None
     if "palette" in pixels:
@@ -221,26 +221,31 @@ def _decode(file: SogFile, path: Path, problems: list[str]) -> Splats:
         antialiased=antialiased,
         color_space="linear" if linear else "srgb",
     )
-    invalid_rotations, missing = 0, 0
-    for start in range(0, count, BLOCK_ROWS):
+
+    def fill(start: int) -> tuple[int, int]:  # (rows without a rotation, rows that name no entry of the palette)
         block = slice(start, start + BLOCK_ROWS)
         pixels = {key: values[block] for key, values in file.pixels.items()}
         # Positions: two planes of bytes are 16 bits of a signed logarithm.
         words = pixels["means_l"][:, :3].astype(np.float64) + 256.0 * pixels["means_u"][:, :3]
         logs = low + (high - low) * (words / 65535)
-        out.means[block] = np.sign(logs) * np.expm1(np.abs(logs))
+        with np.errstate(over="ignore", invalid="ignore"):  # such rows are reported by who reads
+            out.means[block] = np.sign(logs) * np.expm1(np.abs(logs))
         out.quats[block] = _unpack_quats(pixels["quats"])
-        invalid_rotations += int((pixels["quats"][:, 3] < 252).sum())
         out.scales[block] = scales[pixels["scales"][:, :3]]
         out.opacities[block] = pixels["sh0"][:, 3].astype(np.float64) / 255
         out.sh[block, 0] = base[pixels["sh0"][:, :3]]
+        missing = 0
         if file.palette is not None:
             # Higher bands: a row names an entry of a palette, which a damaged file may not have.
             labels = pixels["labels"][:, 0].astype(np.int64) + 256 * pixels["labels"][:, 1].astype(np.int64)
             wrong = labels >= len(table)
             out.sh[block, 1:] = table[np.where(wrong, 0, labels)]
             out.sh[block, 1:][wrong] = 0
-            missing += int(wrong.sum())
+            missing = int(wrong.sum())
+        return int((pixels["quats"][:, 3] < 252).sum()), missing
+
+    done = each(fill, range(0, count, BLOCK_ROWS))
+    invalid_rotations, missing = (sum(numbers) for numbers in zip(*done, strict=True))
     # What had to be guessed is told; the rows stay.
     if invalid_rotations:
         problems.append(f"rows without a valid rotation, not turned: {invalid_rotations}")

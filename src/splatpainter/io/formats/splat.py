@@ -19,11 +19,15 @@ import numpy as np
 from splatpainter.io import files
 from splatpainter.io.formats import activations
 from splatpainter.io.formats.reuse import row_problems, unchanged
-from splatpainter.splats import Source, Splats
+from splatpainter.kernels.arrays import readonly
+from splatpainter.kernels.library import kernels
+from splatpainter.kernels.parallel import beside, run
+from splatpainter.splats import SH_C0, Source, Splats
 from splatpainter.system.quick_dataclass import dataclass
-from splatpainter.transforms import row_norm
 
 ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgb", "u1", 3), ("alpha", "u1"), ("quats", "u1", 4)])
+BYTES = np.arange(256, dtype=np.uint8)
+"""All values that colours, opacities and rotations can have: each is decoded once."""
 
 
 @dataclass(frozen=True)
@@ -50,18 +54,19 @@ def read_splat(path: Path, lenient: bool = False) -> Splats:
             f"{path}: expected a .splat file of 32 bytes a row, got {count} rows and {rest} bytes of one more: cut "
             "off, or not a .splat file (--lenient, or lenient=True, opens it anyway)"
         )
+    digest = beside(lambda: files.sha256(data))
     record = SplatFile(np.frombuffer(data, ROW, count), data[len(data) - rest :])
     rows = record.rows
     splats = Splats(
         means=rows["means"].astype(np.float32),
-        quats=(rows["quats"].astype(np.float32) - 128) / 128,
+        quats=_looked_up(rows, "quats", (BYTES.astype(np.float32) - 128) / 128),
         scales=rows["scales"].astype(np.float32),
-        opacities=rows["alpha"] / np.float32(255),
-        sh=activations.color_to_dc(rows["rgb"] / np.float64(255)).reshape(count, 1, 3),
+        opacities=_looked_up(rows, "alpha", BYTES / np.float32(255))[:, 0],
+        sh=_looked_up(rows, "rgb", activations.color_to_dc(BYTES / np.float64(255))).reshape(count, 1, 3),
     )
     problems = [f"the last row is cut short: {rest} trailing bytes (kept as they are)"] if rest else []
     problems += row_problems(splats)
-    source = Source(str(path), "splat", splats, files.sha256(data), record, tuple(problems))
+    source = Source(str(path), "splat", splats, digest(), record, tuple(problems))
     return replace(splats, source=source, origin=np.arange(count, dtype=np.int64))
 
 
@@ -73,28 +78,31 @@ def write_splat(path: Path, splats: Splats) -> None:
     """
     if not len(splats):
         raise ValueError(f"{path}: a .splat file needs at least one row, got none")
-    rows, after = np.zeros(len(splats), ROW), b""
+    rows, after = pack(splats), b""
     same = unchanged(splats, "splat")
-    masks = {name: np.zeros(len(splats), bool) for name in ROW.names or ()}
     if same is not None and splats.source is not None:
-        after, has_source = splats.source.detail.after, same.source_rows >= 0
-        rows[has_source] = splats.source.detail.rows[same.source_rows[has_source]]
+        after, stored = splats.source.detail.after, splats.source.detail.rows
         masks = {"means": same.means, "scales": same.scales, "rgb": same.base}
         masks |= {"alpha": same.opacities, "quats": same.quats}
-    norms = row_norm(splats.quats.astype(np.float64))[:, None]
-    values = {
-        "means": splats.means,
-        "scales": splats.scales,
-        "rgb": _to_uint8(activations.dc_to_color(splats.sh[:, 0]) * 255),
-        "alpha": _to_uint8(splats.opacities * 255),
-        "quats": _to_uint8(splats.quats / np.where(norms > 0, norms, 1) * 128 + 128),
-    }
-    for name, mask in masks.items():
-        rows[name][~mask] = values[name][~mask]
+        for name, mask in masks.items():
+            rows[name][mask] = stored[name][same.source_rows[mask]]
     with files.writing(path) as file:
-        file.write(rows.tobytes())
+        file.write(rows.view(np.uint8).data)
         file.write(after)
 
 
-def _to_uint8(values: np.ndarray) -> np.ndarray:
-    return np.clip(np.rint(np.nan_to_num(values)), 0, 255).astype(np.uint8)
+def _looked_up(rows: np.ndarray, name: str, table: np.ndarray) -> np.ndarray:
+    """[N, bytes of the field] float32: for each byte its line of `table`, [256] float32."""
+    kind, first = (ROW.fields or {})[name][:2]
+    out = np.empty((len(rows), kind.itemsize), np.float32)
+    records = readonly(rows.view(np.uint8).reshape(len(rows), ROW.itemsize), np.uint8)
+    run(kernels.look_up_bytes, records, first, readonly(table, np.float32), out)
+    return out
+
+
+def pack(splats: Splats) -> np.ndarray:
+    """[N] of ROW of numpy Gaussians."""
+    records = np.empty((len(splats), ROW.itemsize), np.uint8)
+    arrays = (splats.means, splats.scales, splats.sh[:, 0], splats.opacities, splats.quats)
+    run(kernels.pack_splat_rows, *(readonly(values, np.float32) for values in arrays), SH_C0, records)
+    return records.view(ROW)[:, 0]
