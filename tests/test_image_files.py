@@ -100,9 +100,9 @@ def test_a_camera_behind_the_pixels_is_found_and_none_is_looked_for_in_them(
     camera = look_at([0, 0, 3], [0, 0, 0], width=9, height=8)
     text = {"splatpainter": camera.to_json()}
     ahead = chunks_of(encode_png(RNG.integers(0, 255, (8, 9, 3), np.uint8), text))
-    said = next(chunk for chunk in ahead if chunk[0] == b"tEXt")
-    bare = [chunk for chunk in ahead if chunk != said]
-    (tmp_path / "behind.png").write_bytes(png_of_chunks([*bare[:-1], said, bare[-1]]))
+    statement = next(chunk for chunk in ahead if chunk[0] == b"tEXt")
+    bare = [chunk for chunk in ahead if chunk != statement]
+    (tmp_path / "behind.png").write_bytes(png_of_chunks([*bare[:-1], statement, bare[-1]]))
     assert find_camera(tmp_path / "behind.png") == camera
     (tmp_path / "other.png").write_bytes(png_of_chunks([*bare[:-1], (b"tEXt", b"Author\0me"), bare[-1]]))
     assert not image_files.has_camera(tmp_path / "other.png")

@@ -1,4 +1,4 @@
-"""Classes that `quick_dataclass` declares behave as the standard library's, which is the oracle, line by line."""
+"""Classes that `quick_dataclass` declares behave as those of the standard library, the oracle, line by line."""
 
 from __future__ import annotations
 
@@ -183,7 +183,7 @@ def answers(names: dict[str, Any], line: str) -> list[str]:
 
 
 @pytest.mark.parametrize("name", CLASSES)
-def test_a_class_behaves_as_the_standard_librarys(name: str) -> None:
+def test_a_class_behaves_as_one_of_the_standard_library(name: str) -> None:
     for line in LINES.strip().splitlines():
         theirs = answers(declared(CLASSES[name], dataclasses.dataclass), line)
         assert answers(declared(CLASSES[name], quick_dataclass.dataclass), line) == theirs, line

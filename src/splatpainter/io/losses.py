@@ -228,7 +228,7 @@ def _row_errors(
         *pairs, errors, differs, spans,
     )  # fmt: skip
     rows = np.flatnonzero(differs)
-    joined = dict(zip(ERRORS, errors[:, rows] if len(rows) < count else errors, strict=True))
+    joined: dict[str, np.ndarray] = dict(zip(ERRORS, errors[:, rows] if len(rows) < count else errors, strict=True))
 
     def finish(name: str) -> None:
         values = joined[name]

@@ -34,7 +34,7 @@ def _quick_dataclass(
     raises."""
 
     def declared(kind: Any) -> Any:
-        own = {*vars(kind)} - ({"__hash__"} if "__eq__" in vars(kind) and kind.__hash__ is None else set())
+        declarations = {*vars(kind)} - ({"__hash__"} if "__eq__" in vars(kind) and kind.__hash__ is None else set())
         # Without a text the standard library would write one out of the signature, which takes longest of all.
         kind.__doc__ = kind.__doc__ or f"{kind.__name__}(...)"
         # Fields are collected by the standard library, which knows all about annotations and inheritance. It compiles
@@ -47,14 +47,14 @@ def _quick_dataclass(
         # As there, a method that the class has itself is not replaced.
         fields = dataclasses.fields(kind)
         methods: dict[str, Any] = {"__repr__": _repr}
-        if "__init__" not in own:
+        if "__init__" not in declarations:
             methods |= {"__init__": _first_init(kind, frozen), "__signature__": _Signature(kind)}
         if eq:
             methods["__eq__"] = _equality([field.name for field in fields if field.compare])
             hashed = [field.name for field in fields if (field.compare if field.hash is None else field.hash)]
             methods["__hash__"] = _hash_of(hashed) if frozen else None
         for name, method in methods.items():
-            if name not in own:
+            if name not in declarations:
                 setattr(kind, name, method)
         return kind
 
