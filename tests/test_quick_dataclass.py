@@ -6,10 +6,12 @@ import copy
 import dataclasses
 import inspect
 import pickle
+import re
 import subprocess
 import sys
 import textwrap
 import types
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -230,3 +232,10 @@ print(len(written))
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["0", "1"]
+
+
+def test_all_of_the_package_declares_by_it() -> None:
+    package = Path(quick_dataclass.__file__).parents[1]
+    texts = {path: path.read_text(encoding="utf-8") for path in package.rglob("*.py")}
+    slow = [path for path, text in texts.items() if re.search(r"^from dataclasses import .*\bdataclass\b", text, re.M)]
+    assert [path.name for path in slow] == [] and len(texts) > 300

@@ -9,11 +9,11 @@ Pure. H, W: pixels of the render; colours are display sRGB 0..1; places are -1..
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from splatpainter.gatekeeper.registration import REGISTRATION, Level, resampled_at
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)

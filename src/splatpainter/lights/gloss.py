@@ -9,7 +9,6 @@ seen at all, and only where they agree beyond chance. N Gaussians.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from splatpainter.kernels import portable
 from splatpainter.lights.irradiance import LitSurface
 from splatpainter.lights.source_light import SourceLight
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import fibonacci_sphere, sh_basis
 
 SH_PRODUCT, SH_ZZ, SH_SQUARES = 1.0925484305920792, 0.31539156525252005, 0.5462742152960396

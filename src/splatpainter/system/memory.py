@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import sys
-from dataclasses import dataclass
+
+from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)
