@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from splatpainter.gatekeeper.registration import REGISTRATION, Level, resampled_at
+from splatpainter.gatekeeper.registration import REGISTRATION, PyramidLevel, resampled_at
 from splatpainter.system.quick_dataclass import dataclass
 
 
@@ -81,7 +81,7 @@ def bend_of(picture: np.ndarray, render: np.ndarray) -> Bend | None:
     for number, longer_px in enumerate(BENDS.levels_px):
         if longer_px > BENDS.levels_px[0] and max(render.shape[:2]) <= longer_px / 2:
             break
-        level = Level.of(picture, render, weight, None, frame, longer_px)
+        level = PyramidLevel.of(picture, render, weight, None, frame, longer_px)
         descent = _descended(level, coefficients)
         # Most pictures that come here are not bent at all: the smallest size tells most of them.
         if descent is None or descent.error_left > BENDS.max_error_left[number]:
@@ -111,7 +111,7 @@ class _Descent:
     """Median error of the pixels of texture, in parts of that of no motion."""
 
 
-def _descended(level: Level, coefficients: np.ndarray) -> _Descent | None:
+def _descended(level: PyramidLevel, coefficients: np.ndarray) -> _Descent | None:
     height, width = level.weight.shape
     reach = max(width, height) / 2
     terms = _terms(width, height).reshape(height * width, -1)

@@ -248,7 +248,7 @@ def _better(one: Registration | None, other: Registration) -> Registration:
 
 
 @dataclass(frozen=True)
-class Level:
+class PyramidLevel:
     """Both pictures of the pyramid at one size, as features [.., .., 2]: normalised brightness and edges."""
 
     render: np.ndarray
@@ -270,14 +270,14 @@ class Level:
         valid: np.ndarray | None,
         frame: np.ndarray,
         longer_px: int,
-    ) -> Level:
+    ) -> PyramidLevel:
         (height, width), (h, w) = render.shape[:2], picture.shape[:2]
         shrink = max(max(height, width) / longer_px, 1.0)
         size = max(round(width / shrink), 1), max(round(height / shrink), 1)
         scales = frame[0, 0] * width / size[0], frame[1, 1] * height / size[1]
         small = max(round(w / scales[0]), 8), max(round(h / scales[1]), 8)
         content = np.ones((h, w), np.float32) if valid is None else valid.astype(np.float32)
-        return Level(
+        return PyramidLevel(
             _features(_resized(render, size)),
             _features(_resized(picture, small)),
             _resized(weight, size),
@@ -324,11 +324,11 @@ def _refined(
     for longer_px in levels_px:
         if longer_px > levels_px[0] and max(render.shape[:2]) <= longer_px / 2:
             break
-        motion = _descended(Level.of(picture, render, weight, valid, frame, longer_px), frame, motion)
+        motion = _descended(PyramidLevel.of(picture, render, weight, valid, frame, longer_px), frame, motion)
     return motion
 
 
-def _descended(level: Level, frame: np.ndarray, motion: np.ndarray) -> np.ndarray:
+def _descended(level: PyramidLevel, frame: np.ndarray, motion: np.ndarray) -> np.ndarray:
     height, width = level.weight.shape
     target, reach = level.render, max(width, height) / 2
     y, x = np.mgrid[:height, :width] + 0.5
@@ -382,7 +382,7 @@ def _searched(
     picture: np.ndarray, render: np.ndarray, weight: np.ndarray, valid: np.ndarray | None, frame: np.ndarray
 ) -> np.ndarray:
     """[3, 3] the best similarity on a grid of scales and turns, its shift by correlation of the edges."""
-    level = Level.of(picture, render, weight, valid, frame, REGISTRATION.grid_px)
+    level = PyramidLevel.of(picture, render, weight, valid, frame, REGISTRATION.grid_px)
     height, width = level.weight.shape
     # Correlation over all shifts at once, by Fourier transform, for every turn and scale of the grid.
     target = np.maximum(level.render[..., 1], 0) * level.weight
