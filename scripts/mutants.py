@@ -232,8 +232,8 @@ MUTATIONS = (
     Mutation(
         "of several views the first wins",
         "models/local_edit_colors.py",
-        "    for view in views:\n        splats = result.splats",
-        "    for view in views[::-1]:\n        splats = result.splats",
+        "    for k, view in enumerate(views):\n        hold = np.zeros",
+        "    for k, view in reversed(list(enumerate(views))):\n        hold = np.zeros",
         (LOCAL,),
     ),
     Mutation(
