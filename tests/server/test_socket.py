@@ -574,8 +574,8 @@ def test_a_light_is_dragged_on_the_screen_of_one_window_alone(studio: Live) -> N
         browser.do("layer.set", layer=made, parameters={"rotate": 120})
         assert browser.mirror.agrees(session.splats) and not browser.mirror.agrees(lit)
         # While a sky turns it counts by its SH, once it is let go whole: colours move by a twentieth at most.
-        shown, made_of_it = base_color(sh), base_color(session.splats.sh)
-        assert np.abs(shown - made_of_it).max() < 0.05 < np.abs(base_color(lit.sh) - made_of_it).max()
+        preview, result = base_color(sh), base_color(session.splats.sh)
+        assert np.abs(preview - result).max() < 0.05 < np.abs(base_color(lit.sh) - result).max()
         assert len(session.history) == steps + 1
         # Let go where it was: no step, and the screen is right again.
         browser.do("layer.preview", layers=[{"layer": made, "parameters": {"rotate": 10}}])
