@@ -57,6 +57,7 @@ def test_a_camera_that_stands_close_asks_for_no_exacter_depths() -> None:
     (x, y), _ = (values[0] for values in cameras[0].project(np.array([[0.3, 0, 0]])))
     mask = np.zeros((SIDE, SIDE), bool)
     mask[2:6, 2:6] = True
+    assert far.depth is not None and near.depth is not None
     off = 0.02  # 5 % of the near camera's distance, 0.6 % of the far one's
     depths = [far.depth, near.depth + off]
     shared, _ = paint_of_other_views([replace(far, mask=mask), near], depths)

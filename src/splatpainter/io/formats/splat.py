@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import LiteralString
 
 import numpy as np
 
@@ -91,7 +92,7 @@ def write_splat(path: Path, splats: Splats) -> None:
         file.write(after)
 
 
-def _looked_up(rows: np.ndarray, name: str, table: np.ndarray) -> np.ndarray:
+def _looked_up(rows: np.ndarray, name: LiteralString, table: np.ndarray) -> np.ndarray:
     """[N, bytes of the field] float32: for each byte its line of `table`, [256] float32."""
     kind, first = (ROW.fields or {})[name][:2]
     out = np.empty((len(rows), kind.itemsize), np.float32)
