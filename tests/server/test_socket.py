@@ -16,7 +16,6 @@ from splatbench import studio_client
 from splatbench.studio_client import Browser, after
 
 from splatpainter.cameras import Camera
-from splatpainter.color import base_color
 from splatpainter.io import write
 from splatpainter.server import page_state
 from splatpainter.server.client import BACKPRESSURE_MESSAGES, MAX_QUEUED_COMMANDS, Client
@@ -573,9 +572,7 @@ def test_a_light_is_dragged_on_the_screen_of_one_window_alone(studio: Live) -> N
         browser.do("layer.preview", layers=[{"layer": made, "parameters": {"rotate": 120}}])
         browser.do("layer.set", layer=made, parameters={"rotate": 120})
         assert browser.mirror.agrees(session.splats) and not browser.mirror.agrees(lit)
-        # While a sky turns it counts by its SH, once it is let go whole: colours move by a twentieth at most.
-        preview, result = base_color(sh), base_color(session.splats.sh)
-        assert np.abs(preview - result).max() < 0.05 < np.abs(base_color(lit.sh) - result).max()
+        assert np.abs(sh[:, 0] - session.splats.sh[:, 0]).max() < 4e-3, "it was shown as it is now"
         assert len(session.history) == steps + 1
         # Let go where it was: no step, and the screen is right again.
         browser.do("layer.preview", layers=[{"layer": made, "parameters": {"rotate": 10}}])
