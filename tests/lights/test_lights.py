@@ -374,16 +374,17 @@ def test_a_lamp_inside_an_object_is_remarked() -> None:
 
 
 def test_a_sky_as_distant_lights_is_the_same_light() -> None:
-    """Their irradiance by Lambert's law against the integral over the picture's pixels, within what 64 can hold."""
-    normals = fibonacci_sphere(40)
+    """Without anything in the way: the integral over the picture's pixels, within what 64 directions can hold."""
+    surface = LitSurface.of(ball(400), shadows=False)
     for name, rotate in (("sunset", 0.0), ("studio", 70.3125), ("overcast", 0.0)):
         towards, power = sky_lamps(sky(name), np.eye(3), rotate)
         assert (power >= 0).all() and np.allclose(np.linalg.norm(towards, axis=1), 1)
         assert power.sum(0).mean() == pytest.approx(4), "radiance 1 in the mean: 4 pi over pi"
-        by_parts = np.maximum(normals @ towards.T, 0) @ power
+        by_parts = surface.from_afar(towards, power)
         picture = SkyMap(np.roll(sky(name).radiance, -round(rotate / 360 * 128), 1), name)
-        expected = np.stack([integral(picture, normal) for normal in normals])
-        np.testing.assert_allclose(by_parts, expected, rtol=0.06, atol=0.03)
+        for row in (0, 100, 399):
+            expected = integral(picture, surface.facing.normals[row].astype(np.float64))
+            np.testing.assert_allclose(by_parts[row], expected, rtol=0.05, atol=0.02)
 
 
 def test_a_roof_hides_the_sky_above_it_and_no_other() -> None:
@@ -395,8 +396,8 @@ def test_a_roof_hides_the_sky_above_it_and_no_other() -> None:
     x, _, z = np.abs(splats.means).T
     floor = np.arange(len(splats)) < len(splats) // 2
     under = floor & (np.maximum(x, z) < 0.2)
-    light = zenith.coefficients()
-    by_parts, by_sh = surface.from_afar(light, *sky_lamps(zenith, np.eye(3))), surface.from_sky(light)
+    mirrored = zenith.coefficients()
+    by_parts, by_sh = surface.from_afar(*sky_lamps(zenith, np.eye(3))), surface.from_sky(mirrored)
     beside = floor & (np.minimum(x, z) > 0.8)
     assert by_parts[under].mean() < 0.12 * by_parts[beside].mean(), "light leaks through the roof"
-    assert by_sh[under].mean() > 1.3 * by_parts[under].mean()
+    assert by_sh[under].mean() > 1.5 * by_parts[under].mean()

@@ -15,7 +15,7 @@ import numpy as np
 from splatpainter.cameras import UpAxis
 from splatpainter.lights.irradiance import LitSurface, sun_light
 from splatpainter.lights.lamps import Lamp, Sun
-from splatpainter.lights.light_set import sky_lamps, turned_sky
+from splatpainter.lights.light_set import sky_lamps
 from splatpainter.lights.sky_maps import SkyMap
 from splatpainter.lights.source_light import SourceLight, estimate_source, uniform_source
 from splatpainter.splats import Splats
@@ -55,9 +55,7 @@ def from_picture(surface: LitSurface, sky: SkyMap, axes: np.ndarray, rotate: flo
     """[N, 3] float64 irradiance of an environment, computed once while it stands as it does. axes: [3, 3] from the
     asset's axes to the lights' (y up); rotate: degrees."""
     key = _sky_key(sky, axes, rotate)
-    return _received(
-        surface, key, lambda: surface.from_afar(turned_sky(sky, axes, rotate), *sky_lamps(sky, axes, rotate))
-    )
+    return _received(surface, key, lambda: surface.from_afar(*sky_lamps(sky, axes, rotate)))
 
 
 def is_sky_at_hand(surface: LitSurface, sky: SkyMap, axes: np.ndarray, rotate: float = 0.0) -> bool:
