@@ -97,19 +97,15 @@ def blocked_light(
     towards: np.ndarray,
     weights: np.ndarray,
     spacing: float,
-    folded: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What points [N, 3] lose of distant light to blockers [M, 3], which stand for a surface of typical distance
     `spacing`: (lost_front, lost_back [N, 9] float32 SH transfer around their normals [N, 3] and the opposites, shade
     [N, 2] the same as sums of weight times cosine). towards: [K, 3] float64 unit directions to the light; weights: [K]
-    float64 their solid angles, or their irradiances; folded: [K, 9] what directions add to the nine sums in place of
-    weighted SH. One shadow map per direction."""
+    float64 their solid angles, or their irradiances. One shadow map per direction."""
     count = len(towards)
     towards = towards.astype(np.float32)
     # What a blocked direction takes from each coefficient: kernels then only add.
-    if folded is None:
-        folded = sh_basis(towards.astype(np.float64), 2) * weights[:, None]
-    folded = np.ascontiguousarray(folded, np.float32)
+    folded = (sh_basis(towards.astype(np.float64), 2) * weights[:, None]).astype(np.float32)
     # Two axes across each direction, for the pixels of its map.
     helper = np.where(np.abs(towards[:, 1:2]) < 0.9, [[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]])
     side = np.cross(helper, towards)

@@ -15,7 +15,7 @@ from splatpainter.lights.gloss import mirrored_light
 from splatpainter.lights.irradiance import LitSurface, sun_light
 from splatpainter.lights.lamps import Lamp, Sun, kelvin_color
 from splatpainter.lights.light_prior import likely_light
-from splatpainter.lights.light_set import Lights, axes_of, sky_lamps, turned_sky
+from splatpainter.lights.light_set import Lights, axes_of, turned_sky
 from splatpainter.lights.relight import delight, relight
 from splatpainter.lights.skies import SKIES, direction, sky
 from splatpainter.lights.sky_maps import SkyMap, lat_long
@@ -371,33 +371,3 @@ def test_a_lamp_inside_an_object_is_remarked() -> None:
         notes.append(lit.receipt.note)
     assert "point light at 0,0,0 reaches 3% of what can be seen" in notes[0]
     assert "inside the object" not in notes[1]
-
-
-def test_a_sky_as_distant_lights_is_the_same_light() -> None:
-    """Without anything in the way: the integral over the picture's pixels, within what 64 directions can hold."""
-    surface = LitSurface.of(ball(400), shadows=False)
-    for name, rotate in (("sunset", 0.0), ("studio", 70.3125), ("overcast", 0.0)):
-        towards, power = sky_lamps(sky(name), np.eye(3), rotate)
-        assert (power >= 0).all() and np.allclose(np.linalg.norm(towards, axis=1), 1)
-        assert power.sum(0).mean() == pytest.approx(4), "radiance 1 in the mean: 4 pi over pi"
-        by_parts = surface.from_afar(towards, power)
-        picture = SkyMap(np.roll(sky(name).radiance, -round(rotate / 360 * 128), 1), name)
-        for row in (0, 100, 399):
-            expected = integral(picture, surface.facing.normals[row].astype(np.float64))
-            np.testing.assert_allclose(by_parts[row], expected, rtol=0.05, atol=0.02)
-
-
-def test_a_roof_hides_the_sky_above_it_and_no_other() -> None:
-    """Light from the zenith alone does not reach under a roof; as SH of degree 2 half of it did."""
-    splats = plates(0.3)
-    surface = from_above(splats)
-    towards, _ = lat_long(32, 64)
-    zenith = SkyMap(((towards[..., 1:2] > 0.9) * np.ones(3)).astype(np.float32), "zenith")
-    x, _, z = np.abs(splats.means).T
-    floor = np.arange(len(splats)) < len(splats) // 2
-    under = floor & (np.maximum(x, z) < 0.2)
-    mirrored = zenith.coefficients()
-    by_parts, by_sh = surface.from_afar(*sky_lamps(zenith, np.eye(3))), surface.from_sky(mirrored)
-    beside = floor & (np.minimum(x, z) > 0.8)
-    assert by_parts[under].mean() < 0.12 * by_parts[beside].mean(), "light leaks through the roof"
-    assert by_sh[under].mean() > 1.5 * by_parts[under].mean()

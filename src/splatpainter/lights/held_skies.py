@@ -8,7 +8,7 @@ import struct
 import numpy as np
 
 from splatpainter.image_files import bytes_of_png, bytes_to_png
-from splatpainter.lights.sky_maps import SkyMap, lat_long, reduced
+from splatpainter.lights.sky_maps import SkyMap, lat_long
 from splatpainter.system.quick_dataclass import dataclass
 
 MAGIC = b"sky1"
@@ -31,7 +31,7 @@ HELD = HeldSizes()
 
 def sky_to_png(sky: SkyMap) -> bytes:
     """PNG that holds an environment, at most HELD.rows rows, as half floats over its mean."""
-    picture = reduced(sky.radiance.astype(np.float64), HELD.rows)
+    picture = _reduced(sky.radiance.astype(np.float64), HELD.rows)
     _, areas = lat_long(*picture.shape[:2])
     mean = float((picture * areas[..., None]).sum()) / float(3 * areas.sum())
     levels = np.minimum(picture / mean, HELD.brightest).astype("<f2")
@@ -52,3 +52,21 @@ def sky_of_png(data: bytes, name: str, note: str = "") -> SkyMap:
     except (ValueError, struct.error) as error:
         raise ValueError(f"{where}: expected the picture of one that a project holds ({error})") from None
     return SkyMap(levels, name, note)
+
+
+def _reduced(picture: np.ndarray, rows: int) -> np.ndarray:
+    """[h, w, 3] float64 means over equal parts of a lat-long picture, of at most so many rows."""
+    for axis, most in ((0, rows), (1, 2 * rows)):
+        count = picture.shape[axis]
+        if count <= most:
+            continue
+        # Sums up to each edge, which may lie inside a pixel: their differences are means over any width.
+        sums = np.concatenate([np.zeros_like(picture.take([0], axis)), np.cumsum(picture, axis)], axis)
+        edges = np.linspace(0, count, most + 1)
+        below = np.minimum(edges.astype(int), count - 1)
+        shape = [1, 1, 1]
+        shape[axis] = most + 1
+        share = (edges - below).reshape(shape)
+        at = sums.take(below, axis) * (1 - share) + sums.take(below + 1, axis) * share
+        picture = np.diff(at, axis=axis) * (most / count)
+    return np.maximum(picture, 0)

@@ -104,23 +104,6 @@ class LitSurface:
             front, back = front - shade[:, 0], back - shade[:, 1]
         return np.maximum(share * front + (1 - share) * back, 0)
 
-    def from_afar(self, towards: np.ndarray, power: np.ndarray) -> np.ndarray:
-        """[N, 3] float64 >= 0 under distant lights all around, in K unit directions [K, 3] to them, of irradiance over
-        pi [K, 3]: as `from_sky`, and each direction is blocked by itself."""
-        normals, share = self.facing.normals.astype(np.float64), self.facing.front.astype(np.float64)[:, None]
-        cosines = portable.matmul(normals, towards.T)
-        front, back = portable.matmul(np.maximum(cosines, 0), power), portable.matmul(np.maximum(-cosines, 0), power)
-        if self.shadows and len(self.blockers) > 1:
-            # All three colours in one look into each map.
-            folded = np.zeros((len(towards), 9))
-            folded[:, :3] = power
-            seen = (self.blockers, self.points, self.facing.normals)
-            lost = blocked_light(*seen, towards, np.ones(len(towards)), self.spacing, folded)
-            front, back = front - lost[0][:, :3], back - lost[1][:, :3]
-        mean = power.sum(0) / 4
-        received = share * front + (1 - share) * back
-        return np.maximum(received + (BLOCKER_RADIANCE * self.closed)[:, None] * mean, 0)
-
     def from_lamp(self, lamp: Lamp, offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> np.ndarray:
         """[N] float64 irradiance of a lamp of intensity 1. offset: of the asset."""
         total = np.zeros(len(self.points))

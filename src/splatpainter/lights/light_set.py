@@ -104,21 +104,11 @@ def axes_of(up: UpAxis) -> np.ndarray:
 
 def turned_sky(sky: SkyMap, axes: np.ndarray, rotate: float = 0.0) -> np.ndarray:
     """[9, 3] SH of a sky in an asset's axes, turned by degrees counter-clockwise seen from above."""
+    c, s = portable.cos(math.radians(rotate)), portable.sin(math.radians(rotate))
+    back = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
+    turn = portable.matmul(back, axes).T
     coefficients = sky.coefficients()
     bands = (slice(0, 1), slice(1, 4), slice(4, 9))
     # The coefficients are turned, not the picture: exact for SH, and at no cost.
-    turns = sh_rotations(_turn(axes, rotate), 2)
+    turns = sh_rotations(turn, 2)
     return np.concatenate([portable.matmul(m, coefficients[band]) for m, band in zip(turns, bands, strict=True)])
-
-
-def sky_lamps(sky: SkyMap, axes: np.ndarray, rotate: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """`SkyMap.lamps` in an asset's axes, turned as by `turned_sky`: they turn with the sky, so that nothing jumps."""
-    towards, power = sky.lamps()
-    return portable.matmul(towards, _turn(axes, rotate).T), power
-
-
-def _turn(axes: np.ndarray, rotate: float) -> np.ndarray:
-    """[3, 3] from a sky's axes to an asset's."""
-    c, s = portable.cos(math.radians(rotate)), portable.sin(math.radians(rotate))
-    back = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
-    return portable.matmul(back, axes).T

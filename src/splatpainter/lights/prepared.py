@@ -15,8 +15,6 @@ import numpy as np
 from splatpainter.cameras import UpAxis
 from splatpainter.lights.irradiance import LitSurface, sun_light
 from splatpainter.lights.lamps import Lamp, Sun
-from splatpainter.lights.light_set import sky_lamps
-from splatpainter.lights.sky_maps import SkyMap
 from splatpainter.lights.source_light import SourceLight, estimate_source, uniform_source
 from splatpainter.splats import Splats
 from splatpainter.system.quick_dataclass import dataclass
@@ -32,7 +30,7 @@ is not known well."""
 _SURFACES = Recent[LitSurface](SURFACES)
 _SOURCES = Recent[SourceLight](SOURCES)
 _RECEIVED = Recent[tuple[LitSurface, np.ndarray]](128 << 20, lambda item: item[1].nbytes)
-"""What single skies, suns and lamps give to each Gaussian: 128 MiB, 16 suns on a million."""
+"""What single suns and lamps give to each Gaussian: 128 MiB, 16 of them on a million."""
 _LOCK = RLock()
 
 
@@ -49,18 +47,6 @@ def captured_light(splats: Splats, shadows: bool = True, up: UpAxis = "auto") ->
         surface = lit_surface(splats, shadows)
         key = (_shape_hash(splats), shadows, up, splats.color_space, _hash(splats.sh[:, 0]))
         return _SOURCES.get(key, lambda: _estimate(splats, surface, up))
-
-
-def from_picture(surface: LitSurface, sky: SkyMap, axes: np.ndarray, rotate: float = 0.0) -> np.ndarray:
-    """[N, 3] float64 irradiance of an environment, computed once while it stands as it does. axes: [3, 3] from the
-    asset's axes to the lights' (y up); rotate: degrees."""
-    key = _sky_key(sky, axes, rotate)
-    return _received(surface, key, lambda: surface.from_afar(*sky_lamps(sky, axes, rotate)))
-
-
-def is_sky_at_hand(surface: LitSurface, sky: SkyMap, axes: np.ndarray, rotate: float = 0.0) -> bool:
-    """Whether `from_picture` costs nothing."""
-    return _is_at_hand(surface, _sky_key(sky, axes, rotate))
 
 
 def from_sun(surface: LitSurface, sun: Sun, axes: np.ndarray) -> np.ndarray:
@@ -92,10 +78,6 @@ def quick_lamp(surface: LitSurface, lamp: Lamp, offset: tuple[float, float, floa
     if lamp.radius == 0 or _is_at_hand(surface, _lamp_key(lamp, offset)):
         return lamp
     return _Middle(lamp.kind, lamp.position, lamp.color, lamp.intensity, lamp.target, lamp.sizes)
-
-
-def _sky_key(sky: SkyMap, axes: np.ndarray, rotate: float) -> tuple[Any, ...]:
-    return (_hash(sky.radiance), rotate, axes.tobytes())
 
 
 def _sun_key(sun: Sun, axes: np.ndarray) -> tuple[Any, ...]:

@@ -26,16 +26,7 @@ from splatpainter.lights.gloss import GLOSS, display_slope, gloss_of, mirrored_l
 from splatpainter.lights.irradiance import LitSurface
 from splatpainter.lights.lamps import Lamp
 from splatpainter.lights.light_set import Lights, axes_of, turned_sky
-from splatpainter.lights.prepared import (
-    captured_light,
-    from_lamp,
-    from_picture,
-    from_sun,
-    is_sky_at_hand,
-    lit_surface,
-    quick_lamp,
-    quick_sun,
-)
+from splatpainter.lights.prepared import captured_light, from_lamp, from_sun, lit_surface, quick_lamp, quick_sun
 from splatpainter.lights.sky_maps import SkyMap
 from splatpainter.lights.source_light import SourceLight, uniform_coefficients
 from splatpainter.painter import Asset
@@ -100,8 +91,7 @@ def glance(
     lamps = tuple(quick_lamp(surface, lamp, splats.offset) for lamp in lights.lamps)
     base = replace(splats, sh=np.ascontiguousarray(splats.sh[:, :1]))
     quick = replace(lights, suns=suns, lamps=lamps)
-    quick.check()
-    return _edited(base, quick, None, mix, shadows, source, "light", is_quick=True).splats.sh
+    return relight(base, quick, mix=mix, shadows=shadows, source=source).splats.sh
 
 
 def delight(
@@ -142,7 +132,6 @@ def _edited(
     mode: str,
     after: np.ndarray | None = None,
     surface: LitSurface | None = None,
-    is_quick: bool = False,
 ) -> Asset:
     if not 0 < mix <= 1:
         raise ValueError(f"{mode}: expected a mix above 0, up to 1, got {mix:g}")
@@ -165,14 +154,13 @@ def _edited(
         before = source
     else:
         before = SourceLight(turned_sky(source, axes), 0.0, f"source light: {ascii(source.name)[1:-1]}")
-    # A light that is known whole is used whole, from the directions in which something stands in its way.
-    old = from_picture(surface, source, axes) if isinstance(source, SkyMap) else surface.from_sky(before.coefficients)
+    old = surface.from_sky(before.coefficients)
     if mode == "delight":
         now, new = uniform_coefficients(), np.ones((len(splats), 3))
     elif after is not None:
         now, new = after, surface.from_sky(after)
     else:
-        now, new, remarks = _target(surface, lights, axes, chosen, splats.offset, is_quick)
+        now, new, remarks = _target(surface, lights, axes, chosen, splats.offset)
         notes += remarks
         if lights.add:
             now, new = before.coefficients + now, old + new
@@ -221,21 +209,13 @@ def color_receipt(splats: Splats, edited: Splats, mode: str, note: str) -> Recei
 
 
 def _target(
-    surface: LitSurface,
-    lights: Lights,
-    axes: np.ndarray,
-    chosen: np.ndarray,
-    offset: tuple[float, float, float],
-    is_quick: bool,
+    surface: LitSurface, lights: Lights, axes: np.ndarray, chosen: np.ndarray, offset: tuple[float, float, float]
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """([9, 3] SH of what of the new light comes from all around or afar, for reflections, [N, 3] irradiance, what is
-    odd about the lamps). is_quick: a sky that has not been seen as it stands counts by its SH."""
+    odd about the lamps)."""
     remarks = []
-    if lights.sky is None or is_quick and not is_sky_at_hand(surface, lights.sky, axes, lights.rotate):
-        total = surface.from_sky(_from_all_around(lights, axes))
-    else:
-        total = lights.sky_intensity * from_picture(surface, lights.sky, axes, lights.rotate)
-        total = total + surface.from_sky(lights.fill_level * uniform_coefficients())
+    coefficients = _from_all_around(lights, axes)
+    total = surface.from_sky(coefficients)
     for sun in lights.suns:
         received = from_sun(surface, sun, axes)
         total = total + received[:, None] * (sun.intensity * np.array(sun.color))

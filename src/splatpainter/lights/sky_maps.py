@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from splatpainter import image_files
-from splatpainter.color import luminance, srgb_to_linear
+from splatpainter.color import srgb_to_linear
 from splatpainter.kernels import portable
 from splatpainter.system.atomic import writing
 from splatpainter.system.quick_dataclass import dataclass
-from splatpainter.transforms import fibonacci_sphere, sh_basis
+from splatpainter.transforms import sh_basis
 
 DEEP = {".hdr": "hdr", ".exr": "openexr"}
 """Ending -> OpenImageIO's name of the format."""
@@ -70,24 +70,6 @@ class SkyMap:
         mean = float(sums[0].mean()) / math.sqrt(4 * math.pi)
         return sums / mean
 
-    def lamps(self) -> tuple[np.ndarray, np.ndarray]:
-        """([K, 3] float64 unit directions in the sky's axes, [K, 3] their irradiance over pi on a
-        surface that faces them): the same light as that of `coefficients` as so many distant lights, each where the
-        light around it has its middle."""
-        picture = reduced(self.radiance.astype(np.float64), SKY_LAMPS.rows)
-        grid, areas = lat_long(*picture.shape[:2])
-        towards = grid.reshape(-1, 3)
-        flux = (picture * areas[..., None]).reshape(-1, 3)
-        around = fibonacci_sphere(SKY_LAMPS.count)
-        nearest = portable.matmul(towards, around.T).argmax(1)
-        power = np.stack([np.bincount(nearest, column, SKY_LAMPS.count) for column in flux.T], 1)
-        # The middle of its light and not of its cell, or a sun would stand beside its place.
-        weights = luminance(flux)
-        middle = np.stack([np.bincount(nearest, weights * column, SKY_LAMPS.count) for column in towards.T], 1)
-        length = np.sqrt((middle * middle).sum(1, keepdims=True))
-        towards = np.where(length > 1e-12, middle / np.maximum(length, 1e-30), around)
-        return towards, power * (4 / float(power.sum() / 3))
-
 
 def lat_long(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
     """([h, w, 3] float64 unit directions of the centres of a lat-long picture's pixels, [h, w] their solid angles)."""
@@ -98,24 +80,6 @@ def lat_long(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
     ring = portable.sin(polar)[:, None]
     x, y, z = ring * portable.sin(turn), np.repeat(portable.cos(polar)[:, None], width, 1), -ring * portable.cos(turn)
     return np.stack([x, y, z], -1), areas
-
-
-def reduced(picture: np.ndarray, rows: int) -> np.ndarray:
-    """[h, w, 3] float64 means over equal parts of a lat-long picture, of at most so many rows."""
-    for axis, most in ((0, rows), (1, 2 * rows)):
-        count = picture.shape[axis]
-        if count <= most:
-            continue
-        # Sums up to each edge, which may lie inside a pixel: their differences are means over any width.
-        sums = np.concatenate([np.zeros_like(picture.take([0], axis)), np.cumsum(picture, axis)], axis)
-        edges = np.linspace(0, count, most + 1)
-        below = np.minimum(edges.astype(int), count - 1)
-        shape = [1, 1, 1]
-        shape[axis] = most + 1
-        share = (edges - below).reshape(shape)
-        at = sums.take(below, axis) * (1 - share) + sums.take(below + 1, axis) * share
-        picture = np.diff(at, axis=axis) * (most / count)
-    return np.maximum(picture, 0)
 
 
 def read_sky(path: str | Path, full_range: bool = False) -> SkyMap:
