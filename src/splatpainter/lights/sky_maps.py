@@ -34,19 +34,6 @@ MAX_ASPECT_ERROR = 0.1
 
 
 @dataclass(frozen=True)
-class SkyLampSizes:
-    """Of the distant lights that stand for an environment where things are in its way."""
-
-    count: int = 64
-    """Directions. On path traced tuning meshes 48 to 128 differ by less than 0.1 dB."""
-    rows: int = 128
-    """Most rows of the picture from which they are made: more would cost more and move them by less than a degree."""
-
-
-SKY_LAMPS = SkyLampSizes()
-
-
-@dataclass(frozen=True)
 class SkyMap:
     """Light from all around."""
 
