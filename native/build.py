@@ -29,12 +29,23 @@ LIBRARIES = {
 }
 # The same bits from every compiler on every CPU: no fused multiply-adds but written ones, no reordered sums.
 EXACT = ["-ffp-contract=off", "-fno-fast-math", "-fno-math-errno", "-fno-trapping-math"]
-COMMON = ["-std=c++17", "-O3", "-fvisibility=hidden", "-fno-exceptions", "-fno-rtti", "-fno-threadsafe-statics"]
+COMMON = [
+    "-std=c++17",
+    "-O3",
+    "-fvisibility=hidden",
+    "-fno-exceptions",
+    "-fno-rtti",
+    "-fno-threadsafe-statics",
+    "-fno-unwind-tables",
+    "-fno-asynchronous-unwind-tables",
+]
 WARNINGS = ["-Wall", "-Wextra", "-Wno-psabi", "-Wno-unused-function", "-Wno-unknown-warning-option"]
 V4 = ["-mprefer-vector-width=512"]
+# Of three copies of every kernel that of the oldest machines is kept small.
+BASE = ["-fno-unroll-loops"]
 KINDS_X86 = {
     "gcc": {"base": ["-march=x86-64-v2"], "v3": ["-march=x86-64-v3"], "v4": ["-march=x86-64-v4", *V4]},
-    "zig": {"base": ["-mcpu=x86_64_v2"], "v3": ["-mcpu=x86_64_v3"], "v4": ["-mcpu=x86_64_v4", *V4]},
+    "zig": {"base": ["-mcpu=x86_64_v2", *BASE], "v3": ["-mcpu=x86_64_v3"], "v4": ["-mcpu=x86_64_v4", *V4]},
 }
 PLATFORMS = {
     "x86_64-linux-gnu.2.17": "manylinux2014_x86_64",

@@ -30,7 +30,7 @@ DEMO_FILES = {
     "after.png", "after_left.png", "after_above.png", "regraded.png", "regraded.json", "evening.ply",
     "evening.ply.receipt.json", "evening.png", "overview.png", "turntable.webp",
 }  # fmt: skip
-BUDGETS = {"": 6_400_000, "server/static/": 1_250_000, "kernels/": 600_000, "demo_asset.sog": 3_000_000}
+BUDGETS = {"": 6_400_000, "server/static/": 1_250_000, "kernels/": 560_000, "demo_asset.sog": 3_000_000}
 """Most packed bytes of the wheel and of its largest parts; with 5.9 MB, 1.12 MB, 0.50 MB and 2.89 MB when these were
 set. Who needs more raises them, and says why in the commit."""
 BUILD = """import sys
