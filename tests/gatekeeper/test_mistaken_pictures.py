@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageFilter
 
+from splatpainter.gatekeeper.bent_pictures import bend_of
 from splatpainter.gatekeeper.fitted_mistakes import moved_a_little
 from splatpainter.gatekeeper.mistaken_pictures import explain, filtered
 from splatpainter.lift.masks import box_mean, contrast
@@ -408,3 +409,10 @@ def test_a_better_picture_of_a_coarse_asset_is_not_taken_for_a_smoothed_one():
     for blocks in (jpeg(blurred(render), 5), pixels(render)):
         explanation = filtered(blocks, render, alpha)
         assert explanation is not None and explanation.cause == "filter"
+
+
+def test_noise_and_other_detail_are_no_bend() -> None:
+    """What no displacement explains is not looked into further, however well twenty unknowns fit some of it."""
+    assert bend_of(eight_bits(lens(0.1)(VIEW)), VIEW) is not None
+    for other in (VIEW + RNG.normal(size=VIEW.shape) * 0.1, confetti(), OTHER_VIEW):
+        assert bend_of(eight_bits(other), VIEW) is None

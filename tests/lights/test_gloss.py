@@ -122,3 +122,10 @@ def test_an_estimated_light_is_no_worse_than_no_gloss() -> None:
 
     lit = relight(splats, Lights(sky=NOON, up="+y")).splats
     assert error(lit) < 1.05 * error(flat(lit))
+
+
+def test_what_neighbours_disagree_on_is_chance() -> None:
+    """Noise of which a regression alone makes gloss in half of the neighbourhoods."""
+    splats = captured(NOON, 0, noise=0.4)
+    gloss = gloss_of(splats, lit_surface(splats), SourceLight(turned_sky(NOON, np.eye(3)), 0.0, "known"))
+    assert (gloss > 0).mean() < 0.1

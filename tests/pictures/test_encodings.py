@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageFilter
 
 from splatpainter.pictures.encodings import Encoding, edited_in_encoded, guessed_encoding
 from splatpainter.pictures.picture_reader import read_picture
@@ -112,3 +112,33 @@ def test_what_was_made_anew_is_all_changed() -> None:
 def test_lossless_webp_and_png_say_so(tmp_path: Path) -> None:
     assert read_picture(stored(tmp_path, "a.webp", LEVELS, lossless=True)).encoding is None
     assert read_picture(stored(tmp_path, "a.png", LEVELS)).encoding is None
+
+
+@pytest.mark.parametrize(
+    "filter",
+    [ImageFilter.MedianFilter(5), ImageFilter.ModeFilter(5), ImageFilter.MinFilter(3), ImageFilter.MaxFilter(3)],
+)
+def test_a_rank_filter_over_all_of_it_is_no_paint(filter: ImageFilter.Filter) -> None:
+    """Beside a dab; over a part it is meant."""
+    picture = np.asarray(Image.fromarray(painted()).filter(filter), np.float32) / 255
+    guess = guessed_encoding(picture, VIEW, ALPHA)
+    assert guess is not None and guess.settings["size"] == filter.size  # type: ignore[attr-defined]
+    upper = (np.arange(240) < 100)[:, None, None]
+    part = np.where(upper, picture, LEVELS / np.float32(255))
+    assert guessed_encoding(part.astype(np.float32), VIEW, ALPHA) is None
+
+
+def test_a_median_over_three_fifths_was_used_by_hand() -> None:
+    median = np.asarray(Image.fromarray(LEVELS).filter(ImageFilter.MedianFilter(3)), np.float32) / 255
+    part = np.where((np.arange(240) < 150)[:, None, None], median, LEVELS / np.float32(255)).astype(np.float32)
+    guess = guessed_encoding(part, VIEW, ALPHA)
+    assert guess is None or "filter" not in guess.settings
+
+
+@pytest.mark.parametrize("left", [0.5, 0.7, 0.9])
+def test_burning_most_of_a_view_is_no_filter(left: float) -> None:
+    """With a soft edge; darkening comes nearer to an erosion than to the render."""
+    reach = np.clip((np.arange(240) - 75) / 12, 0, 1)[:, None, None]
+    burnt = np.round(VIEW * (1 - (1 - left) * reach) * 255) / 255
+    guess = guessed_encoding(burnt.astype(np.float32), VIEW, ALPHA)
+    assert guess is None or "filter" not in guess.settings

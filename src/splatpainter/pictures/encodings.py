@@ -71,7 +71,7 @@ class EncodingThresholds:
     painted renders has 0.53 to 0.60, noise and sharpening 0.88 and more."""
     min_exact: float = 0.5
     """Share of the asset's pixels that a guessed encoding must meet exactly."""
-    min_exact_filter: float = 0.8
+    min_exact_filter: float = 0.9
     """The same of a rank filter, which may have been used on a part on purpose."""
     min_gain: float = 0.25
     """Its least gain over none."""
