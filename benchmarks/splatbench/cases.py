@@ -226,7 +226,7 @@ class Case:
     near: np.ndarray = field(repr=False)
     """[W] bool: the novel view is near the edit."""
     true_views: PosedImages | None = None
-    """Edited views of the truth from all around, for methods that are upper bounds; no other method gets them. None:
+    """Edited views of the truth from all around, for methods that see the truth; no other method gets them. None:
     there are none (edits made on a picture alone)."""
     setup_seconds: float = 0.0
     """What building the asset took, where it was built for this case."""

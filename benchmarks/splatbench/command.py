@@ -92,7 +92,7 @@ Folder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
 
 @dataclass(frozen=True)
 class TableOptions(Setup):
-    """Measure one of the paper's tables: the asset before, ours, optimisation, other systems, upper bounds.
+    """Measure one of the paper's tables: the asset before, ours, optimisation, other systems.
 
     Results go to OUT/PROTOCOL: table.md, table.tex, results.csv, summary.csv, sheet.png, and a record per method and
     case. Started again, it goes on where it was. Exit code 0: every row that could run has all figures; 1: some lack,

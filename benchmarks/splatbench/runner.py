@@ -344,9 +344,7 @@ def edited(case: Case, method: Method, budget: Budget) -> tuple[list[EditResult]
     asset, state = case.asset, None
     for step in case.steps:
         before = rows_sha256(asset)
-        task = EditTask(
-            case.protocol, asset, case.base, step, case.true_views if method.is_upper_bound else None, state
-        )
+        task = EditTask(case.protocol, asset, case.base, step, case.true_views if method.sees_truth else None, state)
         result = method.edit(task, budget)
         if rows_sha256(asset) != before:
             raise ValueError(f"{method.name}: changed the asset in place; its answer cannot be compared")

@@ -200,7 +200,7 @@ def test_page_says_what_was_measured_and_what_was_not(plain):
     assert "3DGS: error: ValueError: no splats left (1 of 3 cases)" in text and "Ours (TTT): eight views" in text
     assert "99.99" in text and "[22.00, 24.00]" in text  # never rounded up to 100; the interval of 22, 23, 24
     text = path.read_text()
-    assert '<b>23.00</b><span class="unseen"> best</span>' in text  # not the upper bound's 31
+    assert '<b>23.00</b><span class="unseen"> best</span>' in text  # not the 31 of what sees the truth
     assert "as published, other data" in text and "21.07" in text and "1.54 + 0.64" in text
     assert text.index("GenDen") > text.index("VoxHammer")  # rows that only the paper has, below the measured ones
     assert '<td class="published" data-value="">21.07</td>' in text, "the paper's figures are set apart"

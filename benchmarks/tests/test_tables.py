@@ -59,7 +59,7 @@ def edit(work: EditTask, budget: Budget) -> EditResult:
 
 
 LABELS = {"lift": "Lift", "ttt": "Ours & theirs", "3dgs": "3DGS", "bound": "Bound", "voxhammer": "VoxHammer"}
-METHODS = {name: Method(name, label, edit, (), is_upper_bound=name == "bound") for name, label in LABELS.items()}
+METHODS = {name: Method(name, label, edit, (), sees_truth=name == "bound") for name, label in LABELS.items()}
 
 
 @pytest.fixture()
@@ -86,7 +86,7 @@ def test_markdown(grid: tables.Grid) -> None:
     assert ours[7:] == ["*24.56*", "*0.8986*", "*0.0721*", "*1.54 + 0.08*"]
     lift = cells(text, "Lift")
     assert (lift[1], lift[3], lift[6]) == ("21.25 [21.00, 21.50]", "0.75 + 0.25", "99.99")
-    assert cells(text, "Bound")[1] == "30.50 [30.00, 31.00]", "an upper bound is not the best"
+    assert cells(text, "Bound")[1] == "30.50 [30.00, 31.00]", "what sees the truth is not the best"
     few = cells(text, "3DGS")
     assert few[0] == "3DGS (1 of 2)" and few[1] == "25.50", "neither is a row that lacks cases"
     absent = cells(text, "VoxHammer")

@@ -25,18 +25,18 @@ MODULES = (
     "gs3d",
     "srgs",
     "genden",
-    "upper_bound",
+    "fit_to_truth",
     "ablations",
     "external",
 )
 """Files of this folder, in the order of the tables."""
-ALIASES = {"unedited": "nothing", "upper-bound": "oracle-fit", "upper-bound-all": "oracle-fit-all"}
+ALIASES = {"unedited": "nothing", "truth-fit": "oracle-fit", "truth-fit-all": "oracle-fit-all"}
 """Names that the command line takes as well -> names in records and tables."""
 
 
 @dataclass(frozen=True)
 class EditTask:
-    """One edit to be made. Everything is as in `Case`; true_views is None except for methods that are upper bounds."""
+    """One edit to be made. Everything is as in `Case`; true_views is None except for methods that see the truth."""
 
     protocol: str
     asset: Splats = field(repr=False)
@@ -82,8 +82,8 @@ class Method:
     """Raises ValueError where it cannot do this task; any other exception is a crash. Both become a row's error."""
     protocols: tuple[str, ...]
     """Tables that it has a row in by default."""
-    is_upper_bound: bool = False
-    """It sees true edited views."""
+    sees_truth: bool = False
+    """It sees true edited views, which no artist has, so no table marks it as the best."""
     missing: Callable[[Budget], str] = lambda _: ""
     """Why it cannot run here ("not installed: ...", "needs a CUDA GPU", "no weights: ..."), or "". Cheap."""
     version: Callable[[Budget], str] = lambda _: "1"

@@ -32,7 +32,7 @@ class MethodLabel(Protocol):
     @property
     def label(self) -> str: ...
     @property
-    def is_upper_bound(self) -> bool: ...
+    def sees_truth(self) -> bool: ...
 
 
 class TableLayout(Protocol):
@@ -54,7 +54,7 @@ class MethodNames:
     """Names of methods that occur in it, in the order of the tables."""
     labels: dict[str, str]
     unranked: frozenset[str]
-    """Upper bounds, and the row in which nothing is done: never marked as a table's best."""
+    """Methods that see the truth, and the row in which nothing is done: never marked as a table's best."""
 
     @staticmethod
     def of(
@@ -66,8 +66,8 @@ class MethodNames:
         order = (*(name for name in methods if name in names), *sorted(names - set(methods)))
         called = {name: methods[name].label if name in methods else name for name in order}
         called |= {name: label for name, label in (labels or {}).items() if name in called}
-        bounds = {name for name in order if name in methods and methods[name].is_upper_bound}
-        return MethodNames(order, called, frozenset(bounds | {"nothing"}))
+        informed = {name for name in order if name in methods and methods[name].sees_truth}
+        return MethodNames(order, called, frozenset(informed | {"nothing"}))
 
     def style(self, name: str) -> int:
         """Number of the method's colour and shape (plots.MARKS)."""
@@ -236,7 +236,7 @@ def leading(columns: Sequence[Any], rows: Sequence[SummaryRow]) -> list[Any]:
 
 
 def best_methods(rows: Sequence[SummaryRow], column: Any, names: MethodNames) -> set[str]:
-    """Methods whose mean is the best of a block's rows. Upper bounds, and methods that did not answer every case, do
+    """Methods whose mean is the best of a block's rows. Methods that see the truth, or did not answer every case, do
     not compete; nobody is best alone."""
     means = {
         row.method: row.figures[column.key].mean

@@ -1,7 +1,8 @@
 """One table as CSV, Markdown and LaTeX, in the paper's layout, with the paper's own figures in a group apart.
 
 One line of the table per method and block; what did not run is said in words and never printed as a number. Best
-figures are bold among rows that answered every case, upper bounds and "nothing" left out. page.py shows the same Grid.
+figures are bold among rows that answered every case, methods that see the truth and "nothing" left out. page.py shows
+the same Grid.
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ FRAMINGS: tuple[Framing, ...] = ("close-up", "whole")
 NEAR_DEGREES = (10.0, 35.0)
 """Degrees between the edited view and the novel views near it: from, to."""
 TRUE_NEAR, TRUE_AROUND = 6, 6
-"""True edited views for methods that are upper bounds: beside the edited view, and of the whole object."""
+"""True edited views for methods that see the truth: beside the edited view, and of the whole object."""
 WIDE_DEGREES = (5.0, 45.0)
 """Degrees between the edited view and the first of these."""
 MAX_EDITS_PER_OBJECT = 3

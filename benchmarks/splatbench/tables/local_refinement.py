@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 CLOSE_UPS = 2
 TRUE_CLOSE_UPS = 12
-"""True close-ups for methods that are upper bounds."""
+"""True close-ups for methods that see the truth."""
 MAX_TURN_DEGREES = (12.0, 8.0)
 """Degrees by which a close-up's line of sight differs from the base view in which its point was found: around the
 object, and up or down."""

@@ -30,7 +30,7 @@ class FakeTable:
 @dataclass(frozen=True)
 class FakeMethod:
     label: str
-    is_upper_bound: bool = False
+    sees_truth: bool = False
 
 
 METHODS = {
@@ -38,7 +38,7 @@ METHODS = {
     "lift": FakeMethod("Ours (lift)"),
     "ttt": FakeMethod("Ours (TTT)"),
     "3dgs": FakeMethod("3DGS"),
-    "oracle": FakeMethod("Oracle", is_upper_bound=True),
+    "oracle": FakeMethod("Oracle", sees_truth=True),
     "voxhammer": FakeMethod("VoxHammer"),
 }
 
@@ -70,7 +70,8 @@ def write(folder: Path, records: Iterable[Record], size: int = 16, folders: dict
 
 
 def plain_run(folder: Path) -> Path:
-    """Three objects; every kind of row: instant, edited, with a curve, upper bound, failed once, not installed."""
+    """Three objects; every kind of row: instant, edited, with a curve, seeing the truth, failed once, not
+    installed."""
     made = []
     for k, name in enumerate(("ant", "bee", "cat")):
         made.append(record("nothing", name, 15.0 + k, edit_seconds=0.0, rows_equal=1.0))

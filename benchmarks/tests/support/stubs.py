@@ -100,7 +100,7 @@ class Toy:
 
 def grow(work: EditTask, budget: Budget) -> EditResult:
     """One more Gaussian is made heavier by 1 at every edit; the Gaussian's number is the number of edits before."""
-    assert work.true_views is None, "only upper bounds see the truth"
+    assert work.true_views is None, "only methods that say so see the truth"
     count("grow")
     print("methods may print")
     number = work.state or 0
@@ -128,7 +128,7 @@ def cheating(work: EditTask, budget: Budget) -> EditResult:
 
 
 def bound(work: EditTask, budget: Budget) -> EditResult:
-    """An upper bound makes a new asset of other Gaussians."""
+    """Of the truth: a new asset of other Gaussians."""
     assert work.true_views is not None and work.true_views.colors.max() == 1
     return EditResult(replace(asset(7).append(asset(8)), opacities=np.full(2 * ROWS, 3.0, np.float32)), 0, 2, False)
 
@@ -148,7 +148,7 @@ METHODS = (
     Method("cheating", "Cheating", cheating, ()),
     Method("dying", "Dying", dying, ()),
     Method("absent", "Absent", grow, ("toy",), missing=lambda _: "not installed: put it there"),
-    Method("bound", "Bound", bound, ("toy",), is_upper_bound=True),
+    Method("bound", "Bound", bound, ("toy",), sees_truth=True),
 )
 
 

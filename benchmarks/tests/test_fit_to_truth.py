@@ -1,4 +1,4 @@
-"""Edit-and-fit from true views: what it may move, what it may not, and that it is the bound that it claims to be."""
+"""Fits to true views: what they may move, what they may not, and how near the truth they come."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from splatbench.cases import Budget, EditStep, PosedImages
-from splatbench.methods import Curve, EditTask, is_curve_point, upper_bound
+from splatbench.methods import Curve, EditTask, fit_to_truth, is_curve_point
 
 from splatpainter.cameras import Camera, look_at
 from splatpainter.painter import Mode
@@ -15,7 +15,7 @@ from splatpainter.rendering import render
 from splatpainter.splats import Splats
 from tests.support.lift_scenes import SH_C0, back, bits, db, disk, front, sheet
 
-BY_NAME = {method.name: method for method in upper_bound.METHODS}
+BY_NAME = {method.name: method for method in fit_to_truth.METHODS}
 SIZE = 48
 
 
@@ -48,11 +48,11 @@ def given(mode: Mode, asset: Splats, truth: Splats) -> EditTask:
     return EditTask("creative", asset, pictures(asset, [view]), EditStep(mode, "stroke", edited, masks), around)
 
 
-def test_without_true_views_there_is_no_bound() -> None:
+def test_without_true_views_there_is_no_fit() -> None:
     asset = two_sheets()
     work = replace(given("local", asset, asset), true_views=None)
     for method in BY_NAME.values():
-        assert method.is_upper_bound and method.missing(Budget()) == ""
+        assert method.sees_truth and method.missing(Budget()) == ""
         with pytest.raises(ValueError, match="no true edited views"):
             method.edit(work, Budget(steps=1))
 
