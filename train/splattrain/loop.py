@@ -116,6 +116,7 @@ class Loop:
         self.config, self.record = task.model.config, recipe.to_dict()
         if resume:
             state.load(out, self.run, self.config, self.record)
+        self.progress.aim(recipe.steps)
         step = self.progress.step
         self.table = StepTable(out / "log.csv", step) if group.first else None
         self.figures = StepTable(out / "validation.csv", step) if group.first else None
@@ -232,6 +233,8 @@ class Loop:
             "validation": self.validation,
             "recipe": self.record,
             "history": self.progress.history,
+            # Weights whose schedule changed on the way are not made by their recipe's last steps alone.
+            **({"lengths": self.progress.lengths} if len(self.progress.lengths) > 1 else {}),
             **self.notes,
         }
         state.save_model(self.out, self.run, self.config, self.group, notes)

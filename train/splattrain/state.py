@@ -54,6 +54,14 @@ class Progress:
     """Samples that could not be used."""
     history: list[dict[str, Any]] = field(default_factory=list)
     """What the stages before this one were (`history`), first one first."""
+    lengths: list[list[int]] = field(default_factory=list)
+    """[step, steps that the run was to have from there on], where the rate's schedule changed: steps may differ when a
+    run goes on, and the recipe alone says the last."""
+
+    def aim(self, steps: int) -> None:
+        """Note the length that the run is to have from here on."""
+        if not self.lengths or self.lengths[-1][1] != steps:
+            self.lengths.append([self.step, steps])
 
 
 @dataclass
@@ -143,6 +151,8 @@ def load(folder: Path, run: TrainingState, config: checkpoint.CheckpointConfig, 
     for name, record in (("progress", run.progress), ("guard", run.guard)):
         for key, value in held.notes.get(name, {}).items():
             setattr(record, key, value)
+    if not run.progress.lengths and "steps" in held.notes.get("recipe", {}):
+        run.progress.lengths.append([0, held.notes["recipe"]["steps"]])
 
 
 def save_model(

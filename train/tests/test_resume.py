@@ -95,7 +95,10 @@ def test_another_recipe_is_refused_by_name(tmp_path: Path) -> None:
         loop(other, tmp_path, resume=True)
     assert {f: f.read_bytes() for f in (tmp_path / "state").iterdir()} == before
     # How it runs may change.
+    assert "lengths" not in checkpoint.load(tmp_path / "model").notes
     assert loop(replace(RECIPE, steps=2, report_every=7), tmp_path, resume=True)().step == 2
+    # The rate fell for another number of steps at first, which the recipe alone does not say.
+    assert checkpoint.load(tmp_path / "model").notes["lengths"] == [[0, RECIPE.steps], [1, 2]]
 
 
 def test_damage_is_named(tmp_path: Path) -> None:
