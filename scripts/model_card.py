@@ -210,7 +210,7 @@ def _shares(recipe: Mapping[str, Any]) -> str:
 
 def _global_table(rows: Mapping[Any, EditRow], predictor: Mapping[Any, EditRow]) -> str:
     """Both carriers of global edits side by side."""
-    head = ("edit", "views", "samples", "objects", "nothing", "lift", "Stage II", "gain", "interval")
+    head = ("edit", "views", "samples", "objects", "nothing", "lift", "Stage II", "gain", "interval", "strength 0")
     head += ("predictor", "its gain")
     lines = [f"| {' | '.join(head)} |", "|---|---|" + "---:|" * (len(head) - 2)]
     for key, row in rows.items():
@@ -218,7 +218,7 @@ def _global_table(rows: Mapping[Any, EditRow], predictor: Mapping[Any, EditRow])
         named = "all global" if row.kind == "global" else row.kind
         cells = [named, row.views or "all", row.samples, row.objects]
         cells += [f"{row.nothing:.2f}", f"{row.lift:.2f}", f"{row.ours:.2f}", *_gain(row).rstrip(")").split(" dB (")]
-        cells += [f"{other.ours:.2f}", f"{other.gain:+.2f}"]
+        cells += [_or_dash(row.strength_zero), f"{other.ours:.2f}", f"{other.gain:+.2f}"]
         lines.append(f"| {' | '.join(map(str, cells))} |")
     return "\n".join(lines)
 
