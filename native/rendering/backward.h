@@ -52,7 +52,8 @@ void rasterize_backward_tiles(Rows<const F, COLUMNS> projected, Array1<const i32
     const Pictures<F> pictures = {image, v_image, alpha, depth, v_alpha, v_depth};
     alignas(64) Field<F> state[BACKWARD_FIELDS];
     alignas(64) F lanes[GRADIENT_FIELDS][LANES];
-    for (i64 k = thread; k < tile_ids.shape[0]; k += threads) {
+    for (Turn turn(tile_ids.shape[0], thread, threads); turn.k < tile_ids.shape[0]; turn.next()) {
+        const i64 k = turn.k;
         const Pixel first = open_tile<F>(tile_ids(k), alpha.shape[1], alpha.shape[0], state, BACKWARD_FIELDS);
         load_gradients(pictures, first, state);
         BlockSet open = ALL_BLOCKS;

@@ -36,6 +36,20 @@ SP_INLINE Pixel pixel_of(i64 x0, i64 y0, int b, int l) {
     return {x0 + (b % SIDE) * 4 + (l & 3), y0 + (b / SIDE) * 4 + (l >> 2)};
 }
 
+// A thread's tiles, some neighbours at a time, which show many of the same Gaussians:
+// for (Turn turn(tiles, thread, threads); turn.k < tiles; turn.next()).
+struct Turn {
+    i64 k, group, skipped;
+    SP_INLINE Turn(i64 tiles, i64 thread, i64 threads) {
+        group = tiles < 32 * threads ? 1 : 4;
+        k = thread * group, skipped = (threads - 1) * group;
+    }
+    SP_INLINE void next() {
+        ++k;
+        if ((k & (group - 1)) == 0) k += skipped;
+    }
+};
+
 // First pixel of a tile; T = 1 inside the picture, -1 (accepts nothing) outside, other fields 0.
 template <class F>
 SP_INLINE Pixel open_tile(i64 tile, i64 width, i64 height, Field<F>* state, int fields) {
@@ -103,11 +117,13 @@ constexpr int BATCH = 64;
 template <class F>
 struct Footprints {
     using Integer = typename IntegerOf<F>::type;
-    alignas(64) F mx[BATCH], my[BATCH], a2[BATCH], b1[BATCH], c2[BATCH], level[BATCH], bound[BATCH];
+    // One place more than entries: of what draws nothing.
+    alignas(64) F mx[BATCH + 1], my[BATCH + 1], a2[BATCH + 1], b1[BATCH + 1], c2[BATCH + 1], level[BATCH + 1];
+    alignas(64) F bound[BATCH + 1];
     alignas(64) F right[LANES], low[LANES];
-    alignas(64) Integer blocks[BATCH];  // sets of blocks
+    alignas(64) Integer blocks[BATCH + 1];  // sets of blocks
     u64 entries[BLOCKS];  // of each block: bit j is entry from + j
-    const F* row[BATCH];
+    const F* row[BATCH + 1];
     i64 from, count;
 
     SP_INLINE void read(const Rows<const F, COLUMNS>& projected, const Array1<const i32>& flatten_ids, i64 begin,
@@ -115,12 +131,15 @@ struct Footprints {
         from = begin;
         count = min_of<i64>(BATCH, end - from);
         for (u64& some : entries) some = 0;
+        const i64 last = flatten_ids.shape[0] - 1;  // beyond `end` is what the next tile shows
+        mx[BATCH] = my[BATCH] = a2[BATCH] = b1[BATCH] = c2[BATCH] = bound[BATCH] = F(0);
+        level[BATCH] = F(-1), row[BATCH] = projected.row(flatten_ids(begin));
         for (i64 at = 0; at < count; at += LANES) {
             const i64 some = min_of<i64>(LANES, count - at);
             for (i64 j = 0; j < LANES; ++j) {
                 // What is left of the last vector is the first entry again, with a level that draws nothing.
                 const F* p = projected.row(flatten_ids(from + at + (j < some ? j : 0)));
-                if (j < some) prefetch_row(projected, flatten_ids(min_of(from + at + j + LANES, end - 1)));
+                if (j < some) prefetch_row(projected, flatten_ids(min_of(from + at + j + BATCH, last)));
                 const i64 k = at + j;
                 row[k] = p;
                 mx[k] = p[MEAN_X], my[k] = p[MEAN_Y];

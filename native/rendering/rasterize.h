@@ -29,6 +29,7 @@ template <Profile profile, class F, class Weights>
 SP_INLINE i64 composite(const Rows<const F, COLUMNS>& projected, const Array1<const i32>& flatten_ids, i64 begin,
                         i64 end, Pixel first, Field<F>* __restrict state, BlockSet& open, Weights&& weights) {
     using V = Wide<F>;
+    constexpr bool ahead = !FUSED_IS_EMULATED && sizeof(F) == 4;  // where it pays: it is three copies of alpha_of
     Footprints<F> drawn;
     i64 closing = begin;  // the entry that closed a block last
     for (i64 from = begin; from < end; from += BATCH) {
@@ -44,9 +45,22 @@ SP_INLINE i64 composite(const Rows<const F, COLUMNS>& projected, const Array1<co
                 if (!bits_where(T > F(0))) continue;
                 for (int c = 0; c < 4; ++c) sums[c] = load(&state[SEEN + c][b][l]);
                 bool accepts = true;
-                for (u64 rest = hits; rest; rest &= rest - 1) {
-                    const int j = __builtin_ctzll(rest);
-                    const V alpha = alpha_of<profile, F>(drawn[j], b, l);
+                // The alphas of the next two entries are on their way while T goes on: it then waits for nothing else.
+                u64 rest = hits;
+                const auto next = [&] {
+                    const int j = rest ? __builtin_ctzll(rest) : BATCH;
+                    rest &= rest - 1;
+                    return j;
+                };
+                int j = next(), j2 = BATCH, j3 = BATCH;
+                V alpha = {}, alpha2 = {}, alpha3 = {};
+                if constexpr (ahead) {
+                    j2 = next();
+                    alpha = alpha_of<profile, F>(drawn[j], b, l), alpha2 = alpha_of<profile, F>(drawn[j2], b, l);
+                }
+                for (; j < BATCH; j = j2, alpha = alpha2, j2 = j3, alpha2 = alpha3) {
+                    if constexpr (ahead) j3 = next(), alpha3 = alpha_of<profile, F>(drawn[j3], b, l);
+                    else j2 = next(), alpha = alpha_of<profile, F>(drawn[j], b, l);
                     if constexpr (FUSED_IS_EMULATED && profile == Profile::inria)
                         if (!bits_where(alpha > F(0))) continue;  // changes nothing, and sums are dear
                     const V w = accept_into<profile, F>(T, alpha);
@@ -72,6 +86,21 @@ SP_INLINE i64 composite(const Rows<const F, COLUMNS>& projected, const Array1<co
     return end;
 }
 
+// Fields of a tile that is composited -> colours over the background, expected depth, and alpha in place of T.
+template <class F>
+SP_INLINE void finish_tile(Field<F>* state, const F* background) {
+    using V = Wide<F>;
+    const V one = all(F(1)), zero = {};
+    for (int b = 0; b < BLOCKS; ++b)
+        SP_LANES(F, l) {
+            const V T = magnitude_of(load(&state[TRANSMITTANCE][b][l])), alpha = one - T;
+            for (int c = 0; c < 3; ++c)
+                store(&state[SEEN + c][b][l], load(&state[SEEN + c][b][l]) + T * background[c]);
+            store(&state[SEEN_DEPTH][b][l], T < one ? load(&state[SEEN_DEPTH][b][l]) / alpha : zero);
+            store(&state[TRANSMITTANCE][b][l], alpha);
+        }
+}
+
 template <Profile profile, class F>
 void rasterize_tiles_as(Rows<const F, COLUMNS> projected, Array1<const i32> flatten_ids, Array1<const i32> tile_ids,
                         Array1<const i64> isect_offsets, Array1<const F> background, Pixels<F, 3> image,
@@ -79,20 +108,23 @@ void rasterize_tiles_as(Rows<const F, COLUMNS> projected, Array1<const i32> flat
     const i64 height = alpha.shape[0], width = alpha.shape[1];
     const F back[3] = {background(0), background(1), background(2)};
     alignas(64) Field<F> state[SEEN_FIELDS];
-    for (i64 k = thread; k < tile_ids.shape[0]; k += threads) {
+    for (Turn turn(tile_ids.shape[0], thread, threads); turn.k < tile_ids.shape[0]; turn.next()) {
+        const i64 k = turn.k;
         const Pixel first = open_tile<F>(tile_ids(k), width, height, state, SEEN_FIELDS);
         BlockSet open = ALL_BLOCKS;
         const i64 begin = isect_offsets(k), end = isect_offsets(k + 1);
         ends(k) = composite<profile>(projected, flatten_ids, begin, end, first, state, open, NoWeights<F>{});
+        finish_tile(state, back);
         for (int b = 0; b < BLOCKS; ++b)
-            for (int l = 0; l < LANES; ++l) {
-                const auto [x, y] = pixel_of(first.x, first.y, b, l);
-                if (y >= height || x >= width) continue;
-                const F T = abs_of(state[TRANSMITTANCE][b][l]);
-                F* out = image.row(y, x);
-                for (int c = 0; c < 3; ++c) out[c] = state[SEEN + c][b][l] + T * back[c];
-                alpha(y, x) = F(1) - T;
-                depth(y, x) = T < F(1) ? state[SEEN_DEPTH][b][l] / (F(1) - T) : F(0);
+            for (int row = 0; row < LANES; row += 4) {
+                const auto [x, y] = pixel_of(first.x, first.y, b, row);
+                const i64 some = y < height ? min_of<i64>(4, width - x) : 0;
+                if (some <= 0) continue;
+                F *colors = image.row(y, x), *alphas = &alpha(y, x), *depths = &depth(y, x);
+                for (i64 l = 0; l < some; ++l) {
+                    for (int c = 0; c < 3; ++c) colors[3 * l + c] = state[SEEN + c][b][row + l];
+                    alphas[l] = state[TRANSMITTANCE][b][row + l], depths[l] = state[SEEN_DEPTH][b][row + l];
+                }
             }
     }
 }

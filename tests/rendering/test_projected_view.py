@@ -380,10 +380,17 @@ def test_depths_are_sorted_stably_by_any_number_of_threads(count: int, threads: 
     blocks = -(-count // 100)
     counts = np.minimum(100, count - 100 * np.arange(blocks)).astype(np.int32)
     slots = np.concatenate([np.arange(0), *(np.arange(c) + b * size for b, c in enumerate(counts))])
-    for depths in (rng.uniform(2, 3, blocks * size), rng.integers(1, 4, blocks * size), np.full(blocks * size, 0.2)):
+    # Of few bits and of many, of few values, of one.
+    wide = np.exp(rng.uniform(-70, 70, blocks * size))
+    few = rng.integers(1, 4, blocks * size)
+    for depths in (rng.uniform(2, 3, blocks * size), wide, few, np.full(blocks * size, 0.2)):
         keys = depths.astype(np.float32)
         expected = slots[np.argsort(keys[slots], kind="stable")]
-        assert np.array_equal(_depth_order(keys, counts), expected)
+        tile_counts = rng.integers(0, 9, blocks * size).astype(np.int32)
+        order, share_tiles = _depth_order(keys, counts, tile_counts)
+        assert np.array_equal(order, expected)
+        shares = [expected[count * k // int(threads) : count * (k + 1) // int(threads)] for k in range(int(threads))]
+        assert share_tiles.tolist() == [int(tile_counts[share].sum()) for share in shares]
 
 
 def test_tiles_of_a_mask_are_those_with_any_pixel():

@@ -47,6 +47,17 @@ class StepSizes:
 STEP_SIZES = StepSizes()
 
 
+@dataclass(frozen=True)
+class ListSizes:
+    """What lists of tiles are made with (native/rendering/tile_binning.h)."""
+
+    pairs_at_once: int = 4
+    """Pairs that are written at once, of which the last may be none: as many places each share has to spare."""
+
+
+LIST_SIZES = ListSizes()
+
+
 def camera_vector(camera: Camera, window: np.ndarray, dtype: np.dtype) -> np.ndarray:
     """[27] what kernels need of a camera. window: [4] x0, x1, y0, y1 in pixels; Gaussians that miss it are dropped."""
     c = camera

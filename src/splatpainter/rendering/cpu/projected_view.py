@@ -21,6 +21,7 @@ from splatpainter.rendering.cpu import geometry
 from splatpainter.rendering.cpu.geometry import (
     COLUMNS,
     GAUSSIANS_PER_BLOCK,
+    LIST_SIZES,
     STEP_SIZES,
     SUMS,
     TILE,
@@ -31,6 +32,7 @@ from splatpainter.system.quick_dataclass import dataclass
 
 MIN_PRESELECTED = 1 << 16
 """Gaussians from which on a first pass finds those that may touch the drawn tiles, where not all tiles are."""
+INT32, INT64 = np.dtype(np.int32), np.dtype(np.int64)
 MAX_PAIRS = 1 << 30
 """Pairs of a Gaussian and a tile in one view, 12 GiB of lists; beyond 2^31 their numbers would not fit into int32."""
 
@@ -440,8 +442,8 @@ def project(
     # Each block of Gaussians writes to its own place, so that threads need no lock and the order is always the same.
     blocks = -(-n // GAUSSIANS_PER_BLOCK)
     size = blocks * GAUSSIANS_PER_BLOCK
-    block_projected, keys = aligned((size, COLUMNS), dtype), np.empty(size, dtype)
-    (block_ids, block_tiles), counts = np.empty((2, size), np.int32), np.empty(blocks, np.int32)
+    block_projected, keys = aligned((size, COLUMNS), dtype), aligned((size,), dtype)
+    (block_ids, block_tiles), counts = aligned((2, size), INT32), np.empty(blocks, np.int32)
     if len(tile_ids) and n and np.abs(camera.position).max() <= MAX_MAGNITUDE:
         settings = (splats.sh_degree, selected, cam, bool(splats.antialiased), grid, tile_slots)
         arguments = (*attributes[:4], attributes[4].reshape(n, -1), *settings)
@@ -450,34 +452,35 @@ def project(
         counts[:] = 0
 
     # Sorted once by depth; lists of tiles made in this order are sorted as well.
-    order = _depth_order(keys, counts)
-    m = len(order)
-    projected, (gaussian_ids, max_tiles) = aligned((m, COLUMNS), dtype), np.empty((2, m), np.int32)
-    run(kernels.gather_sorted, order, block_projected, block_ids, block_tiles, projected, gaussian_ids, max_tiles)
-    del block_projected
-    begins = np.cumsum(max_tiles, dtype=np.int64) - max_tiles
+    order, share_tiles = _depth_order(keys, counts, block_tiles)
+    m, shares = len(order), len(share_tiles)
 
     # Pairs of Gaussian and tile become memory: judged before they are made.
-    max_pairs = int(max_tiles.sum(dtype=np.int64))
+    max_pairs = int(share_tiles.sum())
     if max_pairs > MAX_PAIRS:
         size = f"{camera.width} x {camera.height}"
         limit = f"Gaussians that touch at most {MAX_PAIRS:,} tiles of {TILE} x {TILE} pixels in all"
         raise ValueError(f"render: expected {limit}, got {max_pairs:,} at {size}; render a smaller picture")
-    ends, pair_tiles = np.empty(m, np.int64), np.empty(max_pairs, np.int32)
     # Counted first and placed then: the sums of counts say where each thread's pairs go.
-    histogram = np.zeros((threads(), len(tile_ids)), np.int64)
-    run(kernels.list_pairs, projected, begins, max_tiles, grid, tile_slots, ends, pair_tiles, histogram)
-    pair_offsets, isect_offsets = np.zeros(m + 1, np.int64), np.zeros(len(tile_ids) + 1, np.int64)
-    np.cumsum(ends - begins, out=pair_offsets[1:])
+    begins = np.append(0, np.cumsum(share_tiles + LIST_SIZES.pairs_at_once))
+    pairs, histogram = aligned((int(begins[-1]),), INT64), np.zeros((shares, len(tile_ids)), np.int64)
+    projected, gaussian_ids = aligned((m, COLUMNS), dtype), aligned((m,), INT64)
+    pair_offsets = aligned((m + 1,), INT64)
+    pair_offsets[0] = 0
+    sorted_entries = (projected, gaussian_ids, pairs, pair_offsets, histogram)
+    run(kernels.list_pairs, order, block_projected, block_ids, begins, grid, tile_slots, *sorted_entries)
+    del block_projected
+    totals, isect_offsets = np.zeros(shares + 1, np.int64), np.zeros(len(tile_ids) + 1, np.int64)
+    np.cumsum(histogram.sum(1), out=totals[1:])
     np.cumsum(histogram.sum(0), out=isect_offsets[1:])
     first = np.cumsum(histogram, 0) - histogram + isect_offsets[:-1]
-    flatten_ids, pair_ids = np.empty((2, int(isect_offsets[-1])), np.int32)
-    run(kernels.place_pairs, begins, ends, pair_tiles, pair_offsets, first, flatten_ids, pair_ids)
+    flatten_ids, pair_ids = aligned((2, int(totals[-1])), INT32)
+    run(kernels.place_pairs, pairs, begins, totals, first, pair_offsets, flatten_ids, pair_ids)
     return ProjectedView(
         camera=camera,
         num_gaussians=n,
         tiles=tiles,
-        gaussian_ids=gaussian_ids.astype(np.int64),
+        gaussian_ids=gaussian_ids,
         projected=readonly(projected, dtype),
         pair_offsets=pair_offsets,
         flatten_ids=flatten_ids,
@@ -487,21 +490,22 @@ def project(
     )
 
 
-def _depth_order(keys: np.ndarray, counts: np.ndarray) -> Ids:
-    """[M] int32 slots of what the blocks wrote, front to back, ties in the order of the Gaussians."""
-    total = int(counts.sum())
+def _depth_order(keys: np.ndarray, counts: np.ndarray, tile_counts: np.ndarray) -> tuple[Ids, Ids]:
+    """([M] int32 slots of what the blocks wrote, front to back, ties in the order of the Gaussians; [threads] int64
+    tiles that each thread's share of these touches, at most)."""
+    total, shares = int(counts.sum()), threads()
     if keys.dtype == np.float32:
-        order, spare = np.empty((2, total), np.int32)
-        value, value2 = np.empty((2, total), np.uint32)
-        swapped, ranges = np.zeros(threads(), bool), np.empty((threads(), 2), np.int64)
-        run(kernels.sort_depths, keys, counts, order, spare, value, value2, swapped, ranges)
-        for begin, end in ranges[swapped]:
-            order[begin:end] = spare[begin:end]
-        return order
+        order, spare = aligned((2, total), INT32)
+        value, value2 = aligned((2, total), np.dtype(np.uint32))
+        share_tiles = np.empty((shares, shares), np.int64)
+        run(kernels.sort_depths, keys, counts, tile_counts, order, spare, value, value2, share_tiles)
+        return order, share_tiles.sum(0)
     slots = np.concatenate(
         [np.arange(c) + b * GAUSSIANS_PER_BLOCK for b, c in enumerate(counts)] or [np.empty(0, np.int64)]
     )
-    return slots[np.argsort(keys[slots], kind="stable")].astype(np.int32)
+    order = slots[np.argsort(keys[slots], kind="stable")].astype(np.int32)
+    edges = np.arange(shares + 1) * total // shares
+    return order, np.diff(np.append(0, np.cumsum(tile_counts[order], dtype=np.int64))[edges])
 
 
 def _profile_number(profile: Profile) -> int:
