@@ -24,6 +24,7 @@ from splatpainter.commands.parts.edited_file import (
     spoken,
 )
 from splatpainter.commands.parts.option_parsing import OLD_OPTIONS, option_name, parse
+from splatpainter.kernels.arrays import keep_no_idle_memory
 from splatpainter.operations.operation import KINDS, Operation, Wording, kinds, operation_class
 from splatpainter.operations.paint import Paint
 from splatpainter.system.memory import return_large_arrays
@@ -106,6 +107,7 @@ def dispatch(words: Sequence[str]) -> Outcome:
         config = parse(Config, PROGRAM, words)
         operations, wordings = [operation_from(config, Paint)], [spoken(Paint, f"{PROGRAM}: ")]
     return_large_arrays()
+    keep_no_idle_memory()
     outcome = _ran(config, operations, wordings)
     return outcome.as_json() if config.json else outcome
 

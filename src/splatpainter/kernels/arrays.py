@@ -3,15 +3,91 @@
 from __future__ import annotations
 
 import math
+import threading
+from dataclasses import replace
 
 import numpy as np
 
+from splatpainter.system.quick_dataclass import dataclass
+
+
+@dataclass(frozen=True)
+class IdleLimits:
+    """Of memory that is kept for the next arrays. The system clears what it hands out: a fifth of the CPU time of
+    drawing 100,000 Gaussians again and again."""
+
+    smallest_bytes: int = 1 << 16
+    """Of smaller arrays, malloc keeps the memory itself."""
+    most_bytes: int = 64 << 20
+    """Of all that is idle: the numbers of a million projected Gaussians."""
+    most_waste: float = 1.5
+    """Memory serves arrays of at least its size divided by this."""
+
+
+IDLE_LIMITS = IdleLimits()
+
+
+class _IdleMemory:
+    """Memory of arrays that are gone. Nobody waits for its lock: an array may end at any line, also inside of `take`,
+    and in a child whose parent was there when it forked; what cannot be kept goes back to the system."""
+
+    def __init__(self) -> None:
+        self.memories: list[np.ndarray] = []
+        """[bytes] uint8 each, the latest last."""
+        self.lock = threading.Lock()
+        self.limits = IDLE_LIMITS
+
+    def take(self, size: int) -> np.ndarray:
+        """[size or more] uint8 of which nothing is known."""
+        if self.lock.acquire(blocking=False):
+            try:
+                for k in range(len(self.memories) - 1, -1, -1):
+                    if size <= self.memories[k].size <= self.limits.most_waste * size:
+                        return self.memories.pop(k)
+            finally:
+                self.lock.release()
+        return np.empty(size, np.uint8)
+
+    def put(self, memory: np.ndarray) -> None:
+        """Keep it in place of what has been idle for longest."""
+        if not self.lock.acquire(blocking=False):
+            return
+        try:
+            self.memories.append(memory)
+            excess = sum(one.nbytes for one in self.memories) - self.limits.most_bytes
+            while excess > 0:
+                excess -= self.memories.pop(0).nbytes
+        finally:
+            self.lock.release()
+
+
+_idle = _IdleMemory()
+
+
+class _Lent:
+    """Owner of an array's memory, which becomes idle with the last view of it."""
+
+    def __init__(self, memory: np.ndarray, idle: _IdleMemory):
+        self.memory, self.idle = memory, idle
+        self.__array_interface__ = memory.__array_interface__
+
+    def __del__(self) -> None:
+        self.idle.put(self.memory)
+
+
+def keep_no_idle_memory() -> None:
+    """For processes that end soon: what arrays held goes back to the system with them."""
+    _idle.limits = replace(IDLE_LIMITS, most_bytes=0)
+    _idle.memories.clear()
+
 
 def aligned(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
-    """np.empty on a 64-byte boundary, so that 16 float32 numbers are one cache line."""
+    """np.empty on a 64-byte boundary, so that 16 float32 numbers are one cache line; in memory of arrays that are gone,
+    where some fits."""
     # numpy promises no alignment; kernels read whole cache lines.
     size = math.prod(shape) * dtype.itemsize
-    raw = np.empty(size + 64, np.uint8)
+    small = size < IDLE_LIMITS.smallest_bytes
+    raw = np.empty(size + 64, np.uint8) if small else np.asarray(_Lent(_idle.take(size + 64), _idle))
     start = -raw.ctypes.data % 64
     return raw[start : start + size].view(dtype).reshape(shape)
 

@@ -8,6 +8,7 @@ from typing import TypeVar
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.kernels.arrays import aligned
 from splatpainter.kernels.parallel import each, threads
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.rendering.profiles import Profile
@@ -39,7 +40,7 @@ def render_views(
     """splats: numpy attributes. cameras: of one size, at least one."""
     dtype = splats.means.dtype
     shape = (len(cameras), cameras[0].height, cameras[0].width)
-    colors, alphas, depths = (np.empty((*shape, channels), dtype) for channels in (3, 1, 1))
+    colors, alphas, depths = (aligned((*shape, channels), dtype) for channels in (3, 1, 1))
     weights = np.zeros((len(cameras), len(splats)), dtype) if contributions else None
 
     def render_view(c: int) -> tuple[ProjectedView, np.ndarray] | None:
@@ -59,7 +60,7 @@ def render_views_backward(
 ) -> tuple[np.ndarray, ...]:
     """Gradients of (means, quats, scales, opacities, sh) from those of colours, alphas and depths (shapes of
     RenderedViews)."""
-    out = tuple(np.empty(getattr(splats, name).shape, splats.means.dtype) for name in ATTRIBUTES)
+    out = tuple(aligned(getattr(splats, name).shape, splats.means.dtype) for name in ATTRIBUTES)
 
     def rasterize_backward(c: int) -> np.ndarray:
         view, ends = rendered.views[c]
