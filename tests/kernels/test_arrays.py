@@ -42,6 +42,7 @@ def test_memory_is_used_again_when_the_last_view_is_gone(idle: arrays._IdleMemor
     del part
     again = aligned((90_000,), FLOAT)
     assert again.ctypes.data == address and again.shape == (90_000,)
+    assert aligned((90_000,), FLOAT).ctypes.data != address, "it is that of an array that is there"
     # Much smaller and larger ones leave it to those that fit.
     del again
     assert aligned((50_000,), FLOAT).ctypes.data != address and aligned((101_000,), FLOAT).ctypes.data != address
@@ -73,7 +74,7 @@ def test_nobody_waits_for_it_and_threads_share_it(idle: arrays._IdleMemory):
         assert not held and not idle.memories
 
     def fill(number: int) -> bool:
-        array = aligned((60_000 + number,), FLOAT)
+        array = aligned((60_000 - number,), FLOAT)
         array[:] = number
         threading.Event().wait(0.001)
         return bool((array == number).all())
