@@ -42,6 +42,8 @@ class FacingThresholds:
     """Gaussians of a plane in a cell that such an agreement is asked of."""
     neighbourhood: float = 0.15
     """Edge of the cells in which Gaussians of a sheet seen from both sides agree, in radii of the asset."""
+    max_cells: int = 1 << 18
+    """Cells either way along an axis: what lies farther off shares the outermost ones."""
     axis_bins: int = 12
     """Directions of axes by which they are told apart in a cell."""
     max_sheet_gap: float = 0.35
@@ -149,9 +151,12 @@ def _planes(splats: Splats, axes: np.ndarray, edge: float) -> tuple[np.ndarray, 
     bins = np.abs(along).argmax(1)
     aligned = np.where(along[np.arange(len(axes)), bins] < 0, -1.0, 1.0)[:, None] * axes
     # Cells off the origin: planes through it are common.
-    cells = np.floor(splats.means.astype(np.float64) / max(edge, 1e-12) + 0.37).astype(np.int64)
-    keys = np.concatenate([cells, bins[:, None]], 1)
-    return np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1), aligned
+    cells = np.floor(splats.means.astype(np.float64) / max(edge, 1e-12) + 0.37)
+    half = ORIENTATION.max_cells
+    cells = cells.clip(-half, half - 1).astype(np.int64) + half
+    # As one number: rows of numbers sort ten times as slowly.
+    keys = ((cells[:, 0] * 2 * half + cells[:, 1]) * 2 * half + cells[:, 2]) * ORIENTATION.axis_bins + bins
+    return np.unique(keys, return_inverse=True)[1].reshape(-1), aligned
 
 
 def _with_neighbours(

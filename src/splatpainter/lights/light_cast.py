@@ -23,7 +23,7 @@ LIGHT_MEAN, LIGHT_COVARIANCE = (-0.020, 0.075), ((0.0342, -0.0225), (-0.0225, 0.
 HUE_RANGE = 1.2
 """Natural logarithms of red and blue over green that count; beyond, a channel is nearly black."""
 GRID_RANGE, GRID_STEPS = 0.6, 25
-"""Of the lights that are tried."""
+"""Of the lights that are tried. Hues are gathered at the same steps, each shared by the four around it."""
 DARK = 0.005
 """Added to linear colours, so that logarithms of dark ones stay small."""
 
@@ -39,16 +39,39 @@ def cast(colors: np.ndarray, weights: np.ndarray) -> np.ndarray:
         return np.ones(3)
     axis = np.linspace(-GRID_RANGE, GRID_RANGE, GRID_STEPS)
     grid = np.stack([np.repeat(axis, GRID_STEPS), np.tile(axis, GRID_STEPS)], 1)
+    # Lights and hues lie on one lattice: a material's is their difference, and its density is looked up.
+    step = 2 * GRID_RANGE / (GRID_STEPS - 1)
+    amounts = _gathered(hues / step, weights) / total
+    reach, half = len(amounts) // 2, GRID_STEPS // 2
+    offsets = np.arange(-reach - half, reach + half + 1) * step
+    apart = np.stack(np.meshgrid(offsets, offsets, indexing="ij"), -1).reshape(-1, 2)
+    density = portable.log(_material_density(apart)).reshape(len(offsets), len(offsets))
+    # As a mean, so that one asset is one witness: its materials are no independent draws.
     chance = np.empty(len(grid))
-    for k, light in enumerate(grid):
-        # As a mean, so that one asset is one witness: its materials are no independent draws.
-        chance[k] = float((weights * portable.log(_material_density(hues - light))).sum()) / total
+    for k in range(len(grid)):
+        red, blue = 2 * half - k // GRID_STEPS, 2 * half - k % GRID_STEPS
+        part = density[red : red + len(amounts), blue : blue + len(amounts)]
+        chance[k] = float((amounts * part).sum())
     chance += _log_normal(grid, LIGHT_MEAN, LIGHT_COVARIANCE)
     chance = portable.exp(chance - chance.max())
     # The mean of what is likely, not the likeliest: one asset seldom decides.
     red, blue = (chance[:, None] * grid).sum(0) / chance.sum()
     color = np.array([portable.exp(float(red)), 1.0, portable.exp(float(blue))])
     return color / color.mean()
+
+
+def _gathered(places: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """[K, K] sums of weights [M] at whole places around the middle one, which is 0: each of the places [M, 2] lies
+    between four of them."""
+    reach = math.ceil(HUE_RANGE * (GRID_STEPS - 1) / (2 * GRID_RANGE)) + 1
+    out = np.zeros((2 * reach + 1) ** 2)
+    low = np.floor(places).astype(np.int64)
+    part = places - low
+    for first, second in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        share = np.abs(1 - first - part[:, 0]) * np.abs(1 - second - part[:, 1])
+        cell = (low[:, 0] + first + reach) * (2 * reach + 1) + low[:, 1] + second + reach
+        out += np.bincount(cell, weights * share, len(out))
+    return out.reshape(2 * reach + 1, 2 * reach + 1)
 
 
 def _material_density(hues: np.ndarray) -> np.ndarray:

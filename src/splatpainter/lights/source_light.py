@@ -61,6 +61,8 @@ class EstimateThresholds:
     parts: int = 8
     """Of the asset, each of which is left out once."""
     rounds: int = 30
+    settled: float = 1e-3
+    """Largest change of a coefficient, over band 0, with which the fit ends: irradiance is the same to 0.1 %."""
     min_observations: int = 60
     common_error: float = 0.3
     """Of irradiance over its mean, that no part of the asset shows: gloss, neighbours' light, a sun finer than SH."""
@@ -246,8 +248,10 @@ def _fit(seen: _Observations, values: np.ndarray, center: np.ndarray, deviation:
         right = portable.transposed_product(jacobian, (weights * error)[:, None])[:, 0] / noise**2
         step = portable.solved(matrix, (right - (estimate - center) / deviation**2)[:, None])[:, 0]
         # Damped: far from the solution a full step on logarithms overshoots.
-        estimate = estimate + 0.6 * step
-        estimate = _not_negative(estimate, limits)
+        moved = _not_negative(estimate + 0.6 * step, limits)
+        change, estimate = np.abs(moved - estimate).max(), moved
+        if change < LIMITS.settled:
+            break
     return estimate
 
 
