@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from splatpainter.cameras import UpAxis
+from splatpainter.lighting import unoccluded_transfer
 from splatpainter.lights.irradiance import LitSurface, sun_light
 from splatpainter.lights.lamps import Lamp, Sun
 from splatpainter.lights.source_light import SourceLight, estimate_source, uniform_source
@@ -109,9 +110,12 @@ def _estimate(splats: Splats, surface: LitSurface, up: UpAxis) -> SourceLight:
     if pixels is None:
         return uniform_source("source light: uniform grey, for want of a surface that was looked at")
     # Of pixels, not of Gaussians: several make the colour of each, and their own are what a fit left them.
-    light, filled = pixels.colors(splats)
+    sides = surface.facing
+    light, filled, normals = pixels.shown(splats, sides.normals * (2 * sides.front - 1)[:, None])
     witnesses = filled & (surface.pixel_closed < MAX_CLOSED)
-    return estimate_source(light, surface.pixel_transfer, pixels.points, witnesses, up)
+    # What is in the way of a pixel hardly depends on a few degrees, and stays.
+    turned = unoccluded_transfer(normals) - unoccluded_transfer(pixels.normals.astype(np.float64))
+    return estimate_source(light, surface.pixel_transfer + turned / np.pi, pixels.points, witnesses, up)
 
 
 def _shape_hash(splats: Splats) -> bytes:

@@ -15,12 +15,12 @@ from splatpainter.array_types import Bools, Floats, Ids
 from splatpainter.cameras import Camera, bounding_sphere, spherical_cameras
 from splatpainter.color import to_light
 from splatpainter.kernels import portable
-from splatpainter.rendering import render
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import visible_surface
 from splatpainter.system.quick_dataclass import dataclass
+from splatpainter.transforms import row_norm
 
 
 @dataclass(frozen=True)
@@ -42,8 +42,8 @@ class SightThresholds:
     surface_patches: int = 150_000
     """Gaussians that the surface is estimated from, at most: so coarse a view tells no more apart."""
     clear: float = 0.5
-    """Length of the mean of normals that a Gaussian shows, from which their mean tells its outside, whatever its
-    axes."""
+    """Length of a mean of normals from which it tells the outside: of those that a Gaussian shows, whatever its axes;
+    of those of the Gaussians in a pixel."""
     min_footprint_px: float = 0.05
     """Pixels' worth of a Gaussian from which what views show of it is its surface."""
     min_alpha: float = 0.9
@@ -67,23 +67,30 @@ class SeenPixels:
     normals: Floats = field(repr=False)
     """[S, 3] float32 unit, towards the camera."""
 
-    def colors(self, splats: Splats) -> tuple[Floats, Bools]:
-        """([S, 3] linear colours of an asset of this shape as they are seen there, [S] bool where it fills the
-        pixel)."""
+    def shown(self, splats: Splats, facing: np.ndarray) -> tuple[Floats, Bools, Floats]:
+        """([S, 3] linear colours of an asset of this shape as they are seen there, [S] bool where it fills the pixel,
+        [S, 3] float64 unit normals of the Gaussians that are seen there, blended as their colours are: then colour and
+        normal belong to each other). facing: [N, 3] normals of the asset, the shorter the less a side is certain; where
+        those of a pixel contradict each other its own `normals` stand in."""
         # Base colours, as gloss is of no use here.
         base = replace(splats, sh=np.ascontiguousarray(splats.sh[:, :1]))
         light, filled = np.zeros((len(self.views), 3)), np.zeros(len(self.views), bool)
+        normals = self.normals.astype(np.float64)
         for number, camera in enumerate(self.cameras):
-            here = self.views == number
-            if not here.any():
+            here = np.flatnonzero(self.views == number)
+            if not len(here):
                 continue
-            drawn = render(base, camera, background=np.zeros(3, np.float32))
-            pixels = self.pixels[here]
-            alpha = drawn.alphas[0].reshape(-1)[pixels]
-            display = drawn.colors[0].reshape(-1, 3)[pixels] / np.maximum(alpha, 1e-6)[:, None]
+            view, pixels = project(base, camera), self.pixels[here]
+            drawn, covered, _ = view.rasterize()
+            alpha = covered.reshape(-1)[pixels]
+            display = drawn.reshape(-1, 3)[pixels] / np.maximum(alpha, 1e-6)[:, None]
             light[here] = to_light(np.maximum(display, 0), splats.color_space)
             filled[here] = alpha > SIGHTS.min_alpha
-        return light, filled
+            blended = view.rasterize(facing[view.gaussian_ids])[0].reshape(-1, 3)[pixels].astype(np.float64)
+            length = row_norm(blended)
+            clear = length > SIGHTS.clear * np.maximum(alpha, 1e-6)
+            normals[here[clear]] = blended[clear] / length[clear, None]
+        return light, filled, normals
 
 
 @dataclass(frozen=True)
