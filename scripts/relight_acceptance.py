@@ -1,10 +1,10 @@
-"""Lights on the cases of the acceptance protocol: what the command line makes of both environments, of one, of pictures.
+"""Lights on cases of the acceptance protocol: what `light` makes of both environments, of one of them, of pictures.
 
-    python scripts/relight_acceptance.py CASES --environments HDRIS --cli .venv/bin/splatpainter [--only given] [--json OUT]
+    python scripts/relight_acceptance.py CASES --environments HDRIS --cli .venv/bin/splatpainter [--only given]
 
 CASES are folders as `make_cases.py` of the protocol makes them; their relight/lights.json names the environment that
-the asset was lit by and the one that lights the novel views (SH-2 irradiance, mean luminance 0.8, no shadows). Scored as
-there: dB over the object, mean of four novel views. The project is driven by its commands alone; numpy and pillow.
+the asset was lit by and the one that lights the novel views (SH-2 irradiance, mean luminance 0.8, no shadows). Scored
+as there: dB over the object, mean of four novel views. The project is driven by its commands alone; numpy and pillow.
 """
 
 from __future__ import annotations

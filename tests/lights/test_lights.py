@@ -238,6 +238,18 @@ def test_without_witnesses_the_light_is_grey_and_says_so() -> None:
     assert edited.receipt is not None and "uniform grey" in edited.receipt.note
 
 
+def test_a_light_like_the_doubted_one_before_is_remarked() -> None:
+    """A ball of one colour in noon's light: the estimate is known within some 30 %, and the same light again differs by
+    less than that."""
+    light = LitSurface.of(ball(3000), shadows=False).from_sky(turned_sky(sky("noon"), np.eye(3)))
+    splats = painted(ball(3000), 0.4 * light)
+    doubted = "by less than that is doubted"
+    assert doubted in relight(splats, Lights(sky=sky("noon"), up="+y")).receipt.note
+    assert doubted not in relight(splats, Lights(suns=(Sun(90, 20),), fill=0.0, up="+y")).receipt.note
+    given = relight(splats, Lights(sky=sky("overcast"), up="+y"), source=sky("noon"))
+    assert doubted not in given.receipt.note, "what is given is not doubted"
+
+
 def test_delight_flattens_what_a_sky_had_shaded() -> None:
     splats = painted(ball(4000), np.full((4000, 3), 0.15))
     lit = relight(splats, replace(UP, sky=sky("noon")), source=SkyMap(np.ones((16, 32, 3), np.float32), "white")).splats

@@ -60,13 +60,13 @@ def cast(colors: np.ndarray, weights: np.ndarray) -> np.ndarray:
     return color / color.mean()
 
 
-def _gathered(places: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """[K, K] sums of weights [M] at whole places around the middle one, which is 0: each of the places [M, 2] lies
-    between four of them."""
+def _gathered(positions: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """[K, K] sums of weights [M] on a lattice around the middle point, which is 0: each of the positions [M, 2] lies
+    between four points."""
     reach = math.ceil(HUE_RANGE * (GRID_STEPS - 1) / (2 * GRID_RANGE)) + 1
     out = np.zeros((2 * reach + 1) ** 2)
-    low = np.floor(places).astype(np.int64)
-    part = places - low
+    low = np.floor(positions).astype(np.int64)
+    part = positions - low
     for first, second in ((0, 0), (0, 1), (1, 0), (1, 1)):
         share = np.abs(1 - first - part[:, 0]) * np.abs(1 - second - part[:, 1])
         cell = (low[:, 0] + first + reach) * (2 * reach + 1) + low[:, 1] + second + reach

@@ -111,11 +111,11 @@ def _estimate(splats: Splats, surface: LitSurface, up: UpAxis) -> SourceLight:
         return uniform_source("source light: uniform grey, for want of a surface that was looked at")
     # Of pixels, not of Gaussians: several make the colour of each, and their own are what a fit left them.
     sides = surface.facing
-    light, filled, normals = pixels.shown(splats, sides.normals * (2 * sides.front - 1)[:, None])
-    witnesses = filled & (surface.pixel_closed < MAX_CLOSED)
+    light, filled, normals = pixels.witnesses(splats, sides.normals * (2 * sides.front - 1)[:, None])
+    usable = filled & (surface.pixel_closed < MAX_CLOSED)
     # What is in the way of a pixel hardly depends on a few degrees, and stays.
     turned = unoccluded_transfer(normals) - unoccluded_transfer(pixels.normals.astype(np.float64))
-    return estimate_source(light, surface.pixel_transfer + turned / np.pi, pixels.points, witnesses, up)
+    return estimate_source(light, surface.pixel_transfer + turned / np.pi, pixels.points, usable, up)
 
 
 def _shape_hash(splats: Splats) -> bytes:

@@ -28,7 +28,7 @@ from splatpainter.lights.lamps import Lamp
 from splatpainter.lights.light_set import Lights, axes_of, turned_sky
 from splatpainter.lights.prepared import captured_light, from_lamp, from_sun, lit_surface, quick_lamp, quick_sun
 from splatpainter.lights.sky_maps import SkyMap
-from splatpainter.lights.source_light import SourceLight, uniform_coefficients
+from splatpainter.lights.source_light import LIMITS, SourceLight, uniform_coefficients
 from splatpainter.painter import Asset
 from splatpainter.receipts import Receipt, untouched_hashes
 from splatpainter.splats import SH_C0, Splats, changed_rows
@@ -164,6 +164,11 @@ def _edited(
         notes += remarks
         if lights.add:
             now, new = before.coefficients + now, old + new
+    if mode == "light" and _change(surface, old, new, chosen) < LIMITS.telling * before.uncertainty:
+        notes.append(
+            "these lights differ from the light before by less than that is doubted: "
+            "only with a --source-light that is known the look is sure to be another"
+        )
     sh = splats.sh.copy()
     sh[chosen] = _relit(splats, chosen, old, np.maximum(new, 0), weights, surface, before, now)
     # The receipt says what decided the look, so that it can be made again.
@@ -182,6 +187,13 @@ def _edited(
     receipt = color_receipt(splats, edited, mode, "; ".join(filter(None, what)))
     receipt = replace(receipt, seconds={"light": time.perf_counter() - clock})
     return Asset(edited, receipt, original=splats)
+
+
+def _change(surface: LitSurface, old: np.ndarray, new: np.ndarray, chosen: np.ndarray) -> float:
+    """Rms of the natural logarithm of new over old irradiance [N, 3], over what can be seen of some Gaussians."""
+    weights = surface.facing.seen[chosen].astype(np.float64)[:, None]
+    logs = portable.log((np.maximum(new[chosen], 0) + FLOOR) / (old[chosen] + FLOOR))
+    return math.sqrt(float((weights * logs * logs).sum()) / max(3 * float(weights.sum()), 1e-9))
 
 
 def color_receipt(splats: Splats, edited: Splats, mode: str, note: str) -> Receipt:

@@ -67,7 +67,7 @@ class SeenPixels:
     normals: Floats = field(repr=False)
     """[S, 3] float32 unit, towards the camera."""
 
-    def shown(self, splats: Splats, facing: np.ndarray) -> tuple[Floats, Bools, Floats]:
+    def witnesses(self, splats: Splats, facing: np.ndarray) -> tuple[Floats, Bools, Floats]:
         """([S, 3] linear colours of an asset of this shape as they are seen there, [S] bool where it fills the pixel,
         [S, 3] float64 unit normals of the Gaussians that are seen there, blended as their colours are: then colour and
         normal belong to each other). facing: [N, 3] normals of the asset, the shorter the less a side is certain; where
