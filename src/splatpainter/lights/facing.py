@@ -73,6 +73,8 @@ class Facing:
     """[N] float32 pixels' worth of it, over all views."""
     flat_share: float
     """0..1 of the drawable Gaussians that are flat."""
+    oriented: bool = False
+    """Made of oriented patches, whose axes are believed as they are."""
     surface_pixels: SeenPixels | None = field(repr=False, default=None)
     """Of the surface, as views all around see it."""
 
@@ -91,7 +93,7 @@ def facing(splats: Splats) -> Facing:
     if not drawable.all():
         part = facing(splats.take(drawable))
         arrays = (scattered(values, drawable) for values in (part.normals, part.front, part.seen))
-        return Facing(*arrays, flat_share=part.flat_share, surface_pixels=part.surface_pixels)
+        return Facing(*arrays, flat_share=part.flat_share, oriented=part.oriented, surface_pixels=part.surface_pixels)
     count = len(splats)
     shortest = splats.scales.argmin(1)
     axes = quat_to_matrix(splats.quats)[np.arange(count), :, shortest].astype(np.float32)
@@ -108,7 +110,8 @@ def facing(splats: Splats) -> Facing:
     sheets = agreeing >= ORIENTATION.mostly_oriented_share or not len(weight)
     sheets = sheets and _coherence(splats, axes, radius) >= ORIENTATION.coherent_share
     # Oriented patches are believed also where nothing sees them; else each side is what views found.
-    if agreeing >= ORIENTATION.oriented_share or sheets:
+    oriented = agreeing >= ORIENTATION.oriented_share or sheets
+    if oriented:
         normals, front = axes, np.ones(count, np.float32)
     else:
         cosines, sheet = _with_neighbours(splats, axes, towards, seen, cosines, radius)
@@ -131,7 +134,7 @@ def facing(splats: Splats) -> Facing:
     # Round Gaussians have no normal to speak of, and who moves light asks for this share first.
     ordered = np.sort(splats.scales, 1)
     flat_share = float((ordered[:, 0] <= ORIENTATION.max_flatness * ordered[:, 1]).mean())
-    return Facing(normals, front, seen, flat_share, sights.surface_pixels)
+    return Facing(normals, front, seen, flat_share, oriented, sights.surface_pixels)
 
 
 def _coherence(splats: Splats, axes: np.ndarray, radius: float) -> float:

@@ -67,11 +67,11 @@ class SeenPixels:
     normals: Floats = field(repr=False)
     """[S, 3] float32 unit, towards the camera."""
 
-    def witnesses(self, splats: Splats, facing: np.ndarray) -> tuple[Floats, Bools, Floats]:
+    def witnesses(self, splats: Splats, facing: np.ndarray | None = None) -> tuple[Floats, Bools, Floats]:
         """([S, 3] linear colours of an asset of this shape as they are seen there, [S] bool where it fills the pixel,
-        [S, 3] float64 unit normals of the Gaussians that are seen there, blended as their colours are: then colour and
-        normal belong to each other). facing: [N, 3] normals of the asset, the shorter the less a side is certain; where
-        those of a pixel contradict each other its own `normals` stand in."""
+        [S, 3] float64 unit normals). facing: [N, 3] normals of the asset's Gaussians, which are blended as their
+        colours are, so that colour and normal belong to each other; where they contradict each other, and everywhere
+        without them, the surface's `normals` stand."""
         # Base colours, as gloss is of no use here.
         base = replace(splats, sh=np.ascontiguousarray(splats.sh[:, :1]))
         light, filled = np.zeros((len(self.views), 3)), np.zeros(len(self.views), bool)
@@ -86,9 +86,12 @@ class SeenPixels:
             display = drawn.reshape(-1, 3)[pixels] / np.maximum(alpha, 1e-6)[:, None]
             light[here] = to_light(np.maximum(display, 0), splats.color_space)
             filled[here] = alpha > SIGHTS.min_alpha
+            if facing is None:
+                continue
             blended = view.rasterize(facing[view.gaussian_ids])[0].reshape(-1, 3)[pixels].astype(np.float64)
+            blended = blended / np.maximum(alpha, 1e-6)[:, None]
             length = row_norm(blended)
-            clear = length > SIGHTS.clear * np.maximum(alpha, 1e-6)
+            clear = length > SIGHTS.clear
             normals[here[clear]] = blended[clear] / length[clear, None]
         return light, filled, normals
 
