@@ -85,7 +85,7 @@ def test_pixels_lie_on_the_surface_and_show_its_colour() -> None:
     outwards = (pixels.normals * pixels.points).sum(1) > 0.95
     assert outwards.mean() > 0.999, "but for what is seen through gaps"
     # Whatever normals Gaussians have, a pixel has those that belong to its colour.
-    upright = np.tile(np.float32([0, 0.6, 0.8]), (len(splats), 1))
+    upright = np.tile(np.array([0, 0.6, 0.8], np.float32), (len(splats), 1))
     light, filled, normals = pixels.witnesses(splats, upright)
     assert filled.mean() > 0.8
     np.testing.assert_allclose(light[filled], ((0.6 + 0.055) / 1.055) ** 2.4, atol=2e-3)
