@@ -9,6 +9,12 @@
 #include <stdint.h>
 
 #define SP_INLINE inline __attribute__((always_inline))
+// Of functions that take little time: neither unrolled nor in vectors, as each is compiled for every kind of CPU.
+#if defined(__clang__)
+#define SP_SMALL __attribute__((noinline, minsize))
+#else
+#define SP_SMALL __attribute__((noinline))
+#endif
 
 namespace sp {
 

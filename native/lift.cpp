@@ -7,6 +7,7 @@
 #include "lift/nearest_pixels.h"
 #include "lift/picture_change.h"
 #include "lift/regression.h"
+#include "lift/sheet.h"
 #include "lift/visible_depth.h"
 
 SP_KERNELS(lift,
@@ -15,6 +16,9 @@ SP_KERNELS(lift,
     BOTH(measure_contrast),
     ONE(find_nearest_pixels),
     BOTH(classify_sides),
+    ONE(choose_cells),
+    ONE(lay_gaussians),
+    ONE(mark_past_horizon),
     ONE(find_partners),
     BOTH(find_stopping_depths),
     ONE(take_depth_medians),

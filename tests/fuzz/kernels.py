@@ -328,12 +328,33 @@ def sights(rng: np.random.Generator, dtype: type) -> None:
     run(kernels.count_agreeing, index, points, normals, windows, rng.random(count) < 0.7, 0.6, agreeing)
     assert count == 0 or 0 <= agreeing.min() <= agreeing.max() <= 8
     mask = rng.random((height, width)) < rng.choice([0, 0.01, 0.5, 1])
+    sheet(rng, splats, mask)
     nearest = nearest_pixels(mask)
     assert (mask.ravel()[nearest] if mask.any() else nearest == -1).all(), "a pixel that is not set is the nearest"
     one, other = (extreme(rng, rng.random((height, width, 3)).astype(dtype), 0.1) for _ in range(2))
     with np.errstate(all="ignore"):
         largest_difference(one, other)
         contrast(other)
+
+
+def sheet(rng: np.random.Generator, splats, mask: np.ndarray) -> None:
+    """Cells of a mask, Gaussians in them, and which of these hang past the horizon of some splats."""
+    from splatpainter.kernels.library import kernels
+    from splatpainter.kernels.parallel import run
+
+    colors = extreme(rng, (rng.random((*mask.shape, 3)) * rng.choice([0.01, 1])).astype(np.float32), 0.01)
+    depth, edges = extreme(rng, np.ones(mask.shape), rng.choice([0, 0.01])), np.zeros(mask.shape, np.uint8)
+    run(kernels.choose_cells, colors, mask, depth, 0.03, 0.08, float(rng.choice(EXTREMES)), edges)
+    assert int((edges.astype(np.int64) ** 2).sum()) == mask.sum(), "a pixel in two cells, or in none"
+    count = int(rng.integers(0, 50))
+    rays, normals, layout = (extreme(rng, rng.normal(size=(count, columns)), 0.1) for columns in (3, 3, 5))
+    lens, out = (extreme(rng, np.eye(4), 0.05), float(rng.choice(EXTREMES))), [np.empty((count, n)) for n in (3, 4, 3)]
+    run(kernels.lay_gaussians, rays, extreme(rng, rng.random(count), 0.1), normals, layout, *lens, 0.1, *out)
+    arrays = [np.ascontiguousarray(values, np.float64) for values in (splats.means, splats.quats, splats.scales)]
+    hosts, heaviest = rng.integers(0, len(splats), count), rng.integers(-1, len(splats), mask.shape)
+    pixels = extreme(rng, rng.uniform(-2, 80, (count, 2)), 0.1)
+    limits, past = (float(rng.choice(EXTREMES)), 2.5, 0.3, 2), np.empty(count, bool)
+    run(kernels.mark_past_horizon, *arrays, *out[:2], hosts, pixels, heaviest, rng.normal(size=3), *limits, past)
 
 
 def stickers(rng: np.random.Generator, dtype: type) -> None:
@@ -345,7 +366,7 @@ def stickers(rng: np.random.Generator, dtype: type) -> None:
     splats = shell(rng, int(rng.integers(20, 300)), rng.choice([0, 0.01, 0.1]))
     bend_degrees(splats)
     surface = Surface.of(splats)
-    queries = extreme(rng, rng.normal(size=(40, 3)), 0.1)
+    queries = extreme(rng, rng.normal(size=(40, 3)) * rng.choice([0.01, 1]), 0.1)  # of one place, or of many
     directions = rng.normal(size=queries.shape)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     surface.at(queries, directions, np.abs(extreme(rng, rng.random(len(queries)), 0.1)))

@@ -98,6 +98,28 @@ def sides() -> list[np.ndarray]:
     return [out]
 
 
+@golden("a357191b2f258f94")
+def sheets() -> list[np.ndarray]:
+    """Cells, Gaussians in them, and which of these hang past the horizon."""
+    r, count, shape = Numbers(16), 1500, (45, 67)
+    colors = (np.repeat(np.repeat(r.integers(3, 2, 3, 3), 27, 0), 27, 1)[:45, :67] * 0.3).astype(F)
+    covered, depth, edges = r.integers(3000, *shape) > 0, r.uniform(1.999, 2.001, *shape), np.zeros(shape, np.uint8)
+    run(kernels.choose_cells, colors, covered, depth, 0.03, 0.08, 60.0, edges)
+    rays = np.concatenate([r.uniform(-0.5, 0.5, count, 2), np.ones((count, 1))], 1)
+    normals = r.uniform(-0.4, 0.4, count, 3) - np.array([0, 0, 0.9])
+    layout = np.concatenate(
+        [r.uniform(0.3, 5, count, 3), r.integers(4, count, 1) + 1.0, r.uniform(-0.5, 0.5, count, 1)], 1
+    )
+    out = [np.empty((count, columns)) for columns in (3, 4, 3)]
+    run(kernels.lay_gaussians, rays, r.uniform(1, 3, count), normals, layout, np.eye(4), 60.0, 0.1, *out)
+    hosts = (r.uniform(-1, 1, 90, 3), r.normal(90, 4), r.uniform(0.01, 0.6, 90, 3))
+    heaviest, pixels, past = r.integers(91, *shape) - 1, r.uniform(0, 45, count, 2), np.empty(count, bool)
+    where = (r.integers(90, count), pixels, heaviest, np.array([0.2, 0.1, -2.0]))
+    run(kernels.mark_past_horizon, *hosts, *out[:2], *where, 0.8, 2.5, 0.3, 2, past)
+    assert len(np.unique(edges)) == 5 and 0.02 < past.mean() < 0.9
+    return [edges, *out, past]
+
+
 def stopping_depths(dtype: type) -> list[np.ndarray]:
     """A picture of 3 x 2 tiles, the last ones cut off, 200 Gaussians in each."""
     r, tiles, each, shape = Numbers(4), 6, 200, (25, 40)

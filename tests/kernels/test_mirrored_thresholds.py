@@ -12,6 +12,7 @@ from splatpainter.lift.depth_normals import VISIBLE_NORMALS
 from splatpainter.lift.local.detail import DETAIL
 from splatpainter.lift.local.gaussian_merging import MERGING
 from splatpainter.lift.sheets.near_surface import NEAR_SURFACE
+from splatpainter.lift.sheets.sheet import SHEET
 from splatpainter.spread.nearest_neighbours import SEARCH
 
 NATIVE = Path(__file__).resolve().parents[2] / "native"
@@ -23,6 +24,7 @@ MIRRORED = [
     ("lift/near_surface.h", "NORMAL_SIGMAS", NEAR_SURFACE.normal_sigmas),
     ("lift/near_surface.h", "SURFACE_WINDOWS", NEAR_SURFACE.surface_windows),
     ("lift/near_surface.h", "FAR_WINDOWS", NEAR_SURFACE.far_windows),
+    ("lift/sheet.h", "LARGEST_CELL", SHEET.max_cell_px),
     ("lift/visible_depth.h", "SMOOTHING_PX", VISIBLE_NORMALS.smoothing_px),
     ("spread/point_neighbours.h", "NEIGHBOURS", SEARCH.neighbours),
     ("spread/point_neighbours.h", "MAX_RINGS", SEARCH.max_rings),

@@ -16,6 +16,9 @@ import numpy as np
 from splatpainter.array_types import Bools, Floats, Ids
 from splatpainter.cameras import Camera
 from splatpainter.kernels import portable
+from splatpainter.kernels.arrays import readonly
+from splatpainter.kernels.library import kernels
+from splatpainter.kernels.parallel import run
 from splatpainter.lift.colors import MIN_CHANGE, lift_colors, recolor
 from splatpainter.lift.local.split import Lattice, projected_sizes
 from splatpainter.lift.masks import box_mean, dilated, pasted
@@ -31,7 +34,7 @@ from splatpainter.rendering.cpu.projected_view import MaskSums, ProjectedView, p
 from splatpainter.splats import ATTRIBUTES, Splats, float_bits
 from splatpainter.surface.visible import VisibleSurface, depths_along
 from splatpainter.system.quick_dataclass import dataclass
-from splatpainter.transforms import quat_to_matrix, row_max, row_norm
+from splatpainter.transforms import row_max
 
 
 @dataclass(frozen=True)
@@ -338,37 +341,20 @@ def _within_horizon(
     Gaussians that make the pixels around are moved along the lines of sight of their pixels ([C, 2]) to where their
     host ([C], ids of `hidden`) is densest: the edited view stays as it is. heaviest: [H, W] ids of `hidden`, -1:
     none."""
-    means = geometry.means
-    normals = quat_to_matrix(geometry.quats)[:, :, 2]
-    sight = means - camera.position
-    facing = np.abs((normals * sight).sum(1)) / np.maximum(row_norm(sight), 1e-30)
-    # Only near the horizon can a plane leave a round surface behind.
-    far = np.flatnonzero(facing < portable.cos(math.radians(RESURFACING.horizon_degrees)))
-    far = far[_sigmas(hidden, hidden_ids[far], means[far]) > RESURFACING.max_host_sigmas]
-    height, width = heaviest.shape
-    xs, ys = pixels[far].astype(np.int64).T
-    for dy in range(-RESURFACING.host_reach_px, RESURFACING.host_reach_px + 1):
-        for dx in range(-RESURFACING.host_reach_px, RESURFACING.host_reach_px + 1):
-            # Any Gaussian of the surroundings may be the surface here, not only the pixel's own.
-            beside = heaviest[np.clip(ys + dy, 0, height - 1), np.clip(xs + dx, 0, width - 1)]
-            outside = (beside < 0) | (_sigmas(hidden, np.maximum(beside, 0), means[far]) > RESURFACING.max_host_sigmas)
-            far, xs, ys = far[outside], xs[outside], ys[outside]
+    means, past = geometry.means, np.empty(len(hidden_ids), bool)
+    arrays = (readonly(getattr(hidden, name), np.float64) for name in ("means", "quats", "scales"))
+    sheet = (readonly(values, np.float64) for values in (means, geometry.quats))
+    pictured = (readonly(hidden_ids, np.int64), readonly(pixels, np.float64), readonly(heaviest, np.int64))
+    horizon = portable.cos(math.radians(RESURFACING.horizon_degrees))
+    limits = (horizon, RESURFACING.max_host_sigmas, RESURFACING.min_host_flatness, RESURFACING.host_reach_px)
+    run(kernels.mark_past_horizon, *arrays, *sheet, *pictured, readonly(camera.position, np.float64), *limits, past)
+    far = np.flatnonzero(past)
     depth, _ = depths_along(hidden, hidden_ids[far], camera, camera.sight_lines(pixels[far]))
     # Moved along the line of sight: the edited view stays as it is, side views no longer see it hang in the air.
     ahead = depth > 0
     out = means.copy()
     out[far[ahead]] = camera.unproject(depth[ahead], pixels[far[ahead]])
     return out
-
-
-def _sigmas(splats: Splats, ids: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """[Q] distance of points [Q, 3] from Gaussians ids [Q], in standard deviations of these."""
-    turn = quat_to_matrix(splats.quats[ids].astype(np.float64))
-    scales = splats.scales[ids].astype(np.float64)
-    scales = np.maximum(scales, RESURFACING.min_host_flatness * scales.max(1, keepdims=True))
-    apart = (points - splats.means[ids])[:, None]
-    offset = portable.matmul(apart, turn)[:, 0] / scales
-    return np.sqrt((offset**2).sum(1))
 
 
 @dataclass(frozen=True)

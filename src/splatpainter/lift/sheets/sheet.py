@@ -7,13 +7,15 @@ from dataclasses import field
 
 import numpy as np
 
-from splatpainter.array_types import Bools, Floats
+from splatpainter.array_types import Floats
 from splatpainter.cameras import Camera
-from splatpainter.kernels import portable
+from splatpainter.kernels.arrays import readonly, set_pixels
+from splatpainter.kernels.library import kernels
+from splatpainter.kernels.parallel import run
 from splatpainter.lift.sheets.fringe import FringedSurface
 from splatpainter.surface.visible import PixelSurface, VisibleSurface
 from splatpainter.system.quick_dataclass import dataclass
-from splatpainter.transforms import matrix_to_quat, row_norm, turned
+from splatpainter.transforms import row_norm
 
 
 @dataclass(frozen=True)
@@ -86,76 +88,14 @@ def flat_cells(target: np.ndarray, covered: np.ndarray, depth: np.ndarray, fx: f
 
 
 def _cells_of_window(target: np.ndarray, covered: np.ndarray, depth: np.ndarray, fx: float) -> Cells:
-    height, width = covered.shape
-    pad = [(0, -height % SHEET.max_cell_px), (0, -width % SHEET.max_cell_px)]
-    # Cells of the largest size first; what they do not take goes to the next smaller ones.
-    left = np.pad(covered, pad)
-    colors = np.pad(target, [*pad, (0, 0)], mode="edge").astype(np.float32)
-    inverse = np.pad(np.where(covered, 1 / np.where(covered, depth, 1), 0), pad)
-    solid = left.copy()
-    centers, sizes = [], []
-    size = SHEET.max_cell_px
-    ranges = {1: (colors, colors)}
-    # Ranges of colours in blocks of every size, each from the one before.
-    for half in (1 << k for k in range(1, SHEET.max_cell_px.bit_length() - 1)):
-        low, high = ranges[half // 2]
-        ranges[half] = _halved(low, np.minimum), _halved(high, np.maximum)
-    while size > 1:
-        half = size // 2
-        low, high = ranges[half]
-        # Flat in the cell and one block around: a cell that ends at an edge would show a soft rim there.
-        difference = _around(high, np.maximum) - _around(low, np.minimum)
-        span = np.maximum(np.maximum(difference[..., 0], difference[..., 1]), difference[..., 2])
-        full = _around(_block(solid, half, np.all)[..., None], np.minimum)[..., 0]
-        unused = _block(left, size, np.all)
-        flat = unused & full & (span < SHEET.flat_range) & _is_plane(inverse, size, fx)
-        ys, xs = np.nonzero(flat)
-        centers.append(np.stack([xs * size + half, ys * size + half], 1).astype(np.float64))
-        sizes.append(np.full(len(ys), float(size)))
-        left &= ~np.kron(flat, np.ones((size, size), bool))
-        size = half
-    # Pixels that no cell took are cells by themselves.
-    ys, xs = np.nonzero(left)
-    centers.append(np.stack([xs, ys], 1) + 0.5)
-    sizes.append(np.ones(len(ys)))
-    return Cells(np.concatenate(centers), np.concatenate(sizes))
-
-
-def _halved(values: np.ndarray, combine) -> np.ndarray:
-    """[2H, 2W, C] reduced over blocks of 2 x 2."""
-    rows = combine(values[::2], values[1::2])
-    return combine(rows[:, ::2], rows[:, 1::2])
-
-
-def _block(values: np.ndarray, size: int, function) -> np.ndarray:
-    """[H, W, ...] reduced over blocks of size x size."""
-    height, width = values.shape[:2]
-    return function(values.reshape(height // size, size, width // size, size, *values.shape[2:]), axis=(1, 3))
-
-
-def _around(values: np.ndarray, combine) -> np.ndarray:
-    """From half-size blocks [2H, 2W, C]: each block of the full size with one block around it, [H, W, C]."""
-    padded = np.pad(values, [(2, 2), (2, 2), (0, 0)], mode="edge")
-    height, width = values.shape[0] // 2, values.shape[1] // 2
-    out = padded[: 2 * height : 2]
-    for dy in range(1, 6):
-        out = combine(out, padded[dy : dy + 2 * height : 2])
-    columns = out
-    out = columns[:, : 2 * width : 2]
-    for dx in range(1, 6):
-        out = combine(out, columns[:, dx : dx + 2 * width : 2])
-    return out
-
-
-def _is_plane(inverse: np.ndarray, size: int, fx: float) -> Bools:
-    """[H / size, W / size] bool: 1 / depth over a cell differs from a plane by little (in cells, at its depth)."""
-    height, width = inverse.shape
-    blocks = inverse.reshape(height // size, size, width // size, size)
-    corners = [blocks[:, a, :, b] for a in (0, -1) for b in (0, -1)]
-    middle = blocks[:, size // 2 - 1 : size // 2 + 1, :, size // 2 - 1 : size // 2 + 1].mean((1, 3))
-    bend = np.abs(np.stack(corners).mean(0) - middle) + np.abs(corners[0] + corners[3] - corners[1] - corners[2]) / 2
-    # 1 / z bends by b where z bends by b z^2; a cell is size z / fx wide.
-    return bend < SHEET.flat_depth_cells * size / fx * np.maximum(middle, 1e-30)
+    edges = np.zeros(covered.shape, np.uint8)
+    inputs = (readonly(target, np.float32), readonly(covered, np.bool_), readonly(depth, np.float64))
+    run(kernels.choose_cells, *inputs, SHEET.flat_range, SHEET.flat_depth_cells, fx, edges)
+    # The largest first, as their Gaussians have always been listed.
+    sizes = [SHEET.max_cell_px >> k for k in range(SHEET.max_cell_px.bit_length())]
+    firsts = [set_pixels(edges == size) for size in sizes]
+    centers = [np.stack([xs, ys], 1) + size / 2 for size, (ys, xs) in zip(sizes, firsts, strict=True)]
+    return Cells(np.concatenate(centers), np.repeat(np.array(sizes, np.float64), [len(ys) for ys, _ in firsts]))
 
 
 def sheet_geometry(
@@ -248,23 +188,10 @@ def pixel_gaussians(
     ([G], standard deviation) wide and `stretch` [G] times as long on the surface, or shorter where `count` [G] of them
     share a cell of edge `cell_px` [G], each moved by `shift` [G] (-0.5..0.5) of the cell along the slant. pixels:
     [G, 2]; depth: [G] z."""
-    rays = camera.sight_lines(pixels)
-    lengths = row_norm(rays)
-    view = rays / lengths[:, None]
-    # The axis that the slant shortens lies along the normal's part across the line of sight; the other across both.
-    slant = normals - (normals * view).sum(1, keepdims=True) * view
-    size = row_norm(slant)[:, None]
-    fallback = np.cross(view, np.where(np.abs(view[:, :1]) < 0.9, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
-    across = np.where(size > 1e-6, np.cross(normals, slant / np.maximum(size, 1e-12)), np.cross(normals, fallback))
-    across /= np.maximum(row_norm(across)[:, None], 1e-12)
-    along = np.cross(normals, across)
-    rotation = turned(camera.world_to_camera[:3, :3].T, np.stack([across, along, normals], 2))
-    # A rotation, not a reflection: quaternions have no left-handed frames.
-    flip = (np.cross(across, along) * normals).sum(1) < 0
-    rotation[flip, :, 0] *= -1
-    width = width_px * depth / camera.fx
-    scales = np.stack([width, width * stretch / count, width * SHEET.thickness_ratio], 1)
-    world_along = portable.matmul(along, camera.world_to_camera[:3, :3])
-    means = camera.unproject(depth, pixels)
-    means += (shift * cell_px * depth / camera.fx * stretch)[:, None] * world_along
-    return SheetGeometry(means, matrix_to_quat(rotation), scales)
+    geometry = SheetGeometry(*(np.empty((len(pixels), columns)) for columns in (3, 4, 3)))
+    layout = np.stack([width_px, cell_px, stretch, count, shift], 1, dtype=np.float64)
+    lines = [readonly(values, np.float64) for values in (camera.sight_lines(pixels), depth, normals)]
+    lens = (readonly(camera.world_to_camera, np.float64), camera.fx)
+    out = (geometry.means, geometry.quats, geometry.scales)
+    run(kernels.lay_gaussians, *lines, layout, *lens, SHEET.thickness_ratio, *out)
+    return geometry
