@@ -40,7 +40,15 @@ constexpr double MAX_TRUST_MOVE = 2.5;
 constexpr double FEW_PATCHES = 3.0;    // effective number below which trust falls in proportion
 constexpr int DEPTH_BINS = 128;        // into which patches are sorted by depth
 constexpr int RAY_ROWS = 6;            // of the workspace that following the rays takes
-constexpr i64 QUERY_BLOCK = 64;        // queries that a thread takes at a time
+// Queries that a thread takes at a time, by place: those that lie together share one search.
+constexpr i64 MIN_BLOCK = 64, MAX_BLOCK = 1024, BLOCKS_PER_THREAD = 4;
+constexpr i64 MIN_GROUP = 3;           // queries from which on a shared search is worth its time
+constexpr double GROUP_WINDOWS = 2.0;  // edge of the cells in which queries lie together, in their mean window
+constexpr i64 MAX_CANDIDATES = 1024;   // samples that a shared search may find
+// A shared search may take so many steps. Each of its queries alone would take at most five times as many, so that none
+// of them would have given up.
+constexpr i64 MAX_SHARED_STEPS = MAX_TESTED / 8;
+constexpr double SURE = 0.99999;       // of a squared distance: within it rounding cannot put a sample out of the box
 constexpr int CELL_BITS = 20;          // of a cell's index along each axis
 // Columns of SurfaceSamples.patches, and of a patch within a window: its mean; M, which takes the mean's offset from
 // any point to the mean of the product of patch and window there (their covariance is h^2 (1 - M)); its unsigned
@@ -58,56 +66,122 @@ struct Grid {
 struct Workspace {
         i64 near[MAX_NEIGHBOURS + 1], order[MAX_NEIGHBOURS];
     alignas(64) double mass[MAX_NEIGHBOURS], terms[8][MAX_NEIGHBOURS], rows[ROWS][MAX_NEIGHBOURS], sums[18];
+    // Of a shared search: samples, their centres and longest axes; the largest window that it will do for, 0: none.
+    i64 candidates[MAX_CANDIDATES + 1], candidate_count;
+    alignas(64) double x[MAX_CANDIDATES + 8], y[MAX_CANDIDATES + 8], z[MAX_CANDIDATES + 8], squares[MAX_CANDIDATES + 8];
+    double shared_window;
 };
 
 struct Range { i64 first, last; };
-SP_INLINE Range cell_range(double position, double radius, double corner, double size) {
+SP_INLINE Range cell_range(double first, double last, double radius, double corner, double size) {
     const double top = (double)((1 << 20) - 1);
-    double low = (position - radius - corner) / size, high = (position + radius - corner) / size;
+    double low = (first - radius - corner) / size, high = (last + radius - corner) / size;
     low = low == low ? min_of(max_of(low, 0.0), top) : 0.0;
     high = high == high ? min_of(max_of(high, 0.0), top) : 0.0;
     return {(i64)low, (i64)high};
 }
 
-// Samples whose patch, widened by `window`, reaches a point within SIGMAS standard deviations of its longest axis, into
-// `out` [room + 1]; returns their number, or room + 1 where they do not fit or too many had to be looked at. Costs as
-// many steps as there are samples and occupied columns of cells near the point, however small cells are against the
-// window.
-inline i64 gather(const Grid& g, const double* point, double window, i64* out, i64 room) {
+// Samples whose patch, widened by `window`, reaches a box within SIGMAS standard deviations of its longest axis (its
+// squared distance counting as `share` of it), level by level in the order of their keys, into `out` [room + 1];
+// returns their number, or room + 1 where they do not fit or it took more than `most` steps. Costs as many steps as
+// there are samples and occupied columns of cells near the box, however small cells are against the window.
+SP_SMALL i64 search(const Grid& g, const double* low, const double* high, double window, i64 most,
+                    double share, i64* out, i64 room) {
     i64 count = 0, tested = 0;
     const i64 mask = (1 << CELL_BITS) - 1;
     auto key_of = [](i64 x, i64 y, i64 z) { return (x << 2 * CELL_BITS) | (y << CELL_BITS) | z; };
     for (i64 level = 0; level < g.cell_sizes.shape[0]; ++level) {
         const double size = g.cell_sizes(level), reach = g.reaches(level);
         const double radius = SIGMAS * sqrt_of(reach * reach + window * window);
-        const auto [x0, x1] = cell_range(point[0], radius, g.corner(0), size);
-        const auto [y0, y1] = cell_range(point[1], radius, g.corner(1), size);
-        const auto [z0, z1] = cell_range(point[2], radius, g.corner(2), size);
+        const auto [x0, x1] = cell_range(low[0], high[0], radius, g.corner(0), size);
+        const auto [y0, y1] = cell_range(low[1], high[1], radius, g.corner(1), size);
+        const auto [z0, z1] = cell_range(low[2], high[2], radius, g.corner(2), size);
         const i64 end = g.level_starts(level + 1);
         i64 i = first_not_below(g.keys, g.level_starts(level), end, key_of(x0, y0, z0));
         while (i < end) {
             const i64 key = g.keys(i), x = key >> 2 * CELL_BITS, y = (key >> CELL_BITS) & mask, z = key & mask;
             if (x > x1) break;
-            if (++tested > MAX_TESTED) return room + 1;
-            // Outside the box: on to its next cell in the order of keys.
-            if (y < y0) i = first_not_below_near(g.keys, i, end, key_of(x, y0, z0));
-            else if (y > y1 || (y == y1 && z > z1)) i = first_not_below_near(g.keys, i, end, key_of(x + 1, y0, z0));
-            else if (z > z1) i = first_not_below_near(g.keys, i, end, key_of(x, y + 1, z0));
-            else if (z < z0) i = first_not_below_near(g.keys, i, end, key_of(x, y, z0));
-            else {
-                // The rest of a column within the box. Which samples count cannot be foreseen, so there is no branch.
-                const i64 last = key_of(x, y, z1);
-                for (; i < end && g.keys(i) <= last; ++i, ++tested) {
-                    const float* p = g.patches.row(i);
-                    const double dx = p[MEAN] - point[0], dy = p[MEAN + 1] - point[1], dz = p[MEAN + 2] - point[2];
-                    const double longest = p[SCALES];
-                    out[count] = i;
-                    count += dx * dx + dy * dy + dz * dz < SIGMAS * SIGMAS * (longest * longest + window * window);
-                    if (count > room || tested > MAX_TESTED) return room + 1;
+            if (++tested > most) return room + 1;
+            const bool below = y < y0, above = y > y1 || (y == y1 && z > z1);
+            if (below || above || z > z1 || z < z0) {
+                // Outside the box: on to its next cell in the order of keys.
+                const i64 inside = key_of(x, y + (z > z1), z0);
+                const i64 next = below ? key_of(x, y0, z0) : above ? key_of(x + 1, y0, z0) : inside;
+                i = first_not_below_near(g.keys, i, end, next);
+                continue;
+            }
+            // The rest of a column within the box. Which samples count cannot be foreseen, so there is no branch.
+            const i64 last = key_of(x, y, z1);
+            for (; i < end && g.keys(i) <= last; ++i, ++tested) {
+                const float* p = g.patches.row(i);
+                double distance = 0.0;
+                for (int a = 0; a < 3; ++a) {
+                    const double at = p[MEAN + a], beside = larger_of(larger_of(low[a] - at, at - high[a]), 0.0);
+                    distance += beside * beside;
                 }
+                const double longest = p[SCALES];
+                out[count] = i;
+                count += share * distance < SIGMAS * SIGMAS * (longest * longest + window * window);
+                if (count > room || tested > most) return room + 1;
             }
         }
     }
+    return count;
+}
+
+// Those that reach a point.
+inline i64 gather(const Grid& g, const double* point, double window, i64* out, i64 room) {
+    return search(g, point, point, window, MAX_TESTED, 1.0, out, room);
+}
+
+// Whether a sample lies in the cells that `search` visits for a point.
+SP_SMALL bool is_visited(const Grid& g, i64 i, const double* point, double window) {
+    i64 level = 0;
+    while (i >= g.level_starts(level + 1)) ++level;
+    const double reach = g.reaches(level), radius = SIGMAS * sqrt_of(reach * reach + window * window);
+    for (int a = 0; a < 3; ++a) {
+        const auto [first, last] = cell_range(point[a], point[a], radius, g.corner(a), g.cell_sizes(level));
+        const i64 cell = (g.keys(i) >> (2 - a) * CELL_BITS) & ((1 << CELL_BITS) - 1);
+        if (cell < first || cell > last) return false;
+    }
+    return true;
+}
+
+// One search for all queries in a box whose windows are no larger than this: what `select` chooses from. shared_window
+// is 0 where there are too many samples.
+SP_SMALL void search_together(const Grid& g, const double* low, const double* high, double window, Workspace& w) {
+    const i64 count = search(g, low, high, window, MAX_SHARED_STEPS, SURE, w.candidates, MAX_CANDIDATES);
+    w.shared_window = count > MAX_CANDIDATES ? 0.0 : window;
+    if (count > MAX_CANDIDATES) return;
+    w.candidate_count = count;
+    for (i64 k = 0; k < (count ? count + 8 : 0); ++k) {
+        const float* p = g.patches.row(w.candidates[min_of(k, count - 1)]);
+        w.x[k] = p[MEAN], w.y[k] = p[MEAN + 1], w.z[k] = p[MEAN + 2];
+        // The choice goes on by eights, and takes none of those behind the last one.
+        w.squares[k] = k < count ? (double)p[SCALES] * (double)p[SCALES] : -INFINITE;
+    }
+}
+
+// What `gather` finds, from a shared search.
+inline i64 select(const Grid& g, const double* point, double window, Workspace& w, i64 room) {
+    using V = Wide<double>;
+    const double px = point[0], py = point[1], pz = point[2], squared = window * window;
+    i64 count = 0;
+    for (i64 start = 0; start < w.candidate_count; start += 8)
+        SP_EIGHT(lane) {
+            const i64 k = start + lane;
+            const V dx = load(&w.x[k]) - px, dy = load(&w.y[k]) - py, dz = load(&w.z[k]) - pz;
+            const V distance = dx * dx + dy * dy + dz * dz;
+            const V reach = SIGMAS * SIGMAS * (load(&w.squares[k]) + squared);
+            const u32 sure = bits_where(distance < SURE * reach);
+            for (u32 rest = bits_where(distance < reach); rest; rest &= rest - 1) {
+                const int bit = __builtin_ctz(rest);
+                const i64 i = w.candidates[k + bit];
+                if (!(sure >> bit & 1) && !is_visited(g, i, point, window)) continue;
+                if (count == room) return room + 1;
+                w.near[count++] = i;
+            }
+        }
     return count;
 }
 
@@ -178,8 +252,8 @@ inline void masses(const Grid& g, i64 count, const double* point, double h, Work
         }
 }
 
-// The columns of patch i in a window h, into rows[:][k].
-SP_INLINE void patch(const Grid& g, i64 i, double weight, double h, Workspace& w, i64 k) {
+// The columns of patch i in a window h but for its weight, into rows[:][k].
+SP_INLINE void patch(const Grid& g, i64 i, double h, Workspace& w, i64 k) {
     const float* p = g.patches.row(i);
     double m[6] = {};
     for (int a = 0; a < 3; ++a) {
@@ -192,7 +266,7 @@ SP_INLINE void patch(const Grid& g, i64 i, double weight, double h, Workspace& w
     }
     for (int c = 0; c < 6; ++c) w.rows[MXX + c][k] = m[c];
     const double flat = 1.0 - (double)p[SCALES + 2] / (double)p[SCALES + 1];
-    w.rows[MASS][k] = weight, w.rows[FLATNESS][k] = flat * flat;
+    w.rows[FLATNESS][k] = flat * flat;
 }
 
 // What the first `used` patches say of the surface at a point with normal n, into `sums` [18]: weights, and times
@@ -331,16 +405,21 @@ inline double trust_of(const double* query, const double* d, const double* out) 
     return min_of(1.0, out[9] / FEW_PATCHES) / (1.0 + exp_of(-odds));
 }
 
+SP_INLINE bool is_query(const double* point, double h) {
+    return 0.0 < h && h < 1e30 && abs_of(point[0]) + abs_of(point[1]) + abs_of(point[2]) < 1e30;
+}
+
 // One query; `out` stays as it is where there is no surface.
 inline void estimate(const Grid& g, const double* query, const double* d, double h, Workspace& w, double* out) {
     double point[3] = {query[0], query[1], query[2]}, n[3], eigen[3];
-    if (!(0.0 < h && h < 1e30 && abs_of(point[0]) + abs_of(point[1]) + abs_of(point[2]) < 1e30)) return;
+    if (!is_query(point, h)) return;
     // A window with enough patches in it.
     i64 count = 0;
     int shrinks = 0;
     double total = 0.0, largest = 0.0, effective = 0.0;
     for (int growth = 0; growth < MAX_GROWTHS + MAX_SHRINKS + 1; ++growth) {
-        count = gather(g, point, h, w.near, MAX_NEIGHBOURS);
+        count = h <= w.shared_window ? select(g, point, h, w, MAX_NEIGHBOURS)
+                                     : gather(g, point, h, w.near, MAX_NEIGHBOURS);
         if (count > MAX_NEIGHBOURS) {
             count = 0;
             ++shrinks;
@@ -361,8 +440,12 @@ inline void estimate(const Grid& g, const double* query, const double* d, double
     }
     if (count < 1 || !(total > 0.0)) return;
     i64 used = 0;
-    for (i64 k = 0; k < count; ++k)
-        if (w.mass[k] >= MIN_MASS * largest) patch(g, w.near[k], w.mass[k], h, w, used++);
+    // Chosen without a branch, then looked at in a row: several at a time.
+    for (i64 k = 0; k < count; ++k) {
+        w.order[used] = w.near[k], w.rows[MASS][used] = w.mass[k];
+        used += w.mass[k] >= MIN_MASS * largest;
+    }
+    for (i64 k = 0; k < used; ++k) patch(g, w.order[k], h, w, k);
     // The votes go on by eights.
     for (i64 k = used; k % 8; ++k)
         for (auto& row : w.rows) row[k] = 0.0;
@@ -422,6 +505,38 @@ inline void estimate(const Grid& g, const double* query, const double* d, double
     out[11] = trust_of(query, d, out);
 }
 
+// Queries [start, start + size) by place, as numbers from `start` on: those in one cell, GROUP_WINDOWS of their mean
+// windows wide, share a key. What is no query has -1.
+SP_SMALL void order_by_place(const Rows<const double, 3>& points, const Array1<const double>& widths, i64 start,
+                             i64 size, i64* keys, i64* order) {
+    double low[3] = {INFINITE, INFINITE, INFINITE}, total = 0.0, number = 0.0;
+    for (i64 k = 0; k < size; ++k) {
+        const double* point = points.row(start + k);
+        if (!is_query(point, widths(start + k))) continue;
+        for (int a = 0; a < 3; ++a) low[a] = min_of(low[a], point[a]);
+        total += widths(start + k), number += 1.0;
+    }
+    const double edge = GROUP_WINDOWS * total / number;
+    for (i64 k = 0; k < size; ++k) {
+        const double* point = points.row(start + k);
+        i64 key = -1;
+        if (is_query(point, widths(start + k))) {
+            key = 0;
+            for (int a = 0; a < 3; ++a)
+                key = key << CELL_BITS | integer_of<i64>((point[a] - low[a]) / edge, 0, (1 << CELL_BITS) - 1);
+        }
+        order[k] = k, keys[k] = key;
+    }
+    // Shell's sort: a few hundred, most of them in order.
+    for (i64 gap = size / 2; gap > 0; gap /= 2)
+        for (i64 k = gap; k < size; ++k) {
+            const i64 key = keys[k], self = order[k];
+            i64 at = k;
+            for (; at >= gap && keys[at - gap] > key; at -= gap) keys[at] = keys[at - gap], order[at] = order[at - gap];
+            keys[at] = key, order[at] = self;
+        }
+}
+
 }  // namespace surface
 
 inline void estimate_surface(Array1<const i64> keys, Array1<const i64> level_starts, Array1<const double> cell_sizes,
@@ -431,10 +546,31 @@ inline void estimate_surface(Array1<const i64> keys, Array1<const i64> level_sta
                              Array1<const double> widths, Rows<double, 12> out, i64 thread, i64 threads) {
     const surface::Grid grid = {keys, level_starts, cell_sizes, reaches, corner, patches};
     surface::Workspace work = {};
-    const i64 block = surface::QUERY_BLOCK, count = points.shape[0];
-    for (i64 start = thread * block; start < count; start += threads * block)
-        for (i64 q = start; q < min_of(start + block, count); ++q)
-            surface::estimate(grid, points.row(q), directions.row(q), widths(q), work, out.row(q));
+    const i64 count = points.shape[0], share = count / (threads * surface::BLOCKS_PER_THREAD);
+    const i64 block = min_of(max_of(share, surface::MIN_BLOCK), surface::MAX_BLOCK);
+    for (i64 start = thread * block; start < count; start += threads * block) {
+        const i64 size = min_of(block, count - start);
+        i64 keys[surface::MAX_BLOCK], order[surface::MAX_BLOCK];
+        surface::order_by_place(points, widths, start, size, keys, order);
+        for (i64 first = 0; first < size;) {
+            i64 last = first + 1;
+            while (last < size && keys[last] == keys[first] && keys[first] >= 0) ++last;
+            work.shared_window = 0.0;
+            if (last - first >= surface::MIN_GROUP) {
+                double low[3] = {INFINITE, INFINITE, INFINITE}, high[3] = {-INFINITE, -INFINITE, -INFINITE}, widest = 0;
+                for (i64 k = first; k < last; ++k) {
+                    const double* point = points.row(start + order[k]);
+                    for (int a = 0; a < 3; ++a) low[a] = min_of(low[a], point[a]), high[a] = max_of(high[a], point[a]);
+                    widest = max_of(widest, widths(start + order[k]));
+                }
+                surface::search_together(grid, low, high, widest, work);
+            }
+            for (; first < last; ++first) {
+                const i64 q = start + order[first];
+                surface::estimate(grid, points.row(q), directions.row(q), widths(q), work, out.row(q));
+            }
+        }
+    }
 }
 
 } }  // namespace sp

@@ -257,3 +257,24 @@ def test_equal_bits_for_any_number_of_threads_and_any_batch(monkeypatch):
     alone = [ask(splats, points[k : k + 1], directions[k : k + 1]) for k in (0, 50, 99)]
     for k, result in zip((0, 50, 99), alone, strict=True):
         assert (result.points[0] == together.points[k]).all() and result.trust[0] == together.trust[k]
+
+
+@pytest.mark.parametrize("count", [300, 20_000])
+def test_queries_that_share_a_search_find_what_each_finds_alone(count: int):
+    """count: samples; the many are more than one search may find."""
+    rng = np.random.default_rng(count)
+    means = rng.uniform(-1, 1, (count, 3)) * (1, 1, 0.02)
+    scales = 10 ** rng.uniform(-3, -1, (count, 3))
+    surface = Surface.of(splats_of(means, rng.normal(size=(count, 4)), scales, np.full(count, 0.9)))
+    # Close together, so that dozens of queries search at once, in windows of very different sizes; some are none.
+    points, directions = above(400)
+    points, widths = 0.3 * points, 10 ** rng.uniform(-2, -1, 400)
+    points[::50], widths[::70] = np.nan, 0
+    together = surface.at(points, directions, widths)
+    mixed = rng.permutation(400)
+    again = surface.at(points[mixed], directions[mixed], widths[mixed])
+    for name, values in vars(together).items():
+        alone = [getattr(surface.at(points[[k]], directions[[k]], widths[[k]]), name)[0] for k in range(400)]
+        assert values.tobytes() == np.array(alone).tobytes(), name
+        assert values[mixed].tobytes() == getattr(again, name).tobytes(), name
+    assert (together.patches > 0).mean() > 0.9
