@@ -52,6 +52,7 @@ class _Parameter:
         self.dtype, self.dimensions, self.written = np.dtype(word[0]), int(word[1]), word[2] == "w"
         self.columns = int(word[3:] or 0)
         self.number = "" if self.dimensions else _NUMBERS[word[0]]
+        self.rest = (0,) * (MAX_DIMENSIONS - self.dimensions)
 
     def __str__(self) -> str:
         if not self.dimensions:
@@ -67,18 +68,17 @@ class _Parameter:
             return 0, value, 0, 0, 0
         if value is None:
             return 0, 0, 0, 0, 0
-        # Everything a kernel trusts is checked here: a wrong stride would read somebody else's memory.
-        flags, shape = value.flags, value.shape
+        # Everything a kernel trusts is checked here: a wrong stride would read somebody else's memory. Most dtypes are
+        # the very object: an edit packs a thousand arguments.
+        shape, dtype, flags = value.shape, value.dtype, value.flags
         if (
-            value.dtype != self.dtype
+            (dtype is not self.dtype and dtype != self.dtype)
             or len(shape) != self.dimensions
-            or not flags.c_contiguous
-            or not flags.aligned
+            or not (flags.carray if self.written else flags.c_contiguous and flags.aligned)
             or (self.columns and shape[-1] != self.columns)
-            or (self.written and not flags.writeable)
         ):
             raise TypeError
-        return value.__array_interface__["data"][0], *shape, *(0,) * (MAX_DIMENSIONS - len(shape))
+        return value.__array_interface__["data"][0], *shape, *self.rest
 
 
 class _Form:
@@ -120,11 +120,14 @@ class Kernel:
         # Arguments are packed once; each thread then calls with its number alone.
         form = self._form(arguments)
         words: list[Any] = []
-        for at, (value, parameter) in enumerate(zip(arguments, form.parameters, strict=True)):
-            try:
-                words += parameter.words(value)
-            except (TypeError, AttributeError):
-                raise TypeError(f"{self.name}: argument {at}: expected {parameter}, got {_described(value)}") from None
+        at = 0
+        try:
+            for parameter in form.parameters:
+                words += parameter.words(arguments[at])
+                at += 1
+        except (TypeError, AttributeError):
+            described = _described(arguments[at])
+            raise TypeError(f"{self.name}: argument {at}: expected {form.parameters[at]}, got {described}") from None
         try:
             packed = form.layout.pack(*words)
         except (struct.error, TypeError):

@@ -9,9 +9,10 @@ import functools
 import os
 import sys
 import threading
+from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from splatpainter.kernels.library import Kernel
 
@@ -51,14 +52,16 @@ def run(kernel: Callable[..., Any], *args: Any) -> None:
     if count == 1:
         share(0, 1)
         return
-    pool = _workers()
-    rest = [pool.submit(share, thread, count) for thread in range(1, count)]
+    rest = [_Helper.take() for _ in range(1, count)]
+    for thread, helper in enumerate(rest, 1):
+        helper.begin(share, thread, count)
     try:
         share(0, count)
     finally:
         # Also when the caller's own share fails (Ctrl-C): the arrays must outlive every worker.
-        for future in rest:
-            future.result()
+        errors = [helper.end() for helper in rest]
+        for error in filter(None, errors):
+            raise error
 
 
 def each(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
@@ -86,6 +89,52 @@ def beside(function: Callable[[], Result]) -> Callable[[], Result]:
     return function if threads() == 1 else _workers().submit(function).result
 
 
+class _Helper:
+    """A thread that takes shares of kernels, one after the other. Handed over by two locks: an executor's futures cost
+    more than most kernels of a small edit."""
+
+    idle: ClassVar[deque[_Helper]] = deque()
+    """Those that wait, the last one first: its thread may still be awake."""
+
+    def __init__(self) -> None:
+        self._begins, self._ended = threading.Lock(), threading.Lock()
+        self._begins.acquire()
+        self._ended.acquire()
+        self._share: Callable[[], None] | None = None
+        self._error: BaseException | None = None
+        threading.Thread(target=self._serve, name="splatpainter", daemon=True).start()
+
+    @staticmethod
+    def take() -> _Helper:
+        """One that waits, or a new one."""
+        try:
+            return _Helper.idle.pop()
+        except IndexError:
+            return _Helper()
+
+    def begin(self, share: Callable[[int, int], None], thread: int, count: int) -> None:
+        self._share = functools.partial(share, thread, count)
+        self._begins.release()
+
+    def end(self) -> BaseException | None:
+        """Wait for what was begun: what it raised."""
+        self._ended.acquire()
+        error, self._error = self._error, None
+        _Helper.idle.append(self)
+        return error
+
+    def _serve(self) -> None:
+        while True:
+            self._begins.acquire()
+            assert self._share is not None
+            try:
+                self._share()
+            except BaseException as error:  # raised by whoever waits for it
+                self._error = error
+            self._share = None  # which holds the arrays
+            self._ended.release()
+
+
 def _workers() -> ThreadPoolExecutor:
     global _pool
     if _pool is None:
@@ -97,6 +146,7 @@ def _forget() -> None:
     """A forked child has none of its parent's threads: waiting for them would hang."""
     global _pool
     _pool = None
+    _Helper.idle.clear()
 
 
 if sys.platform != "win32":

@@ -1,0 +1,71 @@
+"""Shares of kernels on helping threads."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+
+import pytest
+
+from splatpainter.kernels.parallel import THREADS_VARIABLE, beside, each, run
+
+
+@pytest.fixture(autouse=True)
+def four_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(THREADS_VARIABLE, "4")
+
+
+def test_every_thread_takes_its_share_and_helpers_serve_again():
+    shares, names = [], set()
+
+    def work(first: list, thread: int, threads: int) -> None:
+        first.append((thread, threads))
+        names.add(threading.current_thread().name + str(threading.get_ident()))
+
+    for _ in range(50):
+        shares.clear()
+        run(work, shares)
+        assert sorted(shares) == [(k, 4) for k in range(4)]
+    assert len(names) <= 10, "threads are made anew for each kernel"
+
+
+@pytest.mark.parametrize("who", [0, 1, 3])
+def test_what_a_share_raises_is_raised_once_all_have_ended(who: int):
+    ended = []
+
+    def work(thread: int, threads: int) -> None:
+        if thread == who:
+            raise MemoryError("no room")
+        ended.append(thread)
+
+    for _ in range(3):  # a helper whose share failed serves on
+        ended.clear()
+        with pytest.raises(MemoryError, match="no room"):
+            run(work)
+        assert sorted(ended) == [k for k in range(4) if k != who]
+
+
+def test_callers_beside_one_another_and_within_one_another_do_not_wait_for_ever():
+    counts: list[int] = []
+
+    def outer(thread: int, threads: int) -> None:
+        run(lambda thread, threads: counts.append(thread))
+
+    waiting = [beside(lambda: run(outer)) for _ in range(20)]
+    run(outer)
+    for wait in waiting:
+        wait()
+    assert len(counts) == 21 * 16
+    assert each(lambda k: k * k, range(10)) == [k * k for k in range(10)]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no fork there")
+def test_a_forked_child_has_helpers_of_its_own():
+    run(lambda thread, threads: None)
+    child = os.fork()
+    if not child:
+        taken: list[int] = []
+        run(lambda thread, threads: taken.append(thread))
+        os._exit(0 if sorted(taken) == [0, 1, 2, 3] else 1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
