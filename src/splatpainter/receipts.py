@@ -34,7 +34,7 @@ from splatpainter.io.losses import loss_line, measure
 from splatpainter.io.write_options import AS_IT_IS, WriteOptions
 from splatpainter.kernels import library
 from splatpainter.kernels.arrays import set_pixels
-from splatpainter.kernels.rows import differing
+from splatpainter.kernels.row_bits import differing
 from splatpainter.splats import ATTRIBUTES, Axes, Splats, row_blocks, rows_sha256
 from splatpainter.system.old_names import formerly, formerly_called
 from splatpainter.system.quick_dataclass import dataclass
@@ -357,14 +357,15 @@ def from_runs(runs: np.ndarray, rows: int) -> np.ndarray:
     return np.concatenate([np.arange(a, a + n) for a, n in runs]) if len(runs) else np.zeros(0, np.int64)
 
 
-def untouched_hashes(before: Splats, after: Splats, touched: np.ndarray) -> tuple[str, str]:
-    """Hashes of all rows but `touched`, before and after; from the arrays themselves, nothing is assumed."""
+def untouched_hashes(before: Splats, after: Splats, touched: np.ndarray, *, compared: bool = False) -> tuple[str, str]:
+    """Hashes of all rows but `touched`, before and after; from the arrays themselves, nothing is assumed. compared:
+    `touched` is what `changed_rows` found among all rows, so that no bit of the others differs."""
     # All rows that are not listed, so that a row which was forgotten in the list shows in the hash.
     keep = np.ones(len(before), bool)
     keep[touched] = False
     rows = np.flatnonzero(keep)
     digest = rows_sha256(before, rows)
-    if all(_same_bits(getattr(before, name), getattr(after, name), rows) for name in ATTRIBUTES):
+    if compared or all(_same_bits(getattr(before, name), getattr(after, name), rows) for name in ATTRIBUTES):
         return digest, digest  # bytes that are equal have one hash
     return digest, rows_sha256(after, rows)
 

@@ -150,6 +150,15 @@ class Splats(Generic[ArrayT]):
         return np.median(points, axis=0).astype(np.float64) if len(points) else np.zeros(3)
 
     @cached_property
+    def extremes(self) -> tuple[Floats, Floats, float]:
+        """([3] float64 smallest, [3] float64 largest coordinates of `means`, largest of `scales`), of at least one
+        Gaussian, drawable or not; NaN where there is one."""
+        arrays = self.numpy()
+        # Column by column: along so short an axis numpy's own reduction takes several times longer.
+        low, high = (np.array([f(column) for column in arrays.means.T], np.float64) for f in (np.min, np.max))
+        return low, high, max(float(column.max()) for column in arrays.scales.T)
+
+    @cached_property
     def drawable(self) -> Bools:
         """[N] bool: Gaussians that can be drawn (every attribute finite and in its range, as said at each above). The
         others are counted by `info` and `render`, keep their bytes, and are drawn by no renderer of this package."""
@@ -276,6 +285,11 @@ def changed_rows(before: Splats, after: Splats, among: Ids | None = None) -> Ids
             continue
         if old.shape[1:] != new.shape[1:]:
             return np.arange(n)
+        if n >= BLOCK_ROWS and old.dtype == new.dtype == np.float32:
+            from splatpainter.kernels.row_bits import differing  # small assets need no kernels
+
+            changed |= differing(old, new)
+            continue
         old, new, width = float_bits(old[:n]).ravel(), float_bits(new[:n]).ravel(), old[:n].size // n
         for start in range(0, len(old), COMPARED_VALUES):  # which fit the processor's cache
             differs = old[start : start + COMPARED_VALUES] != new[start : start + COMPARED_VALUES]

@@ -407,7 +407,8 @@ def files(rng: np.random.Generator, dtype: type) -> None:
 
     from splatpainter.io import read, write
     from splatpainter.io.losses import measure
-    from splatpainter.kernels.rows import differing, take
+    from splatpainter.kernels.row_bits import differing
+    from splatpainter.kernels.rows import take
 
     splats = shell(rng, int(rng.integers(1, 200)), rng.choice([0, 0.01, 0.1]))
     with tempfile.TemporaryDirectory() as folder:

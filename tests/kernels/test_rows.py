@@ -10,7 +10,9 @@ import pytest
 from splatpainter.io.formats.splat import pack
 from splatpainter.kernels import library, rows
 from splatpainter.kernels.parallel import run
-from splatpainter.splats import SH_C0, Splats
+from splatpainter.kernels.row_bits import differing
+from splatpainter.receipts import untouched_hashes
+from splatpainter.splats import ATTRIBUTES, SH_C0, Splats, changed_rows
 from tests.support.lift_scenes import bits, same_bits
 from tests.support.render_scenes import scene
 
@@ -37,6 +39,41 @@ def test_many_rows_are_taken_as_few_are(threads: str, monkeypatch: pytest.Monkey
         assert rows.take(some, nobody).sh.shape == (0, 4, 3)
 
 
+@pytest.mark.parametrize("threads", ["1", "3"])
+def test_large_arrays_are_extended_as_small_ones_are(threads: str, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("SPLATPAINTER_THREADS", threads)
+    monkeypatch.setattr(rows, "MIN_ROWS", 0)
+    splats = asset()
+    splats.sh[3, 0] = np.array([0x7FC00123, 0x80000000, 1], np.uint32).view(np.float32)  # NaN, -0, the smallest
+    for first, second in ((splats.sh, splats.sh[:7]), (splats.opacities[:2], splats.opacities), (splats.sh[:0],) * 2):
+        assert rows.extended(first, second).tobytes() == np.concatenate([first, second]).tobytes()
+        assert rows.extended(first, second).shape[1:] == first.shape[1:]
+    both = rows.extended(splats.opacities, splats.opacities.astype(np.float64))
+    assert both.dtype == np.float64 and len(both) == 2 * COUNT
+
+
+@pytest.mark.parametrize("count", [200, 40_000])
+def test_changed_rows_are_those_with_any_other_bit(count: int):
+    """count: rows; the many are compared by a kernel."""
+    rng = np.random.default_rng(count)
+    before = asset().take(rng.integers(0, COUNT, count))
+    before.means[5] = np.nan, 0, 0
+    after = asset().take(np.append(np.zeros(0, np.int64), rng.integers(0, COUNT, count + 3)))
+    after = replace(
+        after, **{name: np.append(getattr(before, name), getattr(after, name)[-3:], 0) for name in ATTRIBUTES}
+    )
+    assert not len(changed_rows(before, after)), "a NaN is itself"
+    after.means[7, 1], after.sh[9, 3, 2], after.quats[count - 1, 0] = 3, 5, 7
+    after.means[5, 1] = -0.0
+    after.opacities[11] = np.nextafter(after.opacities[11], 2, dtype=np.float32)
+    expected = [5, 7, 9, 11, count - 1]
+    assert changed_rows(before, after).tolist() == expected
+    assert changed_rows(after, before).tolist() == expected
+    assert untouched_hashes(before, after, np.array(expected), compared=True) == untouched_hashes(
+        before, after, np.array(expected)
+    )
+
+
 def test_rows_of_float64_are_taken_as_they_are(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(rows, "MIN_ROWS", 0)
     splats = scene(20, 1, 0)
@@ -52,9 +89,9 @@ def test_rows_differ_where_any_bit_does():
     before[ids[2]] = after[ids[2]] = np.nan
     expected = (bits(before) != bits(after)).reshape(COUNT, -1).any(1)[ids]
     assert expected[:3].tolist() == [True, True, False] and not expected.all()
-    np.testing.assert_array_equal(rows.differing(before, after, ids), expected)
-    np.testing.assert_array_equal(rows.differing(before, np.concatenate([after, after]), ids), expected)
-    assert not rows.differing(before, before, ids).any()
+    np.testing.assert_array_equal(differing(before, after, ids), expected)
+    np.testing.assert_array_equal(differing(before, np.concatenate([after, after]), ids), expected)
+    assert not differing(before, before, ids).any()
 
 
 @pytest.mark.parametrize("threads", ["1", "3"])

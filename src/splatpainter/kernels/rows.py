@@ -1,4 +1,4 @@
-"""Rows of large arrays, gathered and compared by all threads: what edits of a million Gaussians do again and again."""
+"""Rows of large arrays, gathered and joined by all threads: what edits of a million Gaussians do again and again."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import numpy as np
 
 from splatpainter.kernels.arrays import readonly
 from splatpainter.kernels.library import kernels
-from splatpainter.kernels.parallel import run
+from splatpainter.kernels.parallel import each, run, threads
+from splatpainter.kernels.row_bits import row_bits
 from splatpainter.splats import ATTRIBUTES, Splats
 
 MIN_ROWS = 1 << 13
@@ -26,23 +27,30 @@ def take(splats: Splats, ids: np.ndarray) -> Splats:
         values = getattr(splats, name)
         arrays[name] = np.empty((len(ids), *values.shape[1:]), np.float32)
         flat = arrays[name].reshape(len(ids), math.prod(values.shape[1:])).view(np.uint32)
-        run(kernels.take_rows, _rows(values), ids, flat)
+        run(kernels.take_rows, row_bits(values), ids, flat)
     return replace(splats, **arrays, origin=None if splats.origin is None else splats.origin[ids])
 
 
-def differing(before: np.ndarray, after: np.ndarray, ids: np.ndarray) -> np.ndarray:
-    """[M] bool: of which rows ([M] int64) any bit differs in two float32 arrays of the same width."""
-    out = np.empty(len(ids), bool)
-    if before is after:
-        out[:] = False
-    else:
-        run(kernels.compare_rows, _rows(before), _rows(after), readonly(ids, np.int64), out)
+def extended(values: np.ndarray, tail: np.ndarray) -> np.ndarray:
+    """[N + A, ...] of [N, ...] and [A, ...]: `np.concatenate`, large arrays by all threads."""
+    n = len(values)
+    if n < MIN_ROWS or values.dtype != tail.dtype:
+        return np.concatenate([values, tail])
+    out = np.empty((n + len(tail), *values.shape[1:]), values.dtype)
+    out[n:] = tail
+    count = threads()
+
+    def copy(k: int) -> None:
+        # numpy copies without the interpreter's lock, and new memory costs more than the copy.
+        out[n * k // count : n * (k + 1) // count] = values[n * k // count : n * (k + 1) // count]
+
+    each(copy, range(count))
     return out
 
 
 def pick(records: np.ndarray, columns: np.ndarray, out: np.ndarray) -> None:
     """Columns ([C] int64) of [N, P] float32 into [N, C] float32, every bit of them."""
-    run(kernels.pick_columns, _rows(records), readonly(columns, np.int64), out.view(np.uint32))
+    run(kernels.pick_columns, row_bits(records), readonly(columns, np.int64), out.view(np.uint32))
 
 
 def put(records: np.ndarray, columns: np.ndarray, values: np.ndarray, before: np.ndarray, rows: np.ndarray) -> None:
@@ -50,14 +58,9 @@ def put(records: np.ndarray, columns: np.ndarray, values: np.ndarray, before: np
     of `before` ([N, C]) in rows ([M] int64; -1: none)."""
     run(
         kernels.put_columns,
-        _rows(values),
-        _rows(before),
+        row_bits(values),
+        row_bits(before),
         readonly(rows, np.int64),
         readonly(columns, np.int64),
         records.view(np.uint32),
     )
-
-
-def _rows(values: np.ndarray) -> np.ndarray:
-    """[N, C] uint32, the bits of [N, ...] float32."""
-    return readonly(values, np.float32).reshape(len(values), math.prod(values.shape[1:])).view(np.uint32)

@@ -50,8 +50,12 @@ def edit_receipt(
     trusted = not settings.proof and method.names_its_gaussians
     among = lifted.ids[: np.searchsorted(lifted.ids, len(asset.splats))] if trusted else None
     touched = changed_rows(asset.splats, result.splats, among)
+
     # All rows are read for their hashes while views are drawn.
-    hashing = beside(lambda: untouched_hashes(asset.splats, result.splats, touched) if settings.proof else ("", ""))
+    proof = settings.proof
+    hashing = beside(
+        lambda: untouched_hashes(asset.splats, result.splats, touched, compared=True) if proof else ("", "")
+    )
 
     # How near it came: in the edited views, and from the side, where paint on a wrong depth comes apart.
     aside = _side_scores(asset, result, views) if settings.aside and mode != "global" else ()

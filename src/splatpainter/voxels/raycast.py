@@ -160,12 +160,11 @@ def is_inside(splats: Splats, grid: Callable[[], VoxelGrid], point: np.ndarray) 
 
 def _is_far(splats: Splats, point: np.ndarray) -> bool:
     """Whether a point lies beyond any cube that `bounding_cube` may find: quick, and False where in doubt."""
-    arrays = splats.numpy()
-    if not len(arrays):
+    if not len(splats):
         return False
-    low, high = (np.array([f(arrays.means[:, k]) for k in range(3)], np.float64) for f in (np.min, np.max))
+    low, high, longest = splats.extremes
     span, size = float((high - low).max()), float(max(np.abs(low).max(), np.abs(high).max()))
-    margin = span + 2 * max(float(arrays.scales[:, k].max()) for k in range(3)) + 1e-5 * size
+    margin = span + 2 * longest + 1e-5 * size
     return bool((point < low - margin).any() or (point > high + margin).any())
 
 

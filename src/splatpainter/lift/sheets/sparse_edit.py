@@ -11,6 +11,7 @@ from dataclasses import field, replace
 import numpy as np
 
 from splatpainter.array_types import Ids
+from splatpainter.kernels.rows import extended
 from splatpainter.splats import ATTRIBUTES, Splats, float_bits
 from splatpainter.system.quick_dataclass import dataclass
 
@@ -51,7 +52,7 @@ class SparseEdit:
             # Attributes that nothing changes stay the same array, so that undo and memory cost nothing.
             if not len(tail) and not len(emptied) and np.array_equal(old[self.ids], new):
                 continue
-            arrays[name] = np.concatenate([old, tail])
+            arrays[name] = extended(old, tail)
             arrays[name][self.ids] = new
             arrays[name][emptied] = 0
         origin = None if before.origin is None else np.concatenate([before.origin, np.asarray(self.appended.origin)])

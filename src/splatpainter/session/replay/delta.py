@@ -125,7 +125,8 @@ def between(
 
 def changed_values(before: Splats, after: Splats, ids: np.ndarray) -> tuple[Splats, np.ndarray]:
     """(values and `faded` of a delta) of some Gaussians ([T] int64), whatever of them changed."""
-    from splatpainter.kernels.rows import differing, take
+    from splatpainter.kernels.row_bits import differing
+    from splatpainter.kernels.rows import take
 
     # Where only the opacity differs the rest is not stored: a sheet empties many Gaussians below it.
     faded, values = np.ones(len(ids), bool), {}
