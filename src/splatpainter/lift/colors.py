@@ -149,18 +149,16 @@ def joint_change(
     views: Sequence[SolidView],
     rounds: int,
     *,
-    projected: Sequence[ProjectedView] | None = None,
+    drawn: Sequence[ViewInRounds] | None = None,
     hold: float = 0.0,
     limit: float = MAX_COLOR,
 ) -> Floats:
-    """[N, 3] float32 change of base colour after `rounds`; zeros for Gaussians that are not seen. projected: the asset
-    in each view, where it is no longer the one before the edit; hold: pixels of weight that pull every Gaussian back to
-    no change; limit: the largest change."""
+    """[N, 3] float32 change of base colour after `rounds`; zeros for Gaussians that are not seen. drawn: the asset in
+    each view, where it is no longer the one before the edit, or where what is written to is to serve again; hold:
+    pixels of weight that pull every Gaussian back to no change; limit: the largest change."""
     total = total_weight(views)
     change, gain = np.zeros((2, len(total), 3), np.float32)
-    # What is drawn and summed in each round has its place once: at a million Gaussians a round would mostly wait for
-    # memory otherwise.
-    drawn = [_InRounds.of(view) for view in projected or [view.projected for view in views]]
+    drawn = drawn or [ViewInRounds.of(view.projected) for view in views]
     for _ in range(rounds):
         # Gains of all views are summed before the step, so that views that disagree meet in the middle, by weight.
         for now, view in zip(drawn, views, strict=True):
@@ -170,20 +168,26 @@ def joint_change(
 
 
 @dataclass(frozen=True)
-class _InRounds:
-    """A view whose colours move from round to round."""
+class ViewInRounds:
+    """A view whose colours move from round to round. What is drawn and summed in each has its place once: at a million
+    Gaussians a round would mostly wait for memory otherwise."""
 
     view: ProjectedView
-    projected: np.ndarray
+    projected: np.ndarray = field(repr=False)
     """[M, 16] what is drawn: the view's own, in other colours."""
-    sums: np.ndarray
+    sums: np.ndarray = field(repr=False)
     """[P, 4]"""
 
     @staticmethod
-    def of(view: ProjectedView) -> _InRounds:
+    def of(view: ProjectedView) -> ViewInRounds:
         projected = aligned(view.projected.shape, view.projected.dtype)
         projected[:] = view.projected
-        return _InRounds(view, projected, aligned((len(view.flatten_ids), STEP_SIZES.sums), view.projected.dtype))
+        return ViewInRounds(view, projected, aligned((len(view.flatten_ids), STEP_SIZES.sums), view.projected.dtype))
+
+    def recolored(self, splats: Splats) -> ViewInRounds:
+        """The same view of the splats with other SH coefficients, in the place of this one, which is used up."""
+        view = self.view.recolored(splats, self.projected)
+        return ViewInRounds.of(project(splats, self.view.camera)) if view is None else replace(self, view=view)
 
     def add_gains(self, change: np.ndarray, edit: SolidView, gain: np.ndarray) -> None:
         """gain [N, 3] += what the edit's picture asks for where the colours have moved by change [N, 3]; but nothing

@@ -19,10 +19,9 @@ from splatpainter.kernels import portable
 from splatpainter.kernels.arrays import readonly
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
-from splatpainter.lift.colors import MAX_COLOR, MIN_SEEN_PX, SolidView, joint_change, total_weight
+from splatpainter.lift.colors import MAX_COLOR, MIN_SEEN_PX, SolidView, ViewInRounds, joint_change, total_weight
 from splatpainter.lift.depth_normals import outward_normals, scattered
 from splatpainter.lift.options import GLOBAL_DEFAULTS, GlobalOptions
-from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import row_norm
@@ -82,7 +81,8 @@ def lift_global(
     # First what the views show: colours towards all of them at once, as a local lift does.
     solid = _solid_views(splats, views)
     weight = total_weight(solid)
-    change = joint_change(solid, options.rounds)
+    drawn = [ViewInRounds.of(view.projected) for view in solid]
+    change = joint_change(solid, options.rounds, drawn=drawn)
     seen = weight > MIN_SEEN_PX
     if not seen.any():
         raise ValueError(
@@ -109,8 +109,8 @@ def lift_global(
     if options.last_rounds:
         # Last rounds start from the prediction, so that they only mend what the edited views still show wrong.
         # In each view it is where it was, in other colours.
-        projected = [view.projected.recolored(result) or project(result, view.camera) for view in solid]
-        last = joint_change(solid, options.last_rounds, projected=projected, hold=options.hold)
+        drawn = [one.recolored(result) for one in drawn]
+        last = joint_change(solid, options.last_rounds, drawn=drawn, hold=options.hold)
         result.sh[:, 0] += last / SH_C0  # its own copy
     # How far a Gaussian's features are from all that was seen (leverage of the regression): far ones are guesses.
     leverage = np.empty(len(features), np.float32)

@@ -357,12 +357,15 @@ class ProjectedView:
         projected[:, geometry.RED : geometry.BLUE + 1] = colors
         return readonly(projected, projected.dtype)
 
-    def recolored(self, splats: Splats) -> ProjectedView | None:
+    def recolored(self, splats: Splats, space: np.ndarray | None = None) -> ProjectedView | None:
         """This view of the splats with other SH coefficients: what `project` would give, bit for bit, where it draws
-        the same Gaussians. None where coefficients of a drawn one are out of range."""
+        the same Gaussians. None where coefficients of a drawn one are out of range. space: [M, 16] this view's
+        `projected` in any colours, to be written to in place of a copy."""
         assert len(splats) == self.num_gaussians, f"{len(splats)} Gaussians in place of {self.num_gaussians}"
-        projected, beyond = aligned(self.projected.shape, self.projected.dtype), np.zeros(threads(), bool)
-        projected[:] = self.projected
+        projected, beyond = space, np.zeros(threads(), bool)
+        if projected is None:
+            projected = aligned(self.projected.shape, self.projected.dtype)
+            projected[:] = self.projected
         means, sh = (readonly(values, projected.dtype) for values in (splats.means, splats.sh))
         camera = geometry.camera_vector(self.camera, np.zeros(4), projected.dtype)
         where = (camera, self.gaussian_ids, projected, beyond)
