@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 import splatpainter as sp
-from splatpainter.decals import decal_views
+from splatpainter.decals import decal_placement, decal_views
 from splatpainter.decals.decal_placement import picture_up
 from splatpainter.decals.decal_surface import SurfacePixels, is_open, lies_outdoors, stands_free
 from splatpainter.decals.decals import DECALS, Decal, parse_width, rough_length_px, text_picture
@@ -21,6 +21,7 @@ from splatpainter.lift.masks import dilated
 from splatpainter.painter import Painter
 from splatpainter.pictures.picture_reader import Picture
 from splatpainter.surface.estimate import Surface
+from splatpainter.surface.unwrap import PointCells
 from tests.support import surface_shapes
 from tests.support.cli_scenes import Capture, run, saved
 
@@ -366,6 +367,30 @@ def test_a_room_has_no_way_out_and_needs_none() -> None:
     inside = sp.look_at((0, 0.1, -0.3), (0, 0, 0.5), UP, width=240, height=240, fov=60)
     laid = Decal(np.full((48, 96, 3), 0.1, np.float32), MIDDLE, inside, 0.3).laid(asset)
     assert laid.coverage > 0.97 and all((np.abs(e.camera.position) < 0.5).all() for e in laid.edits)
+
+
+def test_nothing_is_painted_on_the_inside_of_what_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A box with double walls; for a third of the decal the survey took the inner one, as at cracks. A camera in the
+    hollow would face that and paint it."""
+    outer, inner = surface_shapes.box(6_000), surface_shapes.box(6_000, (0.45, 0.45, 0.45))
+    asset = Painter().encode(outer.append(inner))
+    survey = decal_placement.survey
+
+    def confused(*arguments):  # type: ignore[no-untyped-def]
+        patch = survey(*arguments)
+        third = patch.samples.points[:, 0] > 0.04
+        points = patch.samples.points - np.where(third[:, None], (0, 0, 0.05), 0)
+        normals = np.where(third[:, None], -patch.samples.normals, patch.samples.normals)
+        cells = PointCells.of(points, patch.samples.cells.size)
+        return replace(patch, samples=replace(patch.samples, points=points, normals=normals, cells=cells))
+
+    monkeypatch.setattr(decal_placement, "survey", confused)
+    laid = Decal(np.full((64, 64, 3), RED, np.float32), MIDDLE, FRONT, 0.2).laid(asset)
+    edited = Painter().apply(asset, laid.edits).splats
+    hollow = sp.look_at((0, 0, 0), (0, 0, 0.45), UP, width=120, height=120, fov=60)
+    for camera, low, high in ((hollow, 0, 0), (FRONT, 350, 700)):
+        before, after = (np.clip(sp.render(splats, camera).colors[0], 0, 1) for splats in (asset.splats, edited))
+        assert low <= (np.abs(after - before).max(-1) > 0.1).sum() <= high
 
 
 def striped(at: tuple[float, float], camera: sp.Camera, width: float) -> Decal:
