@@ -17,6 +17,7 @@ from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import Splats
 from tests.support.lift_scenes import (
     SH_C0,
+    back,
     base_colors,
     db,
     dense_weights,
@@ -408,3 +409,19 @@ def test_reached_rows_are_those_with_weight_under_the_mask():
     peak = np.where(mask.ravel(), w, 0).max(1)
     assert (peak[reached] > 1 / 512).all()  # invisible shares are not written
     assert reached[peak > 0.2].all() and 10 < reached.sum() < len(splats)
+
+
+def test_a_long_gaussian_that_is_hidden_beside_the_paint_keeps_its_colour() -> None:
+    """A streak behind a wall, seen through an opening that is painted: from behind it would show all of it."""
+    streak = row((0, 0, -0.1), (0.5, 0.2, 0.01), (0.2, 0.4, 0.3), opacity=0.98)
+    wall = sheet(60, opacity=0.98)
+    wall = wall.take(np.flatnonzero(np.hypot(*wall.means[:, :2].T) > 0.1))
+    splats, camera = streak.append(wall), front(240)
+    behind = back(240)
+    mask = disk(camera, 120, 120, 12)
+    lifted = lift_local(splats, camera, painted(splats, camera, mask), mask, LocalOptions(spares_long=True))
+    assert np.array_equal(lifted.splats.sh[0], splats.sh[0]) and lifted.splats.opacities[0] == splats.opacities[0]
+    before, after = (draw(s, behind) for s in (splats, lifted.splats))
+    changed = np.abs(after - before).max(-1) > 0.1
+    assert not (changed & outside(disk(behind, 120, 120, 12))).any()
+    assert db(draw(lifted.splats, camera), painted(splats, camera, mask), mask) > 20, "and it is covered"

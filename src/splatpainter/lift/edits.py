@@ -247,6 +247,7 @@ def _on_surface(
         return result.after(painted_by(view, view.mask, options, at_hand=view.projected)).lifted(len(splats))
     # Which view paints which point of the surface is decided before anything is painted, on the asset as it is.
     shares = view_shares(splats, surface, views)
+    options = replace(options, spares_long=True)
     settings = [replace(options, max_error=1.0) if again else options for again in _shown_again(splats, grid, views)]
     on_surface, limited = [np.zeros_like(view.mask) for view in views], [0.0] * len(views)
     for k, (view, share) in enumerate(zip(views, shares, strict=True)):

@@ -22,10 +22,11 @@ from splatpainter.cameras import Camera
 from splatpainter.kernels import portable
 from splatpainter.lift.colors import MIN_SOLID_ALPHA, SolidView, joint_change
 from splatpainter.lift.edit_views import EditView
+from splatpainter.lift.local.evidence import reaches_out
 from splatpainter.lift.masks import box_mean, dilated, largest_channel
 from splatpainter.lift.nearest import nearest_pixels
 from splatpainter.lift.warping import bilinear
-from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
+from splatpainter.rendering.cpu.projected_view import project, tiles_of_mask
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import SightEstimates, visible_surface
@@ -75,13 +76,6 @@ class ViewSelectionThresholds:
     """Weight of a pixel that a view does not edit, beside an edited one: it is to stay as it is."""
     joint_hold_px: float = 0.5
     """Weight of a Gaussian's colour in these rounds, pixels."""
-    max_joint_px: float = 24.0
-    """Half length of a Gaussian in a view, pixels, up to which it takes part however little of it is painted; what is
-    painted with it beside the paint is out of these views' tiles, and would not count. About three standard deviations
-    of what sheets cut at their edge (`RESURFACING.max_cut_px`)."""
-    min_joint_inside: float = 0.5
-    """Share of the footprint of a longer one that must be painted, in every view that paints it. Stickers in the fog of
-    a capture's pedestal (angel), seen from 0 and 40 degrees: 6388 -> 1107 and 9926 -> 3405 changed pixels outside."""
 
 
 VIEW_SELECTION = ViewSelectionThresholds()
@@ -181,7 +175,7 @@ def with_joint_colors(
         target = np.where(share.consistent[..., None], view.edited, image)
         sums = projected.backproject(target, edited)
         seen_by[projected.gaussian_ids] += sums.weight > 0
-        spills[projected.gaussian_ids] |= (sums.weight > 0) & _spills(projected, sums.alpha)
+        spills[projected.gaussian_ids] |= (sums.weight > 0) & reaches_out(projected, sums.alpha)
         use, weight = edited + VIEW_SELECTION.unedited_weight * unedited, np.zeros(len(splats), np.float32)
         weight[projected.gaussian_ids] = projected.backproject(target, use).weight
         solid.append(SolidView(view.camera, target, use, weight, projected))
@@ -194,16 +188,6 @@ def with_joint_colors(
     sh = splats.sh.copy()
     sh[:, 0] += joint_change(solid, VIEW_SELECTION.joint_rounds, hold=VIEW_SELECTION.joint_hold_px) / SH_C0
     return replace(splats, sh=sh)
-
-
-def _spills(view: ProjectedView, painted: np.ndarray) -> Bools:
-    """[M] bool: long Gaussians of a view of whose footprint little is painted (painted: [M] its alpha, summed over
-    painted pixels)."""
-    a, b, c = view.conics.astype(np.float64).T
-    # The integral of opacity exp(-sigma) over the plane; the cut at 1/255 takes little of it.
-    footprint = view.opacities * (2 * np.pi) / np.sqrt(np.maximum(a * c - b * b, 1e-30))
-    longer = view.extents.max(1) > VIEW_SELECTION.max_joint_px
-    return longer & (painted < VIEW_SELECTION.min_joint_inside * footprint)
 
 
 @dataclass(frozen=True)

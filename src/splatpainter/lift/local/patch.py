@@ -15,7 +15,7 @@ from splatpainter.cameras import Camera
 from splatpainter.color import base_color
 from splatpainter.lift.colors import lift_colors, painted_sh, recolor
 from splatpainter.lift.local.detail import DETAIL, detail_layer
-from splatpainter.lift.local.evidence import Evidence
+from splatpainter.lift.local.evidence import LONG, Evidence, footprints, reaches_out
 from splatpainter.lift.local.gaussian_merging import merge
 from splatpainter.lift.local.split import Lattice, projected_sizes
 from splatpainter.lift.masks import dilated
@@ -116,6 +116,9 @@ class Patch:
         coarse = self.editable[ids] & (evidence.peak > MIN_PIXEL_SHARE) & (evidence.spread > options.tolerance**2)
         coarse &= self.share[ids] > options.min_share
         coarse &= self.widths[ids] > PATCHING.max_width_goals * options.goal_px
+        if options.spares_long:
+            hidden = evidence.visible < LONG.min_visible * footprints(self.view)
+            coarse &= ~(hidden & reaches_out(self.view, evidence.covered))
         # A bound on new Gaussians: when it binds, those with most to gain are split.
         left = options.max_appended - int((~self.lattice.slot).sum())
         count = max(left // PATCHING.added_per_split, 0)
@@ -192,6 +195,9 @@ class Patch:
         """[M] bool Gaussians that may take new colours."""
         ids, evidence = self.view.gaussian_ids, self.evidence
         movable = self.editable[ids] & (evidence.peak > MIN_PIXEL_SHARE)
+        # What is hidden elsewhere from this view would be seen painted from others.
+        if options.spares_long:
+            movable &= ~reaches_out(self.view, evidence.covered)
         large = np.zeros(len(ids), bool)
         # Large ones would drag paint over the mask's edge, so more of them has to lie inside.
         large[movable] = self.widths[ids[movable]] > PATCHING.large_width_goals * options.goal_px
