@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from splatpainter.demo_asset import demo_asset, demo_view
-from splatpainter.holes.body import body_of, body_or_selection
+from splatpainter.holes.body import _swept, body_of, body_or_selection
 from splatpainter.session.selection.selection import in_mask
 from splatpainter.splats import SH_C0, Splats
 
@@ -119,3 +119,15 @@ def test_the_lemon_of_the_demo_asset_goes_and_its_board_stays() -> None:
     body = body_of(splats, selected)
     assert body is not None and body[lemon].all()
     assert (body & ~lemon).sum() < 0.06 * lemon.sum(), "a few of the board's in the contact shadow"
+
+
+def test_a_pedestal_stays_though_its_crumbs_hang_by_less_than_the_statue() -> None:
+    """Pieces of a statue, of its pedestal, and one crumb below, which nearly nothing holds."""
+    rows = [(a, b, 5.0) for first in (0, 10) for a in range(first, first + 10) for b in range(a + 1, first + 10)]
+    one, two, links = (np.array(part) for part in zip(*rows, (9, 10, 1.0), (19, 20, 0.01), strict=True))
+    chances = np.repeat([0.9, 0.6, 0.45], [10, 10, 1])
+    is_body = _swept(one.astype(int), two.astype(int), links, chances, 0.9)
+    assert np.array_equal(is_body, np.arange(21) < 10)
+    alone = one < 9  # the statue alone goes whole, crumbs or not
+    whole = _swept(one[alone].astype(int), two[alone].astype(int), links[alone], chances, 0.9)
+    assert whole[:10].all()

@@ -247,14 +247,18 @@ def _walked(one: np.ndarray, two: np.ndarray, links: np.ndarray, source: np.ndar
 
 def _swept(one: np.ndarray, two: np.ndarray, links: np.ndarray, chances: np.ndarray, most: float) -> Bools:
     """[P] bool: pieces with the largest chances, as many as give the least cut for what is within (as Andersen, Chung,
-    Lang, "Local graph partitioning using PageRank vectors", 2006)."""
+    Lang, "Local graph partitioning using PageRank vectors", 2006); where more than crumbs can be left, they are."""
     levels = np.linspace(*BODY.level_shares, BODY.levels) * most
     low, high = (np.searchsorted(levels, f(chances[one], chances[two]), "left") for f in (np.minimum, np.maximum))
     # A piece is within at levels below its chance: an edge is cut at those between its ends.
     begins, ends = (np.bincount(of, links, BODY.levels + 1)[: BODY.levels] for of in (low, high))
     cut = np.cumsum(begins - ends)
-    within = 2 * links.sum() - np.cumsum(begins + ends)
-    return chances > levels[int((cut / np.maximum(within, 1e-30)).argmin())]
+    left = np.cumsum(begins + ends)
+    within = 2 * links.sum() - left
+    share = cut / np.maximum(within, 1e-30)
+    # All but the last crumbs of a capture hang by next to nothing on these, and would be the best body.
+    crumbs = left < BODY.max_crumb_share * within
+    return chances > levels[int(np.where(crumbs & ~crumbs.all(), np.inf, share).argmin())]
 
 
 def _without_crumbs(one: np.ndarray, two: np.ndarray, is_body: np.ndarray, counts: np.ndarray) -> Bools:
