@@ -129,5 +129,5 @@ def test_a_pedestal_stays_though_its_crumbs_hang_by_less_than_the_statue() -> No
     is_body = _swept(one.astype(int), two.astype(int), links, chances, 0.9)
     assert np.array_equal(is_body, np.arange(21) < 10)
     alone = one < 9  # the statue alone goes whole, crumbs or not
-    whole = _swept(one[alone].astype(int), two[alone].astype(int), links[alone], chances, 0.9)
-    assert whole[:10].all()
+    result = _swept(one[alone].astype(int), two[alone].astype(int), links[alone], chances, 0.9)
+    assert result[:10].all()
