@@ -84,15 +84,36 @@ def test_big_endian(tmp_path: Path) -> None:
     check_base_row(io.read(save(tmp_path, ply(BASE, [ROW], order=">"))))
 
 
-@pytest.mark.parametrize("newline", ["\n", "\r\n"])
-def test_text(tmp_path: Path, newline: str) -> None:
-    lines = ["ply", "format ascii 1.0", "comment by hand", "element vertex 2"]
-    lines += [f"property float {n}" for n in BASE] + ["end_header", " ".join(map(str, ROW)), "  ".join(map(repr, ROW))]
+@pytest.mark.parametrize("newline", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("mark", ["", "\ufeff"])
+@pytest.mark.parametrize("empty", [0, 2])
+def test_text(tmp_path: Path, newline: str, mark: str, empty: int) -> None:
+    """With the line ends of three systems, a mark of UTF-8 ahead, and empty lines behind the header."""
+    lines = [f"{mark}ply", "format ascii 1.0", "comment by hand", "element vertex 2"]
+    lines += [f"property float {n}" for n in BASE] + ["end_header", *[""] * empty]
+    lines += [" ".join(map(str, ROW)), "  ".join(map(repr, ROW))]
     splats = io.read(save(tmp_path, newline.join(lines).encode()))  # no line ending at the end of the file
     check_base_row(splats, 0)
     check_base_row(splats, 1)
     assert splats.source is not None
     assert splats.source.sha256 == hashlib.sha256(newline.join(lines).encode()).hexdigest()
+    io.write(tmp_path / "again.ply", splats)
+    assert (tmp_path / "again.ply").read_bytes() == newline.join(lines).encode()
+
+
+def test_lines_of_carriage_returns_before_binary_rows_that_begin_with_a_line_feed(tmp_path: Path) -> None:
+    """The first byte of the first row, 10, belongs to no line end."""
+    head = "\r".join(["ply", "format binary_little_endian 1.0", "element vertex 1", "property uchar label"])
+    head += "".join(f"\rproperty float {name}" for name in BASE) + "\rend_header\r"
+    path = save(tmp_path, head.encode() + b"\n" + struct.pack("<14f", *ROW))
+    check_base_row(io.read(path))
+    io.write(tmp_path / "again.ply", io.read(path))
+    assert (tmp_path / "again.ply").read_bytes() == path.read_bytes()
+
+
+def test_utf16_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="UTF-16; save it as ASCII or UTF-8"):
+        io.read(save(tmp_path, ply(BASE, [ROW]).decode("latin-1").encode("utf-16")))
 
 
 def test_doubles_other_types_lists_and_crlf(tmp_path: Path) -> None:

@@ -68,7 +68,7 @@ class Made:
 @st.composite
 def files(draw: st.DrawFn) -> Made:
     order = draw(st.sampled_from("<>="))
-    newline = draw(st.sampled_from(["\n", "\r\n"]))
+    newline = draw(st.sampled_from(["\n", "\r\n", "\r"]))
     degree = draw(st.integers(0, 4))
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
     doubles = draw(st.booleans())
@@ -76,7 +76,8 @@ def files(draw: st.DrawFn) -> Made:
     extra = draw(st.lists(st.sampled_from(sorted(CODES)), max_size=3))
     properties += [(f"extra_{k}", kind) for k, kind in enumerate(extra)]
     properties = [properties[k] for k in rng.permutation(len(properties))]
-    head = ["ply", f"format {FORMATS[order]} 1.0", "comment end_header of nothing", "obj_info element vertex 12"]
+    mark = draw(st.sampled_from(["", "\ufeff"]))  # of UTF-8
+    head = [f"{mark}ply", f"format {FORMATS[order]} 1.0", "comment end_header of nothing", "obj_info element vertex 12"]
     tail, before, after = [], b"", b""
     if draw(st.booleans()):
         head += ["element early 2", "property list uchar short l", "property int i"]

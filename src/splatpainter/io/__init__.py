@@ -315,7 +315,7 @@ def detect(path: Path) -> str:
     # The content before the name: files are renamed, and downloads lose their ending.
     head = files.read_head(path, files.MAX_HEADER_BYTES if path.suffix.lower() == ".ply" else 65536)
     # Two formats begin as PLY; the header tells them apart.
-    if head[:3] == b"ply" and head[3:4] in (b"\n", b"\r"):
+    if files.begins_as_ply(head):
         end = head.find(b"end_header")
         return "compressed.ply" if b"packed_position" in head[: None if end < 0 else end] else "ply"
     if head[:4] in _MAGIC:

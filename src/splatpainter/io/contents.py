@@ -183,7 +183,7 @@ def _elements(header: Header, elements: tuple[Element, ...], data: bytes, rest: 
         if header.format == "ascii":
             end, left = at, element.count
             while left and end < len(data):  # the count may be a lie
-                end, left = data.find(b"\n", end) + 1 or len(data), left - 1
+                end, left = data.find(header.newline[-1:], end) + 1 or len(data), left - 1
         else:
             try:
                 end = at + element_size(io.BytesIO(data[at:]), header, element, len(data) - at, Path("element"))

@@ -24,6 +24,8 @@ __all__ = [
     "writing",
 ]
 
+BOM = b"\xef\xbb\xbf"
+"""Mark of UTF-8 that editors put ahead of a text."""
 MAX_HEADER_BYTES = 1 << 20
 """Bytes; no honest text header is longer, and a hostile one must not be searched to its end."""
 PIECE_BYTES = 1 << 20
@@ -61,6 +63,12 @@ def read_head(path: Path, count: int) -> bytes:
     """The first `count` bytes, or fewer where the file is shorter."""
     with reading(path) as file:
         return file.read(count)
+
+
+def begins_as_ply(head: bytes) -> bool:
+    """Whether a file of these first bytes is a PLY file: a line 'ply', behind a mark of UTF-8 if there is one."""
+    text = head.removeprefix(BOM)
+    return text[:3] == b"ply" and text[3:4] in (b"\n", b"\r")
 
 
 def read_all(path: Path) -> bytes:

@@ -210,11 +210,12 @@ def _read_body(file: BinaryIO, header: Header, vertex: Element, path: Path, leni
     problems: list[str] = []
     if header.format == "ascii":
         body = file.read()
-        complete = body if not body or body.endswith(b"\n") else body + header.newline
+        complete = body if not body or body.endswith(header.newline[-1:]) else body + header.newline
         pairs = [(p.name, p.type) for p in vertex.properties]
         rows = text_rows(complete, sum(e.count for e in ahead), vertex.count, pairs, header.newline, path)
         after = body[rows.starts[-1] :]
-        lines = after.count(b"\n") + (after != b"" and not after.endswith(b"\n"))
+        end = header.newline[-1:]
+        lines = after.count(end) + (after != b"" and not after.endswith(end))
         extra_lines = lines - sum(e.count for e in behind)
         if lines < sum(e.count for e in behind if e.properties):
             _cut_short("what follows element 'vertex' is", lenient, path, problems)

@@ -1,7 +1,7 @@
 """The container of PLY: a text header, then tables ("elements") of binary records or of lines of text.
 
 Layout of the header: "ply", "format ...", then comments, elements and their properties in any order, then "end_header";
-lines end in LF or CRLF. It is parsed line by line, and edited without touching the lines that do not change. Rows of
+lines end in LF, CRLF or CR, all as the first one does, and a mark of UTF-8 (BOM) may stand ahead. It is parsed line by line, and edited without touching the lines that do not change. Rows of
 both kinds offer the same four verbs (columns, block, relayout, len), so that ply.py need not know which it holds.
 
 N rows, P properties. Knows nothing of Gaussians; ply.py and compressed_ply.py do.
@@ -18,7 +18,7 @@ from typing import BinaryIO, Protocol
 import numpy as np
 
 from splatpainter.array_types import Floats, Ids
-from splatpainter.io.files import MAX_HEADER_BYTES, printable
+from splatpainter.io.files import BOM, MAX_HEADER_BYTES, printable
 from splatpainter.system.quick_dataclass import dataclass
 
 TYPES = {
@@ -41,6 +41,10 @@ MIN_RUN = 16
 MAX_UNEVEN_LISTS = 1 << 24
 """Lists that are stepped over one by one, because the rows around them are of other lengths: about 5 s of work."""
 ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
+UTF16 = (b"\xff\xfe", b"\xfe\xff")
+MAX_FIRST_LINE = 64
+"""Bytes in which the first line ends: it is 'ply', with a mark ahead and blanks behind at most."""
+LINE_BYTES = 256
 TEXT_PIECE_BYTES = 1 << 20
 """Bytes of text that are searched for line ends at a time."""
 MAX_BLOCK_WORDS = 1 << 18
@@ -110,7 +114,8 @@ class Header:
 
     @property
     def newline(self) -> bytes:
-        return b"\r\n" if self.lines[0].endswith(b"\r\n") else b"\n"
+        first = self.lines[0]
+        return b"\r\n" if first.endswith(b"\r\n") else first[-1:]
 
     def element(self, name: str) -> Element | None:
         return next((e for e in self.elements if e.name == name), None)
@@ -175,18 +180,39 @@ def read_header(file: BinaryIO, path: Path) -> Header:
     """
     lines: list[bytes] = []
     left = MAX_HEADER_BYTES
+    begin = file.tell()
+    end = b"\r" if _ends_in_cr(file.read(MAX_FIRST_LINE)) else b"\n"
+    file.seek(begin)
     while left > 0:
-        line = file.readline(left)
+        line = file.readline(left) if end == b"\n" else _line_to(file, end, left)
         left -= len(line)
-        if not lines and line.strip() != b"ply":
+        if not lines and line.removeprefix(BOM).strip() != b"ply":
+            if line[:2] in UTF16:
+                raise ValueError(f"{path}: is text in UTF-16; save it as ASCII or UTF-8")
             raise ValueError(f"{path}: expected a PLY file beginning with 'ply', got {line[:16]!r}")
-        if not line.endswith(b"\n"):
+        if not line.endswith(end):
             break
         lines.append(line)
         if line.strip() == b"end_header":
             return _parse(lines, path)
     where = "the first 1 MiB" if left <= 0 else "the file"
     raise ValueError(f"{path}: expected a PLY header closed by 'end_header' (and a line end), found none in {where}")
+
+
+def _ends_in_cr(head: bytes) -> bool:
+    """Whether the lines of a header end in CR alone, as on the first Macs: so does its first one."""
+    return re.match(rb"[^\r\n]*\r[^\n]", head) is not None
+
+
+def _line_to(file: BinaryIO, end: bytes, limit: int) -> bytes:
+    """The next line, up to and with the byte `end`, of at most `limit` bytes."""
+    start = file.tell()
+    line = file.read(min(limit, LINE_BYTES))
+    while end not in line and len(line) < limit and (more := file.read(min(limit - len(line), LINE_BYTES))):
+        line += more
+    line = line[: line.find(end) + 1 or None]
+    file.seek(start + len(line))
+    return line
 
 
 def make_header(format: str, comments: Sequence[str], elements: Sequence[tuple[str, int, Sequence[tuple[str, str]]]]):
@@ -638,7 +664,8 @@ class TextBlock:
 def text_rows(
     data: bytes, skip: int, count: int, properties: Iterable[tuple[str, str]], newline: bytes, path: Path
 ) -> TextRows:
-    """Rows of a text body: `skip` lines of earlier elements, then `count` lines, every one with a line ending.
+    """Rows of a text body: `skip` lines of earlier elements, then `count` lines, every one with a line ending. Empty
+    lines ahead of all are stepped over, as other readers do.
 
     Raises ValueError when lines are missing, before anything is allocated for them.
     """
@@ -650,7 +677,9 @@ def text_rows(
     # A line of the shortest numbers has as many separators as digits, its end among them.
     if skip > len(data) or count * 2 * max(len(columns), 1) > len(data):
         raise short
-    start = _behind_lines(data, skip)
+    last = newline[-1]
+    empty = re.match(rb"[\r\n]*(?=[^\r\n])", data)
+    start = _behind_lines(data, empty.end() if empty else 0, skip, last)
     if start is None:
         raise short
     starts = np.empty(count + 1, np.int64)
@@ -659,7 +688,7 @@ def text_rows(
         if count_so_far > count:
             break
         piece = np.frombuffer(data, np.uint8, min(TEXT_PIECE_BYTES, len(data) - offset), offset)
-        ends = np.flatnonzero(piece == ord("\n"))[: count + 1 - count_so_far] + (offset + 1)
+        ends = np.flatnonzero(piece == last)[: count + 1 - count_so_far] + (offset + 1)
         starts[count_so_far : count_so_far + len(ends)] = ends
         count_so_far += len(ends)
     if count_so_far <= count:
@@ -667,12 +696,12 @@ def text_rows(
     return TextRows(data, starts, columns, newline, str(path))
 
 
-def _behind_lines(data: bytes, count: int) -> int | None:
-    """Offset behind the first `count` lines, None where there are fewer."""
-    for offset in range(0, len(data), TEXT_PIECE_BYTES):
+def _behind_lines(data: bytes, begin: int, count: int, last: int) -> int | None:
+    """Offset behind the first `count` lines from `begin` on, None where there are fewer. last: byte that ends a line."""
+    for offset in range(begin, len(data), TEXT_PIECE_BYTES):
         if not count:
             return offset
-        piece = np.frombuffer(data, np.uint8, min(TEXT_PIECE_BYTES, len(data) - offset), offset) == ord("\n")
+        piece = np.frombuffer(data, np.uint8, min(TEXT_PIECE_BYTES, len(data) - offset), offset) == last
         lines = int(np.count_nonzero(piece))
         if lines >= count:
             return offset + int(np.flatnonzero(piece)[count - 1]) + 1
