@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import io as bytes_io
 import json
 import struct
@@ -276,6 +277,15 @@ KINDS = [
     (b'{"message": "Not Found", "status": "404"}' + b" " * 64, "a text "),
     (b"Access denied. Sign in to download this file, please." + b"\n" * 64, "a text "),
     (b"\x28\xb5\x2f\xfd" + bytes(60), "packed by zstd"),
+    (b'{"asset":{"version":"2.0"}}' + b" " * 64, "a text "),
+    (b"\xfd7zXZ\0" + bytes(58), "packed by xz"),
+    (b"BZh9" + bytes(60), "packed by bzip2"),
+    (struct.pack(">I", 24) + b"ftypheic" + bytes(52), "a picture"),
+    (b"\x76\x2f\x31\x01" + bytes(60), "a picture"),
+    (b"BLENDER-v300" + bytes(52), "a scene of Blender"),
+    (b"Kaydara FBX Binary  \0" + bytes(43), "a scene"),
+    (b"\x93NUMPY\1\0" + bytes(56), "an array of numpy"),
+    (b"LASF" + bytes(60), "a point cloud"),
     (POINTER, "a git-LFS pointer"),
     (FILM, "a film"),
     (b"\x1a\x45\xdf\xa3" + bytes(60), "a film"),
@@ -295,6 +305,25 @@ def test_files_that_are_no_splats(data: bytes, what: str, ending: str, tmp_path:
     with pytest.raises(ValueError, match=rf"chair\.{ending}: is {what}.*, not a splat file; ") as error:
         io.read(path)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("ending", ["ply.gz", "spz"])
+def test_a_ply_packed_by_gzip_is_no_spz(ending: str, tmp_path: Path) -> None:
+    path = tmp_path / f"chair.{ending}"
+    path.write_bytes(gzip.compress(saved(tmp_path / "a.ply", ball(20)).read_bytes()))
+    with pytest.raises(ValueError, match="is a PLY file packed by gzip, not an SPZ file; unpack it first"):
+        io.read(path)
+
+
+def test_binary_numbers_sent_as_text_are_named(tmp_path: Path) -> None:
+    """As FTP and git make it of a file, and not of sound ones with line ends of Windows."""
+    sound = ply(tmp_path / "a.ply", columns_of(ball(500))).read_bytes()
+    (tmp_path / "sent.ply").write_bytes(sound.replace(b"\n", b"\r\n"))
+    assert "the file was sent or stored as text" in lines(tmp_path / "sent.ply")
+    end = sound.index(b"end_header\n") + len("end_header\n")
+    for rest in (b"", b"\r\n", b"more\n"):
+        (tmp_path / "windows.ply").write_bytes(sound[:end].replace(b"\n", b"\r\n") + sound[end:] + rest)
+        assert lines(tmp_path / "windows.ply") == ""
 
 
 def test_a_ply_packed_by_gzip_says_so(tmp_path: Path) -> None:

@@ -81,7 +81,7 @@ def doubts(splats: Splats) -> tuple[Doubt, ...]:
         few = _sample(splats)
         looks = (
             *(_activated, _opacity_scale, _unfiltered, _log_scales_in_glb, _lossy_planes, _coarse_positions),
-            *(_color_scale, _colors),
+            *(_changed_as_text, _color_scale, _colors),
         )
         return tuple(doubt for look in looks if (doubt := look(splats, few)) is not None)
 
@@ -302,6 +302,23 @@ def _has_column(splats: Splats, name: str) -> bool:
     record = splats.source.detail if splats.source is not None else None
     vertex = record.header.element("vertex") if isinstance(record, PlyFile) else None
     return vertex is not None and name in vertex.names
+
+
+def _changed_as_text(splats: Splats, few: Splats) -> Doubt | None:
+    """Binary data sent as text (FTP, or git without .gitattributes): each line feed has become two bytes."""
+    record = splats.source.detail if splats.source is not None else None
+    if not isinstance(record, PlyFile) or record.header.format == "ascii" or record.header.newline != b"\r\n":
+        return None
+    # As many bytes too many as there are line feeds, and none of these alone: by chance 255 of 256 would be.
+    data = bytes(record.rows.stored()) if record.after else b""
+    feeds = (data + record.after).count(b"\n")
+    if not feeds or (data + record.after).count(b"\r\n") != feeds or feeds != len(record.after):
+        return None
+    return Doubt(
+        f"every line feed among the binary numbers follows a carriage return, and {len(record.after):,} bytes are left",
+        "the file was sent or stored as text, which moves all numbers behind the first such byte",
+        "copy the original again, as binary (in git: *.ply binary in .gitattributes)",
+    )
 
 
 def _color_scale(splats: Splats, few: Splats) -> Doubt | None:

@@ -15,6 +15,7 @@ from splatpainter.io.losses import Losses, better_format, loss_of_edits, measure
 from splatpainter.session import Session
 from splatpainter.splats import SH_C0, Splats
 from tests.support.cli_scenes import Capture, ball, run, saved
+from tests.support.far_assets import far_ply
 from tests.support.io_assets import random_splats
 
 
@@ -190,6 +191,27 @@ def test_scattered_sky_in_compressed_ply(tmp_path: Path) -> None:
     assert losses.move_largest == pytest.approx(moves.max(), rel=1e-3)
     assert losses.worst_first[0].what == "positions" and losses.severity > 100
     assert better_format(splats, "compressed.ply", losses) == ".sog"
+
+
+def test_what_reading_has_rounded_counts_as_lost(tmp_path: Path) -> None:
+    """Doubles of a few Gaussians far from the others: an offset serves the others alone."""
+    positions = far_ply(tmp_path / "near.ply", same_sized(500, degree=0), (0.0, 0.0, 0.0))
+    head, body = (tmp_path / "near.ply").read_bytes().split(b"end_header\n", 1)
+    rows = np.frombuffer(body, np.uint8).reshape(500, -1).copy()
+    positions[:5, 0] = 1e7 + 0.3 + np.arange(5)  # six sizes from what float32 has there
+    rows[:, :24] = positions.view(np.uint8).reshape(500, 24)
+    (tmp_path / "a.ply").write_bytes(head + b"end_header\n" + rows.tobytes())
+    splats = io.read(tmp_path / "a.ply")
+    assert splats.source is not None and any("5 Gaussians lie so far" in line for line in splats.source.problems)
+    moves = np.abs(positions[:5, 0] - positions[:5, 0].astype(np.float32)) / 0.05
+    for key, suffix in (("glb", "glb"), ("splat", "splat")):
+        io.write(tmp_path / f"b.{suffix}", splats)
+        losses = measure(splats, io.read(tmp_path / f"b.{suffix}"))
+        assert losses.move_largest == pytest.approx(moves.max(), rel=1e-3) and losses.moved_share == 0.01
+        assert better_format(splats, key, losses) == ".ply"
+    io.write(tmp_path / "b.ply", splats)
+    assert measure(splats, io.read(tmp_path / "b.ply")).move_largest == 0
+    assert (tmp_path / "b.ply").read_bytes() == (tmp_path / "a.ply").read_bytes()
 
 
 def test_a_format_that_holds_all_well_needs_no_better_one() -> None:

@@ -15,6 +15,8 @@ DOWNLOAD = "download the file itself (on GitHub and Hugging Face: raw, or downlo
 SPLATS = "expected Gaussian splats"
 _MAGIC: tuple[tuple[int, bytes, str, str], ...] = (
     (0, b"version https://git-lfs", "a git-LFS pointer", "run `git lfs pull` in its folder to get the file itself"),
+    (4, b"ftypheic", "a picture (HEIC)", SPLATS),
+    (4, b"ftypavif", "a picture (AVIF)", SPLATS),
     (4, b"ftyp", "a film (MP4, MOV)", "render frames of it and train an asset from them"),
     (0, b"\x1a\x45\xdf\xa3", "a film (WebM, Matroska)", "render frames of it and train an asset from them"),
     (0, b"\x89PNG\r\n", "a picture (PNG)", SPLATS),
@@ -22,6 +24,14 @@ _MAGIC: tuple[tuple[int, bytes, str, str], ...] = (
     (0, b"GIF8", "a picture (GIF)", SPLATS),
     (0, b"%PDF-", "a PDF", SPLATS),
     (0, b"\x28\xb5\x2f\xfd", "packed by zstd", "unpack it first"),
+    (0, b"\xfd7zXZ\0", "packed by xz", "unpack it first"),
+    (0, b"BZh", "packed by bzip2", "unpack it first"),
+    (0, b"\x76\x2f\x31\x01", "a picture (OpenEXR)", SPLATS),
+    (0, b"BLENDER", "a scene of Blender", "export its splats as .ply"),
+    (0, b"Kaydara FBX", "a scene (FBX)", SPLATS),
+    (0, b"\x93NUMPY", "an array of numpy", "save it as .ply (sp.write)"),
+    (0, b"LASF", "a point cloud (LAS, LAZ)", "train Gaussians from pictures of it"),
+    (0, b"ASTM-E57", "a point cloud (E57)", "train Gaussians from pictures of it"),
     (0, b"PXR-USDC", "a USD scene", "save its splats as .ply or .spz"),
     (0, b"SQLite format 3\x00", "a database (a .splatproj project?)", "open projects with `splatpainter studio`"),
     (0, b"7z\xbc\xaf\x27\x1c", "a 7z archive", "unpack it first"),
@@ -34,6 +44,8 @@ _MAGIC: tuple[tuple[int, bytes, str, str], ...] = (
 GZIP = b"\x1f\x8b"
 MIN_LETTERS = 16
 """Of a text: bytes of floats have no such run of letters and spaces alone."""
+MIN_JSON = 24
+"""Of printable characters alone, behind a bracket: six floats of nothing else."""
 _PRINTABLE = frozenset(range(32, 127)) | {9, 10, 13}
 _PAGE_BEGINNINGS = (b"<!doctype html", b"<html", b"<head", b"<?xml", b"<svg", b"<error")
 """Lower case; what servers send in place of a file that is missing or not public."""
@@ -50,5 +62,7 @@ def check_not_foreign(head: bytes, path: Path) -> None:
     if head.startswith(GZIP) and path.suffix.lower() == ".ply":  # SPZ has it too, and a .splat may
         raise ValueError(f"{path}: is packed by gzip; unpack it first (gunzip), or call it .spz if it is one")
     letters = len(text) - len(text.translate(None, string.ascii_letters.encode()))
-    if letters >= MIN_LETTERS and path.suffix.lower() != ".json" and _PRINTABLE.issuperset(text):
-        raise ValueError(f"{path}: is a text {text[:40].decode('ascii')!r}, not a splat file; {DOWNLOAD}")
+    is_json = text.startswith((b'{"', b"[{")) and len(text) >= MIN_JSON
+    if (letters >= MIN_LETTERS or is_json) and path.suffix.lower() != ".json" and _PRINTABLE.issuperset(text):
+        remedy = "save it as .glb" if is_json and b'"asset"' in text else DOWNLOAD
+        raise ValueError(f"{path}: is a text {text[:40].decode('ascii')!r}, not a splat file; {remedy}")

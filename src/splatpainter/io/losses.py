@@ -15,12 +15,14 @@ from typing import Any
 import numpy as np
 
 from splatpainter.io import FORMATS, read, write
+from splatpainter.io.formats.ply import stored_positions
 from splatpainter.io.size_estimate import sample
 from splatpainter.kernels.arrays import readonly
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import each, run, threads
 from splatpainter.splats import ATTRIBUTES, SH_C0, Splats
 from splatpainter.system.quick_dataclass import dataclass
+from splatpainter.transforms import row_max
 
 MIN_DRAWN_OPACITY = 1 / 255
 """Opacity of Gaussians that are drawn; what fainter ones lose cannot be seen."""
@@ -172,8 +174,13 @@ def measure(before: Splats, after: Splats) -> Losses:
     if not total:
         return Losses()
     rows, joined, base, rest = _row_errors(old, new, counted)
+    moves = np.zeros(count)
+    moves[rows] = joined["move"]
+    if new.source is not None and new.source.format != "ply":  # there the stored numbers go along
+        moves = np.maximum(moves, _moves_from_file(old, new))
+    moves = moves[counted]
     if not len(rows):
-        return Losses(compared=total)
+        return Losses(compared=total, **_moved(moves))
     with np.errstate(all="ignore"):
         base_cut, rest_cut = (_cut_rows(old, rows, part, span) for part, span in ((0, base), (1, rest)))
 
@@ -182,12 +189,9 @@ def measure(before: Splats, after: Splats) -> Losses:
 
     ends = dict(zip(joined, each(reach, list(joined.values())), strict=True))
     largest, rms = ({name: end[k] for name, end in ends.items()} for k in (0, 1))
-    moves = np.concatenate([joined["move"], np.zeros(total - len(rows))])
     return Losses(
         compared=total,
-        move_largest=largest["move"],
-        move_usual=float(np.quantile(moves, 0.99)),
-        moved_share=float((moves > 1).mean()),
+        **_moved(moves),
         color_largest=largest["color"],
         color_rms=rms["color"],
         color_cut_share=base_cut / total,
@@ -205,6 +209,35 @@ def measure(before: Splats, after: Splats) -> Losses:
         rotation_largest=largest["rotation"],
         rotation_rms=rms["rotation"],
     )
+
+
+def _moved(moves: np.ndarray) -> dict[str, float]:
+    return {
+        "move_largest": float(moves.max()),
+        "move_usual": float(np.quantile(moves, 0.99)),
+        "moved_share": float((moves > 1).mean()),
+    }
+
+
+def _moves_from_file(old: Splats, new: Splats) -> np.ndarray:
+    """[count] float64 how far the rows of `new` are, in sizes, from where the file of `old` has them, where that holds
+    finer positions than float32 does beside an offset; else 0."""
+    count, source = min(len(old), len(new)), old.source
+    moves = np.zeros(count)
+    if source is None or source.format != "ply" or old.origin is None:
+        return moves
+    stored = stored_positions(source.detail)
+    if stored is None:
+        return moves
+    origin = np.asarray(old.origin[:count])
+    with np.errstate(all="ignore"):
+        means, read_means = np.asarray(old.means[:count]), source.splats.numpy().means
+        # Rows that an edit moved have their place in memory alone.
+        rows = np.flatnonzero((origin >= 0) & (means == read_means[origin]).all(1))
+        apart = np.asarray(new.means)[rows].astype(np.float64) + np.array(new.offset) - stored[origin[rows]]
+        found = np.sqrt((apart * apart).sum(1)) / row_max(np.asarray(old.scales)[rows])
+    moves[rows] = np.where(np.isfinite(found), found, 0)
+    return moves
 
 
 def _row_errors(
@@ -317,9 +350,11 @@ def better_format(splats: Splats, key: str, losses: Losses) -> str:
     few = spread_sample(splats)
     if not len(few):
         return ""
+    # What reading has rounded already, only the file's own format still has.
+    rounded = Losses(**_moved(_moves_from_file(splats, splats))).severity
     for other in (other for other in TRIED_FORMATS if other != key):
         try:
-            severity = measured_as(few, other)[0].severity
+            severity = max(measured_as(few, other)[0].severity, 0 if other == "ply" else rounded)
         except ValueError:  # it cannot hold them at all
             continue
         if severity < 1 and severity * LOSSES.better_factor <= worst:

@@ -24,6 +24,7 @@ from typing import BinaryIO
 
 import numpy as np
 
+from splatpainter.array_types import Floats
 from splatpainter.io import files, positions
 from splatpainter.io.formats import activations
 from splatpainter.io.formats.ply_container import (
@@ -39,6 +40,7 @@ from splatpainter.io.formats.ply_container import (
 from splatpainter.io.formats.reuse import differs, row_problems
 from splatpainter.splats import SH_COUNTS, ColorSpace, Source, Splats
 from splatpainter.system.quick_dataclass import dataclass
+from splatpainter.transforms import row_max
 
 DEGREES = {3 * (count - 1): degree for count, degree in SH_COUNTS.items()}
 """Number of f_rest_* properties -> SH degree."""
@@ -46,6 +48,8 @@ MIP_COMMENT = "SplatRenderMode: mip"
 PLAIN_COMMENT = "SplatRenderMode: default"
 SPACE_COMMENT = "SplatColorSpace: "
 """Ours: PLY itself cannot say that colours are linear."""
+FLOAT32_HOLDS = ("f4", "i1", "u1", "i2", "u2")
+"""Types of which float32 holds every number."""
 MIN_BYTE_COLOR = 16.0
 """Largest colour of float properties from which they are taken as 0..255: light of a display is 1, of HDR a few."""
 BLOCK_ROWS = 1 << 13
@@ -99,6 +103,7 @@ def read_ply(path: Path, lenient: bool = False, offset: positions.Offset | None 
         if other_elements:
             problems.append(f"extra elements (kept as they are): {_named(other_elements)}")
         problems += row_problems(splats)
+        problems += _rounding_problem(record, splats)
         source = Source(str(path), "ply", splats, digest.result(), record, tuple(problems))
     return replace(splats, source=source, origin=np.arange(len(splats), dtype=np.int64))
 
@@ -293,6 +298,33 @@ def _decode(record: PlyFile, plan: Mapping[str, tuple[str, ...]], offset: positi
         color_space=space,
         offset=offset,
     )
+
+
+def _rounding_problem(record: PlyFile, splats: Splats) -> list[str]:
+    """A line about Gaussians that lie so far from the others that their positions, finer in the file, are rounded."""
+    stored = stored_positions(record) if record.header.format != "ascii" else None
+    if stored is None:
+        return []
+    with np.errstate(all="ignore"):
+        apart = splats.world_means - stored
+        moves = np.sqrt((apart * apart).sum(1)) / row_max(splats.scales)
+    far = int((moves > 1).sum())
+    if not far:
+        return []
+    most = float(moves[np.isfinite(moves)].max())
+    return [
+        f"{far} Gaussians lie so far from the others that float32 rounds their positions by up to {most:.2g} sizes of "
+        "a Gaussian (the file keeps its own numbers where they are not edited)"
+    ]
+
+
+def stored_positions(record: PlyFile) -> Floats | None:
+    """[N, 3] float64 positions as the file has them, where its numbers may be finer than float32; else None."""
+    vertex = record.header.element("vertex")
+    kinds = {p.name: p.type for p in vertex.properties} if vertex is not None else {}
+    if record.header.format != "ascii" and all(kinds[name] in FLOAT32_HOLDS for name in "xyz"):
+        return None
+    return record.rows.doubles("xyz")
 
 
 def _encode(

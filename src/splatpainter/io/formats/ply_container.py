@@ -1,8 +1,9 @@
 """The container of PLY: a text header, then tables ("elements") of binary records or of lines of text.
 
 Layout of the header: "ply", "format ...", then comments, elements and their properties in any order, then "end_header";
-lines end in LF, CRLF or CR, all as the first one does, and a mark of UTF-8 (BOM) may stand ahead. It is parsed line by line, and edited without touching the lines that do not change. Rows of
-both kinds offer the same four verbs (columns, block, relayout, len), so that ply.py need not know which it holds.
+lines end in LF, CRLF or CR, all as the first one does, and a mark of UTF-8 (BOM) may stand ahead. It is parsed line by
+line, and edited without touching the lines that do not change. Rows of both kinds offer the same four verbs (columns,
+block, relayout, len), so that ply.py need not know which it holds.
 
 N rows, P properties. Knows nothing of Gaussians; ply.py and compressed_ply.py do.
 """
@@ -697,7 +698,7 @@ def text_rows(
 
 
 def _behind_lines(data: bytes, begin: int, count: int, last: int) -> int | None:
-    """Offset behind the first `count` lines from `begin` on, None where there are fewer. last: byte that ends a line."""
+    """Offset behind the first `count` lines from `begin` on, None where there are fewer. last: byte that ends one."""
     for offset in range(begin, len(data), TEXT_PIECE_BYTES):
         if not count:
             return offset

@@ -199,6 +199,8 @@ def _parse_gzip(data: bytes, path: Path) -> SpzFile:
     # A stream may unpack to anything: header first, and from it how much may follow.
     stream = Gunzip(data, path)
     magic, version, count, degree, bits, flags, reserved = struct.unpack("<4sIIBBBB", stream.take(16, "the SPZ header"))
+    if files.begins_as_ply(magic):
+        raise ValueError(f"{path}: is a PLY file packed by gzip, not an SPZ file; unpack it first (gunzip)")
     if magic != MAGIC:
         raise ValueError(f"{path}: not an SPZ file: expected 'NGSP' inside the gzip stream, found {magic!r}")
     if version not in (1, 2, 3):
