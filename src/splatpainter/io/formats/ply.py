@@ -308,10 +308,11 @@ def _rounding_problem(record: PlyFile, splats: Splats) -> list[str]:
     with np.errstate(all="ignore"):
         apart = splats.world_means - stored
         moves = np.sqrt((apart * apart).sum(1)) / row_max(splats.scales)
+    moves = moves[np.isfinite(moves)]  # other rows are not drawn
     far = int((moves > 1).sum())
     if not far:
         return []
-    most = float(moves[np.isfinite(moves)].max())
+    most = float(moves.max())
     return [
         f"{far} Gaussians lie so far from the others that float32 rounds their positions by up to {most:.2g} sizes of "
         "a Gaussian (the file keeps its own numbers where they are not edited)"
