@@ -59,6 +59,11 @@ def icc(name: str = "sRGB") -> tuple[bytes, bytes]:
 
 
 P3 = encoded(decoded(STORED) @ P3_TO_SRGB.T)
+ADOBE_CHROMATICITIES = (31270, 32900, 64000, 33000, 21000, 71000, 15000, 6000)
+ADOBE_TO_SRGB = np.array([[1.3983557, -0.3983557, 0], [0, 1, 0], [0, -0.0429290, 1.0429290]])
+"""From Adobe RGB (1998) Color Image Encoding's matrices: linear light to linear sRGB."""
+BROKEN = (b"iCCP", b"any\0\0" + zlib.compress(b"no profile at all"))
+NOT_PACKED = (b"iCCP", b"any\0\0no zlib stream")
 RED_BLUE = (b"cICP", bytes([12, 13, 0, 1]))
 EXPECTED = {
     "nothing": ((), STORED),
@@ -68,6 +73,15 @@ EXPECTED = {
     "linear": ((gamma(100000),), encoded(STORED)),
     "gamma 1.8": ((gamma(55556),), encoded(STORED ** (1 / 0.55556))),
     "P3 by cHRM, with sRGB's gamma": ((gamma(45455), primaries(*P3_CHROMATICITIES)), P3),
+    "Adobe RGB by cHRM, whose gamma is close to sRGB's": (
+        (gamma(45455), primaries(*ADOBE_CHROMATICITIES)),
+        encoded(STORED**2.2 @ ADOBE_TO_SRGB.T),
+    ),
+    "a profile that is none, before gAMA": ((BROKEN, gamma(100000)), encoded(STORED)),
+    "a profile that is not packed, before gAMA and cHRM": (
+        (NOT_PACKED, gamma(100000), primaries(*P3_CHROMATICITIES)),
+        encoded(STORED @ P3_TO_SRGB.T),
+    ),
     "linear P3": (
         (gamma(100000), primaries(*P3_CHROMATICITIES)),
         encoded(STORED @ P3_TO_SRGB.T),
@@ -88,6 +102,26 @@ def test_png_says_its_colours(chunks: tuple, expected: np.ndarray, deep: bool, t
     picture = read_picture(png(tmp_path / "a.png", *chunks, deep=deep))
     assert np.abs(picture.colors - expected).max() < 3e-4 + (1e-6 if expected is STORED else 5e-4)
     assert (len(picture.notes) == 0) == (np.abs(expected - STORED).max() < 1e-9)
+
+
+@pytest.mark.parametrize("name", ["a.jpg", "a.webp"])
+@pytest.mark.parametrize(("space", "index"), [(65535, "R03"), (2, None), (65535, None), (1, "R98"), (65535, "R98")])
+def test_adobe_rgb_by_exif(name: str, space: int, index: str | None, tmp_path: Path) -> None:
+    """As cameras write it: colours of the space, no profile."""
+    exif = Image.Exif()
+    exif.get_ifd(0x8769)[0xA001] = space
+    if index is not None:
+        exif.get_ifd(0x8769)[0xA005] = {1: index}
+    flat = np.full((16, 16, 3), (150, 160, 120), np.uint8)
+    options = {"a.jpg": {"quality": 98}, "a.webp": {"lossless": True}}.get(name, {})
+    Image.fromarray(flat).save(tmp_path / name, exif=exif, **options)
+    picture = read_picture(tmp_path / name)
+    adobe = space == 2 or index == "R03"
+    expected = encoded((flat / 255) ** (563 / 256) @ ADOBE_TO_SRGB.T) if adobe else flat / 255
+    assert np.abs(picture.colors - expected).max() < 0.01
+    assert [note for note in picture.notes if "Adobe RGB" in note] == list(picture.notes) and len(
+        picture.notes
+    ) == adobe
 
 
 @pytest.mark.parametrize("bits", [8, 16])

@@ -28,6 +28,12 @@ SRGB_GAMMA, MAX_GAMMA_ERROR = 45455, 0.01
 so: programs write 45454, 45455 and 45459."""
 MAX_SAME_DIFFERENCE = 2 / 255
 """Largest change of a colour up to which a statement says sRGB."""
+MAX_SAME_PRIMARIES = 0.01
+"""Largest difference between two matrices to sRGB's light up to which they are of the same primaries."""
+ADOBE_RGB = (0.3127, 0.3290, 0.64, 0.33, 0.21, 0.71, 0.15, 0.06)
+"""x and y of white, red, green, blue (Adobe RGB (1998) Color Image Encoding, 4.2)."""
+ADOBE_GAMMA = 563 / 256
+"""The same, 4.3.5.2."""
 CHROMATICITIES: dict[int, tuple[float, ...]] = {
     1: (0.3127, 0.3290, 0.640, 0.330, 0.300, 0.600, 0.150, 0.060),
     4: (0.310, 0.316, 0.67, 0.33, 0.21, 0.71, 0.14, 0.08),
@@ -88,8 +94,9 @@ class PngColors:
     """What could not be understood."""
 
 
-def png_colors(path: Path) -> PngColors:
-    """What a PNG says of its colours. Raises ValueError: light beyond white (PQ, HLG), which has no sRGB."""
+def png_colors(path: Path, profile: bool = True) -> PngColors:
+    """What a PNG says of its colours. profile: whether an ICC profile in it counts; not where it cannot be used. Raises
+    ValueError: light beyond white (PQ, HLG), which has no sRGB."""
     chunks, notes = _chunks(path), []
     bits = chunks[b"IHDR"][8] if len(chunks.get(b"IHDR", b"")) == 13 else 8
     # In the standard's order of precedence; the first kind that is understood counts.
@@ -98,7 +105,7 @@ def png_colors(path: Path) -> PngColors:
         if statement is not None:
             return PngColors(None if statement.is_srgb else statement)
         notes.append(note)
-    if b"iCCP" in chunks:
+    if b"iCCP" in chunks and profile:
         return PngColors(profiled=True, notes=tuple(notes))
     if b"sRGB" in chunks:
         return PngColors(notes=tuple(notes))
@@ -159,17 +166,28 @@ def _gamma_and_primaries(chunks: dict[bytes, bytes]) -> tuple[ColorStatement | N
         (value,) = struct.unpack(">I", gamma) if len(gamma) == 4 else (0,)
         if not 1000 <= value <= 10_000_000:
             return None, "its gAMA chunk makes no sense; its colours are taken as sRGB"
-        # 1/2.2 in gAMA is how programs say sRGB, whose curve is no power.
-        if abs(value / SRGB_GAMMA - 1) > MAX_GAMMA_ERROR:
-            names.append(f"gAMA {value}")
-            curve = _power(100_000 / value)
     if primaries is not None:
         try:
             matrix = primaries_to_srgb([value / 100_000 for value in struct.unpack(">8I", primaries)])
         except (struct.error, ValueError):
             return None, "its cHRM chunk makes no sense; its colours are taken as sRGB"
+    if gamma is not None:
+        # 1/2.2 in gAMA is how programs say sRGB's curve, which is no power, as Display P3's; Adobe RGB's is one.
+        adobe = np.abs(matrix - primaries_to_srgb(ADOBE_RGB)).max() <= MAX_SAME_PRIMARIES
+        if abs(value / SRGB_GAMMA - 1) > MAX_GAMMA_ERROR or adobe:
+            names.append(f"gAMA {value}")
+            curve = _power(100_000 / value)
+    if primaries is not None:
         names.append("cHRM")
     return (ColorStatement(" and ".join(names), matrix, (curve,)), "") if names else (None, "")
+
+
+def exif_colors(color_space: object, interoperability: object) -> ColorStatement | None:
+    """What EXIF says where no profile does: Adobe RGB by ColorSpace 2, or 65535 with interoperability R03 (DCF 2.0,
+    option files); None: sRGB, or nothing that is understood."""
+    if color_space == 2 or (color_space == 65535 and str(interoperability).strip("\0 ") == "R03"):
+        return ColorStatement("EXIF, Adobe RGB", primaries_to_srgb(ADOBE_RGB), (_power(ADOBE_GAMMA),))
+    return None
 
 
 def _power(exponent: float) -> Curve:

@@ -33,6 +33,7 @@ from splatpainter.kernels.parallel import each
 from splatpainter.pictures.color_profiles import (
     ColorStatement,
     PngColors,
+    exif_colors,
     matrix_profile,
     png_colors,
     primaries_to_srgb,
@@ -59,6 +60,9 @@ PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", "
 PICTURE_KINDS = ("PNG", "JPEG", "WEBP", "TIFF")
 LOSSY_KINDS = ("JPEG", "WebP")
 TIFF_MAGICS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+UNUSABLE = "its colour profile cannot be used"
+EXIF_IFD, INTEROP_IFD, COLOR_SPACE, INTEROP_INDEX = 0x8769, 0xA005, 0xA001, 1
+"""Tags of EXIF (CIPA DC-008, 4.6)."""
 INKS = ("CMYK", "LAB")
 """Pillow's modes whose colours depend on a profile and do not come back as they were painted."""
 MAX_LOSSY_NOISE = 16
@@ -101,9 +105,9 @@ class Picture:
 
 def read_picture(path: Path, *, inks: bool = True) -> Picture:
     """Decode a PNG, JPEG, WebP or TIFF file as its owner sees it: turned as EXIF says, converted from its embedded
-    profile, or from what a PNG says of its colours, to sRGB; or an OpenEXR file of linear light; or the flattened
-    picture of a PSD, OpenRaster or Krita file. inks: whether colours may be of INKS, not in
-    pictures that are compared with a render. Raises ValueError: missing, unreadable, damaged, another kind of file,
+    profile, or from what a PNG or EXIF says of its colours, to sRGB; or an OpenEXR file of linear light; or the
+    flattened picture of a PSD, OpenRaster or Krita file. inks: whether colours may be of INKS, not in pictures that are
+    compared with a render. Raises ValueError: missing, unreadable, damaged, another kind of file,
     animated, more than MAX_PICTURE_PIXELS pixels, OpenEXR without OpenImageIO."""
     # Kinds that Pillow does not read, or not with all their bits, go first.
     if is_exr(path):
@@ -123,7 +127,8 @@ def read_picture(path: Path, *, inks: bool = True) -> Picture:
         # Turned before anything is measured: everybody else sees it so, too.
         turned = ImageOps.exif_transpose(image)
         stated = png_colors(path) if image.format == "PNG" else PngColors(profiled=True)
-        notes = list(stated.notes)
+        stated, unusable = _without_unusable_profile(path, image, stated)
+        notes = [*unusable, *stated.notes]
         if turned.mode.startswith("I") or turned.mode == "F":
             return _in_srgb(Picture(*_deep_grey(turned), notes=tuple(notes)), stated.statement)
         # Pillow's colour management is 8 bits; deep pictures take the matrix way below where they can.
@@ -144,6 +149,38 @@ def read_picture(path: Path, *, inks: bool = True) -> Picture:
         pixels = np.asarray(colors, np.float32)
         pixels = np.divide(pixels, 255, out=pixels if pixels.flags.writeable else None)
         return _in_srgb(Picture(pixels, alpha, tuple(notes), encoding_of(image)), stated.statement)
+
+
+def _without_unusable_profile(path: Path, image: Image, stated: PngColors) -> tuple[PngColors, tuple[str, ...]]:
+    """(what counts, notes): what a file says of its colours otherwise, where it has no profile or none that is read."""
+    if not stated.profiled:
+        return stated, ()
+    profile = image.info.get("icc_profile")
+    if profile and _is_profile(profile):
+        return stated, ()
+    other = png_colors(path, profile=False) if image.format == "PNG" else PngColors(_exif_statement(path))
+    if not profile and image.format != "PNG":  # none was promised
+        return other, ()
+    return other, (UNUSABLE if other.statement is not None else f"{UNUSABLE}; its colours are taken as sRGB",)
+
+
+def _exif_statement(path: Path) -> ColorStatement | None:
+    from PIL import Image
+
+    with Image.open(path, formats=PICTURE_KINDS) as image:  # a decoded TIFF can no longer be asked
+        exif = image.getexif()
+        details, interop = exif.get_ifd(EXIF_IFD), exif.get_ifd(INTEROP_IFD)
+        return exif_colors(details.get(COLOR_SPACE), interop.get(INTEROP_INDEX))
+
+
+def _is_profile(profile: bytes) -> bool:
+    from PIL import ImageCms
+
+    try:
+        ImageCms.ImageCmsProfile(io.BytesIO(profile))
+    except (ImageCms.PyCMSError, ValueError, TypeError, OSError):
+        return False
+    return True
 
 
 def declared_size(path: Path) -> tuple[int, int] | None:
@@ -255,7 +292,7 @@ def _composite(path: Path) -> Picture:
         return picture
     statement = matrix_profile(composite.profile)
     if statement is None:
-        return replace(picture, notes=("its colour profile cannot be used; its colours are taken as sRGB",))
+        return replace(picture, notes=(f"{UNUSABLE}; its colours are taken as sRGB",))
     return picture if statement.is_srgb else _in_srgb(picture, statement)
 
 
@@ -394,7 +431,7 @@ def _srgb(image: Image, profile: bytes | None) -> tuple[Image, str]:
             return base, ""
         converted = ImageCms.applyTransform(base, turn)
     except (ImageCms.PyCMSError, ValueError, TypeError, OSError):
-        return base.convert("RGB"), "its colour profile cannot be used; its colours are taken as sRGB"
+        return base.convert("RGB"), f"{UNUSABLE}; its colours are taken as sRGB"
     assert converted is not None
     name = ImageCms.getProfileDescription(source).strip() or "embedded"
     return converted, f"converted from its colour profile ({name}) to sRGB"
