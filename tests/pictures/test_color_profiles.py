@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image, ImageCms
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from splatpainter.image_files import can_do_deep
 from splatpainter.pictures.color_profiles import matrix_profile
+from splatpainter.pictures.encodings import edited_in_encoded
 from splatpainter.pictures.picture_reader import read_picture
 
 RNG = np.random.default_rng(11)
@@ -229,3 +231,38 @@ def test_tiff_of_floats(tmp_path: Path) -> None:
     assert len(plain.notes) == 1 and "without a colour profile" in plain.notes[0]
     path.write_bytes(float_tiff(values, linear_profile()))
     assert np.abs(read_picture(path).colors - encoded(values)).max() < 1e-3
+
+
+@pytest.mark.parametrize("kind", ["PNG", "palette", "JPEG"])
+def test_rounding_in_wide_colours_is_no_paint(kind: str, tmp_path: Path) -> None:
+    """Saturated colours that were rounded to 8 bits as Adobe RGB come back up to ten levels of sRGB away: the same is
+    made of the render, and what was painted is told from it."""
+    rng = np.random.default_rng(4)
+    sent = np.repeat(np.repeat(rng.integers(0, 256, (6, 8, 3), np.uint8), 16, 0), 16, 1)
+    sent[..., 0] //= 8
+    render = np.clip((sent + rng.uniform(-0.49, 0.49, sent.shape)) / 255, 0, 1)
+    exponent = 563 / 256 if kind == "JPEG" else 2.2
+    painted = sent.copy()
+    painted[30:60, 40:80] = (230, 120, 40)
+    for colors in (sent, painted):
+        light = decoded(colors / 255) @ np.linalg.inv(ADOBE_TO_SRGB).T
+        stored = Image.fromarray(np.round(255 * np.clip(light, 0, 1) ** (1 / exponent)).astype(np.uint8))
+        path = tmp_path / ("a.jpg" if kind == "JPEG" else "a.png")
+        if kind == "JPEG":
+            exif = Image.Exif()
+            exif.get_ifd(0x8769)[0xA001] = 2
+            stored.save(path, quality=90, subsampling=0, exif=exif)
+        else:
+            (stored.quantize(256, dither=Image.Dither.NONE) if kind == "palette" else stored).save(path)
+            data = path.read_bytes()
+            for name, body in (gamma(45455), primaries(*ADOBE_CHROMATICITIES)):
+                part = struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
+                data = data[:33] + part + data[33:]
+            path.write_bytes(data)
+        picture = read_picture(path)
+        assert picture.encoding is not None and np.abs(picture.colors - colors / 255).max() > 5 / 255
+        mask = edited_in_encoded(picture.colors, render, np.ones(sent.shape[:2]), picture.encoding)
+        assert mask is not None
+        truth = (painted != sent).any(-1) & (colors is painted)
+        assert not mask[~maximum_filter(truth, 33 if kind == "JPEG" else 5)].any()  # blocks of JPEG ring
+        assert mask[minimum_filter(truth, 5)].all()

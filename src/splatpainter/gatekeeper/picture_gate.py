@@ -102,16 +102,21 @@ def checked_picture(
     # No guess of an encoding either: the caller says that every difference is paint.
     if policy == "force":
         source = replace(source, picture=replace(source.picture, encoding=None))
-    elif free and not source.is_lossy and source.original_size == (view.camera.width, view.camera.height):
-        encoding = guessed_encoding(view.colors, view.render, view.cover)
+    elif free and not _says_its_loss(source) and source.original_size == (view.camera.width, view.camera.height):
+        encoding = source.picture.encoding or guessed_encoding(view.colors, view.render, view.cover)
         source = replace(source, picture=replace(source.picture, encoding=encoding))
-        if explanation is None and (encoding is None or encoding.kind == "blur"):
+        if explanation is None and (encoding is None or encoding.kind in ("blur", "rounding")):
             expected = view.render if encoding is None else encoding.applied(view.render)
             explanation = filtered(view.colors, expected, view.cover)
             if explanation is not None and explanation.cause == "filter":
                 raise ValueError(f"{_complaint(source, explanation)}; {_advice(explanation)}")
             warning = f"{source.path}: it looks {explanation.words}" if explanation is not None else warning
     return CheckedPicture(source, warning)
+
+
+def _says_its_loss(source: PictureFile) -> bool:
+    """Whether its file says how it was compressed."""
+    return source.picture.encoding is not None and source.picture.encoding.kind != "rounding"
 
 
 def _complaint(source: PictureFile, explanation: Explanation) -> str:

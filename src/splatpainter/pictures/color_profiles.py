@@ -30,6 +30,8 @@ MAX_SAME_DIFFERENCE = 2 / 255
 """Largest change of a colour up to which a statement says sRGB."""
 MAX_SAME_PRIMARIES = 0.01
 """Largest difference between two matrices to sRGB's light up to which they are of the same primaries."""
+INVERSE_STEPS = 4096
+"""Entries of a table that inverts a curve."""
 ADOBE_RGB = (0.3127, 0.3290, 0.64, 0.33, 0.21, 0.71, 0.15, 0.06)
 """x and y of white, red, green, blue (Adobe RGB (1998) Color Image Encoding, 4.2)."""
 ADOBE_GAMMA = 563 / 256
@@ -72,6 +74,14 @@ class ColorStatement:
         # Curves first, then the matrix: primaries mix light, not stored values.
         light = np.stack([curve(colors[..., k].astype(np.float64)) for k, curve in enumerate(curves)], -1)
         return linear_to_srgb(np.clip(light @ self.matrix.T, 0, 1)).astype(np.float32)
+
+    def from_srgb(self, colors: np.ndarray) -> np.ndarray:
+        """[..., 3] display sRGB 0..1 as stored values 0..1, cut to what can be stored; float64."""
+        light = srgb_to_linear(np.clip(colors, 0, 1).astype(np.float64)) @ np.linalg.inv(self.matrix).T
+        curves = self.curves if len(self.curves) == 3 else self.curves * 3
+        levels = np.linspace(0, 1, INVERSE_STEPS)
+        # Curves rise, so that a table backwards is their inverse, to far less than a level of 8 bits.
+        return np.stack([np.interp(light[..., k], curve(levels), levels) for k, curve in enumerate(curves)], -1)
 
     @property
     def is_srgb(self) -> bool:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator
-from dataclasses import field
+from dataclasses import field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -22,12 +22,13 @@ from splatpainter.lift.masks import (
     exact_share,
     largest_channel,
 )
+from splatpainter.pictures.color_profiles import ColorStatement
 from splatpainter.system.quick_dataclass import dataclass
 
 if TYPE_CHECKING:
     from PIL.Image import Image as PillowImage
 
-EncodingKind = Literal["JPEG", "WebP", "palette", "blur"]
+EncodingKind = Literal["JPEG", "WebP", "palette", "blur", "rounding"]
 MAX_PALETTE = 256
 """Colours of a palette."""
 
@@ -98,11 +99,18 @@ class Encoding:
     `size` of a `filter`, pixels, or the `factor` by which it was shrunk."""
     palette: np.ndarray | None = field(default=None, repr=False)
     """[K, 3] uint8, of a palette."""
+    statement: ColorStatement | None = field(default=None, repr=False)
+    """In which colours it was stored; None: sRGB's."""
 
     def applied(self, colors: np.ndarray) -> np.ndarray:
         """[H, W, 3] colours 0..1 as they come back after being stored so."""
         from PIL import Image, ImageFilter
 
+        if self.statement is not None:
+            # The view that went out was rounded already, and a level more or less can be ten after the second time.
+            sent = np.round(np.clip(np.nan_to_num(colors), 0, 1) * 255) / 255
+            stored = replace(self, statement=None).applied(self.statement.from_srgb(sent))
+            return self.statement.to_srgb(stored)
         # Through Pillow's own encoders, in memory: what they lose is what files lose.
         image = Image.fromarray((np.clip(np.nan_to_num(colors), 0, 1) * 255 + 0.5).astype(np.uint8))
         if self.kind == "palette":
@@ -120,7 +128,7 @@ class Encoding:
                 image = smaller.resize(size, Image.Resampling.BICUBIC)
             else:
                 image = image.filter(ImageFilter.GaussianBlur(self.settings["radius"]))
-        else:
+        elif self.kind != "rounding":
             file = io.BytesIO()
             grey = self.settings.get("grey")
             settings = {key: value for key, value in self.settings.items() if key != "grey"}
@@ -137,6 +145,13 @@ class Encoding:
         part = busiest(alpha, ENCODINGS.search_webp_px)
         seen, before, solid = picture[part], render[part], alpha[part] > 0.5
         return min(_webp_options(), key=lambda option: _low_error(seen, option.applied(before), solid))
+
+
+def stored_in(encoding: Encoding | None, statement: ColorStatement) -> Encoding:
+    """An encoding of colours that a statement says: without loss it is that of rounding them to 8 bits, in saturated
+    colours of wide primaries up to ten levels of sRGB's."""
+    other = encoding or Encoding("rounding", f"rounding in its colours ({statement.name})")
+    return replace(other, statement=statement)
 
 
 def encoding_of(image: PillowImage) -> Encoding | None:

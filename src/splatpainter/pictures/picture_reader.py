@@ -38,7 +38,7 @@ from splatpainter.pictures.color_profiles import (
     png_colors,
     primaries_to_srgb,
 )
-from splatpainter.pictures.encodings import Encoding, encoding_of
+from splatpainter.pictures.encodings import Encoding, encoding_of, stored_in
 from splatpainter.pictures.layered_files import (
     first_bytes,
     foreign_kind,
@@ -146,9 +146,15 @@ def read_picture(path: Path, *, inks: bool = True) -> Picture:
             if not note:
                 notes.append(f"read with 8 of its 16 bits; pip install 'splatpainter[{EXTRA}]' to read all")
         notes += [note] if note else []
-        pixels = np.asarray(colors, np.float32)
+        embedded = matrix_profile(profile) if note and profile else None
+        pixels = np.asarray(colors if embedded is None else turned.convert("RGBA").convert("RGB"), np.float32)
         pixels = np.divide(pixels, 255, out=pixels if pixels.flags.writeable else None)
-        return _in_srgb(Picture(pixels, alpha, tuple(notes), encoding_of(image)), stated.statement)
+        if embedded is not None:
+            pixels = embedded.to_srgb(pixels)
+        # What the file was rounded to, or compressed in, were its own colours.
+        own, encoding = embedded or stated.statement, encoding_of(image)
+        encoding = encoding if own is None else stored_in(encoding, own)
+        return _in_srgb(Picture(pixels, alpha, tuple(notes), encoding), stated.statement)
 
 
 def _without_unusable_profile(path: Path, image: Image, stated: PngColors) -> tuple[PngColors, tuple[str, ...]]:
