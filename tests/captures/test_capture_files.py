@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import math
+import os
 import re
 import struct
 from collections.abc import Callable
@@ -157,6 +158,36 @@ def test_inrias_cameras_and_its_arguments(tmp_path: Path) -> None:
 def test_cfg_args_is_never_run(text: str, tmp_path: Path) -> None:
     (tmp_path / "cfg_args").write_text(text)
     assert training_arguments(tmp_path) == TrainingArguments()
+
+
+def test_a_principal_point_that_cameras_json_says_counts(tmp_path: Path) -> None:
+    """As forks of the trainer write it; INRIA's own means the middle."""
+    write_inria(tmp_path, some_cameras(), ("a", "b", "c"))
+    record = json.loads((tmp_path / "cameras.json").read_text())
+    record[1] |= {"cx": 50.5, "cy": 40.0}
+    (tmp_path / "cameras.json").write_text(json.dumps(record))
+    centers = [(view.camera.cx, view.camera.cy) for view in captured_views(tmp_path / "cameras.json")]
+    assert centers == [(60, 45), (50.5, 40), (60, 45)]
+
+
+def test_umlauts_of_macs_are_those_of_others(tmp_path: Path) -> None:
+    """A name of one character or two is the same name, in a selector and on disk."""
+    write_inria(tmp_path, some_cameras(), ("a", "b", "c"))
+    record = json.loads((tmp_path / "cameras.json").read_text())
+    for k, entry in enumerate(record):
+        entry["img_name"] = f"t\u00fcr {k}.png"
+    (tmp_path / "cameras.json").write_text(json.dumps(record))
+    (view,) = named_views(Path(f"{tmp_path / 'cameras.json'}:tu\u0308r 1.png"))
+    assert view.name == "t\u00fcr 1.png" and view.picture() is None
+    Image.new("RGB", (120, 90)).save(tmp_path / "tu\u0308r 1.png")
+    assert view.picture() == tmp_path / "tu\u0308r 1.png"
+
+
+def test_folders_of_one_letter_may_have_a_selector(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "t").mkdir()
+    write_inria(tmp_path / "t", some_cameras(), ("a", "b", "c"))
+    assert split_selector(Path("t:1")) == ((Path("t"), "1") if os.name != "nt" else (Path("t:1"), ""))
 
 
 def test_nerfs_table(tmp_path: Path) -> None:

@@ -125,6 +125,19 @@ def test_folders_of_something_else_say_what_they_hold(tmp_path: Path, capfd: Cap
     write(tmp_path / "b.ply", ball(300))
     line = run(capfd, "info", tmp_path).error
     assert "is a folder without meta.json" in line and "it holds b.ply: name one of them" in line
+    (tmp_path / "project" / "exports" / "splat").mkdir(parents=True)
+    write(tmp_path / "project" / "exports" / "splat" / "splat.ply", ball(300))
+    assert "it holds exports/splat/splat.ply" in run(capfd, "info", tmp_path / "project").error
+
+
+def test_a_folder_of_gsplats_trainer_means_its_last_ply(tmp_path: Path, capfd: Capture) -> None:
+    """simple_trainer.py: RESULTS/ply/point_cloud_STEP.ply."""
+    (tmp_path / "results" / "ply").mkdir(parents=True)
+    for step in (6999, 29999, 899):
+        write(tmp_path / "results" / "ply" / f"point_cloud_{step}.ply", ball(300 + step // 100))
+    for path in (tmp_path / "results", tmp_path / "results" / "ply"):
+        record = run(capfd, "info", path, "--json").json
+        assert record["rows"] == 599 and record["iterations"] == [899, 6999, 29999]
 
 
 Written = Callable[[Path], Path]

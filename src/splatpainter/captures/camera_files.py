@@ -27,7 +27,7 @@ def split_selector(path: Path) -> tuple[Path, str]:
         return path, ""
     text = str(path)
     # From the end: a folder's own name may hold colons.
-    for at in range(len(text) - 1, 1, -1):  # a drive's letter and its colon are no file
+    for at in range(len(text) - 1, 1 if os.name == "nt" else 0, -1):  # a drive's letter and its colon are no file
         if text[at] == ":" and os.path.exists(text[:at]):
             return Path(text[:at]), text[at + 1 :]
     return path, ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import unicodedata
 from collections.abc import Iterator
 from dataclasses import field, replace
 from pathlib import Path, PurePosixPath
@@ -49,7 +50,12 @@ class CapturedView:
     def _candidates(self) -> Iterator[Path]:
         if not self.name:
             return
-        name = PurePosixPath(self.name.replace("\\", "/"))
+        said = self.name.replace("\\", "/")
+        forms = dict.fromkeys((said, unicodedata.normalize("NFC", said), unicodedata.normalize("NFD", said)))
+        for form in forms:
+            yield from self._candidates_of(PurePosixPath(form))
+
+    def _candidates_of(self, name: PurePosixPath) -> Iterator[Path]:
         for folder in self.folders:
             for ending in ENDINGS:
                 yield folder / (str(name) + ending)
@@ -63,7 +69,9 @@ class CapturedView:
     def is_called(self, name: str) -> bool:
         """Whether a photograph's name, with or without folders and ending, is this one's. Captures may leave the ending
         out, old cameras.json all behind the first dot."""
-        one, other = (PurePosixPath(text.replace("\\", "/")) for text in (self.name, name))
+        # Macs write an umlaut as two characters, others as one.
+        texts = (unicodedata.normalize("NFC", text.replace("\\", "/")) for text in (self.name, name))
+        one, other = (PurePosixPath(text) for text in texts)
         alike = other.name in (one.name, one.stem) or one.name in (other.stem, other.name.split(".")[0])
         return bool(self.name) and (alike or one.stem == other.stem)
 

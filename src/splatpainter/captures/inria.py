@@ -53,7 +53,8 @@ def training_arguments(folder: Path) -> TrainingArguments:
 
 def read_cameras(path: Path, entries: list[Any]) -> list[CapturedView]:
     """The views of a cameras.json, which is a list of objects. Positions are the cameras' centres and rotations camera
-    to world, in OpenCV's axes; the principal point is the middle. Raises ValueError naming the entry and the key."""
+    to world, in OpenCV's axes; the principal point is the middle, but where cx and cy say it, as forks of the trainer
+    write. Raises ValueError naming the entry and the key."""
     arguments = training_arguments(path.parent)
     folders = [path.parent]
     if arguments.source is not None:
@@ -85,6 +86,10 @@ def _view(where: str, entry: Any, folders: tuple[Path, ...], background: tuple[f
     # cameras.json holds camera to world: rotation's columns are the camera's axes.
     pose = np.concatenate([np.array(rows), position[:, None]], 1)
     size = int(width), int(height)
-    camera = posed_camera(where, size, (fx, fy), (size[0] / 2, size[1] / 2), rigid(pose, where), background)
+    center = [
+        entry.get(key) if entry.get(key) is not None else side / 2 for key, side in zip(("cx", "cy"), size, strict=True)
+    ]
+    cx, cy = finite_numbers(center, where, "its principal point")
+    camera = posed_camera(where, size, (fx, fy), (cx, cy), rigid(pose, where), background)
     name = entry.get("img_name")
     return CapturedView(name if isinstance(name, str) else "", camera, None, folders)

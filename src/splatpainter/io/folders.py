@@ -1,4 +1,4 @@
-"""Folders that mean one asset: what INRIA's trainer and `ns-export` leave. Knows no format."""
+"""Folders that mean one asset: what INRIA's and gsplat's trainers and `ns-export` leave. Knows no format."""
 
 from __future__ import annotations
 
@@ -14,21 +14,31 @@ EXPORTED = ("splat.ply", PLY)
 SPLAT_SUFFIXES = (".ply", ".splat", ".ksplat", ".spz", ".sog", ".glb")
 MAX_NAMES_LISTED = 3
 """Files that an error names."""
+MAX_LEVELS, MAX_FOLDERS = 3, 200
+"""How deep, and in how many folders, assets are looked for to be named."""
 
 
 def iterations(folder: Path) -> dict[int, Path]:
-    """Iteration -> its PLY, in rising order, of a folder of INRIA's trainer (or its point_cloud); {} of any other."""
-    inner = folder / POINT_CLOUD if os.path.isdir(folder / POINT_CLOUD) else folder
-    try:
-        numbered = [(re.fullmatch(r"iteration_(\d{1,12})", path.name), path / PLY) for path in inner.iterdir()]
-    except OSError:
-        return {}
-    return dict(sorted((int(match[1]), file) for match, file in numbered if match and os.path.isfile(file)))
+    """Iteration -> its PLY, in rising order, of a folder of INRIA's trainer (or its point_cloud) or gsplat's (or its
+    ply); {} of any other."""
+    for inner, name, below in (
+        (POINT_CLOUD, r"iteration_(\d{1,12})", PLY),
+        ("ply", r"point_cloud_(\d{1,12})\.ply", ""),
+    ):
+        holder = folder / inner if os.path.isdir(folder / inner) else folder
+        try:
+            numbered = [(re.fullmatch(name, path.name), path / below) for path in holder.iterdir()]
+        except OSError:
+            return {}
+        found = sorted((int(match[1]), file) for match, file in numbered if match and os.path.isfile(file))
+        if found:
+            return dict(found)
+    return {}
 
 
 def asset_file(path: Path) -> Path:
-    """The file that a path means: itself; of a folder of INRIA's trainer the PLY of the last iteration, of an export's
-    folder its PLY. A SOG folder stays one. Raises ValueError: a folder of something else, with what it holds."""
+    """The file that a path means: itself; of a trainer's folder the PLY of the last iteration, of an export's its PLY.
+    A SOG folder stays one. Raises ValueError: a folder of something else, with what it holds."""
     if not os.path.isdir(path) or os.path.isfile(path / SOG_META):  # Path.is_dir raises where it may not look
         return path
     numbered = iterations(path)
@@ -37,13 +47,28 @@ def asset_file(path: Path) -> Path:
     for name in EXPORTED:
         if os.path.isfile(path / name):
             return path / name
-    try:
-        splats = sorted(file.name for file in path.iterdir() if file.suffix.lower() in SPLAT_SUFFIXES)
-    except OSError:
-        splats = []
+    splats = _splats_in(path)
     listed = ", ".join(splats[:MAX_NAMES_LISTED])
     more = f"; it holds {listed}{', ...' if len(splats) > MAX_NAMES_LISTED else ''}: name one of them" if splats else ""
     raise ValueError(
         f"{path}: is a folder without {SOG_META}, {POINT_CLOUD}/iteration_N/{PLY} or {EXPORTED[0]}; expected a splat "
         f"file, a SOG folder, or a folder of INRIA's trainer{more}"
     )
+
+
+def _splats_in(path: Path) -> list[str]:
+    """Names of what could be meant by a folder: splat files in it; without any, those in the folders below it, and SOG
+    folders."""
+    found: list[str] = []
+    for looked, (folder, inner, names) in enumerate(os.walk(path)):
+        below = Path(folder).relative_to(path)
+        if looked >= MAX_FOLDERS:
+            break
+        found += [(below / name).as_posix() for name in sorted(names) if Path(name).suffix.lower() in SPLAT_SUFFIXES]
+        found += [below.as_posix()] if SOG_META in names else []
+        if found and not below.parts:
+            break
+        inner.sort()
+        if len(below.parts) >= MAX_LEVELS:
+            inner.clear()
+    return found
