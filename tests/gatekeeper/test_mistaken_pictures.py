@@ -7,11 +7,14 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from PIL import Image, ImageFilter
+from scipy.ndimage import maximum_filter
 
 from splatpainter.gatekeeper.bent_pictures import bend_of
 from splatpainter.gatekeeper.fitted_mistakes import moved_a_little
+from splatpainter.gatekeeper.gatekeeper import admit
 from splatpainter.gatekeeper.mistaken_pictures import explain, filtered
 from splatpainter.lift.masks import box_mean, contrast
+from splatpainter.sources.picture_source import PictureRequest
 from tests.support.distorted_pictures import drawn_scene, jpeg, moved
 
 VIEW, ALPHA = drawn_scene(240)
@@ -256,6 +259,28 @@ def test_what_was_bent_is_put_right(name: str) -> None:
         np.abs(one - VIEW)[asset].mean() for one in (picture, np.asarray(explanation.mistake.undone(picture)))
     )
     assert after < 0.4 * before
+
+
+@pytest.mark.parametrize("name", ["barrel", "keystone", "stretched", "a shifted channel"])
+def test_what_was_resampled_to_put_it_right_is_no_paint(name: str) -> None:
+    """A dab on a picture that was bent: only the dab is taken, as resampling alone changes every edge."""
+    painted, dab = VIEW.copy(), np.zeros(VIEW.shape[:2], bool)
+    dab[100:130, 110:140] = True
+    painted[dab] = (0.9, 0.1, 0.1)
+    picture = eight_bits(FITTED[name][1](painted))
+    explanation = explain(picture, VIEW, ALPHA)
+    assert explanation is not None and explanation.cause == "moved" and explanation.mistake is not None
+    mistake = explanation.mistake
+    assert mistake.undone is not None
+    colors = np.ascontiguousarray(mistake.undone(picture), np.float32)
+    resampled = np.ascontiguousarray(mistake.undone(mistake.made(VIEW)), np.float32)
+    request = PictureRequest(VIEW, ALPHA)
+    beside = {}
+    for like in (None, resampled):
+        changed = admit(colors, request, mask_sent=False, resampled=like).changed
+        assert changed[dab].mean() > 0.98
+        beside[like is not None] = int((changed & ~maximum_filter(dab, 9)).sum())
+    assert beside[True] <= 0.2 * beside[False] + 20, beside
 
 
 def test_a_part_that_was_pushed_by_hand_is_paint() -> None:

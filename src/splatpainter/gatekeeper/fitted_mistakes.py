@@ -295,12 +295,17 @@ def _displacements(
     # A lens bends each colour by another amount; a shifted channel is the simplest case of it.
     bends = [bend_of(*(np.repeat(image[..., [channel]], 3, -1) for image in (picture, render))) for channel in range(3)]
     if any(bends):
-        parts = [
-            (render[..., [channel]], np.ones((height, width), bool))
-            if one is None
-            else one.made(render[..., [channel]])
-            for channel, one in enumerate(bends)
-        ]
+
+        def parts_of(colors: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+            planes = [colors[..., [channel]] for channel in range(3)]
+            everywhere = np.ones((height, width), bool)
+            return [
+                (plane, everywhere) if one is None else one.made(plane)
+                for one, plane in zip(bends, planes, strict=True)
+            ]
+
+        def made_of(colors: np.ndarray) -> np.ndarray:
+            return np.concatenate([plane for plane, _ in parts_of(colors)], -1)
 
         def undone(colors: np.ndarray) -> np.ndarray:
             planes = [colors[..., [channel]] for channel in range(3)]
@@ -308,10 +313,10 @@ def _displacements(
                 [plane if one is None else one.undone(plane) for one, plane in zip(bends, planes, strict=True)], -1
             )
 
-        made = np.concatenate([plane for plane, _ in parts], -1)
+        parts = parts_of(render)
         yield (
             APART_WORDS,
-            Mistake("moved", APART_WORDS, lambda colors: colors, undone),
-            made,
+            Mistake("moved", APART_WORDS, made_of, undone),
+            np.concatenate([plane for plane, _ in parts], -1),
             np.all([inside for _, inside in parts], axis=0),
         )

@@ -24,7 +24,7 @@ import numpy as np
 from splatpainter.gatekeeper.color_drift import DRIFT, NO_DRIFT, ColorDrift, estimate_drift, tone_change
 from splatpainter.gatekeeper.registration import Registration, edge_strength, register, warped
 from splatpainter.gatekeeper.strictness import Strictness
-from splatpainter.lift.masks import MASKS, box_mean, change_mask, dilated, largest_channel
+from splatpainter.lift.masks import MASKS, box_mean, change_mask, change_mask_beyond, dilated, largest_channel
 from splatpainter.pictures.picture_reader import resample
 from splatpainter.sources.picture_source import PictureAnswer, PictureRequest, SourceError
 from splatpainter.system.quick_dataclass import dataclass
@@ -162,6 +162,7 @@ def admit(
     mask_sent: bool = True,
     tones: bool = True,
     enlarged: Callable[[int], np.ndarray] | None = None,
+    resampled: np.ndarray | None = None,
     name: str = "source",
 ) -> AdmittedPicture:
     """Lay a picture [h, w, 3 or 4] over what was sent, correct it, and cut it.
@@ -171,7 +172,8 @@ def admit(
     mask; if not, it may have changed what lies outside on purpose, and colours are corrected only by what agrees there.
     tones: whether a picture that changed its tone and nothing else is meant to; photographs are not. enlarged: gives
     the render [k H, k W, 3] at k times the view's size, on which an enlarged picture is laid; None: it is admitted at
-    the view's size. name: what errors call it.
+    the view's size. resampled: [H, W, 3] the render after a resampling that the picture has behind it, which alone makes
+    it differ; None: it has none. name: what errors call it.
 
     Raises RefusedPicture, one line: a picture of something else, moved or recoloured beyond the level's limits, with a
     mask that is the wrong way round, or unchanged where it was to change."""
@@ -197,13 +199,15 @@ def admit(
     if toned:  # as was asked: within a mask, if there is one
         drift = NO_DRIFT
     # What changed, against a render that went through the same resampling.
-    like = _like(render, registration, colors.shape, still)
+    like = _like(render if resampled is None else resampled, registration, colors.shape, still)
     aligned = _corrected(drift, aligned, like)
     if regraded and mask is None and not change_mask(aligned, like)[task.cover & inside].mean() > GATE.max_untouched:
         _check_regraded(aligned, like, task.cover & inside, name)
     changed = _changed(aligned, like, mask, task.cover, regraded or toned) & inside
-    if not still:
+    if not still or resampled is not None:
         changed &= largest_channel(np.abs(aligned - like)) > MASKS.max_rounding + GATE.slack_px * edge_strength(render)
+    if resampled is not None:
+        changed &= change_mask_beyond(aligned, render, like)
     spilled = _spilled(task, changed)
     base, cover, allowed = render, task.cover, task.cover.astype(np.float32)
     if mask is not None:

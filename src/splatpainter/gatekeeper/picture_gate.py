@@ -186,8 +186,10 @@ def _corrected(
 
     colors, notes = view.colors if source.picture.alpha is not None else source.picture.colors, list(source.notes)
     # First the mistake is undone, then the rest is a source's picture like any other.
-    mistake = None if explanation is None else explanation.mistake
-    if mistake is not None and mistake.undone is not None:
+    mistake, resampled = None if explanation is None else explanation.mistake, None
+    if explanation is not None and mistake is not None and mistake.undone is not None:
+        if explanation.cause == "moved":  # what resampling alone changes is told from paint
+            resampled = np.ascontiguousarray(mistake.undone(mistake.made(view.render)), np.float32)
         colors = np.ascontiguousarray(mistake.undone(colors), np.float32)
         notes.append(f"put right: it was {mistake.words}")
     mask = source.at_view().mask
@@ -203,6 +205,7 @@ def _corrected(
         regraded=mode == "global",
         mask_sent=False,
         enlarged=None if source.view is None else enlarged,
+        resampled=resampled,
         name=str(source.path),
     )
     height, width = admitted.changed.shape
