@@ -229,6 +229,14 @@ def test_a_mistake_of_unknown_amount_is_named(name: str, dabbed: bool) -> None:
     assert explanation is not None and words in explanation.words, explanation
 
 
+@pytest.mark.parametrize(("across", "down"), [(0.0, 0.02), (0.0, -0.02), (0.012, 0.0)])
+def test_small_bends_are_named(across: float, down: float) -> None:
+    """Keystones of 2 % and a stretch of 1 %, which leave more than half of the detail where it was."""
+    picture = eight_bits(bent(VIEW, lambda x, y: (x * (1 - across + down * y), y)))
+    explanation = explain(picture, VIEW, ALPHA)
+    assert explanation is not None and explanation.cause == "moved" and not explanation.may_be_meant
+
+
 def test_what_changes_less_than_half_of_an_asset_is_only_remarked() -> None:
     """A vignette that reaches its corners alone; grey where only a quarter of the asset has a colour."""
     corners = explain(eight_bits(VIEW * (1 - 0.8 * radius() ** 6)), VIEW, ALPHA)

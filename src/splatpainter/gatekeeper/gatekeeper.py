@@ -172,8 +172,8 @@ def admit(
     mask; if not, it may have changed what lies outside on purpose, and colours are corrected only by what agrees there.
     tones: whether a picture that changed its tone and nothing else is meant to; photographs are not. enlarged: gives
     the render [k H, k W, 3] at k times the view's size, on which an enlarged picture is laid; None: it is admitted at
-    the view's size. resampled: [H, W, 3] the render after a resampling that the picture has behind it, which alone makes
-    it differ; None: it has none. name: what errors call it.
+    the view's size. resampled: [H, W, 3] the render after a resampling that the picture has behind it; None: it has
+    none. name: what errors call it.
 
     Raises RefusedPicture, one line: a picture of something else, moved or recoloured beyond the level's limits, with a
     mask that is the wrong way round, or unchanged where it was to change."""
