@@ -6,16 +6,29 @@ import os
 import re
 from pathlib import Path
 
+from splatpainter.system.quick_dataclass import dataclass
+
 SOG_META = "meta.json"
 POINT_CLOUD = "point_cloud"
 PLY = "point_cloud.ply"
 EXPORTED = ("splat.ply", PLY)
 """Names of an asset that lies in a folder by itself: `ns-export gaussian-splat`, an iteration's folder."""
 SPLAT_SUFFIXES = (".ply", ".splat", ".ksplat", ".spz", ".sog", ".glb")
-MAX_NAMES_LISTED = 3
-"""Files that an error names."""
-MAX_LEVELS, MAX_FOLDERS = 3, 200
-"""How deep, and in how many folders, assets are looked for to be named."""
+
+
+@dataclass(frozen=True)
+class FolderLimits:
+    """How assets are looked for in a folder that means none. Source: taste."""
+
+    names: int = 3
+    """Files that an error names."""
+    levels: int = 3
+    """How deep they are looked for."""
+    folders: int = 200
+    """In how many folders."""
+
+
+FOLDERS = FolderLimits()
 
 
 def iterations(folder: Path) -> dict[int, Path]:
@@ -48,8 +61,8 @@ def asset_file(path: Path) -> Path:
         if os.path.isfile(path / name):
             return path / name
     splats = _splats_in(path)
-    listed = ", ".join(splats[:MAX_NAMES_LISTED])
-    more = f"; it holds {listed}{', ...' if len(splats) > MAX_NAMES_LISTED else ''}: name one of them" if splats else ""
+    listed = ", ".join(splats[: FOLDERS.names])
+    more = f"; it holds {listed}{', ...' if len(splats) > FOLDERS.names else ''}: name one of them" if splats else ""
     raise ValueError(
         f"{path}: is a folder without {SOG_META}, {POINT_CLOUD}/iteration_N/{PLY} or {EXPORTED[0]}; expected a splat "
         f"file, a SOG folder, or a folder of INRIA's trainer{more}"
@@ -62,13 +75,13 @@ def _splats_in(path: Path) -> list[str]:
     found: list[str] = []
     for looked, (folder, inner, names) in enumerate(os.walk(path)):
         below = Path(folder).relative_to(path)
-        if looked >= MAX_FOLDERS:
+        if looked >= FOLDERS.folders:
             break
         found += [(below / name).as_posix() for name in sorted(names) if Path(name).suffix.lower() in SPLAT_SUFFIXES]
         found += [below.as_posix()] if SOG_META in names else []
         if found and not below.parts:
             break
         inner.sort()
-        if len(below.parts) >= MAX_LEVELS:
+        if len(below.parts) >= FOLDERS.levels:
             inner.clear()
     return found

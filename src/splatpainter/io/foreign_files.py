@@ -44,8 +44,6 @@ _MAGIC: tuple[tuple[int, bytes, str, str], ...] = (
 GZIP = b"\x1f\x8b"
 MIN_LETTERS = 16
 """Of a text: bytes of floats have no such run of letters and spaces alone."""
-MIN_JSON = 24
-"""Of printable characters alone, behind a bracket: six floats of nothing else."""
 _PRINTABLE = frozenset(range(32, 127)) | {9, 10, 13}
 _PAGE_BEGINNINGS = (b"<!doctype html", b"<html", b"<head", b"<?xml", b"<svg", b"<error")
 """Lower case; what servers send in place of a file that is missing or not public."""
@@ -62,7 +60,7 @@ def check_not_foreign(head: bytes, path: Path) -> None:
     if head.startswith(GZIP) and path.suffix.lower() == ".ply":  # SPZ has it too, and a .splat may
         raise ValueError(f"{path}: is packed by gzip; unpack it first (gunzip), or call it .spz if it is one")
     letters = len(text) - len(text.translate(None, string.ascii_letters.encode()))
-    is_json = text.startswith((b'{"', b"[{")) and len(text) >= MIN_JSON
+    is_json = text.startswith((b'{"', b"[{")) and len(text) > MIN_LETTERS
     if (letters >= MIN_LETTERS or is_json) and path.suffix.lower() != ".json" and _PRINTABLE.issuperset(text):
         remedy = "save it as .glb" if is_json and b'"asset"' in text else DOWNLOAD
         raise ValueError(f"{path}: is a text {text[:40].decode('ascii')!r}, not a splat file; {remedy}")

@@ -28,14 +28,6 @@ SRGB_GAMMA, MAX_GAMMA_ERROR = 45455, 0.01
 so: programs write 45454, 45455 and 45459."""
 MAX_SAME_DIFFERENCE = 2 / 255
 """Largest change of a colour up to which a statement says sRGB."""
-MAX_SAME_PRIMARIES = 0.01
-"""Largest difference between two matrices to sRGB's light up to which they are of the same primaries."""
-INVERSE_STEPS = 4096
-"""Entries of a table that inverts a curve."""
-ADOBE_RGB = (0.3127, 0.3290, 0.64, 0.33, 0.21, 0.71, 0.15, 0.06)
-"""x and y of white, red, green, blue (Adobe RGB (1998) Color Image Encoding, 4.2)."""
-ADOBE_GAMMA = 563 / 256
-"""The same, 4.3.5.2."""
 CHROMATICITIES: dict[int, tuple[float, ...]] = {
     1: (0.3127, 0.3290, 0.640, 0.330, 0.300, 0.600, 0.150, 0.060),
     4: (0.310, 0.316, 0.67, 0.33, 0.21, 0.71, 0.14, 0.08),
@@ -79,7 +71,7 @@ class ColorStatement:
         """[..., 3] display sRGB 0..1 as stored values 0..1, cut to what can be stored; float64."""
         light = srgb_to_linear(np.clip(colors, 0, 1).astype(np.float64)) @ np.linalg.inv(self.matrix).T
         curves = self.curves if len(self.curves) == 3 else self.curves * 3
-        levels = np.linspace(0, 1, INVERSE_STEPS)
+        levels = np.linspace(0, 1, 4096)
         # Curves rise, so that a table backwards is their inverse, to far less than a level of 8 bits.
         return np.stack([np.interp(light[..., k], curve(levels), levels) for k, curve in enumerate(curves)], -1)
 
@@ -183,7 +175,7 @@ def _gamma_and_primaries(chunks: dict[bytes, bytes]) -> tuple[ColorStatement | N
             return None, "its cHRM chunk makes no sense; its colours are taken as sRGB"
     if gamma is not None:
         # 1/2.2 in gAMA is how programs say sRGB's curve, which is no power, as Display P3's; Adobe RGB's is one.
-        adobe = np.abs(matrix - primaries_to_srgb(ADOBE_RGB)).max() <= MAX_SAME_PRIMARIES
+        adobe = np.abs(matrix - adobe_rgb().matrix).max() <= MAX_SAME_DIFFERENCE
         if abs(value / SRGB_GAMMA - 1) > MAX_GAMMA_ERROR or adobe:
             names.append(f"gAMA {value}")
             curve = _power(100_000 / value)
@@ -192,11 +184,17 @@ def _gamma_and_primaries(chunks: dict[bytes, bytes]) -> tuple[ColorStatement | N
     return (ColorStatement(" and ".join(names), matrix, (curve,)), "") if names else (None, "")
 
 
+def adobe_rgb() -> ColorStatement:
+    """Adobe RGB (1998) Color Image Encoding, 4.2 and 4.3.5.2, as EXIF says it."""
+    chromaticities = (0.3127, 0.3290, 0.64, 0.33, 0.21, 0.71, 0.15, 0.06)
+    return ColorStatement("EXIF, Adobe RGB", primaries_to_srgb(chromaticities), (_power(563 / 256),))
+
+
 def exif_colors(color_space: object, interoperability: object) -> ColorStatement | None:
     """What EXIF says where no profile does: Adobe RGB by ColorSpace 2, or 65535 with interoperability R03 (DCF 2.0,
     option files); None: sRGB, or nothing that is understood."""
     if color_space == 2 or (color_space == 65535 and str(interoperability).strip("\0 ") == "R03"):
-        return ColorStatement("EXIF, Adobe RGB", primaries_to_srgb(ADOBE_RGB), (_power(ADOBE_GAMMA),))
+        return adobe_rgb()
     return None
 
 

@@ -61,8 +61,6 @@ PICTURE_KINDS = ("PNG", "JPEG", "WEBP", "TIFF")
 LOSSY_KINDS = ("JPEG", "WebP")
 TIFF_MAGICS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 UNUSABLE = "its colour profile cannot be used"
-EXIF_IFD, INTEROP_IFD, COLOR_SPACE, INTEROP_INDEX = 0x8769, 0xA005, 0xA001, 1
-"""Tags of EXIF (CIPA DC-008, 4.6)."""
 INKS = ("CMYK", "LAB")
 """Pillow's modes whose colours depend on a profile and do not come back as they were painted."""
 MAX_LOSSY_NOISE = 16
@@ -171,12 +169,12 @@ def _without_unusable_profile(path: Path, image: Image, stated: PngColors) -> tu
 
 
 def _exif_statement(path: Path) -> ColorStatement | None:
-    from PIL import Image
+    from PIL import ExifTags, Image
 
     with Image.open(path, formats=PICTURE_KINDS) as image:  # a decoded TIFF can no longer be asked
         exif = image.getexif()
-        details, interop = exif.get_ifd(EXIF_IFD), exif.get_ifd(INTEROP_IFD)
-        return exif_colors(details.get(COLOR_SPACE), interop.get(INTEROP_INDEX))
+        details, interop = exif.get_ifd(ExifTags.IFD.Exif), exif.get_ifd(ExifTags.IFD.Interop)
+        return exif_colors(details.get(ExifTags.Base.ColorSpace), interop.get(ExifTags.Interop.InteropIndex))
 
 
 def _is_profile(profile: bytes) -> bool:

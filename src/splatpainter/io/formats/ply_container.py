@@ -10,6 +10,7 @@ N rows, P properties. Knows nothing of Gaussians; ply.py and compressed_ply.py d
 
 from __future__ import annotations
 
+import io
 import re
 import struct
 from collections.abc import Iterable, Mapping, Sequence
@@ -43,9 +44,6 @@ MAX_UNEVEN_LISTS = 1 << 24
 """Lists that are stepped over one by one, because the rows around them are of other lengths: about 5 s of work."""
 ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 UTF16 = (b"\xff\xfe", b"\xfe\xff")
-MAX_FIRST_LINE = 64
-"""Bytes in which the first line ends: it is 'ply', with a mark ahead and blanks behind at most."""
-LINE_BYTES = 256
 TEXT_PIECE_BYTES = 1 << 20
 """Bytes of text that are searched for line ends at a time."""
 MAX_BLOCK_WORDS = 1 << 18
@@ -182,10 +180,14 @@ def read_header(file: BinaryIO, path: Path) -> Header:
     lines: list[bytes] = []
     left = MAX_HEADER_BYTES
     begin = file.tell()
-    end = b"\r" if _ends_in_cr(file.read(MAX_FIRST_LINE)) else b"\n"
+    end = b"\r" if _ends_in_cr(file.read(16)) else b"\n"
     file.seek(begin)
+    raw = file.read(left) if end == b"\r" else b""
+    header = io.BytesIO(raw.replace(b"\r", b"\n")) if raw else file  # of lines as readline knows them
     while left > 0:
-        line = file.readline(left) if end == b"\n" else _line_to(file, end, left)
+        line = header.readline(left)
+        if raw:
+            line = raw[header.tell() - len(line) : header.tell()]
         left -= len(line)
         if not lines and line.removeprefix(BOM).strip() != b"ply":
             if line[:2] in UTF16:
@@ -195,6 +197,7 @@ def read_header(file: BinaryIO, path: Path) -> Header:
             break
         lines.append(line)
         if line.strip() == b"end_header":
+            file.seek(begin + sum(map(len, lines)))
             return _parse(lines, path)
     where = "the first 1 MiB" if left <= 0 else "the file"
     raise ValueError(f"{path}: expected a PLY header closed by 'end_header' (and a line end), found none in {where}")
@@ -203,17 +206,6 @@ def read_header(file: BinaryIO, path: Path) -> Header:
 def _ends_in_cr(head: bytes) -> bool:
     """Whether the lines of a header end in CR alone, as on the first Macs: so does its first one."""
     return re.match(rb"[^\r\n]*\r[^\n]", head) is not None
-
-
-def _line_to(file: BinaryIO, end: bytes, limit: int) -> bytes:
-    """The next line, up to and with the byte `end`, of at most `limit` bytes."""
-    start = file.tell()
-    line = file.read(min(limit, LINE_BYTES))
-    while end not in line and len(line) < limit and (more := file.read(min(limit - len(line), LINE_BYTES))):
-        line += more
-    line = line[: line.find(end) + 1 or None]
-    file.seek(start + len(line))
-    return line
 
 
 def make_header(format: str, comments: Sequence[str], elements: Sequence[tuple[str, int, Sequence[tuple[str, str]]]]):
