@@ -317,12 +317,12 @@ def test_a_ply_packed_by_gzip_is_no_spz(ending: str, tmp_path: Path) -> None:
 
 def test_binary_numbers_sent_as_text_are_named(tmp_path: Path) -> None:
     """As FTP and git make it of a file, and not of sound ones with line ends of Windows."""
-    sound = ply(tmp_path / "a.ply", columns_of(ball(500))).read_bytes()
-    (tmp_path / "sent.ply").write_bytes(sound.replace(b"\n", b"\r\n"))
+    original = ply(tmp_path / "a.ply", columns_of(ball(500))).read_bytes()
+    (tmp_path / "sent.ply").write_bytes(original.replace(b"\n", b"\r\n"))
     assert "the file was sent or stored as text" in lines(tmp_path / "sent.ply")
-    end = sound.index(b"end_header\n") + len("end_header\n")
+    end = original.index(b"end_header\n") + len("end_header\n")
     for rest in (b"", b"\r\n", b"more\n"):
-        (tmp_path / "windows.ply").write_bytes(sound[:end].replace(b"\n", b"\r\n") + sound[end:] + rest)
+        (tmp_path / "windows.ply").write_bytes(original[:end].replace(b"\n", b"\r\n") + original[end:] + rest)
         assert lines(tmp_path / "windows.ply") == ""
 
 

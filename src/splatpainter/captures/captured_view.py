@@ -50,8 +50,8 @@ class CapturedView:
     def _candidates(self) -> Iterator[Path]:
         if not self.name:
             return
-        said = self.name.replace("\\", "/")
-        forms = dict.fromkeys((said, unicodedata.normalize("NFC", said), unicodedata.normalize("NFD", said)))
+        full = self.name.replace("\\", "/")
+        forms = dict.fromkeys((full, unicodedata.normalize("NFC", full), unicodedata.normalize("NFD", full)))
         for form in forms:
             yield from self._candidates_of(PurePosixPath(form))
 

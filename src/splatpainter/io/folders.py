@@ -72,16 +72,18 @@ def asset_file(path: Path) -> Path:
 def _splats_in(path: Path) -> list[str]:
     """Names of what could be meant by a folder: splat files in it; without any, those in the folders below it, and SOG
     folders."""
-    found: list[str] = []
+    names_below: list[str] = []
     for looked, (folder, inner, names) in enumerate(os.walk(path)):
         below = Path(folder).relative_to(path)
         if looked >= FOLDERS.folders:
             break
-        found += [(below / name).as_posix() for name in sorted(names) if Path(name).suffix.lower() in SPLAT_SUFFIXES]
-        found += [below.as_posix()] if SOG_META in names else []
-        if found and not below.parts:
+        names_below += [
+            (below / name).as_posix() for name in sorted(names) if Path(name).suffix.lower() in SPLAT_SUFFIXES
+        ]
+        names_below += [below.as_posix()] if SOG_META in names else []
+        if names_below and not below.parts:
             break
         inner.sort()
         if len(below.parts) >= FOLDERS.levels:
             inner.clear()
-    return found
+    return names_below

@@ -211,7 +211,7 @@ def measure(before: Splats, after: Splats) -> Losses:
     )
 
 
-def _moved(moves: np.ndarray) -> dict[str, float]:
+def _moved(moves: np.ndarray) -> dict[str, Any]:
     return {
         "move_largest": float(moves.max()),
         "move_usual": float(np.quantile(moves, 0.99)),
@@ -235,8 +235,8 @@ def _moves_from_file(old: Splats, new: Splats) -> np.ndarray:
         # Rows that an edit moved have their place in memory alone.
         rows = np.flatnonzero((origin >= 0) & (means == read_means[origin]).all(1))
         apart = np.asarray(new.means)[rows].astype(np.float64) + np.array(new.offset) - stored[origin[rows]]
-        found = np.sqrt((apart * apart).sum(1)) / row_max(np.asarray(old.scales)[rows])
-    moves[rows] = np.where(np.isfinite(found), found, 0)
+        sizes = np.sqrt((apart * apart).sum(1)) / row_max(np.asarray(old.scales)[rows])
+    moves[rows] = np.where(np.isfinite(sizes), sizes, 0)
     return moves
 
 

@@ -163,7 +163,7 @@ def _cicp(body: bytes, bits: int, path: Path) -> tuple[ColorStatement | None, st
 
 def _gamma_and_primaries(chunks: dict[bytes, bytes]) -> tuple[ColorStatement | None, str]:
     gamma, primaries = chunks.get(b"gAMA"), chunks.get(b"cHRM")
-    names, curve, matrix = [], srgb_to_linear, np.eye(3)
+    names, curve, matrix, value = [], srgb_to_linear, np.eye(3), 0
     if gamma is not None:
         (value,) = struct.unpack(">I", gamma) if len(gamma) == 4 else (0,)
         if not 1000 <= value <= 10_000_000:

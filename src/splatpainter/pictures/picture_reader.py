@@ -150,8 +150,8 @@ def read_picture(path: Path, *, inks: bool = True) -> Picture:
         if embedded is not None:
             pixels = embedded.to_srgb(pixels)
         # What the file was rounded to, or compressed in, were its own colours.
-        own, encoding = embedded or stated.statement, encoding_of(image)
-        encoding = encoding if own is None else stored_in(encoding, own)
+        statement, encoding = embedded or stated.statement, encoding_of(image)
+        encoding = encoding if statement is None else stored_in(encoding, statement)
         return _in_srgb(Picture(pixels, alpha, tuple(notes), encoding), stated.statement)
 
 
