@@ -43,9 +43,9 @@ def iterations(folder: Path) -> dict[int, Path]:
             numbered = [(re.fullmatch(name, path.name), path / below) for path in holder.iterdir()]
         except OSError:
             return {}
-        found = sorted((int(match[1]), file) for match, file in numbered if match and os.path.isfile(file))
-        if found:
-            return dict(found)
+        files = sorted((int(match[1]), file) for match, file in numbered if match and os.path.isfile(file))
+        if files:
+            return dict(files)
     return {}
 
 
