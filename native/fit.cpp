@@ -66,7 +66,7 @@ void neighbour_squares(Rows<const float, 3> points, Rows<const float, 3> listed,
 
 } }  // namespace sp
 
-SP_KERNELS(fit,
+SP_KERNELS_TO_V3(fit,
     ONE(ssim_maps),
     ONE(loss_gradient),
     BOTH(adam_step),

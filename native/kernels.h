@@ -80,6 +80,7 @@ struct WithoutThreads<Parameters<D...>, A, B, C, P...> : WithoutThreads<Paramete
 
 template <auto function, class Signature> struct Entry;
 template <auto function, class... P> struct Entry<function, void (*)(P...)> {
+    static constexpr int COUNT = (int)sizeof...(P) - 2;
     template <class... A, int... K>
     SP_INLINE static void unpack(const Argument* a, i64 thread, i64 threads, Parameters<A...>, Indices<K...>) {
         function(Parameter<A>::read(a[K])..., thread, threads);
@@ -91,7 +92,10 @@ template <auto function, class... P> struct Entry<function, void (*)(P...)> {
     }
     using Bare = typename WithoutThreads<Parameters<>, P...>::type;
     static void call(const Argument* a, i64 thread, i64 threads) {
-        unpack(a, thread, threads, Bare{}, typename CountTo<(int)sizeof...(P) - 2>::type{});
+        unpack(a, thread, threads, Bare{}, typename CountTo<COUNT>::type{});
+    }
+    SP_SMALL static void call_small(const Argument* a, i64 thread, i64 threads) {
+        unpack(a, thread, threads, Bare{}, typename CountTo<COUNT>::type{});
     }
     static constexpr Text signature = text_of(Bare{});
 };
@@ -99,6 +103,11 @@ template <auto function, class... P> struct Entry<function, void (*)(P...)> {
 template <auto function> constexpr Kernel kernel(const char* name) {
     using E = Entry<function, decltype(function)>;
     return {name, E::signature.text, &E::call};
+}
+// Of forms that are seldom asked for.
+template <auto function> constexpr Kernel small_kernel(const char* name) {
+    using E = Entry<function, decltype(function)>;
+    return {name, E::signature.text, &E::call_small};
 }
 
 } }  // namespace sp
@@ -112,9 +121,16 @@ template <auto function> constexpr Kernel kernel(const char* name) {
 #ifdef SP_KIND_v4
 #define FLOAT_FIRST(f) kernel<&f<float>>(#f)
 #else
-#define FLOAT_FIRST(f) BOTH(f)
+#define FLOAT_FIRST(f) kernel<&f<float>>(#f), small_kernel<&f<double>>(#f)
 #endif
 #define SP_KERNELS(subject, ...)                                                     \
     namespace sp {                                                                   \
     extern const Kernel SP_JOIN(kernels_##subject, SP_TARGET)[] = {__VA_ARGS__, {nullptr, nullptr, nullptr}}; \
     }
+// Of a subject that wider vectors hardly quicken: the kernels of v3 serve on v4 too.
+#ifdef SP_KIND_v4
+#define SP_KERNELS_TO_V3(subject, ...) \
+    namespace sp { extern const Kernel SP_JOIN(kernels_##subject, SP_TARGET)[] = {{nullptr, nullptr, nullptr}}; }
+#else
+#define SP_KERNELS_TO_V3(subject, ...) SP_KERNELS(subject, __VA_ARGS__)
+#endif

@@ -134,7 +134,7 @@ struct Ways {
 };
 
 // Where the reached ones of some neighbours see a point.
-inline Place average(const Samples& s, const Map& map, const i64* near, i64 count, Vector p, Vector n, Ways& ways) {
+SP_SMALL Place average(const Samples& s, const Map& map, const i64* near, i64 count, Vector p, Vector n, Ways& ways) {
     using V = Wide<double>;
     i64 reached = 0;
     for (i64 k = 0; k < count; ++k) {
@@ -304,7 +304,7 @@ inline void smooth_points(Array2<const double> samples, Array1<const i64> keys, 
 
 // Dijkstra's order over the samples, from sample 0, by a heap whose older entries are skipped. One thread: each sample
 // takes its place from those before it. tentative, settled [S], heap_keys, heap_ids [H]: to write on.
-inline void spread_map(Rows<const double, 3> points, Rows<const double, 3> normals, double spacing, double reach,
+SP_SMALL void spread_map(Rows<const double, 3> points, Rows<const double, 3> normals, double spacing, double reach,
                        Array1<const i64> keys, Array1<const i64> order, Array1<const double> corner, double size,
                        double limit_u, double limit_v, double limit_cosine, Rows<double, 2> uv, Rows<double, 3> right,
                        Array1<double> distances, Rows<double, 3> rims, Array1<double> tentative, Array1<bool> settled,
