@@ -16,7 +16,7 @@ import numpy as np
 
 from splatpainter.io import FORMATS, option, read, write
 from splatpainter.io.contents import Contents, contents, fields_differ, rows_differ
-from splatpainter.io.formats.ply_container import TextRows
+from splatpainter.io.formats.ply_rows import TextRows
 from splatpainter.io.write_options import AS_IT_IS, WriteOptions
 from splatpainter.splats import Source, Splats, changed_rows
 from splatpainter.system.quick_dataclass import dataclass

@@ -18,7 +18,7 @@ import pytest
 from splatpainter import io
 from splatpainter.io import bounded
 from splatpainter.io.bounded import Gunzip, inflate, unzstd
-from splatpainter.io.formats.ply_container import element_size, read_header
+from splatpainter.io.formats.ply_header import element_size, read_header
 from splatpainter.server.uploads.upload_sniffing import sniff
 from splatpainter.system import jsonio
 from tests.io.test_ksplat import make
@@ -254,7 +254,7 @@ def test_many_lists_are_read_in_few_pieces() -> None:
 
 
 def test_uneven_lists_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("splatpainter.io.formats.ply_container.MAX_UNEVEN_LISTS", 1000)
+    monkeypatch.setattr("splatpainter.io.formats.ply_header.MAX_UNEVEN_LISTS", 1000)
     uneven = b"".join(bytes([k % 3]) + bytes(k % 3) for k in range(3000))
     with pytest.raises(ValueError, match="more than 1000 lists of uneven length"):
         element(3000, "property list uchar uchar q\n", uneven)

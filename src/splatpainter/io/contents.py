@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from splatpainter.array_types import Ids
-from splatpainter.io.formats.ply_container import Element, Header, TextRows, element_size
+from splatpainter.io.formats.ply_header import Element, Header, element_size
+from splatpainter.io.formats.ply_rows import TextRows
 from splatpainter.splats import Source
 from splatpainter.system.quick_dataclass import dataclass
 

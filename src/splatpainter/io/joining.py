@@ -18,7 +18,8 @@ import numpy as np
 from splatpainter.io import files, format_of_name, read, write
 from splatpainter.io.formats.glb import with_bands
 from splatpainter.io.formats.ply import PlyFile, settled_comments
-from splatpainter.io.formats.ply_container import TYPES, BinaryRows, Element, make_header
+from splatpainter.io.formats.ply_header import TYPES, Element, make_header
+from splatpainter.io.formats.ply_rows import BinaryRows
 from splatpainter.io.formats.splat import SplatFile
 from splatpainter.io.positions import offset_of
 from splatpainter.splats import ATTRIBUTES, Splats

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from splatpainter.io import files
-from splatpainter.io.formats.ply_container import BinaryRows, read_header
+from splatpainter.io.formats.ply_header import read_header
+from splatpainter.io.formats.ply_rows import BinaryRows
 
 
 def add_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:

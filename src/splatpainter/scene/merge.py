@@ -23,7 +23,7 @@ from splatpainter.comparison import compare, listed
 from splatpainter.io import FORMATS, files, format_of_name, read
 from splatpainter.io.contents import StoredTable, contents
 from splatpainter.io.formats.glb import with_bands
-from splatpainter.io.formats.ply_container import TextRows
+from splatpainter.io.formats.ply_rows import TextRows
 from splatpainter.io.joining import ROWS_STAND_ALONE, concatenated, write_joined
 from splatpainter.io.losses import loss_line, measure
 from splatpainter.io.positions import Offset

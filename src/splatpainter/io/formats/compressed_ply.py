@@ -23,7 +23,7 @@ import numpy as np
 from splatpainter.io import files
 from splatpainter.io.formats import activations, packing
 from splatpainter.io.formats.ply import DEGREES, comment_settings, settled_comments
-from splatpainter.io.formats.ply_container import Element, Header, element_size, make_header, read_header
+from splatpainter.io.formats.ply_header import Element, Header, element_size, make_header, read_header
 from splatpainter.io.formats.reuse import differs, drawable_rows, row_problems, unchanged
 from splatpainter.kernels.parallel import each
 from splatpainter.splats import ATTRIBUTES, Source, Splats

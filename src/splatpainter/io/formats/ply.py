@@ -27,16 +27,8 @@ import numpy as np
 from splatpainter.array_types import Floats
 from splatpainter.io import files, positions
 from splatpainter.io.formats import activations
-from splatpainter.io.formats.ply_container import (
-    BinaryRows,
-    Element,
-    Header,
-    Rows,
-    element_size,
-    make_header,
-    read_header,
-    text_rows,
-)
+from splatpainter.io.formats.ply_header import Element, Header, element_size, make_header, read_header
+from splatpainter.io.formats.ply_rows import BinaryRows, Rows, text_rows
 from splatpainter.io.formats.reuse import differs, row_problems
 from splatpainter.splats import SH_COUNTS, ColorSpace, Source, Splats
 from splatpainter.system.quick_dataclass import dataclass

@@ -12,7 +12,7 @@ from splatpainter.io import FORMATS, detect
 from splatpainter.io.bounded import Gunzip, zip_directory
 from splatpainter.io.files import read_head, reading
 from splatpainter.io.formats import gltf, sog_container
-from splatpainter.io.formats.ply_container import read_header
+from splatpainter.io.formats.ply_header import read_header
 from splatpainter.lights.rig_files import MAX_RIG_BYTES, RIG_SUFFIXES
 from splatpainter.pictures.layered_files import holds_merged, is_psd, psd_size
 from splatpainter.pictures.picture_reader import MAX_PICTURE_PIXELS, PICTURE_KINDS, SIZE_LIMIT, declared_size
