@@ -46,7 +46,8 @@ from splatpainter.receipts import Receipt, Verification, prove, untouched_hashes
 from splatpainter.rendering.profiles import Profile
 from splatpainter.session.document.document import Layer
 from splatpainter.session.document.scene_asset import SceneAsset
-from splatpainter.session.project.project_file import Project, check_free
+from splatpainter.session.project.project_file import Project
+from splatpainter.session.project.project_opening import check_free
 from splatpainter.session.project.scratch import scratch_folder
 from splatpainter.session.replay import conflicts
 from splatpainter.session.replay.delta import MAX_REASON, PART_BYTES, Delta, decode, encode, without_source

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import itertools
 import json
-import os
 import sqlite3
 import threading
 import time
@@ -29,24 +28,28 @@ from splatpainter.session.document.document import (
     Layer,
     Policy,
     check_stroke,
-    digest,
 )
 from splatpainter.session.document.scene_asset import MAIN_ASSET_ID, SceneAsset, parse_assets
 from splatpainter.session.project import database
-from splatpainter.session.project.database import ContentError, Database, closed_on_error, is_unwritable
+from splatpainter.session.project.database import ContentError, Database, is_unwritable
 from splatpainter.session.project.lock import ProjectLock
 from splatpainter.session.project.open_file import OpenFile, spare_copy, without_log
+from splatpainter.session.project.project_opening import (
+    UNWRITABLE,
+    create_database,
+    lock_or_reason,
+    lock_target,
+    open_database,
+)
+from splatpainter.session.project.stored_layers import store_layer, sweep
 from splatpainter.session.project.stored_results import loaded_result, store_result
 from splatpainter.session.replay.delta import decode
 from splatpainter.session.replay.layer_result import LayerResult
-from splatpainter.system.atomic import MAX_NAME_BYTES
 from splatpainter.system.jsonio import brief
 from splatpainter.system.quick_dataclass import dataclass
 
 MAX_STEPS = 1000
 """Steps of the history; older ones are dropped."""
-ELSEWHERE = "open elsewhere: this copy is read-only; save_as makes one of your own"
-UNWRITABLE = "cannot be written ({}): it is read-only; save_as makes a copy that can be changed"
 FOLD_WAIT_SECONDS = 0.2
 """How long a commit waits for readers, before what it wrote stays in the log until the next one."""
 
@@ -106,12 +109,12 @@ class Project:
             connection.execute("INSERT INTO steps (id, label, policies, next_id) VALUES (1, 'open', '[]', 1)")
             connection.execute("COMMIT")
 
-        lock, is_new = _lock_target(path, overwrite), not path.exists()
+        lock, is_new = lock_target(path, overwrite), not path.exists()
         try:
-            _create(path, fill)
+            create_database(path, fill)
             try:
                 with database.one_line(path):
-                    return Project(_opened(path, readonly=False), lock, "")._settled()
+                    return Project(open_database(path, readonly=False), lock, "")._settled()
             except BaseException:
                 for ending in ("", "-wal", "-shm", "-journal") if is_new else ():
                     files.remove(path.with_name(path.name + ending))
@@ -127,7 +130,7 @@ class Project:
         database.check_head(path)
         lock, reason, note = None, "opened for reading only", ""
         if not readonly:
-            lock, reason = _lock_or_reason(path)
+            lock, reason = lock_or_reason(path)
         try:
             if lock is not None and (unused := database.set_log_aside(path)):
                 note = f"{path}: a log of another state of this file lay beside it; it is not used, and is now {unused}"
@@ -135,7 +138,7 @@ class Project:
                 bounded = None
                 if lock is not None:
                     try:
-                        bounded = _opened(path, readonly=False)
+                        bounded = open_database(path, readonly=False)
                     except sqlite3.OperationalError as error:
                         if not is_unwritable(error):
                             raise
@@ -145,7 +148,7 @@ class Project:
                 if bounded is None:
                     if readonly is False:
                         raise ValueError(f"{path}: {reason}")
-                    bounded = _opened(path, readonly=True)
+                    bounded = open_database(path, readonly=True)
                 return Project(bounded, lock, reason, note)._settled()
         except BaseException:
             if lock is not None:
@@ -219,9 +222,9 @@ class Project:
             spare = self._spare if is_overwritten else None
             if is_overwritten and spare is None:
                 self.check_file()
-        lock = _lock_target(path, overwrite)
+        lock = lock_target(path, overwrite)
         try:
-            _create(path, lambda connection: self._clone(connection, spare))
+            create_database(path, lambda connection: self._clone(connection, spare))
         finally:
             lock.release()
 
@@ -420,13 +423,13 @@ class Project:
             for name, data in new.blobs.items():
                 db.execute("INSERT OR IGNORE INTO blobs VALUES (?, ?)", (name, data))
             for index, layer in enumerate(document.layers):
-                db.execute("INSERT INTO step_layers VALUES (?, ?, ?)", (step, index, _store_layer(db, layer)))
+                db.execute("INSERT INTO step_layers VALUES (?, ?, ?)", (step, index, store_layer(db, layer)))
             for key, result in new.results.items():
                 store_result(db, key, result, new.previous.get(key))
             db.executemany("INSERT OR IGNORE INTO step_results VALUES (?, ?)", [(step, key) for key in results])
             _set_cursor(db, step)
             # Only a step that is gone can leave something that nobody needs.
-            removed = _sweep(db) if dropped else set()
+            removed = sweep(db) if dropped else set()
             self._forget_sizes(new.results, removed)
             steps, self._steps = self._steps, None  # until it is done
         if steps is not None and not dropped:
@@ -451,7 +454,7 @@ class Project:
             rows = [(old,) for old in keys]
             db.executemany("DELETE FROM step_results WHERE result = ?", rows)
             db.executemany("DELETE FROM results WHERE key = ?", rows)
-            removed = _sweep(db).union(keys)
+            removed = sweep(db).union(keys)
             self._forget_sizes([key], removed)
         with self._mutex, contextlib.suppress(sqlite3.Error):  # a full disk: the room is free within the file
             self._database.start()
@@ -547,76 +550,9 @@ class Transaction:
                 self.previous[key] = previous
 
 
-def _store_layer(db: sqlite3.Connection, layer: Layer) -> int:
-    """Row of a layer in this very form, made if there is none; strokes are rows of their own, each of which names the
-    one before it, so that one more stroke is one more row."""
-    names, name = [], ""
-    for stroke in layer.strokes:
-        name = digest(f"{stroke.text} {name}")
-        names.append(name)
-    row, stored = None, len(names)
-    while stored and (row := _row_of(db, names[stored - 1])) is None:
-        stored -= 1
-    for stroke, name in zip(layer.strokes[stored:], names[stored:], strict=True):
-        row = _insert_layer(db, name, stroke.text, row, stroke.direct_blobs())
-    blobs = layer.direct_blobs().union(*(inner.blobs() for inner in layer.layers))
-    name = digest(f"{layer.text} {names[-1]}" if names else layer.text)
-    return _insert_layer(db, name, layer.text, row, blobs)
-
-
-def _row_of(db: sqlite3.Connection, sha256: str) -> int | None:
-    row = db.execute("SELECT id FROM layers WHERE sha256 = ?", (sha256,)).fetchone()
-    return None if row is None else row[0]
-
-
-def _insert_layer(db: sqlite3.Connection, sha256: str, text: str, previous: int | None, blobs: set[str]) -> int:
-    query = "INSERT OR IGNORE INTO layers (sha256, content, previous) VALUES (?, ?, ?)"
-    db.execute(query, (sha256, text, previous))
-    row = _row_of(db, sha256)
-    assert row is not None
-    db.executemany("INSERT OR IGNORE INTO layer_blobs VALUES (?, ?)", [(row, blob) for blob in blobs])
-    return row
-
-
 def _set_cursor(db: sqlite3.Connection, step: int) -> None:
     db.execute("UPDATE facts SET value = ? WHERE name = 'cursor'", (str(step),))
     db.execute("INSERT OR REPLACE INTO facts VALUES ('edited', ?)", (f"{time.time():.3f}",))
-
-
-UNUSED_RESULTS = """
-WITH RECURSIVE used(key) AS (
-    SELECT result FROM step_results
-    UNION SELECT previous FROM results JOIN used USING (key) WHERE previous IS NOT NULL
-)
-SELECT key FROM results WHERE key NOT IN (SELECT key FROM used)
-"""
-UNUSED_LAYERS = """
-WITH RECURSIVE used(id) AS (
-    SELECT layer FROM step_layers
-    UNION SELECT previous FROM layers JOIN used USING (id) WHERE previous IS NOT NULL
-)
-DELETE FROM layers WHERE id NOT IN (SELECT id FROM used)
-"""
-
-
-def _sweep(db: sqlite3.Connection) -> set[str]:
-    """Delete what no step needs any more; the keys of deleted results."""
-    unused_keys = {key for (key,) in db.execute(UNUSED_RESULTS)}
-    db.executemany("DELETE FROM results WHERE key = ?", [(key,) for key in unused_keys])
-    db.execute(UNUSED_LAYERS)
-    db.execute("DELETE FROM blobs WHERE sha256 NOT IN (SELECT blob FROM layer_blobs)")
-    _sweep_assets(db)
-    return unused_keys
-
-
-def _sweep_assets(db: sqlite3.Connection) -> None:
-    """Delete files of assets that no step has any more."""
-    stored = {name.split("/")[0] for (name,) in db.execute("SELECT DISTINCT file FROM original") if "/" in name}
-    if stored:
-        for (text,) in db.execute("SELECT DISTINCT assets FROM steps WHERE assets IS NOT NULL").fetchall():
-            stored -= {asset.sha256 for asset in parse_assets(json.loads(text))}
-    for sha in stored:
-        db.execute("DELETE FROM original WHERE substr(file, 1, 65) = ?", (f"{sha}/",))
 
 
 def _policies(pairs: Any) -> tuple[tuple[str, str, Policy], ...]:
@@ -628,71 +564,3 @@ def _policies(pairs: Any) -> tuple[tuple[str, str, Policy], ...]:
             raise ValueError(f"unexpected policy {pair!r:.80}")
         out.append((lower, upper, policy))
     return tuple(out)
-
-
-def _opened(path: Path, readonly: bool) -> Database:
-    """The database, checked. readonly False: that it can be written has been tried. Raises sqlite3.Error,
-    ValueError."""
-    connection = database.open_readable(path) if readonly else database.open_writable(path)
-    with closed_on_error(connection):
-        bounded = Database(path, connection)
-        bounded.start()
-        database.check_tables(connection)
-        if not readonly:
-            database.try_writing(connection)
-        return bounded
-
-
-def _lock_or_reason(path: Path) -> tuple[ProjectLock | None, str]:
-    """(the lock of a project, "") or (None, why it cannot be written)."""
-    try:
-        lock = ProjectLock.take(path)
-    except ValueError as error:
-        reason = str(error).removeprefix(f"{path}: ").partition("; ")[0]
-        return None, UNWRITABLE.format(reason.removeprefix("cannot be locked (").removesuffix(")"))
-    return lock, "" if lock else ELSEWHERE
-
-
-def check_free(path: Path, overwrite: bool) -> None:
-    """Raises ValueError where a file may not be written: a folder, or a file that is not to be overwritten."""
-    if path.is_dir() or (path.exists() and not overwrite):
-        raise ValueError(f"{path}: already exists; choose another name or allow overwriting")
-
-
-def _lock_target(path: Path, overwrite: bool) -> ProjectLock:
-    longest = MAX_NAME_BYTES - len("..part-wal")  # of the files beside it, which are found by its whole name
-    if (length := len(os.fsencode(path.name))) > longest:
-        raise ValueError(f"{path}: expected a project's name of at most {longest} bytes, got {length}; shorten it")
-    check_free(path, overwrite)
-    if not path.parent.is_dir():
-        raise ValueError(f"{path}: no such folder: {path.parent}; make it first")
-    lock = ProjectLock.take(path)
-    if lock is None:
-        raise ValueError(f"{path}: is open elsewhere; close it there or choose another name")
-    return lock
-
-
-def _create(path: Path, fill) -> None:
-    """A database that appears at `path` filled and on disk, or not at all. The caller holds the lock of `path`."""
-    partial = path.with_name(f".{path.name}.part")
-    try:
-        partial.unlink(missing_ok=True)  # of somebody who was killed here
-        with database.one_line(path):
-            connection = sqlite3.connect(partial, isolation_level=None)
-            try:
-                connection.execute("PRAGMA journal_mode=OFF").fetchall()  # it has no name yet: all or nothing anyway
-                connection.execute("PRAGMA synchronous=OFF")
-                fill(connection)
-            finally:
-                connection.close()
-        with open(partial, "rb+") as file:
-            os.fsync(file.fileno())
-        for ending in ("-wal", "-shm", "-journal"):  # of a project that was there and is replaced
-            path.with_name(path.name + ending).unlink(missing_ok=True)
-        files.replace(partial, path)
-        files.sync_folder(path.parent)
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be written ({error.strerror or error})") from None
-    finally:
-        for ending in ("", "-wal", "-shm"):
-            files.remove(partial.with_name(partial.name + ending))
