@@ -40,7 +40,7 @@ class Case:
 
     def sky(self, which: str) -> str:
         """Of "source" or "target"."""
-        return str(self.environments / json.loads((self.folder / "relight/lights.json").read_text())[which])
+        return str(self.environments / json.loads((self.folder / "relight/lights.json").read_text(encoding="utf-8"))[which])
 
     def picture(self, count: int) -> list[str]:
         """Options that hand in relit views."""
@@ -81,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if not scores:
         sys.exit(f"{options.cases}: expected folders with relight/lights.json, as make_cases.py writes them; got none")
     if options.json:
-        options.json.write_text(json.dumps(scores, indent=1))
+        options.json.write_text(json.dumps(scores, indent=1), encoding="utf-8")
     for row in options.only:
         values = np.array([case[row] for case in scores.values()])
         gains = values - np.array([case.get("nothing", np.nan) for case in scores.values()])
