@@ -28,6 +28,25 @@ template <class F>
 void power_each(Array1<const F> x, double exponent, Array1<F> out, i64 thread, i64 threads) {
     each(x, out, thread, threads, [=](F v) { return F(exp_of(exponent * log_of((double)v))); });
 }
+// Display sRGB >= 0 to linear light (IEC 61966-2-1), or back. One loop for both: 0 added, and a factor or divisor of 1,
+// change no bit.
+template <class F>
+void srgb_each(Array1<const F> x, bool to_linear, Array1<F> out, i64 thread, i64 threads) {
+    const F end = to_linear ? F(0.04045) : F(0.0031308);  // of the straight piece
+    const F factor = to_linear ? F(1) : F(12.92), divisor = to_linear ? F(12.92) : F(1);
+    const F offset = to_linear ? F(0.055) : F(0), scale = to_linear ? F(1.055) : F(1);
+    const F gain = to_linear ? F(1) : F(1.055), drop = to_linear ? F(0) : F(0.055);
+    const double exponent = to_linear ? 2.4 : 1 / 2.4;
+    const Share share = share_of(x.shape[0], thread, threads);
+#if defined(__clang__) && defined(__AVX2__) && !defined(SP_CHECKED)
+#pragma clang loop vectorize(enable)
+#endif
+    for (i64 i = share.begin; i < share.end; ++i) {
+        const F v = x(i), power = F(exp_of(exponent * log_of((double)((max_of(v, end) + offset) / scale))));
+        const F straight = factor * v / divisor, curved = gain * power - drop;
+        out(i) = v <= end ? straight : curved;
+    }
+}
 // The first half in vectors, the others one by one.
 template <class F>
 void fused_each(Array1<const F> a, Array1<const F> b, Array1<const F> c, Array1<F> out, i64 thread, i64) {
@@ -56,6 +75,7 @@ SP_KERNELS(maths,
     BOTH(atan_each),
     BOTH(atan2_each),
     BOTH(power_each),
+    BOTH(srgb_each),
     BOTH(fused_each),
     BOTH(exp_of_negative_each)
 )

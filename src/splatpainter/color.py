@@ -1,11 +1,9 @@
 """Colour of the package, each formula once: the sRGB curve, luminance, and the base colour of SH coefficients.
 
-Functions of `FloatsOrTensor` take numpy (any dtype, kept) or torch. Pure.
+Functions of `FloatsOrTensor` take numpy (float32 or float64, kept) or torch. Pure.
 """
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 
@@ -29,14 +27,22 @@ LMS_TO_LAB = (
 
 def srgb_to_linear(display: FloatsOrTensor) -> FloatsOrTensor:
     """Display sRGB >= 0 -> linear light (IEC 61966-2-1); the curve goes on beyond white."""
-    high = _power((display.clip(0.04045, None) + 0.055) / 1.055, 2.4)
-    return _where(display <= 0.04045, display / 12.92, high)
+    if isinstance(display, np.ndarray | np.generic):
+        return portable.srgb(display, to_linear=True)
+    import torch
+
+    high = ((display.clip(0.04045, None) + 0.055) / 1.055) ** 2.4
+    return torch.where(display <= 0.04045, display / 12.92, high)
 
 
 def linear_to_srgb(linear: FloatsOrTensor) -> FloatsOrTensor:
     """Linear light >= 0 -> display sRGB, the inverse of `srgb_to_linear`."""
-    high = 1.055 * _power(linear.clip(0.0031308, None), 1 / 2.4) - 0.055
-    return _where(linear <= 0.0031308, 12.92 * linear, high)
+    if isinstance(linear, np.ndarray | np.generic):
+        return portable.srgb(linear, to_linear=False)
+    import torch
+
+    high = 1.055 * linear.clip(0.0031308, None) ** (1 / 2.4) - 0.055
+    return torch.where(linear <= 0.0031308, 12.92 * linear, high)
 
 
 def to_display(colors: Floats, space: ColorSpace) -> Floats:
@@ -84,18 +90,3 @@ def from_hex(text: str) -> tuple[float, float, float] | None:
         return None
     red, green, blue = (int(digits[k : k + 2], 16) / 255 for k in (0, 2, 4))
     return red, green, blue
-
-
-def _power(values: Any, exponent: float) -> Any:
-    """Of values > 0."""
-    if isinstance(values, np.ndarray | np.generic):
-        return np.asarray(portable.power(values, exponent), values.dtype)
-    return values**exponent
-
-
-def _where(condition: Any, one: Any, other: Any) -> Any:
-    if isinstance(one, np.ndarray | np.generic):
-        return np.where(condition, one, other)
-    import torch
-
-    return torch.where(condition, one, other)

@@ -304,6 +304,26 @@ def samples(rng: np.random.Generator, dtype: type) -> None:
     portable.matmul(extreme(rng, first, 0.05).astype(np.float32), extreme(rng, second, 0.05))
 
 
+def grades(rng: np.random.Generator, dtype: type) -> None:
+    """Bands after a function of colours, and the curve of sRGB."""
+    from splatpainter.grading.color_grading import JACOBIAN_STEP, MAX_JACOBIAN_ENTRY, grade_sh
+    from splatpainter.kernels import portable
+    from splatpainter.kernels.library import kernels
+    from splatpainter.kernels.parallel import run
+    from splatpainter.splats import SH_C0
+
+    sh = rows(rng, np.float32, rng.choice([0, 0.1, 0.5])).sh
+    ends, out = np.empty((2, len(sh), 3), np.float32), np.empty_like(sh)
+    run(kernels.take_base_colors, sh, SH_C0, JACOBIAN_STEP, ends)
+    assert (ends >= 0).all() and (ends <= 1).all()
+    graded = extreme(rng, rng.random((4, len(sh), 3)).astype(np.float32), rng.choice([0, 0.1]))
+    run(kernels.grade_bands, sh, ends[0], graded, SH_C0, JACOBIAN_STEP, MAX_JACOBIAN_ENTRY, out)
+    sliders = ("exposure", "temperature", "contrast", "saturation")
+    settings = {name: float(rng.uniform(-1, 1)) for name in sliders if rng.random() < 0.5}
+    grade_sh(sh, {**settings, "space": str(rng.choice(["srgb", "linear"]))})
+    portable.srgb(extreme(rng, rng.random(50).astype(dtype), 0.3), bool(rng.random() < 0.5))
+
+
 def sights(rng: np.random.Generator, dtype: type) -> None:
     """What a view sees of a surface: its lattice, depths along its lines, agreement; nearest pixels, differences."""
     from splatpainter.kernels.library import kernels
@@ -472,6 +492,7 @@ CASES: dict[str, Callable[[np.random.Generator, type], None]] = {
     "painting": painting,
     "rounds": rounds,
     "samples": samples,
+    "grades": grades,
     "sights": sights,
     "stickers": stickers,
     "views": views,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from splatpainter.grading.color_grading import (
     HueBand,
     adjust_contrast,
     apply_grade,
+    apply_to_sh,
     grade_sh,
     random_grade,
     saturate,
@@ -207,6 +209,52 @@ def test_bands_above_the_first_follow_by_the_jacobian() -> None:
     expected = sh[:, 1:] @ jacobian
     assert calm.sum() > 15
     assert np.abs(out[calm, 1:] - expected[calm]).max() < 0.03 * np.abs(expected[calm]).max()
+
+
+def plainly_graded(sh: np.ndarray, function: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """What `apply_to_sh` does, in float64 and one Gaussian after the other."""
+    out = sh.astype(np.float64)
+    for i, row in enumerate(sh.astype(np.float64)):
+        color = np.clip(np.nan_to_num(0.5 + SH_C0 * row[0]), 0, 1)
+        new = function(color[None])[0]
+        out[i, 0] = row[0] + (new - color) / SH_C0
+        matrix = np.empty((3, 3))
+        for channel in range(3):
+            step = -1 / 64 if color[channel] > 0.5 else 1 / 64
+            matrix[channel] = (function((color + step * np.eye(3)[channel])[None])[0] - new) / step
+        out[i, 1:] = row[1:] @ np.clip(matrix, -4, 4)
+    return out
+
+
+def steep(colors: np.ndarray) -> np.ndarray:
+    """Steeper than the limit in red, which green and blue follow."""
+    return np.stack([np.clip(20 * colors[:, 0] - 9, 0, 1), *(0.7 * colors[:, 1:] + 0.3 * colors[:, :1]).T], 1)
+
+
+@pytest.mark.parametrize("bands", [4, 9])
+@pytest.mark.parametrize(
+    "function",
+    [
+        GradeSettings(exposure=0.4, temperature=-0.3, contrast=0.3),
+        GradeSettings(saturation=0.6, strength=0.6, tint=0.5),
+        GradeSettings(contrast=-0.4, hues=(HueBand(30, 80, shift=40, lightness=0.2),)),
+        steep,
+    ],
+)
+def test_all_bands_are_those_of_a_plain_formula(function: Callable[[np.ndarray], np.ndarray], bands: int) -> None:
+    sh = some_sh(300, bands)
+    sh[:5, 0] = [[3, -3, 0], [0, 9, -9], [1.7, 1.7, 1.7], [-1.7, 0.1, 0.1], [0, 0, 0]]  # beyond 0 to 1, or at its ends
+    np.testing.assert_allclose(apply_to_sh(sh, function), plainly_graded(sh, function), rtol=1e-5, atol=4e-6)
+
+
+def test_no_numbers_stay_where_they_are() -> None:
+    sh = some_sh(8)
+    sh[1, 0, 0], sh[2, 2, 1], sh[3, 0] = np.nan, np.nan, np.inf
+    out = grade_sh(sh, {"saturation": 0.5})
+    assert np.isnan(out[1, 0, 0]) and np.isinf(out[3, 0]).all()
+    assert np.isnan(out[2, 2]).all() and np.isfinite(out[2, [0, 1, 3]]).all() and np.isfinite(out[1, 1:]).all()
+    rest = [0, 4, 5, 6, 7]
+    assert np.array_equal(out[rest], grade_sh(sh[rest], {"saturation": 0.5}))
 
 
 def test_a_hue_band_turns_red_and_leaves_blue_and_grey() -> None:

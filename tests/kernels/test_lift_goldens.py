@@ -1,4 +1,4 @@
-"""Kernels of lift, spread and data: the same bytes on every kind of CPU and for any number of threads."""
+"""Kernels of lift, grading, spread and data: the same bytes on every kind of CPU and for any number of threads."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from splatpainter.grading.color_grading import grade_sh
+from splatpainter.kernels import portable
 from splatpainter.kernels.arrays import readonly
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
@@ -62,6 +64,17 @@ def regression() -> list[np.ndarray]:
     run(kernels.turn_bands, features, r.uniform(-1, 1, 9, 9).astype(F), sh)
     run(kernels.measure_leverage, features, r.uniform(-1, 1, 36, 36).astype(F), leverage)
     return [sh, leverage]
+
+
+@golden("2b39bcd6d893acb0")
+def grades() -> list[np.ndarray]:
+    """Sliders on all bands, in both colour spaces, and the curve of sRGB."""
+    r = Numbers(17)
+    sh = r.uniform(-2.2, 2.2, 8500, 9, 3).astype(F)  # more than is graded at a time
+    out = [grade_sh(sh, {"exposure": 0.5, "temperature": 0.3, "saturation": 0.4, "strength": 0.7})]
+    out += [grade_sh(sh[:, :bands].copy(), {"exposure": -0.5, "space": "linear"}) for bands in (1, 4)]
+    levels = r.uniform(0, 1.2, 2003)
+    return out + [portable.srgb(values, way) for values in (levels, levels.astype(F)) for way in (False, True)]
 
 
 @golden("a59d4b8d8c48a6d7")

@@ -80,6 +80,10 @@ def test_functions_are_numpys(dtype: type):
         (portable.power(x + 3, 2.4), (x + 3) ** 2.4),
         (portable.power(x + 3, 1 / 3), np.cbrt(x + 3)),
     ]
+    light = np.abs(x)
+    curved, bent = 1.055 * light ** (1 / 2.4) - 0.055, ((light + 0.055) / 1.055) ** 2.4
+    pairs.append((portable.srgb(light, False), np.where(light <= 0.0031308, 12.92 * light, curved)))
+    pairs.append((portable.srgb(light, True), np.where(light <= 0.04045, light / 12.92, bent)))
     for ours, numpys in pairs:
         assert ours.dtype == dtype and ours.shape == x.shape
         np.testing.assert_allclose(ours, numpys, rtol=4 * np.finfo(dtype).eps, atol=np.finfo(dtype).eps)

@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 
 from splatpainter.array_types import FloatsOrTensor
-from splatpainter.color import LUMA, base_color, linear_to_srgb, luminance, srgb_to_linear
-from splatpainter.kernels.parallel import each
+from splatpainter.color import LUMA, linear_to_srgb, luminance, srgb_to_linear
+from splatpainter.kernels.library import kernels
+from splatpainter.kernels.parallel import each, run
 from splatpainter.splats import SH_C0, ColorSpace
 from splatpainter.system import jsonio
 from splatpainter.system.quick_dataclass import dataclass
@@ -70,6 +71,11 @@ class ColorGrade:
 def apply_grade(colors: FloatsOrTensor, grade: ColorGrade) -> FloatsOrTensor:
     """[..., 3] display colours 0..1 after all settings of a grade, clipped to 0..1."""
     # In a raw developer's order: light, tone, curves, toning, saturation.
+    return _mix_channels(_grade_channels(colors, grade), grade)
+
+
+def _grade_channels(colors: FloatsOrTensor, grade: ColorGrade) -> FloatsOrTensor:
+    """What a grade does to each channel by itself: all that comes before the toning."""
     out: Any = colors.clip(0, 1)
     if grade.exposure or grade.temperature or grade.tint:
         light = white_balance(expose(srgb_to_linear(out), grade.exposure), grade.temperature, grade.tint)
@@ -79,6 +85,11 @@ def apply_grade(colors: FloatsOrTensor, grade: ColorGrade) -> FloatsOrTensor:
     if grade.channel_curves:
         channels = [tone_curve(out[..., k], points) for k, points in enumerate(grade.channel_curves)]
         out = stacked(channels, out)
+    return out
+
+
+def _mix_channels(out: FloatsOrTensor, grade: ColorGrade) -> FloatsOrTensor:
+    """The rest, of what `_grade_channels` gave."""
     if any(grade.shadows) or any(grade.highlights):
         out = split_tone(out, grade.shadows, grade.highlights)
     out = saturate(out, grade.saturation) if grade.saturation != 1 else out
@@ -226,7 +237,21 @@ class GradeSettings(ColorSliders):
 
     def __call__(self, colors: np.ndarray) -> np.ndarray:
         """[..., 3] display colours 0..1 -> the like."""
-        grade = ColorGrade(
+        return self.mix_channels(self.grade_channels(colors), colors)
+
+    def grade_channels(self, colors: np.ndarray) -> np.ndarray:
+        """[..., 3] display colours 0..1 after what happens to each channel by itself, the dear part."""
+        return _grade_channels(colors, self._grade())
+
+    def mix_channels(self, toned: np.ndarray, colors: np.ndarray) -> np.ndarray:
+        """[..., 3] the rest of the function, of what `grade_channels` made of colours."""
+        out = _mix_channels(toned, self._grade())
+        for band in self.hues:
+            out = shift_hues(out, band)
+        return out if self.strength == 1 else colors + np.float32(self.strength) * (out - colors)
+
+    def _grade(self) -> ColorGrade:
+        return ColorGrade(
             exposure=self.exposure,
             temperature=self.temperature,
             tint=self.tint,
@@ -234,10 +259,6 @@ class GradeSettings(ColorSliders):
             saturation=1 + self.saturation,
             curve=self._full_curve(),
         )
-        out = apply_grade(colors, grade)
-        for band in self.hues:
-            out = shift_hues(out, band)
-        return out if self.strength == 1 else colors + np.float32(self.strength) * (out - colors)
 
     def _full_curve(self) -> tuple[tuple[float, float], ...]:
         if all(x == y for x, y in self.curve):
@@ -261,37 +282,45 @@ def apply_to_sh(sh: np.ndarray, function: Callable[[np.ndarray], np.ndarray], sp
     """[N, K, 3] float32 SH after a function of display colours [M, 3] 0..1; Gaussians that do not change keep their
     bits. The bands >= 1 go through the function's Jacobian at the base colour. space: of the SH."""
 
-    def in_space(colors: np.ndarray) -> np.ndarray:
-        return srgb_to_linear(function(linear_to_srgb(colors))) if space == "linear" else function(colors)
+    sh = np.require(sh, np.float32, ["C", "A"])
+    out = np.empty_like(sh)
+
+    def grade_piece(start: int) -> None:
+        piece = slice(start, start + GAUSSIANS_PER_PIECE)
+        _grade_piece(sh[piece], function, space, out[piece])
 
     # In pieces that fit the cache, shared among threads.
-    pieces = [sh[start : start + GAUSSIANS_PER_PIECE] for start in range(0, len(sh), GAUSSIANS_PER_PIECE)]
-    return np.concatenate(each(lambda piece: _graded(piece, in_space), pieces)) if pieces else sh
+    each(grade_piece, range(0, len(sh), GAUSSIANS_PER_PIECE))
+    return out
 
 
-@np.errstate(over="ignore", invalid="ignore")  # of Gaussians that cannot be drawn; in each thread
-def _graded(sh: np.ndarray, function: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    # The base colour goes through the function; differences are written, so that unchanged Gaussians keep their bits.
-    base = np.clip(np.nan_to_num(base_color(sh)), 0, 1).astype(np.float32)
-    new = function(base)
-    change = (new - base) / np.float32(SH_C0)
-    out = sh.astype(np.float32)
-    out[:, 0] = np.where(change != 0, sh[:, 0] + change, sh[:, 0])
-    if sh.shape[1] > 1:
-        slopes = []
-        # The other bands go through its Jacobian, by one-sided differences that stay inside 0..1.
-        for channel in range(3):
-            bright = base[:, channel] > 0.5
-            step = np.where(bright, -JACOBIAN_STEP, JACOBIAN_STEP).astype(np.float32)  # stay inside 0..1
-            moved = base.copy()
-            moved[:, channel] += step
-            slopes.append((function(moved) - new) / step[:, None])
-        matrix = np.clip(np.stack(slopes, 1), -MAX_JACOBIAN_ENTRY, MAX_JACOBIAN_ENTRY)  # [N, in, out]
-        differs = np.abs(matrix - np.eye(3, dtype=np.float32)).max((1, 2)) > 1e-5
-        if differs.all():
-            out[:, 1:] = sh[:, 1:] @ matrix
-        else:
-            out[differs, 1:] = sh[differs, 1:] @ matrix[differs]
+@np.errstate(over="ignore", invalid="ignore")  # of functions; in each thread
+def _grade_piece(
+    sh: np.ndarray, function: Callable[[np.ndarray], np.ndarray], space: ColorSpace, out: np.ndarray
+) -> None:
+    # The base colours and, for the Jacobian's one-sided differences, these with every channel moved.
+    ends = np.empty((2, len(sh), 3), np.float32)
+    run(kernels.take_base_colors, sh, SH_C0, JACOBIAN_STEP, ends)
+    # What happens to each channel by itself is computed for these two, the rest for the four that come of them.
+    bands = sh.shape[1] > 1
+    display = ends if bands else ends[:1]
+    display = linear_to_srgb(display) if space == "linear" else display
+    colors = _moved_in_turn(display) if bands else display
+    if isinstance(function, GradeSettings):
+        toned = function.grade_channels(display)
+        graded = function.mix_channels(_moved_in_turn(toned) if bands else toned, colors)
+    else:
+        graded = function(colors.reshape(-1, 3)).reshape(colors.shape)
+    graded = srgb_to_linear(graded) if space == "linear" else graded
+    graded = np.require(graded, np.float32, ["C", "A"])
+    run(kernels.grade_bands, sh, ends[0], graded, SH_C0, JACOBIAN_STEP, MAX_JACOBIAN_ENTRY, out)
+
+
+def _moved_in_turn(ends: np.ndarray) -> np.ndarray:
+    """[4, N, 3]: the first of two colours, and it with one channel after the other of the second."""
+    out = np.repeat(ends[:1], 4, 0)
+    for channel in range(3):
+        out[1 + channel, :, channel] = ends[1, :, channel]
     return out
 
 

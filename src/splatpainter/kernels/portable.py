@@ -132,12 +132,17 @@ def power(x: Number, exponent: float) -> Number:
     return _each("power_each", x, numbers=(exponent,))
 
 
+def srgb(x: Number, to_linear: bool) -> Number:
+    """The curve of display sRGB >= 0 (`splatpainter.color` has both directions), with `power`."""
+    return _each("srgb_each", x, numbers=(to_linear,))
+
+
 def silu(x: np.ndarray) -> np.ndarray:
     """x / (1 + exp(-x)) of float32."""
     return _each("silu_each", np.asarray(x, np.float32))
 
 
-def _each(name: str, *values: Number, numbers: tuple[float, ...] = ()) -> Number:
+def _each(name: str, *values: Number, numbers: tuple[float | bool, ...] = ()) -> Number:
     """A kernel over stack arrays: float32 where all are, else float64; a number gives a number."""
     arrays = [np.asarray(value) for value in values]
     dtype = np.float32 if all(array.dtype == np.float32 for array in arrays) else np.float64
