@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from splatpainter.grading.color_grading import grade_sh
+from splatpainter.grading.color_grading import apply_to_sh, grade_sh
+from splatpainter.grading.color_match import AffineMap
 from splatpainter.kernels import portable
 from splatpainter.kernels.arrays import readonly
 from splatpainter.kernels.library import kernels
@@ -66,12 +67,17 @@ def regression() -> list[np.ndarray]:
     return [sh, leverage]
 
 
-@golden("2b39bcd6d893acb0")
+@golden("91c839ff2d91926f")
 def grades() -> list[np.ndarray]:
-    """Sliders on all bands, in both colour spaces, and the curve of sRGB."""
+    """Sliders and a matrix on all bands, in both colour spaces, and the curve of sRGB."""
     r = Numbers(17)
+    out: list[np.ndarray] = []
     sh = r.uniform(-2.2, 2.2, 8500, 9, 3).astype(F)  # more than is graded at a time
-    out = [grade_sh(sh, {"exposure": 0.5, "temperature": 0.3, "saturation": 0.4, "strength": 0.7})]
+    hues = [{"hue": 20.0, "width": 80.0, "shift": 30.0, "saturation": 0.2, "lightness": -0.3}]
+    for settings in ({"exposure": 0.5, "temperature": 0.3}, {"contrast": 0.4, "strength": 0.7}, {"hues": hues}):
+        out.append(grade_sh(sh, {**settings, "saturation": 0.4}))
+    recolored = AffineMap(r.uniform(-1, 1, 3, 3), r.uniform(0, 1, 3), r.uniform(0, 1, 3))
+    out.append(apply_to_sh(sh, recolored))
     out += [grade_sh(sh[:, :bands].copy(), {"exposure": -0.5, "space": "linear"}) for bands in (1, 4)]
     levels = r.uniform(0, 1.2, 2003)
     return out + [portable.srgb(values, way) for values in (levels, levels.astype(F)) for way in (False, True)]

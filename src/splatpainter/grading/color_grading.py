@@ -20,6 +20,7 @@ import numpy as np
 
 from splatpainter.array_types import FloatsOrTensor
 from splatpainter.color import LUMA, linear_to_srgb, luminance, srgb_to_linear
+from splatpainter.kernels import portable
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import each, run
 from splatpainter.splats import SH_C0, ColorSpace
@@ -116,10 +117,17 @@ def adjust_contrast(display: FloatsOrTensor, slope: float) -> FloatsOrTensor:
     if slope <= 0:
         raise ValueError(f"look: expected a contrast above 0, got {slope:g}")
     value = display.clip(0, 1)
+    power, where = (portable.power, np.where) if isinstance(value, np.ndarray | np.generic) else _torch_functions()
     # Two power curves that meet at middle grey with one slope: nothing clips at either end.
-    dark = PIVOT * (value.clip(None, PIVOT) / PIVOT) ** slope
-    light = (1 - PIVOT) * (1 - ((1 - value.clip(PIVOT, None)) / (1 - PIVOT)) ** slope)
-    return dark + light
+    dark = value < PIVOT
+    bent = power(where(dark, value / PIVOT, (1 - value) / (1 - PIVOT)), slope)
+    return where(dark, PIVOT * bent, 1 - (1 - PIVOT) * bent)
+
+
+def _torch_functions() -> tuple[Callable[..., Any], Callable[..., Any]]:
+    import torch
+
+    return torch.pow, torch.where
 
 
 def saturate(display: FloatsOrTensor, amount: float) -> FloatsOrTensor:
@@ -338,9 +346,9 @@ def shift_hues(colors: np.ndarray, band: HueBand) -> np.ndarray:
     )
     distance = np.abs((60 * sextant - band.hue + 180) % 360 - 180)
     # A raised cosine: bands fade into each other without an edge.
-    weight = np.where(distance < band.width, 0.5 + 0.5 * np.cos(np.pi * distance / band.width), 0)
+    weight = np.where(distance < band.width, 0.5 + 0.5 * portable.cos(np.pi * distance / band.width), 0)
     weight = weight * np.minimum(chroma / 0.05, 1)  # what is nearly grey has a hue by chance
-    out = colors @ _hue_rotation(band.shift) if band.shift else colors
+    out = portable.matmul(colors, _hue_rotation(band.shift)) if band.shift else colors
     grey = luminance(out)[..., None]
     out = (grey + (1 + band.saturation) * (out - grey)) * 2.0**band.lightness
     return (colors + weight[..., None] * (out - colors)).clip(0, 1).astype(colors.dtype)
@@ -350,7 +358,8 @@ def _hue_rotation(degrees: float) -> np.ndarray:
     """[3, 3], to be multiplied from the right: rotation about (1, 1, 1) by Rodrigues' formula; red turns to green."""
     angle = np.radians(degrees)
     cross = np.array([[0, -1, 1], [1, 0, -1], [-1, 1, 0]]) / np.sqrt(3)
-    rotation = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    twice = portable.matmul(cross, cross)
+    rotation = np.eye(3) + portable.sin(angle) * cross + (1 - portable.cos(angle)) * twice
     return rotation.T.astype(np.float32)
 
 

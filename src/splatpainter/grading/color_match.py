@@ -20,6 +20,7 @@ import numpy as np
 
 from splatpainter.cameras import bounding_sphere, spherical_cameras
 from splatpainter.color import base_color, linear_to_srgb, luminance, srgb_to_linear, to_display
+from splatpainter.kernels import portable
 from splatpainter.pictures.picture_reader import Picture
 from splatpainter.splats import Splats
 from splatpainter.system.quick_dataclass import dataclass
@@ -63,7 +64,7 @@ class AffineMap:
 
     def __call__(self, colors: np.ndarray) -> np.ndarray:
         matrix, start, end = (values.astype(np.float32) for values in (self.matrix, self.start, self.end))
-        return ((colors - start) @ matrix + end).clip(0, 1)
+        return (portable.matmul(colors - start, matrix) + end).clip(0, 1)
 
 
 @dataclass(frozen=True)
