@@ -39,7 +39,7 @@ COMMON = [
     "-fno-unwind-tables",
     "-fno-asynchronous-unwind-tables",
 ]
-WARNINGS = ["-Wall", "-Wextra", "-Wno-psabi", "-Wno-unused-function", "-Wno-unknown-warning-option"]
+WARNINGS = ["-Wall", "-Wextra", "-Wno-psabi", "-Wno-unused-function", "-Wno-unknown-warning-option", "-Wno-pass-failed"]
 V4 = ["-mprefer-vector-width=512"]
 # Of three copies of every kernel that of the oldest machines is kept small.
 BASE = ["-fno-unroll-loops"]

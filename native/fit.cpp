@@ -69,6 +69,6 @@ void neighbour_squares(Rows<const float, 3> points, Rows<const float, 3> listed,
 SP_KERNELS_TO_V3(fit,
     ONE(ssim_maps),
     ONE(loss_gradient),
-    BOTH(adam_step),
+    FLOAT_FIRST(adam_step),
     ONE(neighbour_squares)
 )

@@ -71,11 +71,11 @@ SP_KERNELS(maths,
     BOTH(log_each),
     BOTH(sin_each),
     BOTH(cos_each),
-    BOTH(acos_each),
-    BOTH(atan_each),
-    BOTH(atan2_each),
+    FLOAT_FIRST(acos_each),
+    FLOAT_FIRST(atan_each),
+    FLOAT_FIRST(atan2_each),
     BOTH(power_each),
-    BOTH(srgb_each),
-    BOTH(fused_each),
-    BOTH(exp_of_negative_each)
+    FLOAT_FIRST(srgb_each),
+    FLOAT_FIRST(fused_each),
+    FLOAT_FIRST(exp_of_negative_each)
 )

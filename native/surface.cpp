@@ -3,7 +3,6 @@
 #include "surface/estimate.h"
 #include "surface/lattice.h"
 #include "surface/patches.h"
-#include "surface/unwrap.h"
 #include "surface/visible.h"
 
 SP_KERNELS(surface,
@@ -14,9 +13,5 @@ SP_KERNELS(surface,
     FLOAT_FIRST(measure_depths_along),
     ONE(count_agreeing),
     ONE(interpolate_planes),
-    ONE(thin_points),
-    ONE(smooth_points),
-    ONE(spread_map),
-    ONE(interpolate_map),
     ONE(sum_turns)
 )

@@ -111,7 +111,7 @@ def _scored(case: Case, cli: str, rows: Sequence[str]) -> dict[str, float]:
 
 def _run(words: Sequence[str], tolerated: str = "") -> bool:
     """Whether it did what it was asked for; another failure than the one that is tolerated ends the run."""
-    done = subprocess.run(words, capture_output=True, text=True)
+    done = subprocess.run(words, capture_output=True, text=True, encoding="utf-8")
     if done.returncode and not (tolerated and tolerated in done.stderr):
         sys.exit(f"{' '.join(words)}\n{done.stderr[-600:]}")
     return done.returncode == 0
