@@ -305,7 +305,7 @@ def samples(rng: np.random.Generator, dtype: type) -> None:
 
 
 def grades(rng: np.random.Generator, dtype: type) -> None:
-    """Bands after a function of colours, and the curve of sRGB."""
+    """Bands after a function of colours, the curve of sRGB, and colours as a page's textures hold them."""
     from splatpainter.grading.color_grading import JACOBIAN_STEP, MAX_JACOBIAN_ENTRY, grade_sh
     from splatpainter.kernels import portable
     from splatpainter.kernels.library import kernels
@@ -321,6 +321,8 @@ def grades(rng: np.random.Generator, dtype: type) -> None:
     sliders = ("exposure", "temperature", "contrast", "saturation")
     settings = {name: float(rng.uniform(-1, 1)) for name in sliders if rng.random() < 0.5}
     grade_sh(sh, {**settings, "space": str(rng.choice(["srgb", "linear"]))})
+    run(kernels.pack_base_colors, sh, SH_C0, np.empty((len(sh), 3), np.uint16))
+    run(kernels.pack_harmonic_codes, sh, np.empty((len(sh), sh.shape[1] - 1), np.uint32))
     portable.srgb(extreme(rng, rng.random(50).astype(dtype), 0.3), bool(rng.random() < 0.5))
 
 

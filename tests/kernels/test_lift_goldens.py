@@ -1,4 +1,4 @@
-"""Kernels of lift, grading, spread and data: the same bytes on every kind of CPU and for any number of threads."""
+"""Kernels of lift, grading, frames, spread and data: the same bytes on every kind of CPU, for any number of threads."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from splatpainter.kernels.arrays import readonly
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
 from splatpainter.lift.masks import box_mean
+from splatpainter.server.frames import pack_base, pack_harmonics
 from tests.support.kernel_goldens import CPUS, Numbers, check
 
 F = np.float32
@@ -81,6 +82,12 @@ def grades() -> list[np.ndarray]:
     out += [grade_sh(sh[:, :bands].copy(), {"exposure": -0.5, "space": "linear"}) for bands in (1, 4)]
     levels = r.uniform(0, 1.2, 2003)
     return out + [portable.srgb(values, way) for values in (levels, levels.astype(F)) for way in (False, True)]
+
+
+@golden("191e25a73460619d")
+def packed_colors() -> list[np.ndarray]:
+    sh = (Numbers(18).uniform(-2.2, 2.2, 901, 4, 3) / np.array([1, 10, 100, 1e5])[:, None]).astype(F)
+    return [pack_base(sh), pack_harmonics(sh)]
 
 
 @golden("a59d4b8d8c48a6d7")

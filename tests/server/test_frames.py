@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from dataclasses import replace
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from splatpainter.server import frames
-from splatpainter.splats import Splats
+from splatpainter.splats import SH_C0, Splats
 from tests.support.studio_scenes import ball
 
 
@@ -80,6 +81,28 @@ def test_tints_are_as_near_as_their_bits(count: int, bands: int) -> None:
     assert (np.abs(back[:, 1:] - sh[:, 1:]) <= 0.501 * step).all()
     with pytest.raises(ValueError, match="frame: expected"):
         frames.unpack(frames.preview_colors(sh, ids, 20, 2)[:-1])
+
+
+def test_colors_are_packed_by_the_formula() -> None:
+    """Halves are numpy's; codes are those of exact arithmetic, value by value."""
+    rng = np.random.default_rng(1)
+    sh = (rng.normal(size=(400, 4, 3)) * 10.0 ** rng.integers(-9, 7, (400, 1, 1))).astype(np.float32)
+    sh[:4, 1] = [[0.25, -0.5, 2.0**-15], [3e38, -3e38, 1], [np.inf, -1, np.nan], [-0.0, 1e-45, 0]]
+    sh[:4, 0] = [[0, np.nan, np.inf], [-np.inf, 1e9, -1e9], [-0.5 / SH_C0, 3e-5, -1.7725], [2.0**-24, 2.0**-14, 1]]
+    colors = np.nan_to_num(0.5 + SH_C0 * sh[:, 0].astype(np.float64), nan=0).clip(-65504, 65504)
+    assert np.array_equal(frames.pack_base(sh), colors.astype(np.float32).astype(np.float16))
+    codes = frames.pack_harmonics(sh)
+    for row, column in np.ndindex(codes.shape):
+        values = [float(value) for value in np.nan_to_num(sh[row, 1 + column])]
+        largest, expected = max(map(abs, values)), 0
+        if largest > 0:
+            fraction, power = math.frexp(largest)
+            exponent = min(max(power - (fraction == 0.5) + 15, 0), 31)
+            steps = [min(int(float(np.float32(abs(v) * 255 * 2.0 ** (15 - exponent))) + 0.5), 255) for v in values]
+            expected = exponent << 27 | sum(
+                step << 8 * k | (v < 0) << 24 + k for k, (step, v) in enumerate(zip(steps, values, strict=True))
+            )
+        assert codes[row, column] == expected, values
 
 
 def test_gaussians_that_no_screen_can_show_are_hidden() -> None:

@@ -24,10 +24,11 @@ import struct
 
 import numpy as np
 
-from splatpainter.color import base_color, sh_from_color
-from splatpainter.kernels.parallel import each
+from splatpainter.color import sh_from_color
+from splatpainter.kernels.library import kernels
+from splatpainter.kernels.parallel import run
 from splatpainter.kernels.rows import take
-from splatpainter.splats import SH_COUNTS, Splats
+from splatpainter.splats import SH_C0, SH_COUNTS, Splats
 from splatpainter.system.quick_dataclass import dataclass
 
 MAGIC = 0x53504C44
@@ -42,8 +43,6 @@ PACKED = 8
 """Only colours travel, as the screen's textures hold them."""
 HEADER = struct.Struct("<8I")
 MAX_HALF = 65504.0
-CHUNK_SIZE = 8192
-"""Gaussians whose colours are packed at a time: they fit the processor's cache, and threads share the chunks."""
 
 
 @dataclass(frozen=True)
@@ -172,34 +171,20 @@ def _bytes(values: np.ndarray, drawable: np.ndarray) -> bytes:
 
 
 def pack_base(sh: np.ndarray) -> np.ndarray:
-    """[N, K, 3] SH -> [N, 3] float16 base colours 0.5 + Y_0 sh_0; NaN becomes 0."""
-    colors = np.nan_to_num(base_color(sh[:, :1].astype(np.float64)), nan=0, posinf=MAX_HALF, neginf=-MAX_HALF)
-    return np.clip(colors, -MAX_HALF, MAX_HALF).astype(np.float32).astype(np.float16)
+    """[N, K, 3] float32 SH -> [N, 3] float16 base colours 0.5 + Y_0 sh_0 within +-65504; NaN becomes 0."""
+    out = np.empty((len(sh), 3), np.uint16)
+    run(kernels.pack_base_colors, np.require(sh, np.float32, ["C", "A"]), SH_C0, out)
+    return out.view(np.float16)
 
 
 def pack_harmonics(sh: np.ndarray) -> np.ndarray:
-    """[N, K, 3] SH -> [N, K - 1] uint32, one per coefficient but the first: three 8-bit magnitudes over a shared power
-    of two, value = byte / 255 * 2^(exponent - 15), the exponent's 5 bits and three sign bits (red lowest)."""
-    # Nothing to pack where only base colours travel; chunks go to threads, for each fits a processor's cache.
-    if not len(sh) or sh.shape[1] == 1:
-        return np.zeros((len(sh), sh.shape[1] - 1), np.uint32)
-    return np.concatenate(each(_codes, [sh[start : start + CHUNK_SIZE] for start in range(0, len(sh), CHUNK_SIZE)]))
-
-
-def _codes(sh: np.ndarray) -> np.ndarray:
-    red, green, blue = (np.nan_to_num(np.ascontiguousarray(sh[:, 1:, k], np.float32)) for k in range(3))
-    # One exponent for the three channels, of the largest: as the screen's textures hold them.
-    largest = np.maximum(np.maximum(np.abs(red), np.abs(green)), np.abs(blue))
-    share, power = np.frexp(largest)
-    exponent = np.clip(power - (share == 0.5) + 15, 0, 31)  # ceil(log2(largest)) + 15
-    scale = np.ldexp(np.float32(255), 15 - exponent)
-    code = exponent.astype(np.uint32) << 27
-    # Half a step is added before the cut, so that values are rounded; signs lie apart, in bits of their own.
-    for k, channel in enumerate((red, green, blue)):
-        magnitude = np.minimum(np.abs(channel) * scale + np.float32(0.5), 255)
-        code |= magnitude.astype(np.uint32) << (8 * k)
-        code |= (channel < 0).astype(np.uint32) << (24 + k)
-    return np.where(largest > 0, code, np.uint32(0))
+    """[N, K, 3] float32 SH -> [N, K - 1] uint32, one per coefficient but the first: three 8-bit magnitudes over a
+    shared power of two, value = byte / 255 * 2^(exponent - 15), the exponent's 5 bits and three sign bits (red
+    lowest)."""
+    out = np.empty((len(sh), sh.shape[1] - 1), np.uint32)
+    if out.size:
+        run(kernels.pack_harmonic_codes, np.require(sh, np.float32, ["C", "A"]), out)
+    return out
 
 
 def unpack_sh(halves: np.ndarray, codes: np.ndarray) -> np.ndarray:
