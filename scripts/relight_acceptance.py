@@ -40,7 +40,9 @@ class Case:
 
     def sky(self, which: str) -> str:
         """Of "source" or "target"."""
-        return str(self.environments / json.loads((self.folder / "relight/lights.json").read_text(encoding="utf-8"))[which])
+        return str(
+            self.environments / json.loads((self.folder / "relight/lights.json").read_text(encoding="utf-8"))[which]
+        )
 
     def picture(self, count: int) -> list[str]:
         """Options that hand in relit views."""
