@@ -125,6 +125,57 @@ def test_photographs_are_looked_for_beside_their_model(
     assert (read_model(folder)[0].picture() is not None) == is_original
 
 
+@pytest.mark.parametrize("inner", ["sparse/1", "colmap/sparse/12", "distorted/sparse/2"])
+def test_the_only_model_need_not_be_0(inner: str, tmp_path: Path) -> None:
+    """COLMAP's first model is often the worse one, and deleted."""
+    write_colmap(tmp_path / inner, some_cameras(), ["a.jpg", "b.jpg", "c.jpg"], ending="bin")
+    for path in (tmp_path, (tmp_path / inner).parent):
+        assert [view.name for view in captured_views(path)] == ["a.jpg", "b.jpg", "c.jpg"]
+
+
+def test_of_several_models_the_others_are_named(tmp_path: Path) -> None:
+    cameras = some_cameras()
+    for number in (1, 2):
+        write_colmap(tmp_path / "sparse" / str(number), cameras[number : number + 1], [f"{number}.jpg"], ending="txt")
+    with pytest.raises(ValueError, match=r"sparse: expected one model of COLMAP's, found 1, 2; name the folder of one"):
+        captured_views(tmp_path)
+    write_colmap(tmp_path / "sparse" / "0", cameras[:1], ["0.jpg"], ending="txt")
+    assert [view.name for view in captured_views(tmp_path / "sparse")] == ["0.jpg"]
+    with pytest.raises(ValueError, match=r"COLMAP's sparse/1, sparse/2 may have it: name that folder"):
+        named_views(Path(f"{tmp_path}:2.jpg"))
+    assert named_views(Path(f"{tmp_path}/sparse/2:2.jpg"))[0].name == "2.jpg"
+
+
+@pytest.mark.parametrize("ending", ["bin", "txt"])
+def test_rigs_and_frames_are_of_a_model(ending: str, tmp_path: Path) -> None:
+    folder = write_colmap(tmp_path, some_cameras(), ["left/a.jpg", "right/a.jpg", "c.jpg"], ending=ending)
+    for name in ("rigs", "frames"):  # since COLMAP 3.12; poses of images say the same
+        (folder / f"{name}.{ending}").write_bytes(bytes(8))
+        assert len(captured_views(folder / f"{name}.{ending}")) == 3
+    assert [view.name for view in named_views(Path(f"{folder}:right/a.jpg"))] == ["right/a.jpg"]
+
+
+@pytest.mark.parametrize("between", ["\n", "\n\n", "\r\n\r\n", "\n1.5 2 -1 3 4 17 5 6 -1 7 8 9\n"])
+@pytest.mark.parametrize("start", ["", "# Image list\n", "\ufeff# as Notepad saves\n"])
+def test_lines_of_points_may_be_missing_or_empty(start: str, between: str, tmp_path: Path) -> None:
+    """Every second image was lost where a program left out the lines of points."""
+    rows = [f"{k} 1 0 0 0 0 0 {k} 7 sub/IMG {k}.jpg" for k in range(1, 6)]
+    (tmp_path / "cameras.txt").write_text(f"{start}7 SIMPLE_PINHOLE 120 90 100 60 45\n", encoding="utf-8")
+    (tmp_path / "images.txt").write_bytes((start + between.join(rows)).encode())
+    views = captured_views(tmp_path)
+    assert [view.name for view in views] == [f"sub/IMG {k}.jpg" for k in range(1, 6)]
+    assert [view.camera.world_to_camera[2, 3] for view in views] == [1, 2, 3, 4, 5]
+
+
+@pytest.mark.parametrize("name", ["Transforms.json", "CAMERAS.JSON"])
+def test_capitals_of_names_do_not_matter(name: str, tmp_path: Path) -> None:
+    """Disks of Windows and Macs do not tell them apart; a copy on Linux has what was typed there."""
+    write = write_inria if name.lower().startswith("cameras") else write_table
+    write(tmp_path, some_cameras(), ["a.jpg", "b.jpg", "c.jpg"])
+    (tmp_path / name.lower()).rename(tmp_path / name)
+    assert len(captured_views(tmp_path)) == 3 and is_capture(tmp_path)
+
+
 def test_of_a_distorted_model_the_input_is_the_photograph(tmp_path: Path) -> None:
     folder = write_colmap(tmp_path / "distorted" / "sparse" / "0", some_cameras(), ["a.jpg", "b", "c"], ending="bin")
     for name in ("images", "input"):
@@ -354,7 +405,11 @@ PLAIN = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
         (table_of(transform_matrix=[[-1, 0, 0, 0], *PLAIN[1:]]), "flat or mirrored"),
         (table_of(transform_matrix=[[0, 0, 0, 0], *PLAIN[1:]]), "flat or mirrored"),
         (table_of(transform_matrix=[[1, 0.5, 0, 0], *PLAIN[1:]]), "expected a rotation"),
-        (table_of(fl_x="long"), "expected finite numbers for fl_x"),
+        (table_of(fl_x="long"), "expected finite numbers for fl_x, found 'long'"),
+        (table_of(fl_x="100.5"), "expected finite numbers for fl_x, found '100.5'"),
+        (table_of(w="120"), "expected finite numbers for w, found '120'"),
+        (table_of(transform_matrix=[["1", 0, 0, 0], *PLAIN[1:]]), "finite numbers for a row, found '1'"),
+        (table_of(transform_matrix=sum(PLAIN, [])), "expected a 4x4 or 3x4 matrix, got a list of 16"),
         (table_of(fl_x=-3), "must be positive"),
         (table_of(w=12.5), "expected whole pixels as w"),
         (table_of(w=None), "the picture is not there"),
@@ -396,7 +451,7 @@ def test_fisheyes_are_modelled_by_either_name(tmp_path: Path) -> None:
         ({"transform": PLAIN[:3], "scale": 0}, "scale above 0"),
         ({"scale": 1}, "4x4 or 3x4 matrix"),
         ({"transform": [[2, 0, 0, 0], *PLAIN[1:3]], "scale": 1}, "expected a rotation and a shift"),
-        ({"transform": PLAIN[:3], "scale": "1"}, "finite numbers for scale"),
+        ({"transform": PLAIN[:3], "scale": "1"}, "finite numbers for scale, found '1'"),
     ],
 )
 def test_a_bad_frame_is_one_line(record: dict, problem: str, tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from splatpainter.cameras import Camera, spherical_cameras
 from splatpainter.image_files import find_camera, to_uint8
 from splatpainter.io import read, write
 from splatpainter.rendering import render
+from splatpainter.session import Session
 from splatpainter.splats import Splats
 from tests.support.capture_folders import (
     Bend,
@@ -118,6 +119,35 @@ def test_an_export_of_nerfstudio_is_its_ply(tmp_path: Path, capfd: Capture) -> N
     (tmp_path / "splat").mkdir()
     write(tmp_path / "splat" / "splat.ply", ball(300))
     assert run(capfd, "info", tmp_path / "splat", "--json").json["rows"] == 300
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "point_cloud/iteration_best/point_cloud.ply",  # the only one, without a number
+        "Point_Cloud/Iteration_7/Point_Cloud.PLY",
+        "Splat.PLY",
+        "Meta.json",
+    ],
+)
+def test_an_assets_name_may_have_capitals(name: str, tmp_path: Path, capfd: Capture) -> None:
+    """As disks of Windows and Macs take it."""
+    file, rows = tmp_path / "run" / name, 300
+    file.parent.mkdir(parents=True)
+    if name == "Meta.json":
+        write(tmp_path / "run" / "meta.json", ball(rows))
+        (tmp_path / "run" / "meta.json").rename(file)
+    else:
+        write(tmp_path / "asset.ply", ball(rows))
+        (tmp_path / "asset.ply").rename(file)
+    assert run(capfd, "info", tmp_path / "run", "--json").json["rows"] == rows
+    picture = tmp_path / "view.png"
+    assert run(capfd, "render", tmp_path / "run", "--out", picture, "--size", "32").code == 0 and picture.exists()
+    for embed in (True, False):
+        project = tmp_path / f"own{embed}.splatproj"
+        Session(tmp_path / "run", project, embed=embed).close()
+        with Session(project) as session:
+            assert len(session.splats) == rows
 
 
 def test_folders_of_something_else_say_what_they_hold(tmp_path: Path, capfd: Capture) -> None:

@@ -12,7 +12,7 @@ from splatpainter.captures import colmap, inria, nerfstudio
 from splatpainter.captures.captured_view import CapturedView
 from splatpainter.captures.nerfstudio import MAX_TABLE_BYTES, TABLES, splat_frame
 from splatpainter.io import files
-from splatpainter.io.folders import POINT_CLOUD
+from splatpainter.io.folders import POINT_CLOUD, inside
 from splatpainter.system.jsonio import load_document
 
 MAX_NAMES_LISTED = 3
@@ -48,7 +48,7 @@ def capture_of(asset: Path) -> Path | None:
         return asset if is_capture(asset) else None
     # INRIA's trainer puts its assets two folders below the run.
     folder = asset.absolute().parents[2] if len(asset.absolute().parents) > 2 else asset.parent
-    return folder if os.path.isdir(folder / POINT_CLOUD) and is_capture(folder) else None
+    return folder if os.path.isdir(inside(folder, POINT_CLOUD)) and is_capture(folder) else None
 
 
 def captured_views(path: Path, asset: Path | None = None) -> list[CapturedView]:
@@ -107,8 +107,15 @@ def _chosen(views: list[CapturedView], selector: str, capture: Path) -> int:
         return named[0]
     raise ValueError(
         f"{capture}: {'several' if named else 'no'} views of a picture called {files.printable(selector, 60)!r}; "
-        f"expected a number from 0 to {len(views) - 1}{_names(views)}"
+        f"expected a number from 0 to {len(views) - 1}{_names(views)}{_other_models(capture)}"
     )
+
+
+def _other_models(capture: Path) -> str:
+    """That COLMAP made several models of the photographs, of which the one that was looked at is the first."""
+    model = colmap.model_folder(capture) if os.path.isdir(capture) else None
+    others = [] if model is None else [f"{one.parent.name}/{one.name}" for one in colmap.other_models(model)]
+    return f"; COLMAP's {', '.join(others)} may have it: name that folder" if others else ""
 
 
 def _names(views: list[CapturedView]) -> str:
@@ -130,12 +137,12 @@ def _capture_file(path: Path) -> Path | None:
     """A capture's JSON file, or the folder of a COLMAP model; None where there is neither."""
     if os.path.isdir(path):
         for name in (inria.CAMERAS, *TABLES):
-            if os.path.isfile(path / name):
-                return path / name
+            if os.path.isfile(inside(path, name)):
+                return inside(path, name)
         return colmap.model_folder(path)
     if not os.path.isfile(path):
         return None
-    if path.name in ("cameras.bin", "images.bin", "points3D.bin", "cameras.txt", "images.txt", "points3D.txt"):
+    if path.name in colmap.MODEL_FILES:
         return colmap.model_folder(path)
     # The first bytes tell JSON from anything else before a large file is read whole.
     first = files.read_head(path, 64).lstrip(b"\xef\xbb\xbf \t\r\n")[:1]

@@ -28,8 +28,14 @@ from splatpainter.io import files
 from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import quat_to_matrix
 
-MODEL_FOLDERS = ("", "sparse/0", "sparse", "colmap/sparse/0", "distorted/sparse/0")
+MODEL_FOLDERS = ("", "0", "sparse/0", "sparse", "colmap/sparse/0", "distorted/sparse/0")
 """Where a model lies in a folder: COLMAP's workspaces, INRIA's and nerfstudio's data."""
+MODELS_FOLDERS = ("sparse", "colmap/sparse", "distorted/sparse")
+"""Where COLMAP puts the models of photographs that it could not join into one, each in a folder of its number."""
+MODEL_FILES = tuple(
+    f"{name}.{ending}" for name in ("cameras", "images", "points3D", "rigs", "frames") for ending in ("bin", "txt")
+)
+"""Of a model; rigs and frames since COLMAP 3.12: the images' own poses say the same."""
 MAX_CAMERAS = 1 << 20
 MAX_NAME_BYTES = 4096
 """Of a picture's name."""
@@ -106,14 +112,42 @@ class _Optics:
 
 
 def model_folder(path: Path) -> Path | None:
-    """The folder of a model's files: `path` itself, the folder of one of its files, or one within it; else None."""
+    """The folder of a model's files: `path` itself, the folder of one of its files, or one within it; else None. Raises
+    ValueError: several models within it, none of them 0."""
     if os.path.isfile(path):
         path = path.parent
     for inner in MODEL_FOLDERS:
-        folder = path / inner
-        if any(os.path.isfile(folder / f"images{ending}") for ending in (".bin", ".txt")):
-            return folder
+        if _holds_model(path / inner):
+            return path / inner
+    # The first model is often the worse one, and deleted.
+    for holder in (path, *(path / inner for inner in MODELS_FOLDERS)):
+        models = _numbered(holder) if holder.absolute().name == "sparse" else []
+        if len(models) > 1:
+            names = ", ".join(model.name for model in models)
+            raise ValueError(f"{holder}: expected one model of COLMAP's, found {names}; name the folder of one of them")
+        if models:
+            return models[0]
     return None
+
+
+def other_models(folder: Path) -> list[Path]:
+    """COLMAP's other models of the same run, in the order of their numbers: of other photographs, in worlds of their
+    own."""
+    here = folder.absolute()
+    siblings = _numbered(here.parent) if here.name.isdigit() and here.parent.name == "sparse" else []
+    return [model for model in siblings if model != here]
+
+
+def _numbered(holder: Path) -> list[Path]:
+    try:
+        numbered = [inner for inner in holder.iterdir() if inner.name.isdecimal() and _holds_model(inner)]
+    except OSError:
+        return []
+    return sorted(numbered, key=lambda inner: int(inner.name))
+
+
+def _holds_model(folder: Path) -> bool:
+    return any(os.path.isfile(folder / f"images{ending}") for ending in (".bin", ".txt"))
 
 
 def read_model(folder: Path) -> list[CapturedView]:
@@ -255,7 +289,7 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
     """(number, text) of the lines that are no comment, empty ones included."""
     with files.reading(path) as file:
         for number, line in enumerate(iter(lambda: file.readline(MAX_LINE_BYTES), b""), 1):
-            text = line.decode("utf-8", "replace").strip()
+            text = line.decode("utf-8", "replace").lstrip("\ufeff").strip()  # as Notepad saves
             if not text.startswith("#"):
                 yield number, text
 
@@ -285,18 +319,29 @@ def _text_cameras(path: Path) -> Iterator[tuple[int, _Optics]]:
 
 
 def _text_images(path: Path) -> Iterator[tuple[str, int, np.ndarray, np.ndarray]]:
-    """Two lines each; the second (its points) may be empty."""
+    """Two lines each; the second (its points) may be empty, and some programs leave it out."""
     lines = _lines(path)
-    for number, line in lines:
+    following = next(lines, None)
+    while following is not None:
+        (number, line), following = following, next(lines, None)
         words = line.split(maxsplit=9)
         if not words:
             continue
         if len(words) < 10:
             raise ValueError(f"{path}: line {number}: expected ID, QW ... TZ, CAMERA_ID, NAME, got {_brief(line)}")
         values = _numbers(path, number, words[:9])
-        # Every image has a second line, of its points.
-        next(lines, None)
+        if following is not None and not _is_image(following[1]):
+            following = next(lines, None)
         yield words[9], _camera_id(values[8]), np.array(values[1:5]), np.array(values[5:8])
+
+
+def _is_image(line: str) -> bool:
+    """Whether a line where an image's points (X, Y, POINT3D_ID each) may stand is the next image: it ends in a name."""
+    words = line.split(maxsplit=9)
+    if len(words) < 10 or len(words[9]) > MAX_NAME_BYTES:
+        return False
+    name = words[9].split()
+    return len(name) % 3 != 0 or not name[-1].lstrip("-").isdecimal()
 
 
 def _text_points(path: Path) -> Iterator[tuple[float, ...]]:

@@ -76,9 +76,9 @@ def read_table(path: Path, record: dict[str, Any], frame: ParserFrame | None = N
     if frame is not None:
         # The table may have been moved already; only what the parser did beyond that is left to do.
         applied, scale = np.eye(4), 1.0
-        if "applied_transform" in record:
+        if record.get("applied_transform") is not None:
             applied = _matrix(record["applied_transform"], f"{path}: applied_transform")
-        if "applied_scale" in record:
+        if record.get("applied_scale") is not None:
             (scale,) = finite_numbers([record["applied_scale"]], path, "applied_scale")
         if not scale > 0:
             raise ValueError(f"{path}: expected applied_scale above 0, got {scale:g}")
@@ -189,7 +189,8 @@ def read_path(path: Path, record: dict[str, Any]) -> list[CapturedView]:
 
 def _matrix(value: Any, where: str, rotation: bool = True) -> np.ndarray:
     """[4, 4] float64 of three or four rows of four numbers. rotation: what has to stand in it."""
-    rows = [finite_numbers(row, where, "a row") for row in value] if isinstance(value, list) else []
+    listed = isinstance(value, list) and all(isinstance(row, list) for row in value)
+    rows = [finite_numbers(row, where, "a row") for row in value] if listed else []
     if len(rows) not in (3, 4) or {len(row) for row in rows} != {4}:
         raise ValueError(f"{where}: expected a 4x4 or 3x4 matrix, got {brief(value)}")
     out = np.eye(4)

@@ -31,6 +31,17 @@ class FolderLimits:
 FOLDERS = FolderLimits()
 
 
+def inside(folder: Path, name: str) -> Path:
+    """The file or folder of that name, where there is none the only one that is called so but for capitals (as disks of
+    Windows and Macs take it); the path under the name itself where there is neither."""
+    path = folder / name
+    if not os.path.exists(path) and os.path.isdir(folder):
+        alike = [entry for entry in os.listdir(folder) if entry.lower() == name.lower()]
+        if len(alike) == 1:
+            return folder / alike[0]
+    return path
+
+
 def iterations(folder: Path) -> dict[int, Path]:
     """Iteration -> its PLY, in rising order, of a folder of INRIA's trainer (or its point_cloud) or gsplat's (or its
     ply); {} of any other."""
@@ -38,28 +49,46 @@ def iterations(folder: Path) -> dict[int, Path]:
         (POINT_CLOUD, r"iteration_(\d{1,12})", PLY),
         ("ply", r"point_cloud_(\d{1,12})\.ply", ""),
     ):
-        holder = folder / inner if os.path.isdir(folder / inner) else folder
         try:
-            numbered = [(re.fullmatch(name, path.name), path / below) for path in holder.iterdir()]
+            holder = inside(folder, inner) if os.path.isdir(inside(folder, inner)) else folder
+            numbered = [(re.fullmatch(name, path.name, re.IGNORECASE), path) for path in holder.iterdir()]
+            found = [(int(match[1]), inside(path, below) if below else path) for match, path in numbered if match]
         except OSError:
             return {}
-        files = sorted((int(match[1]), file) for match, file in numbered if match and os.path.isfile(file))
+        files = sorted((number, file) for number, file in found if os.path.isfile(file))
         if files:
             return dict(files)
     return {}
 
 
-def asset_file(path: Path) -> Path:
-    """The file that a path means: itself; of a trainer's folder the PLY of the last iteration, of an export's its PLY.
-    A SOG folder stays one. Raises ValueError: a folder of something else, with what it holds."""
-    if not os.path.isdir(path) or os.path.isfile(path / SOG_META):  # Path.is_dir raises where it may not look
-        return path
-    numbered = iterations(path)
+def trained_file(folder: Path) -> Path | None:
+    """The PLY that a trainer's folder means: of the last iteration; where none has a number, of the only one
+    (`iteration_best`, as some trainers call theirs). None of any other folder."""
+    numbered = iterations(folder)
     if numbered:
         return numbered[max(numbered)]
+    holder = inside(folder, POINT_CLOUD)
+    try:
+        named = [inside(path, PLY) for path in holder.iterdir() if path.name.lower().startswith("iteration_")]
+    except OSError:
+        return None
+    files = [file for file in named if os.path.isfile(file)]
+    return files[0] if len(files) == 1 else None
+
+
+def asset_file(path: Path) -> Path:
+    """The file that a path means: itself; of a trainer's folder the PLY of the last iteration, of an export's its PLY.
+    A SOG folder stays one (by its file, where that is not called as the format says). Raises ValueError: a folder of
+    something else, with what it holds."""
+    if not os.path.isdir(path) or os.path.isfile(path / SOG_META):  # Path.is_dir raises where it may not look
+        return path
+    meta = inside(path, SOG_META)
+    trained = meta if os.path.isfile(meta) else trained_file(path)
+    if trained is not None:
+        return trained
     for name in EXPORTED:
-        if os.path.isfile(path / name):
-            return path / name
+        if os.path.isfile(inside(path, name)):
+            return inside(path, name)
     splats = _splats_in(path)
     listed = ", ".join(splats[: FOLDERS.names])
     more = f"; it holds {listed}{', ...' if len(splats) > FOLDERS.names else ''}: name one of them" if splats else ""

@@ -107,8 +107,17 @@ def finite_numbers(value: Any, where: Path | str, what: str) -> np.ndarray:
     except OverflowError:  # an integer beyond 1.8e308
         good, array = False, np.zeros(0)
     if not good or not np.isfinite(array).all():
-        raise ValueError(f"{where}: expected finite numbers for {what}, found {brief(value)}")
+        # Of a list the entry that is no number: how many there are tells nobody what to mend.
+        wrong = next((one for one in value if not _is_finite(one)), value) if isinstance(value, list) else value
+        raise ValueError(f"{where}: expected finite numbers for {what}, found {brief(wrong)}")
     return array
+
+
+def _is_finite(value: Any) -> bool:
+    try:
+        return type(value) in (int, float) and math.isfinite(value)
+    except OverflowError:  # an integer beyond 1.8e308
+        return False
 
 
 def brief(value: Any) -> str:

@@ -14,6 +14,7 @@ from splatpainter.captures.colmap import model_folder, read_points
 from splatpainter.captures.nerfstudio import TABLES
 from splatpainter.gatekeeper.photographs import read_photograph, straight_picture
 from splatpainter.image_files import find_camera, picture_header
+from splatpainter.io.folders import inside
 from splatpainter.io.positions import NO_OFFSET, Offset, float32_step
 from splatpainter.pictures.edit_files import has_aspect
 from splatpainter.pictures.picture_reader import Picture, read_picture
@@ -170,7 +171,7 @@ def first_gaussians(
     Raises ValueError: no such point."""
     from splatpainter.fit.start import from_points
 
-    uses_table = any((folder / name).is_file() for name in TABLES)
+    uses_table = any(inside(folder, name).is_file() for name in TABLES)
     model = None if uses_table else model_folder(folder)
     if model is not None:
         points, colors = read_points(model)

@@ -15,7 +15,7 @@ import numpy as np
 from splatpainter.cameras import AUTO_UP, FRAME_MARGIN, UPS, Camera, bounding_sphere, spherical_cameras
 from splatpainter.commands.parts.fit_photographs import BACKGROUNDS, first_gaussians, near_zero, posed_pictures
 from splatpainter.io import files, read
-from splatpainter.io.folders import iterations
+from splatpainter.io.folders import inside, trained_file
 from splatpainter.io.formats.sog_container import META
 from splatpainter.io.positions import NO_OFFSET, Offset
 from splatpainter.splats import Splats
@@ -64,7 +64,7 @@ def fit_pictures(source: Path, settings: FitPictureSettings) -> FitPictures:
     """Everything that a fit needs. Raises ValueError, in one line: nothing there, or nothing that can be used."""
     if not source.exists():
         raise ValueError(f"{source}: no such file or folder; expected a mesh, a splat file or a folder of pictures")
-    if source.is_dir() and not (source / META).is_file() and not iterations(source):
+    if source.is_dir() and not inside(source, META).is_file() and trained_file(source) is None:
         return _from_pictures(source, settings)
     return _from_mesh(source, settings) if is_mesh(source) else _from_asset(source, settings)
 

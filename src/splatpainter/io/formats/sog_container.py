@@ -19,6 +19,7 @@ from typing import Any
 
 from splatpainter.io import files
 from splatpainter.io.bounded import allow, inflate, zip_directory
+from splatpainter.io.folders import inside
 from splatpainter.system import jsonio
 from splatpainter.system.jsonio import brief
 from splatpainter.system.quick_dataclass import dataclass
@@ -122,7 +123,7 @@ def declared_rows(path: Path) -> int:
 
 def _load_folder(path: Path) -> tuple[Container, dict[str, Any]]:
     folder = path if os.path.isdir(path) else path.parent
-    contents = {META: files.read_all(folder / META)}
+    contents = {META: files.read_all(inside(folder, META))}
     meta = _parse_meta(contents[META], folder)
     for name in named_files(meta, folder):
         contents[name] = files.read_all(folder / name)

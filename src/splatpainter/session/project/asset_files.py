@@ -121,7 +121,7 @@ def describe(splats: Splats, path: Path | None, embed: bool) -> dict[str, str]:
         return {**facts, "name": "asset", "format": NO_FILE, "path": ""}
     if stored_axes(splats) != "auto":
         facts["frame"] = stored_axes(splats)
-    name = META if path.is_dir() else path.name
+    name = META if path.is_dir() or path.name.lower() == META else path.name
     return {**facts, "name": name, "format": splats.source.format, "path": "" if embed else str(path.absolute())}
 
 
@@ -141,10 +141,11 @@ def pieces(splats: Splats, path: Path | None) -> Iterator[tuple[str, bytes]]:
         yield from ((NO_FILE, part) for part in encode(everything))
         return
     for file in _members(path):
+        name = META if file.name.lower() == META else file.name  # as the format calls it
         with files.reading(file) as source:
-            yield file.name, b""  # an empty file is a file too
+            yield name, b""  # an empty file is a file too
             while piece := source.read(PART_BYTES):
-                yield file.name, piece
+                yield name, piece
 
 
 def restore(project: Project, rule: OriginalRule) -> Splats:
