@@ -54,7 +54,7 @@ def test_a_light_is_a_layer_whose_gestures_are_steps(opened: tuple[studio_scenes
     page.wait("an idle panel", lambda: page.tab.locator(".layer .spinner").count() == 0)
     assert len(page.state()["history"]) == count + 2, "adding it and dragging it are two steps"
 
-    slider = page.tab.get_by_role("textbox", name="New look, number")
+    slider = page.tab.get_by_role("textbox", name="New light, number")
     slider.fill("50")
     slider.press("Enter")
     page.wait("half of it", lambda: page.state()["layers"][0]["opacity"] == 0.5)

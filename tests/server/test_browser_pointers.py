@@ -237,6 +237,32 @@ def test_a_pen_presses_from_nothing_is_taken_back_and_ends_where_it_was_seen(bro
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("palm", ["before", "within"])
+def test_the_palm_of_the_hand_that_draws_ends_no_stroke(palm: str, opened: tuple[studio_scenes.Live, Page]) -> None:
+    """It dropped the stroke and turned the view."""
+    _, page = opened
+    page.tab.keyboard.press("b")
+    page.pointer("down", 30, "pen", 0.42, 0.4)  # a pen was seen: fingers turn the view
+    page.pointer("up", 30, "pen", 0.42, 0.4, 0.0)
+    page.wait("a dab", lambda: page.names() == ["Paint"])
+    page.settled()
+    eye = page.camera()["world_to_camera"]
+    if palm == "before":
+        page.pointer("down", 32, "touch", 0.6, 0.7)
+    page.pointer("down", 31, "pen", 0.44, 0.55)
+    page.pointer("move", 31, "pen", 0.47, 0.55)
+    if palm == "within":
+        page.pointer("down", 32, "touch", 0.6, 0.7)
+    page.pointer("move", 32, "touch", 0.65, 0.75)
+    page.pointer("move", 31, "pen", 0.52, 0.55)
+    page.pointer("up", 31, "pen", 0.52, 0.55, 0.0)
+    page.pointer("up", 32, "touch", 0.65, 0.75)
+    page.wait("the stroke", lambda: page.state()["layers"][0]["strokes"] == 2)
+    page.settled()
+    assert page.camera()["world_to_camera"] == eye
+
+
+@pytest.mark.slow
 def test_a_pen_without_pressure_paints(browser: Any, tmp_path: Path) -> None:
     with opened_page(browser, tmp_path, still=True, resolution="1") as (live, page):
         page.tab.keyboard.press("b")

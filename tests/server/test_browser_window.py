@@ -10,6 +10,8 @@ from typing import Any
 import pytest
 
 from splatpainter.io import write
+from splatpainter.server.studio import Studio, StudioOptions
+from splatpainter.session import Session
 from tests.support import studio_scenes
 from tests.support.studio_pages import Page, opened_page
 
@@ -77,6 +79,44 @@ def test_a_tablet_held_upright(browser: Any, tmp_path: Path) -> None:
         page.wait("the panels", lambda: page.ask(BOX, "#stage")[3] == before[3])
         page.wait("the view as it was", lambda: page.camera()["height"] == camera["height"])
         assert eye(page.camera()) == pytest.approx(eye(camera), rel=1e-9)
+
+
+IN_SIGHT = """(name) => {
+  const one = document.querySelector(name);
+  const { x, y, right, width, height } = one.getBoundingClientRect();
+  return x >= 0 && right <= innerWidth && one.contains(document.elementFromPoint(x + width / 2, y + height / 2));
+}"""
+"""Whether all of it is in the window, and nothing lies over it."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("width", "height"), [(390, 844), (600, 900), (900, 520)])
+def test_nothing_lies_over_the_state_in_narrow_windows(browser: Any, tmp_path: Path, width: int, height: int) -> None:
+    with screen(browser, tmp_path, width, height, "0.25", has_touch=True, is_mobile=True) as page:
+        page.settled()
+        for name in (".connection", ".header > .button:last-child", ".view-settings .more .button"):
+            assert page.ask(IN_SIGHT, name), name
+        for bar in (".view-settings", ".options"):
+            page.tab.locator(f"{bar} .more .button").click()
+            _, top, _, room = page.ask(BOX, "#stage")
+            _, bar_top, _, bar_height = page.ask(BOX, f"{bar} .options-row")
+            assert bar_top + bar_height <= top and room > 100
+            page.tab.locator(f"{bar} .more .button").click()
+
+
+@pytest.mark.slow
+def test_that_a_project_is_read_only_is_in_sight(browser: Any, tmp_path: Path) -> None:
+    """It was cut off by the project's name, and nowhere on a tablet held upright."""
+    studio_scenes.make_studio(tmp_path).session.close()
+    studio = Studio(
+        Session.load(tmp_path / "own.splatproj", readonly=True), "ball", StudioOptions(None, tmp_path / "projects")
+    )
+    with studio_scenes.live(studio) as live:
+        page = Page(browser, live.url)
+        for width, height in ((900, 520), (768, 1024), (390, 844)):
+            page.tab.set_viewport_size({"width": width, "height": height})
+            page.wait(f"it at {width}", lambda: page.ask(IN_SIGHT, ".header .tag"))
+        page.tab.close()
 
 
 def eye(camera: dict[str, Any]) -> float:

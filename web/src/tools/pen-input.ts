@@ -85,6 +85,7 @@ class PenInput {
     const finger = event.pointerType === "touch" && (this.penSeen || gestures.busy || this.drawing !== null);
     const moves = event.button !== 0 || spaceHeld.value || !spec.gesture || finger || state.value === null;
     if (moves) {
+      if (this.drawing && this.drawing.last.pointerType !== "touch" && finger) return; // the palm of the hand that draws
       if (this.drawing && finger) {
         gestures.down(this.drawing.last, "orbit"); // a second finger: it was meant as a pinch
         this.cancel();
@@ -116,7 +117,7 @@ class PenInput {
       choosing.dragged = Math.hypot(event.clientX - first.clientX, event.clientY - first.clientY) > CLICK_PX;
       if (!choosing.dragged) return;
     }
-    if (frozen.value === 0) gestures.move(event);
+    if (this.cameraFree) gestures.move(event);
     else gestures.rest(event);
   }
 

@@ -102,12 +102,12 @@ export function Header() {
       />
       <span class="title" title={now ? [...now.asset.doubts, ...now.asset.problems].join("\n") : undefined}>
         {now ? (now.project.file ?? now.asset.name) : ""}
-        {readOnly.value && (
-          <em class="tag" title={now?.project.read_only_reason}>
-            read only
-          </em>
-        )}
       </span>
+      {readOnly.value && (
+        <em class="tag" title={now?.project.read_only_reason}>
+          read only
+        </em>
+      )}
       <CommandButton
         icon="undo"
         command="edit.undo"

@@ -216,7 +216,7 @@ export function LightPanel(props: Props) {
         onInput={(exposure) => set({ exposure })}
       />
       <Percent
-        label="New look"
+        label="New light"
         value={lights.mix}
         min={MIN_MIX}
         reset={1}
@@ -225,7 +225,7 @@ export function LightPanel(props: Props) {
       />
       {!lights.add && (
         <Percent
-          label="Fill"
+          label="Fill light"
           value={lights.fill ?? (lights.sky === "" ? LAMP_FILL : 0)}
           reset={lights.sky === "" ? LAMP_FILL : 0}
           disabled={disabled}
