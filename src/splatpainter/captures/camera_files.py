@@ -114,8 +114,8 @@ def _chosen(views: list[CapturedView], selector: str, capture: Path) -> int:
 def _other_models(capture: Path) -> str:
     """That COLMAP made several models of the photographs, of which the one that was looked at is the first."""
     model = colmap.model_folder(capture) if os.path.isdir(capture) else None
-    others = [] if model is None else [f"{one.parent.name}/{one.name}" for one in colmap.other_models(model)]
-    return f"; COLMAP's {', '.join(others)} may have it: name that folder" if others else ""
+    models = [] if model is None else [f"{one.parent.name}/{one.name}" for one in colmap.other_models(model)]
+    return f"; COLMAP's {', '.join(models)} may have it: name that folder" if models else ""
 
 
 def _names(views: list[CapturedView]) -> str:

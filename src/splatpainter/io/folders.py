@@ -52,10 +52,10 @@ def iterations(folder: Path) -> dict[int, Path]:
         try:
             holder = inside(folder, inner) if os.path.isdir(inside(folder, inner)) else folder
             numbered = [(re.fullmatch(name, path.name, re.IGNORECASE), path) for path in holder.iterdir()]
-            found = [(int(match[1]), inside(path, below) if below else path) for match, path in numbered if match]
+            candidates = [(int(match[1]), inside(path, below) if below else path) for match, path in numbered if match]
         except OSError:
             return {}
-        files = sorted((number, file) for number, file in found if os.path.isfile(file))
+        files = sorted((number, file) for number, file in candidates if os.path.isfile(file))
         if files:
             return dict(files)
     return {}
