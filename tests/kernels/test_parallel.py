@@ -60,8 +60,9 @@ def test_callers_beside_one_another_and_within_one_another_do_not_wait_for_ever(
     assert each(lambda k: k * k, range(10)) == [k * k for k in range(10)]
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="no fork there")
 def test_a_forked_child_has_helpers_of_its_own():
+    if sys.platform == "win32":
+        pytest.skip("no fork there")
     run(lambda thread, threads: None)
     child = os.fork()
     if not child:
