@@ -268,7 +268,7 @@ def test_cases_are_the_easiest_the_middle_and_the_hardest(tmp_path):
         write(tmp_path, records), records, MethodNames.of(METHODS, {"ttt", "3dgs"}), FakeTable()
     )
     labels = [[tile.label for tile in row.tiles] for row in rows]
-    assert labels == [["Input edit", "Asset before", "Ours (TTT)", "3DGS", "Truth"]] * 3
+    assert labels == [["Input", "Asset before", "Ours (TTT)", "3DGS", "Truth"]] * 3
     assert [tile.figure for tile in rows[0].tiles] == [None, None, 9, 10, None]
 
 

@@ -251,5 +251,5 @@ METHODS = (
     _method("lrm", "GS-LRM, all views", LRM, reconstruction(LRM, stage_one=False), "refine"),
     _method("stage-1", "Ours (Stage I)", COPY, reconstruction(COPY, stage_one=True), "refine"),
     *(_compressing(name) for name in GROUPINGS),
-    _method("stage1-before", "Before compression (GS-LRM)", BEFORE, unedited(BEFORE, compress=False), "compress"),
+    _method("stage1-before", "GS-LRM, uncompressed", BEFORE, unedited(BEFORE, compress=False), "compress"),
 )

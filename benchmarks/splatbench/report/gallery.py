@@ -210,7 +210,7 @@ def _label(tile: Tile, digits: int) -> str:
 def _tiles(folder: Path, case: str, answers: dict[str, Record], names: MethodNames, column: Column) -> list[Tile]:
     """Tiles of the pictures that exist."""
     inputs = _inside(folder / "cases", case)
-    tiles = [Tile("Input edit", inputs / "input.png", is_input=True)]
+    tiles = [Tile("Input", inputs / "input.png", is_input=True)]
     if "nothing" not in answers:  # whose answer it is
         tiles.append(Tile("Asset before", inputs / "before.png", answer=True))
     for name in names.order:
