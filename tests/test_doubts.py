@@ -324,6 +324,10 @@ def test_binary_numbers_sent_as_text_are_named(tmp_path: Path) -> None:
     for rest in (b"", b"\r\n", b"more\n"):
         (tmp_path / "windows.ply").write_bytes(original[:end].replace(b"\n", b"\r\n") + original[end:] + rest)
         assert lines(tmp_path / "windows.ply") == ""
+    # Numbers without a line feed, and one more line behind: two bytes too many for one carriage return.
+    numbers = original[end:].replace(b"\n", b"\v")
+    (tmp_path / "windows.ply").write_bytes(original[:end].replace(b"\n", b"\r\n") + numbers + b"\r\n")
+    assert "sent or stored as text" not in lines(tmp_path / "windows.ply")
 
 
 def test_a_ply_packed_by_gzip_says_so(tmp_path: Path) -> None:
