@@ -107,16 +107,16 @@ def test_colors_are_packed_by_the_formula() -> None:
 
 def test_colours_between_two_halves_become_the_even_one() -> None:
     """Steps of 2^-12 over 0.5 to 1, where halves are 2^-11 apart: every second one lies in the middle."""
-    wanted = 0.5 + np.arange(2049) / 4096
-    sh = ((wanted - 0.5) / SH_C0).astype(np.float32)
+    targets = 0.5 + np.arange(2049) / 4096
+    sh = ((targets - 0.5) / SH_C0).astype(np.float32)
     # The coefficient nearest to each that gives just this colour, of those around its quotient.
     near = np.stack([np.nextafter(sh, np.float32(k)) if k else sh for k in (-1, 0, 9)])
     colors = (0.5 + SH_C0 * near.astype(np.float64)).astype(np.float32)
-    found = near[(colors == wanted.astype(np.float32)).argmax(0), np.arange(len(sh))]
-    exact = (0.5 + SH_C0 * found.astype(np.float64)).astype(np.float32)
-    middle = (exact == wanted) & (np.arange(2049) % 2 == 1)
+    coefficients = near[(colors == targets.astype(np.float32)).argmax(0), np.arange(len(sh))]
+    exact = (0.5 + SH_C0 * coefficients.astype(np.float64)).astype(np.float32)
+    middle = (exact == targets) & (np.arange(2049) % 2 == 1)
     assert middle.sum() > 200
-    packed = frames.pack_base(np.repeat(found, 3).reshape(-1, 1, 3))
+    packed = frames.pack_base(np.repeat(coefficients, 3).reshape(-1, 1, 3))
     assert np.array_equal(packed, np.repeat(exact.astype(np.float16), 3).reshape(-1, 3))
 
 
