@@ -94,6 +94,30 @@ def test_a_hollow_ball_goes_with_its_inner_side() -> None:
     assert body is not None and body[len(floor) + len(outer) :].all()
 
 
+def moved(splats: Splats, by: tuple[float, float, float]) -> Splats:
+    return replace(splats, means=splats.means + np.array(by, np.float32))
+
+
+def test_what_only_the_shell_of_a_body_holds_goes_with_it() -> None:
+    """A ball in a ball of another colour, half as many Gaussians: it touches the shell above, not the ground."""
+    floor, outer = ground((0.3, 0.5, 0.3)), sphere(0.5, (0.8, 0.2, 0.2))
+    splats = floor.append(outer).append(moved(sphere(0.36, (0.2, 0.2, 0.8)), (0, 0.19, 0)))
+    is_outer = np.arange(len(splats)) < len(floor) + len(outer)
+    body = body_of(splats, seen_from_front(splats, 0.0) & is_outer)
+    assert body is not None and body[len(floor) :].all() and not body[: len(floor)].any()
+
+
+def test_the_far_part_of_a_captured_thing_goes_too_though_its_own_noise_holds_up_the_walk() -> None:
+    """Two balls that grew together, of which the front of one is selected."""
+    floor, near = ground((0.35, 0.2, 0.1)), sphere(0.5, (0.7, 0.7, 0.7))
+    splats = noisy(floor.append(near).append(moved(near, (0, 0, -0.75))))
+    row = np.arange(len(splats))
+    selected = seen_from_front(splats, 0.0) & (splats.means[:, 2] > 0.05) & (row < len(floor) + len(near))
+    body = body_of(splats, selected)
+    assert body is not None
+    assert body[len(floor) :].mean() > 0.99 and body[: len(floor)].mean() < 0.01
+
+
 def test_a_spot_and_a_painted_figure_are_no_bodies() -> None:
     floor = ground((0.5, 0.35, 0.2))
     x, _, z = floor.means.T
@@ -126,8 +150,19 @@ def test_a_pedestal_stays_though_its_crumbs_hang_by_less_than_the_statue() -> No
     rows = [(a, b, 5.0) for first in (0, 10) for a in range(first, first + 10) for b in range(a + 1, first + 10)]
     one, two, links = (np.array(part) for part in zip(*rows, (9, 10, 1.0), (19, 20, 0.01), strict=True))
     chances = np.repeat([0.9, 0.6, 0.45], [10, 10, 1])
-    is_body = _swept(one.astype(int), two.astype(int), links, chances, 0.9)
+    is_body = _swept(one.astype(int), two.astype(int), links, chances, 0.9 * np.linspace(0.4, 0.8, 60))
     assert np.array_equal(is_body, np.arange(21) < 10)
     alone = one < 9  # the statue alone goes whole, crumbs or not
-    result = _swept(one[alone].astype(int), two[alone].astype(int), links[alone], chances, 0.9)
+    result = _swept(one[alone].astype(int), two[alone].astype(int), links[alone], chances, 0.9 * np.linspace(0.4, 0.8, 60))
     assert result[:10].all()
+
+
+def test_a_cut_counts_by_the_smaller_of_its_sides() -> None:
+    """A statue of ten pieces, its pedestal of ten, and five below: the cut below the pedestal is hardly longer, and
+    there is twice as much above it."""
+    parts = [(0, 10), (10, 20), (20, 25)]
+    rows = [(a, b, 5.0) for first, last in parts for a in range(first, last) for b in range(a + 1, last)]
+    one, two, links = (np.array(part) for part in zip(*rows, (9, 10, 1.0), (19, 20, 1.5), strict=True))
+    chances = np.repeat([0.9, 0.6, 0.45], [10, 10, 5])
+    is_body = _swept(one.astype(int), two.astype(int), links, chances, 0.9 * np.linspace(0.4, 0.8, 60))
+    assert np.array_equal(is_body, np.arange(25) < 10)

@@ -62,6 +62,12 @@ class BodyThresholds:
     """Chances that are tried as the least of a body."""
     level_shares: tuple[float, float] = (0.4, 0.8)
     """Those chances lie between these shares of the largest one."""
+    level_shares_noisy: tuple[float, float] = (0.1, 0.8)
+    """The same where captured colours and normals are noisy: what is behind a captured statue has less of a chance (0.3
+    of the largest one, its pedestal 0.05), as its own noise cuts links."""
+    box_share: float = 0.9
+    """Share of the Gaussians of a part that touches nothing but the body, within the body's box, from which it goes
+    with it: what a shell holds, and slivers that the walk left hanging in the air."""
     top_quantile: float = 0.9
     """Quantile of the chances of what is selected that counts as the largest one. Specks of a colour of their own have
     larger ones."""
@@ -111,7 +117,8 @@ def body_of(splats: Splats, selected: np.ndarray) -> Bools | None:
     chances = _walked(one, two, links, BODY.end_chance * chosen, ends)
     # The cut: the level of chances at which the fewest links are cut for what lies within.
     most = float(np.quantile(chances[pieces.piece][selected[ids]], BODY.top_quantile))
-    is_body = _swept(one, two, links, np.where(beyond, 0, chances), most)
+    shares = BODY.level_shares_noisy if is_noisy else BODY.level_shares
+    is_body = _swept(one, two, links, np.where(beyond, 0, chances), np.linspace(*shares, BODY.levels) * most)
     is_body = _without_crumbs(one, two, is_body, pieces.counts)
     # Doubts: a cut through a surface, or along a painted figure, is no body's border.
     crossing = is_body[one] != is_body[two]
@@ -245,17 +252,17 @@ def _walked(one: np.ndarray, two: np.ndarray, links: np.ndarray, source: np.ndar
     return p
 
 
-def _swept(one: np.ndarray, two: np.ndarray, links: np.ndarray, chances: np.ndarray, most: float) -> Bools:
-    """[P] bool: pieces with the largest chances, as many as give the least cut for what is within (as Andersen, Chung,
-    Lang, "Local graph partitioning using PageRank vectors", 2006); where more than crumbs can be left, they are."""
-    levels = np.linspace(*BODY.level_shares, BODY.levels) * most
+def _swept(one: np.ndarray, two: np.ndarray, links: np.ndarray, chances: np.ndarray, levels: np.ndarray) -> Bools:
+    """[P] bool: pieces with chances above that of some levels (ascending) which gives the least cut for what is within,
+    or for what is left where that is less (as Andersen, Chung, Lang, "Local graph partitioning using PageRank vectors",
+    2006); where more than crumbs can be left, they are."""
     low, high = (np.searchsorted(levels, f(chances[one], chances[two]), "left") for f in (np.minimum, np.maximum))
     # A piece is within at levels below its chance: an edge is cut at those between its ends.
-    begins, ends = (np.bincount(of, links, BODY.levels + 1)[: BODY.levels] for of in (low, high))
+    begins, ends = (np.bincount(of, links, len(levels) + 1)[: len(levels)] for of in (low, high))
     cut = np.cumsum(begins - ends)
     left = np.cumsum(begins + ends)
     within = 2 * links.sum() - left
-    share = cut / np.maximum(within, 1e-30)
+    share = cut / np.maximum(np.minimum(within, left), 1e-30)
     # All but the last crumbs of a capture hang by next to nothing on these, and would be the best body.
     crumbs = left < BODY.max_crumb_share * within
     return chances > levels[int(np.where(crumbs & ~crumbs.all(), np.inf, share).argmin())]
@@ -281,15 +288,16 @@ def _without_crumbs(one: np.ndarray, two: np.ndarray, is_body: np.ndarray, count
 def _enclosed(
     means: np.ndarray, pieces: _Pieces, edges: tuple[np.ndarray, np.ndarray], is_body: np.ndarray, beyond: np.ndarray
 ) -> Bools:
-    """[G] bool: what hangs together with nothing else, within the body's box: the inner side of a hollow one."""
-    # A hollow body's inner side touches nothing outside: it would be left hanging in the air.
-    labels = joined_labels(len(pieces.counts), *edges)
+    """[G] bool: what hangs together with nothing but the body, within its box: the inner side of a hollow one."""
+    # A hollow body's inner side, and what only its shell holds, would be left hanging in the air.
+    one, two = edges
+    apart = ~is_body[one] & ~is_body[two]
+    labels = joined_labels(len(pieces.counts), one[apart], two[apart])
     elsewhere = np.zeros(len(labels), bool)
     elsewhere[labels[is_body | beyond]] = True
-    loose = ~elsewhere[labels][pieces.piece]
     within_body = is_body[pieces.piece]
     low, high = means[within_body].min(0), means[within_body].max(0)
-    outside = ((means < low) | (means > high)).any(1)
-    sticks_out = np.zeros(len(labels), bool)
-    sticks_out[labels[pieces.piece[outside]]] = True
-    return loose & ~sticks_out[labels[pieces.piece]]
+    part = labels[pieces.piece]
+    inside = np.bincount(part, ((means >= low) & (means <= high)).all(1), len(labels))
+    held = ~elsewhere & (inside >= BODY.box_share * np.bincount(part, minlength=len(labels)))
+    return held[part]
