@@ -153,7 +153,9 @@ def test_a_pedestal_stays_though_its_crumbs_hang_by_less_than_the_statue() -> No
     is_body = _swept(one.astype(int), two.astype(int), links, chances, 0.9 * np.linspace(0.4, 0.8, 60))
     assert np.array_equal(is_body, np.arange(21) < 10)
     alone = one < 9  # the statue alone goes whole, crumbs or not
-    result = _swept(one[alone].astype(int), two[alone].astype(int), links[alone], chances, 0.9 * np.linspace(0.4, 0.8, 60))
+    result = _swept(
+        one[alone].astype(int), two[alone].astype(int), links[alone], chances, 0.9 * np.linspace(0.4, 0.8, 60)
+    )
     assert result[:10].all()
 
 

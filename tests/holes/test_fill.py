@@ -9,7 +9,9 @@ import pytest
 
 import splatpainter as sp
 from splatpainter.cameras import look_at
-from splatpainter.holes import chart
+from splatpainter.holes import chart, fill
+from splatpainter.holes.air import in_the_air
+from splatpainter.holes.border import borders_of
 from splatpainter.holes.fill import fill_hole
 from splatpainter.rendering import render
 from splatpainter.sources.picture_source import SourceError
@@ -132,6 +134,28 @@ def test_a_stump_gets_a_lid() -> None:
     lid = filled.appended.means
     assert np.hypot(lid[:, 0], lid[:, 2]).max() < 0.35 and np.abs(lid[:, 1] - 0.8).max() < 0.12
     assert np.hypot(lid[:, 0], lid[:, 2]).min() < 0.05
+
+
+def test_no_fill_stands_where_there_was_air(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A smooth surface over the corner between a wall and a floor would cut it off."""
+    wall, half = plate(), np.float32(0.5**0.5)
+    lying = np.tile(np.array([half, half, 0, 0], np.float32), (len(wall), 1))
+    floor = replace(wall, means=wall.means[:, [0, 2, 1]] + np.array([0, 1, -1], np.float32), quats=lying)
+    splats = wall.append(floor)
+    removed = within(splats, (0, 1, 0), 0.7)
+    emptied = replace(splats, opacities=np.where(removed, np.float32(0), splats.opacities))
+    new = fill_hole(emptied, removed=removed).appended.means
+    assert len(new) > 0.5 * removed.sum()
+    assert np.minimum(np.abs(new[:, 2]), np.abs(new[:, 1] - 1)).max() < 0.125, "two cells and a pixel"
+    # The inside of a thing that stood there, and the ground below it, are no air; what is beside it is.
+    (border,) = borders_of(splats, ~removed, within(splats, (0, 1, 0), 0.8) & ~removed)
+    means = np.array([[0, 0.7, -0.3], [0, 1, -0.3], [0, 0.7, -0.75], [0.6, 0.7, -0.3]], np.float32)
+    thing = ball(2_000, radius=0.3, degree=0)
+    thing = replace(thing, means=thing.means + np.array([0, 0.7, -0.3], np.float32))
+    np.testing.assert_array_equal(in_the_air(splats.append(thing), means, border), [False, False, True, True])
+    assert in_the_air(thing, means[3:], border).all(), "nothing behind it either"
+    monkeypatch.setattr(fill, "in_the_air", lambda splats, points, border: np.ones(len(points), bool))
+    assert fill_hole(emptied, removed=removed).note.endswith("what goes on from there would stand in the air")
 
 
 def test_a_source_colours_the_fill_and_nothing_else() -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from splatpainter.array_types import Bools
 from splatpainter.cameras import Camera
 from splatpainter.color import sh_from_color
+from splatpainter.holes.air import in_the_air
 from splatpainter.holes.border import BORDER, Border, bordering_gaussians, borders_of
 from splatpainter.holes.chart import CHART, Chart, chart_of
 from splatpainter.holes.smooth_surface import ThinPlate, sphere_heights
@@ -116,6 +117,8 @@ def fill_hole(splats: Splats, *, removed: Bools | None = None, around: Bools | N
         remaining, candidates = visible, np.zeros(len(splats), bool) if around is None else around & visible
         if not candidates.any():
             raise ValueError("fill: nothing is selected; circle the hole, with some of the asset around it")
+    # What was removed may be empty by now: it still says where no air was.
+    before = splats if removed is None else replace(splats, opacities=np.where(removed, 1, splats.opacities))
     borders = borders_of(splats, remaining, candidates)
     if not borders and removed is not None and remaining.sum() >= BORDER.min_gaussians:
         return _unfilled(splats, "what was removed touched nothing")
@@ -123,13 +126,17 @@ def fill_hole(splats: Splats, *, removed: Bools | None = None, around: Bools | N
         raise ValueError("fill: expected a border of at least 12 Gaussians around the hole; nothing is left there")
     pieces: list[Splats] = []
     cameras: list[Camera] = []
-    seen, coarse = False, False
+    seen, coarse, all_float = False, False, False
     # Every border has up to two sides, and each side with a hole gets its own Gaussians.
     for border in borders:
         charts = _charts(splats, remaining, removed, border)
         seen |= bool(charts)
         for chart in charts:
             piece = _filled(splats, chart, border)
+            if len(piece) and removed is not None:
+                floating = in_the_air(before, piece.means, border)
+                all_float |= bool(floating.all())
+                piece = piece.take(np.flatnonzero(~floating))
             if len(piece):
                 pieces.append(piece)
                 cameras.append(chart.camera)
@@ -138,6 +145,8 @@ def fill_hole(splats: Splats, *, removed: Bools | None = None, around: Bools | N
         # Nothing was filled: say why, as an error where a hole was named, as a note where something was removed.
         loose = "what surrounds the hole is not a surface that can be continued (fog, or loose Gaussians)"
         closed = "the surface is closed behind it"
+        if removed is not None and all_float:
+            return _unfilled(splats, "what goes on from there would stand in the air")
         if removed is not None:
             return _unfilled(splats, closed if seen else loose)
         raise ValueError(f"fill: there is no hole; {closed}" if seen else f"fill: {loose}")
