@@ -25,7 +25,7 @@ DISTRIBUTIONS = {"splatpainter": 0, "splattrain": 1, "splatbench": 2}
 """Of each package how far up it stands: it imports itself and what is below."""
 ORDER = (
     ("_version", "extras", "system"),
-    ("array_types",),
+    ("array_types", "order_statistics"),
     ("splats", "transforms", "color", "kernels"),
     ("cameras",),
     ("image_files",),

@@ -15,6 +15,7 @@ import numpy as np
 
 from splatpainter.array_types import Floats, FloatsOrTensor
 from splatpainter.kernels import portable
+from splatpainter.order_statistics import median, quantile
 from splatpainter.splats import Splats
 from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import GOLDEN_ANGLE, row_max, row_norm, stacked
@@ -342,13 +343,13 @@ def bounding_sphere(splats: Splats) -> tuple[np.ndarray, float]:
     if not len(means):
         return np.zeros(3), 1.0
     # The median stands where most Gaussians are, wherever floaters pull the mean.
-    distances = row_norm(means - np.median(means, axis=0))
-    reach = np.median(distances)
+    distances = row_norm(means - median(means))
+    reach = median(distances)
     core = means[distances <= 3 * reach] if reach > 0 else means
-    low, high = np.quantile(core, [0.01, 0.99], axis=0)
+    low, high = quantile(core, 0.01), quantile(core, 0.99)
     center = (low + high) / 2
-    radius = float(np.quantile(row_norm(core - center), 0.98))
-    typical = float(np.median(row_max(arrays.scales[drawable])))
+    radius = float(quantile(row_norm(core - center), 0.98))
+    typical = float(median(row_max(arrays.scales[drawable])))
     return center, max(radius, 3 * typical, 1e-6)  # one Gaussian, or all at one point, is still something to look at
 
 

@@ -15,6 +15,7 @@ from splatpainter.cameras import Camera
 from splatpainter.color import base_color
 from splatpainter.io import positions
 from splatpainter.io.formats.ply import PlyFile
+from splatpainter.order_statistics import median, quantile
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import row_max
@@ -199,9 +200,9 @@ def _fits_better_without_exp(few: Splats) -> bool:
     evenly on a sphere of the asset's extent."""
     # Medians, as floaters and background Gaussians are few and extreme.
     points = few.means.astype(np.float64)
-    radius = float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
+    radius = float(median(np.linalg.norm(points - median(points), axis=1)))
     spacing = radius * np.sqrt(4 * np.pi / len(few))
-    size = float(np.median(row_max(few.scales)))
+    size = float(median(row_max(few.scales)))
     if not (spacing > 0 and size > 1):
         return False
     return abs(np.log(size / spacing)) > abs(np.log(np.log(size) / spacing)) + np.log(DOUBTS.min_better_fit)
@@ -342,7 +343,7 @@ def _colors(splats: Splats, few: Splats) -> Doubt | None:
         return None
     # By median and nearly all, so that a few damaged rows raise no doubt about the asset.
     base = np.asarray(base_color(few.sh))
-    middle, most = float(np.median(base)), float(np.quantile(base, DOUBTS.nearly_all))
+    middle, most = float(median(base.ravel())), float(quantile(base.ravel(), DOUBTS.nearly_all))
     if middle > DOUBTS.bright:
         return Doubt(
             f"base colours reach {base.max():.3g} (median {middle:.3g}), where 0 to 1 is expected",

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, cast
 import numpy as np
 
 from splatpainter.array_types import ArrayT, Bools, Floats, Ids
+from splatpainter.order_statistics import median
 from splatpainter.system.old_names import formerly_called
 from splatpainter.system.quick_dataclass import dataclass
 
@@ -147,7 +148,7 @@ class Splats(Generic[ArrayT]):
     def middle(self) -> Floats:
         """[3] float64 the median of the centres of what can be drawn; zeros where nothing can."""
         points = self.numpy().means[self.drawable]
-        return np.median(points, axis=0).astype(np.float64) if len(points) else np.zeros(3)
+        return median(points).astype(np.float64) if len(points) else np.zeros(3)
 
     @cached_property
     def extremes(self) -> tuple[Floats, Floats, float]:

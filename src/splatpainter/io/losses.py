@@ -20,6 +20,7 @@ from splatpainter.io.size_estimate import sample
 from splatpainter.kernels.arrays import readonly
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import each, run, threads
+from splatpainter.order_statistics import quantile
 from splatpainter.splats import ATTRIBUTES, SH_C0, Splats
 from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import row_max
@@ -214,7 +215,7 @@ def measure(before: Splats, after: Splats) -> Losses:
 def _moved(moves: np.ndarray) -> dict[str, Any]:
     return {
         "move_largest": float(moves.max()),
-        "move_usual": float(np.quantile(moves, 0.99)),
+        "move_usual": float(quantile(moves, 0.99)),
         "moved_share": float((moves > 1).mean()),
     }
 
@@ -337,8 +338,9 @@ def spread_sample(splats: Splats, count: int = LOSSES.sample_rows) -> Splats:
         return arrays.take(rows)
     means = arrays.means[rows]
     ends = np.concatenate([means.argmin(0), means.argmax(0)])
-    evenly = np.linspace(0, len(rows) - 1, count).astype(np.int64)
-    return arrays.take(rows[np.unique(np.concatenate([evenly, ends]))])
+    taken = np.zeros(len(rows), bool)
+    taken[np.linspace(0, len(rows) - 1, count).astype(np.int64)] = taken[ends] = True
+    return arrays.take(rows[taken])
 
 
 def better_format(splats: Splats, key: str, losses: Losses) -> str:

@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from splatpainter.array_types import Floats
+from splatpainter.order_statistics import median
 from splatpainter.splats import MAX_MAGNITUDE, Splats
 from splatpainter.transforms import row_max
 
@@ -37,7 +38,7 @@ def steps_in_sizes(means: np.ndarray, scales: np.ndarray) -> float:
         usable = (reach <= MAX_MAGNITUDE) & (sizes > 0) & (sizes <= MAX_MAGNITUDE)
     if not usable.any():
         return 0.0
-    return float(np.median(float32_step(means[usable]) / sizes[usable]))
+    return float(median(float32_step(means[usable]) / sizes[usable]))
 
 
 def is_coarse(means: np.ndarray, scales: np.ndarray) -> bool:
@@ -53,8 +54,8 @@ def offset_of(means: np.ndarray, scales: np.ndarray) -> Offset:
         return NO_OFFSET
     with np.errstate(all="ignore"):
         finite = means[(np.abs(means) <= MAX_MAGNITUDE).all(1)].astype(np.float64)
-    center = np.median(finite, axis=0)
-    reach = 2 * float(np.median(np.abs(finite - center), axis=0).max())
+    center = median(finite)
+    reach = 2 * float(median(np.abs(finite - center)).max())
     quantum = 2.0 ** math.ceil(math.log2(reach)) if reach > 0 else 2.0**-20
     x, y, z = (np.rint(center / quantum) * quantum).tolist()
     return x + 0.0, y + 0.0, z + 0.0

@@ -62,7 +62,7 @@ def parse(kind: type, program: str, words: Sequence[str]) -> Any:
 def _described(kind: type, with_texts: bool) -> type:
     """The class as tyro is to see it: what `operations.operation.parameter` says of a field becomes an annotation.
     with_texts: docstrings of options, too, lose their line breaks, which tyro keeps beside its own; reading them takes
-    time that only people who ask for help have."""
+    time that only people who ask for help have, and so does the text of the class, which tyro would parse each time."""
     hints = get_type_hints(kind, include_extras=True)
     texts = option_texts(kind) if with_texts else {}
     annotations: dict[str, Any] = {}
@@ -80,12 +80,12 @@ def _described(kind: type, with_texts: bool) -> type:
         hint = Positional[hint] if says.get("positional") else hint
         if values or says.get("positional"):
             annotations[field.name] = Annotated[hint, arg(**values)]
-    if not annotations:
+    if with_texts and not annotations:
         return kind
     # What classes share (their keyword-only fields) comes after what is peculiar to each.
     order = {field.name: field for field in sorted(dataclasses.fields(kind), key=lambda field: bool(field.kw_only))}
-    members = {"__annotations__": annotations, "__doc__": kind.__doc__, "__module__": kind.__module__}
-    members["__dataclass_fields__"] = order
+    members = {"__annotations__": annotations, "__module__": kind.__module__, "__dataclass_fields__": order}
+    members["__doc__"] = kind.__doc__ if with_texts else None
     return type(kind.__name__, (kind,), members)
 
 

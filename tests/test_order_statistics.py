@@ -1,0 +1,54 @@
+"""Medians and quantiles against numpy's own, bit for bit."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from splatpainter.order_statistics import median, quantile
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 7, 100, 1001])
+@pytest.mark.parametrize("shape", [(), (3,)])
+def test_they_are_the_bits_of_numpy(dtype: type, count: int, shape: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(count)
+    for values in (rng.normal(size=(count, *shape)).astype(dtype), rng.integers(0, 3, (count, *shape)).astype(dtype)):
+        expected = np.median(values, axis=0)
+        assert median(values).dtype == expected.dtype and np.array_equal(median(values), expected)
+        for share in (0, 0.01, 0.25, 0.5, 0.75, 0.98, 0.99, 1):
+            expected = np.quantile(values, share, axis=0)
+            result = quantile(values, share)
+            assert result.dtype == expected.dtype and np.array_equal(result, expected), share
+
+
+def test_one_nan_makes_its_column_nan() -> None:
+    values = np.arange(15.0).reshape(5, 3)
+    values[1, 2] = np.nan
+    for result, expected in (
+        (median(values), np.median(values, axis=0)),
+        (quantile(values, 0.3), np.quantile(values, 0.3, axis=0)),
+    ):
+        assert np.array_equal(result, expected, equal_nan=True) and np.isnan(result).tolist() == [False, False, True]
+
+
+def test_infinities_are_numbers() -> None:
+    values = np.array([-np.inf, 1.0, 2.0, np.inf])
+    assert median(values) == 1.5 and quantile(values, 0.5) == 1.5
+
+
+def test_short_commands_do_without_masked_arrays(tmp_path) -> None:
+    program = (
+        "import sys\n"
+        "from splatpainter.cli import main\n"
+        "from splatpainter.demo_asset import demo_asset\n"
+        "from splatpainter.io import write\n"
+        "write('asset.ply', demo_asset())\n"
+        "codes = [main(['info', 'asset.ply']), main(['convert', 'asset.ply', 'copy.ply'])]\n"
+        "print(codes, 'numpy.ma' in sys.modules, file=sys.stderr)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, encoding="utf-8")
+    assert done.stderr.splitlines()[-1] == "[0, 0] False"
