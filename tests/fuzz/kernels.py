@@ -428,7 +428,7 @@ def files(rng: np.random.Generator, dtype: type) -> None:
     import tempfile
 
     from splatpainter.io import read, write
-    from splatpainter.io.losses import measure
+    from splatpainter.io.losses import measure, moved_share_sorted
     from splatpainter.kernels.row_bits import differing
     from splatpainter.kernels.rows import take
 
@@ -438,6 +438,7 @@ def files(rng: np.random.Generator, dtype: type) -> None:
         write(path, splats)
         again = read(path)
         measure(splats, again)
+        moved_share_sorted(splats)
         write(path, again.take(rng.integers(0, len(again), 50)), overwrite=True)
     ids = np.sort(rng.integers(0, len(splats), 9))
     take(splats, ids)

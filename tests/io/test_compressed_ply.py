@@ -350,7 +350,9 @@ def test_chunks_are_packed_alike_alone_and_together(
     threads: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("SPLATPAINTER_THREADS", threads)
-    splats, written = random_splats(1000, 2), []
+    io.write(tmp_path / "source.compressed.ply", random_splats(1000, 2))
+    splats, written = io.read(tmp_path / "source.compressed.ply"), []
+    splats = replace(splats, means=splats.means + np.linspace(0, 1, 1000, dtype=np.float32)[:, None])
     splats.means[300] = np.nan  # is packed as the mean of all others
     for rows in (256, 1024):
         monkeypatch.setattr(compressed_ply, "PACKED_ROWS", rows)

@@ -11,7 +11,15 @@ import numpy as np
 import pytest
 
 from splatpainter import io
-from splatpainter.io.losses import Losses, better_format, loss_of_edits, measure, measured_as
+from splatpainter.io.formats.packing import morton_order
+from splatpainter.io.losses import (
+    Losses,
+    better_format,
+    loss_of_edits,
+    measure,
+    measured_as,
+    moved_share_sorted,
+)
 from splatpainter.session import Session
 from splatpainter.splats import SH_C0, Splats
 from tests.support.cli_scenes import Capture, ball, run, saved
@@ -235,6 +243,19 @@ def test_a_dropped_sh_degree_is_an_error_of_sh() -> None:
     losses = measure(before, replace(before, sh=before.sh[:, :1]))
     truth = np.sqrt((before.sh[:, 1:].astype(float) ** 2).sum(1) / (4 * np.pi)).max(1)
     assert losses.sh_largest == pytest.approx(truth.max(), rel=1e-5)
+
+
+def test_the_share_that_moves_once_sorted_is_that_of_a_file() -> None:
+    sky = scattered_sky()
+    sky = replace(sky, scales=sky.scales / 20)
+    share = moved_share_sorted(sky)
+    assert 0.05 < share < 1
+    assert share == measured_as(sky.take(morton_order(sky.means)), "compressed.ply")[0].moved_share
+    lost = sky.opacities.copy()
+    lost[::2] = 0
+    hidden = replace(sky, opacities=lost)
+    in_order = hidden.take(morton_order(hidden.means))
+    assert moved_share_sorted(hidden) == measured_as(in_order, "compressed.ply")[0].moved_share
 
 
 def test_convert_says_the_worst_first_and_what_would_be_better(tmp_path: Path, capfd: Capture) -> None:

@@ -18,7 +18,7 @@ from splatpainter.commands.parts.terminal import count, size, stages
 from splatpainter.io import axes_are_news, axes_line, files, read, write, written_axes
 from splatpainter.io.axes import AXES
 from splatpainter.io.formats.packing import morton_order
-from splatpainter.io.losses import MIN_DRAWN_OPACITY, Losses, loss_line, measure, measured_as
+from splatpainter.io.losses import MIN_DRAWN_OPACITY, Losses, loss_line, measure, moved_share_sorted
 from splatpainter.io.ply_columns import add_columns
 from splatpainter.io.write_options import WriteOptions
 from splatpainter.output_paths import check_target, placed, splat_format
@@ -239,10 +239,10 @@ def losses(before: Splats, after: Splats, measured: Losses, in_other_order: bool
     lines = [loss_line(before, key, measured)] if measured.line else []
     # Positions are coded in blocks of neighbours there, so the order of rows decides how fine they are.
     if key == "compressed.ply" and measured.severity >= 1 and measured.moved_share and not in_other_order:
-        in_order, _ = measured_as(before.take(morton_order(before.means)), key)
+        in_order = moved_share_sorted(before)
         # Only where sorting would help much is it worth a word.
-        if in_order.moved_share * 2 < measured.moved_share:
-            lines[0] += f" (with --sort {100 * in_order.moved_share:.2g} % move by more than one size)"
+        if in_order * 2 < measured.moved_share:
+            lines[0] += f" (with --sort {100 * in_order:.2g} % move by more than one size)"
     # From here on what was lost is a matter of fact and needs no measure.
     if in_other_order:
         lines.append("the order of the rows")

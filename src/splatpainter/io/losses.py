@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from splatpainter.io import FORMATS, read, write
+from splatpainter.io.formats.packing import morton_order
 from splatpainter.io.formats.ply import stored_positions
 from splatpainter.io.size_estimate import sample
 from splatpainter.kernels.arrays import readonly
@@ -23,7 +24,7 @@ from splatpainter.kernels.parallel import each, run, threads
 from splatpainter.order_statistics import quantile
 from splatpainter.splats import ATTRIBUTES, SH_C0, Splats
 from splatpainter.system.quick_dataclass import dataclass
-from splatpainter.transforms import row_max
+from splatpainter.transforms import row_max, row_norm
 
 MIN_DRAWN_OPACITY = 1 / 255
 """Opacity of Gaussians that are drawn; what fainter ones lose cannot be seen."""
@@ -327,6 +328,20 @@ def measured_as(splats: Splats, key: str) -> tuple[Losses, int]:
         path = Path(folder) / f"asset{FORMATS[key].suffixes[0]}"
         write(path, rows)
         return measure(rows, read(path, offset=rows.offset)), path.stat().st_size
+
+
+def moved_share_sorted(splats: Splats) -> float:
+    """`Losses.moved_share` of these Gaussians in a new compressed PLY, put into Morton order: of their positions alone,
+    whose words no other attribute has a part in."""
+    from splatpainter.io.formats.compressed_ply import rounded_means  # of that format alone
+
+    rows = replace(splats.numpy().relative_to((0.0, 0.0, 0.0)), source=None, origin=None)
+    rows = rows.take(morton_order(splats.numpy().means))
+    counted = rows.drawable & (rows.opacities >= MIN_DRAWN_OPACITY)
+    with np.errstate(all="ignore"):  # of rows that are not counted
+        apart = rounded_means(rows).astype(np.float64) - rows.means
+        beyond = row_norm(apart) > row_max(rows.scales)
+    return float(beyond[counted].mean()) if counted.any() else 0.0
 
 
 def spread_sample(splats: Splats, count: int = LOSSES.sample_rows) -> Splats:

@@ -25,15 +25,17 @@ from splatpainter.io.formats import activations, packing
 from splatpainter.io.formats.ply import DEGREES, comment_settings, settled_comments
 from splatpainter.io.formats.ply_header import Element, Header, element_size, make_header, read_header
 from splatpainter.io.formats.reuse import differs, drawable_rows, row_problems, unchanged
-from splatpainter.kernels.parallel import each
-from splatpainter.splats import ATTRIBUTES, Source, Splats
+from splatpainter.kernels.arrays import readonly
+from splatpainter.kernels.library import kernels
+from splatpainter.kernels.parallel import each, run
+from splatpainter.splats import ATTRIBUTES, SH_C0, Source, Splats
 from splatpainter.system.quick_dataclass import dataclass
 
 GAUSSIANS_PER_CHUNK = 256
 PACKED_ROWS = 64 * GAUSSIANS_PER_CHUNK
 """Rows that one thread packs at a time."""
-SH_BLOCK_ROWS = 1 << 12
-"""Rows whose SH is packed or unpacked at a time, so that it stays in the cache."""
+UNPACKED_ROWS = 64 * GAUSSIANS_PER_CHUNK
+"""Rows that one thread unpacks at a time."""
 AXES = ("x", "y", "z"), ("scale_x", "scale_y", "scale_z"), ("r", "g", "b")
 WORDS = ("packed_position", "packed_scale", "packed_color")
 BITS = (11, 10, 11), (11, 10, 11), (8, 8, 8, 8)
@@ -171,33 +173,28 @@ def _decode(header: Header, tables: Mapping[str, np.ndarray]) -> Splats:
         antialiased=antialiased,
         color_space=space,
     )
-    # Words are fractions of the range of their chunk.
-    ranges = [_ranges(tables["chunk"], axes) for axes in AXES]
-    step = 256 * GAUSSIANS_PER_CHUNK  # rows decoded at a time, to bound the float64 intermediates
-    for start in range(0, count, step):
-        rows = slice(start, start + step)
-        chunk = np.arange(start, min(start + step, count)) // GAUSSIANS_PER_CHUNK
-        fields = [_fields(vertex[rows], group) for group in range(3)]
-        real = [
-            packing.dequantise(fields[group][:, :3], low[chunk], high[chunk], _levels(group))
-            for group, (low, high) in enumerate(ranges)
-        ]
-        with np.errstate(over="ignore", invalid="ignore"):
-            out.means[rows] = real[0]
-            out.scales[rows] = np.exp(real[1])
-        out.sh[rows, 0] = activations.color_to_dc(real[2])
-        out.opacities[rows] = fields[2][:, 3] / 255
-        out.quats[rows] = packing.unpack_quats(vertex["packed_rotation"][rows].astype(np.uint32))
+    # Words are fractions of the range of their chunk. Blocks of whole chunks, to bound what the exponentials take.
+    chunks, order = _range_table(tables["chunk"]), (WORDS[0], "packed_rotation", *WORDS[1:])
+
+    def unpack(start: int) -> None:
+        rows = slice(start, start + UNPACKED_ROWS)
+        words = np.stack([vertex[word][rows] for word in order], 1).astype(np.uint32, copy=False)
+        log_scales = np.empty((len(words), 3), np.float64)
+        ranges = readonly(chunks[start // GAUSSIANS_PER_CHUNK :], np.float32)
+        run(
+            kernels.unpack_chunks, readonly(words, np.uint32), ranges, SH_C0,
+            out.means[rows], log_scales, out.sh[rows], out.opacities[rows], out.quats[rows],
+        )  # fmt: skip
+        with np.errstate(over="ignore", invalid="ignore"):  # which threads do not inherit
+            out.scales[rows] = np.exp(log_scales)
+
+    each(unpack, range(0, count, UNPACKED_ROWS))
     if names:
         # The middle of each of 256 steps, but the ends exactly: as PlayCanvas decodes them.
         values = (np.arange(256) + 0.5) / 256
         values[0], values[255] = 0, 1
-        decoded = ((values - 0.5) * 8).astype(np.float32)
-        third = len(names) // 3
-        for start in range(0, count, SH_BLOCK_ROWS):
-            rows = slice(start, start + SH_BLOCK_ROWS)
-            codes = _bytes_of(tables["sh"][rows], names).reshape(-1, 3, third)
-            out.sh[rows, 1:] = decoded[codes.transpose(0, 2, 1)]
+        decoded = readonly(((values - 0.5) * 8).astype(np.float32), np.float32)
+        run(kernels.unpack_sh_bytes, readonly(_bytes_of(tables["sh"], names), np.uint8), decoded, out.sh)
     return out
 
 
@@ -212,8 +209,10 @@ def _pack(
     splats: Splats, old: Splats | None, origin: np.ndarray, record: CompressedPlyFile
 ) -> tuple[np.ndarray, np.ndarray]:
     """The chunk and vertex tables of `splats`."""
-    # Chunks know nothing of one another, so that threads pack runs of them.
     drawable = drawable_rows(splats) if len(splats) else splats
+    if old is None and _is_standard(record):
+        return _new_tables(drawable, record)
+    # Chunks know nothing of one another, so that threads pack runs of them.
 
     def packed(start: int) -> tuple[np.ndarray, np.ndarray]:
         rows = slice(start, start + PACKED_ROWS)
@@ -222,6 +221,32 @@ def _pack(
 
     chunks, vertex = zip(*each(packed, range(0, max(len(splats), 1), PACKED_ROWS)), strict=True)
     return np.concatenate(chunks), np.concatenate(vertex)
+
+
+def _is_standard(record: CompressedPlyFile) -> bool:
+    """Whether the tables are as `_standard` has them."""
+    standard = _standard().tables
+    return all(record.tables[name].dtype == standard[name].dtype for name in ("chunk", "vertex"))
+
+
+def _new_tables(drawable: Splats, record: CompressedPlyFile) -> tuple[np.ndarray, np.ndarray]:
+    """The chunk and vertex tables of rows without a source."""
+    count = len(drawable)
+    ranges = np.empty((-(-count // GAUSSIANS_PER_CHUNK), 18), np.float32)
+    words = np.empty((count, 4), np.uint32)
+    log_scales = np.clip(activations.log(drawable.scales), *LOG_SCALES)
+    arrays = (drawable.means, log_scales, drawable.sh, drawable.opacities, drawable.quats)
+    run(kernels.pack_chunks, *(readonly(values, np.float32) for values in arrays), SH_C0, ranges, words)
+    chunk, vertex = record.tables["chunk"].dtype, record.tables["vertex"].dtype
+    return ranges.view(chunk).reshape(-1), words.view(vertex).reshape(-1)
+
+
+def rounded_means(splats: Splats) -> np.ndarray:
+    """[N, 3] float32 the centres as a new file has them, of Gaussians in this order."""
+    rounded = np.empty((len(splats), 3), np.float32)
+    if len(splats):
+        run(kernels.round_in_chunks, readonly(drawable_rows(splats).means, np.float32), rounded)
+    return rounded
 
 
 def _part(splats: Splats, rows: slice) -> Splats:
@@ -285,13 +310,7 @@ def _pack_sh(
     names = [f"f_rest_{k}" for k in range(3 * bands)]
     # [N, 3 (K - 1)], channel by channel.
     codes = np.empty((len(splats), len(names)), np.uint8)
-    for start in range(0, len(splats), SH_BLOCK_ROWS):
-        rows = slice(start, start + SH_BLOCK_ROWS)
-        values = splats.sh[rows, 1:].transpose(0, 2, 1).reshape(-1, len(names)).astype(np.float64)
-        with np.errstate(invalid="ignore"):
-            # NaN counts as 0: such rows are not drawn, and 8 bits cannot say NaN.
-            fractions = np.trunc((np.nan_to_num(values, copy=False) / 8 + 0.5) * 256)
-        codes[rows] = np.clip(fractions, 0, 255, out=fractions)
+    run(kernels.pack_sh_bytes, readonly(splats.sh, np.float32), codes)
     # What did not change keeps its byte, as a value decoded and encoded again may come out as another.
     if old is not None:
         has_source = origin >= 0
@@ -348,6 +367,14 @@ def _copies(table: np.ndarray, rows: np.ndarray) -> np.ndarray:
     out = np.zeros(len(rows), table.dtype)
     out[rows >= 0] = table[rows[rows >= 0]]
     return out
+
+
+def _range_table(chunks: np.ndarray) -> np.ndarray:
+    """[C, 18] float32: of positions, scales and colours three minima and three maxima."""
+    columns = []
+    for axes in AXES:
+        columns += [side.astype(np.float32).T for side in _ranges(chunks, axes)]
+    return np.ascontiguousarray(np.concatenate(columns).T)
 
 
 def _ranges(chunks: np.ndarray, axes: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from splatpainter.array_types import Bytes, Floats, Ids
+from splatpainter.array_types import Bytes, Ids
 from splatpainter.io.files import printable
 from splatpainter.kernels.parallel import each
 from splatpainter.transforms import row_norm
@@ -49,29 +49,9 @@ def quantise(values: np.ndarray, low: np.ndarray, high: np.ndarray, levels: np.n
     return np.floor(np.clip(steps, 0, 1) * levels + 0.5).astype(np.int64)
 
 
-def dequantise(fields: np.ndarray, low: np.ndarray, high: np.ndarray, levels: np.ndarray) -> np.ndarray:
-    """0..levels -> low..high, float64."""
-    part = fields / levels.astype(np.float64)
-    with np.errstate(invalid="ignore", over="ignore"):
-        return low * (1 - part) + high * part
-
-
-def unpack_quats(words: np.ndarray) -> Floats:
-    """[N] uint32 of 2-10-10-10 bits -> [N, 4] float64: the place of the largest component, then the other three in
-    order, each 0..1023 for -1/sqrt(2)..1/sqrt(2)."""
-    fields = unpack_fields(words, (2, 10, 10, 10))
-    small = (fields[:, 1:] / 1023 - 0.5) * np.sqrt(2)
-    largest = np.sqrt(np.maximum(0, 1 - (small * small).sum(1)))
-    quats = np.empty((len(words), 4))
-    rows = np.arange(len(words))
-    rest = np.arange(3) + (np.arange(3) >= fields[:, :1])
-    quats[rows, fields[:, 0]] = largest
-    quats[rows[:, None], rest] = small
-    return quats
-
-
 def pack_quats(quats: np.ndarray) -> np.ndarray:
-    """[N, 4] non-zero quaternions -> [N] uint32, the inverse of unpack_quats up to sign and rounding."""
+    """[N, 4] non-zero quaternions -> [N] uint32 of 2-10-10-10 bits: the place of the largest component, then the other
+    three in order, each 0..1023 for -1/sqrt(2)..1/sqrt(2)."""
     unit = quats / row_norm(quats.astype(np.float64))[:, None]
     rows = np.arange(len(unit))
     largest = np.abs(unit).argmax(1)
