@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import os
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+import splatpainter as sp
+from splatpainter.commands import convert
 from tests.support.cli_scenes import Capture, ball, ball_and_painted_view, listing, refused, run, saved
 from tests.support.systems import posix_only
 
@@ -191,3 +195,24 @@ def test_interrupted_in_the_middle_of_writing(sent: signal.Signals, code: int, v
     assert (child.returncode, out) == (code, "")
     assert "Traceback" not in errors and errors.count("\n") <= 1
     assert listing(folder) == before
+
+
+def test_a_copy_is_not_read_again(tmp_path: Path, capfd: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a file with the bytes of the one that was read everything is known; of any other it is not."""
+    read_files = []
+
+    def read(path: Path, **options: Any) -> sp.Splats:
+        read_files.append(Path(path).name)
+        return sp.read(path, **options)
+
+    monkeypatch.setattr(convert, "read", read)
+    asset = saved(tmp_path / "ball.ply", ball(300))
+    done = run(capfd, "convert", asset, tmp_path / "copy.ply", "--json").json
+    assert (tmp_path / "copy.ply").read_bytes() == asset.read_bytes()
+    assert read_files == ["ball.ply"] and done["lost"] == [] and done["losses"]["compared"] == 300
+    assert done["output"]["sha256"] == hashlib.sha256(asset.read_bytes()).hexdigest()
+    # Fewer bands, and other axes of the same bytes.
+    for options in (["--sh-degree", "0"], ["--in-axes", "rub", "--axes", "rdf"]):
+        read_files.clear()
+        assert run(capfd, "convert", asset, tmp_path / "other.ply", "--overwrite", *options).code == 0
+        assert len(read_files) == 2, options

@@ -17,6 +17,7 @@ import numpy as np
 from splatpainter.io import FORMATS, read, write
 from splatpainter.io.formats.packing import morton_order
 from splatpainter.io.formats.ply import stored_positions
+from splatpainter.io.formats.reuse import drawable_rows
 from splatpainter.io.size_estimate import sample
 from splatpainter.kernels.arrays import readonly
 from splatpainter.kernels.library import kernels
@@ -173,8 +174,8 @@ def measure(before: Splats, after: Splats) -> Losses:
     count = min(len(old), len(new))
     counted = (old.drawable[:count] & new.drawable[:count]) & (old.opacities[:count] >= MIN_DRAWN_OPACITY)
     total = int(counted.sum())
-    if not total:
-        return Losses()
+    if not total or old is new:  # read and written alike
+        return Losses(compared=total)
     rows, joined, base, rest = _row_errors(old, new, counted)
     moves = np.zeros(count)
     moves[rows] = joined["move"]
@@ -336,11 +337,11 @@ def moved_share_sorted(splats: Splats) -> float:
     from splatpainter.io.formats.compressed_ply import rounded_means  # of that format alone
 
     rows = replace(splats.numpy().relative_to((0.0, 0.0, 0.0)), source=None, origin=None)
-    rows = rows.take(morton_order(splats.numpy().means))
-    counted = rows.drawable & (rows.opacities >= MIN_DRAWN_OPACITY)
+    order = morton_order(splats.numpy().means)
+    counted = (rows.drawable & (rows.opacities >= MIN_DRAWN_OPACITY))[order]
     with np.errstate(all="ignore"):  # of rows that are not counted
-        apart = rounded_means(rows).astype(np.float64) - rows.means
-        beyond = row_norm(apart) > row_max(rows.scales)
+        apart = rounded_means(drawable_rows(rows).means[order]).astype(np.float64) - rows.means[order]
+        beyond = row_norm(apart) > row_max(rows.scales)[order]
     return float(beyond[counted].mean()) if counted.any() else 0.0
 
 

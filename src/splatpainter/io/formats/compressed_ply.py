@@ -241,11 +241,10 @@ def _new_tables(drawable: Splats, record: CompressedPlyFile) -> tuple[np.ndarray
     return ranges.view(chunk).reshape(-1), words.view(vertex).reshape(-1)
 
 
-def rounded_means(splats: Splats) -> np.ndarray:
-    """[N, 3] float32 the centres as a new file has them, of Gaussians in this order."""
-    rounded = np.empty((len(splats), 3), np.float32)
-    if len(splats):
-        run(kernels.round_in_chunks, readonly(drawable_rows(splats).means, np.float32), rounded)
+def rounded_means(means: np.ndarray) -> np.ndarray:
+    """[N, 3] float32 the centres as a new file has them, of finite ones [N, 3] in this order."""
+    rounded = np.empty((len(means), 3), np.float32)
+    run(kernels.round_in_chunks, readonly(means, np.float32), rounded)
     return rounded
 
 
