@@ -16,7 +16,7 @@ import pytest
 from PIL import Image
 
 from splatpainter import io
-from splatpainter.io.formats import sog_container
+from splatpainter.io.formats import sog, sog_container
 from splatpainter.io.formats.sog import SogFile, read_sog, write_sog
 from splatpainter.receipts import verify
 from splatpainter.splats import SH_C0, Splats
@@ -296,6 +296,14 @@ def test_rows_leave_and_move(tmp_path: Path) -> None:
     assert same_bits(replace(back, sh=fewer.sh), fewer) and np.array_equal(back.sh[:, 0], fewer.sh[:, 0])
     write_sog(tmp_path / "b.sog", replace(source, sh=source.sh[:, :1]))
     assert same_bits(read_sog(tmp_path / "b.sog"), replace(source, sh=source.sh[:, :1]))
+
+
+def test_many_rows_are_decoded_as_few_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of many rows the words are decoded, not the rows."""
+    write_sog(tmp_path / "a.sog", random_splats(300, 1))
+    expected = read_sog(tmp_path / "a.sog")
+    monkeypatch.setattr(sog, "BLOCK_ROWS", 64)
+    assert same_bits(read_sog(tmp_path / "a.sog"), expected)
 
 
 def test_flags(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from splatpainter.io.formats.compressed_ply import GAUSSIANS_PER_CHUNK
 from splatpainter.lift.depth_normals import VISIBLE_NORMALS
 from splatpainter.lift.local.detail import DETAIL
 from splatpainter.lift.local.gaussian_merging import MERGING
@@ -17,6 +18,7 @@ from splatpainter.spread.nearest_neighbours import SEARCH
 
 NATIVE = Path(__file__).resolve().parents[2] / "native"
 MIRRORED = [
+    ("packing.cpp", "CHUNK_ROWS", GAUSSIANS_PER_CHUNK),
     ("lift/detail.h", "ONE_COLOR", DETAIL.one_color),
     ("lift/detail.h", "UNIFORM_COLOR_REACHES", DETAIL.uniform_color_reaches),
     ("lift/merging.h", "MAX_LOSS", MERGING.max_loss),

@@ -33,9 +33,7 @@ from splatpainter.system.quick_dataclass import dataclass
 
 GAUSSIANS_PER_CHUNK = 256
 PACKED_ROWS = 64 * GAUSSIANS_PER_CHUNK
-"""Rows that one thread packs at a time."""
-UNPACKED_ROWS = 64 * GAUSSIANS_PER_CHUNK
-"""Rows that one thread unpacks at a time."""
+"""Rows that one thread packs or unpacks at a time."""
 AXES = ("x", "y", "z"), ("scale_x", "scale_y", "scale_z"), ("r", "g", "b")
 WORDS = ("packed_position", "packed_scale", "packed_color")
 BITS = (11, 10, 11), (11, 10, 11), (8, 8, 8, 8)
@@ -177,7 +175,7 @@ def _decode(header: Header, tables: Mapping[str, np.ndarray]) -> Splats:
     chunks, order = _range_table(tables["chunk"]), (WORDS[0], "packed_rotation", *WORDS[1:])
 
     def unpack(start: int) -> None:
-        rows = slice(start, start + UNPACKED_ROWS)
+        rows = slice(start, start + PACKED_ROWS)
         words = np.stack([vertex[word][rows] for word in order], 1).astype(np.uint32, copy=False)
         log_scales = np.empty((len(words), 3), np.float64)
         ranges = readonly(chunks[start // GAUSSIANS_PER_CHUNK :], np.float32)
@@ -188,7 +186,7 @@ def _decode(header: Header, tables: Mapping[str, np.ndarray]) -> Splats:
         with np.errstate(over="ignore", invalid="ignore"):  # which threads do not inherit
             out.scales[rows] = np.exp(log_scales)
 
-    each(unpack, range(0, count, UNPACKED_ROWS))
+    each(unpack, range(0, count, PACKED_ROWS))
     if names:
         # The middle of each of 256 steps, but the ends exactly: as PlayCanvas decodes them.
         values = (np.arange(256) + 0.5) / 256

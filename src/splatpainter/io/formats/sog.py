@@ -222,24 +222,34 @@ def _decode(file: SogFile, path: Path, problems: list[str]) -> Splats:
         color_space="linear" if linear else "srgb",
     )
 
+    def positions(words: np.ndarray) -> np.ndarray:  # [N, 3] of 0..65535, signed logarithms
+        logs = low + (high - low) * (words / 65535)
+        with np.errstate(over="ignore", invalid="ignore"):  # such rows are reported by who reads
+            return (np.sign(logs) * np.expm1(np.abs(logs))).astype(np.float32)
+
+    # Of many rows every word comes again and again: all of them are decoded once.
+    decoded = positions(np.arange(1 << 16, dtype=np.float64)[:, None]).T.copy() if count > BLOCK_ROWS else None
+
     def fill(start: int) -> tuple[int, int]:  # (rows without a rotation, rows that name no entry of the palette)
         block = slice(start, start + BLOCK_ROWS)
         pixels = {key: values[block] for key, values in file.pixels.items()}
-        # Positions: two planes of bytes are 16 bits of a signed logarithm.
-        words = pixels["means_l"][:, :3].astype(np.float64) + 256.0 * pixels["means_u"][:, :3]
-        logs = low + (high - low) * (words / 65535)
-        with np.errstate(over="ignore", invalid="ignore"):  # such rows are reported by who reads
-            out.means[block] = np.sign(logs) * np.expm1(np.abs(logs))
+        # Positions: two planes of bytes are 16 bits.
+        words = pixels["means_l"][:, :3].astype(np.int64) + 256 * pixels["means_u"][:, :3].astype(np.int64)
+        if decoded is None:
+            out.means[block] = positions(words)
+        else:
+            for axis, coordinates in enumerate(decoded):
+                out.means[block, axis] = coordinates.take(words[:, axis])
         out.quats[block] = _unpack_quats(pixels["quats"])
-        out.scales[block] = scales[pixels["scales"][:, :3]]
+        out.scales[block] = scales.take(pixels["scales"][:, :3])
         out.opacities[block] = pixels["sh0"][:, 3].astype(np.float64) / 255
-        out.sh[block, 0] = base[pixels["sh0"][:, :3]]
+        out.sh[block, 0] = base.take(pixels["sh0"][:, :3])
         missing = 0
         if file.palette is not None:
             # Higher bands: a row names an entry of a palette, which a damaged file may not have.
             labels = pixels["labels"][:, 0].astype(np.int64) + 256 * pixels["labels"][:, 1].astype(np.int64)
             wrong = labels >= len(table)
-            out.sh[block, 1:] = table[np.where(wrong, 0, labels)]
+            out.sh[block, 1:] = table.take(np.where(wrong, 0, labels), 0)
             out.sh[block, 1:][wrong] = 0
             missing = int(wrong.sum())
         return int((pixels["quats"][:, 3] < 252).sum()), missing
