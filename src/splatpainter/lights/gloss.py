@@ -15,6 +15,7 @@ import numpy as np
 from splatpainter.array_types import Floats
 from splatpainter.color import base_color, luminance, to_light
 from splatpainter.kernels import portable
+from splatpainter.kernels.parallel import each
 from splatpainter.lights.irradiance import LitSurface
 from splatpainter.lights.source_light import SourceLight
 from splatpainter.splats import Splats
@@ -91,7 +92,8 @@ def _compared(splats: Splats, surface: LitSurface, before: SourceLight, rows: np
     variance = before.uncertainty**2 * 4 * math.pi / cosine_lobe
     doubt = variance * float((response * response).sum()) / (4 * math.pi)
     agreement, power = np.empty(len(rows)), np.empty(len(rows))
-    for first in range(0, len(rows), GLOSS.piece):
+
+    def compare(first: int) -> None:
         chosen = rows[first : first + GLOSS.piece]
         normals = surface.facing.normals[chosen].astype(np.float64)
         sh = splats.sh[chosen, :9].astype(np.float64)
@@ -107,6 +109,8 @@ def _compared(splats: Splats, surface: LitSurface, before: SourceLight, rows: np
         part = slice(first, first + len(chosen))
         agreement[part] = (visible * ours * theirs).sum(1)
         power[part] = (visible * theirs * theirs).sum(1)
+
+    each(compare, range(0, len(rows), GLOSS.piece))
     # Least squares in the mean of all lights that it may have been: a doubtful one explains less.
     return agreement, power + doubt + GLOSS.faintest
 

@@ -20,6 +20,7 @@ import numpy as np
 from splatpainter.cameras import UpAxis
 from splatpainter.color import base_color, linear_to_srgb, luminance, sh_from_color, to_light
 from splatpainter.kernels import portable
+from splatpainter.kernels.parallel import each
 from splatpainter.lighting import unoccluded_transfer
 from splatpainter.lights.facing import MIN_FLAT_SHARE, ORIENTATION
 from splatpainter.lights.gloss import GLOSS, display_slope, gloss_of, mirrored_light
@@ -32,6 +33,7 @@ from splatpainter.lights.source_light import LIMITS, SourceLight, uniform_coeffi
 from splatpainter.painter import Asset
 from splatpainter.receipts import Receipt, untouched_hashes
 from splatpainter.splats import SH_C0, Splats, changed_rows
+from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import sh_basis
 
 FLOOR = 0.02
@@ -170,7 +172,15 @@ def _edited(
             "only with a --source-light that is known the look is sure to be another"
         )
     sh = splats.sh.copy()
-    sh[chosen] = _relit(splats, chosen, old, np.maximum(new, 0), weights, surface, before, now)
+    light = Exchange(old, np.maximum(new, 0), before.coefficients, now)
+    shine = gloss_of(splats, surface, before)
+
+    def lit(first: int) -> None:
+        rows = chosen[first : first + GLOSS.piece]
+        sh[rows] = _relit(splats, rows, light, weights[rows], shine[rows], surface)
+
+    # In pieces that fit the cache, shared among threads.
+    each(lit, range(0, len(chosen), GLOSS.piece))
     # The receipt says what decided the look, so that it can be made again.
     edited = replace(splats, sh=sh)
     what = [
@@ -279,36 +289,47 @@ def _from_all_around(lights: Lights, axes: np.ndarray) -> np.ndarray:
     return coefficients
 
 
+@dataclass(frozen=True)
+class Exchange:
+    """One light for another."""
+
+    old: np.ndarray
+    """[N, 3] float64 irradiance before."""
+    new: np.ndarray
+    """[N, 3] float64 irradiance now, >= 0."""
+    before: np.ndarray
+    """[9, 3] SH of the light before."""
+    now: np.ndarray
+    """[9, 3] SH of the new light that gloss makes the mirror image of."""
+
+
 def _relit(
     splats: Splats,
-    chosen: np.ndarray,
-    old: np.ndarray,
-    new: np.ndarray,
-    weights: np.ndarray,
+    rows: np.ndarray,
+    lights: Exchange,
+    share: np.ndarray,
+    shine: np.ndarray,
     surface: LitSurface,
-    before: SourceLight,
-    now: np.ndarray,
 ) -> np.ndarray:
-    """[M, K, 3] float32 SH of the chosen Gaussians where irradiance [N, 3] was `old` and is `new`, by weights [N]. now:
-    [9, 3] the new light that gloss makes the mirror image of."""
-    sh = splats.sh[chosen].astype(np.float64)
+    """[M, K, 3] float32 SH of the Gaussians `rows` [M] under the new light by a share [M] 0..1 and their gloss [M]."""
+    sh = splats.sh[rows].astype(np.float64)
     light = to_light(base_color(sh), splats.color_space)
-    share = weights[chosen].astype(np.float64)[:, None]
+    share = share.astype(np.float64)[:, None]
+    old, new = lights.old[rows], lights.new[rows]
     # The floor in both keeps the ratio finite in full shadow, and lets the way back end where it began.
-    ratio = np.clip((new[chosen] + FLOOR) / (old[chosen] + FLOOR), 1 / MAX_RATIO, MAX_RATIO)
-    shine = gloss_of(splats, surface, before)[chosen]
+    ratio = np.clip((new + FLOOR) / (old + FLOOR), 1 / MAX_RATIO, MAX_RATIO)
     target, mirrored = light * ratio, np.zeros_like(sh[:, 1:9])
     # What of a Gaussian is a mirror image of the light before becomes one of the new light; the rest follows the ratio,
     # and so keeps its contrast. A mirror shows no more of a light than reaches the surface.
-    for first in range(0, len(glossy := np.flatnonzero(shine)), GLOSS.piece):
-        rows = glossy[first : first + GLOSS.piece]
-        gone = shine[rows, None, None] * _reflected(surface, chosen[rows], before.coefficients, old)
-        come = shine[rows, None, None] * _reflected(surface, chosen[rows], now, new)
+    glossy = np.flatnonzero(shine)
+    if len(glossy):
+        gone = shine[glossy, None, None] * _reflected(surface, rows[glossy], lights.before, old[glossy])
+        come = shine[glossy, None, None] * _reflected(surface, rows[glossy], lights.now, new[glossy])
         # Never more than most of what is there, or a doubtful light would leave less than nothing.
-        portion = np.minimum(1, GLOSS.most * light[rows] / np.maximum(SH_C0 * gone[:, 0], 1e-9))[:, None]
-        change = portion * (come - ratio[rows, None] * gone)
-        target[rows] += SH_C0 * change[:, 0]
-        mirrored[rows] = change[:, 1:]
+        portion = np.minimum(1, GLOSS.most * light[glossy] / np.maximum(SH_C0 * gone[:, 0], 1e-9))[:, None]
+        change = portion * (come - ratio[glossy, None] * gone)
+        target[glossy] += SH_C0 * change[:, 0]
+        mirrored[glossy] = change[:, 1:]
     # The limit never darkens: a Gaussian that was brighter before may stay as bright.
     target = np.minimum(np.maximum(target, 0), np.maximum(light, MAX_LEVEL))
     # Mixed as light, not as display colours.
@@ -332,12 +353,12 @@ def _relit(
 
 
 def _reflected(surface: LitSurface, rows: np.ndarray, light: np.ndarray, received: np.ndarray) -> np.ndarray:
-    """[M, 9, 3] SH of what perfect gloss shows of a light [9, 3] that gives some Gaussians irradiance `received`
-    [N, 3], along lines of sight."""
+    """[M, 9, 3] SH of what perfect gloss shows of a light [9, 3] that gives the Gaussians `rows` [M] irradiance
+    `received` [M, 3], along lines of sight."""
     normals = surface.facing.normals[rows].astype(np.float64)
     share = surface.facing.front[rows].astype(np.float64)[:, None]
     above, below = unoccluded_transfer(normals) / math.pi, unoccluded_transfer(-normals) / math.pi
     free = portable.matmul((share * above + (1 - share) * below).astype(np.float64), luminance(light)[:, None])[:, 0]
-    reaches = np.clip(luminance(received[rows]) / np.maximum(free, FLOOR), 0, 1)
+    reaches = np.clip(luminance(received) / np.maximum(free, FLOOR), 0, 1)
     bands = np.repeat(np.array(GLOSS.bands), (1, 3, 5))
     return mirrored_light(light, normals) * (reaches[:, None] * bands)[..., None]

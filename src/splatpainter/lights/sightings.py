@@ -15,6 +15,7 @@ from splatpainter.array_types import Bools, Floats, Ids
 from splatpainter.cameras import Camera, bounding_sphere, spherical_cameras
 from splatpainter.color import to_light
 from splatpainter.kernels import portable
+from splatpainter.kernels.parallel import each
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
@@ -72,24 +73,29 @@ class SeenPixels:
         [S, 3] float64 unit normals). facing: [N, 3] normals of the asset's Gaussians, which are blended as their
         colours are, so that colour and normal belong to each other; where they contradict each other, and everywhere
         without them, the surface's `normals` stand."""
-        # Base colours, as gloss is of no use here.
-        base = replace(splats, sh=np.ascontiguousarray(splats.sh[:, :1]))
-        light, filled = np.zeros((len(self.views), 3)), np.zeros(len(self.views), bool)
-        normals = self.normals.astype(np.float64)
-        for number, camera in enumerate(self.cameras):
+        base = _matte(splats)
+
+        def shown(number: int) -> tuple[Ids, Floats, Floats, Floats]:
+            """(which of the pixels this view has, their colours, alphas and blended normals)."""
             here = np.flatnonzero(self.views == number)
             if not len(here):
-                continue
-            view, pixels = project(base, camera), self.pixels[here]
+                return here, np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3))
+            view, pixels = project(base, self.cameras[number]), self.pixels[here]
             drawn, covered, _ = view.rasterize()
-            alpha = covered.reshape(-1)[pixels]
-            display = drawn.reshape(-1, 3)[pixels] / np.maximum(alpha, 1e-6)[:, None]
-            light[here] = to_light(np.maximum(display, 0), splats.color_space)
+            alpha = np.maximum(covered.reshape(-1)[pixels], 1e-6)
+            color = drawn.reshape(-1, 3)[pixels] / alpha[:, None]
+            if facing is None:
+                return here, color, alpha, color
+            blended = view.rasterize(facing[view.gaussian_ids])[0].reshape(-1, 3)[pixels].astype(np.float64)
+            return here, color, alpha, blended / alpha[:, None]
+
+        light, filled = np.zeros((len(self.views), 3)), np.zeros(len(self.views), bool)
+        normals = self.normals.astype(np.float64)
+        for here, color, alpha, blended in each(shown, range(len(self.cameras))):
+            light[here] = to_light(np.maximum(color, 0), splats.color_space)
             filled[here] = alpha > SIGHTS.min_alpha
             if facing is None:
                 continue
-            blended = view.rasterize(facing[view.gaussian_ids])[0].reshape(-1, 3)[pixels].astype(np.float64)
-            blended = blended / np.maximum(alpha, 1e-6)[:, None]
             length = row_norm(blended)
             clear = length > SIGHTS.clear
             normals[here[clear]] = blended[clear] / length[clear, None]
@@ -140,42 +146,67 @@ def look_around(splats: Splats) -> Sights:
     center, radius = bounding_sphere(splats)
     around = spherical_cameras(center, SIGHTS.view_distance * max(radius, 1e-9), SIGHTS.view_count, size=SIGHTS.view_px)
     cameras = tuple(camera.local for camera in around)
-    count, px = len(splats), SIGHTS.view_px
+    count = len(splats)
     # Evenly by their order, which in most files goes along the surface.
     patches = np.linspace(0, count - 1, min(count, SIGHTS.surface_patches)).astype(np.int64)
     surface = Surface.of(splats.take(patches) if len(patches) < count else splats)
+    base = _matte(splats)
+    # A thread for each view: what numpy does between the kernels is as long as they are.
+    looks = each(lambda camera: _Look.of(base, surface, camera), cameras)
     towards, seen = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
-    ys, xs = (grid.ravel() for grid in np.indices((px, px)))
-    # Neighbouring pixels tell the same.
-    sparse = (ys % SIGHTS.surface_step == 0) & (xs % SIGHTS.surface_step == 0)
-    footprints, views, pixels, points, normals = [], [], [], [], []
-    for number, camera in enumerate(cameras):
+    for look in looks:
+        ids, _, weights, witness = look.footprints
+        towards[ids[witness]] += look.towards
+        seen[ids[witness]] += weights[witness]
+    surface_pixels = SeenPixels(
+        cameras,
+        np.repeat(np.arange(len(looks)), [len(look.pixels) for look in looks]),
+        np.concatenate([look.pixels for look in looks]),
+        np.concatenate([look.points for look in looks]).astype(np.float32),
+        np.concatenate([look.normals for look in looks]).astype(np.float32),
+    )
+    return Sights(seen, towards, tuple(look.footprints for look in looks), surface_pixels)
+
+
+def _matte(splats: Splats) -> Splats:
+    """With base colours alone: gloss is of no use here."""
+    return replace(splats, sh=np.ascontiguousarray(splats.sh[:, :1]))
+
+
+@dataclass(frozen=True)
+class _Look:
+    """What one view shows."""
+
+    footprints: tuple[Ids, Floats, Floats, Bools]
+    """As of `Sights`."""
+    towards: Floats
+    """[.., 3] float32 directions to the camera of those that do not only shimmer through, times their pixels' worth."""
+    pixels: Ids
+    """[P] int64 flat indices of pixels of the surface."""
+    points: Floats
+    """[P, 3] float64."""
+    normals: Floats
+    """[P, 3] float64."""
+
+    @staticmethod
+    def of(splats: Splats, surface: Surface, camera: Camera) -> _Look:
+        px = SIGHTS.view_px
+        ys, xs = (grid.ravel() for grid in np.indices((px, px)))
         projected = project(splats, camera)
-        everywhere = np.ones((px, px), bool)
-        there = visible_surface(surface, splats, projected, everywhere, step=SIGHTS.surface_step)
+        there = visible_surface(surface, splats, projected, np.ones((px, px), bool), step=SIGHTS.surface_step)
         at = there.at(np.stack([xs, ys], 1) + 0.5)
         turned = portable.matmul(at.normals, camera.world_to_camera[:3, :3]) * (at.depth > 0)[:, None]
         sums = projected.backproject(
             np.ascontiguousarray(turned.reshape(px, px, 3), np.float32), np.ones((px, px), np.float32)
         )
-        witness = sums.weight > SIGHTS.shimmer * sums.alpha
-        ids, weight = projected.gaussian_ids[witness], sums.weight[witness]
-        away = camera.position.astype(np.float32) - splats.means[ids]
-        towards[ids] += (weight / np.linalg.norm(away, axis=1))[:, None] * away
-        seen[ids] += weight
-        part = sums.weight > 0
-        footprints.append((projected.gaussian_ids[part], sums.values[part], sums.weight[part], witness[part]))
-        lattice = sparse & (at.depth > 0)
-        spots = np.stack([xs[lattice], ys[lattice]], 1) + 0.5
-        points.append(camera.to_world(camera.sight_lines(spots) * at.depth[lattice][:, None]))
-        normals.append(turned[lattice])
-        pixels.append(np.flatnonzero(lattice))
-        views.append(np.full(len(spots), number))
-    surface_pixels = SeenPixels(
-        cameras,
-        np.concatenate(views),
-        np.concatenate(pixels),
-        np.concatenate(points).astype(np.float32),
-        np.concatenate(normals).astype(np.float32),
-    )
-    return Sights(seen, towards, tuple(footprints), surface_pixels)
+        part = np.flatnonzero(sums.weight > 0)
+        ids, weights = projected.gaussian_ids[part], sums.weight[part]
+        witness = weights > SIGHTS.shimmer * sums.alpha[part]
+        away = camera.position.astype(np.float32) - splats.means[ids[witness]]
+        towards = (weights[witness] / np.linalg.norm(away, axis=1))[:, None] * away
+        # Neighbouring pixels tell the same.
+        sparse = (ys % SIGHTS.surface_step == 0) & (xs % SIGHTS.surface_step == 0) & (at.depth > 0)
+        spots = np.stack([xs[sparse], ys[sparse]], 1) + 0.5
+        points = camera.to_world(camera.sight_lines(spots) * at.depth[sparse][:, None])
+        footprints = (ids, sums.values[part], weights, witness)
+        return _Look(footprints, towards, np.flatnonzero(sparse), points, turned[sparse])

@@ -18,6 +18,7 @@ import numpy as np
 from splatpainter.cameras import UpAxis
 from splatpainter.color import luminance
 from splatpainter.kernels import portable
+from splatpainter.kernels.parallel import each
 from splatpainter.lighting import unoccluded_transfer
 from splatpainter.lights.light_cast import cast
 from splatpainter.lights.light_prior import likely_light
@@ -136,11 +137,13 @@ def _from_patches(patches: _Observations, up: UpAxis) -> tuple[np.ndarray, float
     start, deviation = np.zeros(8), LIMITS.loose * PRIOR_STD
     # Luminance first: the fit of each channel then starts from it, and is held near it.
     everything = _fit(patches, brightness, start, deviation)
+
     # Light that holds for the whole asset is seen without any part of it; paint that looks like light is not.
-    left_out = []
-    for part in range(LIMITS.parts):
+    def without(part: int) -> np.ndarray:
         rest = patches.parts != part
-        left_out.append(_fit(patches.take(rest), brightness[rest], start, deviation))
+        return _fit(patches.take(rest), brightness[rest], start, deviation)
+
+    left_out = each(without, range(LIMITS.parts))
     # The jackknife's variance of an estimate (Tukey 1958), one for all coefficients: what is doubted is as is usual.
     spread = np.stack(left_out) - everything
     jackknife = float((spread * spread).sum(0).mean()) * ((LIMITS.parts - 1) / LIMITS.parts)
@@ -152,8 +155,9 @@ def _from_patches(patches: _Observations, up: UpAxis) -> tuple[np.ndarray, float
     uncertainty = math.sqrt(LIMITS.understated * square_error + LIMITS.common_error**2)
     likely = _not_negative(likely, basis)
     coefficients = uniform_coefficients()
-    for channel in range(3):
-        fitted = _fit(patches, patches.colors[:, channel], everything, PRIOR_STD * LIMITS.chroma_prior)
+    chroma = PRIOR_STD * LIMITS.chroma_prior
+    channels = each(lambda channel: _fit(patches, patches.colors[:, channel], everything, chroma), range(3))
+    for channel, fitted in enumerate(channels):
         coefficients[1:, channel] = (likely + belief * (fitted - everything)) / SH_C0
     # Its mean colour: from what is left of the patches' hues where the shading is divided out.
     shading = np.maximum(portable.matmul(patches.transfer * SH_C0, coefficients), LIMITS.min_shading)
