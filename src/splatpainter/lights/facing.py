@@ -3,14 +3,15 @@ share of that side each shows where both are seen (leaves, thin walls)."""
 
 from __future__ import annotations
 
-from dataclasses import field
+from dataclasses import field, replace
 
 import numpy as np
 
 from splatpainter.cameras import bounding_sphere
 from splatpainter.kernels import portable
 from splatpainter.lift.depth_normals import scattered
-from splatpainter.lights.sightings import SeenPixels, look_around
+from splatpainter.lights.sightings import SeenPixels, dense_places, look_around
+from splatpainter.lights.stand_ins import StandIns
 from splatpainter.splats import Splats
 from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import fibonacci_sphere, quat_to_matrix
@@ -77,6 +78,8 @@ class Facing:
     """Made of oriented patches, whose axes are believed as they are."""
     surface_pixels: SeenPixels | None = field(repr=False, default=None)
     """Of the surface, as views all around see it."""
+    few: StandIns | None = field(repr=False, default=None)
+    """What stood for the Gaussians where they were looked at; None: they themselves."""
 
     @property
     def trusted(self) -> np.ndarray:
@@ -92,11 +95,34 @@ def facing(splats: Splats) -> Facing:
     # Gaussians that cannot be drawn would pull means and medians; they get zeros, and keep their places.
     if not drawable.all():
         part = facing(splats.take(drawable))
+        few = part.few
+        if few is not None:
+            few = replace(few, of=scattered(few.of, drawable), share=scattered(few.share, drawable))
         arrays = (scattered(values, drawable) for values in (part.normals, part.front, part.seen))
-        return Facing(*arrays, flat_share=part.flat_share, oriented=part.oriented, surface_pixels=part.surface_pixels)
+        return Facing(*arrays, part.flat_share, part.oriented, part.surface_pixels, few)
+    # Round Gaussians have no normal to speak of, and who moves light asks for this share first.
+    ordered = np.sort(splats.scales, 1)
+    flat_share = float((ordered[:, 0] <= ORIENTATION.max_flatness * ordered[:, 1]).mean())
+    axes = _shortest_axes(splats)
+    few = dense_places(splats, axes)
+    if few is None:
+        return replace(_looked_at(splats, axes), flat_share=flat_share)
+    part = _looked_at(few.splats, _shortest_axes(few.splats))
+    # Oriented patches know their own normals; what was found by looking holds for all that one stands for.
+    normals = axes if part.oriented else part.normals[few.of]
+    seen = (part.seen[few.of] * few.share).astype(np.float32)
+    return Facing(normals, part.front[few.of], seen, flat_share, part.oriented, part.surface_pixels, few)
+
+
+def _shortest_axes(splats: Splats) -> np.ndarray:
+    """[N, 3] float32 unit, towards their positive ends."""
+    turns = quat_to_matrix(splats.quats)
+    return turns[np.arange(len(splats)), :, splats.scales.argmin(1)].astype(np.float32)
+
+
+def _looked_at(splats: Splats, axes: np.ndarray) -> Facing:
+    """Of drawable Gaussians with these shortest axes [N, 3], by views all around; without their flat share."""
     count = len(splats)
-    shortest = splats.scales.argmin(1)
-    axes = quat_to_matrix(splats.quats)[np.arange(count), :, shortest].astype(np.float32)
     center, radius = bounding_sphere(splats)
     outwards = splats.means - center.astype(np.float32)
     # Which end of an axis is the outside is not in the file; which side can be seen from around is.
@@ -131,10 +157,7 @@ def facing(splats: Splats) -> Facing:
         # Through the gaps of a wall some of its inner side is seen from outside: that is no side.
         share = 0.5 + 0.5 * np.minimum((share - 0.5) / (ORIENTATION.one_sided_share - 0.5), 1)
         front = np.where(there & ~sheet, share, front).astype(np.float32)
-    # Round Gaussians have no normal to speak of, and who moves light asks for this share first.
-    ordered = np.sort(splats.scales, 1)
-    flat_share = float((ordered[:, 0] <= ORIENTATION.max_flatness * ordered[:, 1]).mean())
-    return Facing(normals, front, seen, flat_share, oriented, sights.surface_pixels)
+    return Facing(normals, front, seen, 1.0, oriented, sights.surface_pixels)
 
 
 def _coherence(splats: Splats, axes: np.ndarray, radius: float) -> float:

@@ -11,6 +11,7 @@ from dataclasses import field
 import numpy as np
 
 from splatpainter.kernels import portable
+from splatpainter.kernels.parallel import each
 from splatpainter.lighting import blocked_light, point_spacing, unoccluded_transfer, visibility
 from splatpainter.lights.facing import Facing, facing
 from splatpainter.lights.lamps import Lamp, Sun
@@ -27,6 +28,10 @@ NEAR_SHARE = 0.05
 """Of the blockers that may stand closer to a lamp than the distance for which its shadow map is fine enough."""
 MAX_MAP_PX = 900
 """Of a lamp's shadow map, per side."""
+PIECE = 8192
+"""Gaussians that a thread takes at a time: they fit its cache."""
+BELOW = np.array([1] + 3 * [-1] + 5 * [1], np.float32)
+"""[9] signs of SH on the other side: of the bands 0, 1 and 2."""
 
 
 @dataclass(frozen=True)
@@ -60,27 +65,37 @@ class LitSurface:
         solid = drawable & (splats.opacities >= MIN_BLOCKER_ALPHA)
         blockers = np.ascontiguousarray(points[solid if solid.any() else drawable])
         spacing = point_spacing(blockers)
-        normals = sides.normals.astype(np.float64)
-        front = sides.front.astype(np.float64)[:, None]
-        # Both sides, by the share of each that is seen: a leaf takes light from behind.
-        above, below = unoccluded_transfer(normals) / np.pi, unoccluded_transfer(-normals) / np.pi
-        closed = np.zeros(len(points))
         pixels = sides.surface_pixels
         where = pixels.points if pixels else np.zeros((0, 3), np.float32)
         towards = pixels.normals if pixels else where
+        # Gaussians, or the few that stand for them, and pixels of the surface look into the same maps.
+        few = sides.few
+        lookers = (points, sides.normals) if few is None else (few.splats.means, few.normals(sides.normals))
+        visible = None
+        if shadows and len(blockers) > 1:
+            both = np.concatenate([lookers[0], where]), np.concatenate([lookers[1], towards])
+            visible = visibility(*both, spacing, blockers=blockers)
+        transfer, closed = np.empty((len(points), 9)), np.zeros(len(points))
+
+        def fold(first: int) -> None:
+            rows = slice(first, min(first + PIECE, len(points)))
+            front = sides.front[rows].astype(np.float64)[:, None]
+            # Both sides, by the share of each that is seen: a leaf takes light from behind.
+            above = unoccluded_transfer(sides.normals[rows].astype(np.float64)) / np.pi
+            below = above * BELOW
+            if visible is not None:
+                of = rows if few is None else few.of[rows]
+                above = above - visible.blocked_front[of] / np.pi
+                below = below - visible.blocked_back[of] / np.pi
+                closed[rows] = 1 - (front[:, 0] * visible.front[of] + (1 - front[:, 0]) * visible.back[of])
+            transfer[rows] = front * above + (1 - front) * below
+
+        each(fold, range(0, len(points), PIECE))
         pixel_transfer = (unoccluded_transfer(towards.astype(np.float64)) / np.pi).astype(np.float64)
         pixel_closed = np.zeros(len(where))
-        if shadows and len(blockers) > 1:
-            # Gaussians and pixels of the surface look into the same maps.
-            both = np.concatenate([points, where]), np.concatenate([sides.normals, towards])
-            visible = visibility(*both, spacing, blockers=blockers)
-            count = len(points)
-            above = above - visible.blocked_front[:count] / np.pi
-            below = below - visible.blocked_back[:count] / np.pi
-            closed = 1 - (front[:, 0] * visible.front[:count] + (1 - front[:, 0]) * visible.back[:count])
-            pixel_transfer -= visible.blocked_front[count:] / np.pi
-            pixel_closed = 1 - visible.front[count:].astype(np.float64)
-        transfer = (front * above + (1 - front) * below).astype(np.float64)
+        if visible is not None:
+            pixel_transfer -= visible.blocked_front[len(lookers[0]) :] / np.pi
+            pixel_closed = 1 - visible.front[len(lookers[0]) :].astype(np.float64)
         return LitSurface(points, sides, blockers, spacing, transfer, closed, shadows, pixel_transfer, pixel_closed)
 
     def from_sky(self, coefficients: np.ndarray) -> np.ndarray:

@@ -16,6 +16,7 @@ from splatpainter.cameras import Camera, bounding_sphere, spherical_cameras
 from splatpainter.color import to_light
 from splatpainter.kernels import portable
 from splatpainter.kernels.parallel import each
+from splatpainter.lights.stand_ins import STAND_INS, StandIns, stand_ins
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
@@ -141,11 +142,28 @@ class Sights:
         return normals.astype(np.float32), np.maximum(share, 1 - share).astype(np.float32), there
 
 
-def look_around(splats: Splats) -> Sights:
-    """splats: at least one Gaussian, all drawable."""
+def _around(splats: Splats) -> tuple[Camera, ...]:
+    """The cameras from which an asset is looked at."""
     center, radius = bounding_sphere(splats)
     around = spherical_cameras(center, SIGHTS.view_distance * max(radius, 1e-9), SIGHTS.view_count, size=SIGHTS.view_px)
-    cameras = tuple(camera.local for camera in around)
+    return tuple(camera.local for camera in around)
+
+
+def dense_places(splats: Splats, axes: np.ndarray) -> StandIns | None:
+    """What stands for the Gaussians of a dense asset where it is looked at (`stand_ins`); None where each stands for
+    itself. splats: all drawable; axes: [N, 3] float32 their shortest ones."""
+    if len(splats) <= STAND_INS.few:
+        return None
+    # Every so manieth tells how large the asset is.
+    sample = splats.take(np.arange(0, len(splats), len(splats) // STAND_INS.few))
+    center, radius = bounding_sphere(sample)
+    camera = _around(sample)[0]
+    return stand_ins(splats, axes, center, STAND_INS.cells * SIGHTS.view_distance * radius / camera.fx)
+
+
+def look_around(splats: Splats) -> Sights:
+    """splats: at least one Gaussian, all drawable."""
+    cameras = _around(splats)
     count = len(splats)
     # Evenly by their order, which in most files goes along the surface.
     patches = np.linspace(0, count - 1, min(count, SIGHTS.surface_patches)).astype(np.int64)
