@@ -123,10 +123,10 @@ def test_light_hardly_tells_them_from_all(monkeypatch: pytest.MonkeyPatch) -> No
         assert abs(received[0].mean() - received[1].mean()) < 0.03 * received[1].mean()
         assert ((dense.facing.normals[layer, 2] * side) > 0.9).mean() > 0.98, "each layer faces its own side"
     # What is estimated of the light before, from the few, is that of all, by its own doubt.
-    found = [_estimate(splats, surface, "+y") for surface in (dense, plain)]
-    assert all(isinstance(one, SourceLight) for one in found)
-    by_few, by_all = (plain.from_sky(one.coefficients)[middle] for one in found)
-    assert np.sqrt((by_few / by_all - 1) ** 2).mean() < 0.5 * found[1].uncertainty
+    sources = [_estimate(splats, surface, "+y") for surface in (dense, plain)]
+    assert all(isinstance(one, SourceLight) for one in sources)
+    by_few, by_all = (plain.from_sky(one.coefficients)[middle] for one in sources)
+    assert np.sqrt((by_few / by_all - 1) ** 2).mean() < 0.5 * sources[1].uncertainty
 
 
 @pytest.mark.usefixtures("soon")

@@ -98,8 +98,8 @@ def facing(splats: Splats) -> Facing:
         few = part.few
         if few is not None:
             few = replace(few, of=scattered(few.of, drawable), share=scattered(few.share, drawable))
-        arrays = (scattered(values, drawable) for values in (part.normals, part.front, part.seen))
-        return Facing(*arrays, part.flat_share, part.oriented, part.surface_pixels, few)
+        normals, front, seen = (scattered(values, drawable) for values in (part.normals, part.front, part.seen))
+        return Facing(normals, front, seen, part.flat_share, part.oriented, part.surface_pixels, few)
     # Round Gaussians have no normal to speak of, and who moves light asks for this share first.
     ordered = np.sort(splats.scales, 1)
     flat_share = float((ordered[:, 0] <= ORIENTATION.max_flatness * ordered[:, 1]).mean())

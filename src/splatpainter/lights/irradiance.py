@@ -15,6 +15,7 @@ from splatpainter.kernels.parallel import each
 from splatpainter.lighting import blocked_light, point_spacing, unoccluded_transfer, visibility
 from splatpainter.lights.facing import Facing, facing
 from splatpainter.lights.lamps import Lamp, Sun
+from splatpainter.lights.stand_ins import STAND_INS
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.system.quick_dataclass import dataclass
 
@@ -28,10 +29,6 @@ NEAR_SHARE = 0.05
 """Of the blockers that may stand closer to a lamp than the distance for which its shadow map is fine enough."""
 MAX_MAP_PX = 900
 """Of a lamp's shadow map, per side."""
-PIECE = 8192
-"""Gaussians that a thread takes at a time: they fit its cache."""
-BELOW = np.array([1] + 3 * [-1] + 5 * [1], np.float32)
-"""[9] signs of SH on the other side: of the bands 0, 1 and 2."""
 
 
 @dataclass(frozen=True)
@@ -77,12 +74,14 @@ class LitSurface:
             visible = visibility(*both, spacing, blockers=blockers)
         transfer, closed = np.empty((len(points), 9)), np.zeros(len(points))
 
+        signs = np.repeat(np.array([1, -1, 1], np.float32), (1, 3, 5))  # of SH on the other side, by bands
+
         def fold(first: int) -> None:
-            rows = slice(first, min(first + PIECE, len(points)))
+            rows = slice(first, min(first + STAND_INS.piece, len(points)))
             front = sides.front[rows].astype(np.float64)[:, None]
             # Both sides, by the share of each that is seen: a leaf takes light from behind.
             above = unoccluded_transfer(sides.normals[rows].astype(np.float64)) / np.pi
-            below = above * BELOW
+            below = above * signs
             if visible is not None:
                 of = rows if few is None else few.of[rows]
                 above = above - visible.blocked_front[of] / np.pi
@@ -90,7 +89,7 @@ class LitSurface:
                 closed[rows] = 1 - (front[:, 0] * visible.front[of] + (1 - front[:, 0]) * visible.back[of])
             transfer[rows] = front * above + (1 - front) * below
 
-        each(fold, range(0, len(points), PIECE))
+        each(fold, range(0, len(points), STAND_INS.piece))
         pixel_transfer = (unoccluded_transfer(towards.astype(np.float64)) / np.pi).astype(np.float64)
         pixel_closed = np.zeros(len(where))
         if visible is not None:

@@ -76,7 +76,7 @@ class SeenPixels:
         without them, the surface's `normals` stand."""
         base = _matte(splats)
 
-        def shown(number: int) -> tuple[Ids, Floats, Floats, Floats]:
+        def colors_in(number: int) -> tuple[Ids, Floats, Floats, Floats]:
             """(which of the pixels this view has, their colours, alphas and blended normals)."""
             here = np.flatnonzero(self.views == number)
             if not len(here):
@@ -92,7 +92,7 @@ class SeenPixels:
 
         light, filled = np.zeros((len(self.views), 3)), np.zeros(len(self.views), bool)
         normals = self.normals.astype(np.float64)
-        for here, color, alpha, blended in each(shown, range(len(self.cameras))):
+        for here, color, alpha, blended in each(colors_in, range(len(self.cameras))):
             light[here] = to_light(np.maximum(color, 0), splats.color_space)
             filled[here] = alpha > SIGHTS.min_alpha
             if facing is None:

@@ -35,6 +35,8 @@ class StandInLimits:
     """Share of the Gaussians that are left, beyond which all stand for themselves."""
     max_cells: int = 1 << 18
     """Cells either way along an axis: what lies farther off shares the outermost ones."""
+    piece: int = 8192
+    """Gaussians whose light a thread folds at a time: they fit its cache."""
     most_opaque: float = 0.99
     """Opacity of a disc that is covered more than once."""
 
@@ -55,7 +57,10 @@ class StandIns:
 
     def mean(self, values: Floats) -> Floats:
         """[F, C] float64 means of [N, C]."""
-        columns = [np.bincount(self.of, self.share * column, len(self.splats)) for column in values.T]
+        weighted = (self.share * column for column in values.T)
+        columns: list[Floats] = [
+            np.bincount(self.of, column, len(self.splats)).astype(np.float64) for column in weighted
+        ]
         return np.stack(columns, 1)
 
     def normals(self, normals: Floats) -> Floats:
@@ -107,8 +112,8 @@ def stand_ins(splats: Splats, axes: Floats, center: Floats, cell: float) -> Stan
     }
     columns = {}
     for name, values in discs.items():
-        own = getattr(base, name)
-        columns[name] = np.where(several.reshape(-1, *[1] * (own.ndim - 1)), values, own).astype(np.float32)
+        original = getattr(base, name)
+        columns[name] = np.where(several.reshape(-1, *[1] * (original.ndim - 1)), values, original).astype(np.float32)
     return replace(merged, splats=replace(base, **columns))
 
 
@@ -117,8 +122,8 @@ def _groups(means: Floats, axes: Floats, center: Floats, cell: float, small: np.
     half, parts = STAND_INS.max_cells, STAND_INS.directions
     key = np.zeros(len(means), np.int64)
     for axis in range(3):
-        place = np.floor((means[:, axis] - np.float32(center[axis])) * np.float32(1 / cell))
-        key = key * (2 * half) + (place.clip(-half, half - 1).astype(np.int64) + half)
+        index = np.floor((means[:, axis] - np.float32(center[axis])) * np.float32(1 / cell))
+        key = key * (2 * half) + (index.clip(-half, half - 1).astype(np.int64) + half)
     for axis in range(3):
         key = key * parts + ((axes[:, axis] + 1) * np.float32(parts / 2)).clip(0, parts - 1).astype(np.int64)
     # As one number: rows of numbers sort ten times as slowly.
