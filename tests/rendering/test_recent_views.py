@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import gc
+import weakref
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from splatpainter.kernels import arrays
+from splatpainter.kernels.arrays import IDLE_LIMITS
 from splatpainter.rendering import render
+from splatpainter.rendering.cpu import recent_views
 from splatpainter.rendering.cpu.projected_view import project
-from splatpainter.rendering.cpu.recent_views import drawn_view, note_view, recent_view
+from splatpainter.rendering.cpu.recent_views import RecentViewLimits, drawn_view, hold, note_view, recent_view
 from splatpainter.rendering.partial import PartialRender
 from tests.support.render_scenes import cameras, scene
 
@@ -74,3 +78,60 @@ def test_a_drawn_view_is_what_render_shows_and_is_drawn_once_while_it_is_held():
     assert PartialRender.of(splats, camera, keep=True).view is not None
     with pytest.raises(ValueError, match="expected views of 1 to"):
         drawn_view(splats, replace(camera, width=9000))
+
+
+def test_the_view_of_the_latest_edit_is_held_while_its_gaussians_are_there():
+    camera = cameras(50, 34)[0]
+    splats, others = scene(60, 2, 1, dtype=np.float32), scene(60, 4, 1, dtype=np.float32)
+    drawn = drawn_view(splats, camera)
+    view = weakref.ref(drawn.view)
+    hold(splats, drawn)
+    del drawn
+    gc.collect()
+    assert drawn_view(splats, camera).view is view() is not None
+    # One is held: that of other Gaussians takes its place, and goes with any of their arrays.
+    hold(others, drawn_view(others, camera))
+    gc.collect()
+    assert view() is None and recent_view(others, camera) is not None
+    others = replace(others, means=others.means.copy())
+    gc.collect()
+    assert recent_views._held is None and recent_view(others, camera) is None
+
+
+@pytest.mark.parametrize("colors_alone", [False, True])
+def test_an_edit_of_the_held_view_is_a_view_with_the_bits_of_a_new_one(colors_alone: bool):
+    splats, camera = scene(300, seed=3, dtype=np.float32), cameras(150, 110)[0]
+    changed = np.arange(0, len(splats), 17)
+    sh, means, opacities = splats.sh.copy(), splats.means.copy(), splats.opacities.copy()
+    sh[changed, 0] += np.float32(0.2)
+    means[changed] += np.float32(0.05)
+    opacities[changed[::3]] = 0
+    edited = replace(splats, sh=sh)
+    if not colors_alone:
+        edited = replace(edited, means=means, opacities=opacities).append(splats.take(np.arange(5)))
+    PartialRender.of(splats, camera, keep=True).after(edited, changed)
+    # Not of arrays or cameras that are others, even if equal.
+    assert drawn_view(replace(edited, sh=edited.sh.copy()), camera).view is not recent_view(edited, camera)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(recent_views, "project", None)  # nothing is projected anew
+        drawn = drawn_view(edited, camera)
+    anew = project(edited, camera)
+    for one, two in zip((drawn.colors, drawn.alphas, drawn.depths), anew.rasterize(), strict=True):
+        np.testing.assert_array_equal(one, two)
+    for one, two in zip(drawn.view.part().rasterize(), anew.rasterize(), strict=True):
+        np.testing.assert_array_equal(one, two)
+    np.testing.assert_array_equal(drawn.view.gaussian_ids, anew.part().gaussian_ids)
+    np.testing.assert_array_equal(drawn.view.projected, anew.part().projected)
+
+
+def test_no_view_is_held_beyond_its_limit_or_by_a_process_that_ends_soon(monkeypatch: pytest.MonkeyPatch):
+    splats, camera = scene(60, 2, 1, dtype=np.float32), cameras(50, 34)[0]
+    for limits in (
+        (recent_views, "RECENT_VIEWS", RecentViewLimits(most_held_bytes=1000)),
+        (arrays._idle, "limits", replace(IDLE_LIMITS, most_bytes=0)),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setattr(*limits)
+            hold(splats, drawn_view(splats, camera))
+            gc.collect()
+            assert recent_view(splats, camera) is None

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from splatpainter.kernels.arrays import readonly
+from splatpainter.kernels.arrays import aligned, readonly
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import each, run, threads
 from splatpainter.kernels.row_bits import row_bits
@@ -25,7 +25,7 @@ def take(splats: Splats, ids: np.ndarray) -> Splats:
     ids, arrays = readonly(ids, np.int64), {}
     for name in ATTRIBUTES:
         values = getattr(splats, name)
-        arrays[name] = np.empty((len(ids), *values.shape[1:]), np.float32)
+        arrays[name] = aligned((len(ids), *values.shape[1:]), values.dtype)
         flat = arrays[name].reshape(len(ids), math.prod(values.shape[1:])).view(np.uint32)
         run(kernels.take_rows, row_bits(values), ids, flat)
     return replace(splats, **arrays, origin=None if splats.origin is None else splats.origin[ids])
@@ -36,7 +36,7 @@ def extended(values: np.ndarray, tail: np.ndarray) -> np.ndarray:
     n = len(values)
     if n < MIN_ROWS or values.dtype != tail.dtype:
         return np.concatenate([values, tail])
-    out = np.empty((n + len(tail), *values.shape[1:]), values.dtype)
+    out = aligned((n + len(tail), *values.shape[1:]), values.dtype)
     out[n:] = tail
     count = threads()
 
