@@ -592,7 +592,7 @@ def score(pixels: np.ndarray, other: np.ndarray, mask: np.ndarray) -> float | No
     channels = differs[rows]
     row, column = set_pixels(mask[rows] & (channels[..., 0] | channels[..., 1] | channels[..., 2]))
     at = rows[row] * mask.shape[1] + column
-    one, two = (np.clip(picture.reshape(-1, 3)[at], 0, 1).astype(np.float64) for picture in (pixels, other))
+    one, two = (np.clip(picture.reshape(-1, 3).take(at, 0), 0, 1).astype(np.float64) for picture in (pixels, other))
     error = float(((one - two) ** 2).sum()) / (3 * int(mask.sum()))
     return math.inf if error == 0 else -10 * math.log10(error)
 

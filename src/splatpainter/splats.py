@@ -86,7 +86,8 @@ class Splats(Generic[ArrayT]):
     def geometry(self, ids: Ids | Bools) -> Splats:
         """As `take`, for what asks only where Gaussians are and how large: without colours (sh is [M, 0, 3]) and
         source. Numpy."""
-        shapes = {k: getattr(self, k)[ids] for k in ATTRIBUTES if k != "sh"}
+        rows = _row_numbers(ids)
+        shapes = {k: getattr(self, k).take(rows, 0) for k in ATTRIBUTES if k != "sh"}
         none = np.zeros((len(shapes["means"]), 0, 3), self.sh.dtype)
         return replace(cast(Splats, self), **shapes, sh=none, source=None, origin=None)
 

@@ -129,17 +129,17 @@ class SightEstimates:
     ) -> SightEstimates:
         """pixels, queries: as the attributes; earlier: of the same surface and camera, from which equal lines are
         taken: the same bits, as lines do not depend on each other; size: number of pixels of the camera."""
-        source = np.full(len(pixels), -1)
-        if earlier is not None:
-            line = np.full(size, -1)
-            line[earlier.pixels] = np.arange(len(earlier.pixels))
-            source = line[pixels]
-            at = np.flatnonzero(source >= 0)
-            # A line counts as the same only if all seven numbers are: then the answer has the same bits.
-            source[at[(earlier.queries[source[at]] != queries[at]).any(1)]] = -1
+        if earlier is None:
+            return SightEstimates(pixels, queries, surface.at(queries[:, :3], queries[:, 3:6], queries[:, 6]))
+        line = np.full(size, -1)
+        line[earlier.pixels] = np.arange(len(earlier.pixels))
+        source = line[pixels]
+        at = np.flatnonzero(source >= 0)
+        # A line counts as the same only if all seven numbers are: then the answer has the same bits.
+        source[at[(earlier.queries[source[at]] != queries[at]).any(1)]] = -1
         new = np.flatnonzero(source < 0)
         result = surface.at(queries[new, :3], queries[new, 3:6], queries[new, 6])
-        if earlier is not None and len(new) < len(pixels):
+        if len(new) < len(pixels):
             result = _merged(result, new, earlier.result, source)
         return SightEstimates(pixels, queries, result)
 

@@ -119,11 +119,11 @@ class Lattice:
     @property
     def widths(self) -> np.ndarray:
         """[S, 2] standard deviations along the two axes, in pixels."""
-        return np.ldexp(self.sizes[self.parent].astype(np.float64), -self.level)
+        return np.ldexp(self.sizes.take(self.parent, 0).astype(np.float64), -self.level)
 
     def take(self, ids: Ids) -> Lattice:
         """A part of them. ids: [K] int64."""
-        taken = {name: getattr(self, name)[ids] for name in ("parent", "level", "site", "peak", "slot")}
+        taken = {name: getattr(self, name).take(ids, 0) for name in ("parent", "level", "site", "peak", "slot")}
         return replace(self, **taken)
 
     def splats(self) -> Splats:

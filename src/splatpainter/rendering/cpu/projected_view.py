@@ -152,14 +152,14 @@ class ProjectedView:
         if gaussian_mask is None and np.array_equal(tiles, self.tiles) and (np.diff(self.pair_offsets) > 0).all():
             return np.arange(len(self)), self
         used = tiles.ravel()[self.tile_ids]  # [T]
-        selected = np.zeros(0, bool) if gaussian_mask is None else gaussian_mask[self.gaussian_ids]
+        selected = np.zeros(0, bool) if gaussian_mask is None else gaussian_mask.take(self.gaussian_ids)
         lists = (self.flatten_ids, self.isect_offsets, used, selected)
-        per_entry, per_tile = np.zeros(len(self), np.int32), np.empty(len(used), np.int64)
+        per_entry, new_entry, begins = aligned((3, len(self)), INT32)
+        per_entry[:], per_tile = 0, np.empty(len(used), np.int64)
         kernels.count_pairs(*lists, per_entry, per_tile, 0, 1)
-        at = np.flatnonzero(per_entry)
+        at = np.flatnonzero(per_entry != 0)  # numpy looks for set bits sooner than for numbers
         total = int(per_tile.sum())
         pair_offsets = np.append(0, np.cumsum(per_entry[at], dtype=np.int64))
-        new_entry, begins = np.empty((2, len(self)), np.int32)
         new_entry[at], begins[at] = np.arange(len(at)), pair_offsets[:-1]
         flatten_ids, pair_ids = np.empty((2, total), np.int32)
         kernels.take_pairs(*lists, new_entry, begins, flatten_ids, pair_ids, 0, 1)

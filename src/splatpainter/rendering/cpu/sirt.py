@@ -65,7 +65,7 @@ class CachedWeights:
         """None where there would be more than MAX_CACHED_BLOCKS."""
         dtype = view.projected.dtype
         target, mask = readonly(target, dtype), readonly(mask, dtype)
-        pairs = np.flatnonzero(movable[view.flatten_ids])
+        pairs = np.flatnonzero(movable.take(view.flatten_ids))
         begins = np.searchsorted(pairs, view.isect_offsets)
         tile = np.repeat(view.tile_ids, np.diff(begins))
         boxes = _block_boxes(view, view.flatten_ids[pairs], tile)
@@ -87,7 +87,7 @@ class CachedWeights:
             weights,
             remainder,
         )
-        entries = (np.cumsum(movable) - 1)[view.flatten_ids[pairs]]
+        entries = (np.cumsum(movable) - 1).take(view.flatten_ids[pairs])
         pair_ids = np.empty(len(pairs), np.int64)
         pair_ids[np.argsort(entries, kind="stable")] = np.arange(len(pairs))
         num_movable = int(movable.sum())
@@ -103,7 +103,7 @@ class CachedWeights:
 
 def _block_boxes(view: ProjectedView, entries: np.ndarray, tile: np.ndarray) -> Ids:
     """[Q, 4] int64 blocks of each pair's tile that its ellipse touches, rows and columns from, to (see blocks_hit)."""
-    projected, across = view.projected[entries], view.tiles.shape[1]
+    projected, across = view.projected.take(entries, 0), view.tiles.shape[1]
     out = np.empty((len(entries), 4), np.int64)
     for k, (mean, extent, first) in enumerate(
         [(MEAN_Y, EXTENT_Y, tile // across * TILE), (MEAN_X, EXTENT_X, tile % across * TILE)]
