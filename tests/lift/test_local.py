@@ -425,3 +425,10 @@ def test_a_long_gaussian_that_is_hidden_beside_the_paint_keeps_its_colour() -> N
     changed = np.abs(after - before).max(-1) > 0.1
     assert not (changed & outside(disk(behind, 120, 120, 12))).any()
     assert db(draw(lifted.splats, camera), painted(splats, camera, mask), mask) > 20, "and it is covered"
+
+
+@pytest.mark.parametrize("degree", [0, 1])
+def test_recolor_of_no_gaussians_is_none(degree: int):
+    none = np.zeros((0, (degree + 1) ** 2, 3), np.float32)
+    out = recolor(none, np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32))
+    assert out.shape == none.shape and out.dtype == none.dtype

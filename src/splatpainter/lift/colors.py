@@ -10,6 +10,7 @@ divisor and h_i (c_i - old) taken from the sum.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import field, replace
 
@@ -110,7 +111,7 @@ def recolor(
     constant = SH_C0 * sh[:, 0]
     varying = before - 0.5 - constant  # what bands >= 1 add towards this view
     # Along all bands at once: rows of three numbers take numpy three times as long.
-    out = (sh.reshape(len(sh), -1) * keep).reshape(sh.shape)
+    out = (sh.reshape(len(sh), math.prod(sh.shape[1:])) * keep).reshape(sh.shape)
     # The constant band takes what the kept bands do not give, so that this view shows the target exactly.
     out[:, 0] = (target - 0.5 - keep * varying) / SH_C0
     return out.astype(sh.dtype, copy=False)
