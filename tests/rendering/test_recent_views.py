@@ -1,4 +1,4 @@
-"""Views that somebody holds: the same one for the same Gaussians and camera, none for others, none after it is gone."""
+"""Views that somebody holds: the same one for the same Gaussians and camera, none for other, none after it is gone."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_a_drawn_view_is_what_render_shows_and_is_drawn_once_while_it_is_held():
 
 def test_the_view_of_the_latest_edit_is_held_while_its_gaussians_are_there():
     camera = cameras(50, 34)[0]
-    splats, others = scene(60, 2, 1, dtype=np.float32), scene(60, 4, 1, dtype=np.float32)
+    splats, other = scene(60, 2, 1, dtype=np.float32), scene(60, 4, 1, dtype=np.float32)
     drawn = drawn_view(splats, camera)
     view = weakref.ref(drawn.view)
     hold(splats, drawn)
@@ -90,12 +90,12 @@ def test_the_view_of_the_latest_edit_is_held_while_its_gaussians_are_there():
     gc.collect()
     assert drawn_view(splats, camera).view is view() is not None
     # One is held: that of other Gaussians takes its place, and goes with any of their arrays.
-    hold(others, drawn_view(others, camera))
+    hold(other, drawn_view(other, camera))
     gc.collect()
-    assert view() is None and recent_view(others, camera) is not None
-    others = replace(others, means=others.means.copy())
+    assert view() is None and recent_view(other, camera) is not None
+    other = replace(other, means=other.means.copy())
     gc.collect()
-    assert recent_views._held is None and recent_view(others, camera) is None
+    assert recent_views._held is None and recent_view(other, camera) is None
 
 
 @pytest.mark.parametrize("colors_alone", [False, True])
@@ -110,7 +110,7 @@ def test_an_edit_of_the_held_view_is_a_view_with_the_bits_of_a_new_one(colors_al
     if not colors_alone:
         edited = replace(edited, means=means, opacities=opacities).append(splats.take(np.arange(5)))
     PartialRender.of(splats, camera, keep=True).after(edited, changed)
-    # Not of arrays or cameras that are others, even if equal.
+    # Not of arrays or cameras that are other, even if equal.
     assert drawn_view(replace(edited, sh=edited.sh.copy()), camera).view is not recent_view(edited, camera)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(recent_views, "project", None)  # nothing is projected anew

@@ -106,11 +106,11 @@ class PartialRender:
         if self.view is not None and self._has(self.view, tiles):
             same = np.ones(count, bool)
             same[changed] = False
-            whole = replace(fresh, gaussian_ids=new[fresh.gaussian_ids], num_gaussians=len(splats))
-            view = self.view.merged(whole.part(tiles=tiles), tiles=tiles, gaussian_mask=same)
+            new_view = replace(fresh, gaussian_ids=new[fresh.gaussian_ids], num_gaussians=len(splats))
+            view = self.view.merged(new_view.part(tiles=tiles), tiles=tiles, gaussian_mask=same)
             after, base = before._redrawn(splats, tiles, view), self.view
             # The next edit from there goes on from this one's frame; merging all of it waits until one comes.
-            self._note(after, lambda: base.merged(whole.part(), gaussian_mask=same))
+            self._note(after, lambda: base.merged(new_view.part(), gaussian_mask=same))
             return before, after
         return before, before._redrawn(splats, tiles, view)
 
