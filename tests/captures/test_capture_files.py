@@ -83,7 +83,10 @@ def test_what_colmap_wrote(ending: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("ending", ["bin", "txt"])
-@pytest.mark.parametrize("inner", ["sparse/0", "sparse", "", "colmap/sparse/0"])
+@pytest.mark.parametrize(
+    "inner",
+    ["sparse/0", "sparse", "", "colmap/sparse/0", "colmap/sparse", "distorted/sparse"],
+)
 def test_a_model_is_where_programs_put_it(ending: str, inner: str, tmp_path: Path) -> None:
     cameras, names = some_cameras(), ["a.jpg", "b.jpg", "c.jpg"]
     cloud = np.array([[1.5, -2, 3, 255, 0, 51], [0, 0.25, 1, 0, 102, 204]])
@@ -99,6 +102,20 @@ def test_a_model_is_where_programs_put_it(ending: str, inner: str, tmp_path: Pat
             assert views[1].picture() == (tmp_path / "images" / "b.jpg").absolute() and views[0].picture() is None
     points, colors = read_points(model)
     assert np.allclose(points, cloud[:, :3]) and np.allclose(colors, cloud[:, 3:] / 255)
+
+
+@pytest.mark.parametrize("inner", ["dense/0", "dense", "0"])
+def test_a_straightened_model_stands_for_photographs_only_alone(inner: str, tmp_path: Path) -> None:
+    """COLMAP's automatic reconstruction leaves sparse/0 and dense/0, each with pictures of its own."""
+    cameras, names = some_cameras(), ["a.jpg", "b.jpg", "c.jpg"]
+    write_colmap(tmp_path / inner / "sparse", cameras, names, ending="bin")
+    (tmp_path / inner / "images").mkdir()
+    (tmp_path / inner / "images" / "a.jpg").write_bytes(b"")
+    picture = (tmp_path / inner / "images" / "a.jpg").absolute()
+    for path in (tmp_path, tmp_path / inner, tmp_path / inner / "sparse"):
+        assert captured_views(path)[0].picture() == picture
+    write_colmap(tmp_path / "sparse" / "0", cameras[:1], ["z.jpg"], ending="bin")
+    assert [view.name for view in captured_views(tmp_path)] == ["z.jpg"]
 
 
 @pytest.mark.parametrize(

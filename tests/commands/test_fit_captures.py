@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from splatpainter.cameras import Camera, spherical_cameras
-from splatpainter.commands.parts.fit_photographs import PosedPicture, first_gaussians, posed_pictures
+from splatpainter.commands.parts.fit_photographs import PosedPicture, first_gaussians, posed_pictures, unused_models
 from splatpainter.image_files import to_uint8
 from splatpainter.metrics import psnr
 from splatpainter.rendering import render
@@ -155,6 +155,18 @@ def test_colmaps_points_are_the_first_gaussians(tmp_path: Path) -> None:
     assert len(first_gaussians(tmp_path, posed, 25, 0, seed=0)[0]) == 25
     beside = first_gaussians(tmp_path, posed, 100, 0, 0, (5.0, -2.0, 1.0))[0]
     assert np.allclose(beside.means, start.means - np.array([5, -2, 1]), atol=1e-5)
+
+
+def test_models_that_are_not_fitted_to_are_named(tmp_path: Path) -> None:
+    """COLMAP's first model is not always the largest."""
+    cameras = cameras_around(3)
+    write_colmap(tmp_path / "sparse" / "0", cameras[:1], ["a.png"], ending="bin")
+    assert unused_models(tmp_path) == []
+    write_colmap(tmp_path / "sparse" / "2", cameras[1:], ["b.png", "c.png"], ending="txt")
+    (line,) = unused_models(tmp_path)
+    assert "only sparse/0 (1)" in line and "sparse/2 (2 photographs)" in line
+    write_table(tmp_path, cameras, ["a.png", "b.png", "c.png"])
+    assert unused_models(tmp_path) == []
 
 
 def test_a_colmap_folder_is_fitted(tmp_path: Path, capfd: Capture) -> None:

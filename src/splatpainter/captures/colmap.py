@@ -28,8 +28,12 @@ from splatpainter.io import files
 from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import quat_to_matrix
 
-MODEL_FOLDERS = ("", "0", "sparse/0", "sparse", "colmap/sparse/0", "distorted/sparse/0")
-"""Where a model lies in a folder: COLMAP's workspaces, INRIA's and nerfstudio's data."""
+MODEL_FOLDERS = (
+    *("", "0", "sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse", "distorted/sparse/0", "distorted/sparse"),
+    *("dense/0/sparse", "dense/sparse", "dense/0/sparse/0", "0/sparse"),
+)
+"""Where a model lies in a folder: COLMAP's workspaces, INRIA's and nerfstudio's data; straightened ones (`dense`, of
+image_undistorter) only where no other is left."""
 MODELS_FOLDERS = ("sparse", "colmap/sparse", "distorted/sparse")
 """Where COLMAP puts the models of photographs that it could not join into one, each in a folder of its number."""
 MODEL_FILES = tuple(
@@ -136,6 +140,14 @@ def other_models(folder: Path) -> list[Path]:
     here = folder.absolute()
     siblings = _numbered(here.parent) if here.name.isdigit() and here.parent.name == "sparse" else []
     return [model for model in siblings if model != here]
+
+
+def photographs_of(folder: Path) -> int:
+    """How many photographs a model has; 0 of a damaged one."""
+    try:
+        return len(read_model(folder))
+    except ValueError:
+        return 0
 
 
 def _numbered(holder: Path) -> list[Path]:

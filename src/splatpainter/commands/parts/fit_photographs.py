@@ -10,7 +10,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.captures import CapturedView, captured_views, is_capture
-from splatpainter.captures.colmap import model_folder, read_points
+from splatpainter.captures.colmap import model_folder, other_models, photographs_of, read_points
 from splatpainter.captures.nerfstudio import TABLES
 from splatpainter.gatekeeper.photographs import read_photograph, straight_picture
 from splatpainter.image_files import find_camera, picture_header
@@ -171,8 +171,7 @@ def first_gaussians(
     Raises ValueError: no such point."""
     from splatpainter.fit.start import from_points
 
-    uses_table = any(inside(folder, name).is_file() for name in TABLES)
-    model = None if uses_table else model_folder(folder)
+    model = _model_of(folder)
     if model is not None:
         points, colors = read_points(model)
         if len(points) >= MIN_POINTS:
@@ -181,6 +180,27 @@ def first_gaussians(
             return from_points(points[chosen] - np.array(offset), colors[chosen], sh_degree), line
     line = "no depth maps: the first Gaussians are random points where no picture shows empty space"
     return _carved(pictures, rows, sh_degree, seed), line
+
+
+def unused_models(folder: Path) -> list[str]:
+    """A line that names COLMAP's other models of a folder, whose photographs are not fitted to; none where there is no
+    other."""
+    model = _model_of(folder)
+    others = [] if model is None else other_models(model)
+    if model is None or not others:
+        return []
+    counts = ", ".join(f"{one.parent.name}/{one.name} ({photographs_of(one):,} photographs)" for one in others)
+    used = f"{model.absolute().parent.name}/{model.name} ({photographs_of(model):,})"
+    return [
+        f"of COLMAP's models only {used} is fitted to; not used, as each has a world of its own: {counts}; to take one "
+        "of them, name its folder"
+    ]
+
+
+def _model_of(folder: Path) -> Path | None:
+    """COLMAP's model whose cameras a folder's pictures have; None where a table has them."""
+    uses_table = any(inside(folder, name).is_file() for name in TABLES)
+    return None if uses_table else model_folder(folder)
 
 
 def _carved(pictures: list[PosedPicture], rows: int, sh_degree: int, seed: int) -> Splats:

@@ -13,7 +13,13 @@ from typing import Any, Literal
 import numpy as np
 
 from splatpainter.cameras import AUTO_UP, FRAME_MARGIN, UPS, Camera, bounding_sphere, spherical_cameras
-from splatpainter.commands.parts.fit_photographs import BACKGROUNDS, first_gaussians, near_zero, posed_pictures
+from splatpainter.commands.parts.fit_photographs import (
+    BACKGROUNDS,
+    first_gaussians,
+    near_zero,
+    posed_pictures,
+    unused_models,
+)
 from splatpainter.io import files, read
 from splatpainter.io.folders import inside, trained_file
 from splatpainter.io.formats.sog_container import META
@@ -148,4 +154,4 @@ def _from_pictures(folder: Path, settings: FitPictureSettings) -> FitPictures:
     held_out = [(posed[k].camera, posed[k].colors) for k in dict.fromkeys(apart)]
     start, note = first_gaussians(folder, rest, settings.rows, settings.sh_degree, settings.seed, offset)
     cameras, colors = [picture.camera for picture in rest], [picture.colors for picture in rest]
-    return FitPictures("pictures", cameras, colors, held_out, start, offset, [note])
+    return FitPictures("pictures", cameras, colors, held_out, start, offset, [note, *unused_models(folder)])
