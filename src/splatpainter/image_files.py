@@ -41,6 +41,14 @@ READS = ("png", "tiff", "openexr")
 """What OpenImageIO is given to read, of all that it could."""
 TIFF_BITS = 258
 """Tag: bits of each channel."""
+TIFF_RGB_OR_GREY = (0, 1, 2)
+"""Photometric interpretations of TIFF: grey from white or from black, RGB."""
+REDUCED_COPY = 1
+"""Bit of a TIFF page's NewSubfileType: a small copy of another page."""
+MAX_PARTS = 64
+"""Parts of an OpenEXR file, and pages of a TIFF, that are looked at."""
+PICTURE_LAYERS = ("combined", "composite", "beauty", "rgba", "rgb")
+"""Last words of the names of layers that are the picture, of several: those of Blender and of renderers."""
 EXIF_ORIENTATION = 274
 """Tag: how a picture is turned and mirrored."""
 HALF_MAX = 65504.0
@@ -186,6 +194,8 @@ class PixelSamples:
     primaries: tuple[float, ...] | None = None
     """x, y of white, red, green and blue, where an OpenEXR file says them."""
     is_float: bool = False
+    layer: str = ""
+    """The layer of an OpenEXR file whose channels they are; "": those without one."""
 
 
 def is_exr(path: Path) -> bool:
@@ -214,21 +224,16 @@ def read_deep(path: Path, max_pixels: int) -> PixelSamples:
     outside its data window). Raises ValueError naming the file: no OpenImageIO, damaged, more than `max_pixels`,
     channels that are no colour."""
     with _opened(path, max_pixels) as (source, spec):
-        # Names, not places, say what a channel is: OpenEXR sorts them by the alphabet.
-        names = [str(name).upper() for name in spec.channelnames]
         if spec.deep:
             raise ValueError(f"{path}: expected a flat picture, got deep samples; flatten it first")
-        layouts = ("R", "G", "B", "A"), ("R", "G", "B"), ("Y", "A"), ("Y",)
-        channels = next((layout for layout in layouts if {*layout} <= {*names}), None)
-        if channels is None:
-            listed = ", ".join(map(str, spec.channelnames[:8]))
-            raise ValueError(f"{path}: expected channels R, G, B or Y, got {listed}")
+        part, spec, layer, channels = _color_layer(source, spec, path, max_pixels)
         # One read of all that lies between the first and the last, as OpenImageIO takes a range.
-        positions = [names.index(name) for name in channels]
+        names = [str(name).upper() for name in spec.channelnames]
+        positions = [names.index(f"{layer}{name}".upper()) for name in channels]
         first, last = min(positions), max(positions) + 1
         if last - first > 16:
             raise ValueError(f"{path}: expected the colour channels side by side, got {last - first - 1} between them")
-        pixels = source.read_image(0, 0, first, last, "float")
+        pixels = source.read_image(part, 0, first, last, "float")
         if pixels is None or not isinstance(pixels, np.ndarray):
             raise ValueError(f"{path}: damaged picture ({_short(problem_of(source))})")
         pixels = pixels.reshape(spec.height, spec.width, last - first)[
@@ -239,19 +244,67 @@ def read_deep(path: Path, max_pixels: int) -> PixelSamples:
         # A header may hold anything: an orientation that EXIF does not know is taken for none.
         turned = spec.getattribute("Orientation")
         orientation = turned if isinstance(turned, int) and 1 <= turned <= 8 else 1
-        if source.seek_subimage(1, 0) and source.format_name() == "tiff":
+        if source.format_name() == "tiff" and _has_further_pages(source):
             raise ValueError(f"{path}: {SEVERAL_PAGES}")
         profile, primaries = _profile(spec), _primaries(spec)
         is_float = str(spec.format) in ("half", "float", "double")
-    return PixelSamples(values, len(channels), bool(associated), orientation, profile, primaries, is_float)
+    layer = layer.removesuffix(".")
+    return PixelSamples(values, len(channels), bool(associated), orientation, profile, primaries, is_float, layer)
 
 
-def has_deep_samples(path: Path) -> bool:
-    """Whether OpenImageIO finds a picture of floats, or of integers of more than 16 bits, in a TIFF. Raises ValueError:
-    it is not installed, and more pixels than `read_deep` takes."""
+def _color_layer(source: Any, spec: Any, path: Path, max_pixels: int) -> tuple[int, Any, str, tuple[str, ...]]:
+    """(part, its spec, what stands before the channels' names, R, G, B, A or Y) of the picture in a file; the channels
+    of compositing programs are R, G and B, or `beauty.R` and so on, and may lie behind a part of depths. Raises
+    ValueError: none, or several layers of which none is called as the picture."""
+    layouts = ("R", "G", "B", "A"), ("R", "G", "B"), ("Y", "A"), ("Y",)
+    found: list[tuple[int, Any, str, tuple[str, ...]]] = []
+    listed = list(map(str, spec.channelnames[:8]))
+    parts = MAX_PARTS if source.format_name() == "openexr" else 1
+    for part in range(parts):
+        if part:
+            if not source.seek_subimage(part, 0):
+                break
+            spec = source.spec()
+            _check_size(spec, path, max_pixels)
+        # Names, not places, say what a channel is: OpenEXR sorts them by the alphabet.
+        names = [str(name) for name in spec.channelnames]
+        for layer in dict.fromkeys(name[: name.rfind(".") + 1] for name in names):
+            there = {name[len(layer) :].upper() for name in names if name.startswith(layer)}
+            channels = next((one for one in (layouts[:2] if layer else layouts) if {*one} <= there), None)
+            if channels is not None and not layer:
+                return part, spec, layer, channels
+            if channels is not None:
+                found.append((part, spec, layer, channels))
+    if not found:
+        raise ValueError(f"{path}: expected channels R, G, B or Y, got {', '.join(listed)}")
+    named = [one for one in found if one[2].rstrip(".").rpartition(".")[2].lower() in PICTURE_LAYERS]
+    if len(named or found) > 1:
+        layers = ", ".join(one[2].removesuffix(".") for one in (named or found)[:4])
+        raise ValueError(f"{path}: expected one picture, got several layers ({layers}); save one of them")
+    (chosen,) = named or found
+    source.seek_subimage(chosen[0], 0)
+    return chosen
+
+
+def _has_further_pages(source: Any) -> bool:
+    """Whether a TIFF has more than its first page, small copies of it left out."""
+    for page in range(1, MAX_PARTS):
+        if not source.seek_subimage(page, 0):
+            return False
+        kind = source.spec().getattribute("tiff:subfiletype")
+        if not (isinstance(kind, int) and kind & REDUCED_COPY):
+            return True
+    return True
+
+
+def is_beyond_pillow(path: Path) -> bool:
+    """Whether OpenImageIO finds a picture of RGB or grey in a TIFF that Pillow does not open: of floats, of more than
+    16 bits, or of 16 with channels besides. Raises ValueError: it is not installed, and more pixels than `read_deep`
+    takes."""
     try:
         with _opened(path, MAX_PICTURE_PIXELS) as (_, spec):
-            return str(spec.format) in ("half", "float", "double", "uint", "int", "uint32", "int32")
+            is_deep = str(spec.format) not in ("uint8", "int8")
+            return is_deep and spec.getattribute("tiff:PhotometricInterpretation") in TIFF_RGB_OR_GREY
     except ValueError as error:
         if "needs OpenImageIO" in str(error) or "megapixels" in str(error):
             raise
@@ -315,14 +368,18 @@ def _opened(path: Path, max_pixels: int) -> Iterator[tuple[Any, Any]]:
         if source.format_name() not in READS:
             raise ValueError(f"{path}: expected PNG, TIFF or OpenEXR, got {source.format_name()}")
         spec = source.spec()
-        for width, height in ((spec.width, spec.height), (spec.full_width, spec.full_height)):
-            if not 0 < width * height <= max_pixels:
-                raise ValueError(
-                    f"{path}: expected at most {max_pixels // 10**6} megapixels, got {width}x{height}; scale it down"
-                )
+        _check_size(spec, path, max_pixels)
         yield source, spec
     finally:
         source.close()
+
+
+def _check_size(spec: Any, path: Path, max_pixels: int) -> None:
+    for width, height in ((spec.width, spec.height), (spec.full_width, spec.full_height)):
+        if not 0 < width * height <= max_pixels:
+            raise ValueError(
+                f"{path}: expected at most {max_pixels // 10**6} megapixels, got {width}x{height}; scale it down"
+            )
 
 
 def problem_of(source: Any) -> str:

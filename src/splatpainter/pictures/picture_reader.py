@@ -20,11 +20,13 @@ import numpy as np
 from splatpainter.color import to_display
 from splatpainter.image_files import (
     EXTRA,
+    MAX_PARTS,
     MAX_PICTURE_PIXELS,
+    REDUCED_COPY,
     SEVERAL_PAGES,
     PixelSamples,
     can_do_deep,
-    has_deep_samples,
+    is_beyond_pillow,
     is_deep,
     is_exr,
     read_deep,
@@ -60,6 +62,8 @@ PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", "
 PICTURE_KINDS = ("PNG", "JPEG", "WEBP", "TIFF")
 LOSSY_KINDS = ("JPEG", "WebP")
 TIFF_MAGICS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+TIFF_PHOTOMETRIC, TIFF_SUBFILE = 262, 254
+"""Tags: what its numbers mean (0: grey, white is 0), and which kind of page one is."""
 UNUSABLE = "its colour profile cannot be used"
 INKS = ("CMYK", "LAB")
 """Pillow's modes whose colours depend on a profile and do not come back as they were painted."""
@@ -109,7 +113,8 @@ def read_picture(path: Path, *, inks: bool = True) -> Picture:
     animated, more than MAX_PICTURE_PIXELS pixels, OpenEXR without OpenImageIO."""
     # Kinds that Pillow does not read, or not with all their bits, go first.
     if is_exr(path):
-        return _light(read_deep(path, MAX_PICTURE_PIXELS))
+        samples = read_deep(path, MAX_PICTURE_PIXELS)
+        return replace(_light(samples), notes=(f"its layer {samples.layer} was read",) if samples.layer else ())
     if is_zip(path):
         with _merged_file(path) as merged:
             return read_picture(merged, inks=inks)
@@ -128,7 +133,8 @@ def read_picture(path: Path, *, inks: bool = True) -> Picture:
         stated, unusable = _without_unusable_profile(path, image, stated)
         notes = [*unusable, *stated.notes]
         if turned.mode.startswith("I") or turned.mode == "F":
-            return _in_srgb(Picture(*_deep_grey(turned), notes=tuple(notes)), stated.statement)
+            white_is_zero = image.format == "TIFF" and getattr(image, "tag_v2", {}).get(TIFF_PHOTOMETRIC) == 0
+            return _in_srgb(Picture(*_deep_grey(turned, white_is_zero), notes=tuple(notes)), stated.statement)
         # Pillow's colour management is 8 bits; deep pictures take the matrix way below where they can.
         profile = image.info.get("icc_profile") if stated.profiled else None
         alpha = _alpha(turned)
@@ -301,7 +307,8 @@ def _composite(path: Path) -> Picture:
 
 
 def _is_tiff_beyond_pillow(path: Path) -> bool:
-    """Whether it is a TIFF that Pillow cannot open: floats or 32-bit integers of several channels."""
+    """Whether it is a TIFF that Pillow cannot open: floats or 32-bit integers of several channels, or 16 bits with a
+    saved selection."""
     if first_bytes(path, 4) not in TIFF_MAGICS:
         return False
     from PIL import Image, UnidentifiedImageError
@@ -312,7 +319,7 @@ def _is_tiff_beyond_pillow(path: Path) -> bool:
             with Image.open(path, formats=("TIFF",)):
                 return False
         except UnidentifiedImageError:
-            return has_deep_samples(path)
+            return is_beyond_pillow(path)
         except Exception:  # decoders of damaged files raise anything; the reader says what
             return False
 
@@ -345,8 +352,25 @@ def _check_still(path: Path, image: Image) -> None:
     if kind in ("PNG", "WEBP") and getattr(image, "is_animated", False):
         actual = f"{kind} with {getattr(image, 'n_frames', 'several')} frames"
         raise ValueError(f"{path}: expected a still picture, got {actual}; save one of them as PNG")
-    if kind == "TIFF" and getattr(getattr(image, "tag_v2", None), "next", 0):
+    if kind == "TIFF" and getattr(getattr(image, "tag_v2", None), "next", 0) and not _is_with_thumbnails(path):
         raise ValueError(f"{path}: {SEVERAL_PAGES}")
+
+
+def _is_with_thumbnails(path: Path) -> bool:
+    """Whether all pages of a TIFF but the first are small copies of it, as raw converters write them."""
+    from PIL import Image
+
+    with Image.open(path, formats=("TIFF",)) as image:
+        try:
+            for page in range(1, MAX_PARTS):
+                image.seek(page)
+                if not int(getattr(image, "tag_v2", {}).get(TIFF_SUBFILE, 0)) & REDUCED_COPY:
+                    return False
+        except EOFError:
+            return True
+        except Exception:  # decoders of damaged files raise anything
+            return False
+    return False
 
 
 def _short(error: Exception) -> str:
@@ -354,11 +378,13 @@ def _short(error: Exception) -> str:
     return " ".join(reason.split())[:120]
 
 
-def _deep_grey(image: Image) -> tuple[np.ndarray, None]:
-    """16-bit integers of 0..65535, floats of 0..1."""
+def _deep_grey(image: Image, white_is_zero: bool) -> tuple[np.ndarray, np.ndarray | None]:
+    """16-bit integers of 0..65535, floats of 0..1; and where a PNG's one transparent level is not."""
     values = np.asarray(image).astype(np.float32)
     grey = np.clip(np.nan_to_num(values if image.mode == "F" else values / 65535), 0, 1)
-    return np.repeat(grey[..., None], 3, -1), None
+    clear = image.info.get("transparency")
+    alpha = (values != clear).astype(np.float32) if isinstance(clear, int) else None
+    return np.repeat((1 - grey if white_is_zero else grey)[..., None], 3, -1), alpha
 
 
 def _deep(samples: PixelSamples) -> Picture:
