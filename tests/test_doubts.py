@@ -335,6 +335,12 @@ def test_a_ply_packed_by_gzip_says_so(tmp_path: Path) -> None:
     path.write_bytes(b"\x1f\x8b\x08" + bytes(61))
     with pytest.raises(ValueError, match="is packed by gzip; unpack it first"):
         io.read(path)
+    # As whole rows of 32 bytes they would be Gaussians of chance.
+    packed = gzip.compress(saved(tmp_path / "a.splat", ball(50, degree=0)).read_bytes())
+    for ending in ("splat", "ksplat"):
+        (tmp_path / f"b.{ending}").write_bytes(packed + bytes(-len(packed) % 32))
+        with pytest.raises(ValueError, match="is packed by gzip; unpack it first"):
+            io.read(tmp_path / f"b.{ending}")
 
 
 def test_a_splat_file_of_any_positions_is_read(tmp_path: Path) -> None:
@@ -344,3 +350,20 @@ def test_a_splat_file_of_any_positions_is_read(tmp_path: Path) -> None:
         means[0] = first
         path = saved(tmp_path / "a.splat", replace(splats, means=means))
         assert len(io.read(path)) == 50
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (("trbf_center", "trbf_scale", "motion_0"), "Spacetime Gaussians"),
+        (("t", "scale_t"), "all moments are shown at once"),
+        (("beta", "sb_params_0"), "Beta Splatting"),
+        (("shape",), "fall-off"),
+        (("t",), ""),
+        (("beta", "obj_dc_0"), ""),
+    ],
+)
+def test_gaussians_of_other_kinds_are_named(names: tuple[str, ...], words: str, tmp_path: Path) -> None:
+    columns = columns_of(ball(500)) | {name: np.full(500, 0.5) for name in names}
+    found = lines(ply(tmp_path / "a.ply", columns))
+    assert words in found and bool(found) == bool(words)

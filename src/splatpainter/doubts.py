@@ -55,6 +55,18 @@ LOG_FORMATS = ("ply", "compressed.ply")
 """Formats of log-scales and logits in which exporters have stored the values themselves."""
 
 
+ALL_AT_ONCE = "all moments are shown at once"
+OTHER_FALL_OFF = "Gaussians are shown in place of its own fall-off, so it looks blurred or too thin"
+OTHER_GAUSSIANS = (
+    ("trbf_center", "trbf_scale", "Spacetime Gaussians", ALL_AT_ONCE),
+    ("motion_0", "motion_1", "Gaussians that move", ALL_AT_ONCE),
+    ("t", "scale_t", "4D Gaussians", ALL_AT_ONCE),
+    ("beta", "sb_params_0", "Beta Splatting", OTHER_FALL_OFF),
+    ("shape", "opacity", "Generalized Exponential Splatting", OTHER_FALL_OFF),
+)
+"""(column, another one, whose they are, what is seen of them here)."""
+
+
 @dataclass(frozen=True)
 class Doubt:
     """One doubt about an asset."""
@@ -81,7 +93,15 @@ def doubts(splats: Splats) -> tuple[Doubt, ...]:
             return (nothing,) if reason is None else (reason, nothing)
         few = _sample(splats)
         looks = (
-            *(_activated, _opacity_scale, _unfiltered, _log_scales_in_glb, _lossy_planes, _coarse_positions),
+            *(
+                _activated,
+                _opacity_scale,
+                _unfiltered,
+                _other_gaussians,
+                _log_scales_in_glb,
+                _lossy_planes,
+                _coarse_positions,
+            ),
             *(_changed_as_text, _color_scale, _colors),
         )
         return tuple(doubt for look in looks if (doubt := look(splats, few)) is not None)
@@ -297,6 +317,19 @@ def _unfiltered(splats: Splats, few: Splats) -> Doubt | None:
         "its 3D filter is not applied here, nor in other viewers: Gaussians are shown too small and too opaque",
         "fuse it first (create_fused_ply.py of Mip-Splatting)",
     )
+
+
+def _other_gaussians(splats: Splats, few: Splats) -> Doubt | None:
+    """Columns of Gaussians that move in time, or whose fall-off is another: of Spacetime Gaussians (Li et al. 2024), 4D
+    Gaussians (Yang et al. 2024), Deformable Beta Splatting (Liu et al. 2025), GES (Hamdi et al. 2024)."""
+    for column, beside, what, shown in OTHER_GAUSSIANS:
+        if _has_column(splats, column) and _has_column(splats, beside):
+            return Doubt(
+                f"has columns {column}, {beside} ({what})",
+                f"{shown}; these columns are kept, but not shown or edited",
+                "export one moment of it, or train it, as plain 3D Gaussians",
+            )
+    return None
 
 
 def _has_column(splats: Splats, name: str) -> bool:

@@ -461,3 +461,40 @@ def test_many_primitives_that_share_accessors_are_counted_together(tmp_path: Pat
     (tmp_path / "b.glb").write_bytes(pack(doc, binary))
     with pytest.raises(ValueError, match="at most 512 Gaussian primitives, found 600"):
         io.read(tmp_path / "b.glb")
+
+
+def test_only_the_scene_that_a_file_opens_with_is_read(tmp_path: Path) -> None:
+    """Other programs show `scene`, else the first; what others hold is no part of the picture."""
+    data, rows = several([20, 30, 40], [0, 0, 0], [{"mesh": 0}, {"name": "nothing"}])
+    doc, binary = parts(data)
+    doc["nodes"] += [{"children": [3]}, {"mesh": 1, "translation": [0, 5, 0]}]
+    doc["scenes"] = [{"nodes": [0]}, {"nodes": [2]}]
+    path = tmp_path / "a.glb"
+    for scene, shown, move in ((None, rows[:2], 0), (0, rows[:2], 0), (1, rows[2:], 5)):
+        path.write_bytes(pack(doc if scene is None else doc | {"scene": scene}, binary))
+        splats = io.read(path)
+        expected = np.concatenate([one.means for one in shown]) + np.array([0, move, 0], np.float32)
+        assert np.allclose(splats.means, expected * np.array([-1, -1, 1], np.float32), atol=1e-6)
+        text = " ".join(splats.source.problems) if splats.source is not None else ""
+        assert f"{3 - len(shown)} Gaussian primitives that only other scenes of the file show" in text
+        io.write(tmp_path / "b.glb", replace(splats, sh=splats.sh + np.float32(0.5)), overwrite=True)
+        again = io.read(tmp_path / "b.glb")
+        assert np.array_equal(again.means, splats.means) and np.abs(again.sh - splats.sh - 0.5).max() < 1e-6
+    for scenes in ([{"nodes": [99]}], [{}], [7], "none", []):
+        path.write_bytes(pack(doc | {"scenes": scenes, "scene": 0}, binary))
+        assert len(io.read(path)) == 90, "no scene says which"
+
+
+def test_what_a_file_asks_for_beyond_its_gaussians_is_told(tmp_path: Path) -> None:
+    doc, binary = parts(build(attributes_of(random_splats(20, 0)), [{"mesh": 1}]))
+    path = tmp_path / "a.glb"
+    for change, words in (
+        ({"extensionsRequired": ["ACME_bend", KHR]}, "it requires ACME_bend"),
+        ({"nodes": [{"mesh": 1, "skin": 0}]}, "have a skin"),
+        ({"nodes": [{"mesh": 1, "extensions": {"EXT_mesh_gpu_instancing": {}}}]}, "without instances"),
+        ({"extensionsRequired": ["KHR_texture_basisu", "KHR_mesh_quantization"]}, ""),
+        ({"extensionsRequired": 3, "nodes": [{"mesh": 1, "extensions": None}]}, ""),
+    ):
+        path.write_bytes(pack(doc | change, binary))
+        source = io.read(path).source
+        assert source is not None and words in " ".join(source.problems) and (words or not source.problems)

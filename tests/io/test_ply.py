@@ -230,6 +230,10 @@ REFUSED = {
     "end without line end": (ply(BASE, [])[:-1], "closed by 'end_header'"),
     "header over 1 MiB": (ply(BASE, [ROW], head=LONG * 1100), "found none in the first 1 MiB"),
     "mesh": (mesh(), "a mesh: its vertices lack rot_0"),
+    "CloudCompare": (
+        ply([*BASE[:3], *(f"scalar_{name}" for name in BASE[3:])], [ROW]),
+        "as CloudCompare saves them; take scalar_ off the names in its header",
+    ),
     "points": (ply(["x", "y", "z"], [[0, 0, 0]]), "not a Gaussian splat file: its vertices lack rot_0"),
     "44 rest": (
         ply(BASE + [f"f_rest_{k}" for k in range(44)], [ROW + [0] * 44]),

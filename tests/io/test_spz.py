@@ -341,6 +341,7 @@ def test_damaged(version: int, tmp_path: Path) -> None:
     [
         (b"", "not an SPZ file"),
         (b"NGSP", "truncated"),
+        (b"NGSP" + struct.pack("<IIBBBB", 3, 1, 0, 12, 0, 0) + bytes(40), "unpacked on its way here"),
         (gzip.compress(b"NGSP"), "the gzip stream holds 4"),
         (gzip.compress(b"PGSN" + bytes(12)), "expected 'NGSP' inside the gzip stream"),
         (gzip.compress(head(5) + bytes(100)), "expected SPZ version 1-3 in a gzip stream, found 5"),

@@ -7,6 +7,7 @@ without one (.splat, .ksplat) no honest file begins so: its first twelve bytes a
 from __future__ import annotations
 
 import string
+import zlib
 from pathlib import Path
 
 HEAD_BYTES = 512
@@ -57,10 +58,19 @@ def check_not_foreign(head: bytes, path: Path) -> None:
     for offset, magic, what, remedy in _MAGIC:
         if head[offset : offset + len(magic)] == magic and (offset != 8 or head[:4] == b"RIFF"):
             raise ValueError(f"{path}: is {what}, not a splat file; {remedy}")
-    if head.startswith(GZIP) and path.suffix.lower() == ".ply":  # SPZ has it too, and a .splat may
+    packed = path.suffix.lower() == ".ply" or (path.suffix.lower() in (".splat", ".ksplat") and _is_gzip(head))
+    if head.startswith(GZIP) and packed:  # SPZ has it too, and a .splat may
         raise ValueError(f"{path}: is packed by gzip; unpack it first (gunzip), or call it .spz if it is one")
     letters = len(text) - len(text.translate(None, string.ascii_letters.encode()))
     is_json = text.startswith((b'{"', b"[{")) and len(text) > MIN_LETTERS
     if (letters >= MIN_LETTERS or is_json) and path.suffix.lower() != ".json" and _PRINTABLE.issuperset(text):
         remedy = "save it as .glb" if is_json and b'"asset"' in text else DOWNLOAD
         raise ValueError(f"{path}: is a text {text[:40].decode('ascii')!r}, not a splat file; {remedy}")
+
+
+def _is_gzip(head: bytes) -> bool:
+    """Whether a beginning is that of a gzip stream, which no row of floats is: it unpacks."""
+    try:
+        return len(zlib.decompressobj(16 + zlib.MAX_WBITS).decompress(head, 1 << 16)) > 0
+    except zlib.error:
+        return False

@@ -49,6 +49,11 @@ from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import row_norm
 
 EXTENSION = "KHR_gaussian_splatting"
+INSTANCING = "EXT_mesh_gpu_instancing"
+KNOWN_EXTENSIONS = (EXTENSION, *gltf_spz.NESTED, *gltf_spz.BESIDE, "KHR_mesh_quantization")
+OF_MESHES = ("KHR_texture_", "EXT_texture_", "KHR_materials_", "KHR_lights_", "KHR_draco_", "EXT_meshopt_")
+"""Extensions that a file may require without a word: beginnings of those that other meshes have, or that are refused
+where Gaussians have them."""
 COLOR_SPACES = {"srgb": "srgb_rec709_display", "linear": "lin_rec709_display"}
 MAX_SHARED_RATIO = 16
 """Bytes of rows in memory per byte of the file: accessors may share bytes, as of SH bands that are empty."""
@@ -262,16 +267,40 @@ def _primitives_to_open(doc: dict[str, Any], path: Path, problems: list[str]) ->
                 candidates.append((mesh, index))
     if not candidates:
         raise ValueError(f"{path}: expected a primitive with {EXTENSION}; this glTF file holds no Gaussians")
-    visible = {node.get("mesh") for node in doc.get("nodes", []) if type(node.get("mesh")) is int}
+    shown = {node.get("mesh") for node in doc.get("nodes", []) if type(node.get("mesh")) is int}
+    visible = set(gltf.parents_of(doc).showing)
     to_open = [one for one in candidates if one[0] in visible] or candidates
-    if len(to_open) < len(candidates):
-        hidden = len(candidates) - len(to_open)
+    elsewhere = sum(mesh in shown for mesh, _ in candidates) if visible else 0
+    elsewhere -= sum(mesh in shown for mesh, _ in to_open) if elsewhere else 0
+    hidden = len(candidates) - len(to_open) - elsewhere
+    if hidden:
         problems.append(f"{hidden} Gaussian primitives that no node shows; they are not opened, but kept")
+    if elsewhere:
+        problems.append(
+            f"{elsewhere} Gaussian primitives that only other scenes of the file show; they are not opened, but kept"
+        )
     if len(to_open) > MAX_PRIMITIVES:
         raise ValueError(f"{path}: expected at most {MAX_PRIMITIVES} Gaussian primitives, found {len(to_open)}")
     for mesh, index in to_open:
         _check_primitive(doc["meshes"][mesh]["primitives"][index], path, problems)
+    _check_scene(doc, {mesh for mesh, _ in to_open}, problems)
     return to_open
+
+
+def _check_scene(doc: dict[str, Any], meshes: set[int], problems: list[str]) -> None:
+    """What a file asks for that is not done here, and that moves or multiplies what is seen."""
+    asked = doc.get("extensionsRequired")
+    names = asked if isinstance(asked, list) else []
+    unknown = [str(name) for name in names if name not in KNOWN_EXTENSIONS and not str(name).startswith(OF_MESHES)]
+    if unknown:
+        problems.append(
+            f"it requires {files.printable(', '.join(unknown))}, which is not done here: it may look otherwise"
+        )
+    nodes = [node for node in doc.get("nodes", []) if type(node.get("mesh")) is int and node["mesh"] in meshes]
+    if any(INSTANCING in node["extensions"] for node in nodes if isinstance(node.get("extensions"), dict)):
+        problems.append(f"{INSTANCING}: its Gaussians are opened once, where their node puts them, without instances")
+    if any("skin" in node for node in nodes):
+        problems.append("the Gaussians have a skin; they are shown at rest, without its bones")
 
 
 def _check_primitive(primitive: dict[str, Any], path: Path, problems: list[str]) -> None:

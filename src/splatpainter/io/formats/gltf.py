@@ -183,17 +183,41 @@ class Parents:
 
 
 def parents_of(doc: dict[str, Any]) -> Parents:
-    """One look at all nodes."""
+    """One look at all nodes; those of other scenes than the one it opens with show nothing."""
     above: dict[int, int] = {}
     showing: dict[int, list[int]] = {}
+    nodes = scene_nodes(doc)
     for index, item in enumerate(doc.get("nodes", [])):
-        if type(item.get("mesh")) is int:
+        if type(item.get("mesh")) is int and index in nodes:
             showing.setdefault(item["mesh"], []).append(index)
         children = item.get("children")
         for child in children if isinstance(children, list) else []:
             if type(child) is int:
                 above.setdefault(child, index)
     return Parents(above, showing)
+
+
+def scene_nodes(doc: dict[str, Any]) -> set[int]:
+    """All nodes but those that only other scenes have than the one that a file opens with: `scene`, else the first."""
+    everything = set(range(len(doc.get("nodes", []))))
+    scenes, opened = doc.get("scenes"), doc.get("scene", 0)
+    if not isinstance(scenes, list) or type(opened) is not int or not 0 <= opened < len(scenes):
+        return everything
+    roots = [scene.get("nodes") if isinstance(scene, dict) else None for scene in scenes]
+    shown = _nodes_below(doc, [roots[opened]], everything)
+    return everything - (_nodes_below(doc, roots, everything) - shown) if shown else everything
+
+
+def _nodes_below(doc: dict[str, Any], left: list[Any], everything: set[int]) -> set[int]:
+    found: set[int] = set()
+    left = list(left)
+    while left:  # children of damaged files may be anything, and name each other
+        named = left.pop()
+        for node in named if isinstance(named, list) else []:
+            if type(node) is int and node in everything and node not in found:
+                found.add(node)
+                left.append(doc["nodes"][node].get("children"))
+    return found
 
 
 def global_matrix(doc: dict[str, Any], node: int, path: Path, tree: Parents) -> np.ndarray:

@@ -152,6 +152,11 @@ def columns_of(names: Sequence[str], path: Path, header: Header | None = None) -
     missing = [name for required in plan.values() for name in required if name not in present]
     if missing == ["scale_2"]:
         raise ValueError(f"{path}: no scale_2: a file of 2D Gaussians (surfels); expected 3D Gaussians")
+    if missing and present.issuperset(f"scalar_{name}" for name in missing):
+        raise ValueError(
+            f"{path}: its properties are called scalar_{missing[0]} and so on, as CloudCompare saves them; take "
+            "scalar_ off the names in its header (LC_ALL=C sed -i 's/^property float scalar_/property float /' FILE)"
+        )
     if missing:
         what = "a mesh" if header is not None and header.element("face") else "not a Gaussian splat file"
         listed = ", ".join(missing[:6]) + (", ..." if len(missing) > 6 else "")

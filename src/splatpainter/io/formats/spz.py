@@ -220,6 +220,11 @@ def _parse_gzip(data: bytes, path: Path) -> SpzFile:
 def _parse_plain(data: bytes, path: Path) -> SpzFile:
     header = files.take(data, 0, 32, path, "the SPZ header")
     _, version, count, degree, bits, flags, stored, table = struct.unpack("<4sIIBBBBI", header[:20])
+    if version in (1, 2, 3):
+        raise ValueError(
+            f"{path}: an SPZ file of version {version} that was unpacked on its way here (a download that took its "
+            "gzip for the connection's); download it again as it is, or pack it: gzip FILE, then call it .spz"
+        )
     if version != 4:
         raise ValueError(f"{path}: expected SPZ version 4 after a plain 'NGSP', found {version}")
     _check_header(version, degree, bits, path)
