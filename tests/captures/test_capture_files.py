@@ -184,6 +184,43 @@ def test_lines_of_points_may_be_missing_or_empty(start: str, between: str, tmp_p
     assert [view.camera.world_to_camera[2, 3] for view in views] == [1, 2, 3, 4, 5]
 
 
+@pytest.mark.parametrize(
+    ("listed", "there"),
+    [
+        ("images/A 1.PNG", "images/a 1.png"),
+        ("images/a%20b%C3%A9.png", "images/a bé.png"),
+        ("images/100%.png", "images/100%.png"),
+        ("file:///home/me/images/a%201.png", "images/a 1.png"),
+    ],
+)
+def test_names_in_other_capitals_or_as_in_links(listed: str, there: str, tmp_path: Path) -> None:
+    write_table(tmp_path, some_cameras()[:1], [listed])
+    (tmp_path / "images").mkdir()
+    (tmp_path / there).write_bytes(b"")
+    found = captured_views(tmp_path)[0].picture()
+    assert found is not None and found.samefile(tmp_path / there)
+
+
+def test_of_two_names_in_other_capitals_neither_is_taken(tmp_path: Path) -> None:
+    write_table(tmp_path, some_cameras()[:1], ["IMG.PNG"])
+    for name in ("img.png", "Img.png"):
+        (tmp_path / name).write_bytes(b"")
+    assert captured_views(tmp_path)[0].picture() is None
+
+
+def test_a_lens_may_be_a_list(tmp_path: Path) -> None:
+    """nerfstudio's dataparser takes distortion_params before k1 and the others."""
+    cameras = some_cameras()[:1]
+    write_table(tmp_path, cameras, ["a.jpg"], k1=0.5, distortion_params=[0.1, 0.02, 0.003, 0.004, 0.05, 0.06])
+    assert captured_views(tmp_path)[0].lens == PolynomialLens((0.1, 0.02, 0.003, 0.004), (0.05, 0.06))
+    write_table(tmp_path, cameras, ["a.jpg"], distortion_params=[0.1])
+    with pytest.raises(ValueError, match="expected 6 numbers as distortion_params, got 1"):
+        captured_views(tmp_path)
+    write_table(tmp_path, cameras, ["a.jpg"], k1=0.1, k6=0.2)
+    with pytest.raises(ValueError, match="got k6; undistort the pictures"):
+        captured_views(tmp_path)
+
+
 @pytest.mark.parametrize("name", ["Transforms.json", "CAMERAS.JSON"])
 def test_capitals_of_names_do_not_matter(name: str, tmp_path: Path) -> None:
     """Disks of Windows and Macs do not tell them apart; a copy on Linux has what was typed there."""

@@ -7,11 +7,13 @@ import unicodedata
 from collections.abc import Iterator
 from dataclasses import field, replace
 from pathlib import Path, PurePosixPath
+from urllib.parse import unquote
 
 import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.captures.lenses import Lens, pinhole_window
+from splatpainter.io.folders import inside
 from splatpainter.system.quick_dataclass import dataclass
 
 ENDINGS = ("", ".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG", ".webp", ".tif", ".tiff")
@@ -45,13 +47,23 @@ class CapturedView:
 
     def picture(self) -> Path | None:
         """The photograph's file, or a smaller copy of it; None where neither is there."""
-        return next((path for path in self._candidates() if os.path.isfile(path)), None)
+        found = next((path for path in self._candidates() if os.path.isfile(path)), None)
+        if found is not None or not self.name:
+            return found
+        # Disks of Windows and Macs do not tell capitals apart, so tables made there need not either.
+        name = PurePosixPath(self.name.replace("\\", "/"))
+        alike = (inside(folder / name.parent, name.name) for folder in self.folders)
+        return next((path for path in alike if os.path.isfile(path)), None)
 
     def _candidates(self) -> Iterator[Path]:
         if not self.name:
             return
         full = self.name.replace("\\", "/")
-        forms = dict.fromkeys((full, unicodedata.normalize("NFC", full), unicodedata.normalize("NFD", full)))
+        # As it stands, then as Macs decompose letters, then as links write spaces.
+        plain = unquote(full)
+        forms = dict.fromkeys(
+            (full, *(unicodedata.normalize(form, n) for n in (full, plain) for form in ("NFC", "NFD")))
+        )
         for form in forms:
             yield from self._candidates_of(PurePosixPath(form))
 

@@ -28,6 +28,7 @@ FISHEYE = ("OPENCV_FISHEYE", "FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE
 OTHER_LENSES = ("is_fisheye", "latlong", "equirectangular", "orthographic", "ftheta_p0")
 """Keys by which instant-ngp says that a camera is none of a pinhole; of the first there is a model."""
 DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
+RATIONAL = ("k5", "k6")
 MAX_TABLE_BYTES = 64 << 20
 """Of a table: 500 bytes a frame."""
 
@@ -158,7 +159,17 @@ def _lens(where: str, record: dict[str, Any]) -> Lens | None:
         raise ValueError(
             f"{where}: {named}, which no pinhole camera replaces; expected {', '.join((*PERSPECTIVE[:2], FISHEYE[0]))}"
         )
+    # Of OpenCV's rational lens, which nerfstudio does not have: left out it would bend every line.
+    beyond = next((key for key in RATIONAL if _number(where, record, key, 0.0)), "")
+    if beyond:
+        raise ValueError(f"{where}: expected a lens of {', '.join(DISTORTION)}, got {beyond}; undistort the pictures")
     k1, k2, k3, k4, p1, p2 = (_number(where, record, key, 0.0) for key in DISTORTION)
+    listed = record.get("distortion_params")
+    if listed is not None:  # nerfstudio takes the list before the single numbers
+        values = finite_numbers(listed, where, "distortion_params")
+        if len(values) != len(DISTORTION):
+            raise ValueError(f"{where}: expected {len(DISTORTION)} numbers as distortion_params, got {len(values)}")
+        k1, k2, k3, k4, p1, p2 = map(float, values)
     if fisheye:
         return PolynomialLens((k1, k2, k3, k4), fisheye=True)
     return lens_or_none(PolynomialLens((k1, k2, k3, k4), (p1, p2)))
