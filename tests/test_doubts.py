@@ -365,5 +365,5 @@ def test_a_splat_file_of_any_positions_is_read(tmp_path: Path) -> None:
 )
 def test_gaussians_of_other_kinds_are_named(names: tuple[str, ...], words: str, tmp_path: Path) -> None:
     columns = columns_of(ball(500)) | {name: np.full(500, 0.5) for name in names}
-    found = lines(ply(tmp_path / "a.ply", columns))
-    assert words in found and bool(found) == bool(words)
+    doubted = lines(ply(tmp_path / "a.ply", columns))
+    assert words in doubted and bool(doubted) == bool(words)

@@ -321,12 +321,13 @@ def _unfiltered(splats: Splats, few: Splats) -> Doubt | None:
 
 def _other_gaussians(splats: Splats, few: Splats) -> Doubt | None:
     """Columns of Gaussians that move in time, or whose fall-off is another: of Spacetime Gaussians (Li et al. 2024), 4D
-    Gaussians (Yang et al. 2024), Deformable Beta Splatting (Liu et al. 2025), GES (Hamdi et al. 2024)."""
-    for column, beside, what, shown in OTHER_GAUSSIANS:
+    Gaussians (Yang et al. 2024), Deformable Beta Splatting (Liu et al. 2025), Generalized
+    Exponential Splatting (Hamdi et al. 2024)."""
+    for column, beside, what, effect in OTHER_GAUSSIANS:
         if _has_column(splats, column) and _has_column(splats, beside):
             return Doubt(
                 f"has columns {column}, {beside} ({what})",
-                f"{shown}; these columns are kept, but not shown or edited",
+                f"{effect}; these columns are kept, but not effect or edited",
                 "export one moment of it, or train it, as plain 3D Gaussians",
             )
     return None

@@ -257,7 +257,7 @@ def _color_layer(source: Any, spec: Any, path: Path, max_pixels: int) -> tuple[i
     of compositing programs are R, G and B, or `beauty.R` and so on, and may lie behind a part of depths. Raises
     ValueError: none, or several layers of which none is called as the picture."""
     layouts = ("R", "G", "B", "A"), ("R", "G", "B"), ("Y", "A"), ("Y",)
-    found: list[tuple[int, Any, str, tuple[str, ...]]] = []
+    candidates: list[tuple[int, Any, str, tuple[str, ...]]] = []
     listed = list(map(str, spec.channelnames[:8]))
     parts = MAX_PARTS if source.format_name() == "openexr" else 1
     for part in range(parts):
@@ -274,14 +274,14 @@ def _color_layer(source: Any, spec: Any, path: Path, max_pixels: int) -> tuple[i
             if channels is not None and not layer:
                 return part, spec, layer, channels
             if channels is not None:
-                found.append((part, spec, layer, channels))
-    if not found:
+                candidates.append((part, spec, layer, channels))
+    if not candidates:
         raise ValueError(f"{path}: expected channels R, G, B or Y, got {', '.join(listed)}")
-    named = [one for one in found if one[2].rstrip(".").rpartition(".")[2].lower() in PICTURE_LAYERS]
-    if len(named or found) > 1:
-        layers = ", ".join(one[2].removesuffix(".") for one in (named or found)[:4])
+    named = [one for one in candidates if one[2].rstrip(".").rpartition(".")[2].lower() in PICTURE_LAYERS]
+    if len(named or candidates) > 1:
+        layers = ", ".join(one[2].removesuffix(".") for one in (named or candidates)[:4])
         raise ValueError(f"{path}: expected one picture, got several layers ({layers}); save one of them")
-    (chosen,) = named or found
+    (chosen,) = named or candidates
     source.seek_subimage(chosen[0], 0)
     return chosen
 

@@ -66,7 +66,7 @@ def check_target(path: Path, overwrite: bool, inputs: Sequence[Path] = (), untou
     if not folder.is_dir():
         raise ValueError(f"{path}: no such folder: {folder}; make it first")
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise ValueError(f"{path}: cannot be written: no permission in {folder}")
+        raise ValueError(f"{path}: cannot be written: {_why_not(folder)}")
 
 
 def check_folder(path: Path) -> None:
@@ -81,7 +81,16 @@ def check_folder(path: Path) -> None:
     if not above.is_dir():
         raise ValueError(f"{path}: cannot be made: {above} is a file")
     if not os.access(above, os.W_OK | os.X_OK):
-        raise ValueError(f"{path}: cannot be written: no permission in {above}")
+        raise ValueError(f"{path}: cannot be written: {_why_not(above)}")
+
+
+def _why_not(folder: Path) -> str:
+    """Why nothing can be written into a folder: no permission would send people to chmod where it cannot help."""
+    try:
+        is_read_only = bool(os.statvfs(folder).f_flag & os.ST_RDONLY)
+    except (AttributeError, OSError):  # Windows has no such call
+        is_read_only = False
+    return f"{folder} is on a disk that is mounted read-only" if is_read_only else f"no permission in {folder}"
 
 
 def make_folder(path: Path) -> None:

@@ -197,8 +197,8 @@ def test_names_in_other_capitals_or_as_in_links(listed: str, there: str, tmp_pat
     write_table(tmp_path, some_cameras()[:1], [listed])
     (tmp_path / "images").mkdir()
     (tmp_path / there).write_bytes(b"")
-    found = captured_views(tmp_path)[0].picture()
-    assert found is not None and found.samefile(tmp_path / there)
+    picture = captured_views(tmp_path)[0].picture()
+    assert picture is not None and picture.samefile(tmp_path / there)
 
 
 def test_of_two_names_in_other_capitals_neither_is_taken(tmp_path: Path) -> None:

@@ -10,12 +10,14 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 import splatpainter as sp
 from splatpainter.commands import convert
+from splatpainter.output_paths import check_folder, check_target
 from tests.support.cli_scenes import Capture, ball, ball_and_painted_view, listing, refused, run, saved
 from tests.support.systems import posix_only
 
@@ -216,3 +218,15 @@ def test_a_copy_is_not_read_again(tmp_path: Path, capfd: Capture, monkeypatch: p
         read_files.clear()
         assert run(capfd, "convert", asset, tmp_path / "other.ply", "--overwrite", *options).code == 0
         assert len(read_files) == 2, options
+
+
+@posix_only
+def test_a_disk_that_is_mounted_read_only_is_called_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """chmod would not help there."""
+    real = os.statvfs(tmp_path)
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    for flag, words in ((os.ST_RDONLY, "is on a disk that is mounted read-only"), (0, "no permission in")):
+        monkeypatch.setattr(os, "statvfs", lambda _, flag=flag: SimpleNamespace(f_flag=real.f_flag & ~1 | flag))
+        for check in (check_folder, lambda path: check_target(path, False)):
+            with pytest.raises(ValueError, match=words):
+                check(tmp_path / "a.ply")

@@ -470,13 +470,13 @@ def test_only_the_scene_that_a_file_opens_with_is_read(tmp_path: Path) -> None:
     doc["nodes"] += [{"children": [3]}, {"mesh": 1, "translation": [0, 5, 0]}]
     doc["scenes"] = [{"nodes": [0]}, {"nodes": [2]}]
     path = tmp_path / "a.glb"
-    for scene, shown, move in ((None, rows[:2], 0), (0, rows[:2], 0), (1, rows[2:], 5)):
+    for scene, pieces, move in ((None, rows[:2], 0), (0, rows[:2], 0), (1, rows[2:], 5)):
         path.write_bytes(pack(doc if scene is None else doc | {"scene": scene}, binary))
         splats = io.read(path)
-        expected = np.concatenate([one.means for one in shown]) + np.array([0, move, 0], np.float32)
+        expected = np.concatenate([one.means for one in pieces]) + np.array([0, move, 0], np.float32)
         assert np.allclose(splats.means, expected * np.array([-1, -1, 1], np.float32), atol=1e-6)
         text = " ".join(splats.source.problems) if splats.source is not None else ""
-        assert f"{3 - len(shown)} Gaussian primitives that only other scenes of the file show" in text
+        assert f"{3 - len(pieces)} Gaussian primitives that only other scenes of the file show" in text
         io.write(tmp_path / "b.glb", replace(splats, sh=splats.sh + np.float32(0.5)), overwrite=True)
         again = io.read(tmp_path / "b.glb")
         assert np.array_equal(again.means, splats.means) and np.abs(again.sh - splats.sh - 0.5).max() < 1e-6

@@ -203,3 +203,29 @@ def test_a_page_says_why_it_cannot_show_the_asset(browser: Any, tmp_path: Path) 
         assert "cannot be shown: expected" in tab.get_by_role("alert").inner_text()
     finally:
         tab.close()
+
+
+STATES_SEEN = """() => {
+  window.statesSeen = [];
+  const badge = document.querySelector(".connection");
+  const look = () => window.statesSeen.push(badge.innerText.trim());
+  new MutationObserver(look).observe(badge, { childList: true, subtree: true, characterData: true, attributes: true });
+}"""
+
+
+def test_the_state_says_working_while_a_film_is_rendered(opened: tuple[studio_scenes.Live, Page]) -> None:
+    _, page = opened
+    page.tab.get_by_role("tab", name="Views").click()
+    page.tab.get_by_role("button", name="Turntable...").click()
+    dialog = page.tab.locator("dialog")
+    dialog.get_by_label("Size").select_option("custom")
+    for side in ("Width", "Height"):
+        dialog.get_by_label(side).fill("64")
+    dialog.get_by_label("Seconds, number").fill("1")
+    dialog.get_by_label("Seconds, number").press("Enter")
+    dialog.get_by_label("Frames").select_option("15")
+    page.tab.evaluate(STATES_SEEN)
+    downloaded(page, "Render and download")
+    page.wait("the end", lambda: page.tab.locator(".connection").inner_text().strip() == "Saved")
+    seen = page.tab.evaluate("window.statesSeen")
+    assert "Working" in seen and seen[-1] == "Saved", seen

@@ -47,9 +47,9 @@ class CapturedView:
 
     def picture(self) -> Path | None:
         """The photograph's file, or a smaller copy of it; None where neither is there."""
-        found = next((path for path in self._candidates() if os.path.isfile(path)), None)
-        if found is not None or not self.name:
-            return found
+        listed = next((path for path in self._candidates() if os.path.isfile(path)), None)
+        if listed is not None or not self.name:
+            return listed
         # Disks of Windows and Macs do not tell capitals apart, so tables made there need not either.
         name = PurePosixPath(self.name.replace("\\", "/"))
         alike = (inside(folder / name.parent, name.name) for folder in self.folders)

@@ -186,10 +186,10 @@ def unused_models(folder: Path) -> list[str]:
     """A line that names COLMAP's other models of a folder, whose photographs are not fitted to; none where there is no
     other."""
     model = _model_of(folder)
-    others = [] if model is None else other_models(model)
-    if model is None or not others:
+    unused = [] if model is None else other_models(model)
+    if model is None or not unused:
         return []
-    counts = ", ".join(f"{one.parent.name}/{one.name} ({photographs_of(one):,} photographs)" for one in others)
+    counts = ", ".join(f"{one.parent.name}/{one.name} ({photographs_of(one):,} photographs)" for one in unused)
     used = f"{model.absolute().parent.name}/{model.name} ({photographs_of(model):,})"
     return [
         f"of COLMAP's models only {used} is fitted to; not used, as each has a world of its own: {counts}; to take one "

@@ -50,7 +50,7 @@ from splatpainter.transforms import row_norm
 
 EXTENSION = "KHR_gaussian_splatting"
 INSTANCING = "EXT_mesh_gpu_instancing"
-KNOWN_EXTENSIONS = (EXTENSION, *gltf_spz.NESTED, *gltf_spz.BESIDE, "KHR_mesh_quantization")
+EXTENSIONS_DONE = (EXTENSION, *gltf_spz.NESTED, *gltf_spz.BESIDE, "KHR_mesh_quantization")
 OF_MESHES = ("KHR_texture_", "EXT_texture_", "KHR_materials_", "KHR_lights_", "KHR_draco_", "EXT_meshopt_")
 """Extensions that a file may require without a word: beginnings of those that other meshes have, or that are refused
 where Gaussians have them."""
@@ -267,11 +267,11 @@ def _primitives_to_open(doc: dict[str, Any], path: Path, problems: list[str]) ->
                 candidates.append((mesh, index))
     if not candidates:
         raise ValueError(f"{path}: expected a primitive with {EXTENSION}; this glTF file holds no Gaussians")
-    shown = {node.get("mesh") for node in doc.get("nodes", []) if type(node.get("mesh")) is int}
+    meshes = {node.get("mesh") for node in doc.get("nodes", []) if type(node.get("mesh")) is int}
     visible = set(gltf.parents_of(doc).showing)
     to_open = [one for one in candidates if one[0] in visible] or candidates
-    elsewhere = sum(mesh in shown for mesh, _ in candidates) if visible else 0
-    elsewhere -= sum(mesh in shown for mesh, _ in to_open) if elsewhere else 0
+    elsewhere = sum(mesh in meshes for mesh, _ in candidates) if visible else 0
+    elsewhere -= sum(mesh in meshes for mesh, _ in to_open) if elsewhere else 0
     hidden = len(candidates) - len(to_open) - elsewhere
     if hidden:
         problems.append(f"{hidden} Gaussian primitives that no node shows; they are not opened, but kept")
@@ -289,9 +289,9 @@ def _primitives_to_open(doc: dict[str, Any], path: Path, problems: list[str]) ->
 
 def _check_scene(doc: dict[str, Any], meshes: set[int], problems: list[str]) -> None:
     """What a file asks for that is not done here, and that moves or multiplies what is seen."""
-    asked = doc.get("extensionsRequired")
-    names = asked if isinstance(asked, list) else []
-    unknown = [str(name) for name in names if name not in KNOWN_EXTENSIONS and not str(name).startswith(OF_MESHES)]
+    required = doc.get("extensionsRequired")
+    names = required if isinstance(required, list) else []
+    unknown = [str(name) for name in names if name not in EXTENSIONS_DONE and not str(name).startswith(OF_MESHES)]
     if unknown:
         problems.append(
             f"it requires {files.printable(', '.join(unknown))}, which is not done here: it may look otherwise"

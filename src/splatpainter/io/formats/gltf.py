@@ -204,20 +204,20 @@ def scene_nodes(doc: dict[str, Any]) -> set[int]:
     if not isinstance(scenes, list) or type(opened) is not int or not 0 <= opened < len(scenes):
         return everything
     roots = [scene.get("nodes") if isinstance(scene, dict) else None for scene in scenes]
-    shown = _nodes_below(doc, [roots[opened]], everything)
-    return everything - (_nodes_below(doc, roots, everything) - shown) if shown else everything
+    visible = _nodes_below(doc, [roots[opened]], everything)
+    return everything - (_nodes_below(doc, roots, everything) - visible) if visible else everything
 
 
 def _nodes_below(doc: dict[str, Any], left: list[Any], everything: set[int]) -> set[int]:
-    found: set[int] = set()
+    nodes: set[int] = set()
     left = list(left)
     while left:  # children of damaged files may be anything, and name each other
         named = left.pop()
         for node in named if isinstance(named, list) else []:
-            if type(node) is int and node in everything and node not in found:
-                found.add(node)
+            if type(node) is int and node in everything and node not in nodes:
+                nodes.add(node)
                 left.append(doc["nodes"][node].get("children"))
-    return found
+    return nodes
 
 
 def global_matrix(doc: dict[str, Any], node: int, path: Path, tree: Parents) -> np.ndarray:
