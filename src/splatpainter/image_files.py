@@ -41,12 +41,6 @@ READS = ("png", "tiff", "openexr")
 """What OpenImageIO is given to read, of all that it could."""
 TIFF_BITS = 258
 """Tag: bits of each channel."""
-TIFF_RGB_OR_GREY = (0, 1, 2)
-"""Photometric interpretations of TIFF: grey from white or from black, RGB."""
-REDUCED_COPY = 1
-"""Bit of a TIFF page's NewSubfileType: a small copy of another page."""
-MAX_PARTS = 64
-"""Parts of an OpenEXR file, and pages of a TIFF, that are looked at."""
 PICTURE_LAYERS = ("combined", "composite", "beauty", "rgba", "rgb")
 """Last words of the names of layers that are the picture, of several: those of Blender and of renderers."""
 EXIF_ORIENTATION = 274
@@ -178,6 +172,25 @@ def _encode(
 
 
 @dataclass(frozen=True)
+class PageCodes:
+    """Numbers of TIFF 6.0, and how many pages are looked at."""
+
+    photometric: int = 262
+    """Tag: what its numbers mean."""
+    rgb_or_grey: tuple[int, ...] = (0, 1, 2)
+    """Of that tag: grey from white, grey from black, RGB."""
+    subfile: int = 254
+    """Tag: which kind of page it is."""
+    reduced: int = 1
+    """Bit of that tag: a small copy of another page."""
+    max_parts: int = 64
+    """Pages of a TIFF and parts of an OpenEXR file. Source: taste."""
+
+
+PAGES = PageCodes()
+
+
+@dataclass(frozen=True)
 class PixelSamples:
     """A picture with all its bits."""
 
@@ -259,7 +272,7 @@ def _color_layer(source: Any, spec: Any, path: Path, max_pixels: int) -> tuple[i
     layouts = ("R", "G", "B", "A"), ("R", "G", "B"), ("Y", "A"), ("Y",)
     candidates: list[tuple[int, Any, str, tuple[str, ...]]] = []
     listed = list(map(str, spec.channelnames[:8]))
-    parts = MAX_PARTS if source.format_name() == "openexr" else 1
+    parts = PAGES.max_parts if source.format_name() == "openexr" else 1
     for part in range(parts):
         if part:
             if not source.seek_subimage(part, 0):
@@ -288,11 +301,11 @@ def _color_layer(source: Any, spec: Any, path: Path, max_pixels: int) -> tuple[i
 
 def _has_further_pages(source: Any) -> bool:
     """Whether a TIFF has more than its first page, small copies of it left out."""
-    for page in range(1, MAX_PARTS):
+    for page in range(1, PAGES.max_parts):
         if not source.seek_subimage(page, 0):
             return False
         kind = source.spec().getattribute("tiff:subfiletype")
-        if not (isinstance(kind, int) and kind & REDUCED_COPY):
+        if not (isinstance(kind, int) and kind & PAGES.reduced):
             return True
     return True
 
@@ -304,7 +317,7 @@ def is_beyond_pillow(path: Path) -> bool:
     try:
         with _opened(path, MAX_PICTURE_PIXELS) as (_, spec):
             is_deep = str(spec.format) not in ("uint8", "int8")
-            return is_deep and spec.getattribute("tiff:PhotometricInterpretation") in TIFF_RGB_OR_GREY
+            return is_deep and spec.getattribute("tiff:PhotometricInterpretation") in PAGES.rgb_or_grey
     except ValueError as error:
         if "needs OpenImageIO" in str(error) or "megapixels" in str(error):
             raise

@@ -20,9 +20,8 @@ import numpy as np
 from splatpainter.color import to_display
 from splatpainter.image_files import (
     EXTRA,
-    MAX_PARTS,
     MAX_PICTURE_PIXELS,
-    REDUCED_COPY,
+    PAGES,
     SEVERAL_PAGES,
     PixelSamples,
     can_do_deep,
@@ -62,8 +61,6 @@ PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", "
 PICTURE_KINDS = ("PNG", "JPEG", "WEBP", "TIFF")
 LOSSY_KINDS = ("JPEG", "WebP")
 TIFF_MAGICS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-TIFF_PHOTOMETRIC, TIFF_SUBFILE = 262, 254
-"""Tags: what its numbers mean (0: grey, white is 0), and which kind of page one is."""
 UNUSABLE = "its colour profile cannot be used"
 INKS = ("CMYK", "LAB")
 """Pillow's modes whose colours depend on a profile and do not come back as they were painted."""
@@ -133,7 +130,7 @@ def read_picture(path: Path, *, inks: bool = True) -> Picture:
         stated, unusable = _without_unusable_profile(path, image, stated)
         notes = [*unusable, *stated.notes]
         if turned.mode.startswith("I") or turned.mode == "F":
-            white_is_zero = image.format == "TIFF" and getattr(image, "tag_v2", {}).get(TIFF_PHOTOMETRIC) == 0
+            white_is_zero = image.format == "TIFF" and getattr(image, "tag_v2", {}).get(PAGES.photometric) == 0
             return _in_srgb(Picture(*_deep_grey(turned, white_is_zero), notes=tuple(notes)), stated.statement)
         # Pillow's colour management is 8 bits; deep pictures take the matrix way below where they can.
         profile = image.info.get("icc_profile") if stated.profiled else None
@@ -362,9 +359,9 @@ def _is_with_thumbnails(path: Path) -> bool:
 
     with Image.open(path, formats=("TIFF",)) as image:
         try:
-            for page in range(1, MAX_PARTS):
+            for page in range(1, PAGES.max_parts):
                 image.seek(page)
-                if not int(getattr(image, "tag_v2", {}).get(TIFF_SUBFILE, 0)) & REDUCED_COPY:
+                if not int(getattr(image, "tag_v2", {}).get(PAGES.subfile, 0)) & PAGES.reduced:
                     return False
         except EOFError:
             return True
