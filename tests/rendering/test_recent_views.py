@@ -16,7 +16,15 @@ from splatpainter.rendering.cpu import recent_views
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.rendering.cpu.recent_views import RecentViewLimits, drawn_view, hold, note_view, recent_view
 from splatpainter.rendering.partial import PartialRender
+from splatpainter.splats import ATTRIBUTES, Splats
 from tests.support.render_scenes import cameras, scene
+
+
+def fixed(splats: Splats[np.ndarray]) -> Splats[np.ndarray]:
+    """The same, to which nobody can write."""
+    for name in ATTRIBUTES:
+        getattr(splats, name).flags.writeable = False
+    return splats
 
 
 def test_a_view_is_there_for_the_same_arrays_and_camera_while_it_is_held():
@@ -82,7 +90,7 @@ def test_a_drawn_view_is_what_render_shows_and_is_drawn_once_while_it_is_held():
 
 def test_the_view_of_the_latest_edit_is_held_while_its_gaussians_are_there():
     camera = cameras(50, 34)[0]
-    splats, other = scene(60, 2, 1, dtype=np.float32), scene(60, 4, 1, dtype=np.float32)
+    splats, other = (fixed(scene(60, seed, 1, dtype=np.float32)) for seed in (2, 4))
     drawn = drawn_view(splats, camera)
     view = weakref.ref(drawn.view)
     hold(splats, drawn)
@@ -98,9 +106,21 @@ def test_the_view_of_the_latest_edit_is_held_while_its_gaussians_are_there():
     assert recent_views._held is None and recent_view(other, camera) is None
 
 
+@pytest.mark.parametrize("before_is_fixed", [False, True])
+def test_no_view_is_held_of_gaussians_that_may_be_written_to(before_is_fixed: bool):
+    splats, camera = scene(300, seed=3, dtype=np.float32), cameras(150, 110)[0]
+    splats = fixed(splats) if before_is_fixed else splats
+    edited = replace(splats, sh=splats.sh + np.float32(0.1))
+    PartialRender.of(splats, camera, keep=True).after(edited, np.arange(len(splats)))
+    for one in (edited,) if before_is_fixed else (splats, edited):
+        one.sh[:, 0] *= np.float32(0.5)
+        expected = project(one, camera).rasterize()[0]
+        np.testing.assert_array_equal(drawn_view(one, camera).colors, expected)
+
+
 @pytest.mark.parametrize("colors_alone", [False, True])
 def test_an_edit_of_the_held_view_is_a_view_with_the_bits_of_a_new_one(colors_alone: bool):
-    splats, camera = scene(300, seed=3, dtype=np.float32), cameras(150, 110)[0]
+    splats, camera = fixed(scene(300, seed=3, dtype=np.float32)), cameras(150, 110)[0]
     changed = np.arange(0, len(splats), 17)
     sh, means, opacities = splats.sh.copy(), splats.means.copy(), splats.opacities.copy()
     sh[changed, 0] += np.float32(0.2)
@@ -109,7 +129,7 @@ def test_an_edit_of_the_held_view_is_a_view_with_the_bits_of_a_new_one(colors_al
     edited = replace(splats, sh=sh)
     if not colors_alone:
         edited = replace(edited, means=means, opacities=opacities).append(splats.take(np.arange(5)))
-    PartialRender.of(splats, camera, keep=True).after(edited, changed)
+    PartialRender.of(splats, camera, keep=True).after(fixed(edited), changed)
     # Not of arrays or cameras that are other, even if equal.
     assert drawn_view(replace(edited, sh=edited.sh.copy()), camera).view is not recent_view(edited, camera)
     with pytest.MonkeyPatch.context() as patch:
@@ -125,7 +145,7 @@ def test_an_edit_of_the_held_view_is_a_view_with_the_bits_of_a_new_one(colors_al
 
 
 def test_no_view_is_held_beyond_its_limit_or_by_a_process_that_ends_soon(monkeypatch: pytest.MonkeyPatch):
-    splats, camera = scene(60, 2, 1, dtype=np.float32), cameras(50, 34)[0]
+    splats, camera = fixed(scene(60, 2, 1, dtype=np.float32)), cameras(50, 34)[0]
     for limits in (
         (recent_views, "RECENT_VIEWS", RecentViewLimits(most_held_bytes=1000)),
         (arrays._idle, "limits", replace(IDLE_LIMITS, most_bytes=0)),

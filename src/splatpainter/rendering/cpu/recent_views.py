@@ -102,7 +102,13 @@ def drawn_view(splats: Splats, camera: Camera) -> DrawnView:
         if drawn is not None and drawn.view is view:
             return drawn
     edited = _edited
-    if view is None and edited is not None and _is_from(edited.camera, camera) and edited.source.is_of(splats):
+    if (
+        view is None
+        and edited is not None
+        and _is_from(edited.camera, camera)
+        and edited.source.is_of(splats)
+        and _fixed(splats)
+    ):
         view, pictures = edited.view(), edited.pictures
         note_view(splats, view)
         return _noted(view, pictures)
@@ -121,6 +127,11 @@ def _noted(view: ProjectedView, pictures: tuple[np.ndarray, ...]) -> DrawnView:
 
 
 # ---- the one view that is held here
+
+
+def _fixed(splats: Splats) -> bool:
+    """Whether nobody writes to the arrays: between two edits nothing else says that they hold what was projected."""
+    return not any(getattr(splats, name).flags.writeable for name in ATTRIBUTES)
 
 
 @dataclass(frozen=True)
@@ -145,13 +156,14 @@ _edited: _EditedView | None = None
 
 def hold(splats: Splats, drawn: DrawnView) -> None:
     """Hold a view of numpy `splats` for the next edit from the same camera, in place of the one before, as long as all
-    arrays of the splats are there. Not where it is too large, or the process keeps no idle memory."""
+    arrays of the splats are there. Not where anybody may write to these, where it is too large, or where the process
+    keeps no idle memory."""
     global _held, _edited
     if _held is not None and _held.drawn is drawn:
         return
     arrays = (*vars(drawn.view).values(), drawn.colors, drawn.alphas, drawn.depths)
     size = sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
-    if size > RECENT_VIEWS.most_held_bytes or not keeps_idle_memory():
+    if not _fixed(splats) or size > RECENT_VIEWS.most_held_bytes or not keeps_idle_memory():
         _held = _edited = None
         return
 
