@@ -14,10 +14,10 @@ import numpy as np
 
 from splatpainter.cameras import UpAxis
 from splatpainter.lighting import unoccluded_transfer
-from splatpainter.lights.irradiance import LitSurface, sun_light
+from splatpainter.lights.irradiance import BLOCKER_RADIANCE, LitSurface, sun_light
 from splatpainter.lights.lamps import Lamp, Sun
 from splatpainter.lights.source_light import SourceLight, estimate_source, uniform_source
-from splatpainter.splats import Splats
+from splatpainter.splats import SH_C0, Splats
 from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.system.recent import Recent
 
@@ -121,7 +121,9 @@ def _estimate(splats: Splats, surface: LitSurface, up: UpAxis) -> SourceLight:
     usable = filled & (surface.pixel_closed < MAX_CLOSED)
     # What is in the way of a pixel hardly depends on a few degrees, and stays.
     turned = unoccluded_transfer(normals) - unoccluded_transfer(pixels.normals.astype(np.float64))
-    return estimate_source(light, surface.pixel_transfer + turned / np.pi, pixels.points, usable, up)
+    transfer = surface.pixel_transfer + turned / np.pi
+    transfer[:, 0] += SH_C0 * BLOCKER_RADIANCE * surface.pixel_closed  # as `LitSurface.from_sky` lights them
+    return estimate_source(light, transfer, pixels.points, usable, up)
 
 
 def _shape_hash(splats: Splats) -> bytes:
