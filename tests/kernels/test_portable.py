@@ -63,6 +63,7 @@ def test_least_squares_are_numpys(size: int):
     np.testing.assert_allclose(product, rows.T @ right, atol=1e-11)
     np.testing.assert_allclose(portable.solved(gram, product), np.linalg.solve(gram, product), atol=1e-12)
     np.testing.assert_allclose(portable.solved(gram, np.eye(size)), np.linalg.inv(gram), atol=1e-12)
+    assert portable.log_determinant(gram) == pytest.approx(np.linalg.slogdet(gram)[1], rel=1e-12)
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])

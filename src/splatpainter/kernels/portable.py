@@ -70,6 +70,13 @@ def solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     return out
 
 
+def log_determinant(matrix: np.ndarray) -> float:
+    """Natural logarithm of the determinant of a symmetric positive matrix [F, F], by its Cholesky factor."""
+    factor = np.array(matrix, np.float64)
+    _run("solve_symmetric", 0, factor, np.zeros((len(factor), 1)))
+    return float(2 * log(np.diagonal(factor)).sum())
+
+
 def length(vector: np.ndarray) -> float:
     """Of a vector [K]; `np.linalg.norm` of one asks a BLAS."""
     return float(np.sqrt((vector * vector).sum()))

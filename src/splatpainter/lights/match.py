@@ -4,13 +4,13 @@ In a ratio of colours the material cancels: of each Gaussian that a view shows, 
 over what it shows now is that of new over old irradiance. Both are linear in their light's SH; a robust Gauss-Newton
 fit finds the new light and corrects the old one, which starts, and is held, at its estimate from the asset alone. What
 lights do not explain (gloss, sharp shadows, paint) is the painter's; which of light, painter and both is best, a part
-of the views that was held back decides.
+of the views that was held back decides, and with it how far a given environment is believed.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import field, replace
 from pathlib import Path
 
@@ -21,6 +21,8 @@ from splatpainter.color import base_color, linear_to_srgb, luminance, sh_from_co
 from splatpainter.contact_sheet import Strip, sheet
 from splatpainter.image_files import encode_png
 from splatpainter.kernels import portable
+from splatpainter.lights.given_light import LIMITS as GIVEN
+from splatpainter.lights.given_light import EnvironmentUse, LightFit, Trust, chosen_trust, likely_trusts
 from splatpainter.lights.irradiance import LitSurface
 from splatpainter.lights.light_set import axes_of
 from splatpainter.lights.prepared import captured_light, lit_surface
@@ -57,8 +59,6 @@ STEADFAST = 0.5
 """Deviation of the light before, in a match, over its reported uncertainty."""
 LEVEL_STD = 1.0
 """Of the new light's mean over the old one's, times the old one's."""
-GIVEN_STD = 0.1
-"""Of the bands of a given new light, over the old one's mean: files and pictures seldom agree to the last."""
 PREFERENCE_DB = 0.5
 """By which a painter has to be better than light alone, which is smooth wherever nothing was seen. 16 fitted, path
 traced tuning meshes, 1, 2 and 4 pictures, dB: with 0 20.89, 21.76, 22.55; with 0.5 21.03, 22.34, 22.55; with 1 21.03,
@@ -80,6 +80,8 @@ class MatchedLight:
     """"light", "painter" or "light and painter"."""
     scores: dict[str, float]
     """PSNR in dB of each on the part of the views that was held back."""
+    environment: EnvironmentUse | None = None
+    """What was made of the given new light; None: there was none."""
 
     def sky(self, up: UpAxis = "auto") -> SkyMap:
         """The new environment as a picture."""
@@ -100,9 +102,9 @@ def match_light(
 ) -> MatchedLight:
     """splats as the pictures show it, with its receipt. edits: 1 to 4 views in one other light; painter: explains what
     light does not, None: light alone; source, target: [9, 3] SH of the light before and of the new one, where they are
-    given (the pictures still decide its level, and a little of its shape); up: where light usually comes from;
-    region, mix: where, and how much of it, 0..1, the new look is; the lights are found by all of the asset. Raises
-    ValueError: no views, views that show nothing of the asset."""
+    given (the pictures still decide the new one's level, how far its shape is believed, and whether it is used at all);
+    up: where light usually comes from; region, mix: where, and how much of it, 0..1, the new look is; the lights are
+    found by all of the asset. Raises ValueError: no views, views that show nothing of the asset."""
     if not 1 <= len(edits) <= MAX_MATCHED_VIEWS:
         raise ValueError(f"light: expected 1 to {MAX_MATCHED_VIEWS} pictures to match, got {len(edits)}")
     clock = time.perf_counter()
@@ -112,14 +114,26 @@ def match_light(
     surface = lit_surface(splats, shadows)
     before = captured_light(splats, shadows, up) if source is None else SourceLight(source, 0.0, "source light: given")
 
-    def results(views: Sequence[Edit], names: Sequence[str]) -> dict[str, tuple[Asset, np.ndarray, SourceLight]]:
-        old, new, certainty = _fit_lights(splats, surface, views, before, source is not None, target)
-        lit = transfer(splats, old, new, PicturedRegion(certainty), shadows=shadows)
-        out = {"light": (lit, new, old)} if "light" in names else {}
+    def fitted(seen: Witnesses, trust: Trust | None) -> _Lights:
+        return _fit_lights(surface, seen, before, source is not None, target, trust)
+
+    def lit_by(lights: _Lights) -> Asset:
+        return transfer(splats, lights.before, lights.after, PicturedRegion(lights.certainty), shadows=shadows)
+
+    # How far a given environment is believed is asked of the light alone: a painter would hide what is wrong with it.
+    seen, environment = _seen(splats, edits), None
+    if target is not None:
+        environment = _judged(splats, surface, edits, seen, fitted, lit_by)
+    trust = environment.trust if environment else None
+
+    def results(views: Sequence[Edit], seen: Witnesses, names: Sequence[str]) -> dict[str, tuple[Asset, _Lights]]:
+        lights = fitted(seen, trust)
+        lit = lit_by(lights)
+        out = {"light": (lit, lights)} if "light" in names else {}
         if painter is not None and "painter" in names:
-            out["painter"] = (painter.apply(painter.encode(splats), views, "global"), new, old)
+            out["painter"] = (painter.apply(painter.encode(splats), views, "global"), lights)
         if painter is not None and "light and painter" in names:
-            out["light and painter"] = (painter.apply(painter.encode(lit.splats), views, "global"), new, old)
+            out["light and painter"] = (painter.apply(painter.encode(lit.splats), views, "global"), lights)
         return out
 
     # With one candidate there is nothing to judge, and all of the pictures can be used.
@@ -127,19 +141,45 @@ def match_light(
     scores: dict[str, float] = {}
     if len(names) > 1:
         used, judged = _held_back(splats, edits)
-        scores = {name: _score(asset.splats, judged) for name, (asset, _, _) in results(used, names).items()}
+        candidates = results(used, _seen(splats, used), names)
+        scores = {name: _score(asset.splats, judged) for name, (asset, _) in candidates.items()}
         names = [max(scores, key=lambda name: scores[name] + (PREFERENCE_DB if name == "light" else 0))]
     # The winner is made once more of all that the pictures show, the judging part too.
-    asset, new, old = results(edits, names)[names[0]]
+    asset, lights = results(edits, seen, names)[names[0]]
     edited = _faded(splats, asset.splats, region, mix)
     where = (f"; mix {mix:g}" if mix != 1 else "") + (f"; where {region.text}" if region else "")
     listed = ", ".join(f"{name} {value:.1f}" for name, value in scores.items())
     note = f"light matched to {len(edits)} pictures by {names[0]}" + (f" (held back, dB: {listed})" if listed else "")
     # The scores stand in the receipt, so that one can see how narrow the choice was.
-    receipt = color_receipt(splats, edited, "light", f"{note}; {old.note}{where}")
+    note += f"; {environment.text}" if environment else ""
+    receipt = color_receipt(splats, edited, "light", f"{note}; {lights.before.note}{where}")
     receipt = replace(receipt, seconds={"match": time.perf_counter() - clock})
     asset = Asset(edited, receipt, original=splats)
-    return MatchedLight(old, new, asset, names[0], scores)
+    return MatchedLight(lights.before, lights.after, asset, names[0], scores, environment)
+
+
+def _judged(
+    splats: Splats,
+    surface: LitSurface,
+    edits: Sequence[Edit],
+    seen: Witnesses,
+    fitted: Callable[[Witnesses, Trust | None], _Lights],
+    lit_by: Callable[[_Lights], Asset],
+) -> EnvironmentUse:
+    """How far a given environment is believed: by the evidence of all witnesses, then by what is held back."""
+    fits = {trust: fitted(seen, trust).fit for trust in (None, *GIVEN.trusts)}
+    noise = fits[None].noise(RATIO_NOISE)
+    evidence = {trust: fit.evidence(noise) for trust, fit in fits.items()}
+    likely = likely_trusts(evidence)
+    if not likely:
+        return chosen_trust(evidence, {})
+    used, judged = _held_back(splats, edits)
+    half = _seen(splats, used)
+    # Pictures that just show enough of the asset do not show it twice.
+    if _trusted(surface, half).sum() < MIN_WITNESSES:
+        return chosen_trust(evidence, {})
+    scores = {trust: _score(lit_by(fitted(half, trust)).splats, judged) for trust in (None, *likely)}
+    return chosen_trust(evidence, scores)
 
 
 def _faded(splats: Splats, edited: Splats, region: Where | None, mix: float) -> Splats:
@@ -205,60 +245,86 @@ class PicturedRegion:
         return self.shares
 
 
+@dataclass(frozen=True)
+class Witnesses:
+    """Gaussians as all views see them."""
+
+    now: np.ndarray = field(repr=False)
+    """[N, 3] linear colours of the asset."""
+    then: np.ndarray = field(repr=False)
+    """[N, 3] of the pictures."""
+    pixels: np.ndarray = field(repr=False)
+    """[N] pixels' worth."""
+
+
+@dataclass(frozen=True)
+class _Lights:
+    """Both lights as fitted."""
+
+    before: SourceLight
+    """Corrected."""
+    after: np.ndarray = field(repr=False)
+    """[9, 3]."""
+    certainty: np.ndarray = field(repr=False)
+    """[N] float32 0..1 how far the pictures tell what each Gaussian gets of the new light."""
+    fit: LightFit = field(repr=False)
+
+
 def _fit_lights(
-    splats: Splats,
     surface: LitSurface,
-    views: Sequence[Edit],
+    seen: Witnesses,
     before: SourceLight,
     given: bool,
     target: np.ndarray | None,
-) -> tuple[SourceLight, np.ndarray, np.ndarray]:
-    """(light before, corrected, [9, 3] new light, [N] float32 0..1 how far the pictures tell what each Gaussian gets of
-    it)."""
-    now, then, total = _seen(splats, views)
+    trust: Trust | None,
+) -> _Lights:
+    """given: the light before is; target: [9, 3] the new one, if it is given; trust: how far, None: not at all."""
+    now, then, total = seen.now, seen.then, seen.pixels
     transfer = surface.transfer / SH_C0
-    # A Gaussian that faces both ways has two irradiances, and its ratio is that of neither.
-    trusted = surface.facing.trusted & (total > MIN_SHARE)
+    trusted = _trusted(surface, seen)
     if trusted.sum() < MIN_WITNESSES:
         raise ValueError(
             f"light: expected pictures that show at least {MIN_WITNESSES} Gaussians of a surface, got {trusted.sum()}"
         )
     old, new = before.coefficients.copy(), np.empty((9, 3))
     # How far the estimate before may move: what it is doubted by at worst would let pictures of one side turn it.
-    doubt = 0.0 if given else min(max(STEADFAST * before.uncertainty, 0.05), 0.6)
+    held = given or (trust is not None and trust.holds_before)
+    doubt = 0.0 if held else min(max(STEADFAST * before.uncertainty, 0.05), 0.6)
     spread = np.concatenate([PRIOR_STD * doubt, [LEVEL_STD], PRIOR_STD]) + 1e-6
     # Luminance first: a channel that a material hardly has says little, and stays near it.
-    guess, doubts, aimed = None, np.zeros((8, 8)), target is not None
+    guess, doubts, luminance_fit = None, np.zeros((8, 8)), None
     for channel in (None, 0, 1, 2):
-        seen, pictured = (luminance(v) if channel is None else v[:, channel] for v in (now, then))
+        shown, pictured = (luminance(v) if channel is None else v[:, channel] for v in (now, then))
         start = _channel(before.coefficients, channel)
         level = max(float(start[0]), 1e-6)
         # Near black the ratio is noise, and what is clipped says only "at least".
-        usable = trusted & (seen > DARK) & (pictured > DARK) & (now.max(1) < CLIPPED) & (then.max(1) < CLIPPED)
+        usable = trusted & (shown > DARK) & (pictured > DARK) & (now.max(1) < CLIPPED) & (then.max(1) < CLIPPED)
         if usable.sum() < MIN_WITNESSES:
             usable = trusted
         # The floor keeps dark Gaussians from ruling the fit: their ratios are the largest and the least sure.
-        ratio = portable.log((pictured[usable] + RATIO_FLOOR) / (seen[usable] + RATIO_FLOOR))
+        ratio = portable.log((pictured[usable] + RATIO_FLOOR) / (shown[usable] + RATIO_FLOOR))
         # In units of the old light's level, so that what is expected holds for any exposure.
         center = np.concatenate([start[1:] / level, [1.0], np.zeros(8)])
-        deviation = spread
-        if aimed:
-            center[8:] = _channel(np.asarray(target), channel) / level
-            deviation = np.concatenate([spread[:9], np.full(8, GIVEN_STD)])
+        deviation, shape = spread, np.zeros(8)
+        if target is not None and trust is not None:
+            given_light = _channel(target, channel)
+            shape = given_light[1:] / max(float(given_light[0]), 1e-6)
+            deviation = np.concatenate([spread[:9], np.full(8, trust.deviation)])
         elif guess is not None:
             center[8:] = guess[8:]
             deviation = np.concatenate([spread[:9], CHANNEL_STD * PRIOR_STD])
-        brightness = seen[usable] / (seen[usable] + DIM)
+        brightness = shown[usable] / (shown[usable] + DIM)
         weights = np.minimum(total[usable], 1.0) * WITNESS_WEIGHT * brightness * brightness
-        fitted, covariance = _fit_channel(transfer[usable], ratio, weights, center, deviation)
+        fitted, fit = _fit_channel(transfer[usable], ratio, weights, center, shape, deviation)
         if channel is None:
-            guess, doubts = fitted, covariance[9:, 9:]
+            guess, luminance_fit = fitted, fit
+            doubts = portable.solved(fit.precision, np.eye(17))[9:, 9:]
             continue
         old[1:, channel], new[:, channel] = fitted[:8] * level / SH_C0, fitted[8:] * level / SH_C0
     # Of light on sides that no picture shows nothing is known but what is usual: as doubted after as before. A given
     # light is known everywhere.
     certainty = np.ones(len(transfer), np.float32)
-    if not aimed:
+    if trust is None:
         slopes = transfer[:, 1:]
         after = (portable.matmul(slopes, doubts) * slopes).sum(1)
         usual = (slopes * slopes * PRIOR_STD * PRIOR_STD).sum(1)
@@ -269,7 +335,13 @@ def _fit_lights(
         # Squared, as pictures are less sure than the fit believes: one of 19 assets in other views, dB: nothing 19.2
         # and 20.7 (clean, fitted), all of the light 19.6 and 20.8, by the share 19.7 and 21.2, squared 19.8 and 21.3.
         certainty = (share * share).astype(np.float32)
-    return replace(before, coefficients=old), new, certainty
+    assert luminance_fit is not None
+    return _Lights(replace(before, coefficients=old), new, certainty, luminance_fit)
+
+
+def _trusted(surface: LitSurface, seen: Witnesses) -> np.ndarray:
+    """[N] bool. A Gaussian that faces both ways has two irradiances, and its ratio is that of neither."""
+    return surface.facing.trusted & (seen.pixels > MIN_SHARE)
 
 
 def _channel(coefficients: np.ndarray, channel: int | None) -> np.ndarray:
@@ -278,12 +350,22 @@ def _channel(coefficients: np.ndarray, channel: int | None) -> np.ndarray:
 
 
 def _fit_channel(
-    transfer: np.ndarray, ratio: np.ndarray, weights: np.ndarray, center: np.ndarray, deviation: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """([17] bands 1 and 2 of the light before and all of the new one, over the mean of the light before, [17, 17] their
-    covariance). transfer: [M, 9] over that of an open surface under uniform light; ratio: [M] natural logarithms;
-    weights: [M]; center, deviation: [17] what is expected."""
-    estimate, matrix = center.copy(), np.eye(17)
+    transfer: np.ndarray,
+    ratio: np.ndarray,
+    weights: np.ndarray,
+    center: np.ndarray,
+    shape: np.ndarray,
+    deviation: np.ndarray,
+) -> tuple[np.ndarray, LightFit]:
+    """([17] bands 1 and 2 of the light before and all of the new one, over the mean of the light before, the fit).
+    transfer: [M, 9] over that of an open surface under uniform light; ratio: [M] natural logarithms;
+    weights: [M]; center, deviation: [17] what is expected; shape: [8] what the new light's bands are besides, over its
+    own mean."""
+    tied = np.eye(17)
+    tied[9:, 8] = -shape
+    scaled = tied / deviation[:, None]
+    expected = portable.gram(scaled, np.ones(17))
+    estimate, matrix, error, away = center.copy(), np.eye(17), ratio, np.zeros(17)
     # The median ratio starts it near the right level; Gauss-Newton on logarithms goes astray from far away.
     estimate[8] = max(float(portable.exp(float(np.median(ratio)))), 0.02)
     for _ in range(FIT_ROUNDS):
@@ -294,24 +376,24 @@ def _fit_channel(
         error = ratio - portable.log(lit) + portable.log(dim)
         # The scale is the residuals' own, with a floor: a perfect fit would otherwise call its last errors outliers.
         noise = max(1.4826 * float(np.median(np.abs(error))), RATIO_NOISE)
-        robust = weights * np.minimum(1, 1.5 * noise / np.maximum(np.abs(error), 1e-9))
+        robust = weights * np.minimum(1, GIVEN.huber * noise / np.maximum(np.abs(error), 1e-9))
         # Where irradiance was held at its floor it does not depend on the light, so its slope is zero.
         before = -transfer[:, 1:] / dim[:, None] * (old > MIN_LIGHT)[:, None]
         after = transfer / lit[:, None] * (new > low)[:, None]
         jacobian = np.concatenate([before, after], 1)
         matrix = portable.gram(jacobian, robust) / noise**2
         # What is expected counts as one more observation of each band: bands that no Gaussian tells about stay there.
-        matrix[np.arange(17), np.arange(17)] += 1 / deviation**2
+        matrix += expected
         right = portable.transposed_product(jacobian, (robust * error)[:, None])[:, 0] / noise**2
-        right -= (estimate - center) / deviation**2
+        away = (portable.matmul(tied, estimate[:, None])[:, 0] - center) / deviation
+        right -= portable.transposed_product(scaled, away[:, None])[:, 0]
         estimate = estimate + 0.6 * portable.solved(matrix, right[:, None])[:, 0]
         estimate[8] = max(float(estimate[8]), 0.02)
-    return estimate, portable.solved(matrix, np.eye(17))
+    return estimate, LightFit(error, weights, float((away * away).sum()), deviation, matrix)
 
 
-def _seen(splats: Splats, views: Sequence[Edit]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """([N, 3] linear colours now, [N, 3] of the pictures, [N] pixels' worth), as all views see each Gaussian. Both are
-    gathered alike, so that what covers it cancels."""
+def _seen(splats: Splats, views: Sequence[Edit]) -> Witnesses:
+    """What all views see of each Gaussian. Both looks are gathered alike, so that what covers it cancels."""
     sums = np.zeros((2, len(splats), 3))
     total = np.zeros(len(splats))
     for view in views:
@@ -328,7 +410,7 @@ def _seen(splats: Splats, views: Sequence[Edit]) -> tuple[np.ndarray, np.ndarray
             if row == 0:  # the weight is the view's, whatever is gathered
                 total[projected.gaussian_ids] += gathered.weight
     level = np.maximum(total, 1e-9)[:, None]
-    return sums[0] / level, sums[1] / level, total
+    return Witnesses(sums[0] / level, sums[1] / level, total)
 
 
 def _held_back(splats: Splats, edits: Sequence[Edit]) -> tuple[list[Edit], list[Edit]]:

@@ -1,0 +1,113 @@
+"""How far an environment that is given beside relit pictures is believed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from splatpainter.lights.given_light import LIMITS, LightFit, Trust, chosen_trust
+from splatpainter.lights.light_set import axes_of, turned_sky
+from splatpainter.lights.match import MIN_WITNESSES, match_light
+from splatpainter.lights.skies import sky
+from splatpainter.splats import Splats
+from tests.lights.test_match import linear, pictures, sh_light, textured_ball
+
+HELD, NEARLY, ROUGHLY = LIMITS.trusts
+
+
+def error(splats: Splats, truth: Splats) -> float:
+    return float(np.abs(linear(splats) - linear(truth)).mean())
+
+
+@pytest.mark.parametrize("level", [1.0, 0.4])
+def test_a_true_environment_is_used_whatever_its_level(level: float) -> None:
+    asset, truth = textured_ball(sh_light("overcast")), textured_ball(level * sh_light("sunset"))
+    seen = pictures(truth, 1)
+    alone = match_light(asset, seen, shadows=False)
+    helped = match_light(asset, seen, shadows=False, target=sh_light("sunset"))
+    assert helped.environment is not None and helped.environment.trust is not None
+    assert error(helped.asset.splats, truth) < 0.4 * error(alone.asset.splats, truth)
+    assert helped.asset.receipt is not None and alone.asset.receipt is not None
+    assert f"environment {helped.environment.trust.text}: held back, dB: alone" in helped.asset.receipt.note
+    assert alone.environment is None and "environment" not in alone.asset.receipt.note
+
+
+def test_an_environment_from_the_other_side_is_refused() -> None:
+    asset, truth = textured_ball(sh_light("overcast")), textured_ball(sh_light("sunset"))
+    seen, turned = pictures(truth, 1), turned_sky(sky("sunset"), axes_of("+y"), 180)
+    alone = match_light(asset, seen, shadows=False)
+    refused = match_light(asset, seen, shadows=False, target=turned)
+    assert refused.environment is not None and refused.environment.trust is None
+    assert refused.asset.splats.sh.tobytes() == alone.asset.splats.sh.tobytes()
+    assert refused.asset.receipt is not None
+    assert "environment not used: the pictures are likelier without it" in refused.asset.receipt.note
+
+
+def test_an_environment_that_has_lost_its_sun_is_not_held() -> None:
+    """As a file of 8 bits holds it: what is left is from the right side, and helps."""
+    asset, truth = textured_ball(sh_light("overcast")), textured_ball(0.8 * sh_light("sunset"))
+    seen, cut = pictures(truth, 1), sh_light("sunset")
+    cut[1:] *= 0.4
+    alone, matched = (match_light(asset, seen, shadows=False, target=target) for target in (None, cut))
+    assert matched.environment is not None and matched.environment.trust == ROUGHLY
+    assert error(matched.asset.splats, truth) < 0.8 * error(alone.asset.splats, truth)
+
+
+def test_both_judges_have_to_prefer_an_environment() -> None:
+    def chosen(evidence: list[float], scores: list[float]) -> Trust | None:
+        names = (None, *LIMITS.trusts)
+        return chosen_trust(dict(zip(names, evidence, strict=True)), dict(zip(names, scores, strict=False))).trust
+
+    assert chosen([0, 1, 2, 3], [20, 23, 22, 21]) == HELD
+    assert chosen([0, -1, 2, 3], [20, 23, 22, 21]) == NEARLY, "the pictures are unlikely in what they score best in"
+    assert chosen([0, -1, -2, -3], [20, 23, 22, 21]) is None
+    assert chosen([0, 1, 2, 3], [24, 23, 22, 21]) is None, "what is likely scores less than the pictures alone"
+    assert chosen([0, 1, 2, 3], []) == ROUGHLY, "nothing is held back"
+
+
+def test_pictures_of_little_are_judged_by_the_evidence_alone() -> None:
+    asset, truth = textured_ball(sh_light("overcast")), textured_ball(sh_light("sunset"))
+    (view,) = pictures(truth, 1)
+    # Just enough witnesses, of which each half has too few.
+    mask = np.zeros(view.image.shape[:2], bool)
+    mask[34:62, 34:62] = True
+    matched = match_light(asset, [replace(view, mask=mask)], shadows=False, target=sh_light("sunset"))
+    assert matched.environment is not None and matched.environment.trust is not None
+    assert "held back" not in matched.environment.text and "likelier with it" in matched.environment.text
+    half = replace(view, mask=mask & (np.arange(mask.shape[1]) < 48))
+    with pytest.raises(ValueError, match=f"at least {MIN_WITNESSES} Gaussians"):
+        match_light(asset, [half], shadows=False, target=sh_light("sunset"))
+
+
+def test_the_evidence_is_that_of_a_linear_model() -> None:
+    """Where errors are small and slopes constant, Laplace's approximation is exact: y ~ N(J c, J D^2 J^T + s^2)."""
+    rng = np.random.default_rng(3)
+    slopes, noise = rng.normal(size=(200, 17)), 0.3
+    ratio = slopes @ rng.normal(0, 0.2, 17) + rng.uniform(-0.3, 0.3, 200)
+
+    def both(center: np.ndarray, deviation: np.ndarray) -> tuple[float, float]:
+        precision = slopes.T @ slopes / noise**2 + np.diag(deviation**-2)
+        found = center + np.linalg.solve(precision, slopes.T @ (ratio - slopes @ center) / noise**2)
+        away = (found - center) / deviation
+        fit = LightFit(ratio - slopes @ found, np.ones(200), float(away @ away), deviation, precision)
+        assert np.abs(fit.error).max() < LIMITS.huber * noise
+        covariance = slopes @ np.diag(deviation**2) @ slopes.T + noise**2 * np.eye(200)
+        off = ratio - slopes @ center
+        exact = -off @ np.linalg.solve(covariance, off) / 2 - np.linalg.slogdet(covariance)[1] / 2
+        return fit.evidence(noise), exact
+
+    cases = [both(rng.normal(0, spread, 17), np.full(17, deviation)) for spread, deviation in ((0, 0.2), (0.1, 0.5))]
+    (first, first_exact), (second, second_exact) = cases
+    assert first - second == pytest.approx(first_exact - second_exact, abs=1e-6)
+    assert abs(first - second) > 1, "else it would say nothing"
+
+
+def test_an_outlier_is_no_evidence_against_a_light() -> None:
+    def evidence(worst: float) -> float:
+        fit = LightFit(np.array([0.0, 0.1, worst]), np.ones(3), 0.0, np.ones(17), np.eye(17))
+        return fit.evidence(1.0)
+
+    assert evidence(0.0) - evidence(1.0) == pytest.approx(0.5)
+    assert evidence(9.0) - evidence(10.0) == pytest.approx(LIMITS.huber), "not 9.5"
