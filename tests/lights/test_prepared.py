@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from splatpainter.color import linear_to_srgb, sh_from_color
 from splatpainter.lights import prepared
 from splatpainter.lights.gloss import mirrored_light
 from splatpainter.lights.irradiance import LitSurface
 from splatpainter.lights.light_cast import cast
-from splatpainter.lights.light_set import Lights
+from splatpainter.lights.light_set import Lights, axes_of, turned_sky
+from splatpainter.lights.prepared import captured_light, lit_surface
 from splatpainter.lights.relight import relight
 from splatpainter.lights.skies import sky
 from splatpainter.transforms import fibonacci_sphere, sh_basis
@@ -89,3 +91,20 @@ def test_a_cast_on_neutral_materials_is_seen(tint: tuple[float, float, float]) -
 
 def test_a_cast_without_witnesses_is_white() -> None:
     np.testing.assert_array_equal(cast(np.zeros((0, 3)), np.zeros(0)), np.ones(3))
+
+
+@pytest.mark.parametrize("name", ["overcast", "noon"])
+def test_what_blocks_the_sky_is_not_taken_for_black(name: str) -> None:
+    """Of five balls that touch each other, lit as `from_sky` lights them, the light is told to 5 % of its shading."""
+    middle = ball(3000)
+    splats = middle
+    for step in ((2.05, 0, 0), (-2.05, 0, 0), (0, 0, 2.05), (0, 0, -2.05)):
+        splats = splats.append(replace(middle, means=middle.means + np.float32(step)))
+    surface = lit_surface(splats)
+    received = surface.from_sky(turned_sky(sky(name), axes_of("+y")))
+    albedo = np.where(np.sin(9 * splats.means[:, :1]) > 0, [0.35, 0.2, 0.12], [0.1, 0.2, 0.35])
+    sh = splats.sh.copy()
+    sh[:, 0] = sh_from_color(linear_to_srgb((albedo * received).clip(0, 1)))
+    believed = surface.from_sky(captured_light(replace(splats, sh=sh.astype(np.float32)), up="+y").coefficients)
+    shape, expected = believed / believed.mean(0), received / received.mean(0)
+    assert np.abs(shape - expected).mean() < 0.055 * np.abs(1 - expected).mean(), "0.07 with black blockers"
