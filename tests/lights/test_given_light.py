@@ -71,12 +71,12 @@ def test_pictures_of_little_are_judged_by_the_evidence_alone() -> None:
     asset, truth = textured_ball(sh_light("overcast")), textured_ball(sh_light("sunset"))
     (view,) = pictures(truth, 1)
     # Just enough witnesses, of which each half has too few.
-    mask = np.zeros(view.image.shape[:2], bool)
+    mask = np.zeros((96, 96), bool)
     mask[34:62, 34:62] = True
     matched = match_light(asset, [replace(view, mask=mask)], shadows=False, target=sh_light("sunset"))
     assert matched.environment is not None and matched.environment.trust is not None
     assert "held back" not in matched.environment.text and "likelier with it" in matched.environment.text
-    half = replace(view, mask=mask & (np.arange(mask.shape[1]) < 48))
+    half = replace(view, mask=mask & (np.arange(96) < 48))
     with pytest.raises(ValueError, match=f"at least {MIN_WITNESSES} Gaussians"):
         match_light(asset, [half], shadows=False, target=sh_light("sunset"))
 
@@ -89,9 +89,9 @@ def test_the_evidence_is_that_of_a_linear_model() -> None:
 
     def both(center: np.ndarray, deviation: np.ndarray) -> tuple[float, float]:
         precision = slopes.T @ slopes / noise**2 + np.diag(deviation**-2)
-        found = center + np.linalg.solve(precision, slopes.T @ (ratio - slopes @ center) / noise**2)
-        away = (found - center) / deviation
-        fit = LightFit(ratio - slopes @ found, np.ones(200), float(away @ away), deviation, precision)
+        solution = center + np.linalg.solve(precision, slopes.T @ (ratio - slopes @ center) / noise**2)
+        away = (solution - center) / deviation
+        fit = LightFit(ratio - slopes @ solution, np.ones(200), float(away @ away), deviation, precision)
         assert np.abs(fit.error).max() < LIMITS.huber * noise
         covariance = slopes @ np.diag(deviation**2) @ slopes.T + noise**2 * np.eye(200)
         off = ratio - slopes @ center

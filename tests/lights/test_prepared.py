@@ -99,7 +99,7 @@ def test_what_blocks_the_sky_is_not_taken_for_black(name: str) -> None:
     middle = ball(3000)
     splats = middle
     for step in ((2.05, 0, 0), (-2.05, 0, 0), (0, 0, 2.05), (0, 0, -2.05)):
-        splats = splats.append(replace(middle, means=middle.means + np.float32(step)))
+        splats = splats.append(replace(middle, means=middle.means + np.array(step, np.float32)))
     surface = lit_surface(splats)
     received = surface.from_sky(turned_sky(sky(name), axes_of("+y")))
     albedo = np.where(np.sin(9 * splats.means[:, :1]) > 0, [0.35, 0.2, 0.12], [0.1, 0.2, 0.35])

@@ -294,26 +294,28 @@ def _fit_lights(
     # Luminance first: a channel that a material hardly has says little, and stays near it.
     guess, doubts, luminance_fit = None, np.zeros((8, 8)), None
     for channel in (None, 0, 1, 2):
-        shown, pictured = (luminance(v) if channel is None else v[:, channel] for v in (now, then))
+        visible, pictured = (luminance(v) if channel is None else v[:, channel] for v in (now, then))
         start = _channel(before.coefficients, channel)
         level = max(float(start[0]), 1e-6)
         # Near black the ratio is noise, and what is clipped says only "at least".
-        usable = trusted & (shown > DARK) & (pictured > DARK) & (now.max(1) < CLIPPED) & (then.max(1) < CLIPPED)
+        usable = trusted & (visible > DARK) & (pictured > DARK) & (now.max(1) < CLIPPED) & (then.max(1) < CLIPPED)
         if usable.sum() < MIN_WITNESSES:
             usable = trusted
         # The floor keeps dark Gaussians from ruling the fit: their ratios are the largest and the least sure.
-        ratio = portable.log((pictured[usable] + RATIO_FLOOR) / (shown[usable] + RATIO_FLOOR))
+        ratio = portable.log((pictured[usable] + RATIO_FLOOR) / (visible[usable] + RATIO_FLOOR))
         # In units of the old light's level, so that what is expected holds for any exposure.
         center = np.concatenate([start[1:] / level, [1.0], np.zeros(8)])
         deviation, shape = spread, np.zeros(8)
         if target is not None and trust is not None:
             given_light = _channel(target, channel)
             shape = given_light[1:] / max(float(given_light[0]), 1e-6)
-            deviation = np.concatenate([spread[:9], np.full(8, trust.deviation)])
+            # By the median ratio, so that it is as loose for pictures of any exposure.
+            reach = trust.deviation * _first_level(ratio)
+            deviation = np.concatenate([spread[:9], np.full(8, reach)])
         elif guess is not None:
             center[8:] = guess[8:]
             deviation = np.concatenate([spread[:9], CHANNEL_STD * PRIOR_STD])
-        brightness = shown[usable] / (shown[usable] + DIM)
+        brightness = visible[usable] / (visible[usable] + DIM)
         weights = np.minimum(total[usable], 1.0) * WITNESS_WEIGHT * brightness * brightness
         fitted, fit = _fit_channel(transfer[usable], ratio, weights, center, shape, deviation)
         if channel is None:
@@ -367,7 +369,7 @@ def _fit_channel(
     expected = portable.gram(scaled, np.ones(17))
     estimate, matrix, error, away = center.copy(), np.eye(17), ratio, np.zeros(17)
     # The median ratio starts it near the right level; Gauss-Newton on logarithms goes astray from far away.
-    estimate[8] = max(float(portable.exp(float(np.median(ratio)))), 0.02)
+    estimate[8] = _first_level(ratio)
     for _ in range(FIT_ROUNDS):
         old = transfer[:, 0] + portable.matmul(transfer[:, 1:], estimate[:8, None])[:, 0]
         new = portable.matmul(transfer, estimate[8:, None])[:, 0]
@@ -390,6 +392,11 @@ def _fit_channel(
         estimate = estimate + 0.6 * portable.solved(matrix, right[:, None])[:, 0]
         estimate[8] = max(float(estimate[8]), 0.02)
     return estimate, LightFit(error, weights, float((away * away).sum()), deviation, matrix)
+
+
+def _first_level(ratio: np.ndarray) -> float:
+    """Of the new light over the old one's, by logarithms [M] of what is seen in it over what was seen."""
+    return max(float(portable.exp(float(np.median(ratio)))), 0.02)
 
 
 def _seen(splats: Splats, views: Sequence[Edit]) -> Witnesses:
