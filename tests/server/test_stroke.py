@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import base64
+import gc
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from splatpainter.lift.sheets.paint import paint_view
 from splatpainter.rendering import render
 from splatpainter.server.protocol import CameraInfo
 from splatpainter.server.strokes.mirrored_stroke import MirroredStroke
 from splatpainter.server.strokes.stroke import Stroke
 from splatpainter.session.measures.mirror_plane import mirrored_camera, parsed_plane
-from splatpainter.splats import Splats
+from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.surface.estimate import Surface, SurfacePoints
 from tests.support import studio_scenes
 from tests.support.studio_scenes import ball, view
 
@@ -129,6 +132,61 @@ def test_paint_beside_the_asset_previews_nothing() -> None:
     splats = ball(500)
     stroke = Stroke(view(SIZE))
     assert not len(stroke.preview(splats, splats, 1, stroke.patch(0, 0, 6, 6, square(width=6, height=6)))[0])
+
+
+def drawn(splats: Splats, patches: int) -> tuple[Stroke, np.ndarray]:
+    """(a stroke that grew so many patches to the right, the picture that it makes)."""
+    stroke = Stroke(view(SIZE))
+    stroke.prepare(splats, splats, 1)
+    for k in range(patches):
+        stroke.patch(BOX[0], BOX[1], 4 * (k + 1), BOX[3], square(width=4 * (k + 1)))
+    return stroke, stroke.picture(splats, splats, 1)
+
+
+def test_what_was_seen_of_the_surface_while_a_stroke_grew_is_not_asked_again_and_changes_no_bit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    splats = ball(3000)
+    surface, asked, at = Surface.of(splats), [], Surface.at
+
+    def counted(self: Surface, points: np.ndarray, *args: np.ndarray) -> SurfacePoints:
+        asked.append(len(points))
+        return at(self, points, *args)
+
+    monkeypatch.setattr(Surface, "at", counted)
+    stroke, picture = drawn(splats, 6)
+    picture = picture.astype(np.float32)
+    plain = paint_view(splats, surface, stroke.camera, picture, stroke.mask)
+    unaided = sum(asked)
+    assert stroke.look(surface) and not stroke.look(surface)
+    asked.clear()
+    painted = paint_view(splats, surface, stroke.camera, picture, stroke.mask)
+    assert unaided > 100 and sum(asked) == 0
+    for name in ATTRIBUTES:
+        assert getattr(painted.splats, name).tobytes() == getattr(plain.splats, name).tobytes()
+    # Of another asset's surface, or once the stroke is gone, all is asked.
+    paint_view(splats, Surface.of(splats), stroke.camera, picture, stroke.mask)
+    assert sum(asked) == unaided
+    camera, mask = stroke.camera, stroke.mask
+    del stroke
+    gc.collect()
+    asked.clear()
+    paint_view(splats, surface, camera, picture, mask)
+    assert sum(asked) == unaided
+
+
+def test_the_surface_is_looked_at_under_paint_that_grows_alone() -> None:
+    splats = ball(3000)
+    surface = Surface.of(splats)
+    assert not drawn(splats, 1)[0].look(surface)  # a text comes whole, and the pen goes up at once
+    moved, _ = drawn(splats, 6)
+    moved.patch(*BOX, square((0, 0, 0, 0)))
+    assert not moved.look(surface)
+    eraser = Stroke(view(SIZE), erase=True)
+    eraser.prepare(splats, splats, 1)
+    for _ in range(6):
+        eraser.patch(*BOX, square())
+    assert not eraser.look(surface)
 
 
 def test_a_mirrored_stroke_paints_both_sides_in_one_step(tmp_path: Path) -> None:

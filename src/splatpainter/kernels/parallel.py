@@ -5,12 +5,13 @@ A kernel (splatpainter.kernels.library) releases the GIL and takes its share of 
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, ClassVar, TypeVar
 
@@ -30,10 +31,10 @@ def cpus() -> int:
 
 
 def threads() -> int:
-    """Threads per kernel: the environment variable SPLATPAINTER_THREADS, else `cpus()`; 1 inside `each`.
+    """Threads per kernel: the environment variable SPLATPAINTER_THREADS, else `cpus()`; 1 inside `each` and `alone`.
     Raises ValueError when the variable is not a positive integer."""
     # Items are shared among threads already; each of them runs its kernels alone.
-    if getattr(_local, "inside_each", False):
+    if getattr(_local, "is_alone", False):
         return 1
     text = os.environ.get(THREADS_VARIABLE)
     if not text:
@@ -70,16 +71,23 @@ def each(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Resu
     results: list[Any] = [None] * len(items)
 
     def share(thread: int, count: int) -> None:
-        before = getattr(_local, "inside_each", False)
-        _local.inside_each = True
-        try:
+        with alone():
             for i in range(thread, len(items), count):
                 results[i] = function(items[i])
-        finally:
-            _local.inside_each = before
 
     run(share)
     return results
+
+
+@contextlib.contextmanager
+def alone() -> Iterator[None]:
+    """Kernels that this thread calls inside run on it alone: of work that is to leave the other CPUs free."""
+    before = getattr(_local, "is_alone", False)
+    _local.is_alone = True
+    try:
+        yield
+    finally:
+        _local.is_alone = before
 
 
 def beside(function: Callable[[], Result]) -> Callable[[], Result]:

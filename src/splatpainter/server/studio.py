@@ -19,6 +19,7 @@ from pydantic import ValidationError
 
 from splatpainter.cameras import Camera
 from splatpainter.io import files
+from splatpainter.kernels.parallel import alone
 from splatpainter.pictures.view_search import NamedView
 from splatpainter.server import describe
 from splatpainter.server.batches.batch_runs import Batches
@@ -34,6 +35,7 @@ from splatpainter.server.protocol import (
     first_fault,
 )
 from splatpainter.server.public_text import public_text
+from splatpainter.server.strokes.stroke import Stroke
 from splatpainter.server.uploads.storage import Blobs, Downloads, Folder, Projects, RecentProject, UploadLimits
 from splatpainter.session import Session
 from splatpainter.session.document.layer_factory import thumbnail
@@ -133,6 +135,23 @@ class Studio:
                 target=self.session.surface.prepare, args=(camera,), name="studio-prepare", daemon=True
             )
             self._preparing.start()
+
+    def look_under(self, stroke: Stroke) -> None:
+        """Estimate the surface under a stroke in a thread of its own while the stroke is drawn, unless one is at it;
+        `close` waits for it. Not of several assets: each has its surface, which the edit asks when the stroke was cut
+        to it."""
+        if (self._preparing is not None and self._preparing.is_alive()) or len(self.session.scene.assets) > 1:
+            return
+        surface = self.session.surface.estimate
+
+        def work() -> None:
+            # On one CPU: the other one is for the next preview.
+            with alone():
+                while stroke.look(surface):
+                    pass
+
+        self._preparing = threading.Thread(target=work, name="studio-prepare", daemon=True)
+        self._preparing.start()
 
     def _adopt(self, session: Session, name: str) -> None:
         # All is made aside and put in place at the end, so that readers on other threads never see half of it.

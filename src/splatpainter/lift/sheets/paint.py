@@ -29,6 +29,7 @@ from splatpainter.rendering.cpu.projected_view import MaskSums, ProjectedView, p
 from splatpainter.rendering.cpu.recent_views import recent_view
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.surface.estimate import Surface
+from splatpainter.surface.recent_sights import recent_sight
 from splatpainter.surface.visible import SightEstimates, visible_surface
 from splatpainter.system.quick_dataclass import dataclass
 
@@ -127,6 +128,22 @@ def paint_view(
     return _put_back(splats, ids, part, options.resurface)
 
 
+def sight_under(
+    splats: Splats,
+    surface: Surface,
+    view: ProjectedView,
+    alpha: Floats,
+    mask: Bools,
+    earlier: SightEstimates | None = None,
+) -> SightEstimates | None:
+    """What `paint_view` will ask of the surface under a mask ([H, W] bool), ahead of it; None where it asks nothing.
+    view: of `splats`, all tiles; alpha: [H, W] its picture's; earlier: what is known already, from this camera."""
+    if is_wide(mask) or not mask.any():
+        return None
+    pixels = dilated(mask, RING_PX) & (alpha > RESURFACING.min_cover)
+    return visible_surface(surface, splats, view, pixels, earlier=earlier).estimates
+
+
 @dataclass(frozen=True)
 class _PaintedPart:
     """What `paint_view` makes of the S Gaussians that it depends on."""
@@ -160,6 +177,8 @@ def _paint_part(
     # The surface under the mask and its ring, as far as the asset covers the pixels.
     before, alpha = view.rasterize()[:2]
     solid = alpha > RESURFACING.min_cover
+    # Of a stroke in the studio most of it was estimated while it was drawn.
+    sight = recent_sight(surface, camera) if sight is None else sight
     visible = visible_surface(surface, splats, view, reach & solid, earlier=sight)
     # Limits fade paint by degrees; what they leave out is told to the user.
     share = paintable(visible, mask & solid, options.angle_limit, options.depth_edge_limit)

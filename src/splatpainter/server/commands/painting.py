@@ -156,6 +156,7 @@ def dab(context: CommandContext, request: PaintDab) -> Previewed:
         return Previewed(gaussians=0)
     snapshot = session.snapshot
     ids, sh = stroke.preview(snapshot.splats, session.original, snapshot.version, box)
+    context.studio.look_under(stroke)  # what the edit asks when the pen goes up
     # The other half follows dab by dab, so that both sides grow together.
     half = context.page.mirrored.get(request.stroke)
     if half is not None:

@@ -17,12 +17,16 @@ from splatpainter.color import from_display, to_display
 from splatpainter.lift.colors import MAX_COLOR, recolor
 from splatpainter.lift.local.local_edit import MIN_VISIBLE_SHARE
 from splatpainter.lift.local.patch import MIN_INSIDE_SMALL, MIN_PIXEL_SHARE
+from splatpainter.lift.sheets.paint import sight_under
 from splatpainter.rendering.cpu.geometry import TILE
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.rendering.cpu.recent_views import note_view
 from splatpainter.rendering.cpu.sirt import sirt_steps
 from splatpainter.session import Session
 from splatpainter.splats import Splats
+from splatpainter.surface.estimate import Surface
+from splatpainter.surface.recent_sights import note_sight
+from splatpainter.surface.visible import SightEstimates
 from splatpainter.system.jsonio import brief
 from splatpainter.system.quick_dataclass import dataclass
 
@@ -32,6 +36,18 @@ DAB_MARGIN_PX = 24
 """Pixels around a dab, for the Gaussians which straddle its edge."""
 MIN_COLOR_CHANGE = 1 / 512
 """Smaller changes of a Gaussian's colour are not sent."""
+
+
+@dataclass(frozen=True)
+class LookLimits:
+    """When the surface under a stroke is looked at while it is drawn."""
+
+    patches: int = 4
+    """New patches from which it is looked at again. A look costs some 8 ms besides what is new; of twelve patches the
+    edit is left three at most. A text or a picture comes as one and is left to the edit, which would wait for it."""
+
+
+LOOKS = LookLimits()
 Box = tuple[int, int, int, int]
 """Pixels of a view: left, top, right, bottom."""
 
@@ -42,8 +58,12 @@ class _Canvas:
 
     version: int
     view: ProjectedView
+    splats: Splats
+    """Those of this version."""
     base: np.ndarray
     """[H, W, 3] the render without the stroke."""
+    alpha: np.ndarray
+    """[H, W] of it."""
     erased: np.ndarray
     """[H, W, 3] the original's render (of an erasing stroke; else the base)."""
     target: np.ndarray
@@ -80,6 +100,11 @@ class Stroke:
         self._session = None if session is None else weakref.ref(session)
         self.rgba = np.zeros((camera.height, camera.width, 4), np.uint8)
         self._canvas: _Canvas | None = None
+        self._sight: SightEstimates | None = None
+        self._patches = self._looked = 0
+        """Patches so far, and when the surface was looked at last."""
+        self._grows = True
+        """Whether all that was painted still is: not of a text that is moved about."""
 
     def belongs_to(self, session: Session) -> bool:
         """Whether it was begun on this session, and not on one that was replaced since."""
@@ -93,7 +118,7 @@ class Stroke:
         view = project(splats, self.camera)
         # The edit at the end of the stroke takes the same view and need not project it again.
         note_view(splats, view)
-        base = view.rasterize()[0]
+        base, alpha = view.rasterize()[:2]
         erased = project(self._beneath or original, self.camera).rasterize()[0] if self.erase else base
         # The weights of the whole view say later how much of a Gaussian lies under the stroke.
         everywhere = np.ones(base.shape[:2], np.float32)
@@ -102,7 +127,18 @@ class Stroke:
         movable, entries = np.zeros(len(view), bool), np.empty(len(splats), np.int32)
         entries[view.gaussian_ids] = np.arange(len(view))
         self._canvas = _Canvas(
-            version, view, base, erased, base.copy(), weights, colors.copy(), colors.copy(), movable, entries
+            version,
+            view,
+            splats,
+            base,
+            alpha,
+            erased,
+            base.copy(),
+            weights,
+            colors.copy(),
+            colors.copy(),
+            movable,
+            entries,
         )
 
     def patch(self, x: int, y: int, width: int, height: int, rgba: bytes) -> Box:
@@ -120,7 +156,10 @@ class Stroke:
         if self._selected is not None:
             patch, part = patch.copy(), self._selected[y : y + height, x : x + width]
             patch[..., 3] = np.round(patch[..., 3] * part)
-        self.rgba[y : y + height, x : x + width] = patch
+        window = self.rgba[y : y + height, x : x + width]
+        self._grows = self._grows and not ((window[..., 3] > 0) & (patch[..., 3] == 0)).any()
+        window[...] = patch
+        self._patches += 1
         return x, y, x + width, y + height
 
     def preview(self, splats: Splats, original: Splats, version: int, box: Box) -> tuple[np.ndarray, np.ndarray]:
@@ -173,6 +212,20 @@ class Stroke:
             colors = np.clip(colors + step * sirt.residual(colors), 0, ceiling).astype(np.float32)
         canvas.colors[moved] = colors
         return entries
+
+    def look(self, surface: Surface) -> bool:
+        """Ask the surface what the edit at the end will ask, under what was painted so far, beside the thread that
+        draws; whether there was enough new. The edit finds it as long as this stroke is there."""
+        # Taken once: the other thread may draw on, or project another version.
+        canvas, patches = self._canvas, self._patches
+        if canvas is None or self.erase or self.masks or not self._grows or patches < self._looked + LOOKS.patches:
+            return False
+        sight = sight_under(canvas.splats, surface, canvas.view, canvas.alpha, self.mask, self._sight)
+        self._looked = patches
+        if sight is not None:
+            self._sight = sight
+            note_sight(surface, canvas.view.camera, sight)
+        return True
 
     @property
     def base(self) -> np.ndarray:

@@ -1,0 +1,47 @@
+"""Estimates of a surface that somebody holds, such as those under a stroke while it is drawn: the edit from the same
+camera takes equal lines of sight out of them. They are gone when their owner drops them.
+"""
+
+from __future__ import annotations
+
+import weakref
+from collections import deque
+
+import numpy as np
+
+from splatpainter.cameras import Camera
+from splatpainter.surface.estimate import Surface
+from splatpainter.surface.visible import SightEstimates
+from splatpainter.system.quick_dataclass import dataclass
+
+
+@dataclass(frozen=True)
+class RecentSightLimits:
+    """Source: taste."""
+
+    most_recent: int = 8
+    """Estimates that are looked through."""
+
+
+RECENT_SIGHTS = RecentSightLimits()
+
+_recent: deque[tuple[weakref.ref[SightEstimates], weakref.ref[Surface], Camera]] = deque(
+    maxlen=RECENT_SIGHTS.most_recent
+)
+"""The latest last."""
+
+
+def note_sight(surface: Surface, camera: Camera, sight: SightEstimates) -> None:
+    """Offer what is known of a surface along lines of sight of a camera."""
+    _recent.append((weakref.ref(sight), weakref.ref(surface), camera))
+
+
+def recent_sight(surface: Surface, camera: Camera) -> SightEstimates | None:
+    """The latest that somebody holds, of the very same surface and an equal camera; None where there is none."""
+    for reference, of_surface, of_camera in reversed(tuple(_recent)):
+        sight = reference()
+        if sight is not None and of_surface() is surface and of_camera == camera:
+            # Equal cameras may have been moved by a scene: what they see is then another thing.
+            if np.array_equal(of_camera.world_to_camera, camera.world_to_camera):
+                return sight
+    return None
