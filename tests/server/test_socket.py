@@ -24,10 +24,12 @@ from splatpainter.server.commands.files import ReceiptShow
 from splatpainter.server.commands.layers import ConflictsList, Redo
 from splatpainter.server.hub import Hub
 from splatpainter.server.protocol import Answer
+from splatpainter.server.strokes.stroke import Stroke
 from splatpainter.session.commands.session_layers import SessionLayers
 from splatpainter.session.commands.session_surface import SessionSurface
 from splatpainter.session.project import project_file
 from splatpainter.splats import rows_sha256
+from splatpainter.surface.estimate import Surface
 from tests.support.studio_scenes import Live, Mirror, ball, dab, live, make_studio, view, wire
 
 RED, BLUE = (230, 20, 20, 255), (20, 20, 230, 255)
@@ -502,6 +504,24 @@ def test_a_stroke_ends_with_the_asset_that_it_was_begun_on(studio: Live, tmp_pat
         again = one.do("paint.begin", camera=wire(view()))
         one.do("paint.dab", stroke=again["stroke"], rgba=dab(24, RED), **box)
         assert one.do("paint.end", stroke=again["stroke"])["version"] == 2
+
+
+def test_the_surface_is_looked_at_while_a_stroke_is_drawn(studio: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    looked = threading.Event()
+
+    def look(self: Stroke, surface: Surface) -> bool:
+        looked.set()
+        return False
+
+    monkeypatch.setattr(Stroke, "look", look)
+    with studio.greeted() as one:
+        started = one.do("paint.begin", camera=wire(view()))
+        # What is prepared at pen-down uses the same thread, and may still be at it.
+        for _ in range(100):
+            one.do("paint.dab", stroke=started["stroke"], rgba=dab(24, RED), x=36, y=36, width=24, height=24)
+            if looked.wait(0.1):
+                return
+    raise AssertionError("nobody looked")
 
 
 def test_a_closed_studio_leaves_no_thread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -147,32 +147,32 @@ def test_what_was_seen_of_the_surface_while_a_stroke_grew_is_not_asked_again_and
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     splats = ball(3000)
-    surface, asked, at = Surface.of(splats), [], Surface.at
+    surface, queries, at = Surface.of(splats), [], Surface.at
 
     def counted(self: Surface, points: np.ndarray, *args: np.ndarray) -> SurfacePoints:
-        asked.append(len(points))
+        queries.append(len(points))
         return at(self, points, *args)
 
     monkeypatch.setattr(Surface, "at", counted)
     stroke, picture = drawn(splats, 6)
     picture = picture.astype(np.float32)
     plain = paint_view(splats, surface, stroke.camera, picture, stroke.mask)
-    unaided = sum(asked)
+    unaided = sum(queries)
     assert stroke.look(surface) and not stroke.look(surface)
-    asked.clear()
+    queries.clear()
     painted = paint_view(splats, surface, stroke.camera, picture, stroke.mask)
-    assert unaided > 100 and sum(asked) == 0
+    assert unaided > 100 and sum(queries) == 0
     for name in ATTRIBUTES:
         assert getattr(painted.splats, name).tobytes() == getattr(plain.splats, name).tobytes()
-    # Of another asset's surface, or once the stroke is gone, all is asked.
+    # Of another asset's surface, or once the stroke is gone, nothing is known.
     paint_view(splats, Surface.of(splats), stroke.camera, picture, stroke.mask)
-    assert sum(asked) == unaided
+    assert sum(queries) == unaided
     camera, mask = stroke.camera, stroke.mask
     del stroke
     gc.collect()
-    asked.clear()
+    queries.clear()
     paint_view(splats, surface, camera, picture, mask)
-    assert sum(asked) == unaided
+    assert sum(queries) == unaided
 
 
 def test_the_surface_is_looked_at_under_paint_that_grows_alone() -> None:
