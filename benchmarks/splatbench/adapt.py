@@ -141,7 +141,7 @@ def run(config: AdaptBench, report: Callable[[str], None] | None = None) -> list
     again. report: called with a line now and then. Raises ValueError for options
     that make no sense, and for data that is not there."""
     report = report or (lambda line: None)
-    encoder = _check(config)
+    _check(config)
     where = machine()
     training, held = streams(config)
     edits = held_edits(held, config.objects, config.seed)
@@ -151,7 +151,7 @@ def run(config: AdaptBench, report: Callable[[str], None] | None = None) -> list
         f"{len(edits)} edits of {len({e.edit.name for e in edits})} held-out objects, {len(training.order)} to train on"
     )
     config.out.mkdir(parents=True, exist_ok=True)
-    carriers_in_training = [carriers.carrier_training(name, encoder, config.seed) for name in config.carriers]
+    carriers_in_training = [carriers.carrier_training(name, config.encoder, config.seed) for name in config.carriers]
     carriers.share_rows(carriers_in_training)
     chosen = [held for held in edits if held.edit.kind == "relight"][::CURVE_EVERY]
     points: list[CarrierPoint] = []
@@ -335,20 +335,14 @@ def _shipped(carrier: Carrier) -> GaussianEditTask | None:
     return GaussianEditTask(model, GaussianEditOptions(carrier)).eval()
 
 
-def _check(config: AdaptBench) -> Path:
-    """The encoder's folder. Raises ValueError for what cannot be."""
-    from splatpainter.models import weights
-
+def _check(config: AdaptBench) -> None:
+    """Raises ValueError for what cannot be."""
     if not config.seconds > 0 or config.objects < 1 or config.training_objects < 0 or config.seed < 0:
         raise ValueError("bench adapt: expected --seconds above 0, --objects of at least 1, and no negative number")
     if unknown := [name for name in config.carriers if name not in TRAINED]:
         raise ValueError(f"bench adapt: expected --carriers of {', '.join(TRAINED)}, got {unknown[0]!r}")
     if not config.carriers:
         raise ValueError("bench adapt: expected at least one of --carriers")
-    encoder = config.encoder or weights.find("compact")
-    if encoder is None:
-        raise ValueError("bench adapt: no trained LRM and Stage I in the package; give --encoder CHECKPOINT")
-    return encoder
 
 
 def _slug(name: str) -> str:

@@ -59,14 +59,15 @@ def recipe() -> Recipe:
     return load("compact", "rows")
 
 
-def carrier_training(name: str, encoder: Path, seed: int = 0) -> CarrierTraining:
-    """A carrier before its training. encoder: a checkpoint, of which LRM and Stage I are taken. Raises ValueError for a
-    checkpoint of other sizes."""
+def carrier_training(name: str, encoder: Path | None, seed: int = 0) -> CarrierTraining:
+    """A carrier before its training. encoder: a checkpoint, of which LRM and Stage I are taken; None: the model has
+    none, as the recipe says. Raises ValueError for a checkpoint of other sizes."""
     settings = recipe()
-    refine = replace(settings.model.refine, **STAGE2.get(name, {}))
+    latents = settings.model.refine.latents if encoder is None else True
+    refine = replace(settings.model.refine, latents=latents, **STAGE2.get(name, {}))
     config = replace(settings.model, refine=refine)
     torch.manual_seed(seed)
-    model = with_encoder(config, encoder)
+    model = SplatPainterModel(config) if encoder is None else with_encoder(config, encoder)
     carrier: Carrier = "predictor" if name == MESA else "stage2"
     options = GaussianEditOptions(carrier, settings.teachers, settings.readers, objects=1 << 10)
     task = GaussianEditTask(model, options)

@@ -192,6 +192,16 @@ def test_relit_views_in_turn_make_what_they_make_together_and_the_latest_light_w
     assert decibels(other.splats, lights["b"]) > decibels(other.splats, lights["a"]) + 1
 
 
+def test_views_that_agree_where_both_look_go_on_however_poorly_the_rest_was_foretold(float32: None) -> None:
+    """A light from behind: what the front shows of it says little of the side."""
+    splats, painter = ball(400), Painter(model=weights.load("rows"))
+    lit = relit(splats, (-0.7, 0.5, 0.5))
+    first, second = (Edit(draw(lit, camera), camera) for camera in (FRONT, SIDE))
+    once = painter.apply(painter.encode(splats, "ttt", ("global",)), [first], "global", "ttt")
+    turns = painter.apply(once, [second], "global", "ttt")
+    assert decibels(turns.splats, lit) > decibels(once.splats, lit) + 4
+
+
 def test_what_the_memory_did_not_foretell_is_another_edit(float32: None) -> None:
     """Where new pictures contradict the memory, Gaussians that were shown before are answered for like all others."""
     made, splats, encoded, _ = scene()

@@ -33,6 +33,8 @@ TRAINED = {
 }
 """Stage, in the order of training -> the parts of the model that a checkpoint of it has trained. The predictor stands
 beside the others: training it keeps whatever there is of them."""
+OWN = {"lrm": ("lrm.",), "compress": ("compressor.", "head."), "predict": ("predictor.",)}
+"""Stage -> the parts that it trains itself; of all others ("refiner.", "head.")."""
 SETTINGS = ("preset", "lrm.views", "lrm.image_size", "refine.edit_strength", "compress.min_opacity", "predict.alone")
 """Keys of a model's config that its weights do not depend on."""
 
@@ -84,7 +86,9 @@ def start(recipe: Recipe, weights: Path | None, report: Say = print, until: Stag
     initial = model.state_dict()
     used = {name: t for name, t in saved.tensors.items() if name.startswith(parts)}
     checkpoint.fill(model, {**initial, **used}, str(weights))
-    model.notes = {"history": state.history(weights, saved.notes)}
+    past = state.history(weights, saved.notes)
+    # What was trained and is not taken is no part of this model's history.
+    model.notes = {"history": [one for one in past if {*OWN.get(one.get("stage"), ("refiner.", "head."))} & {*parts}]}
     report(f"starting from {weights}: {', '.join(p.rstrip('.') for p in parts)} as trained by stage {stage}")
     return model
 

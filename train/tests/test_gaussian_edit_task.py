@@ -185,8 +185,8 @@ def test_the_stage_is_a_command(tmp_path: Path, capsys: pytest.CaptureFixture[st
 
 def test_training_goes_on_from_the_shipped_weights() -> None:
     lines: list[str] = []
-    folder = weights.PACKAGED / "compact"
-    start(recipes.load("compact", "rows"), folder, lines.append)
+    folder = Path(__file__).parents[2] / "benchmarks/splatbench/weights/latents"
+    start(recipes.load("compact", "rows"), weights.PACKAGED / "compact", lines.append)
     start(recipes.load("compact", "refine"), folder, lines.append, "compress")
     assert ["refiner" in line for line in lines] == [True, False]
     with pytest.raises(ValueError, match="learnt without pictures .* --from-stage compress"):
@@ -202,9 +202,14 @@ def test_stages_of_lrm_and_stage_one_want_a_model_that_has_them(tmp_path: Path) 
     with_none.save(tmp_path / "without", notes={"stage": "rows"})
     with pytest.raises(ValueError, match="without LRM and Stage I, .* start from those of train compress"):
         start(RECIPE, tmp_path / "without")
-    # One that has none takes neither from weights that do.
-    SplatPainterModel(MODEL).save(tmp_path, notes={"stage": "compress"})
-    assert start(replace(RECIPE, model=without), tmp_path, lambda line: None).encoders == ()
+    # One that has none takes neither from weights that do, and its history is that of what it took.
+    stages = [{"stage": stage, "step": step} for step, stage in enumerate(("lrm", "compress", "predict"))]
+    SplatPainterModel(MODEL).save(tmp_path, notes={"stage": "rows", "history": stages})
+    made = start(replace(RECIPE, model=without), tmp_path, lambda line: None)
+    assert made.encoders == () and [one["stage"] for one in made.notes["history"]] == ["predict"]
+    for until, taken in ((None, [*stages, {"stage": "rows"}]), ("compress", stages)):
+        notes = start(RECIPE, tmp_path, lambda line: None, until).notes
+        assert [one["stage"] for one in notes["history"]] == [one["stage"] for one in taken]
 
 
 def test_train_refine_leaves_it_to_rows() -> None:

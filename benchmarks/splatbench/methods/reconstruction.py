@@ -23,7 +23,7 @@ import numpy as np
 
 from splatbench.cases import Budget, PosedImages
 from splatbench.methods import EditResult, EditTask, Method
-from splatbench.methods.weights import COMPACT, Weights
+from splatbench.methods.weights import COMPACT, LATENTS, Weights
 from splatpainter.models.config import Grouping, LrmConfig, ModelConfig
 from splatpainter.nn.precision import autocast
 from splatpainter.splats import ATTRIBUTES
@@ -231,8 +231,8 @@ HAS_LRM: dict[str, Any] = {
     "fits": lambda config: config.refine.latents,
     "train": "lrm --recipe compact",
 }
-LRM = Weights((COMPACT,), COMPACT, **HAS_LRM)
-BEFORE = Weights((*reversed(GROUPINGS), COMPACT), COMPACT, **HAS_LRM)
+LRM = Weights((LATENTS, COMPACT), LATENTS, **HAS_LRM)
+BEFORE = Weights((*reversed(GROUPINGS), LATENTS, COMPACT), LATENTS, **HAS_LRM)
 """Any model that has an LRM; those of the rows that it is compared with first."""
 
 

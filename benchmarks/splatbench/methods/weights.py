@@ -19,6 +19,8 @@ from splatpainter.models.local_config import LocalConfig
 
 COMPACT = "compact"
 """The name under which the package's model is replaced."""
+LATENTS = "latents"
+"""The name of a model with LRM and Stage I, which what ships does without; one comes with the benches."""
 BENCH_WEIGHTS = Path(__file__).parents[1] / "weights"
 """Folder of weights that come with the benches, beside those of splatpainter."""
 VERSION = "1"

@@ -341,7 +341,7 @@ COMPACT = ModelConfig(
     decoder="bounded",
 )
 """One unified model for local and global edits, on two CPU cores. Stage II spends 1.7 MFLOP per Gaussian, so that a
-global edit of 100,000 Gaussians fits in 2.5 s also where only float32 is fast (AVX2). What ships trained has this LRM,
-Stage I and predictor, and a smaller Stage II, for global edits alone (recipes/compact-rows.json)."""
+global edit of 100,000 Gaussians fits in 2.5 s also where only float32 is fast (AVX2). What ships trained has this
+predictor, and a smaller Stage II without LRM and Stage I, for global edits alone (recipes/compact-rows.json)."""
 
 PRESETS = {"paper": PAPER, "compact": COMPACT}
