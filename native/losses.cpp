@@ -88,4 +88,4 @@ void row_losses(Array1<const bool> counted, bool comparable, Array1<const double
 
 } }  // namespace sp
 
-SP_KERNELS(losses, ONE(row_losses))
+SP_KERNELS_TO_V3(losses, ONE(row_losses))

@@ -2,7 +2,7 @@
 #include "spread/fourier.h"
 #include "spread/point_neighbours.h"
 
-SP_KERNELS(spread,
+SP_KERNELS_TO_V3(spread,
     ONE(find_neighbours),
     ONE(take_neighbour_means),
     ONE(smooth_once),

@@ -141,15 +141,29 @@ MUTATIONS = (
     Mutation(
         "an edit forgets those before it",
         "models/edit_propagation.py",
-        "total = so_far + moved",
-        "total = moved",
+        "total, visibility = so_far + moved",
+        "total, visibility = moved",
         (CARRY,),
     ),
     Mutation(
         "agreeing edits are made twice",
         "models/edit_propagation.py",
-        "(1 - agrees * _share(before[:, 0])[:, None])",
+        "(1 - self._agreement * visibility)",
         "1",
+        (CARRY,),
+    ),
+    Mutation(
+        "what earlier pictures showed does not teach again",
+        "models/edit_propagation.py",
+        "pixels + self._agreement * before[:, 0]",
+        "pixels",
+        (CARRY,),
+    ),
+    Mutation(
+        "what is hardly shown teaches",
+        "models/edit_propagation.py",
+        "MIN_TEACHER_PX = 1.0",
+        "MIN_TEACHER_PX = 0.0",
         (CARRY,),
     ),
     Mutation(
@@ -292,8 +306,8 @@ MUTATIONS = (
     Mutation(
         "highlights shine through paint",
         "lift/colors.py",
-        "out = sh * keep[..., None]",
-        "out = sh * 1",
+        "math.prod(sh.shape[1:])) * keep).reshape",
+        "math.prod(sh.shape[1:])) * 1).reshape",
         (COLORS, "tests/lift/test_local.py"),
     ),
     Mutation(

@@ -33,7 +33,7 @@ TRAINED = {
 }
 """Stage, in the order of training -> the parts of the model that a checkpoint of it has trained. The predictor stands
 beside the others: training it keeps whatever there is of them."""
-OWN = {"lrm": ("lrm.",), "compress": ("compressor.", "head."), "predict": ("predictor.",)}
+PARTS_OF_STAGE = {"lrm": ("lrm.",), "compress": ("compressor.", "head."), "predict": ("predictor.",)}
 """Stage -> the parts that it trains itself; of all others ("refiner.", "head.")."""
 SETTINGS = ("preset", "lrm.views", "lrm.image_size", "refine.edit_strength", "compress.min_opacity", "predict.alone")
 """Keys of a model's config that its weights do not depend on."""
@@ -88,7 +88,9 @@ def start(recipe: Recipe, weights: Path | None, report: Say = print, until: Stag
     checkpoint.fill(model, {**initial, **used}, str(weights))
     past = state.history(weights, saved.notes)
     # What was trained and is not taken is no part of this model's history.
-    model.notes = {"history": [one for one in past if {*OWN.get(one.get("stage"), ("refiner.", "head."))} & {*parts}]}
+    model.notes = {
+        "history": [one for one in past if {*PARTS_OF_STAGE.get(one.get("stage"), ("refiner.", "head."))} & {*parts}]
+    }
     report(f"starting from {weights}: {', '.join(p.rstrip('.') for p in parts)} as trained by stage {stage}")
     return model
 

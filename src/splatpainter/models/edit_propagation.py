@@ -114,7 +114,8 @@ def carry(
 ) -> tuple[RefineState, Tensor]:
     """(the state after adapting to the change of the Gaussians `teachers` [T], [R, 3] what it then says is the change
     of base colour of the Gaussians `readers` [R]; int64 both). change: [N, 3]; weight: [N] pixels that show each, both
-    read at teachers only; strength: overrides config.refine.edit_strength. Differentiable in the weights of Stage II."""
+    read at teachers only; strength: overrides config.refine.edit_strength. Differentiable in the weights of Stage
+    II."""
     refiner, teacher_inputs = model.refiner, _inputs(gaussians, teachers, change[teachers], weight[teachers])
     tokens = model.prepared(
         gaussians.latents, gaussians.latent_ids[teachers.cpu().numpy()], teacher_inputs, teaching=True
@@ -209,8 +210,8 @@ class CarriedEdit:
         assert self._evidence is not None and self._start is not None
         so_far, before = torch.from_numpy(self._evidence).to(moved.device).split([3, 1], 1)
         # The memory knows the change since the first edit, so it is taught that, and not the last step.
-        total, shown = so_far + moved, _share(before)
-        self._agreement = self._agrees(total, pixels, so_far, shown)
+        total, visibility = so_far + moved, _share(before)
+        self._agreement = self._agrees(total, pixels, so_far, visibility)
         # What earlier pictures showed teaches again beside what these do, as it would have with all of them at once.
         weight = pixels + self._agreement * before[:, 0]
         state, answer = self._carry(total, weight, everyone)
@@ -218,18 +219,18 @@ class CarriedEdit:
         # What the lift did besides (the far side, its last rounds) stays with what goes on.
         old = remembered(self.model, self.gaussians, self._start, everyone)
         start = so_far + self._agreement * (old - so_far)
-        return (answer - start) * (1 - self._agreement * shown)
+        return (answer - start) * (1 - self._agreement * visibility)
 
-    def _agrees(self, total: Tensor, pixels: Tensor, so_far: Tensor, shown: Tensor) -> float:
+    def _agrees(self, total: Tensor, pixels: Tensor, so_far: Tensor, visibility: Tensor) -> float:
         """0..1: whether new pictures, by which Gaussians have changed by total [N, 3] since the first edit, go on with
-        the edits before. so_far: [N, 3] change by these; shown: [N, 1] how much of each they showed."""
+        the edits before. so_far: [N, 3] change by these; visibility: [N, 1] how much of each they showed."""
         assert self._start is not None
-        asked = torch.nonzero(pixels > MIN_SEEN_PX)[:, 0]
-        total, so_far, shown = total[asked], so_far[asked], shown[asked]
+        indices = torch.nonzero(pixels > MIN_SEEN_PX)[:, 0]
+        total, so_far, visibility = total[indices], so_far[indices], visibility[indices]
         # What was shown is known; what the memory makes of the rest is a guess, and a poor one is no contradiction.
-        foretold = remembered(self.model, self.gaussians, self._start, asked)
-        expected = shown * so_far + (1 - shown) * foretold
-        counts = _share(pixels[asked])[:, None] * (FORETOLD + (1 - FORETOLD) * shown)
+        foretold = remembered(self.model, self.gaussians, self._start, indices)
+        expected = visibility * so_far + (1 - visibility) * foretold
+        counts = _share(pixels[indices])[:, None] * (FORETOLD + (1 - FORETOLD) * visibility)
         unlike = float((counts * (expected - total).square()).sum() / (counts * total.square()).sum().clamp_min(1e-9))
         return min(max((CONTRADICTS - unlike) / (CONTRADICTS - AGREES), 0.0), 1.0)
 

@@ -70,7 +70,7 @@ class _DeferredLocal:
 
 class _Deferred:
     """A model of which config, notes and the stored predictor are known, and whose networks are read when anything else
-    is asked for: torch and the networks are seconds that an edit by the lift should not wait for, and may not be installed."""
+    is asked for: torch and weights are seconds that an edit by the lift should not wait for, and may not be there."""
 
     def __init__(self, folder: Path) -> None:
         # The index alone says whether networks are needed at all, and it is small.
