@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -86,9 +87,11 @@ def check_folder(path: Path) -> None:
 
 def _why_not(folder: Path) -> str:
     """Why nothing can be written into a folder: no permission would send people to chmod where it cannot help."""
+    if sys.platform == "win32":  # has no such call
+        return f"no permission in {folder}"
     try:
         is_read_only = bool(os.statvfs(folder).f_flag & os.ST_RDONLY)
-    except (AttributeError, OSError):  # Windows has no such call
+    except OSError:
         is_read_only = False
     return f"{folder} is on a disk that is mounted read-only" if is_read_only else f"no permission in {folder}"
 

@@ -223,6 +223,7 @@ def test_a_copy_is_not_read_again(tmp_path: Path, capfd: Capture, monkeypatch: p
 @posix_only
 def test_a_disk_that_is_mounted_read_only_is_called_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """chmod would not help there."""
+    assert sys.platform != "win32"
     real = os.statvfs(tmp_path)
     monkeypatch.setattr(os, "access", lambda *_: False)
     for flag, words in ((os.ST_RDONLY, "is on a disk that is mounted read-only"), (0, "no permission in")):

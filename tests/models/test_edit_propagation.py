@@ -12,6 +12,7 @@ from torch import Tensor
 
 from splatpainter.cameras import Camera
 from splatpainter.lift.depth_normals import outward_normals
+from splatpainter.lift.features import HALF_SEEN_PX
 from splatpainter.lighting import prt_transfer
 from splatpainter.models import weights
 from splatpainter.models.compress import LatentScale
@@ -223,6 +224,15 @@ def test_what_the_memory_did_not_foretell_is_another_edit(float32: None) -> None
     with torch.no_grad():
         everyone = remembered(made, second.gaussians, second.state, torch.arange(len(splats)))
     np.testing.assert_allclose(answer, (everyone - state.evidence[:, :3]).numpy(), atol=1e-5)
+    # Where they show what was there already, it is kept by as much as it was shown, and the memory's change is added.
+    third = carried(replace(splats, sh=sh), state)
+    answer = third(np.zeros_like(change), weight)
+    assert third.state is not None
+    with torch.no_grad():
+        old, new = (remembered(made, third.gaussians, one, torch.arange(len(splats))) for one in (state, third.state))
+    visibility = torch.from_numpy(weight / (weight + HALF_SEEN_PX))[:, None]
+    np.testing.assert_allclose(answer, ((new - old) * (1 - visibility)).numpy(), atol=1e-5)
+    assert np.abs((new - old).numpy()).max() > 1e-3
 
 
 def test_terms_have_rms_one() -> None:
