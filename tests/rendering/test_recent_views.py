@@ -20,6 +20,12 @@ from splatpainter.splats import ATTRIBUTES, Splats
 from tests.support.render_scenes import cameras, scene
 
 
+@pytest.fixture(autouse=True)
+def idle_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a process that goes on, whatever commands ran in this one before."""
+    monkeypatch.setattr(arrays._idle, "limits", IDLE_LIMITS)
+
+
 def fixed(splats: Splats[np.ndarray]) -> Splats[np.ndarray]:
     """The same, to which nobody can write."""
     for name in ATTRIBUTES:
