@@ -89,7 +89,9 @@ def start(recipe: Recipe, weights: Path | None, report: Say = print, until: Stag
     past = state.history(weights, saved.notes)
     # What was trained and is not taken is no part of this model's history.
     model.notes = {
-        "history": [one for one in past if {*PARTS_OF_STAGE.get(one.get("stage"), ("refiner.", "head."))} & {*parts}]
+        "history": [
+            one for one in past if {*PARTS_OF_STAGE.get(one.get("stage", ""), ("refiner.", "head."))} & {*parts}
+        ]
     }
     report(f"starting from {weights}: {', '.join(p.rstrip('.') for p in parts)} as trained by stage {stage}")
     return model
