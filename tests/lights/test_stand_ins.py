@@ -48,6 +48,18 @@ def test_sparse_assets_stand_for_themselves() -> None:
 
 
 @pytest.mark.usefixtures("soon")
+def test_those_without_a_size_make_no_disc_of_nothing() -> None:
+    splats = ball(COUNT)
+    few = dense_places(replace(splats, scales=np.full_like(splats.scales, 1e-30)), axes_of(splats))
+    assert few is not None
+    assert all(np.isfinite(getattr(few.splats, name)).all() for name in ("means", "quats", "scales", "opacities"))
+    # In one place, too, where they do not spread either.
+    alike = splats.take(np.zeros(COUNT, np.int64))
+    few = dense_places(replace(alike, scales=np.full_like(alike.scales, 1e-30)), axes_of(alike))
+    assert few is not None and len(few.splats) == 1 and np.isfinite(few.splats.opacities).all()
+
+
+@pytest.mark.usefixtures("soon")
 def test_one_that_is_large_stays_what_it_is() -> None:
     splats = ball(COUNT)
     large = np.arange(COUNT) % 100 == 7

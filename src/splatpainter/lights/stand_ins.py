@@ -103,7 +103,8 @@ def stand_ins(splats: Splats, axes: Floats, center: Floats, cell: float) -> Stan
     height *= height
     flat = merged.mean(np.stack([longest * longest + middle * middle + (away * away).sum(1) - height], 1))[:, 0] / 2
     deep = merged.mean(np.stack([shortest * shortest + height], 1))[:, 0]
-    opacity = np.minimum(np.bincount(group, area) / flat, STAND_INS.most_opaque)
+    # Some have no size at all.
+    opacity = np.minimum(np.bincount(group, area) / np.maximum(flat, np.finfo(np.float32).tiny), STAND_INS.most_opaque)
     discs = {
         "means": means,
         "quats": _upright(normals),
