@@ -14,6 +14,7 @@ from splatpainter.cameras import look_at, spherical_cameras
 from splatpainter.cli import main
 from splatpainter.color import base_color, sh_from_color, srgb_to_linear
 from splatpainter.color import linear_to_srgb as to_display
+from splatpainter.image_files import write_png
 from splatpainter.lights.light_set import Lights, axes_of, turned_sky
 from splatpainter.lights.match import ball_sheet, match_light, sky_of
 from splatpainter.lights.prepared import captured_light, lit_surface
@@ -141,6 +142,18 @@ def test_the_command_matches_and_writes_what_it_saw(tmp_path: Path) -> None:
         assert picture.width > 4 * 192
     words[2:4] = ["--hdri", tmp_path / "new.hdr"]
     assert main([str(word) for word in words if word != "--no-painter"]) == 2, "outputs exist"
+
+
+def test_the_command_says_that_an_environment_is_not_used(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    asset, truth = textured_ball(sh_light("overcast"), 2000), textured_ball(sh_light("sunset"), 2000)
+    io.write(tmp_path / "a.ply", asset)
+    (edit,) = pictures(truth, 1)
+    write_png(tmp_path / "view.png", edit.image, edit.camera)
+    words = ["light", tmp_path / "a.ply", "--match", tmp_path / "view.png", "--no-painter", "--up", "+y"]
+    for turn, refused in ((180, True), (0, False)):
+        more = ["--hdri", "sunset", "--rotate", turn, "--out", tmp_path / f"{turn}.ply"]
+        assert main([str(word) for word in (*words, *more)]) == 0
+        assert ("--hdri sunset: not used: " in capsys.readouterr().err) is refused
 
 
 def test_balls_show_where_light_comes_from(tmp_path: Path) -> None:

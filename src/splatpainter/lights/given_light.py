@@ -96,10 +96,10 @@ def chosen_trust(evidence: Mapping[Trust | None, float], scores: Mapping[Trust |
     likely = likely_trusts(evidence)
     if not likely:
         best = max(value for trust, value in evidence.items() if trust)
-        return EnvironmentUse(None, f"the pictures are likelier without it (e^{evidence[None] - best:.1f} times)")
+        return EnvironmentUse(None, f"the pictures are likelier without it (log odds {evidence[None] - best:.1f})")
     if not scores:
         trust = max(likely, key=lambda one: evidence[one])
-        return EnvironmentUse(trust, f"likelier with it (e^{evidence[trust] - evidence[None]:.1f} times)")
+        return EnvironmentUse(trust, f"likelier with it (log odds {evidence[trust] - evidence[None]:.1f})")
     trust = max((None, *likely), key=lambda one: scores[one])
     listed = ", ".join(f"{one.text if one else 'alone'} {scores[one]:.1f}" for one in (None, *likely))
     return EnvironmentUse(trust, f"held back, dB: {listed}")

@@ -311,6 +311,8 @@ class Relight(LightBefore):
                 region=Region.parse(self.where) if self.where else None,
                 mix=self.mix,
             )
+            if result.environment is not None and result.environment.trust is None:
+                report.warn(f"--hdri {self.hdri}: not used: {result.environment.reason}; light of the pictures alone")
             # The light that was found is what the user may want to keep; it is written for --hdri.
             self._write_lights(result.before.coefficients, result.after)
             return replace(result.asset, original=asset.original or asset.splats)
