@@ -98,8 +98,7 @@ def test_receipts_score_whole_views_though_only_parts_are_drawn() -> None:
 def test_an_edit_does_not_touch_its_asset(mode, method):
     splats = object_()
     copies = {name: getattr(splats, name).copy() for name in NAMES}
-    for name in NAMES:
-        getattr(splats, name).flags.writeable = False
+    splats.fix()
     edit = dab(splats, RED)
     image = edit.image.copy()
     asset = Painter.load("lift").encode(splats)

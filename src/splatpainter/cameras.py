@@ -263,6 +263,11 @@ def _pixel_count(value: Any) -> int:
     return int(value)
 
 
+def same_camera(a: Camera, b: Camera) -> bool:
+    """Whether two cameras show the same view: == leaves the matrix out."""
+    return a == b and np.array_equal(a.world_to_camera, b.world_to_camera)
+
+
 def look_at(
     eye: Sequence[float] | np.ndarray,
     target: Sequence[float] | np.ndarray,

@@ -16,7 +16,7 @@ from splatpainter.rendering.cpu import recent_views
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.rendering.cpu.recent_views import RecentViewLimits, drawn_view, hold, note_view, recent_view
 from splatpainter.rendering.partial import PartialRender
-from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.splats import Splats
 from tests.support.render_scenes import cameras, scene
 
 
@@ -28,8 +28,7 @@ def idle_memory(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def fixed(splats: Splats[np.ndarray]) -> Splats[np.ndarray]:
     """The same, to which nobody can write."""
-    for name in ATTRIBUTES:
-        getattr(splats, name).flags.writeable = False
+    splats.fix()
     return splats
 
 

@@ -51,9 +51,8 @@ class PartialRender:
         keep: bool = False,
     ) -> PartialRender:
         """tiles: [TH, TW] bool; None: all of them; beside: more that the `view` is to have; view: one of the splats
-        that has these, if at hand; keep: whether a view of all tiles is kept, about 150 bytes per Gaussian,
-        also for the next one of the same splats from there. Raises
-        ValueError for sizes that `render` does not draw."""
+        that has these, if at hand; keep: whether a view of all tiles is kept, about 150 bytes per Gaussian, also
+        for the next one of the same splats from there. Raises ValueError for sizes that `render` does not draw."""
         from splatpainter.rendering.cpu.projected_view import project, tile_shape
         from splatpainter.rendering.cpu.recent_views import drawn_view, hold, recent_view
 

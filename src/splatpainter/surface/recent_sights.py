@@ -7,9 +7,7 @@ from __future__ import annotations
 import weakref
 from collections import deque
 
-import numpy as np
-
-from splatpainter.cameras import Camera
+from splatpainter.cameras import Camera, same_camera
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import SightEstimates
 from splatpainter.system.quick_dataclass import dataclass
@@ -37,11 +35,9 @@ def note_sight(surface: Surface, camera: Camera, sight: SightEstimates) -> None:
 
 
 def recent_sight(surface: Surface, camera: Camera) -> SightEstimates | None:
-    """The latest that somebody holds, of the very same surface and an equal camera; None where there is none."""
+    """The latest that somebody holds, of the very same surface and the same camera; None where there is none."""
     for reference, of_surface, of_camera in reversed(tuple(_recent)):
         sight = reference()
-        if sight is not None and of_surface() is surface and of_camera == camera:
-            # Equal cameras may have been moved by a scene: what they see is then another thing.
-            if np.array_equal(of_camera.world_to_camera, camera.world_to_camera):
-                return sight
+        if sight is not None and of_surface() is surface and same_camera(of_camera, camera):
+            return sight
     return None

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from splatpainter.cameras import Camera
+from splatpainter.cameras import Camera, same_camera
 from splatpainter.kernels.arrays import keeps_idle_memory
 from splatpainter.rendering import check_views
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
@@ -82,13 +82,9 @@ def recent_view(splats: Splats, camera: Camera) -> ProjectedView | None:
     very same: they are not written to."""
     for reference, source in reversed(tuple(_recent)):
         view = reference()
-        if view is not None and _is_from(view.camera, camera) and source.is_of(splats):
+        if view is not None and same_camera(view.camera, camera) and source.is_of(splats):
             return view
     return None
-
-
-def _is_from(camera: Camera, other: Camera) -> bool:
-    return camera == other and np.array_equal(camera.world_to_camera, other.world_to_camera)
 
 
 def drawn_view(splats: Splats, camera: Camera) -> DrawnView:
@@ -105,9 +101,9 @@ def drawn_view(splats: Splats, camera: Camera) -> DrawnView:
     if (
         view is None
         and edited is not None
-        and _is_from(edited.camera, camera)
+        and same_camera(edited.camera, camera)
         and edited.source.is_of(splats)
-        and _fixed(splats)
+        and splats.is_fixed
     ):
         view, pictures = edited.view(), edited.pictures
         note_view(splats, view)
@@ -127,11 +123,6 @@ def _noted(view: ProjectedView, pictures: tuple[np.ndarray, ...]) -> DrawnView:
 
 
 # ---- the one view that is held here
-
-
-def _fixed(splats: Splats) -> bool:
-    """Whether nobody writes to the arrays: between two edits nothing else says that they hold what was projected."""
-    return not any(getattr(splats, name).flags.writeable for name in ATTRIBUTES)
 
 
 @dataclass(frozen=True)
@@ -163,7 +154,8 @@ def hold(splats: Splats, drawn: DrawnView) -> None:
         return
     arrays = (*vars(drawn.view).values(), drawn.colors, drawn.alphas, drawn.depths)
     size = sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
-    if not _fixed(splats) or size > RECENT_VIEWS.most_held_bytes or not keeps_idle_memory():
+    # Between two edits nothing else says that the arrays still hold what was projected.
+    if not splats.is_fixed or size > RECENT_VIEWS.most_held_bytes or not keeps_idle_memory():
         _held = _edited = None
         return
 

@@ -6,14 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from splatpainter.cameras import Camera
+from splatpainter.cameras import Camera, same_camera
 from splatpainter.io import files
 from splatpainter.session.commands.session_core import SessionCore
 from splatpainter.session.commands.session_selections import SessionSelections
 from splatpainter.session.document.document import Layer, change_layer
 from splatpainter.session.document.layer_factory import decode_mask_part, encode_mask_part
 from splatpainter.session.document.layer_mask import MAX_PARTS, LayerMask, MaskPart, over
-from splatpainter.session.document.layer_view import same_camera
 from splatpainter.session.selection.selection import Selection
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from splatpainter.cameras import Camera
+from splatpainter.cameras import Camera, same_camera
 from splatpainter.painter import Edit
 from splatpainter.session.commands.scene_edits import paint_in_scene
 from splatpainter.session.commands.session_core import SessionCore
@@ -23,7 +23,6 @@ from splatpainter.session.document.document import (
 )
 from splatpainter.session.document.layer_factory import decode_mask, new_layer
 from splatpainter.session.document.layer_operation import LayerOperation, operation_of_layer
-from splatpainter.session.document.layer_view import same_camera
 from splatpainter.session.kinds.erase_layers import EraseLayer
 from splatpainter.session.replay.delta import without_source
 from splatpainter.splats import Splats

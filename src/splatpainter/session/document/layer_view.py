@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-import numpy as np
-
 from splatpainter.cameras import Camera
 from splatpainter.image_files import MAX_PICTURE_PIXELS
 from splatpainter.system.quick_dataclass import dataclass
@@ -37,11 +35,6 @@ class View:
         if camera.width * camera.height > MAX_PICTURE_PIXELS:
             raise ValueError(f"{where}: expected a view of at most {MAX_PICTURE_PIXELS // 10**6} megapixels")
         return View(camera, checked_hash(data["picture"], where), checked_hash(data["mask"], where))
-
-
-def same_camera(a: Camera, b: Camera) -> bool:
-    """Whether two cameras show the same view: == leaves the matrix out."""
-    return a == b and np.array_equal(a.world_to_camera, b.world_to_camera)
 
 
 def is_hash(value: Any) -> bool:

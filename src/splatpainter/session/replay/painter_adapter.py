@@ -13,7 +13,7 @@ import numpy as np
 from splatpainter.painter import Asset, Edit, Method, Mode, Painter
 from splatpainter.session.replay.delta import without_source
 from splatpainter.session.replay.layer_state import on_device
-from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.splats import Splats
 from splatpainter.system.recent import Recent
 
 if TYPE_CHECKING:
@@ -57,8 +57,7 @@ class PainterAdapter:
         edits below; options: those of the painter's local options that are others for this layer; spread: options of
         mode spread. Raises ValueError as Painter.apply does."""
         # What lies below a layer is never written to, so that its view may serve the next stroke from there.
-        for name in ATTRIBUTES:
-            getattr(below, name).flags.writeable = False
+        below.fix()
         # Numbered anew below every layer: `origin` then says the parent in what this layer was given.
         numbered = replace(without_source(below), origin=np.arange(len(below)))
         asset = Asset(numbered, original=self._original, make_grid=self.grid)
