@@ -10,6 +10,8 @@ import pytest
 
 from splatpainter.cameras import UpAxis
 from splatpainter.color import base_color, linear_to_srgb, sh_from_color, srgb_to_linear
+from splatpainter.lights import gloss, irradiance
+from splatpainter.lights import relight as relighting
 from splatpainter.lights.facing import facing
 from splatpainter.lights.gloss import mirrored_light
 from splatpainter.lights.irradiance import LitSurface, sun_light
@@ -88,6 +90,16 @@ def test_white_light_from_all_around_changes_nothing() -> None:
     same = relight(splats, replace(UP, sky=white, exposure=1e-6), source=white).splats
     np.testing.assert_allclose(same.sh, splats.sh, atol=1e-4)
     np.testing.assert_allclose(linear(edited), 2 * linear(splats), rtol=0.02)
+
+
+def test_light_is_the_same_in_pieces_of_any_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    splats, lights = ball(1000), replace(UP, sky=sky("sunset"), suns=(Sun(30, 40),))
+    whole, transfer = relight(splats, lights).splats.sh, LitSurface.of(splats).transfer
+    for module in (gloss, relighting):
+        monkeypatch.setattr(module, "GLOSS", replace(gloss.GLOSS, piece=130))
+    monkeypatch.setattr(irradiance, "STAND_INS", replace(irradiance.STAND_INS, piece=130))
+    np.testing.assert_array_equal(relight(splats, lights).splats.sh, whole)
+    np.testing.assert_array_equal(LitSurface.of(splats).transfer, transfer)
 
 
 @pytest.mark.parametrize("intensity, color", [(1.0, (1.0, 1.0, 1.0)), (2.5, (1.0, 0.5, 0.25))])

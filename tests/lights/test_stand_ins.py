@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from splatpainter.color import linear_to_srgb, sh_from_color
 from splatpainter.lights import sightings, stand_ins
 from splatpainter.lights.facing import facing
 from splatpainter.lights.irradiance import LitSurface
@@ -105,6 +106,28 @@ def test_a_picture_of_the_few_is_that_of_all() -> None:
         assert np.abs(all_of_it[1] - those[1]).mean() < 0.01, "alpha"
         inside = all_of_it[1] > 0.95
         assert np.abs(all_of_it[0] - those[0])[inside].mean() < 0.01, "colour"
+
+
+@pytest.mark.usefixtures("soon")
+def test_what_is_seen_of_one_is_shared_among_those_it_stands_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    splats = ball(COUNT)
+    dense = facing(splats)
+    assert dense.few is not None and len(dense.few.splats) < COUNT / 2
+    for module in (stand_ins, sightings):
+        monkeypatch.setattr(module, "STAND_INS", stand_ins.StandInLimits())
+    assert dense.seen.sum() == pytest.approx(facing(splats).seen.sum(), rel=0.05)
+
+
+@pytest.mark.usefixtures("soon")
+def test_the_light_before_is_that_of_the_colours_of_today() -> None:
+    """The shape is kept for assets in other colours, and the discs with it."""
+    splats, light = ball(COUNT, degree=0), turned_sky(sky("sunset"), np.eye(3))
+    lit = LitSurface.of(splats).from_sky(light)
+    recolored = replace(splats, sh=sh_from_color(linear_to_srgb(0.4 * lit))[:, None].astype(np.float32))
+    kept, fresh = (_estimate(recolored, LitSurface.of(one), "+y").coefficients for one in (splats, recolored))
+    np.testing.assert_array_equal(kept, fresh)
+    before = _estimate(splats, LitSurface.of(splats), "+y").coefficients
+    assert np.abs(kept - before).max() > 0.1
 
 
 @pytest.mark.usefixtures("soon")
