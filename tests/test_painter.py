@@ -98,7 +98,8 @@ def test_receipts_score_whole_views_though_only_parts_are_drawn() -> None:
 def test_an_edit_does_not_touch_its_asset(mode, method):
     splats = object_()
     copies = {name: getattr(splats, name).copy() for name in NAMES}
-    splats.fix()
+    for name in NAMES:
+        getattr(splats, name).flags.writeable = False
     edit = dab(splats, RED)
     image = edit.image.copy()
     asset = Painter.load("lift").encode(splats)
@@ -109,6 +110,18 @@ def test_an_edit_does_not_touch_its_asset(mode, method):
     np.testing.assert_array_equal(edit.image, image)
     assert len(result.splats) >= len(splats) and differing(splats, result.splats).any()
     assert not differing(splats, result.splats)[-2:].any()  # rows that cannot be drawn
+
+
+def test_an_asset_that_was_changed_in_place_is_edited_as_it_is_now():
+    """Nothing that an edit made of the arrays outlives it."""
+    splats, painter = object_(), Painter.load("lift")
+    painter.apply(painter.encode(splats), [dab(splats, RED)])
+    splats.sh[:, 0] *= 0.5
+    edit = dab(splats, RED)
+    anew = replace(splats, **{name: getattr(splats, name).copy() for name in NAMES})
+    one, two = (painter.apply(painter.encode(asset), [edit]).splats for asset in (splats, anew))
+    for name in NAMES:
+        np.testing.assert_array_equal(bits(getattr(one, name)), bits(getattr(two, name)))
 
 
 def test_a_local_receipt_tells_the_truth():

@@ -108,16 +108,6 @@ class Splats(Generic[ArrayT]):
             joined = {k: torch.cat([getattr(self, k), getattr(more, k)]) for k in ATTRIBUTES}
         return replace(self, **joined, origin=origin)
 
-    @property
-    def is_fixed(self) -> bool:
-        """Whether nobody can write to the arrays. Numpy."""
-        return not any(getattr(self, name).flags.writeable for name in ATTRIBUTES)
-
-    def fix(self) -> None:
-        """Let nobody write to the arrays any more, for those who keep what they made of them. Numpy."""
-        for name in ATTRIBUTES:
-            cast(np.ndarray, getattr(self, name)).flags.writeable = False
-
     def numpy(self) -> Splats[Floats]:
         """The same with numpy attributes: float32 from torch, as they are if they are numpy already."""
         if isinstance(self.means, np.ndarray):

@@ -11,10 +11,7 @@ import pytest
 
 import splatpainter as sp
 from splatpainter.cameras import look_at
-from splatpainter.kernels import arrays
-from splatpainter.kernels.arrays import IDLE_LIMITS
 from splatpainter.painter import Edit, Painter
-from splatpainter.rendering.cpu import recent_views
 from splatpainter.session import Session
 from tests.support.lift_scenes import differing, disk, same_bits, sheet
 from tests.support.session_scenes import BLUE, CAMERA, GREEN, RED, SIZE, FlatPainter, asset, dab, flat, print_of
@@ -36,15 +33,6 @@ def test_layers_are_the_painter_applied_again_and_again():
         for edit in (dab(RED, 13), dab(BLUE, 18), dab(GREEN, 16, 19)):
             expected = painter.apply(expected, [edit])
         assert same_bits(session.splats, expected.splats)
-
-
-def test_what_lies_below_a_layer_is_held_for_the_next_stroke_from_there(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(arrays._idle, "limits", IDLE_LIMITS)  # as in a process that goes on
-    with Session(sheet(16, degree=1, opacity=0.95)) as session:
-        session.layers.add("picture", [dab(RED, 14, radius=7)])
-        assert recent_views._held is not None
-        with pytest.raises(ValueError, match="read-only"):
-            session.original.sh[0] = 0
 
 
 def test_the_same_with_the_real_painter():

@@ -81,11 +81,6 @@ def keep_no_idle_memory() -> None:
     _idle.memories.clear()
 
 
-def keeps_idle_memory() -> bool:
-    """Whether what is of use to the next edit may stay in memory."""
-    return _idle.limits.most_bytes > 0
-
-
 def aligned(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
     """np.empty on a 64-byte boundary, so that 16 float32 numbers are one cache line; in memory of arrays that are gone,
     where some fits."""

@@ -5,7 +5,6 @@ Tiles are independent of each other, so a tile has the same bits whichever fresh
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import field, replace
 from typing import TYPE_CHECKING
 
@@ -51,17 +50,15 @@ class PartialRender:
         keep: bool = False,
     ) -> PartialRender:
         """tiles: [TH, TW] bool; None: all of them; beside: more that the `view` is to have; view: one of the splats
-        that has these, if at hand; keep: whether a view of all tiles is kept, about 150 bytes per Gaussian, also
-        for the next one of the same splats from there. Raises ValueError for sizes that `render` does not draw."""
+        that has these, if at hand; keep: whether a view of all tiles is kept, about 150 bytes per Gaussian. Raises
+        ValueError for sizes that `render` does not draw."""
         from splatpainter.rendering.cpu.projected_view import project, tile_shape
-        from splatpainter.rendering.cpu.recent_views import drawn_view, hold, recent_view
+        from splatpainter.rendering.cpu.recent_views import drawn_view, recent_view
 
         everywhere = np.ones(tile_shape(camera), bool)
         if tiles is None or tiles.all():
             at_hand = recent_view(splats, camera)  # held by another
             drawn = drawn_view(splats, camera)
-            if keep:
-                hold(splats, drawn)
             pictures = (drawn.colors, drawn.alphas, drawn.depths)
             return PartialRender(splats, camera, everywhere, *pictures, drawn.view if keep else at_hand)
         check_views([camera])
@@ -91,9 +88,7 @@ class PartialRender:
         view = self._recolored(splats, old)
         if view is not None:
             before = self.with_tiles(tiles)
-            after = before._redrawn(splats, tiles, view)
-            self._note(after, lambda: view)
-            return before, after
+            return before, before._redrawn(splats, tiles, view)
         new = new[splats.opacities[new] > 0]
         if len(old):
             tiles |= project(self.splats.take(old), self.camera).tiles_of(np.ones(len(old), bool))
@@ -105,20 +100,10 @@ class PartialRender:
         if self.view is not None and self._has(self.view, tiles):
             same = np.ones(count, bool)
             same[changed] = False
-            new_view = replace(fresh, gaussian_ids=new[fresh.gaussian_ids], num_gaussians=len(splats))
-            view = self.view.merged(new_view.part(tiles=tiles), tiles=tiles, gaussian_mask=same)
-            after, base = before._redrawn(splats, tiles, view), self.view
-            # The next edit from there goes on from this one's frame; merging all of it waits until one comes.
-            self._note(after, lambda: base.merged(new_view.part(), gaussian_mask=same))
-            return before, after
+            fresh = fresh.part(tiles=tiles)
+            fresh = replace(fresh, gaussian_ids=new[fresh.gaussian_ids], num_gaussians=len(splats))
+            view = self.view.merged(fresh, tiles=tiles, gaussian_mask=same)
         return before, before._redrawn(splats, tiles, view)
-
-    def _note(self, after: PartialRender, view: Callable[[], ProjectedView]) -> None:
-        """Offer what an edit made of this view, where all of it is drawn. view: makes the projected one."""
-        from splatpainter.rendering.cpu.recent_views import note_edited
-
-        if self.view is not None and self.view.tiles.all() and after.tiles.all():
-            note_edited(self.view, after.splats, view, (after.colors, after.alphas, after.depths))
 
     def _recolored(self, splats: Splats, unseen: np.ndarray) -> ProjectedView | None:
         """The view where nothing but colours changed. unseen: [U] int Gaussians that changed and are not in it."""

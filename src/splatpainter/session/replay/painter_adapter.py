@@ -56,8 +56,6 @@ class PainterAdapter:
         results `origin` is the Gaussian of `below` that each comes from. state: what the painter has learnt of the
         edits below; options: those of the painter's local options that are others for this layer; spread: options of
         mode spread. Raises ValueError as Painter.apply does."""
-        # What lies below a layer is never written to, so that its view may serve the next stroke from there.
-        below.fix()
         # Numbered anew below every layer: `origin` then says the parent in what this layer was given.
         numbered = replace(without_source(below), origin=np.arange(len(below)))
         asset = Asset(numbered, original=self._original, make_grid=self.grid)
