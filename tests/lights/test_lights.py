@@ -94,11 +94,11 @@ def test_white_light_from_all_around_changes_nothing() -> None:
 
 def test_light_is_the_same_in_pieces_of_any_size(monkeypatch: pytest.MonkeyPatch) -> None:
     splats, lights = ball(1000), replace(UP, sky=sky("sunset"), suns=(Sun(30, 40),))
-    whole, transfer = relight(splats, lights).splats.sh, LitSurface.of(splats).transfer
+    sh, transfer = relight(splats, lights).splats.sh, LitSurface.of(splats).transfer
     for module in (gloss, relighting):
         monkeypatch.setattr(module, "GLOSS", replace(gloss.GLOSS, piece=130))
     monkeypatch.setattr(irradiance, "STAND_INS", replace(irradiance.STAND_INS, piece=130))
-    np.testing.assert_array_equal(relight(splats, lights).splats.sh, whole)
+    np.testing.assert_array_equal(relight(splats, lights).splats.sh, sh)
     np.testing.assert_array_equal(LitSurface.of(splats).transfer, transfer)
 
 

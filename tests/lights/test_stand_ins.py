@@ -124,10 +124,10 @@ def test_the_light_before_is_that_of_the_colours_of_today() -> None:
     splats, light = ball(COUNT, degree=0), turned_sky(sky("sunset"), np.eye(3))
     lit = LitSurface.of(splats).from_sky(light)
     recolored = replace(splats, sh=sh_from_color(linear_to_srgb(0.4 * lit))[:, None].astype(np.float32))
-    kept, fresh = (_estimate(recolored, LitSurface.of(one), "+y").coefficients for one in (splats, recolored))
-    np.testing.assert_array_equal(kept, fresh)
+    reused, fresh = (_estimate(recolored, LitSurface.of(one), "+y").coefficients for one in (splats, recolored))
+    np.testing.assert_array_equal(reused, fresh)
     before = _estimate(splats, LitSurface.of(splats), "+y").coefficients
-    assert np.abs(kept - before).max() > 0.1
+    assert np.abs(reused - before).max() > 0.1
 
 
 @pytest.mark.usefixtures("soon")
