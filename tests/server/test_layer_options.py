@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 import pytest
 
+from splatpainter.server.commands import layer_options
 from splatpainter.session.document import layer_operation
 from splatpainter.session.document.layer_operation import LayerOperation, LayerWork
 from splatpainter.session.replay.delta import between
@@ -115,3 +117,48 @@ def test_the_page_has_controls_for_a_kind_of_another_package(tint: None, browser
         panel.get_by_label("Names, one in a line").blur()
         page.wait("names", lambda: page.state()["layers"][1]["parameters"].get("names") == ["one", "two"])
         assert page.serious() == []
+
+
+def test_a_control_stays_where_it_was_set_while_the_layer_is_made_anew(
+    tint: None, browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    free = threading.Event()
+    free.set()
+    result = TintLayer.result
+
+    def when_free(layer: TintLayer, work: LayerWork) -> LayerResult:
+        assert free.wait(60)
+        return result(layer, work)
+
+    monkeypatch.setattr(TintLayer, "result", when_free)
+    listed = threading.Event()
+    listed.set()
+    types = layer_options.field_types
+    monkeypatch.setattr(layer_options, "field_types", lambda kind: listed.wait(60) and types(kind))
+    with opened_page(browser, tmp_path, still=True) as (studio, page):
+        studio.post("layer.duplicate", layer=studio.studio.session.layers.add("tint").id)
+        page.wait("the layers", lambda: page.names() == ["Tint", "Tint copy"])
+        page.tab.locator(".layer").first.click()
+        panel = page.tab.locator("details", has_text="Options of tint")
+        panel.wait_for()
+        listed.clear()
+        try:
+            panel.get_by_label("Channel").select_option("red")
+            page.wait("red alone", lambda: page.state()["layers"][1]["parameters"] == {"channel": "red"})
+            free.clear()
+            panel.get_by_label("Backwards").check()
+            panel.get_by_label("Set limit").check()
+            listed.set()
+            page.tab.wait_for_timeout(300)  # The options of before both come in meanwhile.
+            assert panel.get_by_label("Channel").input_value() == "red"
+            assert panel.get_by_label("Backwards").is_checked()
+            assert "backwards" not in page.state()["layers"][1]["parameters"]
+        finally:
+            free.set()
+            listed.set()
+        expected = {"channel": "red", "backwards": True, "limit": 0}
+        page.wait("all three", lambda: page.state()["layers"][1]["parameters"] == expected)
+        # What the layer became is what they say afterwards, however it came about.
+        studio.post("undo")
+        page.wait("no limit", lambda: not panel.get_by_label("Set limit").is_checked())
+        assert panel.get_by_label("Backwards").is_checked()

@@ -11,28 +11,56 @@ import { Check, Choice, NumberField, Slider } from "./parts";
 /** Kinds whose options have controls elsewhere. */
 const OWN_PANELS = new Set(["paint", "picture", "clone", "look", "erase", "hide", "fill", "relief", "merged", "light"]);
 
-/** Of which layer, in which state, these are the options. */
-const listed = signal<{ of: string; options: OptionInfo[] }>({ of: "", options: [] });
+/** Of which layer these are the options, as the server said last. */
+const listed = signal<{ layer: string; options: OptionInfo[] }>({ layer: "", options: [] });
+
+/** What controls of that layer were set to and the list does not say yet: they stand at it meanwhile. */
+const underWay = signal<ReadonlyMap<string, { value: OptionInfo["value"] }>>(new Map());
+
+/** The layer whose panel is open: answers about another come too late. */
+let open = "";
+
+async function list(layer: string): Promise<void> {
+  if (layer !== open) return;
+  const answer = await run("layer.options", { layer });
+  if (!answer || layer !== open) return;
+  if (listed.value.layer !== layer) underWay.value = new Map();
+  listed.value = { layer, options: answer.options };
+}
+
+async function set(layer: LayerInfo, name: string, value: OptionInfo["value"]): Promise<void> {
+  const change = { value };
+  underWay.value = new Map(underWay.value).set(name, change);
+  await run("layer.set", { layer: layer.id, parameters: { [name]: value } }, layer.name);
+  // Also after a refusal, and where a value was brought into its range: the list knows.
+  await list(layer.id);
+  if (underWay.value.get(name) !== change) return;
+  const rest = new Map(underWay.value);
+  rest.delete(name);
+  underWay.value = rest;
+}
 
 export function OptionSettings({ layer }: { layer: LayerInfo | null }) {
-  const of = layer && !OWN_PANELS.has(layer.kind) ? `${layer.id} ${JSON.stringify(layer.parameters)}` : "";
+  const id = layer && !OWN_PANELS.has(layer.kind) ? layer.id : "";
+  const parameters = id && JSON.stringify(layer?.parameters);
   useEffect(() => {
-    if (!of) return;
-    void run("layer.options", { layer: of.split(" ", 1)[0] }).then((answer) => {
-      if (answer) listed.value = { of, options: answer.options };
-    });
-  }, [of]);
+    open = id;
+    if (id) void list(id);
+  }, [id, parameters]);
   // While the newest are on their way the controls of the same layer stay where they are.
-  if (!layer || !of || listed.value.of.split(" ", 1)[0] !== layer.id) return null;
-  const set = (option: OptionInfo, value: OptionInfo["value"]) =>
-    void run("layer.set", { layer: layer.id, parameters: { [option.name]: value } }, layer.name);
+  if (!layer || !id || listed.value.layer !== id) return null;
+  const options = listed.value.options.map((one) => ({ ...one, ...underWay.value.get(one.name) }));
   return (
     <details class="layer-mask" open>
       <summary>Options of {layer.kind}</summary>
-      {listed.value.options.map((option) => (
+      {options.map((option) => (
         <div key={option.name} title={option.help}>
-          {option.optional && <OptionalCheck option={option} onChange={(value) => set(option, value)} />}
-          {option.value !== null && <OptionControl option={option} onChange={(value) => set(option, value)} />}
+          {option.optional && (
+            <OptionalCheck option={option} onChange={(value) => void set(layer, option.name, value)} />
+          )}
+          {option.value !== null && (
+            <OptionControl option={option} onChange={(value) => void set(layer, option.name, value)} />
+          )}
         </div>
       ))}
     </details>
