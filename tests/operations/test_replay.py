@@ -106,3 +106,26 @@ def test_what_cannot_be_replayed_is_one_line_and_writes_nothing(
     before = listing(folder)
     done = run(capfd, "edit", "other.ply", "replay", *words, "--out", "out.ply")
     assert line in done.error and listing(folder) == before
+
+
+@pytest.mark.parametrize("name", ["noted.ply", "noted.compressed.ply"])
+@pytest.mark.parametrize("is_original", [True, False], ids=["its project", "a project of another"])
+def test_what_a_file_holds_beside_its_gaussians_stays(
+    folder: Path, capfd: Capture, name: str, is_original: bool
+) -> None:
+    sp.write(name, sp.read("other.ply"))
+    data = Path(name).read_bytes()
+    Path(name).write_bytes(data.replace(b"element", b"comment scanned in the museum\nelement", 1))
+    project = PROJECT
+    if is_original:
+        project = Path("noted.splatproj")
+        with sp.Session(name, project, painter=Painter()) as session:
+            session.layers.add("paint", [stripe(session.splats)], name="stripe")
+    done = run(capfd, "edit", name, "replay", project, "--only", "stripe", "--out", f"new-{name}", "--json")
+    assert done.code == 0, done.err
+    assert b"comment scanned in the museum\n" in Path(f"new-{name}").read_bytes()[:400]
+    verified = run(capfd, "verify", name, f"new-{name}", "--json")
+    assert verified.code == 0 and verified.json["same"] > 500, verified.json
+    if is_original:
+        done = run(capfd, "edit", name, "replay", project, "--out", f"all-{name}", "--json")
+        assert done.code == 0, done.err

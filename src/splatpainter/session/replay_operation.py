@@ -12,6 +12,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
+import numpy as np
+
 from splatpainter.operations.operation import AS_PYTHON, Operation, ReadyOperation, Report, Tools, Wording, parameter
 from splatpainter.painter import Asset, Painter
 from splatpainter.receipts import Receipt
@@ -48,7 +50,7 @@ class ReplayLayers(Operation):
             done = self._stored(asset.splats) if layers.is_all and asset.splats.sha256 == layers.sha256 else None
             splats, receipt = done or layers.painted_on(asset.splats, tools.painter)
             # What the file holds beside its Gaussians is that of the asset, not of a session's copy of it.
-            splats = replace(splats, source=asset.splats.source, origin=None)
+            splats = replace(splats, source=asset.splats.source, origin=_origin(splats, asset.splats))
             # The first asset stays beside the new one: its surface is what operations after this one work on.
             return Asset(splats, receipt, original=asset.original or asset.splats)
 
@@ -102,6 +104,14 @@ class ReplayLayers(Operation):
                 return one.id
         names = ", ".join(repr(one.name) for one in source.scene.assets)
         raise ValueError(f"{self.project}: expected asset to be one of {names}, got {self.asset!r:.80}")
+
+
+def _origin(replayed: Splats, asset: Splats) -> np.ndarray | None:
+    """[N] int64: rows of the asset's file that Gaussians of a session over the asset come from, -1 where there is none;
+    None: nobody knows them, and the file is written as a new one."""
+    if replayed.origin is None or asset.origin is None:
+        return None
+    return np.where(replayed.origin >= 0, asset.origin[np.maximum(replayed.origin, 0)], -1)
 
 
 @dataclass(frozen=True)
