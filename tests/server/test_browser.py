@@ -392,7 +392,7 @@ def test_nothing_serious_for_those_who_cannot_see_or_point(opened: tuple[studio_
     page.tab.keyboard.press("Escape")
     for panel, button, title in (
         ("Pictures", "Edit with a source", "Edit with a source"),
-        ("Views", "More ...", "Export the view"),
+        ("Views", "More...", "Export the view"),
         ("Views", "Turntable...", "Turntable"),
     ):
         page.tab.get_by_role("tab", name=panel).click()

@@ -1,4 +1,4 @@
-"""The studio's "Batch…" in a real browser: assets are sent, planned and made beside the painting, found again after a
+"""The studio's "Batch..." in a real browser: assets are sent, planned and made beside the painting, found again after a
 reload, cancelled and downloaded; variants come from a table and from CSV. The program behind it is a stand-in; the real
 one is run in test_batch.py."""
 

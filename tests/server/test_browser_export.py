@@ -123,7 +123,7 @@ FIRST_AND_LATER_FRAME = """async (bytes) => {
 def test_a_view_of_another_shape_shows_what_the_window_shows(opened: tuple[studio_scenes.Live, Page]) -> None:
     live, page = opened
     page.tab.get_by_role("tab", name="Views").click()
-    page.tab.get_by_role("button", name="More ...").click()
+    page.tab.get_by_role("button", name="More...").click()
     dialog = page.tab.locator("dialog")
     dialog.get_by_label("Size").select_option("custom")
     dialog.get_by_label("Width").fill("90")

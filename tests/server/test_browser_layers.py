@@ -210,7 +210,7 @@ def test_the_panel_shows_at_once_what_was_asked_and_says_what_was_refused(
         page.tab.keyboard.press("Alt+ArrowDown")
         page.wait("the order", lambda: page.tab.locator(".layer-name b").all_inner_texts() == ["Paint", "Paint 2"])
         row = page.tab.locator(".layer").nth(1)
-        assert "40 %, color" in row.inner_text() and row.locator(".spinner").count() == 1
+        assert "40 %, colour" in row.inner_text() and row.locator(".spinner").count() == 1
         assert page.tab.locator(".layer").nth(0).locator(".spinner").count() == 0
         page.wait("the job", lambda: "Hiding Paint 2" in page.tab.locator(".jobs").inner_text())
         assert saved.inner_text().strip() == "Saving"

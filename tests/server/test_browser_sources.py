@@ -1,4 +1,4 @@
-"""The studio's "Edit with a source…" in a real browser: a view is sent, cancelled, comes back, and becomes a layer;
+"""The studio's "Edit with a source..." in a real browser: a view is sent, cancelled, comes back, and becomes a layer;
 views all around are planned, sent and cancelled on the way; and colours from elsewhere."""
 
 from __future__ import annotations

@@ -212,13 +212,25 @@ def _placed(layer: Layer) -> protocol.Placed | None:
 
 
 def conflict_infos(session: Session) -> list[protocol.ConflictInfo]:
-    """Layers that edited the same Gaussians from different views."""
+    """Layers that edited the same Gaussians from different views, those inside of merged ones too."""
+    names = {leaf.id: _name_in(one, leaf) for one in session.snapshot.document.layers for leaf in one.leaves()}
     return [
         protocol.ConflictInfo(
-            lower=c.lower, upper=c.upper, gaussians=len(c.gaussian_ids), share=min(c.share, 1), policy=c.policy
+            lower=c.lower,
+            upper=c.upper,
+            lower_name=names[c.lower],
+            upper_name=names[c.upper],
+            gaussians=len(c.gaussian_ids),
+            share=min(c.share, 1),
+            policy=c.policy,
         )
         for c in session.layers.conflicts()
     ]
+
+
+def _name_in(layer: Layer, leaf: Layer) -> str:
+    """What a layer is called, or one that is merged into it."""
+    return leaf.name if leaf is layer else f"{leaf.name} (merged into {layer.name})"
 
 
 class Lists:

@@ -246,6 +246,9 @@ class ConflictInfo(Message):
     lower: str
     """Layer id."""
     upper: str
+    lower_name: str
+    """As a user reads it: of one that was merged, into which layer."""
+    upper_name: str
     gaussians: int
     share: Unit
     """Share of the Gaussians that the lower layer edited."""

@@ -3,12 +3,13 @@
 import { editor, report, run } from "../editor/editor";
 import type { Placed } from "../messages";
 import { sendBlob } from "../net/blobs";
-import { brush, camera, color, limits, method, paintMode, selectedLayer, text, toast } from "../state/store";
+import { brush, camera, color, limits, method, paintMode, saving, selectedLayer, text, toast } from "../state/store";
 import { blend, type Rgb } from "./colors";
 import { angleOf, type Anchor } from "./decal";
 import { drawPlacement } from "./decal-preview";
 import { limitsToSend } from "./limits";
 import { editedLayer, fromAnchor, laying, level, placement, type Placement } from "./placement";
+import type { Stroke } from "./stroke";
 import { surfaceArrived, surfaceOf, wrapping } from "./view-surface";
 
 /** Take it away; a layer that was being changed is as it was. */
@@ -36,8 +37,7 @@ async function placedInfo(p: Placement): Promise<Placed> {
 /** Have it laid on the surface; it is shown as it was placed until that is done. */
 async function lay(p: Placement, anchor: Anchor, placed: Placed, name: string): Promise<void> {
   const { x, y, camera: seen } = anchor; // where it was put, which the present view may not show
-  const edited = editedLayer.value;
-  laying.value = true;
+  const [placedNow, edited] = [placement.value, editedLayer.value];
   try {
     const canvas = new OffscreenCanvas(p.image.width, p.image.height);
     const context = canvas.getContext("2d")!;
@@ -63,25 +63,36 @@ async function lay(p: Placement, anchor: Anchor, placed: Placed, name: string): 
       name,
     );
     if (!answer) return; // it stays where it is, to be moved; the reason was said
-    placement.value = null;
-    editedLayer.value = null;
+    if (placement.value === placedNow) placement.value = null; // else another one was chosen meanwhile
+    if (editedLayer.value === edited) editedLayer.value = null;
     selectedLayer.value = answer.layer.id;
     if (answer.note) toast("warning", answer.note);
   } catch (error) {
     report(error, name);
-  } finally {
-    laying.value = false;
   }
 }
 
 /** Make it a layer, or the layer that it was again. */
 export async function commitPlacement(): Promise<void> {
   if (!placement.value || laying.value) return;
-  if (wrapping.value.on && !placement.value.flat && !placement.value.anchor && !surfaceOf(camera.value)) {
-    laying.value = true; // applied before the surface is known, it is to lie there all the same
-    await surfaceArrived(camera.value!);
-    laying.value = false; // now it goes there
+  // From here to the answer: a second Enter makes no second layer, and nothing says "Saved".
+  laying.value = true;
+  saving.value++;
+  try {
+    await commit();
+  } finally {
+    laying.value = false;
+    saving.value--;
   }
+}
+
+async function commit(): Promise<void> {
+  if (wrapping.value.on && placement.value && !placement.value.flat && !placement.value.anchor)
+    if (!surfaceOf(camera.value)) {
+      await surfaceArrived(camera.value!); // applied before the surface is known, it is to lie there all the same
+      laying.value = false; // now it goes there
+      laying.value = true;
+    }
   const current = placement.value;
   if (!current) return;
   const p = current.anchor ? fromAnchor(current, current.anchor, current.anchor.camera) : current;
@@ -108,6 +119,10 @@ export async function commitPlacement(): Promise<void> {
     [out[0], out[1], out[2]] = base ? blend(mode, pixel, [base.data[at], base.data[at + 1], base.data[at + 2]]) : pixel;
   });
   stroke.touch({ x: 0, y: 0, width, height });
+  void endStroke(stroke, edited).catch(report); // the next one can be placed meanwhile
+}
+
+async function endStroke(stroke: Stroke, edited: typeof editedLayer.value): Promise<void> {
   await editor.strokes.end(stroke);
   if (edited?.strokes) await run("layer.delete", { layer: edited.layer }, edited.name);
 }

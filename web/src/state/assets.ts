@@ -4,12 +4,19 @@ import { computed, signal } from "@preact/signals";
 
 import type { AssetSet, SceneAssetInfo } from "../messages";
 import { add, dot, scale, sub, type Vec3 } from "../view/camera";
+import { NewestOnly } from "./newest-only";
 import { state } from "./store";
+import { during, withUnderWay } from "./under-way";
 import { run } from "../editor/editor";
 
 export const selectedAsset = signal<string | null>(null);
 
-export const assets = computed<SceneAssetInfo[]>(() => state.value?.assets ?? []);
+const nameIn = (asset: string): string => `asset ${asset}`;
+
+/** Those of the scene, with what is under way. */
+export const assets = computed<SceneAssetInfo[]>(() =>
+  (state.value?.assets ?? []).map((one) => withUnderWay(nameIn(one.id), one)),
+);
 
 /** The chosen asset; null: none is. */
 export const chosenAsset = computed(() => assets.value.find((one) => one.id === selectedAsset.value) ?? null);
@@ -26,25 +33,32 @@ export type Stand = Pick<SceneAssetInfo, "move" | "turn" | "scale">;
 type Rows = [Vec3, Vec3, Vec3];
 const RADIANS = Math.PI / 180;
 
+/** Change its name, or whether it is shown; `what` says so where it takes a while. */
+export const setAsset = (asset: string, fields: Pick<AssetSet, "name" | "visible">, what: string) =>
+  during(
+    nameIn(asset),
+    (one: SceneAssetInfo) => ({ ...one, name: fields.name ?? one.name, visible: fields.visible ?? one.visible }),
+    run("scene.set", { asset, ...fields }, what),
+  );
+
 /** A change that is dragged: one command at a time, the latest value last, one step of the history. */
 export function draggedAsset(asset: string): (fields: Partial<Stand>) => Promise<void> {
   const gesture = `stand ${Math.random().toString(36).slice(2)}`;
-  let next: Partial<Stand> | null = null;
-  let busy: Promise<void> | null = null;
-  const work = async () => {
-    while (next) {
-      const fields: Omit<AssetSet, "asset"> = { ...next, gesture };
-      next = null;
-      await run("scene.set", { asset, ...fields }, "");
-    }
-    busy = null;
-  };
-  return (fields) => {
-    next = { ...next, ...fields };
-    busy ??= work();
-    return busy;
+  let fields: Partial<Stand> = {};
+  const changes = new NewestOnly<Partial<Stand>>((newest) => run("scene.set", { asset, ...newest, gesture }, ""));
+  return (part) => {
+    fields = { ...fields, ...part };
+    const set = (one: SceneAssetInfo) => standing(one, part);
+    return during(nameIn(asset), set, changes.add(fields));
   };
 }
+
+/** With another stand. Where its centre comes to be the server says: a turn leaves it where it is. */
+const standing = (one: SceneAssetInfo, part: Partial<Stand>): SceneAssetInfo => ({
+  ...one,
+  ...part,
+  moved: one.moved.map((old, k) => old + (part.move ? part.move[k] - one.move[k] : 0)),
+});
 
 /** The rotation about x, then y, then z. */
 export function matrixOf(turn: readonly number[]): Rows {

@@ -48,7 +48,7 @@ async function add(blob: string, name: string): Promise<void> {
   droppedImages.value = again
     ? droppedImages.value.map((one) => (one.id === again.id ? image : one))
     : [...droppedImages.value, image];
-  await check(image.id, {});
+  await check(image.id);
 }
 
 /** A picture that the server made of a view, and checked already. */
@@ -60,11 +60,16 @@ export function addChecked(name: string, checked: PictureChecked): void {
   droppedImages.value = [...droppedImages.value, image];
 }
 
-/** Find the camera, correct the size, find what changed. `at`: the picture shows this view. */
-export async function check(id: number, given: { camera?: CameraJson; threshold?: number }): Promise<void> {
-  const image = droppedImages.value.find((one) => one.id === id);
+/** How far a pixel must differ to count as changed; `check` goes by it. */
+export const setThreshold = (id: number, threshold: number): void => update(id, { threshold });
+
+/** Find the camera, correct the size, find what changed. `camera`: the picture shows this view. */
+export async function check(id: number, given: { camera?: CameraJson } = {}): Promise<void> {
+  const image = imageOf(id);
   if (!image) return;
-  const threshold = given.threshold ?? image.threshold;
+  const { threshold } = image;
+  /** Not of a picture that was saved over, or of a threshold before. */
+  const isPresent = () => imageOf(id)?.blob === image.blob && imageOf(id)?.threshold === threshold;
   const at =
     given.camera ?? (image.checked?.camera_source === "given" ? (image.checked.camera as CameraJson) : undefined);
   try {
@@ -74,10 +79,10 @@ export async function check(id: number, given: { camera?: CameraJson; threshold?
       camera: at ?? null,
       threshold,
     });
-    update(id, { checked, problem: "", threshold });
+    if (isPresent()) update(id, { checked, problem: "" });
   } catch (error) {
     if (!(error instanceof CommandError)) throw error;
-    update(id, { checked: null, problem: [error.message, error.hint].filter(Boolean).join(". ") });
+    if (isPresent()) update(id, { checked: null, problem: [error.message, error.hint].filter(Boolean).join(". ") });
   }
 }
 
@@ -119,6 +124,8 @@ export async function applyImages(method: "auto" | "ttt" | "lift" | "fit"): Prom
   droppedImages.value = droppedImages.value.filter((one) => !ready.includes(one));
   selectedLayer.value = answer.layer.id;
 }
+
+const imageOf = (id: number): DroppedImage | undefined => droppedImages.value.find((one) => one.id === id);
 
 function update(id: number, part: Partial<DroppedImage>): void {
   droppedImages.value = droppedImages.value.map((one) => (one.id === id ? { ...one, ...part } : one));

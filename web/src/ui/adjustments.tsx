@@ -1,15 +1,16 @@
 /**
  * Adjustment layers on all Gaussians or on those that are selected, previewed live: sliders, tone curve and hues; or
- * colours from elsewhere, of a LUT, of a picture, or one new colour.
+ * colours from elsewhere, of a LUT, of a picture, or one new colour. Where a layer of sliders is chosen, they are its own.
  */
 
-import { signal } from "@preact/signals";
+import { computed, signal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
 
-import { type ColorTransfer, type GradeSliders, RANGES } from "../messages";
+import { type ColorTransfer, type GradeSliders, type LayerInfo, RANGES } from "../messages";
 import { sendBlob } from "../net/blobs";
 import { selectedCount } from "../paint/selected";
-import { readOnly, selectedLayer, state } from "../state/store";
+import { dragged, shownLayers } from "../state/pending-layers";
+import { readOnly, selectedLayer } from "../state/store";
 import { editor, report, run } from "../editor/editor";
 import { NewestOnly } from "../state/newest-only";
 import { Curve } from "./curve";
@@ -42,6 +43,24 @@ const sliders = signal<Full>(NEUTRAL);
 /** Colours from elsewhere, in place of the sliders, and what they are called. */
 const transfer = signal<{ colors: ColorTransfer; name: string } | null>(null);
 const hue = signal(0);
+
+/** The chosen layer whose sliders these are; null: they are of a layer to come. */
+const gradeLayer = computed<LayerInfo | null>(() => {
+  if (transfer.value) return null;
+  const isGrade = ({ kind, parameters }: LayerInfo) => kind === "look" && parameters.look === "grade";
+  return shownLayers.value.find((one) => one.id === selectedLayer.value && isGrade(one)) ?? null;
+});
+/** Of that layer or of the one to come. */
+const values = computed<Full>(() => {
+  const layer = gradeLayer.value;
+  if (!layer) return sliders.value;
+  const names = Object.keys(NEUTRAL) as (keyof Full)[];
+  return Object.fromEntries(names.map((name) => [name, layer.parameters[name] ?? NEUTRAL[name]])) as Full;
+});
+/** What a press or a key begins on the sliders of a layer is a step of its own. */
+const gesture: { layer: string; send: ReturnType<typeof dragged> | null } = { layer: "", send: null };
+const beginGesture = (): void => void (gesture.send = null);
+
 const plain = (values: Full) => JSON.stringify(values) === JSON.stringify(NEUTRAL);
 
 interface Previewed {
@@ -62,18 +81,30 @@ function preview(): void {
 }
 
 function change(part: Partial<Full>): void {
+  const layer = gradeLayer.value;
+  if (layer) {
+    if (gesture.layer !== layer.id) beginGesture();
+    gesture.layer = layer.id;
+    gesture.send ??= dragged(layer.id, `Changing ${layer.name}`);
+    void gesture.send({ parameters: { ...values.value, ...part } });
+    return;
+  }
   sliders.value = { ...sliders.value, ...part };
   preview();
 }
 
-export function resetSliders(): void {
+/** Leave the layer to come. */
+function resetDraft(): void {
   if (plain(sliders.value) && !transfer.value) return;
   sliders.value = NEUTRAL;
   transfer.value = null;
   preview();
 }
 
-/** Colours from elsewhere take the place of the sliders. */
+/** The next adjustment is a layer of its own. */
+const anotherAdjustment = (): void => void (selectedLayer.value = null);
+
+/** Colours from elsewhere take the place of the sliders, for a layer of its own. */
 function take(colors: ColorTransfer, name: string): void {
   sliders.value = { ...NEUTRAL, strength: sliders.value.strength };
   transfer.value = { colors, name };
@@ -86,15 +117,19 @@ async function takeFile(kind: "lut" | "match", file: File | undefined): Promise<
 
 async function commit(): Promise<void> {
   previews.skip();
-  const { strength } = sliders.value;
+  const sent = sliders.value;
   const given = transfer.value;
-  const look = given ? { transfer: { ...given.colors, strength } } : { look: sliders.value };
+  const look = given ? { transfer: { ...given.colors, strength: sent.strength } } : { look: sent };
   const name = given?.name.slice(0, 100) ?? "Adjustment";
   const answer = await run("look.commit", { ...look, name }, name);
-  if (!answer) return;
+  // What else was taken from elsewhere meanwhile is for the next layer.
+  if (!answer || transfer.value !== given) return;
+  const newest = sliders.value;
   sliders.value = NEUTRAL;
   transfer.value = null;
+  beginGesture();
   selectedLayer.value = answer.layer.id;
+  if (!given && newest !== sent) change(newest);
 }
 
 /** Of the stops that are possible, those that a slider of this width can be set to a tenth of. */
@@ -116,14 +151,15 @@ const BANDS = [
 ] as const;
 
 export function Adjustments() {
-  const chosen = state.value?.layers.find(
-    (layer) => layer.id === selectedLayer.value && layer.kind === "look" && layer.parameters.look === "grade",
-  );
-  useEffect(() => resetSliders, []);
-  const values = sliders.value;
+  const chosen = gradeLayer.value;
+  useEffect(() => resetDraft, []);
+  useEffect(() => {
+    if (chosen) resetDraft(); // its preview ends
+  }, [chosen?.id]);
+  const now = values.value;
   const given = transfer.value;
-  const single = values.hues.filter((one) => one.width !== ALL_HUES);
-  const all = values.hues.filter((one) => one.width === ALL_HUES);
+  const single = now.hues.filter((one) => one.width !== ALL_HUES);
+  const all = now.hues.filter((one) => one.width === ALL_HUES);
   const band = single.find((one) => one.hue === hue.value) ?? {
     hue: hue.value,
     width: 60,
@@ -134,15 +170,30 @@ export function Adjustments() {
   const setBand = (part: Partial<typeof band>) =>
     change({ hues: [...all, ...single.filter((one) => one.hue !== hue.value), { ...band, ...part }] });
   const turn = (shift: number) => change({ hues: [...(shift ? [{ hue: 0, width: ALL_HUES, shift }] : []), ...single] });
-  const neutral = plain(values) && !given;
+  const neutral = plain(now) && !given;
   const off = readOnly.value || given !== null;
   return (
-    <div class="adjustments">
+    <div
+      class="adjustments"
+      onPointerDownCapture={beginGesture}
+      onKeyDownCapture={(event) => !event.repeat && beginGesture()}
+    >
+      {chosen && (
+        <p class="row">
+          <b>{chosen.name}</b>
+          <Button
+            icon="plus"
+            label="Another adjustment, as a layer of its own"
+            disabled={readOnly.value}
+            onClick={anotherAdjustment}
+          />
+        </p>
+      )}
       {AMOUNTS.map(([label, key, [min, max]]) => (
         <Slider
           key={key}
           label={label}
-          value={values[key]}
+          value={now[key]}
           min={min}
           max={max}
           digits={2}
@@ -163,7 +214,7 @@ export function Adjustments() {
         onInput={turn}
       />
       <h3>Tone curve</h3>
-      <Curve points={values.curve} onChange={(curve) => change({ curve })} />
+      <Curve points={now.curve} onChange={(curve) => change({ curve })} />
       <h3>Hues</h3>
       <span class="hues" role="group" aria-label="Range of hues">
         {HUES.map(([name, at]) => (
@@ -197,7 +248,7 @@ export function Adjustments() {
       {given ? (
         <p class="row">
           <span role="status">{given.name} in place of the sliders</span>
-          <Button icon="close" label={`Remove ${given.name}`} onClick={resetSliders} />
+          <Button icon="close" label={`Remove ${given.name}`} onClick={resetDraft} />
         </p>
       ) : (
         <>
@@ -232,36 +283,31 @@ export function Adjustments() {
       <h3>Where</h3>
       <Percent
         label="Strength"
-        value={values.strength}
+        value={now.strength}
         reset={1}
         disabled={readOnly.value}
         onInput={(strength) => change({ strength })}
       />
-      {selectedCount.value > 0 && (
+      {!chosen && selectedCount.value > 0 && (
         <p class="quiet">Only what is selected ({selectedCount.value.toLocaleString()} Gaussians).</p>
       )}
       <p class="row actions">
-        <Button
-          label="Make it a layer"
-          icon="check"
-          text="Apply as layer"
-          primary
-          disabled={neutral || readOnly.value}
-          onClick={() => void commit().catch(report)}
-        />
-        <Button label="All sliders to zero" text="Reset" disabled={neutral} onClick={resetSliders} />
-        {chosen && (
+        {!chosen && (
           <Button
-            label="Put these sliders into the chosen adjustment layer"
-            text="Into layer"
-            disabled={neutral || off}
-            onClick={() =>
-              void run("layer.set", { layer: chosen.id, parameters: { ...values } }, `Changing ${chosen.name}`).then(
-                resetSliders,
-              )
-            }
+            label="Make it a layer"
+            icon="check"
+            text="Apply as layer"
+            primary
+            disabled={neutral || readOnly.value}
+            onClick={() => void commit().catch(report)}
           />
         )}
+        <Button
+          label="All sliders to zero"
+          text="Reset"
+          disabled={neutral || readOnly.value}
+          onClick={() => (chosen ? change(NEUTRAL) : resetDraft())}
+        />
       </p>
     </div>
   );

@@ -4,7 +4,7 @@ import { useEffect, useState } from "preact/hooks";
 
 import type { RecentProjects, SceneAssetInfo } from "../messages";
 import { sendBlob } from "../net/blobs";
-import { assets, chosenAsset, draggedAsset, selectedAsset } from "../state/assets";
+import { assets, chosenAsset, draggedAsset, selectedAsset, setAsset } from "../state/assets";
 import { readOnly, selectedLayer } from "../state/store";
 import { report, run } from "../editor/editor";
 import { frameAll } from "./header";
@@ -45,8 +45,7 @@ export function Assets() {
 
 function AssetRow({ asset, chosen, last }: { asset: SceneAssetInfo; chosen: boolean; last: boolean }) {
   const [editing, setEditing] = useState(false);
-  const set = (fields: { visible?: boolean; name?: string }, what: string) =>
-    void run("scene.set", { asset: asset.id, ...fields }, what);
+  const set = (fields: { visible?: boolean; name?: string }, what: string) => void setAsset(asset.id, fields, what);
   const rename = (name: string) => {
     setEditing(false);
     if (name && name !== asset.name) set({ name }, `Renaming ${asset.name}`);
@@ -64,7 +63,7 @@ function AssetRow({ asset, chosen, last }: { asset: SceneAssetInfo; chosen: bool
         <input
           class="rename"
           type="text"
-          value={asset.name}
+          defaultValue={asset.name} // what is being written stays while the asset changes
           aria-label="Asset name"
           ref={(input) => input?.focus()}
           onFocus={(event) => event.currentTarget.select()}

@@ -1,5 +1,5 @@
 /**
- * "Batch…": the visible layers on other assets, or variants of this one. Chosen, planned (nothing is made yet), at work
+ * "Batch...": the visible layers on other assets, or variants of this one. Chosen, planned (nothing is made yet), at work
  * beside the painting, done. The batch is the server's: closing this window or the page changes nothing.
  */
 

@@ -194,7 +194,7 @@ export function Swapped() {
 
 function Saving({ onClose }: { onClose: () => void }) {
   const now = state.value;
-  const stem = (now?.asset.name ?? "asset").replace(/\.[^.]*$/, "");
+  const stem = (now?.asset.name ?? "asset").replace(/(\.compressed)?\.[^.]*$/, "");
   const [name, setName] = useState(`${stem}.splatproj`);
   if (!now) return null;
   const save = async () => {
@@ -219,13 +219,14 @@ function Saving({ onClose }: { onClose: () => void }) {
           : "Saved in the studio's own folder with every edit."}
       </p>
       {now.folder && (
-        <p class="row">
+        <p class="row wide">
           <input
             type="text"
             aria-label={`Project file in ${now.folder}`}
             value={name}
             disabled={readOnly.value}
             onInput={(event) => setName(event.currentTarget.value)}
+            onKeyDown={(event) => event.key === "Enter" && void save()}
           />
           <Button
             label={`Move the project into ${now.folder}`}

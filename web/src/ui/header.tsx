@@ -18,7 +18,8 @@ import {
 } from "../state/store";
 import { go } from "../editor/camera-moves";
 import { editor, run } from "../editor/editor";
-import { axisName, OPPOSITE } from "../state/up-axis";
+import { setUp, shownUp } from "../state/shown-up";
+import { OPPOSITE } from "../state/up-axis";
 import { frame, zoomLens, type Vec3 } from "../view/camera";
 import { penInput } from "../tools/pen-input";
 import { OverflowBar } from "./overflow-bar";
@@ -62,10 +63,10 @@ export function frameAll(): void {
   if (asset && now && stage) go(frame(now, asset.center as Vec3, asset.radius, stage.clientWidth / stage.clientHeight));
 }
 
-/** What is up becomes down, for every window and for good; the Gaussians stay as they are. */
+/** What is up becomes down. */
 export function turnOver(): void {
-  const up = axisName(state.value?.asset.up);
-  if (up) void run("asset.up", { up: OPPOSITE[up] }, "Turn over");
+  const up = shownUp.value;
+  if (up) void setUp(OPPOSITE[up], "Turn over");
 }
 
 export function Header() {
@@ -96,7 +97,7 @@ export function Header() {
         icon="batch"
         label="Batch: these layers on other assets, or variants of this one"
         command="file.batch"
-        text="Batch…"
+        text="Batch..."
         disabled={!now}
         onClick={() => (batchOpen.value = true)}
       />

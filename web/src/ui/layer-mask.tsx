@@ -2,8 +2,9 @@
 
 import { signal } from "@preact/signals";
 
-import type { LayerInfo, MaskSet } from "../messages";
+import type { LayerInfo, MaskInfo, MaskSet } from "../messages";
 import { selectedCount, selectionSent } from "../paint/selected";
+import { duringLayer } from "../state/pending-layers";
 import { maskedLayer, maskShows, readOnly, selectedLayer } from "../state/store";
 import { run } from "../editor/editor";
 import { takeMaskTool } from "../tools";
@@ -45,6 +46,9 @@ const rule = signal<ChosenRule | null>(null);
 
 const set = (layer: LayerInfo, fields: Omit<MaskSet, "layer">) =>
   run("layer.mask", { layer: layer.id, ...fields }, `Mask of ${layer.name}`);
+
+const enable = (layer: LayerInfo, mask: MaskInfo, enabled: boolean) =>
+  duringLayer(layer.id, { mask: { ...mask, enabled } }, set(layer, { mask: enabled ? "on" : "off" }));
 
 /** Paint the layer's mask with the brush from now on, or stop. */
 export async function paintMask(layer: LayerInfo): Promise<void> {
@@ -154,7 +158,7 @@ export function LayerMask({ layer }: { layer: LayerInfo | null }) {
               label={mask.enabled ? "Disable the mask" : "Enable the mask"}
               text={mask.enabled ? "Off" : "On"}
               disabled={off}
-              onClick={() => void set(layer, { mask: mask.enabled ? "off" : "on" })}
+              onClick={() => void enable(layer, mask, !mask.enabled)}
             />
             <Button
               label="Remove the mask"

@@ -6,6 +6,7 @@ import { useEffect, useState } from "preact/hooks";
 import type { LayerInfo, OptionInfo } from "../messages";
 import { run } from "../editor/editor";
 import { readOnly } from "../state/store";
+import { during, withUnderWay } from "../state/under-way";
 import { Check, Choice, NumberField, Slider } from "./parts";
 
 /** Kinds whose options have controls elsewhere. */
@@ -14,9 +15,6 @@ const OWN_PANELS = new Set(["paint", "picture", "clone", "look", "erase", "hide"
 /** Of which layer these are the options, as the server said last. */
 const listed = signal<{ layer: string; options: OptionInfo[] }>({ layer: "", options: [] });
 
-/** What controls of that layer were set to and the list does not say yet: they stand at it meanwhile. */
-const underWay = signal<ReadonlyMap<string, { value: OptionInfo["value"] }>>(new Map());
-
 /** The layer whose panel is open: answers about another come too late. */
 let open = "";
 
@@ -24,21 +22,19 @@ async function list(layer: string): Promise<void> {
   if (layer !== open) return;
   const answer = await run("layer.options", { layer });
   if (!answer || layer !== open) return;
-  if (listed.value.layer !== layer) underWay.value = new Map();
   listed.value = { layer, options: answer.options };
 }
 
-async function set(layer: LayerInfo, name: string, value: OptionInfo["value"]): Promise<void> {
-  const change = { value };
-  underWay.value = new Map(underWay.value).set(name, change);
+const nameOf = (layer: string, option: string): string => `option ${layer} ${option}`;
+
+async function change(layer: LayerInfo, name: string, value: OptionInfo["value"]): Promise<void> {
   await run("layer.set", { layer: layer.id, parameters: { [name]: value } }, layer.name);
   // Also after a refusal, and where a value was brought into its range: the list knows.
   await list(layer.id);
-  if (underWay.value.get(name) !== change) return;
-  const rest = new Map(underWay.value);
-  rest.delete(name);
-  underWay.value = rest;
 }
+
+const set = (layer: LayerInfo, name: string, value: OptionInfo["value"]) =>
+  void during(nameOf(layer.id, name), (one: OptionInfo) => ({ ...one, value }), change(layer, name, value));
 
 export function OptionSettings({ layer }: { layer: LayerInfo | null }) {
   const id = layer && !OWN_PANELS.has(layer.kind) ? layer.id : "";
@@ -49,17 +45,15 @@ export function OptionSettings({ layer }: { layer: LayerInfo | null }) {
   }, [id, parameters]);
   // While the newest are on their way the controls of the same layer stay where they are.
   if (!layer || !id || listed.value.layer !== id) return null;
-  const options = listed.value.options.map((one) => ({ ...one, ...underWay.value.get(one.name) }));
+  const options = listed.value.options.map((one) => withUnderWay(nameOf(id, one.name), one));
   return (
     <details class="layer-mask" open>
       <summary>Options of {layer.kind}</summary>
       {options.map((option) => (
         <div key={option.name} title={option.help}>
-          {option.optional && (
-            <OptionalCheck option={option} onChange={(value) => void set(layer, option.name, value)} />
-          )}
+          {option.optional && <OptionalCheck option={option} onChange={(value) => set(layer, option.name, value)} />}
           {option.value !== null && (
-            <OptionControl option={option} onChange={(value) => void set(layer, option.name, value)} />
+            <OptionControl option={option} onChange={(value) => set(layer, option.name, value)} />
           )}
         </div>
       ))}

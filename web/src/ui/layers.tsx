@@ -1,6 +1,7 @@
 /** The list of layers, uppermost first. */
 
-import { useRef, useState } from "preact/hooks";
+import { signal } from "@preact/signals";
+import { useLayoutEffect, useRef, useState } from "preact/hooks";
 
 import { chordOf } from "../keys/chord";
 import type { LayerInfo } from "../messages";
@@ -26,6 +27,9 @@ const BLENDS = [
   ["lighten", "Lighten"],
 ] as const;
 
+/** The layer whose name is being written. */
+const renaming = signal<string | null>(null);
+
 export function Layers() {
   const layers = shownLayers.value;
   const topDown = [...layers].reverse();
@@ -38,6 +42,12 @@ export function Layers() {
     setRangeEnd(extend && chosen ? layer.id : null);
     if (!extend || !chosen) selectedLayer.value = layer.id;
   };
+  const list = useRef<HTMLUListElement>(null);
+  useLayoutEffect(() => {
+    list.current?.querySelector(".layer.chosen")?.scrollIntoView({ block: "nearest" });
+  }, [chosen?.id]);
+  /** Of a double click: rows may have moved under the pointer until its second one. */
+  const firstClicked = useRef<string | null>(null);
   const [over, setOver] = useState<number | null>(null);
   const [carried, setCarried] = useState<string | null>(null);
   const drop = (to: number) => {
@@ -53,12 +63,7 @@ export function Layers() {
         <LayerActions layer={chosen} layers={layers} range={range} />
       </header>
       <LayerSettings layer={chosen} />
-      <SpreadSettings layer={chosen} />
-      <FillSettings layer={chosen} />
-      <OptionSettings layer={chosen} />
-      <LayerMask layer={chosen} />
-      <InConflict />
-      <ul class="layer-list" aria-label="Layers, uppermost first">
+      <ul ref={list} class="layer-list" aria-label="Layers, uppermost first">
         {topDown.map((layer, k) => {
           const index = layers.length - 1 - k;
           return (
@@ -66,7 +71,10 @@ export function Layers() {
               key={layer.id}
               class={`layer${range.includes(layer) ? " chosen" : ""}${over === index ? " over" : ""}${layer.visible ? "" : " off"}`}
               draggable={!readOnly.value}
-              onClick={(event) => choose(layer, event.shiftKey)}
+              onClick={(event) => {
+                if (event.detail < 2) firstClicked.current = layer.id;
+                choose(layer, event.shiftKey);
+              }}
               onDragStart={(event) => {
                 event.dataTransfer!.setData("text/plain", layer.id);
                 setCarried(layer.id);
@@ -120,6 +128,7 @@ export function Layers() {
               <Name
                 layer={layer}
                 chosen={range.includes(layer)}
+                onDblClick={() => rename(firstClicked.current)}
                 onKeyDown={(event) => onKey(event, layer, index, layers.length)}
               />
               {isPending(layer.id) && <i class="spinner" role="status" aria-label={`${layer.name} is being changed`} />}
@@ -135,9 +144,19 @@ export function Layers() {
           </span>
         </li>
       </ul>
+      {/* Below the list: what one layer has and another has not moves no row under the pointer. */}
+      <SpreadSettings layer={chosen} />
+      <FillSettings layer={chosen} />
+      <OptionSettings layer={chosen} />
+      <LayerMask layer={chosen} />
+      <InConflict />
     </section>
   );
 }
+
+const rename = (layer: string | null): void => {
+  if (!readOnly.value) renaming.value = layer;
+};
 
 function onKey(event: KeyboardEvent, layer: LayerInfo, index: number, count: number): void {
   const handled = () => (event.preventDefault(), event.stopPropagation());
@@ -174,45 +193,45 @@ function Thumbnail({ layer }: { layer: LayerInfo }) {
 interface NameProps {
   layer: LayerInfo;
   chosen: boolean;
+  onDblClick: () => void;
   onKeyDown: (event: KeyboardEvent) => void;
 }
 
-function Name({ layer, chosen, onKeyDown }: NameProps) {
-  const [editing, setEditing] = useState(false);
-  if (editing)
+function Name({ layer, chosen, onDblClick, onKeyDown }: NameProps) {
+  if (renaming.value === layer.id)
     return (
       <input
         class="rename"
         type="text"
-        value={layer.name}
+        defaultValue={layer.name} // what is being written stays while the layer changes
         aria-label="Layer name"
         autoFocus
         ref={(input) => input?.focus()}
         onFocus={(event) => event.currentTarget.select()}
         onClick={(event) => event.stopPropagation()}
         onBlur={(event) => {
-          setEditing(false);
+          if (renaming.value !== layer.id) return; // left by Escape
+          renaming.value = null;
           const name = event.currentTarget.value.trim();
           if (name && name !== layer.name) void setLayer(layer.id, { name }, `Renaming ${layer.name}`);
         }}
         onKeyDown={(event) => {
           event.stopPropagation();
           if (event.key === "Enter") event.currentTarget.blur();
-          if (event.key === "Escape") setEditing(false);
+          if (event.key === "Escape") renaming.value = null;
         }}
       />
     );
   const count = layer.gaussians_edited + layer.gaussians_appended;
-  const rename = () => !readOnly.value && setEditing(true);
   return (
     <button
       type="button"
       class="layer-name"
       aria-pressed={chosen}
       title={layer.note || layer.name}
-      onDblClick={rename}
+      onDblClick={onDblClick}
       onKeyDown={(event) => {
-        if (event.key === "F2") rename();
+        if (event.key === "F2") rename(layer.id);
         else onKeyDown(event);
       }}
     >
@@ -221,7 +240,7 @@ function Name({ layer, chosen, onKeyDown }: NameProps) {
         {nameOfAsset(layer.asset) && `${nameOfAsset(layer.asset)}: `}
         {layer.strokes !== null && `${layer.strokes} ${layer.strokes === 1 ? "stroke" : "strokes"}, `}
         {count.toLocaleString()} Gaussians{layer.opacity < 1 ? `, ${Math.round(layer.opacity * 100)} %` : ""}
-        {layer.blend !== "normal" ? `, ${layer.blend}` : ""}
+        {layer.blend !== "normal" && `, ${BLENDS.find(([key]) => key === layer.blend)?.[1].toLowerCase()}`}
       </span>
       {layer.visible && layer.problem && <span class="problem">Changes nothing: {layer.problem}</span>}
     </button>
@@ -317,17 +336,13 @@ function LayerActions({ layer, layers, range }: ActionProps) {
 /** Blend and opacity of the chosen layer. */
 function LayerSettings({ layer }: { layer: LayerInfo | null }) {
   const drag = useRef<{ layer: string; send: ReturnType<typeof dragged> } | null>(null);
-  const [draft, setDraft] = useState<number | null>(null);
   const off = !layer || readOnly.value;
   const fade = (opacity: number, end: boolean) => {
     if (!layer) return;
     if (drag.current?.layer !== layer.id)
       drag.current = { layer: layer.id, send: dragged(layer.id, `Opacity of ${layer.name}`) };
-    setDraft(opacity);
-    const sent = drag.current.send({ opacity });
-    if (!end) return;
-    drag.current = null;
-    void sent.finally(() => setDraft(null));
+    void drag.current.send({ opacity });
+    if (end) drag.current = null;
   };
   return (
     <div class="layer-settings">
@@ -340,7 +355,7 @@ function LayerSettings({ layer }: { layer: LayerInfo | null }) {
       />
       <Slider
         label="Opacity"
-        value={(draft ?? layer?.opacity ?? 1) * 100}
+        value={(layer?.opacity ?? 1) * 100}
         min={0}
         max={100}
         step={1}
@@ -360,8 +375,8 @@ function SpreadSettings({ layer }: { layer: LayerInfo | null }) {
   const given = layer.parameters["spread_threshold"];
   const solve = (value: number) => {
     const parameters = { ...layer.parameters, spread_threshold: Math.round(value) / 100 };
-    setDraft(value);
-    void setLayer(layer.id, { parameters }, `Threshold of ${layer.name}`).finally(() => setDraft(null));
+    setDraft(null);
+    void setLayer(layer.id, { parameters }, `Threshold of ${layer.name}`);
   };
   return (
     <>

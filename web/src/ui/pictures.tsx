@@ -14,6 +14,7 @@ import {
   isPresentView,
   maskUrl,
   MAX_IMAGES,
+  setThreshold,
   type DroppedImage,
 } from "../state/dropped-images";
 import { camera, method, readOnly } from "../state/store";
@@ -52,7 +53,7 @@ export function Pictures() {
         />
         <Button
           label="Send the current view to a program or an image service"
-          text="Edit with a source…"
+          text="Edit with a source..."
           onClick={() => (sourcesOpen.value = true)}
         />
       </p>
@@ -105,8 +106,9 @@ function Entry({ one }: { one: DroppedImage }) {
     if (await placePicture(pixels, one.name)) discard(one.id);
   };
   const recheck = (percent: number) => {
+    setThreshold(one.id, percent / 100);
     clearTimeout(timer.current);
-    timer.current = setTimeout(() => void check(one.id, { threshold: percent / 100 }).catch(report), 150);
+    timer.current = setTimeout(() => void check(one.id).catch(report), 150);
   };
   return (
     <article ref={entry} class="drop" aria-label={one.name}>

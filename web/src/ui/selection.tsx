@@ -249,7 +249,8 @@ function Kept({ off }: { off: boolean }) {
   const names = state.value!.selection.names;
   const save = () => {
     const name = naming.value.trim() || `Selection ${names.length + 1}`;
-    void sent(() => run("selection.save", { name })).then((answer) => answer && (naming.value = ""));
+    naming.value = "";
+    void sent(() => run("selection.save", { name })).then((answer) => answer ?? (naming.value ||= name));
   };
   return (
     <details open={names.length > 0}>

@@ -1,5 +1,5 @@
 /**
- * "Edit with a source…": views go to a program or an image service. The present view comes back as a picture; views all
+ * "Edit with a source...": views go to a program or an image service. The present view comes back as a picture; views all
  * around become layers, after their plan was shown with its number of calls.
  */
 

@@ -22,7 +22,11 @@ async function toggleSymmetry(on: boolean): Promise<void> {
   const now = state.value;
   if (!on || !now || symmetry.value.plane !== "found" || assetPlane.value?.session === now.session) return;
   const answer = await run("symmetry.find", {}, "Plane of symmetry");
-  if (!answer) return void (symmetry.value = { ...symmetry.value, plane: "x" });
+  if (!answer) {
+    // Another plane may have been chosen since.
+    if (symmetry.value.plane === "found") symmetry.value = { ...symmetry.value, plane: "x" };
+    return;
+  }
   const { normal, offset, agreement } = answer;
   assetPlane.value = { session: now.session, plane: { normal: normal as Vec3, offset }, agreement };
 }

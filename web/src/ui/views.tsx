@@ -4,9 +4,11 @@ import { signal } from "@preact/signals";
 
 import type { BookmarkInfo, ConflictInfo } from "../messages";
 import { camera, readOnly, state, toast, view } from "../state/store";
+import { during, withUnderWay } from "../state/under-way";
 import { go } from "../editor/camera-moves";
 import { run } from "../editor/editor";
-import { AXES, axisName } from "../state/up-axis";
+import { setUp, shownUp } from "../state/shown-up";
+import { AXES } from "../state/up-axis";
 import { fromCamera, type CameraJson, type Vec3 } from "../view/camera";
 import { exportView, ViewExportDialog } from "./export";
 import { turnOver } from "./header";
@@ -47,7 +49,7 @@ export function Views() {
         <>
           <h3>Conflicts</h3>
           {now.conflicts.map((one) => (
-            <ConflictRow key={`${one.lower} ${one.upper}`} one={one} />
+            <ConflictRow key={nameOf(one)} one={withUnderWay(nameOf(one), one)} />
           ))}
         </>
       )}
@@ -68,7 +70,7 @@ export function Views() {
         )}
         <Button
           label="Export the view with its size, background and passes chosen"
-          text="More ..."
+          text="More..."
           onClick={() => (exporting.value = true)}
         />
       </p>
@@ -92,10 +94,10 @@ export function Views() {
         />
         <Choice
           label="Up"
-          value={axisName(now.asset.up) ?? "-y"}
+          value={shownUp.value ?? "-y"}
           options={AXES.map((axis) => [axis, axis] as const)}
           disabled={readOnly.value}
-          onChange={(up) => void run("asset.up", { up }, "Turn")}
+          onChange={(up) => void setUp(up, "Turn")}
         />
       </p>
       <p class="quiet">{now.asset.axes && `The file's axes: ${now.asset.axes}.`}</p>
@@ -138,7 +140,8 @@ function AddBookmark() {
   const add = () => {
     if (!camera.value) return;
     const name = naming.value.trim() || `View ${(state.value?.bookmarks.length ?? 0) + 1}`;
-    void run("bookmark.add", { name, camera: camera.value }).then((answer) => answer && (naming.value = ""));
+    naming.value = "";
+    void run("bookmark.add", { name, camera: camera.value }).then((answer) => answer ?? (naming.value ||= name));
   };
   return (
     <p class="row">
@@ -174,13 +177,14 @@ function BookmarkRow({ one }: { one: BookmarkInfo }) {
   );
 }
 
+const nameOf = ({ lower, upper }: ConflictInfo): string => `conflict ${lower} ${upper}`;
+
 function ConflictRow({ one }: { one: ConflictInfo }) {
-  const name = (id: string) => state.value?.layers.find((layer) => layer.id === id)?.name ?? "a layer";
   return (
     <div class="conflict">
       <p>
-        <b>{name(one.upper)}</b> overwrites {one.gaussians.toLocaleString()}{" "}
-        {one.gaussians === 1 ? "Gaussian" : "Gaussians"} of <b>{name(one.lower)}</b> (
+        <b>{one.upper_name}</b> overwrites {one.gaussians.toLocaleString()}{" "}
+        {one.gaussians === 1 ? "Gaussian" : "Gaussians"} of <b>{one.lower_name}</b> (
         {one.share < 0.01 ? "under 1" : Math.round(one.share * 100)} %), painted from another view.
       </p>
       <Choice
@@ -188,7 +192,13 @@ function ConflictRow({ one }: { one: ConflictInfo }) {
         value={one.policy}
         options={POLICIES}
         disabled={readOnly.value}
-        onChange={(policy) => void run("conflict.set", { lower: one.lower, upper: one.upper, policy }, "Conflict")}
+        onChange={(policy) =>
+          void during(
+            nameOf(one),
+            (said: ConflictInfo) => ({ ...said, policy }),
+            run("conflict.set", { lower: one.lower, upper: one.upper, policy }, "Conflict"),
+          )
+        }
       />
     </div>
   );
