@@ -126,6 +126,20 @@ def test_skies_rigs_and_hours_are_taken_from_files_and_lists(
     assert len(page.state()["history"]) == count
 
 
+def test_a_choice_is_a_step_although_its_list_took_the_pointer(opened: tuple[studio_scenes.Live, Page]) -> None:
+    _, page = opened
+    page.tab.get_by_role("tab", name="Light").click()
+    page.tab.get_by_role("button", name="Sun", exact=True).click()
+    page.wait("the sun", lambda: page.names() == ["Light"])
+    page.wait("an idle panel", lambda: page.tab.locator(".layer .spinner").count() == 0)
+    choice = page.tab.get_by_label("Colour of Sun", exact=True)
+    choice.scroll_into_view_if_needed()
+    # Where a list opens in a window of its own, the page hears of the press and of the choice alone.
+    choice.dispatch_event("pointerdown", {"bubbles": True})
+    choice.select_option("kelvin")
+    page.wait("it in the project", lambda: "K" in page.state()["layers"][0]["parameters"]["sun"][0])
+
+
 def test_lamps_are_dragged_in_the_view(opened: tuple[studio_scenes.Live, Page]) -> None:
     live, page = opened
     page.tab.get_by_role("tab", name="Light").click()

@@ -59,7 +59,8 @@ export function LightTab() {
       onPointerDownCapture={beginGesture}
       onKeyDownCapture={(event) => !event.repeat && beginGesture()}
       onInputCapture={(event) => isColor(event.target) && hold()}
-      onChangeCapture={(event) => isColor(event.target) && void letGo()}
+      // a colour or a choice out of a window of the browser, which takes the pointer's end with it
+      onChangeCapture={() => void letGo()}
     >
       <LightPanel
         lights={shownLights.value}
