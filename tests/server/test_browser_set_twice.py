@@ -165,6 +165,15 @@ def test_choosing_a_layer_moves_no_row_and_a_new_one_is_in_sight(opened: tuple[s
     second.click()
     page.tab.get_by_role("group", name="Mask of layer 10").wait_for()
     assert [row.bounding_box()["y"] for row in (first, second)] == before
+    page.tab.get_by_label("Rule").select_option("slope")
+    page.wait("another rule", lambda: page.state()["layers"][10]["mask"])
+    first.click()
+    panel.get_by_role("textbox", name="Soft, number").wait_for()
+    assert panel.get_by_label("Rule").input_value() == "height", "of each layer its own"
+    page.tab.keyboard.press("Control+z")
+    page.tab.keyboard.press("Control+z")
+    page.wait("no mask", lambda: page.state()["layers"][11]["mask"] is None)
+    page.wait("no rule", lambda: panel.get_by_label("Rule").input_value() == "")
     page.tab.get_by_role("button", name="Mask of the layer").click()
 
     rows.last.click()

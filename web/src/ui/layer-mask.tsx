@@ -5,7 +5,7 @@ import { signal } from "@preact/signals";
 import type { LayerInfo, MaskInfo, MaskSet } from "../messages";
 import { selectedCount, selectionSent } from "../paint/selected";
 import { duringLayer } from "../state/pending-layers";
-import { maskedLayer, maskShows, readOnly, selectedLayer } from "../state/store";
+import { maskedLayer, maskShows, readOnly, selectedLayer, state } from "../state/store";
 import { run } from "../editor/editor";
 import { takeMaskTool } from "../tools";
 import { Button, Choice, Slider } from "./parts";
@@ -33,7 +33,6 @@ const COVERAGES = [
   ["1 2", "Seen or predicted"],
 ] as const;
 interface ChosenRule {
-  layer: string;
   name: RuleName;
   low: number;
   high: number;
@@ -41,8 +40,8 @@ interface ChosenRule {
   /** Changes of its sliders are one step of the history. */
   gesture: string;
 }
-/** The rule in hand, and of which layer: its sliders are there then. */
-const rule = signal<ChosenRule | null>(null);
+/** Layer (`keyOf`) -> the rule that its mask got here last: its sliders are there when the layer is chosen again. */
+const rules = signal<ReadonlyMap<string, ChosenRule>>(new Map());
 
 const set = (layer: LayerInfo, fields: Omit<MaskSet, "layer">) =>
   run("layer.mask", { layer: layer.id, ...fields }, `Mask of ${layer.name}`);
@@ -67,13 +66,15 @@ async function fromSelection(layer: LayerInfo): Promise<void> {
   await set(layer, { mask: "selection" });
 }
 
+const keyOf = (layer: LayerInfo): string => `${state.peek()?.session} ${layer.id}`;
+
 const newGesture = (): string => `rule ${Math.random().toString(36).slice(2)}`;
 
 /** Set the rule, and apply it when its sliders are let go. */
 function byRule(layer: LayerInfo, part: Partial<ChosenRule>, end: boolean): void {
-  const first: ChosenRule = { layer: layer.id, name: "height", low: 0, high: 1, soft: 0, gesture: newGesture() };
-  const next = { ...first, ...rule.value, ...part };
-  rule.value = next;
+  const first: ChosenRule = { name: "height", low: 0, high: 1, soft: 0, gesture: newGesture() };
+  const next = { ...first, ...rules.value.get(keyOf(layer)), ...part };
+  rules.value = new Map(rules.value).set(keyOf(layer), next);
   if (!end) return;
   const { name, low, high, soft, gesture } = next;
   const { scale } = RULES[name];
@@ -83,14 +84,21 @@ function byRule(layer: LayerInfo, part: Partial<ChosenRule>, end: boolean): void
     if (values.low === RULES.curvature.min) values.low = -180;
     if (values.high === RULES.curvature.max) values.high = 180;
   }
-  void set(layer, { mask: name, ...values, gesture });
+  const mask = layer.mask ?? { enabled: true, shows: false, parts: 1 };
+  void duringLayer(layer.id, { mask }, set(layer, { mask: name, ...values, gesture }));
+}
+
+function forgetRule(layer: LayerInfo): void {
+  const rest = new Map(rules.value);
+  rest.delete(keyOf(layer));
+  rules.value = rest;
 }
 
 export function LayerMask({ layer }: { layer: LayerInfo | null }) {
   if (!maskOpen.value || !layer) return null;
   const off = readOnly.value;
   const mask = layer.mask;
-  const r = rule.value?.layer === layer.id ? rule.value : null;
+  const r = mask && rules.value.get(keyOf(layer));
   const measure = r && RULES[r.name];
   const painting = mask !== null && maskedLayer.value === layer.id;
   return (
@@ -146,10 +154,9 @@ export function LayerMask({ layer }: { layer: LayerInfo | null }) {
             const gesture = newGesture();
             const { max } = RULES[name];
             // edges: what bends outwards
-            if (name === "curvature")
-              return byRule(layer, { layer: layer.id, name, low: 12, high: max, soft: 8, gesture }, true);
+            if (name === "curvature") return byRule(layer, { name, low: 12, high: max, soft: 8, gesture }, true);
             const high = name === "coverage" ? 0 : max / 2;
-            byRule(layer, { layer: layer.id, name, low: 0, high, soft: 0, gesture }, true);
+            byRule(layer, { name, low: 0, high, soft: 0, gesture }, true);
           }}
         />
         {mask && (
@@ -164,7 +171,7 @@ export function LayerMask({ layer }: { layer: LayerInfo | null }) {
               label="Remove the mask"
               text="Remove"
               disabled={off}
-              onClick={() => ((rule.value = null), void set(layer, { mask: "remove" }))}
+              onClick={() => (forgetRule(layer), void set(layer, { mask: "remove" }))}
             />
           </>
         )}
