@@ -45,6 +45,7 @@ class Mutation:
 
 GAIN = "tests/models/test_gain_of_networks.py"
 CARRY = "tests/models/test_edit_propagation.py"
+TURNS = "tests/models/test_edits_in_turn.py"
 COLORS = "tests/lift/test_color_refine.py"
 SHEETS = "tests/lift/test_resurface.py"
 GLOBAL = "tests/lift/test_global.py"
@@ -140,38 +141,66 @@ MUTATIONS = (
     ),
     Mutation(
         "an edit forgets those before it",
-        "models/edit_propagation.py",
-        "total, visibility = so_far + moved",
-        "total, visibility = moved",
-        (CARRY,),
+        "models/edits_in_turn.py",
+        "tuple(left), parents, f",
+        "(), parents, f",
+        (TURNS,),
     ),
     Mutation(
-        "agreeing edits are made twice",
-        "models/edit_propagation.py",
-        "(1 - self._agreement * visibility)",
-        "1",
-        (CARRY,),
+        "edits are made on top of each other",
+        "models/edits_in_turn.py",
+        "before = replace(splats, sh=splats.sh - so_far",
+        "before = replace(splats, sh=splats.sh - 0 * so_far",
+        (TURNS,),
     ),
     Mutation(
-        "what earlier pictures showed does not teach again",
-        "models/edit_propagation.py",
-        "pixels + self._agreement * before[:, 0]",
-        "pixels",
-        (CARRY,),
+        "what was painted in between goes",
+        "models/edits_in_turn.py",
+        "now = drawn_view(splats, picture.camera).colors\n",
+        "now = np.zeros((*picture.mask.shape, 3), np.float32)\n",
+        (TURNS,),
+    ),
+    Mutation(
+        "a picture from the same camera is one of two",
+        "models/edits_in_turn.py",
+        "REPLACED = 0.7",
+        "REPLACED = 7.0",
+        (TURNS,),
+    ),
+    Mutation(
+        "a look is taken for a light",
+        "models/edits_in_turn.py",
+        "_unexplained(splats, views) < _unexplained(before, views)",
+        "_unexplained(splats, views) < 0",
+        (TURNS,),
+    ),
+    Mutation(
+        "a light is taken for a look",
+        "models/edits_in_turn.py",
+        "_unexplained(splats, views) < _unexplained(before, views)",
+        "True",
+        (TURNS,),
+    ),
+    Mutation(
+        "what is seen at a slant counts fully",
+        "models/edits_in_turn.py",
+        "view.weight[ids] * np.maximum(facing, 0)",
+        "view.weight[ids]",
+        (TURNS,),
     ),
     Mutation(
         "what is hardly shown teaches",
         "models/edit_propagation.py",
         "MIN_TEACHER_PX = 1.0",
         "MIN_TEACHER_PX = 0.0",
-        (CARRY,),
+        (TURNS,),
     ),
     Mutation(
         "a contradiction is taken for the same edit",
-        "models/edit_propagation.py",
-        "AGREES, CONTRADICTS = 0.3, 0.6",
-        "AGREES, CONTRADICTS = 30.0, 60.0",
-        (CARRY,),
+        "models/edits_in_turn.py",
+        "CONTRADICTS, HALF_COMMON = 0.45, 0.08",
+        "CONTRADICTS, HALF_COMMON = 45.0, 0.08",
+        (TURNS,),
     ),
     Mutation(
         "latents that are not there take room",

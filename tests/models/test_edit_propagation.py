@@ -10,20 +10,18 @@ import pytest
 import torch
 from torch import Tensor
 
-from splatpainter.cameras import Camera
 from splatpainter.lift.depth_normals import outward_normals
-from splatpainter.lift.features import HALF_SEEN_PX
 from splatpainter.lighting import prt_transfer
 from splatpainter.models import weights
 from splatpainter.models.compress import LatentScale
 from splatpainter.models.config import ModelConfig, RefineConfig
 from splatpainter.models.decode import color_change
-from splatpainter.models.edit_propagation import CarriedEdit, EncodedGaussians, carry, remembered
+from splatpainter.models.edit_propagation import CarriedEdit, EncodedGaussians, carry
 from splatpainter.models.encode import Encoded, encode_asset
 from splatpainter.models.model import GaussianInputs, SplatPainterModel
-from splatpainter.models.refine import RefineState, position_waves, unit_rms
-from splatpainter.painter import NOT_LOCAL, Asset, Edit, Painter
-from splatpainter.splats import SH_C0, Splats
+from splatpainter.models.refine import position_waves, unit_rms
+from splatpainter.painter import NOT_LOCAL, Edit, Painter
+from splatpainter.splats import Splats
 from tests.lift.test_global import FRONT, SIDE, ball, draw, regraded
 from tests.support.model_scenes import with_refine
 from tests.support.train_scenes import SMALL
@@ -153,86 +151,6 @@ def test_a_painter_predicts_what_no_view_shows_by_stage_two() -> None:
     for name in ("means", "quats", "scales", "opacities"):
         np.testing.assert_array_equal(getattr(adapted.splats, name), getattr(splats, name))
     assert adapted.receipt is not None and adapted.receipt.method == "ttt"
-
-
-def relit(splats: Splats, light: tuple[float, float, float]) -> Splats:
-    """The ball under a lamp."""
-    normals = splats.means / np.linalg.norm(splats.means, axis=1, keepdims=True)
-    lit = np.clip(normals @ np.array(light), 0, None)[:, None]
-    colors = np.clip((0.5 + SH_C0 * splats.sh[:, 0]) * (0.3 + lit * np.array([1.2, 1.0, 0.8])), 0, 1)
-    sh = splats.sh.copy()
-    sh[:, 0] = (colors - 0.5) / SH_C0
-    return replace(splats, sh=sh)
-
-
-def decibels(splats: Splats, truth: Splats) -> float:
-    """PSNR of base colours."""
-    return float(-10 * np.log10(np.square(SH_C0 * (splats.sh[:, 0] - truth.sh[:, 0])).mean()))
-
-
-def test_relit_views_in_turn_make_what_they_make_together_and_the_latest_light_wins(float32: None) -> None:
-    splats, painter = ball(400), Painter(model=weights.load("rows"))
-    lights = {name: relit(splats, light) for name, light in (("a", (0.3, 0.9, 0.3)), ("b", (0.9, -0.3, 0.3)))}
-    start = painter.encode(splats, "ttt", ("global",))
-
-    def view(light: str, camera: Camera) -> Edit:
-        return Edit(draw(lights[light], camera), camera)
-
-    def after(asset: Asset, *views: Edit) -> Asset:
-        return painter.apply(asset, views, "global", "ttt")
-
-    first, second = view("a", FRONT), view("a", SIDE)
-    once = after(start, first)
-    both, turns = after(start, first, second), after(once, second)
-    assert decibels(once.splats, lights["a"]) + 1 < decibels(both.splats, lights["a"])
-    assert abs(decibels(turns.splats, lights["a"]) - decibels(both.splats, lights["a"])) <= 0.3
-    assert turns.encoding is not None and turns.encoding.state is not None and turns.encoding.state.evidence is not None
-    again = after(start, first)  # undo: the old asset has the old state
-    np.testing.assert_array_equal(again.splats.sh, once.splats.sh)
-    other = after(once, view("b", FRONT))
-    assert decibels(other.splats, lights["b"]) > decibels(other.splats, lights["a"]) + 1
-
-
-def test_views_that_agree_where_both_look_go_on_however_poorly_the_rest_was_foretold(float32: None) -> None:
-    """A light from behind: what the front shows of it says little of the side."""
-    splats, painter = ball(400), Painter(model=weights.load("rows"))
-    lit = relit(splats, (-0.7, 0.5, 0.5))
-    first, second = (Edit(draw(lit, camera), camera) for camera in (FRONT, SIDE))
-    once = painter.apply(painter.encode(splats, "ttt", ("global",)), [first], "global", "ttt")
-    turns = painter.apply(once, [second], "global", "ttt")
-    assert decibels(turns.splats, lit) > decibels(once.splats, lit) + 4
-
-
-def test_what_the_memory_did_not_foretell_is_another_edit(float32: None) -> None:
-    """Where new pictures contradict the memory, Gaussians that were shown before are answered for like all others."""
-    made, splats, encoded, _ = scene()
-    normals = outward_normals(splats)
-    transfer = prt_transfer(splats.means, normals)
-    change, weight = (x.numpy() for x in edit())
-
-    def carried(asset: Splats, state: RefineState | None = None) -> CarriedEdit:
-        return CarriedEdit(made, encoded.latents, encoded.latent_ids, asset, normals, lambda: transfer, state)
-
-    first = carried(splats)
-    first(change, weight)
-    sh = splats.sh.copy()
-    sh[:, 0] += (change / SH_C0).astype(sh.dtype)
-    state = first.after(replace(splats, sh=sh))
-    second = carried(replace(splats, sh=sh), state)
-    answer = second(-2 * change, weight)
-    assert state.evidence is not None and second.state is not None and second.state.evidence is state.evidence
-    with torch.no_grad():
-        everyone = remembered(made, second.gaussians, second.state, torch.arange(len(splats)))
-    np.testing.assert_allclose(answer, (everyone - state.evidence[:, :3]).numpy(), atol=1e-5)
-    # Where they show what was there already, it is kept by as much as it was shown, and the memory's change is added.
-    third = carried(replace(splats, sh=sh), state)
-    answer = third(np.zeros_like(change), weight)
-    assert third.state is not None
-    with torch.no_grad():
-        old, new = (remembered(made, third.gaussians, one, torch.arange(len(splats))) for one in (state, third.state))
-    visibility = torch.from_numpy(weight / (weight + HALF_SEEN_PX))[:, None]
-    np.testing.assert_allclose(answer, ((new - old) * (1 - visibility)).numpy(), atol=1e-5)
-    assert np.abs((new - old).numpy()).max() > 1e-3
 
 
 def test_terms_have_rms_one() -> None:

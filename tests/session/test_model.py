@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from splatpainter.cameras import same_camera
 from splatpainter.models.config import RefineConfig
 from splatpainter.models.local_config import LocalConfig
 from splatpainter.models.local_network import LocalNetwork
@@ -80,17 +81,23 @@ def test_a_session_keeps_what_global_edits_have_taught(tmp_path: Path) -> None:
     splats, painter = ball(300), Painter(model=carrying_model())
     edits = [eight_bits(Edit(draw(regraded(splats), camera), camera)) for camera in (FRONT, SIDE)]
 
-    def painted(edits: list[Edit]) -> tuple[np.ndarray, torch.Tensor]:
+    def painted(edits: list[Edit]) -> tuple[np.ndarray, Any]:
         asset = painter.encode(splats, "ttt", ("global",))
         for edit in edits:
             asset = painter.apply(asset, [edit], "global", "ttt")
         assert asset.encoding is not None and asset.encoding.state is not None
-        return asset.splats.sh, asset.encoding.state.evidence  # type: ignore[return-value]
+        return asset.splats.sh, asset.encoding.state.so_far
 
     def same(session: Session, edits: list[Edit]) -> None:
         colors, expected = painted(edits)
         np.testing.assert_array_equal(session.splats.sh, colors)
-        torch.testing.assert_close(session.snapshot.state.painter_state.evidence, expected, atol=0, rtol=0)
+        state = session.snapshot.state.painter_state.so_far
+        np.testing.assert_array_equal(state.moved, expected.moved)
+        assert len(state.pictures) == len(expected.pictures) == len(edits)
+        for one, other in zip(state.pictures, expected.pictures, strict=True):
+            np.testing.assert_array_equal(one.left, other.left)
+            np.testing.assert_array_equal(one.mask, other.mask)
+            assert same_camera(one.camera, other.camera)
 
     path = tmp_path / "a.splatproj"
     with Session(splats, path, painter=painter) as session:

@@ -18,6 +18,7 @@ from torch.utils.checkpoint import checkpoint
 from splatpainter.lift.features import LIFT_FEATURES, SEEN_FEATURE
 from splatpainter.models.compress import LatentScale
 from splatpainter.models.config import RefineConfig
+from splatpainter.models.edits_in_turn import EditsSoFar
 from splatpainter.models.gaussian_facts import INPUT_CHANNELS as FACT_FEATURES
 from splatpainter.models.image_tokens import PictureTokens
 from splatpainter.nn.attention import CrossGroups, Groups
@@ -53,9 +54,8 @@ class RefineState:
     """One per block."""
     detail: Memory | None = field(repr=False)
     """Memory of the extra layer for local detail; None where the model has none."""
-    evidence: Tensor | None = field(default=None, repr=False)
-    """[E, 4] of each encoded Gaussian: the change of base colour that global edits have made of it so far, and the
-    pixels that have shown it (models/edit_propagation.py); None before the first."""
+    so_far: EditsSoFar | None = field(default=None, repr=False)
+    """What global edits have made of the asset (models/edits_in_turn.py); None before the first."""
 
 
 class FastMixer(nn.Module):

@@ -204,14 +204,21 @@ class CarryMethod(EncodingMethod):
 
     def make(self, asset: Asset, views: Sequence[EditView], clock: StageClock) -> tuple[LiftedEdit, Asset]:
         # The lift asks the network only for what no view shows, so Stage II has to be ready before it.
-        carried = self.networks.carry(asset)
+        turn = self.networks.in_turn(asset, views)
+        carried = self.networks.carry(asset, turn.before)
+        before = asset
+        if turn.before is not asset.splats:
+            before = replace(asset, splats=turn.before)
+            vars(before)["normals"] = asset.normals  # colours alone differ
         with self.networks.inference():
-            lifted = lift_globally(asset, views, self.settings, carried)
+            lifted = lift_globally(before, [*turn.earlier, *views], self.settings, carried)
+        lifted = replace(lifted, note="; ".join(filter(None, (lifted.note, turn.note))))
         clock.record_time("lift")
-        result = super().network_result(asset, lifted, views, clock)
-        if result.encoding is not None:  # the next edit goes on from what this one taught
-            result = replace(result, encoding=replace(result.encoding, state=carried.after(result.splats)))
-        return lifted, self.polished(asset, result, lifted, views, clock)
+        result = self.polished(asset, super().network_result(asset, lifted, views, clock), lifted, views, clock)
+        if result.encoding is not None and carried.state is not None:  # what the next edit goes on from
+            state = replace(carried.state, so_far=turn.after(result.splats, views))
+            result = replace(result, encoding=replace(result.encoding, state=state))
+        return lifted, result
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,10 @@ if TYPE_CHECKING:
     from splatpainter.lift.edits import LiftedEdit
     from splatpainter.lift.global_edit import Predict
     from splatpainter.models.edit_propagation import CarriedEdit
+    from splatpainter.models.edits_in_turn import EditInTurn
     from splatpainter.models.local_network import LocalNetwork
     from splatpainter.models.model import SplatPainterModel
+    from splatpainter.splats import Splats
 
 
 @dataclass(frozen=True)
@@ -58,16 +60,25 @@ class Networks:
 
         return predicting(self.model.stored_predictor, asset.splats, asset.normals, lambda: asset.transfer)
 
-    def carry(self, asset: Asset) -> CarriedEdit:
-        """Stage II's answer for them, which starts from the state of the edits before; the asset is encoded."""
+    def in_turn(self, asset: Asset, views: Sequence[EditView]) -> EditInTurn:
+        """A global edit by Stage II with what it goes on from; the asset is encoded."""
+        from splatpainter.models.edits_in_turn import EditInTurn
+
+        encoding = asset.encoding
+        assert encoding is not None
+        so_far = None if encoding.state is None else encoding.state.so_far
+        return EditInTurn.of(so_far, asset.splats, asset.normals, encoding.parent_ids, views)
+
+    def carry(self, asset: Asset, before: Splats) -> CarriedEdit:
+        """Stage II's answer for Gaussians that no view shows. before: those of the encoded asset, in the colours before
+        all edits that this one goes on from."""
         from splatpainter.models.edit_propagation import CarriedEdit
 
         encoding = asset.encoding
         assert encoding is not None
         latents, ids = encoding.encoded.latents, encoding.encoded.latent_ids[encoding.parent_ids]
         with self.inference():
-            so_far = (asset.splats, asset.normals, lambda: asset.transfer, encoding.state, encoding.parent_ids)
-            return CarriedEdit(self.model, latents, ids, *so_far)
+            return CarriedEdit(self.model, latents, ids, before, asset.normals, lambda: asset.transfer)
 
     def refine(self, asset: Asset, lifted: LiftedEdit, views: Sequence[EditView]) -> Asset:
         """The encoded asset after Stage II and the decoder have changed a lifted edit of it."""

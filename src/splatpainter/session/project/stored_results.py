@@ -8,10 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from splatpainter.cameras import Camera
 from splatpainter.session.replay.delta import Delta, encode
 from splatpainter.session.replay.layer_result import LayerResult
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from torch import Tensor
+
+    from splatpainter.models.edits_in_turn import EditsSoFar
     from splatpainter.models.refine import RefineState
 
 FACT_KINDS: dict[str, type | tuple[type, ...]] = {
@@ -54,16 +60,24 @@ def loaded_result(delta: Delta, facts: str, confidence: bytes | None, state: byt
 
 def _pack_state(state: RefineState) -> bytes:
     """What a painter has learnt as safetensors, never pickle: tensors named block.K.w0, .w1, .w2 (fast weights) or
-    block.K (tokens); detail likewise; evidence."""
+    block.K (tokens); detail likewise; so_far.moved, and of the pictures picture.K.left, .mask and .camera (JSON)."""
+    import torch
     from safetensors.torch import save
 
     named = {}
     blocks = [(f"block.{k}", block) for k, block in enumerate(state.blocks)]
-    for name, block in [*blocks, ("detail", state.detail), ("evidence", state.evidence)]:
+    for name, block in [*blocks, ("detail", state.detail)]:
         if block is None:
             continue
         parts = {f"{name}.{k}": v for k, v in block._asdict().items()} if hasattr(block, "_asdict") else {name: block}
         named |= {key: value.detach().cpu().contiguous().clone() for key, value in parts.items()}
+    if state.so_far is not None:
+        arrays = {"so_far.moved": state.so_far.moved}
+        for k, picture in enumerate(state.so_far.pictures):
+            camera = np.frombuffer(picture.camera.to_json().encode(), np.uint8)
+            parts = {"left": picture.left, "mask": picture.mask, "camera": camera}
+            arrays |= {f"picture.{k}.{part}": values for part, values in parts.items()}
+        named |= {name: torch.from_numpy(values.copy()) for name, values in arrays.items()}
     return save(named)
 
 
@@ -85,9 +99,26 @@ def _unpack_state(data: bytes) -> RefineState:
 
         count = len({key.split(".")[1] for key in named if key.startswith("block.")})
         detail = block("detail") if any(key.split(".")[0] == "detail" for key in named) else None
-        return RefineState(tuple(block(f"block.{k}") for k in range(count)), detail, named.get("evidence"))
+        return RefineState(tuple(block(f"block.{k}") for k in range(count)), detail, _edits_so_far(named))
     except (SafetensorError, KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
         raise ValueError(f"project: the painter's state is damaged ({error!r})") from None
+
+
+def _edits_so_far(named: Mapping[str, Tensor]) -> EditsSoFar | None:
+    """None where there were none, and in files of before their pictures were stored: the next edit then starts from the
+    asset as it is. Raises KeyError, ValueError for other tensors."""
+    from splatpainter.models.edits_in_turn import EditPicture, EditsSoFar
+
+    if "so_far.moved" not in named:
+        return None
+    count, pictures = len({key.split(".")[1] for key in named if key.startswith("picture.")}), []
+    for k in range(count):
+        left, mask, camera = (named[f"picture.{k}.{part}"].numpy() for part in ("left", "mask", "camera"))
+        view = Camera.from_json(camera.tobytes().decode())
+        if left.shape != (view.height, view.width, 3) or mask.shape != left.shape[:2]:
+            raise ValueError(f"picture {k} has shapes {left.shape} and {mask.shape} for {view.width}x{view.height}")
+        pictures.append(EditPicture(view, left, mask))
+    return EditsSoFar(named["so_far.moved"].numpy(), tuple(pictures))
 
 
 def _facts(text: str) -> dict[str, Any]:

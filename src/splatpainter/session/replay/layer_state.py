@@ -80,4 +80,4 @@ def on_device(state: RefineState, device: object) -> RefineState:
         return type(block)(*(part.to(device) for part in block)) if isinstance(block, tuple) else block.to(device)
 
     blocks = tuple(moved(block) for block in state.blocks)
-    return replace(state, blocks=blocks, detail=moved(state.detail), evidence=moved(state.evidence))
+    return replace(state, blocks=blocks, detail=moved(state.detail))
