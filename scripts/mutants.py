@@ -189,6 +189,27 @@ MUTATIONS = (
         (TURNS,),
     ),
     Mutation(
+        "a look is Stage II's alone",
+        "models/edit_propagation.py",
+        "share = 0.5 + 0.5 * min(",
+        "share = 1.0 + 0.0 * min(",
+        (CARRY,),
+    ),
+    Mutation(
+        "light is half the lift's",
+        "models/edit_propagation.py",
+        "LIGHT = (0.1, 0.3)",
+        "LIGHT = (2.0, 3.0)",
+        (CARRY,),
+    ),
+    Mutation(
+        "normals explain nothing",
+        "lift/global_edit.py",
+        "np.zeros_like(colors), normals)[:, 7::4]",
+        "np.zeros_like(colors), 0 * normals)[:, 7::4]",
+        (GLOBAL, CARRY),
+    ),
+    Mutation(
         "what is hardly shown teaches",
         "models/edit_propagation.py",
         "MIN_TEACHER_PX = 1.0",

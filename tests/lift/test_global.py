@@ -12,7 +12,7 @@ from splatpainter.cameras import Camera, look_at
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
 from splatpainter.lift.depth_normals import outward_normals
-from splatpainter.lift.global_edit import GlobalLift, lift_global, one_sided, unexplained_by_color
+from splatpainter.lift.global_edit import GlobalLift, lift_global, light_share, one_sided, unexplained_by_color
 from splatpainter.lift.options import GLOBAL_DEFAULTS
 from splatpainter.splats import Splats
 from tests.support.lift_scenes import SH_C0, base_colors, bits, db, differing, same_bits, sheet, texture
@@ -113,6 +113,19 @@ def test_views_of_one_side_and_around_are_told_apart():
     splats = ball()
     assert one_sided(splats, [FRONT]) == pytest.approx(1, abs=1e-3)
     assert one_sided(splats, [FRONT, BACK]) < 1e-3 and one_sided(splats, [FRONT, NEAR_FRONT]) > 0.8
+
+
+def test_light_is_told_from_looks_by_what_normals_explain():
+    """Also of assets that fit their pictures badly, whose looks are no function of colour either."""
+    rng = np.random.default_rng(0)
+    colors, normals, weight = rng.uniform(0, 1, (500, 3)), rng.normal(size=(500, 3)), rng.uniform(0.1, 5, 500)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    look = colors @ MIX.T + SHIFT - colors + rng.normal(0, 0.1, (500, 3))
+    light = colors * np.clip(normals @ (0.3, 0.9, 0.3), 0, None)[:, None] - 0.4 * colors
+    arguments = (colors.astype(np.float32), normals.astype(np.float32))
+    assert light_share(*arguments, look, weight) < 0.1 < 0.5 < light_share(*arguments, light, weight) <= 1
+    assert light_share(*arguments, light + rng.normal(0, 0.1, (500, 3)), weight) > 0.25
+    assert light_share(*arguments, np.zeros((500, 3)), weight) <= 1, "no change is no division by zero"
 
 
 def test_looks_are_told_from_light_by_what_colour_explains():

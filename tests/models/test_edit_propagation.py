@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from splatpainter.lift.depth_normals import outward_normals
+from splatpainter.lift.global_edit import regressed
 from splatpainter.lighting import prt_transfer
 from splatpainter.models import weights
 from splatpainter.models.compress import LatentScale
@@ -19,10 +20,11 @@ from splatpainter.models.decode import color_change
 from splatpainter.models.edit_propagation import CarriedEdit, EncodedGaussians, carry
 from splatpainter.models.encode import Encoded, encode_asset
 from splatpainter.models.model import GaussianInputs, SplatPainterModel
+from splatpainter.models.predictor import spread_evenly
 from splatpainter.models.refine import position_waves, unit_rms
 from splatpainter.painter import NOT_LOCAL, Edit, Painter
 from splatpainter.splats import Splats
-from tests.lift.test_global import FRONT, SIDE, ball, draw, regraded
+from tests.lift.test_global import FRONT, MIX, SHIFT, SIDE, ball, draw, regraded
 from tests.support.model_scenes import with_refine
 from tests.support.train_scenes import SMALL
 
@@ -151,6 +153,30 @@ def test_a_painter_predicts_what_no_view_shows_by_stage_two() -> None:
     for name in ("means", "quats", "scales", "opacities"):
         np.testing.assert_array_equal(getattr(adapted.splats, name), getattr(splats, name))
     assert adapted.receipt is not None and adapted.receipt.method == "ttt"
+
+
+def test_a_look_is_the_mean_with_the_lifts_regression_and_light_is_stage_twos(float32: None) -> None:
+    """Light: what colour leaves unexplained normals explain."""
+    made, splats, encoded, rows = scene()
+    normals = outward_normals(splats)
+    transfer = prt_transfer(splats.means, normals)
+    predict = CarriedEdit(made, encoded.latents, encoded.latent_ids, splats, normals, lambda: transfer)
+    weight = np.where(splats.means[:, 2] > 0, 5, 0).astype(np.float32)
+    colors = rows.colors.numpy()
+    changes = {
+        "look": colors @ MIX.T + SHIFT - colors,
+        "light": colors * np.clip(normals @ (0.3, 0.9, 0.3), 0, None)[:, None] - 0.4 * colors,
+    }
+    for name, change in changes.items():
+        change = np.where(weight[:, None] > 0, change, 0).astype(np.float32)
+        ids = torch.nonzero(torch.from_numpy(weight) > 0)[:, 0]
+        with torch.no_grad():
+            arrays = (torch.from_numpy(change), torch.from_numpy(weight))
+            alone = carry(made, rows, *arrays, spread_evenly(ids, 64), torch.arange(300))[1].numpy()
+        lift = regressed(splats, normals, change, weight)
+        expected = alone if name == "light" else (alone + lift) / 2
+        np.testing.assert_allclose(predict(change, weight), expected, atol=1e-5)
+        assert np.abs(alone - lift).max() > 0.05
 
 
 def test_terms_have_rms_one() -> None:

@@ -176,11 +176,37 @@ def unexplained_by_color(
     """0..1: the share of a change that is no quadratic function of the colour. It is small for looks; light that comes
     from a side, and assets that fit their pictures badly, have more. colors, change: [S, 3]; weight: [S] pixels that
     show each."""
-    capped = np.minimum(weight, MAX_WEIGHT_PX).astype(np.float64)[:, None]
+    return _unexplained(_color_terms(colors), change, weight, options)
+
+
+def light_share(
+    colors: np.ndarray,
+    normals: np.ndarray,
+    change: np.ndarray,
+    weight: np.ndarray,
+    options: GlobalOptions = GLOBAL_DEFAULTS,
+) -> float:
+    """0..1: the share of what colour leaves unexplained of a change that normals explain. Light has much, looks have
+    little, however badly the asset fits its pictures. colors, normals, change: [S, 3]; weight: [S] pixels that show
+    each."""
+    terms = _color_terms(colors)
+    # All harmonics of the normal but the constant one, which the colours' terms have.
+    turned = regression_features(np.zeros_like(colors), normals)[:, 7::4]
+    left = _unexplained(np.concatenate([terms, turned], 1), change, weight, options)
+    return 1 - left / max(_unexplained(terms, change, weight, options), 1e-12)
+
+
+def _color_terms(colors: np.ndarray) -> np.ndarray:
+    """[S, 10] float64: all quadratic monomials of the colours [S, 3], enough for curves and crosstalk of common
+    looks."""
     r, g, b = np.clip(colors, 0, 1).astype(np.float64).T
-    # All quadratic monomials of the colour: enough for curves and crosstalk of common looks.
-    terms = np.stack([np.ones_like(r), r, g, b, r * r, g * g, b * b, r * g, g * b, b * r], 1)
-    gram = portable.gram(terms, capped[:, 0]) + options.ridge * capped.sum() * np.eye(10)
+    return np.stack([np.ones_like(r), r, g, b, r * r, g * g, b * b, r * g, g * b, b * r], 1)
+
+
+def _unexplained(terms: np.ndarray, change: np.ndarray, weight: np.ndarray, options: GlobalOptions) -> float:
+    """0..1: the share of a change [S, 3] that is no linear function of terms [S, T]."""
+    capped = np.minimum(weight, MAX_WEIGHT_PX).astype(np.float64)[:, None]
+    gram = portable.gram(terms, capped[:, 0]) + options.ridge * capped.sum() * np.eye(terms.shape[1])
     solution = portable.solved(gram, portable.transposed_product(terms * capped, change))
     rest = change - portable.matmul(terms, solution)
     return float((capped * rest**2).sum() / max((capped * change.astype(np.float64) ** 2).sum(), 1e-12))

@@ -1,4 +1,4 @@
-"""Stage II as the sole carrier of a global edit: Gaussians that a picture shows teach its memory how they changed, and
+"""Stage II as the carrier of a global edit: Gaussians that a picture shows teach its memory how they changed, and
 what it then says to the others is how they change.
 
     predict = CarriedEdit(model, encoded.latents, encoded.latent_ids, asset.splats, normals, transfer)
@@ -7,7 +7,8 @@ what it then says to the others is how they change.
 
 For a model with config.refine.answers "teachers" (`train rows`): a Gaussian that no picture shows is told nothing of
 the edit but what the memory says, so that without adaptation (edit strength 0) all edits would be one. The Gaussian's
-own colour does not enter the sum: what is read is a change.
+own colour does not enter the sum: what is read is a change. Where the edit is a look and no light, it is the mean of
+that and of the lift's regression.
 
 Its first fast weights are taught anew by every edit, with all pictures that go on with each other (edits_in_turn.py). N
 Gaussians, R of them asked.
@@ -27,6 +28,7 @@ from torch import Tensor
 from splatpainter.color import base_color
 from splatpainter.lift.colors import MIN_SEEN_PX
 from splatpainter.lift.features import HALF_SEEN_PX
+from splatpainter.lift.global_edit import light_share, regressed
 from splatpainter.models.decode import color_change
 from splatpainter.models.gaussian_facts import gaussian_facts
 from splatpainter.models.model import GaussianInputs
@@ -46,6 +48,10 @@ GAUSSIANS_PER_CHUNK = 1 << 12
 MIN_TEACHER_PX = 1.0
 """Pixels that have to show a Gaussian for it to teach, where any has as many: what less than one says of its colour is
 mostly its neighbours'. On a ball seen from two sides the rest is at 22.0 dB in place of 17.6 (no limit), 21.4 at 2."""
+LIGHT = (0.1, 0.3)
+"""`light_share` of what is shown, from which an edit is of light by degrees: then Stage II alone answers for the rest,
+and the mean of it and of the lift's regression for a look. 48 graded and 40 relit samples of procedural objects, which
+it has not seen: over the lift alone -0.12 dB and +0.57 by Stage II alone, -0.01 and +0.57 by this."""
 
 
 @dataclass(frozen=True)
@@ -152,8 +158,8 @@ class CarriedEdit:
         """After the last call."""
         self._drawn = drawn = splats.drawable
         light = transfer()[drawn] if model.config.refine.facts else None
-        arrays = (latents, latent_ids[drawn], splats.take(drawn), normals[drawn], light)
-        self.gaussians = EncodedGaussians.of(model, *arrays)
+        self._splats, self._normals = splats.take(drawn), normals[drawn]
+        self.gaussians = EncodedGaussians.of(model, latents, latent_ids[drawn], self._splats, self._normals, light)
 
     def __call__(self, change: np.ndarray, weight: np.ndarray) -> np.ndarray:
         """[N, 3] change of every Gaussian. change: [N, 3] of those that are shown; weight: [N] pixels that show
@@ -172,8 +178,18 @@ class CarriedEdit:
         with torch.no_grad():
             arrays = (moved, pixels, teachers, everyone)
             self.state, changes = carry(self.model, self.gaussians, *arrays, strength=self._strength)
-        answer[drawn] = changes.cpu().numpy()
+        answer[drawn] = self._mixed(changes.cpu().numpy(), change[drawn], weight[drawn], sure.cpu().numpy())
         return answer
+
+    def _mixed(self, answer: np.ndarray, change: np.ndarray, weight: np.ndarray, sure: np.ndarray) -> np.ndarray:
+        """[M, 3] Stage II's answer [M, 3], or its mean with the lift's regression for looks (LIGHT). change, weight: of
+        the M that can be drawn; sure: indices of those that say what kind of edit it is."""
+        colors = base_color(self._splats.sh[sure])
+        light = light_share(colors, self._normals[sure], change[sure], weight[sure])
+        share = 0.5 + 0.5 * min(max((light - LIGHT[0]) / (LIGHT[1] - LIGHT[0]), 0.0), 1.0)
+        if share == 1:
+            return answer
+        return share * answer + (1 - share) * regressed(self._splats, self._normals, change, weight)
 
     def at_strength(self, strength: float) -> CarriedEdit:
         """The same with another edit strength; 0: nothing adapts."""
