@@ -239,6 +239,19 @@ def test_a_carried_edit_is_judged_beside_no_adaptation_and_another_edit(held: li
     assert still["adapts"] == 0 and still["ours"] == still["another edit"] == awake["strength 0"]
 
 
+def test_a_carried_edit_is_judged_in_the_arithmetic_that_edits_have(
+    held: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sample = next(trial.sample for trial in held if trial.kind == "relight")
+    task = judge.refine_task(replace(JUDGED, model=ROWS), spoken(ROWS), None).eval()
+    numbers = []
+    for precision in ("float32", "bfloat16"):
+        monkeypatch.setenv("SPLATPAINTER_PRECISION", precision)
+        numbers.append(task.judge(sample).numbers)
+    for name in ("ours", "strength 0", "another edit"):
+        assert 0 < abs(numbers[0][name] - numbers[1][name]) < 0.5, name
+
+
 def test_a_predictor_that_stands_alone_is_judged_on_the_lift(held: list[Any]) -> None:
     """Untrained it leaves the lift as it is, whatever Stage II would start from."""
     config = replace(ROWS, predict=PredictConfig(features=8, hidden=16, alone=True))

@@ -144,8 +144,8 @@ class RefineTask(Task[SplatPainterModel]):
         views = self._edits(sample, prepared)
         lifted = self._start(sample, prepared, views, analytic=True)
         same = self.base == "lift" and (sample.mode == "local" or prepared.predict is None)
-        start = lifted if same else self._start(sample, prepared, views)
-        with self.arithmetic():
+        with self.arithmetic():  # a Stage II that carries edits answers within the lift, as in `Painter.apply`
+            start = lifted if same else self._start(sample, prepared, views)
             edited = start.splats if self._predicted(sample) else self._refined(prepared, start, views)
         target = self._novel(sample, prepared, range(len(sample.novel_after.cameras)))
         near = np.flatnonzero(np.asarray(sample.near)) if sample.mode == "local" else np.arange(len(target.colors))
@@ -207,10 +207,11 @@ class RefineTask(Task[SplatPainterModel]):
 
         answers = {"strength 0": carried.at_strength(0.0), "another edit": another}
         normals = prepared.normals
-        return {
-            name: lift_global_views(prepared.splats, views, "lift", normals=normals, predict=answer).splats
-            for name, answer in answers.items()
-        }
+        with self.arithmetic():
+            return {
+                name: lift_global_views(prepared.splats, views, "lift", normals=normals, predict=answer).splats
+                for name, answer in answers.items()
+            }
 
     def _remembered(self, sample: Sample) -> PreparedAsset:
         return self._prepared.get(sample.asset.sha256, lambda: self._prepare(sample.asset.numpy()))
