@@ -7,8 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splatpainter.lights.given_light import LIMITS, LightFit, Trust, chosen_trust
-from splatpainter.lights.light_set import axes_of, turned_sky
+from splatpainter.cameras import UpAxis
+from splatpainter.lights import given_light, match
+from splatpainter.lights.given_light import (
+    LIMITS,
+    EnvironmentUse,
+    LightFit,
+    Trust,
+    believed_unless_held_back,
+    chosen_trust,
+    uncontradicted,
+)
+from splatpainter.lights.light_set import about_up, axes_of, turned_sky
 from splatpainter.lights.match import MIN_WITNESSES, match_light
 from splatpainter.lights.skies import sky
 from splatpainter.splats import Splats
@@ -65,6 +75,43 @@ def test_both_judges_have_to_prefer_an_environment() -> None:
     assert chosen([0, -1, -2, -3], [20, 23, 22, 21]) is None
     assert chosen([0, 1, 2, 3], [24, 23, 22, 21]) is None, "what is likely scores less than the pictures alone"
     assert chosen([0, 1, 2, 3], []) == ROUGHLY, "nothing is held back"
+
+
+def test_pictures_that_are_likelier_alone_may_still_tell_where_they_are_lit_from() -> None:
+    """Log odds against the pictures alone: of an environment, and of it turned in steps about the way up."""
+    around = [-12.0, -20.0, -18.0, -21.0, -20.0, -17.0, -7.0]
+    assert uncontradicted(-2.0, around, 0.0)
+    assert not uncontradicted(-12.0, [-2.0, *around[1:]], 0.0), "they would rather have it turned"
+    assert not uncontradicted(-9.0, [value - 10 for value in around], 0.0), "they are far likelier alone"
+    assert not uncontradicted(-0.5, [-0.5] * 7, 0.0), "they do not tell from where they are lit"
+    assert uncontradicted(-1.0, [-0.5, -3.0, -4.0, -4.0, -4.0, -4.0, -3.0], 0.0), "a little turned is no objection"
+    refused = chosen_trust(dict.fromkeys((None, *LIMITS.trusts), 0.0), {})
+    assert believed_unless_held_back(ROUGHLY, {}, refused).trust == ROUGHLY
+    assert believed_unless_held_back(ROUGHLY, {None: 20.0, ROUGHLY: 18.5}, refused).trust == ROUGHLY
+    assert believed_unless_held_back(ROUGHLY, {None: 20.0, ROUGHLY: 17.5}, refused) is refused
+
+
+def test_where_both_judges_refuse_the_way_the_light_comes_from_decides(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(match, "chosen_trust", lambda evidence, scores: EnvironmentUse(None, "refused"))
+    asset, truth = textured_ball(sh_light("overcast")), textured_ball(sh_light("sunset"))
+    seen = pictures(truth, 1)
+    alone = match_light(asset, seen, shadows=False)
+    helped = match_light(asset, seen, shadows=False, target=sh_light("sunset"))
+    assert helped.environment is not None and helped.environment.trust in (NEARLY, ROUGHLY)
+    assert "less likely with it turned" in helped.environment.text
+    assert error(helped.asset.splats, truth) < 0.5 * error(alone.asset.splats, truth)
+    # Whatever is held back: the way that the light comes from is an objection of its own.
+    monkeypatch.setattr(given_light, "LIMITS", replace(LIMITS, held_back_loss=1e9))
+    turned = match_light(asset, seen, shadows=False, target=turned_sky(sky("sunset"), axes_of("+y"), 180))
+    assert turned.environment == EnvironmentUse(None, "refused")
+
+
+@pytest.mark.parametrize("up", ["auto", "+y", "-z"])
+def test_an_environment_is_turned_about_the_way_up(up: UpAxis) -> None:
+    for degrees in (0.0, 70.0):
+        expected = turned_sky(sky("sunset"), axes_of(up), 30 + degrees)
+        turned = about_up(turned_sky(sky("sunset"), axes_of(up), 30), up, degrees)
+        np.testing.assert_allclose(turned, expected, atol=1e-9)
 
 
 def test_pictures_of_little_are_judged_by_the_evidence_alone() -> None:

@@ -104,10 +104,22 @@ def axes_of(up: UpAxis) -> np.ndarray:
 
 def turned_sky(sky: SkyMap, axes: np.ndarray, rotate: float = 0.0) -> np.ndarray:
     """[9, 3] SH of a sky in an asset's axes, turned by degrees counter-clockwise seen from above."""
-    c, s = portable.cos(math.radians(rotate)), portable.sin(math.radians(rotate))
-    back = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
-    turn = portable.matmul(back, axes).T
-    coefficients = sky.coefficients()
+    return _turned(sky.coefficients(), portable.matmul(_about_y(rotate), axes).T)
+
+
+def about_up(coefficients: np.ndarray, up: UpAxis, degrees: float) -> np.ndarray:
+    """SH [9, 3] in an asset's axes, turned about its way up, as `turned_sky` turns."""
+    axes = axes_of(up)
+    return _turned(coefficients, portable.matmul(portable.matmul(axes.T, _about_y(degrees).T), axes))
+
+
+def _about_y(degrees: float) -> np.ndarray:
+    """[3, 3] that turns back by degrees counter-clockwise seen from above."""
+    c, s = portable.cos(math.radians(degrees)), portable.sin(math.radians(degrees))
+    return np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
+
+
+def _turned(coefficients: np.ndarray, turn: np.ndarray) -> np.ndarray:
     bands = (slice(0, 1), slice(1, 4), slice(4, 9))
     # The coefficients are turned, not the picture: exact for SH, and at no cost.
     turns = sh_rotations(turn, 2)

@@ -22,9 +22,17 @@ from splatpainter.contact_sheet import Strip, sheet
 from splatpainter.image_files import encode_png
 from splatpainter.kernels import portable
 from splatpainter.lights.given_light import LIMITS as GIVEN
-from splatpainter.lights.given_light import EnvironmentUse, LightFit, Trust, chosen_trust, likely_trusts
+from splatpainter.lights.given_light import (
+    EnvironmentUse,
+    LightFit,
+    Trust,
+    believed_unless_held_back,
+    chosen_trust,
+    likely_trusts,
+    uncontradicted,
+)
 from splatpainter.lights.irradiance import LitSurface
-from splatpainter.lights.light_set import axes_of
+from splatpainter.lights.light_set import about_up, axes_of
 from splatpainter.lights.prepared import captured_light, lit_surface
 from splatpainter.lights.relight import Where, color_receipt, transfer
 from splatpainter.lights.sky_maps import SkyMap, lat_long
@@ -117,13 +125,16 @@ def match_light(
     def fitted(seen: Witnesses, trust: Trust | None) -> _Lights:
         return _fit_lights(surface, seen, before, source is not None, target, trust)
 
+    def luminance_fit(trust: Trust | None, light: np.ndarray | None) -> LightFit:
+        return _fitter(surface, seen, before, source is not None, light, trust)(None, None)[1]
+
     def lit_by(lights: _Lights) -> Asset:
         return transfer(splats, lights.before, lights.after, PicturedRegion(lights.certainty), shadows=shadows)
 
     # How far a given environment is believed is asked of the light alone: a painter would hide what is wrong with it.
     seen, environment = _seen(splats, edits), None
     if target is not None:
-        environment = _judged(splats, surface, edits, seen, fitted, lit_by)
+        environment = _judged(splats, surface, edits, Given(target, up), luminance_fit, fitted, lit_by)
     trust = environment.trust if environment else None
 
     def results(views: Sequence[Edit], seen: Witnesses, names: Sequence[str]) -> dict[str, tuple[Asset, _Lights]]:
@@ -158,28 +169,52 @@ def match_light(
     return MatchedLight(lights.before, lights.after, asset, names[0], scores, environment)
 
 
+@dataclass(frozen=True)
+class Given:
+    """A new light that is given beside pictures."""
+
+    light: np.ndarray = field(repr=False)
+    """[9, 3] SH in the asset's axes."""
+    up: UpAxis
+
+    def turned(self) -> list[np.ndarray]:
+        """The light as it would be if it came from elsewhere: [9, 3] at equal steps about the way up."""
+        return [about_up(self.light, self.up, 360 * k / GIVEN.turns) for k in range(1, GIVEN.turns)]
+
+
 def _judged(
     splats: Splats,
     surface: LitSurface,
     edits: Sequence[Edit],
-    seen: Witnesses,
+    given: Given,
+    luminance_fit: Callable[[Trust | None, np.ndarray | None], LightFit],
     fitted: Callable[[Witnesses, Trust | None], _Lights],
     lit_by: Callable[[_Lights], Asset],
 ) -> EnvironmentUse:
-    """How far a given environment is believed: by the evidence of all witnesses, then by what is held back."""
-    fits = {trust: fitted(seen, trust).fit for trust in (None, *GIVEN.trusts)}
+    """How far a given environment is believed: by the evidence of all witnesses, then by what is held back; and where
+    these prefer the pictures alone, whether they would rather have it turned."""
+    fits = {trust: luminance_fit(trust, given.light) for trust in (None, *GIVEN.trusts)}
     noise = fits[None].noise(RATIO_NOISE)
     evidence = {trust: fit.evidence(noise) for trust, fit in fits.items()}
     likely = likely_trusts(evidence)
-    if not likely:
-        return chosen_trust(evidence, {})
     used, judged = _held_back(splats, edits)
     half = _seen(splats, used)
     # Pictures that just show enough of the asset do not show it twice.
-    if _trusted(surface, half).sum() < MIN_WITNESSES:
-        return chosen_trust(evidence, {})
-    scores = {trust: _score(lit_by(fitted(half, trust)).splats, judged) for trust in (None, *likely)}
-    return chosen_trust(evidence, scores)
+    enough = _trusted(surface, half).sum() >= MIN_WITNESSES
+
+    def held_back(trusts: Sequence[Trust]) -> dict[Trust | None, float]:
+        candidates = (None, *trusts) if enough else ()
+        return {trust: _score(lit_by(fitted(half, trust)).splats, judged) for trust in candidates}
+
+    use = chosen_trust(evidence, held_back(likely) if likely else {})
+    if use.trust is not None:
+        return use
+    # The likelier of those that bend: one that is held explains nothing that the fit cannot.
+    loose = max((trust for trust in GIVEN.trusts if not trust.holds_before), key=lambda trust: evidence[trust])
+    turned = [luminance_fit(GIVEN.judge, light).evidence(noise) for light in given.turned()]
+    if not uncontradicted(evidence[GIVEN.judge], turned, evidence[None]):
+        return use
+    return believed_unless_held_back(loose, held_back([loose]), use)
 
 
 def _faded(splats: Splats, edited: Splats, region: Where | None, mix: float) -> Splats:
@@ -267,7 +302,6 @@ class _Lights:
     """[9, 3]."""
     certainty: np.ndarray = field(repr=False)
     """[N] float32 0..1 how far the pictures tell what each Gaussian gets of the new light."""
-    fit: LightFit = field(repr=False)
 
 
 def _fit_lights(
@@ -279,6 +313,43 @@ def _fit_lights(
     trust: Trust | None,
 ) -> _Lights:
     """given: the light before is; target: [9, 3] the new one, if it is given; trust: how far, None: not at all."""
+    old, new = before.coefficients.copy(), np.empty((9, 3))
+    # Luminance first: a channel that a material hardly has says little, and stays near it.
+    fit_of = _fitter(surface, seen, before, given, target, trust)
+    guess, luminance_fit, usable = fit_of(None, None)
+    doubts = portable.solved(luminance_fit.precision, np.eye(17))[9:, 9:]
+    for channel in range(3):
+        level = max(float(_channel(before.coefficients, channel)[0]), 1e-6)
+        fitted, _, usable = fit_of(channel, guess)
+        old[1:, channel], new[:, channel] = fitted[:8] * level / SH_C0, fitted[8:] * level / SH_C0
+    transfer = surface.transfer / SH_C0
+    # Of light on sides that no picture shows nothing is known but what is usual: as doubted after as before. A given
+    # light is known everywhere.
+    certainty = np.ones(len(transfer), np.float32)
+    if trust is None:
+        slopes = transfer[:, 1:]
+        after = (portable.matmul(slopes, doubts) * slopes).sum(1)
+        usual = (slopes * slopes * PRIOR_STD * PRIOR_STD).sum(1)
+        share = np.clip(1 - after / np.maximum(usual, 1e-9), 0, 1)
+        # What pictures show counts as known, or they would not be met themselves: demo and narcissus, pictured view
+        # +0.5 and +0.3 dB for -0.4 and +0.1 behind, after the figures below.
+        share = np.minimum(share / max(float(np.median(share[usable])), 1e-9), 1)
+        # Squared, as pictures are less sure than the fit believes: one of 19 assets in other views, dB: nothing 19.2
+        # and 20.7 (clean, fitted), all of the light 19.6 and 20.8, by the share 19.7 and 21.2, squared 19.8 and 21.3.
+        certainty = (share * share).astype(np.float32)
+    return _Lights(replace(before, coefficients=old), new, certainty)
+
+
+def _fitter(
+    surface: LitSurface,
+    seen: Witnesses,
+    before: SourceLight,
+    given: bool,
+    target: np.ndarray | None,
+    trust: Trust | None,
+) -> Callable[[int | None, np.ndarray | None], tuple[np.ndarray, LightFit, np.ndarray]]:
+    """Arguments as of `_fit_lights`. What it returns takes a channel (None: luminance) and the fit to luminance that a
+    channel starts from, and gives ([17] as `_fit_channel`, the fit, [N] bool witnesses). Raises ValueError."""
     now, then, total = seen.now, seen.then, seen.pixels
     transfer = surface.transfer / SH_C0
     trusted = _trusted(surface, seen)
@@ -286,14 +357,12 @@ def _fit_lights(
         raise ValueError(
             f"light: expected pictures that show at least {MIN_WITNESSES} Gaussians of a surface, got {trusted.sum()}"
         )
-    old, new = before.coefficients.copy(), np.empty((9, 3))
     # How far the estimate before may move: what it is doubted by at worst would let pictures of one side turn it.
     held = given or (trust is not None and trust.holds_before)
     doubt = 0.0 if held else min(max(STEADFAST * before.uncertainty, 0.05), 0.6)
     spread = np.concatenate([PRIOR_STD * doubt, [LEVEL_STD], PRIOR_STD]) + 1e-6
-    # Luminance first: a channel that a material hardly has says little, and stays near it.
-    guess, doubts, luminance_fit = None, np.zeros((8, 8)), None
-    for channel in (None, 0, 1, 2):
+
+    def fit(channel: int | None, guess: np.ndarray | None) -> tuple[np.ndarray, LightFit, np.ndarray]:
         visible, pictured = (luminance(v) if channel is None else v[:, channel] for v in (now, then))
         start = _channel(before.coefficients, channel)
         level = max(float(start[0]), 1e-6)
@@ -317,28 +386,9 @@ def _fit_lights(
             deviation = np.concatenate([spread[:9], CHANNEL_STD * PRIOR_STD])
         brightness = visible[usable] / (visible[usable] + DIM)
         weights = np.minimum(total[usable], 1.0) * WITNESS_WEIGHT * brightness * brightness
-        fitted, fit = _fit_channel(transfer[usable], ratio, weights, center, shape, deviation)
-        if channel is None:
-            guess, luminance_fit = fitted, fit
-            doubts = portable.solved(fit.precision, np.eye(17))[9:, 9:]
-            continue
-        old[1:, channel], new[:, channel] = fitted[:8] * level / SH_C0, fitted[8:] * level / SH_C0
-    # Of light on sides that no picture shows nothing is known but what is usual: as doubted after as before. A given
-    # light is known everywhere.
-    certainty = np.ones(len(transfer), np.float32)
-    if trust is None:
-        slopes = transfer[:, 1:]
-        after = (portable.matmul(slopes, doubts) * slopes).sum(1)
-        usual = (slopes * slopes * PRIOR_STD * PRIOR_STD).sum(1)
-        share = np.clip(1 - after / np.maximum(usual, 1e-9), 0, 1)
-        # What pictures show counts as known, or they would not be met themselves: demo and narcissus, pictured view
-        # +0.5 and +0.3 dB for -0.4 and +0.1 behind, after the figures below.
-        share = np.minimum(share / max(float(np.median(share[usable])), 1e-9), 1)
-        # Squared, as pictures are less sure than the fit believes: one of 19 assets in other views, dB: nothing 19.2
-        # and 20.7 (clean, fitted), all of the light 19.6 and 20.8, by the share 19.7 and 21.2, squared 19.8 and 21.3.
-        certainty = (share * share).astype(np.float32)
-    assert luminance_fit is not None
-    return _Lights(replace(before, coefficients=old), new, certainty, luminance_fit)
+        return *_fit_channel(transfer[usable], ratio, weights, center, shape, deviation), usable
+
+    return fit
 
 
 def _trusted(surface: LitSurface, seen: Witnesses) -> np.ndarray:
