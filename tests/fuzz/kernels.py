@@ -108,6 +108,18 @@ def forward(rng: np.random.Generator, dtype: type) -> None:
     assert all(np.isfinite(picture).all() for picture in frame.rasterize()), "a value that is not finite"
 
 
+def windows(rng: np.random.Generator, dtype: type) -> None:
+    """A few tiles of so many Gaussians that those near them are looked for first: none is missed."""
+    from splatpainter.rendering.cpu.projected_view import MIN_PRESELECTED, project, tile_shape
+
+    splats, camera = rows(rng, dtype, rng.choice([0, 0.01, 0.1])), view(rng)
+    splats = splats.take(rng.integers(0, len(splats), MIN_PRESELECTED))
+    tiles = rng.random(tile_shape(camera)) < 0.2
+    frame = project(splats, camera, tiles=tiles)
+    every = project(splats, camera, gaussian_mask=np.ones(len(splats), bool), tiles=tiles)
+    assert np.array_equal(frame.gaussian_ids, every.gaussian_ids), "a Gaussian that the tiles show was left out"
+
+
 def frames(rng: np.random.Generator, dtype: type) -> None:
     """What the lifts call on a frame."""
     from splatpainter.lift.depth_normals import surface
@@ -192,6 +204,8 @@ def fitting(rng: np.random.Generator, dtype: type) -> None:
     value = torch.from_numpy(extreme(rng, rng.random((7, 3)).astype(np.float32), 0.1))
     slope = torch.from_numpy(extreme(rng, rng.random((7, 3)).astype(np.float32), 0.1))
     Adam({"means": value}).step({"means": value}, {"means": slope}, {"means": torch.ones(1)})
+    arrays, gradients = {"means": value.numpy().copy()}, {"means": slope.numpy()}
+    Adam(arrays).step(arrays, gradients, {"means": np.ones(3, np.float32)})
 
 
 def lifting(rng: np.random.Generator, dtype: type) -> None:
@@ -242,6 +256,28 @@ def painting(rng: np.random.Generator, dtype: type) -> None:
     edited = Painter(settings=EditSettings(aside=bool(rng.random() < 0.3))).apply(Asset(splats), edits, mode)  # pyright: ignore[reportArgumentType]
     assert edited.receipt is not None
     assert edited.receipt.untouched_sha256_before == edited.receipt.untouched_sha256_after
+
+
+def together(rng: np.random.Generator, dtype: type) -> None:
+    """Pictures that were edited all over, lifted together with views from around."""
+    from splatpainter.cameras import look_at
+    from splatpainter.lift.edit_views import EditView
+    from splatpainter.lift.local.wide_edit import lift_wide
+    from splatpainter.lift.options import LocalOptions
+    from splatpainter.rendering import render
+
+    splats = shell(rng, int(rng.integers(20, 120)), rng.choice([0, 0.002, 0.02]))
+    eye, views = rng.normal(size=3), []
+    eye *= rng.uniform(1.5, 4) / np.linalg.norm(eye)
+    for _ in range(int(rng.integers(1, 4))):
+        width, height = (int(size) for size in rng.integers(16, 48, 2))
+        camera = look_at(eye + rng.normal(0, 0.5, 3), [0, 0, 0], width=width, height=height, fov=50)
+        drawn = render(splats, camera)
+        before = np.clip(drawn.colors[0], 0, 1)
+        edited = np.clip(before * rng.random(3) + rng.random(3) * 0.5, 0, 1).astype(np.float32)
+        views.append(EditView(camera, edited, rng.random((height, width)) < rng.choice([0.1, 0.9]), before))
+    lifted = lift_wide(splats, views, LocalOptions(rounds=int(rng.integers(1, 6))))
+    assert np.isfinite(lifted.splats.sh[lifted.touched]).all()
 
 
 def rounds(rng: np.random.Generator, dtype: type) -> None:
@@ -430,7 +466,8 @@ def files(rng: np.random.Generator, dtype: type) -> None:
     from splatpainter.io import read, write
     from splatpainter.io.losses import measure, moved_share_sorted
     from splatpainter.kernels.row_bits import differing
-    from splatpainter.kernels.rows import take
+    from splatpainter.kernels.rows import MIN_ROWS, take
+    from splatpainter.splats import ATTRIBUTES
 
     splats = shell(rng, int(rng.integers(1, 200)), rng.choice([0, 0.01, 0.1]))
     with tempfile.TemporaryDirectory() as folder:
@@ -442,6 +479,9 @@ def files(rng: np.random.Generator, dtype: type) -> None:
         write(path, again.take(rng.integers(0, len(again), 50)), overwrite=True)
     ids = np.sort(rng.integers(0, len(splats), 9))
     take(splats, ids)
+    many = rng.integers(0, len(splats), MIN_ROWS)
+    taken = take(splats, many)
+    assert all(getattr(taken, name).tobytes() == getattr(splats, name)[many].tobytes() for name in ATTRIBUTES)
     assert not differing(splats.sh, splats.sh.copy(), ids).any()
 
 
@@ -469,7 +509,9 @@ def meshes(rng: np.random.Generator, dtype: type) -> None:
     """What makes training data of meshes: points thrown and found again, textures; and neighbours of points."""
     from splatpainter.voxels.neighbours import components, nearest_within
     from splattrain.data import poisson_disk
-    from splattrain.data.materials import sample_texture
+    from splattrain.data.materials import Material, sample_texture
+    from splattrain.data.mesh_visibility import visible_points
+    from splattrain.data.meshes import Mesh
 
     count = int(rng.integers(5, 200))
     points = (rng.normal(size=(count, 3)) * rng.choice([1e-6, 1, 1, 1e6])).astype(np.float32)
@@ -482,17 +524,25 @@ def meshes(rng: np.random.Generator, dtype: type) -> None:
     nearest_within(points, extreme(rng, points, 0.02), typical)
     pixels = rng.integers(0, 256, (int(rng.integers(1, 9)), int(rng.integers(1, 9)), 3)).astype(np.uint8)
     sample_texture(pixels, (rng.normal(size=(60, 2)) * rng.choice([1, 1e3, 1e6])).astype(np.float32))
+    faces = rng.integers(0, count, (int(rng.integers(1, 60)), 3))
+    cut_out = np.where(rng.random((4, 4)) < 0.5, 255, 0).astype(np.uint8)
+    materials = (Material(), Material(alpha=cut_out))
+    uvs = (rng.normal(size=(count, 2)) * rng.choice([1, 1e3, 1e9])).astype(np.float32)
+    mesh = Mesh("fuzz", points, faces, normals, uvs, rng.integers(0, 2, len(faces)), materials)
+    visible_points(mesh, view(rng), points)
 
 
 CASES: dict[str, Callable[[np.random.Generator, type], None]] = {
     "forward": forward,
     "drawing": drawing,
+    "windows": windows,
     "frames": frames,
     "cubes": cubes,
     "shadows": shadows,
     "fitting": fitting,
     "lifting": lifting,
     "painting": painting,
+    "together": together,
     "rounds": rounds,
     "samples": samples,
     "grades": grades,
