@@ -106,6 +106,12 @@ def principal_axes(covariances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.take_along_axis(squares, order, 1), axes
 
 
+def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
+    """[3, 3] float64: the rotation nearest to a matrix [3, 3] of positive determinant (Frobenius), its polar factor."""
+    squares, axes = (of[0] for of in principal_axes(portable.matmul(matrix.T, matrix)[None]))
+    return portable.matmul(portable.matmul(matrix, axes / np.sqrt(squares)), axes.T)
+
+
 def inverses(matrices: np.ndarray) -> np.ndarray:
     """[N, B, B] of symmetric positive definite matrices [N, B, B], in their dtype: Gauss-Jordan elimination in float64,
     for all of them at once, with the same bits on every machine."""

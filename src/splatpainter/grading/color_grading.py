@@ -392,7 +392,7 @@ def _random_setting(name: str, rng: np.random.Generator) -> dict:
     hue = rng.uniform(0, 2 * np.pi)
     angles = hue + np.array([0, 2 * np.pi / 3, 4 * np.pi / 3])
     strength, balance = rng.uniform(0.08, 0.35), rng.uniform(0.3, 1)
-    tone = strength * np.cos(angles)  # of mean 0: opposite hues in darks and lights
+    tone = strength * portable.cos(angles)  # of mean 0: opposite hues in darks and lights
     return {"shadows": tuple((tone * balance).tolist()), "highlights": tuple((-tone).tolist())}
 
 

@@ -24,6 +24,7 @@ from splatpainter.kernels import portable
 from splatpainter.pictures.picture_reader import Picture
 from splatpainter.splats import Splats
 from splatpainter.system.quick_dataclass import dataclass
+from splatpainter.transforms import principal_axes
 
 ColorMap = Callable[[np.ndarray], np.ndarray]
 """[..., 3] display colours 0..1 -> the like."""
@@ -133,9 +134,9 @@ class Recolor:
 def statistics(colors: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """([3] mean, [3, 3] covariance) float64 of colours [N, 3] with weights [N] >= 0, not all 0."""
     share = weights.astype(np.float64) / weights.sum(dtype=np.float64)
-    mean = share @ colors.astype(np.float64)
+    mean = portable.transposed_product(colors.astype(np.float64), share[:, None])[:, 0]
     centred = colors - mean
-    return mean, (centred * share[:, None]).T @ centred
+    return mean, portable.gram(centred, share)
 
 
 def monge_kantorovitch(source: np.ndarray, target: np.ndarray) -> np.ndarray:
@@ -144,13 +145,14 @@ def monge_kantorovitch(source: np.ndarray, target: np.ndarray) -> np.ndarray:
     # The closed form of the optimal map between two Gaussians; noise keeps flat ones invertible.
     root = _power(source + noise, 0.5)
     inverse = _power(source + noise, -0.5)
-    return inverse @ _power(root @ (target + noise) @ root, 0.5) @ inverse
+    middle = _power(portable.matmul(portable.matmul(root, target + noise), root), 0.5)
+    return portable.matmul(portable.matmul(inverse, middle), inverse)
 
 
 def _power(matrix: np.ndarray, exponent: float) -> np.ndarray:
     """Power of a symmetric positive matrix."""
-    values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
-    return (vectors * np.maximum(values, 1e-12) ** exponent) @ vectors.T
+    values, vectors = (of[0] for of in principal_axes((matrix + matrix.T)[None] / 2))
+    return portable.matmul(vectors * portable.power(np.maximum(values, 1e-12), exponent), vectors.T)
 
 
 def display_colors(splats: Splats) -> np.ndarray:

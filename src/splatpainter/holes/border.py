@@ -9,9 +9,10 @@ from dataclasses import field
 import numpy as np
 
 from splatpainter.array_types import Bools, Floats, Ids
+from splatpainter.kernels import portable
 from splatpainter.splats import Splats
 from splatpainter.system.quick_dataclass import dataclass
-from splatpainter.transforms import quat_to_matrix
+from splatpainter.transforms import principal_axes, quat_to_matrix
 from splatpainter.voxels.neighbours import components, nearest_within
 
 
@@ -116,9 +117,10 @@ def _border(splats: Splats, ids: np.ndarray) -> Border:
     # The middle of the box: the mean would lean to where the border is denser.
     center = (means.min(0) + means.max(0)) / 2
     offsets = means - means.mean(0)
-    extents, directions = np.linalg.eigh(offsets.T @ offsets)
+    one = np.ones(len(ids))
+    extents, directions = (of[0] for of in principal_axes(portable.gram(offsets, one)[None]))
     # Two candidates for the normal: what the Gaussians' own normals agree on, and the border's shortest extent.
-    shares, normals = np.linalg.eigh(thin.T @ thin / len(ids))
+    shares, normals = (of[0] for of in principal_axes(portable.gram(thin, one)[None] / len(ids)))
     ordered = np.sort(scales, 1)
     if float((1 - ordered[:, 0] / ordered[:, 1]).mean()) < BORDER.min_flatness:  # round ones have no normal
         aligned, normal = True, directions[:, 0]
@@ -126,10 +128,10 @@ def _border(splats: Splats, ids: np.ndarray) -> Border:
         aligned = bool(shares[2] >= BORDER.min_aligned)
         normal = normals[:, 2] if aligned else directions[:, 0]
     across = directions[:, int(extents.argmax())]
-    across = across - (across @ normal) * normal
+    across = across - portable.dot(across, normal) * normal
     # A border without extent across the normal: any direction will do.
-    if np.linalg.norm(across) < 1e-3:
+    if portable.length(across) < 1e-3:
         across = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
-    across /= np.linalg.norm(across)
+    across /= portable.length(across)
     radius = float(np.linalg.norm(means - center, axis=1).max())
     return Border(ids, center, radius, normal, across, cell_of(splats, ids), aligned)

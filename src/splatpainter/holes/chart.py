@@ -16,6 +16,7 @@ from splatpainter.array_types import Bools, Floats, Ids
 from splatpainter.cameras import Camera
 from splatpainter.holes.border import Border
 from splatpainter.holes.smooth_surface import ThinPlate
+from splatpainter.kernels import portable
 from splatpainter.lift.masks import dilated
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import Splats
@@ -118,13 +119,13 @@ def chart_of(
     rotation = np.stack([right, np.cross(down, right), down])
     eye = border.center + distance * outwards
     matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = rotation, -rotation @ eye
+    matrix[:3, :3], matrix[:3, 3] = rotation, -portable.matmul(eye, rotation.T)
     focal = distance / pixel
     camera = Camera(side, side, focal, focal, side / 2, side / 2, matrix, offset=None)
     # Only a slab around the border: what stands before or behind it would hide the hole.
     slab = CHART.slab_radii * border.radius + CHART.slab_cells * border.cell
     present = np.flatnonzero(remaining)
-    local = (splats.means[present].astype(np.float64) - border.center) @ rotation.T
+    local = portable.matmul(splats.means[present].astype(np.float64) - border.center, rotation.T)
     ids = present[(np.abs(local[:, 2]) < slab) & (np.abs(local[:, :2]) < 1.5 * half).all(1)]
     part = replace(splats.take(ids), source=None, origin=None)
     view = project(part, camera)
@@ -216,7 +217,7 @@ def _shadow(
 ) -> Bools:
     """[H, W] bool: pixels under what was removed near the border."""
     means = splats.means[removed].astype(np.float64)
-    height = np.abs((means - border.center) @ rotation[2])
+    height = np.abs(((means - border.center) * rotation[2]).sum(1))
     # What was high above the border throws no shadow on it.
     pixels, _ = camera.project(means[height < slab])
     index = np.floor(pixels).astype(int)

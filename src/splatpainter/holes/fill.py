@@ -44,6 +44,10 @@ class HoleFillThresholds:
     """The largest width of that strip, pixels."""
     noise_cells: float = 0.25
     """Deviation of a border's heights from a smooth surface that is expected, in cells."""
+    min_reached: float = 0.98
+    """Share of a border's points that a sphere must reach over: the rest are of something else."""
+    noise_median: float = 0.6745
+    """Median deviation of noise over its standard deviation (normal)."""
     min_wall_cells: float = 2.0
     """Distance between two shells, in cells, from which a wall has two sides, each filled by itself."""
     min_painted_wall_cells: float = 0.4
@@ -284,14 +288,23 @@ def _continued(chart: Chart, border: Border, pixels: np.ndarray) -> tuple[np.nda
     slopes = camera.slopes(pixels)
     middle = float(np.median(z))
     queries = slopes * middle
-    # A sphere where it reaches over all of the hole (a ball, a bottle), else a plane; the plate takes the rest.
-    is_sphere = sphere_heights(points, up, np.concatenate([points[:, :2], queries])) is not None
+    # A sphere where it reaches over the hole and nearly all of the border (a ball, a bottle), else a plane; the plate
+    # takes the rest.
+    over = sphere_heights(points, up, np.concatenate([points[:, :2], queries]))
+    reached = np.ones(len(points), bool) if over is None else ~np.isnan(over[: len(points)])
+    is_sphere = over is not None and reached.mean() > FILLING.min_reached and not np.isnan(over[len(points) :]).any()
 
     def base(at: np.ndarray) -> np.ndarray:
         heights = sphere_heights(points, up, at) if is_sphere else None
-        return np.full(len(at), -middle) if heights is None else heights
+        return np.full(len(at), -middle) if heights is None else np.where(np.isnan(heights), -middle, heights)
 
-    plate = ThinPlate.fit(points[:, :2], points[:, 2] - base(points[:, :2]), noise)
+    border_points = points[reached] if is_sphere else points
+    left = border_points[:, 2] - base(border_points[:, :2])
+    aside = float(np.median(left))
+    # Of a border that lies on the sphere within its noise a plate would carry the noise into the hole.
+    if is_sphere and float(np.median(np.abs(left - aside))) < FILLING.noise_median * noise:
+        left = np.full(len(left), aside)
+    plate = ThinPlate.fit(border_points[:, :2], left, noise)
     low, high = z.min() - border.radius, z.max() + border.radius
 
     def depth_at(at: np.ndarray) -> np.ndarray:

@@ -12,7 +12,9 @@ from dataclasses import field
 import numpy as np
 
 from splatpainter.array_types import Floats
+from splatpainter.kernels import portable
 from splatpainter.system.quick_dataclass import dataclass
+from splatpainter.transforms import principal_axes
 
 
 @dataclass(frozen=True)
@@ -29,9 +31,13 @@ class SmoothSurfaceThresholds:
     """Shorter side of the pyramid's last level, pixels."""
     membrane_sweeps: int = 40
     """Sweeps of a membrane on each level of its pyramid."""
+    min_upright: float = 0.2
+    """Least height of the mean normal of what a sphere is fitted to."""
+    min_cosine: float = 0.2
+    """Least cosine between a sphere's normal and up, over that of the mean normal, up to which it has heights."""
     max_condition: float = 1e6
-    """Largest condition number of the knots' linear functions: beyond it they lie on a line, and slopes across it are
-    open (the least are taken)."""
+    """Largest ratio of the knots' extents: beyond it they lie on a line, and slopes across it are open (none are
+    taken)."""
     bending_weight: float = 1e-6
     """Weight of the bending energy for each knot (lengths over the extent): noise is smoothed, slopes at the rim
     stay."""
@@ -59,16 +65,14 @@ class ThinPlate:
         scale = max(float(np.ptp(points, axis=0).max()), 1e-12)
         knots, heights = points[take] / scale, values[take].astype(np.float64)
         kernel = _phi(_distances(knots, knots))
-        ones = np.concatenate([np.ones((len(knots), 1)), knots], 1)
+        linear, back = _linear_functions(knots)
         weights, solved = np.ones(len(knots)), np.zeros(len(knots) + 3)
-        # Knots on a line leave the slope across it open; least squares takes none.
-        on_line = np.linalg.cond(ones) > SMOOTH.max_condition
         for _ in range(SMOOTH.robust_rounds):
-            stiff = np.diag(SMOOTH.bending_weight * len(knots) / weights)
-            system = np.block([[kernel + stiff, ones], [ones.T, np.zeros((3, 3))]])
-            right = np.append(heights, np.zeros(3))
-            solved = np.linalg.lstsq(system, right, rcond=1e-12)[0] if on_line else np.linalg.solve(system, right)
-            residual = heights - kernel @ solved[:-3] - ones @ solved[-3:]
+            stiff = kernel.copy()
+            np.fill_diagonal(stiff, SMOOTH.bending_weight * len(knots) / weights)  # phi(0) = 0
+            bent, slopes = _bent_and_linear(stiff, linear, heights)
+            solved = np.concatenate([bent, portable.matmul(slopes, back)])
+            residual = heights - portable.matmul(bent, kernel) - portable.matmul(slopes, linear.T)
             weights = 1 / (1 + (residual / max(2 * noise, 1e-12)) ** 2)
         return ThinPlate(knots, solved, scale)
 
@@ -79,22 +83,67 @@ class ThinPlate:
         # In blocks: all distances at once would not fit into memory.
         for start in range(0, len(points), step):
             part = points[start : start + step] / self.scale
-            out[start : start + step] = _phi(_distances(part, self.knots)) @ self.weights[:-3]
-            out[start : start + step] += self.weights[-3] + part @ self.weights[-2:]
+            out[start : start + step] = portable.matmul(_phi(_distances(part, self.knots)), self.weights[:-3, None])[
+                :, 0
+            ]
+            out[start : start + step] += self.weights[-3] + (part * self.weights[-2:]).sum(1)
         return out
 
 
+def _linear_functions(knots: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """([K, L] the linear functions that knots [K, 2] tell apart, [L, 3] each as a0, a1, a2): three, but on a line those
+    along it alone, as slopes across are open, and at one place the constant."""
+    middle = knots.mean(0)
+    extents, axes = (
+        of[0] for of in principal_axes(np.pad(portable.gram(knots - middle, np.ones(len(knots))), (0, 1))[None])
+    )
+    # The third dimension of the axes is empty: of extent 0, and so first; two flat ones may come in either order.
+    axes_apart = [axes[:2, k] for k in range(3) if extents[k] > max(extents[2], 1e-24) / SMOOTH.max_condition**2]
+    linear = [np.ones(len(knots)), *(((knots - middle) * axis).sum(1) for axis in axes_apart)]
+    back = [np.array([1.0, 0.0, 0.0]), *(np.append(-portable.dot(middle, axis), axis) for axis in axes_apart)]
+    return np.stack(linear, 1), np.stack(back)
+
+
+def _bent_and_linear(kernel: np.ndarray, linear: np.ndarray, heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(w [K], a [L]) of kernel w + linear a = heights, linear^T w = 0. kernel [K, K] is positive definite on what is
+    orthogonal to linear [K, L] (Wahba, Spline Models for Observational Data, 1990, 2.4): no pivots, no LAPACK."""
+    count, columns = linear.shape
+    upper, system, right = linear.copy(), kernel.copy(), heights.copy()
+    reflections = []
+    # Q of linear = Q R by Householder's reflections, applied to both sides.
+    for k in range(columns):
+        normal = np.zeros(count)
+        normal[k:] = upper[k:, k]
+        normal[k] += np.copysign(portable.length(normal), normal[k])
+        normal /= portable.length(normal)
+        reflections.append(normal)
+        upper -= 2 * normal[:, None] * portable.matmul(normal, upper)
+        system -= 2 * normal[:, None] * portable.matmul(normal, system)
+        system -= 2 * portable.matmul(system, normal[:, None]) * normal
+        right = right - 2 * normal * portable.dot(normal, right)
+    rest, bent = slice(columns, None), np.zeros(count)
+    if count > columns:
+        bent[rest] = portable.solved(system[rest, rest], right[rest, None])[:, 0]
+    below = right[:columns] - portable.matmul(system[:columns, rest], bent[rest, None])[:, 0]
+    slopes = np.zeros(columns)
+    for k in reversed(range(columns)):
+        slopes[k] = (below[k] - portable.dot(upper[k, k + 1 : columns], slopes[k + 1 :])) / upper[k, k]
+    for normal in reversed(reflections):
+        bent -= 2 * normal * portable.dot(normal, bent)
+    return bent, slopes
+
+
 def _distances(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.hypot(a[:, None, 0] - b[None, :, 0], a[:, None, 1] - b[None, :, 1])
+    return portable.hypot(a[:, None, 0] - b[None, :, 0], a[:, None, 1] - b[None, :, 1])
 
 
 def _phi(r: np.ndarray) -> np.ndarray:
-    return r * r * np.log(np.maximum(r, 1e-12))
+    return r * r * portable.log(np.maximum(r, 1e-12))
 
 
 def sphere_heights(points: np.ndarray, normals: np.ndarray, queries: np.ndarray) -> np.ndarray | None:
-    """[Q] heights z over (x, y) [Q, 2] of the plane or sphere that fits points [P, 3] with upward normals [P, 3]; None
-    where the sphere does not reach over all queries."""
+    """[Q] heights z over (x, y) [Q, 2] of the plane or sphere that fits points [P, 3] with upward normals [P, 3], NaN
+    where it does not reach; None: it stands on its side."""
     mean, mean_normal = points.mean(0), normals.mean(0)
     p = points - mean
     spread = (p * p).sum(1).mean()
@@ -106,9 +155,11 @@ def sphere_heights(points: np.ndarray, normals: np.ndarray, queries: np.ndarray)
     # u4 z^2 + u_z z + (u4 (x^2 + y^2) + u_x x + u_y y + u0) = 0, the root that goes over into the plane's.
     c = u4 * (x * x + y * y) + u[0] * x + u[1] * y + u0
     discriminant = u[2] ** 2 - 4 * u4 * c
-    if u[2] <= 0.2 or (discriminant < 0.04 * u[2] ** 2).any():
+    if u[2] <= SMOOTH.min_upright:
         return None
-    return mean[2] - 2 * c / (u[2] + np.sqrt(discriminant))
+    # Near its silhouette a small error of place is a large one of height.
+    reached = np.where(discriminant < (SMOOTH.min_cosine * u[2]) ** 2, np.nan, discriminant)
+    return mean[2] - 2 * c / (u[2] + np.sqrt(reached))
 
 
 def membrane(values: np.ndarray, free: np.ndarray) -> Floats:

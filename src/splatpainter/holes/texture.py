@@ -12,6 +12,7 @@ import numpy as np
 
 from splatpainter.array_types import Bools, Floats
 from splatpainter.holes.smooth_surface import membrane
+from splatpainter.kernels import portable
 from splatpainter.system.quick_dataclass import dataclass
 
 
@@ -162,7 +163,7 @@ def _matched(
     def distance(patches: np.ndarray, candidates: np.ndarray) -> np.ndarray:
         gap = source_patches[patch_of[candidates]] - patches
         apart = tones[candidates] - tones[centers]
-        return np.einsum("pkc,pkc,pk->p", gap, gap, covered) + TONE_VOTE * (apart * apart).sum(1)
+        return ((gap * gap).sum(2) * covered).sum(1) + TONE_VOTE * (apart * apart).sum(1)
 
     tones = tone.reshape(-1, 3).astype(np.float32)
 
@@ -215,12 +216,12 @@ def _vote(flat, inside, centers, offsets, match, best, trust, last: bool) -> Non
     """Every pixel of the hole becomes the mean of what the patches over it say."""
     # Weights relative to what matches usually reach on this texture.
     scale = max(float(np.quantile(best, 0.75)), 1e-9)
-    quality = (np.exp(-best / (2 * scale)) + 1e-4) * trust
+    quality = (portable.exp(-best / (2 * scale)) + 1e-4) * trust
     sums, weights = np.zeros((len(flat), 3)), np.zeros(len(flat))
     half = TEXTURE.patch_px // 2
     for k, offset in enumerate(offsets):
         dy, dx = k // TEXTURE.patch_px - half, k % TEXTURE.patch_px - half
-        share = quality * np.exp(
+        share = quality * portable.exp(
             -(dy * dy + dx * dx) / (2 * (TEXTURE.last_vote_spread_px if last else TEXTURE.vote_spread_px) ** 2)
         )
         weights += np.bincount(centers + offset, share, len(flat))

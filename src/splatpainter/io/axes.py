@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from splatpainter.kernels import portable
 from splatpainter.splats import SH_COUNTS, Axes, Source, Splats
 from splatpainter.transforms import matrix_to_quat, sh_rotations, snapped
 
@@ -129,7 +130,7 @@ def move(splats: Splats, matrix: np.ndarray, scale: float = 1.0, shift: np.ndarr
     matrix: [3, 3] rotation; scale > 0; shift: [3] or None. A half turn about an axis only permutes and negates numbers.
     """
     with np.errstate(all="ignore"):  # rows may hold NaN or overflow; they are reported where they are read
-        means = scale * (splats.means.astype(np.float64) @ snapped(matrix).T)
+        means = scale * portable.matmul(splats.means.astype(np.float64), snapped(matrix).T)
         return _turned(splats, means if shift is None else means + shift, matrix, _quat(matrix), scale)
 
 
@@ -138,7 +139,7 @@ def move_back(splats: Splats, matrix: np.ndarray, scale: float = 1.0, shift: np.
     turn = _quat(matrix) * (1, -1, -1, -1)
     with np.errstate(all="ignore"):
         means = splats.means.astype(np.float64) - (0 if shift is None else shift)
-        return _turned(splats, (means @ snapped(matrix)) / scale, matrix.T, turn, 1 / scale)
+        return _turned(splats, portable.matmul(means, snapped(matrix)) / scale, matrix.T, turn, 1 / scale)
 
 
 def _turned(splats: Splats, means: np.ndarray, matrix: np.ndarray, turn: np.ndarray, scale: float) -> Splats:
@@ -149,7 +150,7 @@ def _turned(splats: Splats, means: np.ndarray, matrix: np.ndarray, turn: np.ndar
         sh = splats.sh.astype(np.float64)
         for l, rotation in enumerate(rotations):
             band = slice(l * l, (l + 1) * (l + 1))
-            sh[:, band] = np.einsum("ab,nbc->nac", rotation, sh[:, band])
+            sh[:, band] = portable.matmul(sh[:, band].transpose(0, 2, 1), rotation.T).transpose(0, 2, 1)
     return replace(
         splats,
         means=means.astype(np.float32),
@@ -163,7 +164,7 @@ def _multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Hamilton product of one quaternion [4] with quaternions [N, 4]."""
     w, x, y, z = a
     left = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
-    return b @ left.T
+    return portable.matmul(b, left.T)
 
 
 def _quat(matrix: np.ndarray) -> np.ndarray:

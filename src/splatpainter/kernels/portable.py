@@ -15,6 +15,7 @@ import numpy as np
 
 NUMBERS_PER_THREAD = 1 << 14
 """Fewer results are not worth waking threads for."""
+LN_2 = 0.6931471805599453
 Number = Any
 """A number, or an array of float32 or float64."""
 
@@ -77,6 +78,11 @@ def log_determinant(matrix: np.ndarray) -> float:
     return float(2 * log(np.diagonal(factor)).sum())
 
 
+def dot(first: np.ndarray, second: np.ndarray) -> float:
+    """Of two vectors [K]."""
+    return float((first * second).sum())
+
+
 def length(vector: np.ndarray) -> float:
     """Of a vector [K]; `np.linalg.norm` of one asks a BLAS."""
     return float(np.sqrt((vector * vector).sum()))
@@ -111,6 +117,23 @@ def exp(x: Number) -> Number:
 def log(x: Number) -> Number:
     """Natural logarithm; -inf of 0, NaN below."""
     return _each("log_each", x)
+
+
+def expm1(x: Number) -> Number:
+    """e^x - 1, as precise near 0 (Kahan)."""
+    with np.errstate(all="ignore"):
+        up = exp(np.asarray(x, np.float64))
+        near = (up - 1) * (x / log(up))
+    # There the quotient is no number, or e^x is 1 to the last bit.
+    return np.where(up == 1, x, np.where(np.isfinite(up) & (up > 0), near, up - 1))[()]
+
+
+def log1p(x: Number) -> Number:
+    """Natural logarithm of 1 + x, as precise near 0 (Kahan)."""
+    with np.errstate(all="ignore"):
+        up = 1 + np.asarray(x, np.float64)
+        near = log(up) * (x / (up - 1))
+    return np.where(up == 1, x, np.where(np.isfinite(near), near, log(up)))[()]
 
 
 def sin(x: Number) -> Number:

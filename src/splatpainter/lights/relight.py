@@ -45,7 +45,6 @@ MAX_LEVEL = 4.0
 """Linear base colour up to which relit Gaussians go: beyond, whoever blends them makes sparks."""
 MAX_SLOPE = 4.0
 """Of a display colour by the one before, for the bands of SH."""
-LN_2 = 0.6931471805599453
 BURIED, MIN_COSINE = 0.12, 0.05
 """Share of what can be seen that a lamp reaches, below which it lies inside the object; and the cosine, less what is
 in the way, from which a Gaussian is reached. In a capture of a statue: 0.05 to 0.1 inside, 0.27 and more beside it."""
@@ -257,7 +256,7 @@ def _target(
                 f"the {lamp.kind} light at {spot} reaches {share:.0%} of what can be seen: inside the object?"
             )
         total = total + received[:, None] * (lamp.intensity * np.array(lamp.color))
-    gain = float(portable.exp(lights.exposure * LN_2))
+    gain = float(portable.exp(lights.exposure * portable.LN_2))
     return distant_light(lights, axes), gain * total, remarks
 
 
@@ -279,7 +278,7 @@ def distant_light(lights: Lights, axes: np.ndarray) -> np.ndarray:
         # A mirror shows suns as well, as far as SH can: lamps are near, and would show elsewhere from every Gaussian.
         strength = math.pi * sun.intensity * np.array(sun.color)
         coefficients = coefficients + sh_basis(towards, 2).mean(0)[:, None] * strength
-    return float(portable.exp(lights.exposure * LN_2)) * coefficients
+    return float(portable.exp(lights.exposure * portable.LN_2)) * coefficients
 
 
 def _from_all_around(lights: Lights, axes: np.ndarray) -> np.ndarray:

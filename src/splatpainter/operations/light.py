@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 
 from splatpainter.cameras import UpAxis
 from splatpainter.io import read
+from splatpainter.kernels import portable
 from splatpainter.lights.held_skies import sky_of_png, sky_to_png
 from splatpainter.lights.lamps import KELVIN_RANGE, SUN_DEGREES
 from splatpainter.lights.light_set import Lights, axes_of, turned_sky
@@ -372,7 +372,7 @@ def rig_options(options: Relight, rig: Lights) -> dict[str, Any]:
         "sun": (*map(sun_words, suns), *options.sun),
         **{kind: (*words[kind], *getattr(options, kind)) for kind in FORMS},
         "rotate": rig.rotate + options.rotate,
-        "exposure": rig.exposure + options.exposure + math.log2(level),
+        "exposure": rig.exposure + options.exposure + portable.log(level) / portable.LN_2,
         "fill": fill,
         "add": rig.add or options.add,
         "up": rig.up if options.up == "auto" else options.up,

@@ -34,6 +34,7 @@ from splatpainter.array_types import Floats
 from splatpainter.color import from_hex, luminance, oklab
 from splatpainter.grading.color_match import display_colors
 from splatpainter.image_files import find_camera
+from splatpainter.kernels import portable
 from splatpainter.operations.session_files import Weigh, session_files
 from splatpainter.pictures.edit_files import camera_from
 from splatpainter.pictures.picture_reader import read_mask, resample
@@ -175,7 +176,7 @@ def wrong_term(name: str, expected: str, text: str) -> ValueError:
 
 def _faded(beyond: np.ndarray, fade: float) -> np.ndarray:
     """1 where a value lies inside its range (beyond <= 0), 0 from `fade` beyond it on, a raised cosine between."""
-    return (0.5 + 0.5 * np.cos(np.pi * np.clip(beyond / fade, 0, 1))).astype(np.float32)
+    return (0.5 + 0.5 * portable.cos(np.pi * np.clip(beyond / fade, 0, 1))).astype(np.float32)
 
 
 def _hue(name: str, text: str) -> Weigh:

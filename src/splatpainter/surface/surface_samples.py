@@ -23,7 +23,6 @@ MIN_OPACITY = 0.02
 """Fainter Gaussians say nothing about the surface."""
 MIN_LENGTH = 1e-30
 """World units below which no axis counts as shorter."""
-LN_2 = 0.6931471805599453
 MAX_LEVELS = 24
 """Cell sizes double from level to level: a range of 16 million."""
 CELL_BITS = 20
@@ -66,7 +65,7 @@ class SurfaceSamples:
         # No smaller than indices can tell apart over the asset without its outliers.
         smallest = max(2 * float(np.quantile(longest, 0.1)), float((high - low).max()) / (1 << (CELL_BITS - 1)))
         # Level by length: a cell is at least twice as wide as its patches, so few cells have to be visited.
-        doublings = portable.log(np.maximum(2 * longest.astype(np.float64) / smallest, 1)) / LN_2
+        doublings = portable.log(np.maximum(2 * longest.astype(np.float64) / smallest, 1)) / portable.LN_2
         level = np.ceil(doublings - 1e-9)
         level = np.clip(level, 0, MAX_LEVELS - 1).astype(np.int64)
         # Far outliers share the outermost cells: indices are clamped, which finds a few neighbours too many there.

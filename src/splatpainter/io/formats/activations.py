@@ -1,4 +1,5 @@
-"""Raw values of files <-> activated values of `Splats`, in float64 and block by block. Knows no format."""
+"""Raw values of files <-> activated values of `Splats`, in float64 and block by block, with the same
+bits on every machine. Knows no format."""
 
 from __future__ import annotations
 
@@ -6,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from splatpainter.kernels import portable
 from splatpainter.kernels.parallel import each
 from splatpainter.splats import SH_C0
 
@@ -34,17 +36,17 @@ def _blockwise(values: np.ndarray, formula: Callable[[np.ndarray], np.ndarray]) 
 
 def exp(values: np.ndarray) -> np.ndarray:
     """Log-scales of any shape and real dtype -> scales, float32."""
-    return _blockwise(values, np.exp)
+    return _blockwise(values, portable.exp)
 
 
 def log(values: np.ndarray) -> np.ndarray:
     """Scales -> log-scales, float32, finite for every finite scale: those <= 0 count as MIN_SCALE."""
-    return _blockwise(values, lambda x: np.log(np.maximum(x, MIN_SCALE)))
+    return _blockwise(values, lambda x: portable.log(np.maximum(x, MIN_SCALE)))
 
 
 def sigmoid(values: np.ndarray) -> np.ndarray:
     """Logits -> opacities 0..1, float32."""
-    return _blockwise(values, lambda x: 1 / (1 + np.exp(-x)))
+    return _blockwise(values, lambda x: 1 / (1 + portable.exp(-x)))
 
 
 def logit(values: np.ndarray) -> np.ndarray:
@@ -52,7 +54,7 @@ def logit(values: np.ndarray) -> np.ndarray:
 
     def formula(x: np.ndarray) -> np.ndarray:
         x = np.clip(x, MIN_OPACITY, MAX_OPACITY)
-        return np.log(x) - np.log1p(-x)
+        return portable.log(x) - portable.log1p(-x)
 
     return _blockwise(values, formula)
 

@@ -25,6 +25,7 @@ from splatpainter.io.formats import activations, packing
 from splatpainter.io.formats.ply import DEGREES, comment_settings, settled_comments
 from splatpainter.io.formats.ply_header import Element, Header, element_size, make_header, read_header
 from splatpainter.io.formats.reuse import differs, drawable_rows, row_problems, unchanged
+from splatpainter.kernels import portable
 from splatpainter.kernels.arrays import readonly
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import each, run
@@ -184,7 +185,7 @@ def _decode(header: Header, tables: Mapping[str, np.ndarray]) -> Splats:
             out.means[rows], log_scales, out.sh[rows], out.opacities[rows], out.quats[rows],
         )  # fmt: skip
         with np.errstate(over="ignore", invalid="ignore"):  # which threads do not inherit
-            out.scales[rows] = np.exp(log_scales)
+            out.scales[rows] = portable.exp(log_scales)
 
     each(unpack, range(0, count, PACKED_ROWS))
     if names:

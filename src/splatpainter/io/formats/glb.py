@@ -43,10 +43,11 @@ from splatpainter.io import axes, files, positions
 from splatpainter.io.bounded import allow_rows
 from splatpainter.io.formats import activations, gltf, gltf_spz
 from splatpainter.io.formats.reuse import Unchanged, drawable_rows, row_problems, unchanged
+from splatpainter.kernels import portable
 from splatpainter.splats import ATTRIBUTES, SH_C0, Source, Splats
 from splatpainter.system.jsonio import brief
 from splatpainter.system.quick_dataclass import dataclass
-from splatpainter.transforms import row_norm
+from splatpainter.transforms import nearest_rotation, row_norm
 
 EXTENSION = "KHR_gaussian_splatting"
 INSTANCING = "EXT_mesh_gpu_instancing"
@@ -118,7 +119,11 @@ def read_glb(path: Path, offset: positions.Offset | None = None) -> Splats:
             if offset is None:
                 one = GaussianPrimitive(mesh, index, names, *placement)
                 offset = _offset(glb, one, path, Bound(len(data), bands), bool(log_scales))
-            placements[mesh] = turn, scale, shift + turn @ np.array(offset) * scale if any(offset) else shift
+            placements[mesh] = (
+                turn,
+                scale,
+                shift + portable.matmul(np.array(offset), turn.T) * scale if any(offset) else shift,
+            )
         one = GaussianPrimitive(mesh, index, names, *placements[mesh], first)
         with np.errstate(all="ignore"):  # extreme values are reported below
             local = read_local(glb, one, path, problems, Bound(len(data), bands))
@@ -339,24 +344,23 @@ def _placement(
         return nothing
     with np.errstate(all="ignore"):
         matrix = gltf.global_matrix(doc, showing[0], path, parents)
-        determinant = float(np.linalg.det(matrix[:3, :3])) if np.isfinite(matrix).all() else 0.0
-        scale = float(np.cbrt(determinant))
+        determinant = portable.dot(np.cross(*matrix[:2, :3]), matrix[2, :3]) if np.isfinite(matrix).all() else 0.0
+        scale = float(np.sign(determinant) * portable.power(abs(determinant), 1 / 3))
         turn = matrix[:3, :3] / scale if scale > 0 else np.zeros((3, 3))
-    if not 1e-12 < scale < 1e12 or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-3):
+    if not 1e-12 < scale < 1e12 or not np.allclose(portable.matmul(turn, turn.T), np.eye(3), atol=1e-3):
         problems.append("the node's transform is not a rotation with uniform scale; it is kept but not applied")
         return nothing
     if np.array_equal(matrix, np.eye(4)):
         return nothing
     # The nearest rotation, as a matrix of a file is rounded.
-    left, _, right = np.linalg.svd(turn)
-    turn = (left @ right).T
-    return turn @ HALF_TURN, 1 / scale, -turn @ matrix[:3, 3] / scale
+    turn = nearest_rotation(turn).T
+    return portable.matmul(turn, HALF_TURN), 1 / scale, -portable.matmul(matrix[:3, 3], turn.T) / scale
 
 
 def _offset(glb: gltf.Glb, one: GaussianPrimitive, path: Path, bound: Bound, log_scales: bool) -> positions.Offset:
     """Where a node puts the zero of its mesh, if float32 is too coarse there for the primitive's Gaussians, in the axes
     of PLY files; else no offset."""
-    origin = -(one.turn.T @ one.shift) / one.scale
+    origin = -portable.matmul(one.shift, one.turn) / one.scale
     if not origin.any():
         return positions.NO_OFFSET
     with np.errstate(all="ignore"):
@@ -421,7 +425,11 @@ def _fresh(splats: Splats) -> gltf.Glb:
 
 def _translation(offset: positions.Offset) -> dict[str, list[float]]:
     """Of the node of a new file: JSON holds what the float32 positions of an accessor cannot."""
-    return {"translation": (HALF_TURN @ np.array(offset) + 0.0).tolist()} if any(offset) else {}
+    return (
+        {"translation": (portable.matmul(np.array(offset, np.float64), HALF_TURN.T) + 0.0).tolist()}
+        if any(offset)
+        else {}
+    )
 
 
 def _edited(splats: Splats, same: Unchanged, old: GlbFile, path: Path) -> gltf.Glb:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from splatpainter.io import files
+from splatpainter.kernels import portable
 from splatpainter.system import jsonio
 from splatpainter.system.jsonio import brief, objects_at
 from splatpainter.system.quick_dataclass import dataclass
@@ -228,7 +229,7 @@ def global_matrix(doc: dict[str, Any], node: int, path: Path, tree: Parents) -> 
         if len(seen) == MAX_NODE_DEPTH:
             raise ValueError(f"{path}: glTF nodes lie more than {MAX_NODE_DEPTH} deep in each other")
         seen.add(node)
-        matrix = _local_matrix(entry(doc, "nodes", node, path), path) @ matrix
+        matrix = portable.matmul(_local_matrix(entry(doc, "nodes", node, path), path), matrix)
         if node not in parents:
             return matrix
         node = parents[node]
@@ -248,7 +249,7 @@ def _local_matrix(node: dict[str, Any], path: Path) -> np.ndarray:
             raise ValueError(f"{path}: a node's {key} is out of range") from None
     if "matrix" in node:
         return parts["matrix"].reshape(4, 4).T
-    x, y, z, w = parts["rotation"] / max(float(np.linalg.norm(parts["rotation"])), 1e-30)
+    x, y, z, w = parts["rotation"] / max(portable.length(parts["rotation"]), 1e-30)
     out = np.eye(4)
     out[:3, :3] = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

@@ -48,6 +48,7 @@ from splatpainter.io.bounded import allow, allow_rows
 from splatpainter.io.formats import activations, codebooks, packing
 from splatpainter.io.formats.reuse import Unchanged, drawable_rows, row_problems, unchanged
 from splatpainter.io.formats.sog_container import META, Container, load, named_files, store
+from splatpainter.kernels import portable
 from splatpainter.kernels.parallel import each
 from splatpainter.splats import SH_C0, SH_COUNTS, Source, Splats
 from splatpainter.system import jsonio
@@ -225,7 +226,7 @@ def _decode(file: SogFile, path: Path, problems: list[str]) -> Splats:
     def positions(words: np.ndarray) -> np.ndarray:  # [N, 3] of 0..65535, signed logarithms
         logs = low + (high - low) * (words / 65535)
         with np.errstate(over="ignore", invalid="ignore"):  # such rows are reported by who reads
-            return (np.sign(logs) * np.expm1(np.abs(logs))).astype(np.float32)
+            return (np.sign(logs) * portable.expm1(np.abs(logs))).astype(np.float32)
 
     # Of many rows every word comes again and again: all of them are decoded once.
     decoded = positions(np.arange(1 << 16, dtype=np.float64)[:, None]).T.copy() if count > BLOCK_ROWS else None
@@ -374,13 +375,13 @@ def _set_flags(meta: dict[str, Any], splats: Splats) -> None:
 def _encode_means(rows: Splats, same: Unchanged | None, old: SogFile | None, meta: Any, pixels: Any, keep: Any) -> None:
     # A logarithm, so that steps are fine near zero and coarse far out.
     means = rows.means.astype(np.float64)
-    logs = np.sign(means) * np.log1p(np.abs(means))
+    logs = np.sign(means) * portable.log1p(np.abs(means))
     low, high = logs.min(0), logs.max(0)
     # The old range stays where new rows lie in it, or so little outside that nobody sees them moved to its border.
     # Another range would move every row.
     if same and old:
         first, last = mean_range(meta)
-        moved = np.sign(logs) * np.expm1(np.abs(np.clip(logs, np.minimum(first, last), np.maximum(first, last))))
+        moved = np.sign(logs) * portable.expm1(np.abs(np.clip(logs, np.minimum(first, last), np.maximum(first, last))))
         beyond = np.abs(np.where(same.means[:, None], 0, moved - means)).max(1)
         if (beyond <= MAX_BORDER_SHIFT * rows.scales.max(1)).all():
             low, high = first, last
@@ -449,7 +450,7 @@ def _encode_bands(
         labels, codes, book, pixels = adapted
     else:
         # As splat-transform: the power of two between half of the rows and all of them.
-        size = max_entries or int(np.clip(2 ** math.floor(math.log2(len(rest))), 1024, MAX_PALETTE))
+        size = max_entries or int(np.clip(1 << len(rest).bit_length() - 1, 1024, MAX_PALETTE))
         vectors, labels = codebooks.palette(rest.reshape(len(rest), -1), size)
         book = codebooks.fit(vectors)
         codes = codebooks.nearest(book, vectors).reshape(-1, coefficients, 3)

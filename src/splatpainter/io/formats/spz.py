@@ -25,6 +25,7 @@ but is newer), or version 4 for SH degree 4.
 
 from __future__ import annotations
 
+import math
 import struct
 import zlib
 from collections.abc import Iterator
@@ -337,9 +338,9 @@ def _fractional_bits(rows: Splats) -> int:
     if not len(rows):
         return 12
     thin = float(np.percentile(np.sort(rows.scales, 1)[:, 1], 5))
-    needed = np.ceil(-np.log2(max(thin / 4, 2.0**-20)))
+    needed = 1 - math.frexp(max(thin / 4, 2.0**-20))[1]  # -log2, up
     extent = max(float(np.abs(rows.means).max()), 2.0**-10)
-    possible = np.floor(np.log2(POSITION_LIMIT / (2 * extent)))
+    possible = math.frexp(POSITION_LIMIT / (2 * extent))[1] - 1  # log2, down
     return int(np.clip(min(max(needed, 12), possible), 0, 20))
 
 

@@ -15,6 +15,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.kernels import portable
 from splatpainter.splats import Splats
 from splatpainter.system.quick_dataclass import dataclass
 
@@ -97,7 +98,7 @@ def by_rule(rule: Rule, low: float, high: float, soft: float = 0.0, axis: Any = 
     if low > high or soft < 0:
         raise ValueError(f"mask: expected low up to high, and soft from 0, got {low:g}, {high:g} and {soft:g}")
     # Unit length, as the rules measure heights and angles along it.
-    length = float(np.linalg.norm(numbers[3:]))
+    length = portable.length(numbers[3:])
     if length < 1e-9:
         raise ValueError("mask: expected an axis that is not 0")
     x, y, z = (float(value) for value in numbers[3:] / length)
@@ -177,7 +178,7 @@ def _measured(splats: Splats, part: MaskPart, coverage: np.ndarray) -> np.ndarra
     if part.rule == "coverage":
         return coverage.astype(float)
     if part.rule == "height":
-        heights = splats.means.astype(float) @ axis
+        heights = (splats.means.astype(float) * axis).sum(1)
         # Emptied Gaussians still have places, and would stretch the scale.
         solid = heights[splats.drawable & (splats.opacities > 0)]
         low, high = (solid.min(), solid.max()) if len(solid) else (0.0, 1.0)
@@ -188,5 +189,5 @@ def _measured(splats: Splats, part: MaskPart, coverage: np.ndarray) -> np.ndarra
         return bend_degrees(splats)
     from splatpainter.lift.depth_normals import outward_normals
 
-    cosines = np.clip(outward_normals(splats) @ axis, -1, 1)
-    return np.degrees(np.arccos(cosines))
+    cosines = np.clip((outward_normals(splats) * axis).sum(1), -1, 1)
+    return np.degrees(portable.arccos(cosines))

@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from splatpainter.io.axes import move
+from splatpainter.kernels import portable
 from splatpainter.session.document.layer_operation import LayerOperation, LayerWork
 from splatpainter.session.replay.delta import Delta, between
 from splatpainter.session.replay.layer_result import LayerResult
@@ -43,17 +44,17 @@ class CopyAnchor:
     @staticmethod
     def of(point: np.ndarray, normal: np.ndarray, along: np.ndarray) -> CopyAnchor:
         """along: [3] the first tangent, as far as it is one."""
-        up = np.asarray(normal, float) / np.linalg.norm(normal)
+        up = np.asarray(normal, float) / portable.length(np.asarray(normal, float))
         # Where the first tangent stands on the surface any other does: the copy still needs axes.
-        side = along - (along @ up) * up
-        if np.linalg.norm(side) < 1e-6 * np.linalg.norm(along):
+        side = along - portable.dot(along, up) * up
+        if portable.length(side) < 1e-6 * portable.length(along):
             side = np.cross(up, np.eye(3)[np.abs(up).argmin()])
-        side = side / np.linalg.norm(side)
+        side = side / portable.length(side)
         return CopyAnchor(np.asarray(point, float), np.stack([side, np.cross(up, side), up], 1))
 
     def local(self, points: np.ndarray) -> np.ndarray:
         """[N, 3] along the tangents and above the surface."""
-        return (points.astype(np.float64) - self.point) @ self.axes
+        return portable.matmul(points.astype(np.float64) - self.point, self.axes)
 
     def record(self) -> dict[str, Any]:
         return {"point": self.point.tolist(), "axes": self.axes.tolist()}
@@ -67,9 +68,13 @@ class CopyAnchor:
             raise ValueError(f"copy: expected a point and axes, got {brief(data)}") from None
         # No mirror image and no stretch: the copy's quaternions could not follow.
         turned = point.shape == (3,) and axes.shape == (3, 3) and np.isfinite(point).all() and np.isfinite(axes).all()
-        if not turned or np.abs(axes @ axes.T - np.eye(3)).max() > 1e-6 or np.linalg.det(axes) < 0:
+        if not turned or np.abs(portable.matmul(axes, axes.T) - np.eye(3)).max() > 1e-6 or _is_mirrored(axes):
             raise ValueError("copy: expected a finite point [3] and a rotation [3, 3] as axes")
         return CopyAnchor(point, axes)
+
+
+def _is_mirrored(axes: np.ndarray) -> bool:
+    return portable.dot(np.cross(axes[:, 0], axes[:, 1]), axes[:, 2]) < 0
 
 
 ORIGIN = CopyAnchor(np.zeros(3), np.eye(3))
@@ -115,7 +120,7 @@ class ReliefLayer(LayerOperation):
         # Far away, as positions that are not finite must not reach the distances.
         local = anchor.local(np.where(splats.drawable[:, None], splats.means, 1e30))
         with np.errstate(over="ignore"):
-            distance = np.hypot(local[:, 0], local[:, 1]) / self.radius
+            distance = portable.hypot(local[:, 0], local[:, 1]) / self.radius
         height = local[:, 2] / self.radius
         # What lies behind a thin wall stays: the copy is of the surface that was pointed at.
         soft = np.clip((1 - distance) / EDGE_SHARE, 0, 1)
@@ -140,6 +145,6 @@ class ReliefLayer(LayerOperation):
 
     def copied(self, splats: Splats, weights: np.ndarray) -> Splats:
         """[M] Gaussians at the target, their opacities times weights [M]."""
-        turn = self.target.axes @ self.source.axes.T
-        moved = move(splats, turn, shift=self.target.point - turn @ self.source.point)
+        turn = portable.matmul(self.target.axes, self.source.axes.T)
+        moved = move(splats, turn, shift=self.target.point - portable.matmul(self.source.point, turn.T))
         return replace(moved, opacities=(splats.opacities * weights).astype(np.float32))

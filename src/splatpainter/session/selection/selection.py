@@ -233,7 +233,7 @@ def attribute_values(splats: Splats, attribute: Attribute, camera: Camera, up: n
         out[ids[np.argsort(sizes[ids], kind="stable")]] = (np.arange(len(ids)) + 1) / max(len(ids), 1)
         return out
     means = splats.means.astype(np.float64)
-    raw = camera.project(means)[1] if attribute == "depth" else means @ np.asarray(up, np.float64)
+    raw = camera.project(means)[1] if attribute == "depth" else (means * np.asarray(up, np.float64)).sum(1)
     if not visible.any():
         return np.zeros(len(splats))
     # A few strays far off would push everything else to one end.

@@ -1,0 +1,63 @@
+"""Hashes of what readers, fills and colour matches make, for a process whose numpy and BLAS take another way."""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from splatpainter.grading.color_match import AffineMap, monge_kantorovitch, statistics
+from splatpainter.holes.fill import fill_hole
+from splatpainter.io import read, write
+from splatpainter.io.axes import move
+from splatpainter.splats import ATTRIBUTES, SH_C0, Splats
+from splatpainter.transforms import quat_to_matrix
+
+FORMATS = ("ply", "compressed.ply", "splat", "spz", "glb", "sog")
+
+
+def bumpy_plate(side: int = 61) -> Splats:
+    """Flat Gaussians on a bumpy sheet, many sizes and colours, SH degree 1."""
+    rng = np.random.default_rng(3)
+    x, y = (axis.ravel() for axis in np.meshgrid(np.linspace(-1, 1, side), np.linspace(-1, 1, side)))
+    count = len(x)
+    means = np.stack([x, y, 0.1 * x * x - 0.07 * x * y + 0.01 * rng.random(count)], 1)
+    quats = np.array([1, 0, 0, 0]) + 0.05 * rng.normal(size=(count, 4))
+    scales = np.array([0.02, 0.02, 0.002]) * np.exp(0.2 * rng.normal(size=(count, 3)))
+    sh = np.concatenate([(rng.random((count, 1, 3)) - 0.5) / SH_C0, rng.normal(0, 0.1, (count, 3, 3))], 1)
+    values = (means, quats / np.linalg.norm(quats, axis=1)[:, None], scales, rng.uniform(0.3, 0.99, count), sh)
+    # Rounded: exp and norm above may depend on the machine, what begins here may not.
+    means, quats, scales, opacities, sh = (np.round(value, 5).astype(np.float32) for value in values)
+    return Splats(means, quats, scales, opacities, sh)
+
+
+def digest(splats: Splats) -> str:
+    state = hashlib.sha256()
+    for name in ATTRIBUTES:
+        state.update(np.ascontiguousarray(getattr(splats, name)).tobytes())
+    return state.hexdigest()[:16]
+
+
+def main() -> None:
+    splats = bumpy_plate()
+    with tempfile.TemporaryDirectory() as folder:
+        for suffix in FORMATS:
+            path = Path(folder, f"plate.{suffix}")
+            write(path, splats)
+            print(suffix, hashlib.sha256(path.read_bytes()).hexdigest()[:16], digest(read(path)))
+    turn = quat_to_matrix(np.array([[0.8, 0.36, -0.48, 0.0]]))[0]
+    print("turned", digest(move(splats, turn, 1.3, np.array([0.1, 0.2, -0.3]))))
+    filled = fill_hole(splats, removed=((splats.means[:, :2] - [0.05, 0.1]) ** 2).sum(1) < 0.09)
+    assert filled.appended is not None
+    print("filled", digest(filled.appended))
+    colors = 0.5 + SH_C0 * splats.sh[:, 0]
+    (mean, one), (target, other) = statistics(colors, splats.opacities), statistics(colors**2, splats.scales[:, 0])
+    matched = AffineMap(monge_kantorovitch(one, other), mean, target)
+    print("matched", hashlib.sha256(repr(matched).encode()).hexdigest()[:16])
+
+
+if __name__ == "__main__":
+    sys.exit(main())
