@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from splatpainter import io
+from splatpainter.io.formats import gltf
 from splatpainter.io.formats.glb import read_glb, write_glb
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.transforms import sh_basis
@@ -498,3 +499,63 @@ def test_what_a_file_asks_for_beyond_its_gaussians_is_told(tmp_path: Path) -> No
         path.write_bytes(pack(doc | change, binary))
         source = io.read(path).source
         assert source is not None and words in " ".join(source.problems) and (words or not source.problems)
+
+
+def sparse_glb(splats: Splats, semantic: str, rows: list[int], based: bool) -> bytes:
+    """A file of which one attribute holds some rows as sparse elements, over what it held or over zeros."""
+    doc, binary = parts(build(attributes_of(splats)))
+    name = next(key for key in doc["meshes"][1]["primitives"][0]["attributes"] if key.endswith(semantic))
+    item = doc["accessors"][doc["meshes"][1]["primitives"][0]["attributes"][name]]
+    view = doc["bufferViews"][item["bufferView"]]
+    width = view["byteLength"] // item["count"]
+    values = binary[view["byteOffset"] :][: view["byteLength"]]
+    picked = b"".join(values[row * width :][:width] for row in rows)
+    if based:  # what stands below is not what counts
+        dense = bytearray(values)
+        for row in rows:
+            dense[row * width : row * width + width] = bytes(width)
+        start = view["byteOffset"]
+        binary = binary[:start] + bytes(dense) + binary[start + len(dense) :]
+    else:
+        del item["bufferView"]
+    indices = np.array(rows, np.uint16).tobytes()
+    indices += bytes(-len(indices) % 4)
+    for content in (indices, picked):
+        doc["bufferViews"].append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(content)})
+        binary += content
+    last = len(doc["bufferViews"]) - 1
+    item["sparse"] = {"count": len(rows), "indices": {"bufferView": last - 1, "componentType": 5123}}
+    item["sparse"]["values"] = {"bufferView": last}
+    doc["buffers"][0]["byteLength"] = len(binary)
+    return pack(doc, binary)
+
+
+@pytest.mark.parametrize(("rows", "based"), [([1, 4], True), (list(range(6)), False)])
+def test_sparse_accessors_are_read_and_edited(tmp_path: Path, rows: list[int], based: bool) -> None:
+    """glTF 2.0, 3.6.2.3: elements that stand over others, or over zeros."""
+    splats = random_splats(6, 0)
+    (tmp_path / "plain.glb").write_bytes(build(attributes_of(splats)))
+    (tmp_path / "sparse.glb").write_bytes(sparse_glb(splats, "OPACITY", rows, based))
+    plain, sparse = (io.read(tmp_path / f"{name}.glb") for name in ("plain", "sparse"))
+    assert same_bits(sparse, plain)
+    write_glb(tmp_path / "again.glb", sparse)
+    assert (tmp_path / "again.glb").read_bytes() == (tmp_path / "sparse.glb").read_bytes()
+    opacities = sparse.opacities.copy()
+    opacities[2] = 0.25
+    write_glb(tmp_path / "edited.glb", replace(sparse, opacities=opacities))
+    np.testing.assert_array_equal(io.read(tmp_path / "edited.glb").opacities, opacities)
+
+
+def test_sparse_rows_without_bytes_are_bounded(tmp_path: Path) -> None:
+    doc, binary = parts(sparse_glb(random_splats(6, 0), "OPACITY", [0], False))
+    item = next(one for one in doc["accessors"] if "sparse" in one)
+    item["count"] = 1 << 40
+    (tmp_path / "bomb.glb").write_bytes(pack(doc, binary))
+    glb = gltf.parse((tmp_path / "bomb.glb").read_bytes(), tmp_path / "bomb.glb")
+    with pytest.raises(ValueError, match="sparse accessor . of 1099511627776 elements in a file of"):
+        gltf.accessor(glb, binary, doc["accessors"].index(item), tmp_path / "bomb.glb")
+    item["count"] = 6
+    item["sparse"]["indices"]["componentType"] = 5126
+    (tmp_path / "bomb.glb").write_bytes(pack(doc, binary))
+    with pytest.raises(ValueError, match="expected unsigned integers as its indices"):
+        io.read(tmp_path / "bomb.glb")

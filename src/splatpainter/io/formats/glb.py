@@ -588,7 +588,8 @@ def _put(
             return
         target = gltf.accessor(replace(work.source, doc=doc), binary, index, work.path)
         # Integers take only values that are integers already; everything else would be rounded.
-        if index not in shared and target.dtype == array.dtype and target.shape == array.shape:
+        dense = "sparse" not in doc["accessors"][index]  # else the target is a copy
+        if index not in shared and dense and target.dtype == array.dtype and target.shape == array.shape:
             target[changed] = array[changed]
             if name == "POSITION" or "min" in doc["accessors"][index]:
                 doc["accessors"][index] |= _range(array)

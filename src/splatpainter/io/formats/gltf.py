@@ -27,6 +27,8 @@ MAX_CHUNKS = 1024
 """Chunks of a file; the standard has two."""
 MAX_NODE_DEPTH = 1024
 """Most nodes above each other."""
+MAX_IMPLIED_ROWS_PER_BYTE = 16
+"""Rows that a sparse accessor may leave at zero, for each byte of the file: as many as accessors that share bytes."""
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
 
@@ -128,16 +130,59 @@ def integer_at(item: dict[str, Any], key: str, path: Path, default: int | None =
 
 
 def accessor(glb: Glb, binary: bytes | bytearray, index: Any, path: Path) -> np.ndarray:
-    """[count, width] view into `binary` (the file's, or a copy of it) in the stored component type.
+    """[count, width] in the stored component type: a view into `binary` (the file's, or a copy of it); of a sparse
+    accessor a copy.
 
-    Raises ValueError: sparse, compressed or external data, unknown types, bytes outside of the buffer.
+    Raises ValueError: compressed or external data, unknown types, bytes outside of the buffer, sparse elements that are
+    out of order or beside the others.
     """
     item = entry(glb.doc, "accessors", index, path)
     kind, width = COMPONENTS.get(integer_at(item, "componentType", path)), WIDTHS.get(str(item.get("type")))
-    if kind is None or width is None or "sparse" in item or "bufferView" not in item:
+    count, sparse = integer_at(item, "count", path), item.get("sparse")
+    if kind is None or width is None or ("bufferView" not in item and not sparse) or not _is_sparse(sparse):
         raise ValueError(
-            f"{path}: accessor {index} is of a kind that splats do not use (sparse, empty or {brief(item.get('type'))})"
+            f"{path}: accessor {index} is of a kind that splats do not use (empty, malformed or "
+            f"{brief(item.get('type'))})"
         )
+    if sparse is None:
+        return _elements(glb, binary, item, count, (kind, width), f"accessor {index}", path)
+    if "bufferView" in item:
+        values = _elements(glb, binary, item, count, (kind, width), f"accessor {index}", path).copy()
+    elif count > MAX_IMPLIED_ROWS_PER_BYTE * len(binary):
+        raise ValueError(f"{path}: sparse accessor {index} of {count} elements in a file of {len(binary)} bytes")
+    else:
+        values = np.zeros((count, width), kind)
+    changed = integer_at(sparse, "count", path)
+    where = f"sparse accessor {index}"
+    index_kind = COMPONENTS.get(integer_at(sparse["indices"], "componentType", path))
+    if index_kind not in ("u1", "<u2", "<u4"):
+        raise ValueError(f"{path}: {where}: expected unsigned integers as its indices")
+    rows = _elements(glb, binary, sparse["indices"], changed, (index_kind, 1), where, path)[:, 0].astype(np.int64)
+    if len(rows) and (rows[-1] >= count or (np.diff(rows) <= 0).any()):
+        raise ValueError(f"{path}: {where}: expected rising indices below {count}")
+    values[rows] = _elements(glb, binary, sparse["values"], changed, (kind, width), where, path)
+    return values
+
+
+def _is_sparse(sparse: Any) -> bool:
+    """Whether it is what an accessor may say of its sparse elements; None says nothing."""
+    if sparse is None:
+        return True
+    parts = [sparse.get(key) for key in ("indices", "values")] if isinstance(sparse, dict) else [None]
+    return all(isinstance(part, dict) and "bufferView" in part for part in parts)
+
+
+def _elements(
+    glb: Glb,
+    binary: bytes | bytearray,
+    item: dict[str, Any],
+    count: int,
+    kind_and_width: tuple[str, int],
+    name: str,
+    path: Path,
+) -> np.ndarray:
+    """[count, width] view of what an accessor, or a part of a sparse one, has in its buffer view."""
+    kind, width = kind_and_width
     view = entry(glb.doc, "bufferViews", item["bufferView"], path)
     if view.get("extensions"):
         extensions = view["extensions"]
@@ -146,10 +191,9 @@ def accessor(glb: Glb, binary: bytes | bytearray, index: Any, path: Path) -> np.
             f"{path}: buffer view {item['bufferView']} is compressed ({names}); decompress it with gltf-transform"
         )
     if integer_at(view, "buffer", path) != 0 or "uri" in entry(glb.doc, "buffers", 0, path):
-        raise ValueError(f"{path}: accessor {index} lies in an external file; expected all data inside the GLB")
+        raise ValueError(f"{path}: {name} lies in an external file; expected all data inside the GLB")
     size = np.dtype(kind).itemsize
-    count, start, length = (
-        integer_at(item, "count", path),
+    start, length = (
         integer_at(view, "byteOffset", path, 0),
         integer_at(view, "byteLength", path),
     )
@@ -157,9 +201,7 @@ def accessor(glb: Glb, binary: bytes | bytearray, index: Any, path: Path) -> np.
     files.take(memoryview(binary), start, length, path, f"buffer view {item['bufferView']}")
     stride = stride if count > 1 else width * size  # of one element it means nothing
     if stride < width * size or offset + (max(count, 1) - 1) * stride + (width * size if count else 0) > length:
-        raise ValueError(
-            f"{path}: accessor {index} with {count} elements does not fit its buffer view of {length} bytes"
-        )
+        raise ValueError(f"{path}: {name} with {count} elements does not fit its buffer view of {length} bytes")
     return np.ndarray((count, width), kind, binary, start + offset, (stride, size))
 
 
