@@ -13,6 +13,7 @@ from splatpainter.captures.captured_view import CapturedView
 from splatpainter.captures.nerfstudio import MAX_TABLE_BYTES, TABLES, splat_frame
 from splatpainter.io import files
 from splatpainter.io.folders import POINT_CLOUD, inside
+from splatpainter.io.foreign_captures import foreign_capture
 from splatpainter.system.jsonio import load_document
 
 MAX_NAMES_LISTED = 3
@@ -57,8 +58,10 @@ def captured_views(path: Path, asset: Path | None = None) -> list[CapturedView]:
     line naming file, entry and key: no capture, damaged, none in it."""
     capture = _capture_file(path)
     if capture is None:
+        foreign = foreign_capture(path)
+        what = f"is {foreign}; " if foreign else ""
         raise ValueError(
-            f"{path}: expected a capture: cameras.json, transforms.json, camera_path.json, or COLMAP's sparse/0"
+            f"{path}: {what}expected a capture: cameras.json, transforms.json, camera_path.json, or COLMAP's sparse/0"
         )
     # A folder is COLMAP's; a file says by its keys whose it is.
     if os.path.isdir(capture):

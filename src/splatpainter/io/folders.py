@@ -6,6 +6,7 @@ import os
 import re
 from pathlib import Path
 
+from splatpainter.io.foreign_captures import foreign_capture
 from splatpainter.system.quick_dataclass import dataclass
 
 SOG_META = "meta.json"
@@ -90,6 +91,8 @@ def asset_file(path: Path) -> Path:
         if os.path.isfile(inside(path, name)):
             return inside(path, name)
     splats = _splats_in(path)
+    if not splats and (foreign := foreign_capture(path)):
+        raise ValueError(f"{path}: is {foreign}; expected a splat file, or a folder of INRIA's trainer")
     listed = ", ".join(splats[: FOLDERS.names])
     more = f"; it holds {listed}{', ...' if len(splats) > FOLDERS.names else ''}: name one of them" if splats else ""
     raise ValueError(

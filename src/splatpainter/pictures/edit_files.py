@@ -13,6 +13,7 @@ from splatpainter.cameras import Camera
 from splatpainter.captures import choose_one, is_capture, named_views, split_selector
 from splatpainter.color import from_display, to_display
 from splatpainter.image_files import Alpha, find_alpha, find_camera, has_camera
+from splatpainter.io.foreign_captures import foreign_capture
 from splatpainter.lift.masks import change_mask, change_mask_beyond
 from splatpainter.painter import Edit, Mode
 from splatpainter.pictures.encodings import edited_in_encoded
@@ -238,6 +239,8 @@ def camera_from(path: Path, asset: Path | None = None) -> Camera:
         view = choose_one(named_views(path, asset), path)
         _check_size(view.camera, path)
         return view.camera
+    if foreign := foreign_capture(file):
+        raise ValueError(f"{path}: is {foreign}")
     if path.suffix.lower() in PICTURE_SUFFIXES:
         camera = find_camera(path)
     else:

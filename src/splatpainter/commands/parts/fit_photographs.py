@@ -15,6 +15,7 @@ from splatpainter.captures.nerfstudio import TABLES
 from splatpainter.gatekeeper.photographs import read_photograph, straight_picture
 from splatpainter.image_files import find_camera, picture_header
 from splatpainter.io.folders import inside
+from splatpainter.io.foreign_captures import foreign_capture
 from splatpainter.io.positions import NO_OFFSET, Offset, float32_step
 from splatpainter.pictures.edit_files import has_aspect
 from splatpainter.pictures.picture_reader import Picture, read_picture
@@ -62,8 +63,11 @@ def posed_pictures(folder: Path, size: int | None) -> list[PosedPicture]:
         )
     paths = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in PICTURES and path.is_file()]
     if not paths:
+        foreign = foreign_capture(folder)
+        what = f"is {foreign}; " if foreign else ""
         raise ValueError(
-            f"{folder}: expected pictures with cameras, {' or '.join(TABLES)}, or COLMAP's sparse/0; found neither"
+            f"{folder}: {what}expected pictures with cameras, {' or '.join(TABLES)}, or COLMAP's sparse/0; found "
+            "neither"
         )
     return [_picture(path, find_camera(path), size, k) for k, path in enumerate(paths)]
 
