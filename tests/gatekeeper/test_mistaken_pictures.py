@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image, ImageFilter
 from scipy.ndimage import maximum_filter
 
+from splatpainter.cameras import orbit_cameras
+from splatpainter.color import to_display
 from splatpainter.gatekeeper.bent_pictures import bend_of
 from splatpainter.gatekeeper.fitted_mistakes import moved_a_little
 from splatpainter.gatekeeper.gatekeeper import admit
 from splatpainter.gatekeeper.mistaken_pictures import explain, filtered
+from splatpainter.io import read
 from splatpainter.lift.masks import box_mean, contrast
+from splatpainter.pictures.edit_files import draw
 from splatpainter.sources.picture_source import PictureRequest
 from tests.support.distorted_pictures import drawn_scene, jpeg, moved
 
@@ -234,6 +239,17 @@ def test_small_bends_are_named(across: float, down: float) -> None:
     """Keystones of 2 % and a stretch of 1 %, which leave more than half of the detail where it was."""
     picture = eight_bits(bent(VIEW, lambda x, y: (x * (1 - across + down * y), y)))
     explanation = explain(picture, VIEW, ALPHA)
+    assert explanation is not None and explanation.cause == "moved" and not explanation.may_be_meant
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("k1", [0.02, 0.03])
+def test_bends_of_fine_detail_are_named(shared: Path, k1: float) -> None:
+    """A tall asset whose detail is finer than the bend: its middle, most of its texture, lies where it was."""
+    splats = read(shared / "data" / "splats" / "biker.v4.spz")
+    drawn, alpha = draw(splats, orbit_cameras(splats, 1, size=240, background=(0.25, 0.25, 0.25))[0])
+    view = np.clip(to_display(drawn, splats.color_space), 0, 1).astype(np.float32)
+    explanation = explain(eight_bits(lens(k1)(view)), view, np.asarray(alpha, np.float32))
     assert explanation is not None and explanation.cause == "moved" and not explanation.may_be_meant
 
 

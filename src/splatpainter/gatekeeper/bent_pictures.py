@@ -1,14 +1,14 @@
 """Pictures bent over their render: by a lens, in perspective, or stretched in one direction.
 
 A polynomial of the place says by how much each pixel lies beside where it was rendered: Gauss-Newton steps on a pyramid
-as in registration.py, with more unknowns and from no motion on. Degree 3 holds radial distortion (Brown 1966: r^2
-times the place), keystones and every affine stretch. What it says has to be judged.
+as in registration.py, with more and more unknowns: an affine move, what cameras do (a homography and radial distortion,
+Brown 1966: r^2 times the place), any polynomial of degree 3. What it says has to be judged.
 Pure. H, W: pixels of the render; colours are display sRGB 0..1; places are -1..1 along the longer side.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from typing import Literal
 
 import numpy as np
 
@@ -36,10 +36,19 @@ class BendThresholds:
     """Pixels of texture from which twenty unknowns are told."""
     still_px: float = 0.02
     """A step that moves no pixel by more ends a level, pixels of the level."""
-    max_error_left: tuple[float, ...] = (0.95, 0.8, 0.75)
-    """Error of the pixels of texture, in parts of that of no motion, up to which each level says that a picture was
-    bent. Distortions of seven assets leave up to 0.94, 0.75, 0.6; true close-ups of coarse assets 0.82 of the second
-    and more."""
+    max_halvings: int = 3
+    """How often a step that leaves more than before is halved."""
+    first_radial: tuple[float, ...] = (0.0, -0.1, -0.04, 0.04, 0.1)
+    """Radial distortions of which the best is started from: fine detail that lies beside itself by more than its own
+    size draws descents from no motion the wrong way (two of twelve views at 0.03 and 0.05)."""
+    min_cutoff: float = 0.7
+    """Least error, in deviations of a pixel's surroundings, from which a pixel does not count: where half of the
+    texture hardly moves, the middle error says little of the rest."""
+    error_quantiles: tuple[float, ...] = (0.5, 0.75)
+    """Quantiles of the errors by which a bend is told."""
+    max_error_left: tuple[float, ...] = (0.98, 0.88, 0.8)
+    """Error of the pixels of texture, in parts of that of no motion, up to which each level says that a picture may
+    have been bent. Distortions of six captures leave up to 0.96, 0.65, 0.5; what else comes so far is judged."""
 
 
 BENDS = BendThresholds()
@@ -77,23 +86,44 @@ def bend_of(picture: np.ndarray, render: np.ndarray) -> Bend | None:
     was not."""
     frame = np.array([[1.0, 0, 0], [0, 1, 0]])
     weight = np.ones(render.shape[:2], np.float32)
-    coefficients = np.zeros((len(list(_powers())), 2))
+    coefficients = np.zeros((len(_POWERS), 2))
     for number, longer_px in enumerate(BENDS.levels_px):
         if longer_px > BENDS.levels_px[0] and max(render.shape[:2]) <= longer_px / 2:
             break
-        level = PyramidLevel.of(picture, render, weight, None, frame, longer_px)
-        descent = _descended(level, coefficients)
-        # Most pictures that come here are not bent at all: the smallest size tells most of them.
-        if descent is None or descent.error_left > BENDS.max_error_left[number]:
+        textured = _TexturedLevel.of(PyramidLevel.of(picture, render, weight, None, frame, longer_px))
+        if textured is None:
             return None
-        coefficients = descent.coefficients
+        if number == 0:
+            coefficients = min((radial * _RADIAL for radial in BENDS.first_radial), key=textured.loss)
+        coefficients = textured.descended(coefficients)
+        # Most pictures that come here are not bent at all: the smallest size tells most of them.
+        if textured.error_left(coefficients) > BENDS.max_error_left[number]:
+            return None
     return Bend(coefficients)
 
 
-def _powers() -> Iterator[tuple[int, int]]:
-    for across in range(BENDS.degree + 1):
-        for down in range(BENDS.degree + 1 - across):
-            yield across, down
+_POWERS = tuple((across, down) for across in range(BENDS.degree + 1) for down in range(BENDS.degree + 1 - across))
+"""Exponents of right and down of the polynomial's terms."""
+
+
+def _field(*terms: tuple[Literal["right", "down"], int, int]) -> np.ndarray:
+    """[T, 2] a shift to the right and down that is the sum of these terms."""
+    out = np.zeros((len(_POWERS), 2))
+    for direction, across, down in terms:
+        out[_POWERS.index((across, down)), direction == "down"] = 1
+    return out
+
+
+_AFFINE = tuple(_field((direction, *power)) for direction in ("right", "down") for power in ((0, 0), (1, 0), (0, 1)))
+_KEYSTONES = _field(("right", 2, 0), ("down", 1, 1)), _field(("right", 1, 1), ("down", 0, 2))
+_RADIAL = _field(("right", 3, 0), ("right", 1, 2), ("down", 2, 1), ("down", 0, 3))
+_STAGES = (
+    np.stack(_AFFINE),
+    np.stack([*_AFFINE, *_KEYSTONES, _RADIAL]),
+    np.eye(2 * len(_POWERS)).reshape(-1, len(_POWERS), 2),
+)
+"""[U, T, 2] each: fields whose sum is sought. With all unknowns at once the few edges of a small asset are explained by
+a wild bend."""
 
 
 def _terms(width: int, height: int) -> np.ndarray:
@@ -101,57 +131,112 @@ def _terms(width: int, height: int) -> np.ndarray:
     reach = max(width, height) / 2
     y, x = np.mgrid[:height, :width] + 0.5
     x, y = (x - width / 2) / reach, (y - height / 2) / reach
-    return np.stack([x**across * y**down for across, down in _powers()], -1)
+    return np.stack([x**across * y**down for across, down in _POWERS], -1)
 
 
 @dataclass(frozen=True)
-class _Descent:
-    coefficients: np.ndarray
-    error_left: float
-    """Median error of the pixels of texture, in parts of that of no motion."""
+class _Channel:
+    """Pixels of texture of one feature of a level."""
+
+    number: int
+    steep: np.ndarray
+    """[P] their flat indices."""
+    target: np.ndarray
+    """[P] the feature in the render."""
+    slopes: np.ndarray
+    """[P, 2 T] by how much a unit of each coefficient changes it."""
 
 
-def _descended(level: PyramidLevel, coefficients: np.ndarray) -> _Descent | None:
-    height, width = level.weight.shape
-    reach = max(width, height) / 2
-    terms = _terms(width, height).reshape(height * width, -1)
-    count = terms.shape[1]
-    # Inverse form, as in registration: the render's slopes stay. Of each channel only pixels of texture are asked.
-    channels = []
-    for number in range(level.render.shape[2]):
-        target = level.render[..., number]
-        down, across = np.gradient(target)
-        steep = np.flatnonzero(across**2 + down**2 > BENDS.min_slope)
-        if len(steep) < BENDS.min_samples:
-            return None
-        steep = steep[:: -(-len(steep) // BENDS.max_samples)]
-        here = terms[steep]
-        slopes = np.concatenate([here * across.flat[steep][:, None], here * down.flat[steep][:, None]], 1) * reach
-        channels.append((number, steep, target.flat[steep], slopes))
+@dataclass(frozen=True)
+class _TexturedLevel:
+    """A level of the pyramid and what of it can tell a bend."""
 
-    def errors(picture: np.ndarray) -> list[np.ndarray]:
-        return [picture[..., number].flat[steep] - target for number, steep, target, _ in channels]
+    picture: np.ndarray
+    """[H, W, C] features."""
+    terms: np.ndarray
+    """[H W, T]."""
+    channels: tuple[_Channel, ...]
 
-    def middle(error: np.ndarray) -> float:
-        return float(np.median(np.abs(error)))
+    @staticmethod
+    def of(level: PyramidLevel) -> _TexturedLevel | None:
+        """None where too few pixels have texture."""
+        height, width = level.weight.shape
+        terms = _terms(width, height).reshape(height * width, -1)
+        # Inverse form, as in registration: the render's slopes stay. Of each channel only pixels of texture are asked.
+        channels = []
+        for number in range(level.render.shape[2]):
+            target = level.render[..., number]
+            down, across = np.gradient(target)
+            steep = np.flatnonzero(across**2 + down**2 > BENDS.min_slope)
+            if len(steep) < BENDS.min_samples:
+                return None
+            steep = steep[:: -(-len(steep) // BENDS.max_samples)]
+            slopes = np.stack([across.flat[steep], down.flat[steep]], -1)[:, None] * terms[steep][..., None]
+            slopes = slopes.reshape(len(steep), -1) * (max(width, height) / 2)
+            channels.append(_Channel(number, steep, target.flat[steep], slopes))
+        return _TexturedLevel(level.picture, terms, tuple(channels))
 
-    left = still = sum(middle(error) for error in errors(level.picture))
-    for _ in range(BENDS.max_steps):
-        shift = (terms @ coefficients).reshape(height, width, 2) * reach
-        image, inside = resampled_at(level.picture, shift)
-        remaining, left = errors(image), 0.0
-        normal, gain = np.zeros((2 * count, 2 * count)), np.zeros(2 * count)
-        for error, (_, steep, _, slopes) in zip(remaining, channels, strict=True):
-            # Tukey's weights: what was painted over does not count.
-            spread = 1.4826 * middle(error) + 1e-3
-            share = np.maximum(1 - (error / (REGISTRATION.tukey * spread)) ** 2, 0) ** 2 / spread**2
-            scaled = slopes * (share * inside.flat[steep])[:, None]
-            normal += scaled.T @ slopes
-            gain += scaled.T @ error
-            left += middle(error)
-        normal += BENDS.ridge * np.trace(normal) / len(normal) * np.eye(len(normal))
-        step = np.linalg.solve(normal, gain).reshape(2, count).T
-        coefficients = coefficients - step
-        if np.abs(terms @ step).max() * reach < BENDS.still_px:
-            break
-    return _Descent(coefficients, left / max(still, 1e-9))
+    def loss(self, coefficients: np.ndarray) -> float:
+        """Tukey's loss after a bend is undone, with the widest cutoff."""
+        return _loss(self._errors_after(coefficients)[0], [BENDS.min_cutoff] * len(self.channels))
+
+    def error_left(self, coefficients: np.ndarray) -> float:
+        """Error of the pixels of texture after a bend is undone, in parts of that of no motion: of the middle one, or
+        of those that differ more, whichever says more. A bend moves the middle of a picture little."""
+        after, still = (
+            np.array([np.quantile(np.abs(error), BENDS.error_quantiles) for error in self._errors_after(bend)[0]]).sum(
+                0
+            )
+            for bend in (coefficients, 0 * coefficients)
+        )
+        return float((after / np.maximum(still, 1e-9)).min())
+
+    def descended(self, coefficients: np.ndarray) -> np.ndarray:
+        """[T, 2] the bend that leaves least, from one that is near."""
+        reach = max(self.picture.shape[:2]) / 2
+        errors, inside = self._errors_after(coefficients)
+        for fields in _STAGES:
+            bases = fields.reshape(len(fields), -1).T
+            slopes = [channel.slopes @ bases for channel in self.channels]
+            for _ in range(BENDS.max_steps):
+                # Tukey's weights: what was painted over does not count.
+                cutoffs = [max(REGISTRATION.tukey * 1.4826 * _middle(error), BENDS.min_cutoff) for error in errors]
+                normal, gain = np.zeros((len(fields), len(fields))), np.zeros(len(fields))
+                for channel, error, cutoff, slope in zip(self.channels, errors, cutoffs, slopes, strict=True):
+                    share = np.maximum(1 - (error / cutoff) ** 2, 0) ** 2 / cutoff**2
+                    scaled = slope * (share * inside.flat[channel.steep])[:, None]
+                    normal += scaled.T @ slope
+                    gain += scaled.T @ error
+                normal += BENDS.ridge * np.trace(normal) / len(normal) * np.eye(len(normal))
+                step = (bases @ np.linalg.solve(normal, gain)).reshape(-1, 2)
+                before = _loss(errors, cutoffs)
+                for _ in range(BENDS.max_halvings):
+                    after, inside_after = self._errors_after(coefficients - step)
+                    if _loss(after, cutoffs) < before:
+                        break
+                    step = step / 2
+                else:  # no step along this direction leaves less
+                    break
+                coefficients, errors, inside = coefficients - step, after, inside_after
+                if np.abs(self.terms @ step).max() * reach < BENDS.still_px:
+                    break
+        return coefficients
+
+    def _errors_after(self, coefficients: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
+        """([P] error of each channel after a bend is undone, [H, W] bool where the picture shows anything)."""
+        height, width = self.picture.shape[:2]
+        shift = (self.terms @ coefficients).reshape(height, width, 2) * (max(width, height) / 2)
+        image, inside = resampled_at(self.picture, shift)
+        return [image[..., one.number].flat[one.steep] - one.target for one in self.channels], inside
+
+
+def _middle(error: np.ndarray) -> float:
+    return float(np.median(np.abs(error)))
+
+
+def _loss(errors: list[np.ndarray], cutoffs: list[float]) -> float:
+    """Tukey's loss of all errors, each over its cutoff."""
+    return sum(
+        float((1 - np.maximum(1 - (error / cutoff) ** 2, 0) ** 3).mean())
+        for error, cutoff in zip(errors, cutoffs, strict=True)
+    )

@@ -265,8 +265,9 @@ def moved_a_little(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray, a
     if not solid.any() or (mean <= FITS.max_mean)[solid].mean() < FITS.min_still:
         return None
     unchanged = mean_difference(picture, render) <= COPIES.max_unchanged
+    unpainted = mean <= FITS.max_mean
     for words, mistake, made, inside in _displacements(picture, render):
-        asset = inside & solid
+        asset = inside & solid & unpainted  # a dab on a bend is as neither makes it
         moved = asset & (mean_difference(made, render) > COPIES.min_predicted)
         if moved.sum() <= FITS.min_moved_share * asset.sum() or unchanged[moved].mean() > COPIES.max_contradicting:
             continue
