@@ -24,7 +24,7 @@ from splatpainter.gatekeeper.small_copies import (
     explained_by,
     mean_difference,
 )
-from splatpainter.lift.masks import box_mean, contrast, largest_channel
+from splatpainter.lift.masks import box_mean, contrast, largest_channel, largest_difference
 from splatpainter.pictures.encodings import busiest, detailed, few_colors
 from splatpainter.system.quick_dataclass import dataclass
 
@@ -85,6 +85,8 @@ class MistakeThresholds:
     """Reach over which the level of noise is measured."""
     min_noise: float = 1.2 / 255
     """Level from which noise lies over a pixel: rounding has up to half a level."""
+    quiet_share: float = 0.1
+    """Share of the pixels that are the quietest, and the loudest."""
     min_even_noise: float = 0.3
     """Level of the quietest tenth in parts of that of the loudest: noise lies over everything, detail does not."""
     max_median: float = 0.75
@@ -269,35 +271,53 @@ def filtered(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray) -> Expl
     # A filter leaves means as they were: where they moved, somebody painted, and that does not count.
     reach = max(MISTAKES.min_filter_px, round(max(alpha.shape) * MISTAKES.filter_share))
     weight = box_mean(solid.astype(np.float32), reach)
-    mean = box_mean(np.where(solid[..., None], seen - before, 0), reach) / np.maximum(weight, 1e-3)[..., None]
-    unpainted = detail & (largest_channel(np.abs(mean)) <= MISTAKES.max_filtered_mean)
+    changed = seen - before
+    changed.reshape(-1, 3)[np.flatnonzero(~solid)] = 0
+    mean = box_mean(changed, reach)
+    del changed  # of large pictures every array is fresh pages
+    mean /= np.maximum(weight, 1e-3)[..., None]
+    same_mean = largest_channel(np.abs(mean, out=mean)) <= MISTAKES.max_filtered_mean
+    del mean, weight
+    unpainted = detail & same_mean
     if unpainted.sum() < MISTAKES.min_filtered_share * detail.sum():
         return None
     # Strong smoothing may keep edges; weak smoothing that leaves a part intact is an edit of the rest.
     intact = float(_intact(seen, before)[unpainted].mean())
-    ratio = float(np.median(contrast(seen)[unpainted]) / max(float(np.median(contrast(before)[unpainted])), 1e-6))
-    smoothed = ratio < MISTAKES.max_smoothed and intact < (
-        MISTAKES.min_intact if ratio > MISTAKES.max_median else MISTAKES.max_intact_edges
-    )
-    # A better picture of a coarse asset has less contrast, too, where that was noise; but edges that no filter makes.
-    if smoothed and not _has_new_detail(contrast(seen), contrast(before), unpainted):
-        return Explanation("filter", SMOOTHED_WORDS, intact, 0.0)
-    sharpened = ratio > MISTAKES.min_sharpened and intact < MISTAKES.min_intact
-    if sharpened or _is_noisy(seen, before, np.abs(mean).max(-1) <= MISTAKES.max_filtered_mean):
+    if intact < max(MISTAKES.min_intact, MISTAKES.max_intact_edges):
+        after, rendered = contrast(seen), contrast(before)
+        ratio = float(np.median(after[unpainted]) / max(float(np.median(rendered[unpainted])), 1e-6))
+        smoothed = ratio < MISTAKES.max_smoothed and intact < (
+            MISTAKES.min_intact if ratio > MISTAKES.max_median else MISTAKES.max_intact_edges
+        )
+        # A better picture of a coarse asset has less contrast, too, where that was noise; but edges that no filter
+        # makes.
+        if smoothed and not _has_new_detail(after, rendered, unpainted):
+            return Explanation("filter", SMOOTHED_WORDS, intact, 0.0)
+        if ratio > MISTAKES.min_sharpened and intact < MISTAKES.min_intact:
+            return Explanation("detail", SHARPENED_WORDS, intact, 0.0)
+    if _is_noisy(seen, before, same_mean):
         return Explanation("detail", SHARPENED_WORDS, intact, 0.0)
     return None
 
 
 def _is_noisy(picture: np.ndarray, render: np.ndarray, unpainted: np.ndarray) -> bool:
     """Whether noise lies over a picture [H, W, 3] where it was not painted, [H, W] bool: asset and background alike."""
+    level = _noise_level(picture - render)[unpainted]
+    # Counted first: what the picture has beyond its render is quiet enough in most of them, and the least of both
+    # levels, and an order of them, need not be found for that.
+    if np.count_nonzero(level <= MISTAKES.min_noise) > MISTAKES.quiet_share * len(level) + 1:
+        return False
     # Noise of the render that a clean picture lacks is none of the picture's.
-    levels = []
-    for values in (picture - render, picture):
-        noise = largest_channel(np.abs(values - box_mean(values, 1)))
-        levels.append(box_mean(noise, MISTAKES.noise_px)[unpainted])
-    level = np.minimum(*levels)
-    quiet, loud = np.quantile(level, (0.1, 0.9)) if len(level) else (0.0, 0.0)
+    level = np.minimum(level, _noise_level(picture)[unpainted])
+    quiet, loud = np.quantile(level, (MISTAKES.quiet_share, 1 - MISTAKES.quiet_share)) if len(level) else (0.0, 0.0)
     return bool(quiet > max(MISTAKES.min_noise, MISTAKES.min_even_noise * loud))
+
+
+def _noise_level(values: np.ndarray) -> np.ndarray:
+    """[H, W] mean level of noise around each pixel of [H, W, 3]."""
+    noise = box_mean(values, 1)
+    np.subtract(values, noise, out=noise)
+    return box_mean(largest_channel(np.abs(noise, out=noise)), MISTAKES.noise_px)
 
 
 def _has_new_detail(after: np.ndarray, before: np.ndarray, pixels: np.ndarray) -> bool:
@@ -322,7 +342,7 @@ def _has_new_detail(after: np.ndarray, before: np.ndarray, pixels: np.ndarray) -
 
 def _intact(picture: np.ndarray, render: np.ndarray) -> np.ndarray:
     """[H, W] bool: pixels with whose surroundings nothing happened."""
-    same = box_mean(largest_channel(np.abs(picture - render)), 1) <= COPIES.max_unchanged
+    same = box_mean(largest_difference(picture, render), 1) <= COPIES.max_unchanged
     return box_mean(same.astype(np.float32), MISTAKES.intact_px) > MISTAKES.min_same
 
 

@@ -154,7 +154,7 @@ def _other_view(source: PictureFile) -> str:
 
 def _compared(source: PictureFile, splats: Splats) -> _ComparedView:
     drawn, cover = draw(splats, source.camera)
-    render = np.clip(to_display(drawn, splats.color_space), 0, 1).astype(np.float32)
+    render = np.clip(to_display(drawn, splats.color_space), 0, 1).astype(np.float32, copy=False)
     colors, alpha = source.picture.colors, source.picture.alpha
     if alpha is not None:
         background = to_display(np.asarray(source.camera.background, np.float32), splats.color_space)

@@ -186,16 +186,18 @@ def small_copy(values: np.ndarray) -> np.ndarray:
     height, width = values.shape[:2]
     shrink = max(max(height, width) / COPIES.small_px, 1.0)
     size = max(round(width / shrink), 1), max(round(height / shrink), 1)
-    clipped = np.clip(values, 0, 1).astype(np.float32)
-    # NaN alone passes the bounds, and any of it shows in the sum: nan_to_num asks every pixel three times.
-    if np.isnan(clipped.sum()):
+    clipped = values
+    # Most values lie in 0..1 already, and a copy of a large picture costs more than to ask; NaN fails both comparisons.
+    if values.dtype != np.float32 or not (values.min(initial=0) >= 0 and values.max(initial=0) <= 1):
+        clipped = np.clip(values, 0, 1).astype(np.float32)
         clipped[np.isnan(clipped)] = 0
     return clipped if size == (width, height) else resample(clipped, *size)
 
 
 def mean_difference(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """[H, W] how far two pictures [H, W, 3] are apart over 3 x 3 pixels, in the channel that differs most."""
-    return largest_channel(np.abs(box_mean(one - other, 1)))
+    means = box_mean(one - other, 1)
+    return largest_channel(np.abs(means, out=means))
 
 
 def explained_by(mistake: Mistake, made: np.ndarray, view: SmallView) -> Explanation | None:

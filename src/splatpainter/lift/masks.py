@@ -203,17 +203,19 @@ def dilated(mask: np.ndarray, reach: int) -> Bools:
     return out
 
 
-def pasted(picture: np.ndarray, other: np.ndarray, mask: Bools) -> np.ndarray:
-    """A picture ([H, W, 3]) with the set pixels of a mask ([H, W] bool) from another one of its dtype."""
-    out, at = np.array(picture, order="C"), np.flatnonzero(mask)
+def paste(picture: np.ndarray, other: np.ndarray, mask: Bools) -> None:
+    """Write the set pixels of a mask ([H, W] bool) of another picture to a C-contiguous one ([H, W, 3] both)."""
+    at = np.flatnonzero(mask)
     # By rows of three numbers: numpy copies these much faster than it chooses among single ones.
-    out.reshape(-1, 3)[at] = other.reshape(-1, 3).take(at, 0)
-    return out
+    picture.reshape(-1, 3)[at] = other.reshape(-1, 3).take(at, 0)
 
 
 def contrast(image: np.ndarray) -> np.ndarray:
     """[H, W] difference of each pixel's grey to its right and lower neighbours'."""
-    grey = (image[..., 0] + image[..., 1] + image[..., 2]) * np.asarray(1 / 3, image.dtype)
+    # In one array: of large pictures each further one would be fresh pages, which the system clears first.
+    grey = image[..., 0] + image[..., 1]
+    grey += image[..., 2]
+    grey *= np.asarray(1 / 3, image.dtype)
     out = np.empty(grey.shape, grey.dtype)
     run(kernels.measure_contrast, readonly(grey, grey.dtype), out)
     return out
@@ -238,7 +240,8 @@ def _is_lossless(near: np.ndarray, detailed: Bools) -> bool:
 
 def largest_channel(values: np.ndarray) -> np.ndarray:
     """[H, W, 3] -> [H, W]; numpy's own max over so short an axis is several times slower."""
-    return np.maximum(np.maximum(values[..., 0], values[..., 1]), values[..., 2])
+    out = np.maximum(values[..., 0], values[..., 1])
+    return np.maximum(out, values[..., 2], out=out)
 
 
 def _noise(values: np.ndarray, detail: np.ndarray) -> np.ndarray:

@@ -276,10 +276,10 @@ def _guesses() -> Iterator[Encoding]:
 
 def few_colors(picture: np.ndarray) -> np.ndarray | None:
     """[K, 3] uint8 all colours of a picture; None where they are more than a palette holds."""
-    levels = np.round(np.clip(picture, 0, 1) * 255).astype(np.uint32)
-    codes = levels[..., 0] << 16 | levels[..., 1] << 8 | levels[..., 2]
-    for part in (codes.ravel()[:: max(1, codes.size // 4096)], codes):  # most pictures have more in a few thousand
-        distinct = np.unique(part)
+    pixels = picture.reshape(-1, 3)
+    for part in (pixels[:: max(1, len(pixels) // 4096)], pixels):  # most pictures have more in a few thousand
+        levels = np.round(np.clip(part, 0, 1) * 255).astype(np.uint32)
+        distinct = np.unique(levels[:, 0] << 16 | levels[:, 1] << 8 | levels[:, 2])
         if len(distinct) > MAX_PALETTE:
             return None
     return np.stack([distinct >> 16, distinct >> 8 & 255, distinct & 255], -1).astype(np.uint8)

@@ -21,7 +21,7 @@ from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
 from splatpainter.lift.colors import MIN_CHANGE, lift_colors, recolor
 from splatpainter.lift.local.split import Lattice, projected_sizes
-from splatpainter.lift.masks import box_mean, dilated, pasted
+from splatpainter.lift.masks import box_mean, dilated, paste
 from splatpainter.lift.nearest import nearest_pixels
 from splatpainter.lift.options import LocalOptions
 from splatpainter.lift.sheets.fringe import FringedSurface, fringe_of, fringe_paint
@@ -119,9 +119,9 @@ def resurface(
     """Lay a sheet under some pixels as far as the surface is trusted; None where it is nowhere.
 
     view: of `splats`, at least the tiles of `pixels`; around: those of all Gaussians that make these pixels;
-    visible: the surface at these; before: [H, W, 3] its picture; target: [H, W, 3] float32 the picture to reach
-    (equal to `before` in the ring); pixels: [H, W] bool; first_appended: Gaussians from this index on are no part of
-    the original, and their indices may take any sheet Gaussian."""
+    visible: the surface at these; before: [H, W, 3] its picture, which is written to where there is a sheet; target:
+    [H, W, 3] float32 the picture to reach (equal to `before` in the ring); pixels: [H, W] bool; first_appended:
+    Gaussians from this index on are no part of the original, and their indices may take any sheet Gaussian."""
     # Which pixels get a sheet: those with a trusted surface ...
     camera = view.camera
     at, depth = np.flatnonzero(pixels), np.zeros(pixels.shape)
@@ -183,7 +183,7 @@ def resurface(
     fresh = pieces.splats.append(sheet)
     del sheet, hidden, geometry, colors, cover
     # Colour rounds: the pixels beside the sheet ask for what they showed before.
-    goal = pasted(_picture(view, around, before, tiles), target, covered)
+    goal = _goal(view, around, before, tiles, target, covered)
     weights = np.where(painted, covered, RESURFACING.unedited_weight).astype(np.float32)
     # Indices whose Gaussian went: the sheet may take them, else they are empty.
     emptied = lattice.parent[gone & lattice.slot]
@@ -238,15 +238,17 @@ def _footprints(around: ProjectedView, tiles: np.ndarray) -> np.ndarray:
     return out
 
 
-def _picture(view: ProjectedView, around: ProjectedView, before: np.ndarray, tiles: np.ndarray) -> np.ndarray:
-    """[H, W, 3] what some tiles show. view: has the picture `before`; around: drawn in the others of these tiles."""
+def _goal(
+    view: ProjectedView, around: ProjectedView, before: np.ndarray, tiles: np.ndarray, target: Floats, covered: Bools
+) -> np.ndarray:
+    """`before` ([H, W, 3]), written to: what some tiles show, and the target in the covered pixels. view: has the
+    picture `before`; around: drawn in the others of these tiles."""
     missing = tiles & ~view.tiles
-    if not missing.any():
-        return before
-    picture = before.copy()
-    # Of alpha and depth, which nobody reads, only the pages of these tiles become memory.
-    around.redraw(missing, picture, *np.zeros((2, *picture.shape[:2]), picture.dtype))
-    return picture
+    if missing.any():
+        # Of alpha and depth, which nobody reads, only the pages of these tiles become memory.
+        around.redraw(missing, before, *np.zeros((2, *before.shape[:2]), before.dtype))
+    paste(before, target, covered)
+    return before
 
 
 def _pixels_of(tiles: np.ndarray, camera: Camera) -> Bools:
