@@ -8,7 +8,7 @@ import pytest
 from splatpainter.kernels.library import kernels
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
-from splatpainter.surface.surface_samples import SurfaceSamples
+from splatpainter.surface.surface_samples import SurfaceSamples, _order_of
 
 WIDTH = 0.02
 """Of the Gaussians, world units."""
@@ -200,6 +200,16 @@ def test_queries_that_are_no_queries_have_no_surface():
     result = Surface.of(plane(500)).at(points, directions, np.array([WIDTH, WIDTH, np.nan, -1]))
     assert (result.patches[[0, 2, 3]] == 0).all() and (result.trust[[0, 2, 3]] == 0).all()
     assert np.isfinite(result.trust).all()
+
+
+def test_samples_are_ordered_by_level_then_cell_equal_ones_as_they_come():
+    rng = np.random.default_rng(3)
+    level, keys = rng.integers(0, 24, 5000), rng.integers(0, 1 << 60, 40)[rng.integers(0, 40, 5000)]
+    assert np.array_equal(_order_of(level, keys), np.lexsort((keys, level)))
+    # Numbers that differ in one of their parts alone.
+    for shift in (0, 16, 32, 48, 58):
+        keys = rng.integers(0, 4, 500) << shift
+        assert np.array_equal(_order_of(np.zeros(500, np.int64), keys), np.argsort(keys, kind="stable"))
 
 
 def test_few_gaussians():

@@ -219,7 +219,9 @@ def visible_surface(
 
 
 def _lattice_step(splats: Splats, view: ProjectedView, entry: np.ndarray) -> int:
-    seen = np.unique(entry[entry >= 0])
+    is_seen = np.zeros(len(view), bool)
+    is_seen[entry[entry >= 0]] = True
+    seen = np.flatnonzero(is_seen)
     if not len(seen):
         return 1
     scales = np.sort(splats.scales[view.gaussian_ids[seen]], 1)

@@ -103,14 +103,16 @@ class CachedWeights:
 
 def _block_boxes(view: ProjectedView, entries: np.ndarray, tile: np.ndarray) -> Ids:
     """[Q, 4] int64 blocks of each pair's tile that its ellipse touches, rows and columns from, to (see blocks_hit)."""
-    projected, across = view.projected.take(entries, 0), view.tiles.shape[1]
+    projected, (row, column) = view.projected, np.divmod(tile, view.tiles.shape[1])
     out = np.empty((len(entries), 4), np.int64)
-    for k, (mean, extent, first) in enumerate(
-        [(MEAN_Y, EXTENT_Y, tile // across * TILE), (MEAN_X, EXTENT_X, tile % across * TILE)]
-    ):
-        m, e = projected[:, mean] - (first + 0.5).astype(projected.dtype), projected[:, extent]
-        out[:, 2 * k] = np.clip(m - e, 0, TILE - 1).astype(np.int64) >> 2
-        out[:, 2 * k + 1] = (np.clip(m + e, 0, TILE - 1).astype(np.int64) >> 2) + 1
+    for k, (mean, extent, first) in enumerate([(MEAN_Y, EXTENT_Y, row), (MEAN_X, EXTENT_X, column)]):
+        # A column is gathered alone: a pair's row is a whole cache line.
+        m, e = (np.ascontiguousarray(projected[:, number]).take(entries) for number in (mean, extent))
+        m -= (first * TILE + 0.5).astype(projected.dtype)
+        for side, edge in enumerate((m - e, m + e)):
+            out[:, 2 * k + side] = np.clip(edge, 0, TILE - 1, out=edge)
+    out >>= 2
+    out[:, 1::2] += 1
     return out
 
 
