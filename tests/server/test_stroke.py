@@ -178,7 +178,10 @@ def test_what_was_seen_of_the_surface_while_a_stroke_grew_is_not_asked_again_and
 def test_the_surface_is_looked_at_under_paint_that_grows_alone() -> None:
     splats = ball(3000)
     surface = Surface.of(splats)
-    assert not drawn(splats, 1)[0].look(surface)  # a text comes whole, and the pen goes up at once
+    text = drawn(splats, 1)[0]  # it comes whole, and the pen goes up at once
+    assert not text.has_grown and not text.look(surface)
+    stroke = drawn(splats, 4)[0]
+    assert stroke.has_grown and stroke.look(surface) and not stroke.has_grown
     moved, _ = drawn(splats, 6)
     moved.patch(*BOX, square((0, 0, 0, 0)))
     assert not moved.look(surface)

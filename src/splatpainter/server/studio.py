@@ -140,7 +140,10 @@ class Studio:
         """Estimate the surface under a stroke in a thread of its own while the stroke is drawn, unless one is at it;
         `close` waits for it. Not of several assets: each has its surface, which the edit asks when the stroke was cut
         to it."""
-        if (self._preparing is not None and self._preparing.is_alive()) or len(self.session.scene.assets) > 1:
+        # Most patches bring too little that is new, a text comes as one: no thread is begun for nothing.
+        if not stroke.has_grown or len(self.session.scene.assets) > 1:
+            return
+        if self._preparing is not None and self._preparing.is_alive():
             return
         surface = self.session.surface.estimate
 

@@ -213,12 +213,18 @@ class Stroke:
         canvas.colors[moved] = colors
         return entries
 
+    @property
+    def has_grown(self) -> bool:
+        """Whether enough was painted to look at the surface under it (again)."""
+        enough = self._patches >= self._looked + LOOKS.patches
+        return enough and self._grows and not (self.erase or self.masks)
+
     def look(self, surface: Surface) -> bool:
         """Ask the surface what the edit at the end will ask, under what was painted so far, beside the thread that
         draws; whether there was enough new. The edit finds it as long as this stroke is there."""
         # Taken once: the other thread may draw on, or project another version.
         canvas, patches = self._canvas, self._patches
-        if canvas is None or self.erase or self.masks or not self._grows or patches < self._looked + LOOKS.patches:
+        if canvas is None or not self.has_grown:
             return False
         sight = sight_under(canvas.splats, surface, canvas.view, canvas.alpha, self.mask, self._sight)
         self._looked = patches
