@@ -49,6 +49,9 @@ class SurveyThresholds:
     wrong."""
     fused_radius_diagonals: float = 0.54
     """Radius of the ball in which views of rough surface are fused, in diagonals of the decal."""
+    sheet_spacings: float = 8.0
+    """Distance from which samples that face opposite ways lie on two sheets of surface, in spacings: backs of walls are
+    12 to 17 away; at 3, bars of a grate lost places to each other."""
     max_samples: int = 60_000
     """Most samples of one decal; from which on no further view is surveyed."""
     strip_margin: float = 0.35
@@ -249,9 +252,31 @@ def _fused_patch(
     half = (size[0] / 2, size[1] / 2)
     samples = unwrap(points[order], normals[order], up, voxel, half, max_turn)
     within = samples.reached & (samples.normals @ samples.normals[0] >= np.cos(min(max_turn, np.pi)) - 1e-9)
+    within &= ~laid_twice(samples)
     under = within & (np.abs(samples.uv) < half).all(1)
     lines = np.broadcast_to(seen_from, samples.points.shape)
     return UnwrappedPatch(samples, within, under, SURVEY.smoothed_voxels * voxel, lines, outdoors)
+
+
+def laid_twice(samples: Unwrapped) -> np.ndarray:
+    """[S] bool samples that hold a place of the picture which one of another sheet of surface, that faces the other
+    way, holds by a shorter way: around a burr of fog ways lead to the back of a wall, which shows the picture again."""
+    twice = np.zeros(len(samples.points), bool)
+    reached = np.flatnonzero(samples.reached)
+    # The nearest sample of every cell of the picture holds it.
+    cell = np.floor(samples.uv[reached] / samples.spacing).astype(np.int64)
+    cell -= cell.min(0) - 1
+    columns, rows = cell.max(0) + 2
+    holder = np.full((columns, rows), -1)
+    farthest_first = np.argsort(-samples.distances[reached], kind="stable")
+    holder[tuple(cell[farthest_first].T)] = reached[farthest_first]
+    for step in np.ndindex(3, 3):
+        other = holder[tuple((cell + step - 1).T)]
+        away = np.linalg.norm(samples.points[reached] - samples.points[other], axis=1)
+        opposite = (samples.normals[reached] * samples.normals[other]).sum(1) < 0
+        second = samples.distances[other] < samples.distances[reached]
+        twice[reached] |= (other >= 0) & second & opposite & (away > SURVEY.sheet_spacings * samples.spacing)
+    return twice
 
 
 def _facing_inwards(seen: SurfacePixels, shape: tuple[int, int], reach: float) -> np.ndarray:
