@@ -5,7 +5,7 @@ Used by decals, which are laid over more of a surface than one camera sees.
 
 from __future__ import annotations
 
-from dataclasses import field
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -52,6 +52,9 @@ class DecalViewThresholds:
     """How near, pixels that face the decal."""
     min_distance: float = 0.5
     """Depth of a pixel, in distances of the camera from what it faces, from which it is painted."""
+    max_stray: float = 0.15
+    """How far from its place on the surface the paint of a pixel may land, in lengths of the decal's longer side. Less
+    leaves fog unpainted that veils the decal (0.1: massa, a pedestal), more is seen as crumbs beside it."""
     front_px: int = 2
     """Pixels around one of more than that which it does not paint either: paint spreads by as much."""
     rim_slope: float = 4.0
@@ -83,6 +86,10 @@ class DecalViewThresholds:
     (lift/edits.py), which has no sheets."""
     min_share: float = 0.01
     """Least share of a patch: what a view must show best, to be one of those that paint it."""
+
+    def stray_limit(self, samples: Unwrapped, painted: np.ndarray) -> float:
+        """max_stray in world units. painted: [S] bool samples of the decal."""
+        return self.max_stray * 2 * float(np.nanmax(np.abs(samples.uv[painted])))
 
 
 DECAL_VIEWS = DecalViewThresholds()
@@ -152,6 +159,9 @@ def faced_parts(
         if not len(small) or keep.sum() == 1:
             break
         keep[small[shares[small].argmin()]] = False
+    stray_limit = DECAL_VIEWS.stray_limit(samples, painted)
+    views = _less_astray(views, keep, stray_limit)
+    owners = np.where(keep[:, None], np.stack([view.cosines for view in views]), -1).argmax(0)
     parts = [view.part(owners == k, patch) for k, view in enumerate(views) if keep[k]]
     # What shows at an angle in fog are often other Gaussians: paint those, too, and before, as the latest view wins.
     sides: list[FacedPart] = []
@@ -165,9 +175,24 @@ def faced_parts(
             side = np.cross(up, direction)
             turned = np.cos(turn) * direction + np.sin(turn) * side / np.linalg.norm(side)
             view = _view(asset, surface, patch, painted, turned, members, up, pixel)
+            view = view.without_strays(np.full(len(owners), stray_limit))
             if stands_free(asset, view.camera.position, patch.outdoors):
                 sides.append(view.part(owners == k, patch))
     return sides + parts
+
+
+def _less_astray(views: list[PatchView], keep: np.ndarray, limit: float) -> list[PatchView]:
+    """Views without what another of those that paint (keep: [V] bool) lays nearer to its place: paint that lands
+    elsewhere, farther than `limit` (world units), shows there from all other sides."""
+    if keep.sum() < 2:
+        return views
+    strays = np.stack([view.least_stray() for view in views])
+    strays[~keep] = np.inf
+    least, good = np.maximum(strays.min(0), limit), strays <= limit
+    return [
+        view.without_strays(np.where(good[k] & (good.sum(0) == 1), np.inf, least)) if keep[k] else view
+        for k, view in enumerate(views)
+    ]
 
 
 @dataclass(frozen=True)
@@ -187,6 +212,23 @@ class PatchView:
     """[S] float64 between normal and line of sight, 0 where a sample is not seen."""
     clear: np.ndarray
     """[H, W] bool pixels whose light comes from Gaussians on the surface, not from fog before and behind it."""
+    stray: np.ndarray
+    """[Q] float64 how far from its place paint on a pixel lands, world units; 0 where nothing is painted."""
+
+    def least_stray(self) -> np.ndarray:
+        """[S] float64 of the pixels that show each sample, infinite where none does or the view is not to paint it."""
+        least = np.full(len(self.cosines), np.inf)
+        np.minimum.at(least, self.nearest, self.stray)
+        return np.where(self.cosines > 0, least, np.inf)
+
+    def without_strays(self, limits: np.ndarray) -> PatchView:
+        """The view without pixels whose paint lands farther from its place than their samples allow (limits: [S])."""
+        near = self.stray <= limits[self.nearest]
+        if near.all():
+            return self
+        cosines = np.where(np.bincount(self.nearest[near], minlength=len(limits)) > 0, self.cosines, 0)
+        parts = {name: getattr(self, name)[near] for name in ("ys", "xs", "uv", "nearest", "stray")}
+        return replace(self, cosines=cosines, **parts)
 
     def foggy(self, chosen: np.ndarray) -> bool:
         """Whether most of the pixels of some samples ([S] bool) are not clear."""
@@ -313,7 +355,34 @@ def mapped_view(
     cosine = (line * samples.normals).sum(1) / np.linalg.norm(line, axis=1)
     # A sample that is seen at all belongs to someone, however grazing.
     cosine = np.where(visible, np.maximum(cosine, 1e-3), 0)
-    return PatchView(camera, before, alpha, ys, xs, uv[ys, xs], index[ys, xs], cosine, clear)
+    uv, nearest = uv[ys, xs], index[ys, xs]
+    stray = np.zeros(len(ys))
+    if painting:
+        limit = DECAL_VIEWS.stray_limit(samples, painted)
+        stray = _strays(samples, camera, np.stack([xs, ys], 1), uv, nearest, depth, limit)
+    return PatchView(camera, before, alpha, ys, xs, uv, nearest, cosine, clear, stray)
+
+
+def _strays(
+    samples: Unwrapped,
+    camera: Camera,
+    pixels: np.ndarray,
+    uv: np.ndarray,
+    nearest: np.ndarray,
+    depth: np.ndarray,
+    limit: float,
+) -> np.ndarray:
+    """[Q] how far from its place along the surface the paint of each pixel lands, world units, in a view that mostly
+    shows what stands far before it at a slant: most of its pixels beyond `limit`; else 0. pixels: [Q, 2] int64 (x, y);
+    uv, nearest: of each, as of `PatchView`; depth: [H, W] z."""
+    right, normals = samples.right[nearest], samples.normals[nearest]
+    axes = np.stack([right, np.cross(normals, right)], 1)
+    position = samples.points[nearest] + ((uv - samples.uv[nearest])[:, :, None] * axes).sum(1)
+    way = camera.unproject(depth[pixels[:, 1], pixels[:, 0]], pixels + 0.5) - position
+    # Fog straight before the surface shows at its place from there.
+    before = (way * normals).sum(1) > 0
+    along = np.where(before, np.linalg.norm((way[:, None] * axes).sum(2), axis=1), 0)
+    return along if len(along) and np.median(along) > limit else np.zeros(len(along))
 
 
 def _specks(seen: SurfacePixels, uv: np.ndarray, shape: tuple[int, int], reach: float) -> np.ndarray:
