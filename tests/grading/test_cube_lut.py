@@ -103,3 +103,24 @@ def test_other_bytes_are_no_table(tmp_path: Path) -> None:
     (tmp_path / "x.cube").write_bytes(b"\xef\xbb\xbfLUT_1D_SIZE 2\r\n0 0 0\r\n1 1 1\r\n")  # as Windows writes text
     colors = some_colors(9)
     np.testing.assert_allclose(read_cube(tmp_path / "x.cube")(colors), colors, atol=1e-6)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "latin-1", "utf-16"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_titles_in_any_encoding_and_lines_with_any_end(encoding: str, end: str, tmp_path: Path) -> None:
+    lines = ['TITLE "K\u00fchl"', "# W\u00e4rme", "LUT_1D_SIZE 2", "1 1 1", "0 0 0"]
+    (tmp_path / "a.cube").write_bytes(end.join(lines).encode(encoding))
+    table = read_cube(tmp_path / "a.cube").shaper
+    assert table is not None and table.tolist() == [[1, 1, 1], [0, 0, 0]]
+
+
+@pytest.mark.parametrize(("top", "scale"), [(255, 255), (1023, 1023), (4000, 4095)])
+def test_a_table_of_integer_levels_is_refused(top: int, scale: int, tmp_path: Path) -> None:
+    """Taken as colours every entry but black is white."""
+    (tmp_path / "a.cube").write_text(f"LUT_1D_SIZE 2\n0 0 0\n{top} {top} {top}\n")
+    with pytest.raises(
+        ValueError, match=rf"a.cube: its entries are whole numbers up to {top}; .*: divide them by {scale}"
+    ):
+        read_cube(tmp_path / "a.cube")
+    (tmp_path / "a.cube").write_text(f"LUT_1D_SIZE 2\n0 0 0\n{top} {top} {top}.5\n")
+    assert read_cube(tmp_path / "a.cube").shaper is not None, "light"

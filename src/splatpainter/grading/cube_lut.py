@@ -40,6 +40,8 @@ MIN_DOMAIN = 1e-6
 """Least distance between the lowest and the highest input of a table."""
 MAGIC, HEAD_BYTES = b"CLUT", 60
 """Beginning of the tables in a project: sizes and domains, then entries of three float32."""
+MIN_INTEGER_SCALE = 255
+"""Of a table of whole numbers: from here on they are levels of 8, 10, 12 or 16 bits, and no colours of 0..1."""
 UNIT: Domain = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
 
 
@@ -109,11 +111,20 @@ def read_cube(path: Path) -> CubeLut:
     data = files.read_head(path, MAX_CUBE_BYTES + 1)
     if len(data) > MAX_CUBE_BYTES:
         raise ValueError(f"{path}: expected a .cube table of at most {MAX_CUBE_BYTES >> 20} MiB, got more")
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise ValueError(f"{path}: expected a .cube table (text), got other bytes") from None
-    return parse_cube(text, path)
+    return parse_cube(_text(data, path), path)
+
+
+def _text(data: bytes, path: Path) -> str:
+    """Raises ValueError: no text. Titles and comments are in whatever encoding a program wrote them."""
+    encodings = ["utf-16"] if data.startswith((b"\xff\xfe", b"\xfe\xff")) else ["utf-8-sig", "latin-1"]
+    for encoding in encodings:
+        try:
+            text = data.decode(encoding)
+        except UnicodeDecodeError:
+            continue
+        if text.isascii() or "SIZE" in text.upper():  # latin-1 decodes any bytes
+            return text
+    raise ValueError(f"{path}: expected a .cube table (text), got other bytes")
 
 
 def parse_cube(text: str, where: Path | str) -> CubeLut:
@@ -122,7 +133,7 @@ def parse_cube(text: str, where: Path | str) -> CubeLut:
     table = np.zeros((0, 3), np.float32)
     count = limit = 0
     # Line by line, so that every error names its line.
-    for number, raw in enumerate(io.StringIO(text), 1):
+    for number, raw in enumerate(io.StringIO(text, newline=None), 1):
         at = f"{where}:{number}"
         line = raw.split("#", 1)[0].strip()
         if not line:
@@ -153,6 +164,12 @@ def parse_cube(text: str, where: Path | str) -> CubeLut:
         raise ValueError(f"{where}: expected a .cube table with LUT_1D_SIZE or LUT_3D_SIZE, got neither")
     if count != limit:
         raise ValueError(f"{where}: expected {limit} entries, as its size says, got {count}")
+    largest = float(table.max())
+    if largest >= MIN_INTEGER_SCALE and (table == np.round(table)).all():
+        raise ValueError(
+            f"{where}: its entries are whole numbers up to {largest:g}; expected colours of 0..1: divide them by "
+            f"{2 ** math.ceil(math.log2(largest + 1)) - 1}, or export it again as .cube of floats"
+        )
     size_1d, size_3d = (int(header.get(name, (0.0,))[0]) for name in SIZES)
     shared = (_three(header.get("DOMAIN_MIN", (0.0,))), _three(header.get("DOMAIN_MAX", (1.0,))))
     domains: list[Domain] = []
