@@ -478,3 +478,15 @@ def test_a_camera_that_sees_little_of_what_it_is_for_paints_nothing(
     # How far each camera looks along -x, onto the right side.
     facing = [-float(edit.camera.world_to_camera[2, 0]) for edit in decal.laid(asset).edits]
     assert (max(facing) > 0.9) == paints, facing
+
+
+def test_letters_that_the_font_lacks_are_named_and_not_drawn_as_boxes(tmp_path: Path) -> None:
+    with pytest.raises(
+        ValueError, match=r"the built-in font has no letter for 'é', '本'; give a font that has: --font"
+    ):
+        text_picture("A\u00e9 \u672c", RED)
+    with pytest.raises(ValueError, match="no letter for 'é'"):
+        text_picture("Ae\u0301", RED)
+    text_picture('"Hello, World!" (~{|}) \u00a0 \n 0123456789', RED)
+    with pytest.raises(ValueError, match=r"gone.ttf: expected a TrueType or OpenType font \(no such file"):
+        text_picture("a", RED, tmp_path / "gone.ttf")

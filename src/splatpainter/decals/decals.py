@@ -10,6 +10,7 @@ promise holds for decals: receipts, undo, layers. Each part is painted from the 
 from __future__ import annotations
 
 import math
+import unicodedata
 from dataclasses import field, replace
 from pathlib import Path
 
@@ -201,13 +202,21 @@ def parse_width(text: float | str) -> tuple[float, bool]:
 
 def text_picture(text: str, color: tuple[float, float, float], font: Path | None = None) -> Picture:
     """A word as a picture that is cut to its letters. color: 0..1; font: as `draw_text`. Raises ValueError for a text
-    without letters, or one too long to be drawn, and for a font that cannot be read."""
-    from splatpainter.pictures.drawing import draw_text, load_font
+    without letters, or one too long to be drawn, and for a font that cannot be read or lacks letters of it."""
+    from splatpainter.pictures.drawing import draw_text, load_font, missing_letters
 
     capital = 96.0
     if not text.strip() or len(text) > 200:
         raise ValueError(f"decal: expected a text of 1 to 200 characters, got {text[:40]!r}")
-    left, top, right, bottom = load_font(font, capital).getbbox(text, anchor="ls")
+    text = unicodedata.normalize("NFC", text)  # Macs write letters and their accents apart, which no font joins here
+    letters = load_font(font, capital)
+    missing = missing_letters(text, letters)
+    if missing:  # a font draws boxes in their place
+        name = "the built-in font" if font is None else str(font)
+        raise ValueError(
+            f"decal: {name} has no letter for {', '.join(map(repr, missing[:5]))}; give a font that has: --font F.ttf"
+        )
+    left, top, right, bottom = letters.getbbox(text, anchor="ls")
     shape = (math.ceil(bottom - top) + 32, math.ceil(right - left) + 32)
     layer = draw_text(shape, text, (shape[1] / 2, shape[0] / 2), capital, color, font)
     ys, xs = np.nonzero(layer[..., 3] > DECALS.min_paint_alpha)

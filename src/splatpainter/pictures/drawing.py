@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,6 +20,8 @@ from splatpainter.system.quick_dataclass import dataclass
 if TYPE_CHECKING:
     from PIL.ImageFont import FreeTypeFont, ImageFont
 
+NO_LETTER = "\U0010ffff"
+"""A code that Unicode never gives to a letter."""
 SUPERSAMPLING = 3
 """Text and stickers are drawn this much larger per axis and averaged."""
 OCTAVES = 3
@@ -244,6 +246,8 @@ def load_font(font: Path | None, height: float) -> FreeTypeFont | ImageFont:
     """A font at the size where its capitals are `height` pixels tall. Raises ValueError when it cannot be read."""
     from PIL import ImageFont
 
+    if font and not font.exists():
+        raise ValueError(f"{font}: expected a TrueType or OpenType font (no such file)")
     load = (lambda size: ImageFont.truetype(str(font), size)) if font else ImageFont.load_default
     try:
         # Fonts differ in how high a capital is at one size: measured at 100, then scaled.
@@ -251,6 +255,19 @@ def load_font(font: Path | None, height: float) -> FreeTypeFont | ImageFont:
         return load(max(round(100 * height / max(bottom - top, 1)), 1))
     except OSError as error:
         raise ValueError(f"{font}: expected a TrueType or OpenType font ({error})") from None
+
+
+def missing_letters(text: str, letters: FreeTypeFont | ImageFont) -> list[str]:
+    """Letters of a text that a font does not have, each once, as they come: they are drawn as NO_LETTER is."""
+
+    def shape(letter: str) -> tuple[tuple[int, int], bytes]:
+        mask: Any = letters.getmask(letter)  # Pillow's stubs do not say that it is bytes
+        return mask.size, bytes(mask)
+
+    none = shape(NO_LETTER)
+
+    # Blanks have no shape, and a font may draw what it lacks so.
+    return [letter for letter in dict.fromkeys(text) if not letter.isspace() and shape(letter) == none]
 
 
 def _box(shape: tuple[int, int], x: float, y: float, reach: float) -> tuple[slice, slice] | None:
