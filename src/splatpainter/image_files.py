@@ -253,6 +253,13 @@ def read_deep(path: Path, max_pixels: int) -> PixelSamples:
             ..., [position - first for position in positions]
         ]
         associated = spec.getattribute("oiio:UnassociatedAlpha") in (None, 0) and source.format_name() != "png"
+        # Beside what is drawn, 0 / 0 of an undone alpha is usual and shows nowhere; in it, black specks would be paint.
+        bad = np.isnan(pixels).any(-1) & (~(pixels[..., -1] <= 0) if len(channels) in (2, 4) else True)
+        if bad.any():
+            raise ValueError(
+                f"{path}: {int(bad.sum()):,} of {bad.size:,} pixels are NaN (no number); expected colours: repair them "
+                "in the program that wrote it, or export a PNG"
+            )
         values = _windowed(np.nan_to_num(pixels), spec)
         # A header may hold anything: an orientation that EXIF does not know is taken for none.
         turned = spec.getattribute("Orientation")

@@ -7,6 +7,7 @@ import struct
 import zlib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from splatpainter.cameras import Camera, look_at
@@ -90,3 +91,50 @@ def test_a_kilobyte_that_claims_megapixels_of_another_shape_is_not_decoded(
     monkeypatch.setattr(picture_reader, "_srgb", lambda *_: pytest.fail("it was decoded"))
     with pytest.raises(ValueError, match="aspect ratio of its camera .24x16., got 24x2000000"):
         edit_from_files(path)
+
+
+def test_a_tiff_packed_by_webp_is_one_line_and_nothing_on_stderr(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """libtiff, where it lacks a compression, prints so past Python."""
+    path = tmp_path / "a.tif"
+    tags = [
+        (256, 4, 1, 2),
+        (257, 4, 1, 2),
+        (258, 3, 1, 8),
+        (259, 3, 1, 50001),
+        (262, 3, 1, 1),
+        (273, 4, 1, 8),
+        (277, 3, 1, 1),
+        (278, 4, 1, 2),
+        (279, 4, 1, 4),
+    ]
+    body = b"".join(struct.pack("<HHII", *tag) for tag in tags)
+    path.write_bytes(b"II*\0" + struct.pack("<IH", 8, len(tags)) + body + bytes(8))
+    with pytest.raises(
+        ValueError, match=r"a.tif: expected a PNG, JPEG, WebP or TIFF picture, got a TIFF packed by WebP"
+    ):
+        read_picture(path)
+    assert capfd.readouterr().err == ""
+
+
+def test_pixels_that_are_no_numbers_are_counted_where_they_show(tmp_path: Path) -> None:
+    """As black specks they would be paint; where nothing is drawn, 0 / 0 of an undone alpha is usual."""
+    pytest.importorskip("OpenImageIO")
+    for name, at, alpha in (("a", 3, 1), ("b", 3, 0)):
+        pixels = np.full((4, 4, 4), 0.5, np.float32)
+        pixels[0, at, :3], pixels[0, at, 3] = np.nan, alpha
+        write_exr_of(tmp_path / f"{name}.exr", pixels)
+    with pytest.raises(ValueError, match=r"a.exr: 1 of 16 pixels are NaN \(no number\); expected colours: repair them"):
+        read_picture(tmp_path / "a.exr")
+    assert read_picture(tmp_path / "b.exr").size == (4, 4)
+
+
+def write_exr_of(path: Path, pixels: np.ndarray) -> None:
+    """An OpenEXR file of R, G, B, A as they are, NaN too, which the project's writer refuses."""
+    import OpenImageIO as oiio
+
+    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], 4, "float")
+    out = oiio.ImageOutput.create(str(path))
+    assert out is not None and out.open(str(path), spec) and out.write_image(pixels)
+    out.close()

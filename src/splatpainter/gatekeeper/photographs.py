@@ -27,7 +27,7 @@ from splatpainter.image_files import find_camera, is_exr, picture_header, to_uin
 from splatpainter.lift.masks import box_mean, change_mask, changed_throughout, dilated, largest_channel
 from splatpainter.painter import Mode
 from splatpainter.pictures.edit_files import MIN_MASK, Photograph, PictureFile, edit_from_files, has_aspect
-from splatpainter.pictures.picture_reader import EXIF_STEPS, Picture, read_mask, read_picture
+from splatpainter.pictures.picture_reader import EMPTY_MASK, EXIF_STEPS, Picture, read_mask, read_picture
 from splatpainter.rendering import render as render_views
 from splatpainter.splats import Splats
 from splatpainter.system.quick_dataclass import dataclass
@@ -282,7 +282,7 @@ def _mask(path: Path, turn: int, view: CapturedView) -> np.ndarray:
     if straight.alpha is not None:
         out &= straight.alpha > PHOTOGRAPHS.min_solid
     if not out.any():
-        raise ValueError(f"{path}: empty mask; expected some pixels that are not black (or not transparent)")
+        raise ValueError(f"{path}: {EMPTY_MASK}")
     return out
 
 

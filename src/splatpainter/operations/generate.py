@@ -226,13 +226,13 @@ def _background(splats: Splats) -> tuple[float, float, float]:
 
 def _mask(path: Path) -> np.ndarray:
     """[h, w] 0..1: white, or (of a picture with transparency) what is not transparent."""
-    from splatpainter.pictures.picture_reader import read_picture
+    from splatpainter.pictures.picture_reader import EMPTY_MASK, read_picture
 
     picture = read_picture(path)
     # Either way of drawing a mask is common: black and white, or transparent where nothing may change.
     mask = picture.colors.mean(-1) if picture.alpha is None else picture.alpha
     if not (mask > 0).any():
-        raise ValueError(f"{path}: empty mask; expected some pixels that are not black (or not transparent)")
+        raise ValueError(f"{path}: {EMPTY_MASK}")
     return mask
 
 

@@ -37,7 +37,7 @@ from splatpainter.image_files import find_camera
 from splatpainter.kernels import portable
 from splatpainter.operations.session_files import Weigh, session_files
 from splatpainter.pictures.edit_files import camera_from
-from splatpainter.pictures.picture_reader import read_mask, resample
+from splatpainter.pictures.picture_reader import EMPTY_MASK, read_mask, resample
 from splatpainter.splats import Splats
 from splatpainter.system.quick_dataclass import dataclass
 
@@ -284,6 +284,8 @@ def _mask(name: str, text: str) -> Weigh:
         raise ValueError(
             f"{picture}: expected a mask of its camera's shape ({camera.width}x{camera.height}), got {size}"
         )
+    if not mask.any():
+        raise ValueError(f"{picture}: {EMPTY_MASK}")
     if mask.shape != (camera.height, camera.width):
         mask = resample(mask.astype(np.float32), camera.width, camera.height) > 0.5
 

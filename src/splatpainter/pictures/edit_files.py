@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import field, replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from splatpainter.painter import Edit, Mode
 from splatpainter.pictures.encodings import edited_in_encoded
 from splatpainter.pictures.larger_views import edited_in_larger, larger_view
 from splatpainter.pictures.picture_reader import (
+    EMPTY_MASK,
     MAX_PICTURE_PIXELS,
     PICTURE_SUFFIXES,
     SIZE_LIMIT,
@@ -204,10 +206,12 @@ def edit_from_files(
     marked = None
     if mask is not None:
         _check_declared(mask, "the mask", declared_size(mask), target_size)
+        if decoded.alpha is None and mask.exists() and os.path.samefile(mask, picture):
+            raise ValueError(f"{mask}: is the edited picture itself; expected a mask: white where it was painted")
         marked = read_mask(mask)
         _check_aspect(mask, "the mask", (marked.shape[1], marked.shape[0]), target_size)
         if not marked.any():
-            raise ValueError(f"{mask}: empty mask; expected some pixels that are not black (or not transparent)")
+            raise ValueError(f"{mask}: {EMPTY_MASK}")
         if marked.shape[::-1] != size:
             marked = resample(marked.astype(np.float32), *size) > MIN_MASK
     # Rendered without a background: behind it lies the background, not the asset.
@@ -235,7 +239,7 @@ def camera_from(path: Path, asset: Path | None = None) -> Camera:
     file = split_selector(path)[0]
     if not file.exists():
         raise ValueError(f"{path}: no such file; expected a camera (CAM.json, or a PNG rendered by splatpainter)")
-    if file != path or is_capture(file):
+    if file != path or is_capture(file) or os.path.isdir(file):  # of a folder without, reading it says what is missing
         view = choose_one(named_views(path, asset), path)
         _check_size(view.camera, path)
         return view.camera

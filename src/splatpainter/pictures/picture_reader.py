@@ -60,7 +60,10 @@ PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", "
 """Endings of files that are read as pictures."""
 PICTURE_KINDS = ("PNG", "JPEG", "WEBP", "TIFF")
 LOSSY_KINDS = ("JPEG", "WebP")
+EMPTY_MASK = "empty mask; expected some pixels that are not black (or not transparent)"
+"""What is wrong with a mask that selects nothing."""
 TIFF_MAGICS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+TIFF_NOT_READ = "a TIFF packed by WebP, which few programs read; export it as PNG"
 UNUSABLE = "its colour profile cannot be used"
 INKS = ("CMYK", "LAB")
 """Pillow's modes whose colours depend on a profile and do not come back as they were painted."""
@@ -265,6 +268,8 @@ def _opened(path: Path, decode: bool = True) -> Iterator[Image]:
                 actual = f"{image.width}x{image.height}"
                 raise ValueError(f"{path}: expected {SIZE_LIMIT}, got {actual}; scale it down")
             _check_still(path, image)
+            if image.format == "TIFF" and image.info.get("compression") == "webp":  # libtiff would print its regrets
+                raise ValueError(f"{path}: expected a PNG, JPEG, WebP or TIFF picture, got {TIFF_NOT_READ}")
             try:
                 if decode:
                     image.load()
