@@ -254,6 +254,31 @@ def test_broken_json_is_one_line_that_says_where(text):
     assert one_line(error).startswith("chair.json: ")
 
 
+@pytest.mark.parametrize("value", [True, None, [64], "wide"])
+@pytest.mark.parametrize("key", ["width", "fx", "cy"])
+def test_a_value_that_is_no_number_is_named_with_its_key(key, value):
+    with pytest.raises(ValueError) as error:
+        Camera.from_json(changed(**{key: value}), "chair.json")
+    assert one_line(error) == f"chair.json: camera: expected a number as {key}, got {value!r}"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"width": math.nan}, "expected whole pixels as width, got nan"),
+        ({"background": [0, 1]}, "expected three numbers as background, got [0, 1]"),
+        ({"background": [0, None, 1]}, "expected a number as background, got None"),
+        ({"offset": 5}, "expected three numbers as offset, got 5"),
+        ({"world_to_camera": [[1, 2], [3]]}, "expected 4 rows of 4 numbers as world_to_camera, got [[1, 2], [3]]"),
+        ({"world_to_camera": [[math.nan] * 4] * 4}, "expected a finite 4x4 world_to_camera, got NaN or infinity in it"),
+    ],
+)
+def test_other_values_say_what_was_expected(change, words):
+    with pytest.raises(ValueError) as error:
+        Camera.from_json(changed(**change), "chair.json")
+    assert one_line(error) == f"chair.json: camera: {words}"
+
+
 @pytest.mark.parametrize("key", ["width", "height", "fx", "fy", "cx", "cy", "world_to_camera"])
 def test_a_missing_field_is_named(key):
     data = json.loads(skewed().to_json())

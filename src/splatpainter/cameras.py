@@ -59,7 +59,8 @@ class Camera:
     def __post_init__(self) -> None:
         matrix = np.array(self.world_to_camera, np.float64)
         if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-            raise ValueError(f"camera: expected a finite 4x4 world_to_camera, got shape {matrix.shape}")
+            actual = "NaN or infinity in it" if matrix.shape == (4, 4) else f"shape {matrix.shape}"
+            raise ValueError(f"camera: expected a finite 4x4 world_to_camera, got {actual}")
         r = matrix[:3, :3]
         products = (r[:, None] * r[None]).sum(2)  # r r^T
         left_handed = (np.cross(r[0], r[1]) * r[2]).sum() < 0
@@ -234,22 +235,18 @@ class Camera:
         if data.get("version") != VERSION:
             raise ValueError(f"{where}: expected camera version {VERSION}, got {repr(data.get('version'))[:80]}")
         try:
-            red, green, blue = (float(c) for c in data.get("background") or (0, 0, 0))
             offset = data.get("offset", (0.0, 0.0, 0.0))
-            if offset is not None:
-                x, y, z = (float(c) for c in offset)
-                offset = x, y, z
             return Camera(
-                width=_pixel_count(data["width"]),
-                height=_pixel_count(data["height"]),
-                fx=float(data["fx"]),
-                fy=float(data["fy"]),
-                cx=float(data["cx"]),
-                cy=float(data["cy"]),
-                world_to_camera=np.array(data["world_to_camera"], np.float64),
-                background=(red, green, blue),
+                width=_pixel_count(data["width"], "width"),
+                height=_pixel_count(data["height"], "height"),
+                fx=_number(data["fx"], "fx"),
+                fy=_number(data["fy"], "fy"),
+                cx=_number(data["cx"], "cx"),
+                cy=_number(data["cy"], "cy"),
+                world_to_camera=_matrix(data["world_to_camera"]),
+                background=_three_numbers(data.get("background") or (0, 0, 0), "background"),
                 asset_sha256=data.get("asset_sha256"),
-                offset=offset,
+                offset=None if offset is None else _three_numbers(offset, "offset"),
             )
         except KeyError as error:
             raise ValueError(f"{where}: the camera has no {error}") from None
@@ -257,10 +254,36 @@ class Camera:
             raise ValueError(f"{where}: {' '.join(str(error).split())[:200]}") from None
 
 
-def _pixel_count(value: Any) -> int:
-    if int(value) != float(value):
-        raise ValueError(f"expected whole pixels, got {value}")
-    return int(value)
+def _number(value: Any, name: str) -> float:
+    """A number of a camera's record, also as text. Python's words for anything else name neither key nor value."""
+    try:
+        if not isinstance(value, bool):  # float(True) is 1
+            return float(value)
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise ValueError(f"camera: expected a number as {name}, got {repr(value)[:80]}")
+
+
+def _pixel_count(value: Any, name: str) -> int:
+    number = _number(value, name)
+    if not number.is_integer():  # NaN and infinity are none either
+        raise ValueError(f"camera: expected whole pixels as {name}, got {repr(value)[:80]}")
+    return int(number)
+
+
+def _three_numbers(values: Any, name: str) -> tuple[float, float, float]:
+    if not isinstance(values, list | tuple) or len(values) != 3:
+        raise ValueError(f"camera: expected three numbers as {name}, got {repr(values)[:80]}")
+    x, y, z = (_number(value, name) for value in values)
+    return x, y, z
+
+
+def _matrix(rows: Any) -> Floats:
+    """[4, 4] float64, if these are such rows; `Camera` judges the numbers."""
+    try:
+        return np.array(rows, np.float64)
+    except (TypeError, ValueError, OverflowError):  # rows of uneven length, words
+        raise ValueError(f"camera: expected 4 rows of 4 numbers as world_to_camera, got {repr(rows)[:80]}") from None
 
 
 def same_camera(a: Camera, b: Camera) -> bool:

@@ -65,6 +65,8 @@ def check_target(path: Path, overwrite: bool, inputs: Sequence[Path] = (), untou
     if path.name.lower() == META and not folder.exists():
         folder = folder.parent  # the folder of planes is made
     if not folder.is_dir():
+        if folder.exists():
+            raise ValueError(f"{path}: {folder} is a file, not a folder; choose another name")
         raise ValueError(f"{path}: no such folder: {folder}; make it first")
     if not os.access(folder, os.W_OK | os.X_OK):
         raise ValueError(f"{path}: cannot be written: {_why_not(folder)}")

@@ -258,8 +258,9 @@ class Receipt:
                 tuple(dict(_plain(operation)) for operation in data.get("operations", ())),
             )
         except (AttributeError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
-            reason = " ".join(repr(error).split())
-            raise ValueError(f"{where}: expected a receipt of splatpainter, got {reason[:300]}") from None
+            # What a parser says of bad JSON is a sentence; KeyError and others are only understood with their names.
+            reason = " ".join((str(error) if isinstance(error, ValueError) else repr(error)).split())
+            raise ValueError(f"{where}: expected a receipt of splatpainter, as JSON ({reason[:300]})") from None
 
 
 def read_receipt(path: Path) -> Receipt:

@@ -20,6 +20,7 @@ from splatpainter.commands.info import Config as InfoConfig
 from splatpainter.commands.parts.option_parsing import parse
 from splatpainter.commands.render import Config as RenderConfig
 from tests.support.cli_scenes import (
+    BOX,
     Capture,
     ball,
     ball_and_painted_view,
@@ -132,6 +133,10 @@ def test_a_terminal_without_unicode(capfd: Capture, monkeypatch: pytest.MonkeyPa
         (["edit", "X", "Y", "--out", "Z.jpg"], "Z.jpg: unknown format"),
         (["edit", "X", "Y", "--out", "Z.ksplat"], "Z.ksplat"),
         (["render", "X", "--out", "D", "--size", "big"], "--size"),
+        (["render", "X", "--out", "D", "--size", "nan"], "--size: expected a whole number, got 'nan'; see"),
+        (["render", "X", "--out", "D", "--views", "1e3"], "--views: expected a whole number, got '1e3'; see"),
+        (["render", "X", "--out", "D", "--fov", "40deg"], "--fov: expected a number, got '40deg'; see"),
+        (["render", "X", "--out", "D", "--distance", "far"], "--distance: expected a number, got 'far'; see"),
         (["render", "X", "--out", "D", "--size", "0"], "--size from 1"),
         (["render", "X", "--out", "D", "--size", "99999"], "--size from 1"),
         (["render", "X", "--out", "D", "--views", "0"], "--views from 1"),
@@ -380,3 +385,60 @@ def test_numbers_at_the_edge_of_float(value: float, tmp_path: Path, capfd: Captu
     for words in (["info", asset], ["render", asset, "--out", tmp_path, "--views", 1, "--size", 32]):
         done = run(capfd, *words)
         assert done.code in (0, 2) and done.err.count("\n") == (done.code == 2), done.err
+
+
+def test_an_edited_picture_is_no_mask_of_itself(view: Path, capfd: Capture) -> None:
+    painted = paint(view, view.with_name("painted.png"), BOX)
+    assert "is the edited picture itself" in refused(capfd, view.parent, painted, "--mask", painted)
+
+
+def test_a_mask_of_a_region_that_selects_nothing_is_named(view: Path, capfd: Capture) -> None:
+    black = view.with_name("black.png")
+    Image.new("L", (96, 96)).save(black)
+    folder = view.parent
+    words = (
+        "grade",
+        folder / "ball.ply",
+        "--exposure",
+        1,
+        "--where",
+        f"mask={black}@{view}",
+        "--out",
+        folder / "o.ply",
+    )
+    assert f"{black}: empty mask; expected some pixels that are not black" in run(capfd, *words).error
+
+
+def test_a_camera_of_a_capture_beyond_what_is_drawn_leaves_no_folder(view: Path, capfd: Capture) -> None:
+    cameras = view.with_name("cameras.json")
+    pose = {"position": [0, 0, -4], "rotation": np.eye(3).tolist()}
+    cameras.write_text(
+        json.dumps([{"id": 0, "img_name": "a", "width": 10**9, "height": 64, "fx": 80, "fy": 80} | pose])
+    )
+    before = listing(view.parent)
+    out = view.with_name("wide")
+    line = run(capfd, "render", view.parent / "ball.ply", "--camera", cameras, "--out", out).error
+    assert "1000000000 x 64" in line and listing(view.parent) == before and not out.exists()
+
+
+def test_cameras_that_cannot_be_read_say_what_was_expected(view: Path, capfd: Capture) -> None:
+    """A table of views that is no JSON is no camera of another version; a model without images is no damaged camera."""
+    table, model = view.with_name("transforms.json"), view.with_name("0")
+    table.write_text('{"frames": [{"transform_matrix": [[NaN]]}]}')
+    model.mkdir()
+    (model / "cameras.txt").write_text("1 PINHOLE 64 64 80 80 32 32\n")
+    words = ("render", view.parent / "ball.ply", "--out", view.with_name("views2"), "--camera")
+    assert "transforms.json: the list of cameras is not JSON (NaN" in run(capfd, *words, table).error
+    assert f"{model}: expected a capture: " in run(capfd, *words, model).error
+
+
+def test_an_output_below_a_file(view: Path, capfd: Capture) -> None:
+    line = run(capfd, "convert", view.parent / "ball.ply", view / "out.ply").error
+    assert f"{view} is a file, not a folder" in line
+
+
+def test_a_receipt_that_is_no_json_is_told_without_names_of_python(view: Path, capfd: Capture) -> None:
+    text, asset = view.with_name("text.json"), view.parent / "ball.ply"
+    text.write_text("hello")
+    line = run(capfd, "verify", asset, asset, "--receipt", text).error
+    assert f"{text}: expected a receipt of splatpainter, as JSON (Expecting value" in line

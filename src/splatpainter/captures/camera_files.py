@@ -154,6 +154,9 @@ def _capture_file(path: Path) -> Path | None:
         return path
     if first != b"{":
         return None
+    # By its name a table is one, also where NaN or a cut end makes it no JSON: reading it says so.
+    if path.name in TABLES:
+        return path
     record = load_document(files.read_all(path), path, "the list of cameras", MAX_TABLE_BYTES)
     return path if "frames" in record or "camera_path" in record else None
 

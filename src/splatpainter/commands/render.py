@@ -24,6 +24,7 @@ from splatpainter.commands.parts.view_options import (
 )
 from splatpainter.io import axes_news, files, read
 from splatpainter.output_paths import check_folder, check_target, make_folder
+from splatpainter.rendering import check_views
 from splatpainter.rendering.profiles import Profile
 from splatpainter.splats import Splats
 from splatpainter.system.quick_dataclass import dataclass
@@ -99,6 +100,8 @@ def run(config: Config) -> Outcome:
     _check(config)
     options = _options(config)
     given = given_cameras(config.camera, config.size, config.asset)
+    for camera in given:  # of a capture they may claim any size
+        check_views([camera])
     stems = [f"view_{k:03d}" for k in range(len(given) or config.views)]
     # Files that are there may have been painted on, so none is replaced without a word.
     check_folder(config.out)

@@ -8,6 +8,7 @@ import difflib
 import functools
 import io
 import os
+import re
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -29,6 +30,13 @@ InAxesOption: TypeAlias = Annotated[Axes, arg(metavar="auto|rub|rdf", aliases=(O
 """Which way the numbers of a file point: rub is right-up-back (y up), rdf right-down-front (y down)."""
 AxesOption: TypeAlias = Annotated[Axes, arg(metavar="auto|rub|rdf", aliases=(OLD_OPTIONS["--axes"],))]
 """The same of a file that is written."""
+NOT_A_NUMBER = (
+    (r"invalid literal for int\(\) with base 10: (.*)$", "a whole number"),
+    (r"could not convert string to float: (.*)$", "a number"),
+    (r"no type matching \{None\}\|INT could be instantiated from \[(.*)\]", "a whole number"),
+    (r"no type matching \{None\}\|FLOAT could be instantiated from \[(.*)\]", "a number"),
+)
+"""What Python and tyro say of a word that is no number (the word is the group), and what was expected."""
 UNWRAPPED_COLUMNS = "4000"
 """Columns: tyro breaks no line where they are joined again."""
 
@@ -97,6 +105,8 @@ def unboxed(text: str, program: str) -> str:
     rules = [at for at, line in enumerate(body) if line.strip("─╰╯ ") == ""] + [len(body)]
     words = [line.strip() for line in body[: rules[0]] if not line.startswith(8 * " ")]  # deeper: help of an option
     line = " ".join(words).replace(f"Missing from {program}:", "missing").replace("Error parsing ", "")
+    for pattern, what in NOT_A_NUMBER:
+        line = re.sub(pattern, rf"expected {what}, got \1", line)
     return line.rstrip(". ") or "options that cannot be understood"
 
 
