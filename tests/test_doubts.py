@@ -189,6 +189,30 @@ def test_lossy_planes_of_a_sog(tmp_path: Path) -> None:
     assert text.startswith(", ".join(meta["means"]["files"]) + ": lossy WebP"), text
 
 
+def test_rotations_of_a_sog_without_their_alpha(tmp_path: Path) -> None:
+    io.write(tmp_path / "d" / "meta.json", ball(600))
+    plane = tmp_path / "d" / "quats.webp"
+    with Image.open(plane) as image:
+        opaque = image.convert("RGB")
+    opaque.save(plane, "WEBP", lossless=True)
+    assert "the image of the rotations has no transparency" in lines(tmp_path / "d")
+    # All turned alike about z: the same alpha for a reason.
+    turned = replace(ball(600), quats=np.repeat(np.array([[0.1, 0, 0, 1]], np.float32), 600, 0))
+    io.write(tmp_path / "e" / "meta.json", turned)
+    assert "transparency" not in lines(tmp_path / "e")
+
+
+@pytest.mark.parametrize("ending", ["ply", "splat"])
+def test_rows_that_were_never_written(ending: str, tmp_path: Path, capfd: Capture) -> None:
+    """A download whose disk space was set aside, and which ended half-way."""
+    asset = saved(tmp_path / f"a.{ending}", ball(600))
+    assert "zeros" not in lines(asset)
+    data = asset.read_bytes()
+    asset.write_bytes(data[: len(data) // 2] + bytes(len(data) - len(data) // 2))
+    done = run(capfd, "render", asset, "--out", tmp_path / "v", "--views", 1, "--size", 32)
+    assert done.code == 0 and " of 600 rows hold zeros alone: they were probably never written" in done.err
+
+
 @pytest.mark.parametrize("kind", ["int", "uint", "ushort", "float", "uchar"])
 def test_colours_of_0_to_255_are_read_whatever_their_type(kind: str, tmp_path: Path) -> None:
     splats = ball(500, degree=0)

@@ -100,6 +100,8 @@ def doubts(splats: Splats) -> tuple[Doubt, ...]:
                 _other_gaussians,
                 _log_scales_in_glb,
                 _lossy_planes,
+                _rotations_without_alpha,
+                _unwritten_rows,
                 _coarse_positions,
             ),
             *(_changed_as_text, _color_scale, _colors),
@@ -265,6 +267,39 @@ def _lossy_planes(splats: Splats, few: Splats) -> Doubt | None:
         f"{listed}: lossy WebP",
         "SOG keeps numbers in its pixels, which lossy compression changed: positions and colours are scattered",
         "export again with lossless WebP; an image optimiser may have been at the files",
+    )
+
+
+def _rotations_without_alpha(splats: Splats, few: Splats) -> Doubt | None:
+    """A rotation's largest component is named by the alpha of its pixel: 255, where an image has none, is z for all."""
+    source = splats.source
+    if source is None or source.format != "sog" or len(splats) < DOUBTS.min_rows:
+        return None
+    pixels = source.detail.pixels["quats"]
+    # Equal rotations of all Gaussians may well be so.
+    if (pixels[:, 3] != 255).any() or (pixels[:, :3] == pixels[0, :3]).all():
+        return None
+    return Doubt(
+        "the image of the rotations has no transparency",
+        "which component of each rotation is the largest was lost with it, so that most Gaussians point elsewhere",
+        "export again; an image optimiser may have been at the files",
+    )
+
+
+def _unwritten_rows(splats: Splats, few: Splats) -> Doubt | None:
+    """Rows of zeros: of a download or copy that was not finished, whose disk space was set aside before."""
+    source = splats.source
+    if source is None or source.format not in ("ply", "splat") or any(splats.offset):
+        return None
+    arrays = splats.numpy()
+    empty = (arrays.means == 0).all(1) & ((arrays.quats == 0).all(1) | (arrays.scales == 0).all(1))
+    count = int(empty.sum())
+    if count < DOUBTS.min_rows:
+        return None
+    return Doubt(
+        f"{count:,} of {len(splats):,} rows hold zeros alone",
+        "they were probably never written, by a download, a copy or a disk that failed, and a part of the asset lacks",
+        "get the file again",
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import os
 import stat
 import subprocess
@@ -80,6 +81,32 @@ def test_unreadable(tmp_path: Path, make, reason: str) -> None:
     with pytest.raises(ValueError) as error:
         io.read(make(tmp_path))
     assert reason in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("ending", ["ply", "compressed.ply", "splat", "ksplat", "spz", "sog", "glb"])
+def test_files_that_were_never_written(ending: str, tmp_path: Path) -> None:
+    path = _file(tmp_path / f"a.{ending}", b"")
+    with pytest.raises(ValueError, match=r"; it is empty \(0 bytes\): its download or copy was not finished"):
+        io.read(path)
+    with pytest.raises(ValueError, match="begins with 4,096 zero bytes, as no splat file does; its download or copy"):
+        io.read(_file(path, bytes(4096)))
+
+
+@pytest.mark.parametrize("ending", ["glb", "sog"])
+def test_other_files_packed_by_gzip_say_so(ending: str, tmp_path: Path) -> None:
+    path = tmp_path / f"a.{ending}"
+    io.write(path, random_splats(20, 0))
+    with pytest.raises(ValueError, match="is packed by gzip; unpack it first"):
+        io.read(_file(path, gzip.compress(path.read_bytes())))
+
+
+def test_gzip_in_gzip_and_a_packed_splat_say_what_to_do(tmp_path: Path) -> None:
+    for ending in ("spz", "splat"):
+        io.write(tmp_path / f"a.{ending}", random_splats(20, 0))
+    with pytest.raises(ValueError, match="is packed by gzip twice; unpack it once"):
+        io.read(_file(tmp_path / "b.spz", gzip.compress((tmp_path / "a.spz").read_bytes())))
+    with pytest.raises(ValueError, match=r"inside the gzip stream, found .*; unpack it first \(gunzip\)"):
+        io.read(_file(tmp_path / "a.splat.gz", gzip.compress((tmp_path / "a.splat").read_bytes())))
 
 
 def _file(path: Path, data: bytes) -> Path:

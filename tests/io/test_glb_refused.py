@@ -58,6 +58,14 @@ def edited_json(change: Callable[[dict[str, Any]], Any]) -> bytes:
             "no attribute .*:SCALE",
         ),
         (
+            edited_json(lambda d: d["meshes"][1]["primitives"][0]["attributes"].pop(f"{KHR}:OPACITY")),
+            r"no attribute .*:OPACITY \(and no COLOR_0 in its place\)",
+        ),
+        (
+            edited_json(lambda d: d["meshes"][1]["primitives"][0]["attributes"].pop(f"{KHR}:SH_DEGREE_0_COEF_0")),
+            r"no attribute .*:SH_DEGREE_0_COEF_0 \(and no COLOR_0",
+        ),
+        (
             edited_json(lambda d: d["meshes"][1]["primitives"][0]["extensions"][KHR].update(extensions={"X_spz": {}})),
             "stored by X_spz, which is not supported",
         ),
@@ -96,3 +104,14 @@ def test_damaged(tmp_path: Path) -> None:
         return splats
 
     assert sum(survives(both, path, (pack(wrong(doc), binary) for _ in range(200)))) == 200
+
+
+def test_what_moves_gaussians_in_time_is_told(tmp_path: Path) -> None:
+    def change(doc: dict[str, Any]) -> None:
+        doc["animations"] = [{"channels": [], "samplers": []}]
+        doc["meshes"][1]["primitives"][0]["targets"] = [{"POSITION": 0}]
+
+    (tmp_path / "a.glb").write_bytes(edited_json(change))
+    source = read_glb(tmp_path / "a.glb").source
+    assert source is not None and "it has animations" in "; ".join(source.problems)
+    assert "morph targets" in "; ".join(source.problems)

@@ -475,6 +475,25 @@ def test_refusals(files: dict[str, bytes], message: str, tmp_path: Path) -> None
         read_sog(tmp_path / "a.sog")
 
 
+def test_a_bundle_that_was_cut_off_says_so(tmp_path: Path) -> None:
+    path = bundle(tmp_path / "a.sog", by_hand())
+    for length in (len(path.read_bytes()) // 2, len(path.read_bytes()) - 1):
+        path.write_bytes(path.read_bytes()[:length])
+        with pytest.raises(ValueError, match="damaged zip: it is cut off before its directory; get the file again"):
+            read_sog(path)
+
+
+def test_a_plane_of_another_size_is_refused(tmp_path: Path) -> None:
+    """Its pixels would be taken for those of other rows."""
+    write_sog(tmp_path / "meta.json", random_splats(300, 0))
+    low = tmp_path / "means_l.webp"
+    with Image.open(low) as image:
+        wide = image.convert("RGBA").resize((2 * image.width, image.height))
+    wide.save(low, "WEBP", lossless=True, exact=True)
+    with pytest.raises(ValueError, match=r"expected planes of one size, found means_l.webp 40 x 16"):
+        read_sog(tmp_path / "meta.json")
+
+
 def huge_webp(width: int, height: int) -> bytes:
     """A header that claims a canvas of any size."""
     extended = b"VP8X" + (10).to_bytes(4, "little") + bytes(4)

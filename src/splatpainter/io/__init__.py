@@ -17,7 +17,7 @@ import numpy as np
 
 from splatpainter.io import files, folders
 from splatpainter.io.axes import describe, flipped_offset, to_file_axes, to_memory_axes
-from splatpainter.io.foreign_files import check_not_foreign
+from splatpainter.io.foreign_files import COPY_AGAIN, check_not_foreign
 from splatpainter.io.formats import sog_container
 from splatpainter.io.write_options import AS_IT_IS, WriteOptions
 from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Axes, Source, Splats
@@ -189,9 +189,14 @@ def read(
     # An offset is in memory's axes, and the reader works in the file's.
     if offset is not None and "offset" in entry.options:
         options["offset"] = flipped_offset(offset, entry.axes, axes)
-    if entry.names_axes:
-        return entry.read(location, axes=axes)
-    return to_memory_axes(entry.read(location, **options), axes)
+    try:
+        if entry.names_axes:
+            return entry.read(location, axes=axes)
+        return to_memory_axes(entry.read(location, **options), axes)
+    except ValueError as error:
+        if os.path.isfile(location) and not os.path.getsize(location):
+            raise ValueError(f"{error}; it is empty (0 bytes): {COPY_AGAIN}") from None
+        raise
 
 
 @formerly(axes="frame")

@@ -158,6 +158,9 @@ def zip_directory(file: BinaryIO, where: Path | str) -> list[zipfile.ZipInfo]:
         return zipfile.ZipFile(file).infolist()
     except (zipfile.BadZipFile, struct.error, OSError, NotImplementedError, ValueError, OverflowError) as error:
         # OSError: it seeks where a lying directory sends it; struct.error: cut extra fields.
+        file.seek(0)
+        if str(error) == "File is not a zip file" and file.read(4) == b"PK\x03\x04":  # its directory comes last
+            raise ValueError(f"{where}: damaged zip: it is cut off before its directory; get the file again") from None
         raise ValueError(f"{where}: damaged zip ({printable(' '.join(str(error).split()), 120)})") from None
 
 

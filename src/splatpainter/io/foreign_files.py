@@ -43,6 +43,9 @@ _MAGIC: tuple[tuple[int, bytes, str, str], ...] = (
 )
 """(offset, bytes there, what it is, what to do)."""
 GZIP = b"\x1f\x8b"
+COPY_AGAIN = "its download or copy was not finished, or the disk was full: get it again"
+MIN_ZEROS = 64
+"""Bytes: two rows of a .splat, whose rotations are no zeros."""
 MIN_LETTERS = 16
 """Of a text: bytes of floats have no such run of letters and spaces alone."""
 _PRINTABLE = frozenset(range(32, 127)) | {9, 10, 13}
@@ -52,13 +55,16 @@ _PAGE_BEGINNINGS = (b"<!doctype html", b"<html", b"<head", b"<?xml", b"<svg", b"
 
 def check_not_foreign(head: bytes, path: Path) -> None:
     """Raises ValueError, in one line, where a file that begins with `head` is of a kind that is no splats."""
+    if len(head) >= MIN_ZEROS and not any(head):
+        raise ValueError(f"{path}: begins with {len(head):,} zero bytes, as no splat file does; {COPY_AGAIN}")
     text = head[:HEAD_BYTES].removeprefix(b"\xef\xbb\xbf").lstrip().lower()
     if text.startswith(_PAGE_BEGINNINGS):
         raise ValueError(f"{path}: is a web page (HTML or XML), not a splat file; {DOWNLOAD}")
     for offset, magic, what, remedy in _MAGIC:
         if head[offset : offset + len(magic)] == magic and (offset != 8 or head[:4] == b"RIFF"):
             raise ValueError(f"{path}: is {what}, not a splat file; {remedy}")
-    packed = path.suffix.lower() == ".ply" or (path.suffix.lower() in (".splat", ".ksplat") and _is_gzip(head))
+    ending = path.suffix.lower()
+    packed = ending in (".ply", ".glb", ".sog") or (ending in (".splat", ".ksplat") and _is_gzip(head))
     if head.startswith(GZIP) and packed:  # SPZ has it too, and a .splat may
         raise ValueError(f"{path}: is packed by gzip; unpack it first (gunzip), or call it .spz if it is one")
     letters = len(text) - len(text.translate(None, string.ascii_letters.encode()))

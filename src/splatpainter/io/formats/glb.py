@@ -210,7 +210,10 @@ def read_local(
     def read(semantic: str, width: int) -> np.ndarray:
         nonlocal count
         if semantic not in one.names:
-            raise ValueError(f"{path}: the Gaussian primitive has no attribute {EXTENSION}:{semantic}")
+            # COLOR_0 is looked for where one of these is missing.
+            missing = {"COLOR_0": "SH_DEGREE_0_COEF_0" if "OPACITY" in one.names else "OPACITY"}.get(semantic, semantic)
+            instead = " (and no COLOR_0 in its place)" if missing != semantic else ""
+            raise ValueError(f"{path}: the Gaussian primitive has no attribute {EXTENSION}:{missing}{instead}")
         index = attributes[one.names[semantic]]
         values = gltf.accessor(glb, glb.binary, index, path)
         if count is None:
@@ -306,6 +309,8 @@ def _check_scene(doc: dict[str, Any], meshes: set[int], problems: list[str]) -> 
         problems.append(f"{INSTANCING}: its Gaussians are opened once, where their node puts them, without instances")
     if any("skin" in node for node in nodes):
         problems.append("the Gaussians have a skin; they are shown at rest, without its bones")
+    if doc.get("animations"):
+        problems.append("it has animations; the Gaussians are shown at rest, where their nodes put them")
 
 
 def _check_primitive(primitive: dict[str, Any], path: Path, problems: list[str]) -> None:
@@ -321,6 +326,8 @@ def _check_primitive(primitive: dict[str, Any], path: Path, problems: list[str])
         problems.append(f"primitive mode {brief(primitive.get('mode', 4))} in place of 0 (points)")
     if "indices" in primitive:
         problems.append("the primitive's indices are not used; every row is shown")
+    if primitive.get("targets"):
+        problems.append("the primitive has morph targets; its Gaussians are shown without them")
     for key, value in (("kernel", "ellipse"), ("projection", "perspective"), ("sortingMethod", "cameraDistance")):
         if extension.get(key, value) != value:
             problems.append(f"{key} {brief(extension[key])} is shown as {value!r}")

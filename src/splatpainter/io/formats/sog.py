@@ -130,6 +130,11 @@ def _parse(container: Container, meta: dict[str, Any], path: Path, problems: lis
     if len(set(listed.values())) < len(listed):  # an edit of one plane would change the other
         raise ValueError(f"{path}: expected an image of its own for each plane, meta.json names one twice")
     sizes = {key: _plane_size(container, key, name, count, path) for key, name in listed.items()}
+    # A row has the same place in every plane; a plane that a program resized holds other rows' numbers there.
+    by_size = {size: key for key, size in sizes.items() if key != "palette"}
+    if len(by_size) > 1:
+        two = ", ".join(f"{listed[key]} {width} x {height}" for (width, height), key in list(by_size.items())[:2])
+        raise ValueError(f"{path}: expected planes of one size, found {two}; export it again")
     total = sum(map(len, container.files.values()))
     coefficients = 1 + sizes["palette"][0] // PALETTE_LINE if "palette" in sizes else 1
     allow_rows(total, count, coefficients, path)

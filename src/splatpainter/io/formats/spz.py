@@ -202,8 +202,11 @@ def _parse_gzip(data: bytes, path: Path) -> SpzFile:
     magic, version, count, degree, bits, flags, reserved = struct.unpack("<4sIIBBBB", stream.take(16, "the SPZ header"))
     if files.begins_as_ply(magic):
         raise ValueError(f"{path}: is a PLY file packed by gzip, not an SPZ file; unpack it first (gunzip)")
+    if magic.startswith(b"\x1f\x8b"):
+        raise ValueError(f"{path}: is packed by gzip twice; unpack it once (gunzip)")
     if magic != MAGIC:
-        raise ValueError(f"{path}: not an SPZ file: expected 'NGSP' inside the gzip stream, found {magic!r}")
+        remedy = "; unpack it first (gunzip)" if path.suffix.lower() == ".gz" else ""
+        raise ValueError(f"{path}: not an SPZ file: expected 'NGSP' inside the gzip stream, found {magic!r}{remedy}")
     if version not in (1, 2, 3):
         raise ValueError(f"{path}: expected SPZ version 1-3 in a gzip stream, found {version}")
     _check_header(version, degree, bits, path)
