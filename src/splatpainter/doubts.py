@@ -102,6 +102,7 @@ def doubts(splats: Splats) -> tuple[Doubt, ...]:
                 _lossy_planes,
                 _rotations_without_alpha,
                 _unwritten_rows,
+                _transform_left_out,
                 _coarse_positions,
             ),
             *(_changed_as_text, _color_scale, _colors),
@@ -283,6 +284,21 @@ def _rotations_without_alpha(splats: Splats, few: Splats) -> Doubt | None:
         "the image of the rotations has no transparency",
         "which component of each rotation is the largest was lost with it, so that most Gaussians point elsewhere",
         "export again; an image optimiser may have been at the files",
+    )
+
+
+def _transform_left_out(splats: Splats, few: Splats) -> Doubt | None:
+    source = splats.source
+    if source is None or source.format != "glb":
+        return None
+    from splatpainter.io.formats.glb import NOT_APPLIED  # of GLB alone
+
+    if NOT_APPLIED not in source.problems:
+        return None
+    return Doubt(
+        "its node has a mirroring, a shear or a scale that differs between axes",
+        "that is kept in the file but not applied: pictures show the asset of other proportions than the file asks",
+        "apply the transform in the program that wrote it (Blender: Apply, All Transforms), and export again",
     )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from splatpainter import io
+from splatpainter.doubts import doubts
 from splatpainter.io.formats.glb import read_glb, write_glb
 from splatpainter.splats import Splats
 from tests.support.glb_files import KHR, QUARTER, attributes_of, build, pack, parts
@@ -115,3 +116,11 @@ def test_what_moves_gaussians_in_time_is_told(tmp_path: Path) -> None:
     source = read_glb(tmp_path / "a.glb").source
     assert source is not None and "it has animations" in "; ".join(source.problems)
     assert "morph targets" in "; ".join(source.problems)
+
+
+@pytest.mark.parametrize(("scale", "is_doubtful"), [([2, 1, 1], True), ([-1, 1, 1], True), ([2, 2, 2], False)])
+def test_a_transform_that_is_not_applied_is_a_doubt(scale: list[float], is_doubtful: bool, tmp_path: Path) -> None:
+    """Commands warn of doubts, and pictures of such a file are not as it asks."""
+    data = build(attributes_of(random_splats(40, 0)), [{"mesh": 1, "scale": scale}])
+    (tmp_path / "a.glb").write_bytes(data)
+    assert any("other proportions" in one.line for one in doubts(read_glb(tmp_path / "a.glb"))) == is_doubtful

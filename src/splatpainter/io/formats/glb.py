@@ -62,6 +62,8 @@ MAX_PRIMITIVES = 512
 """Gaussian primitives of a file: honest ones have a handful, and each may stand at the end of a deep tree of nodes."""
 LINEAR_SCALES = (2, 7, 0)
 """Version of splat-transform from which its GLB files hold scales, not their logarithms (its pull request 268)."""
+NOT_APPLIED = "the node's transform is not a rotation with uniform scale; it is kept but not applied"
+"""Problem of a file whose Gaussians are shown elsewhere, or of other proportions, than it asks (`doubts.py`)."""
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 ARRAY_BUFFER = 34962
 """Target of a buffer view of vertex attributes."""
@@ -355,7 +357,7 @@ def _placement(
         scale = float(np.sign(determinant) * portable.power(abs(determinant), 1 / 3))
         turn = matrix[:3, :3] / scale if scale > 0 else np.zeros((3, 3))
     if not 1e-12 < scale < 1e12 or not np.allclose(portable.matmul(turn, turn.T), np.eye(3), atol=1e-3):
-        problems.append("the node's transform is not a rotation with uniform scale; it is kept but not applied")
+        problems.append(NOT_APPLIED)
         return nothing
     if np.array_equal(matrix, np.eye(4)):
         return nothing
