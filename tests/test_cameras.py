@@ -279,6 +279,13 @@ def test_other_values_say_what_was_expected(change, words):
     assert one_line(error) == f"chair.json: camera: {words}"
 
 
+def test_an_asset_that_is_no_text_and_a_file_of_another_program_are_refused():
+    with pytest.raises(ValueError, match="chair.json: expected a text as asset_sha256, got 5"):
+        Camera.from_json(changed(asset_sha256=5), "chair.json")
+    with pytest.raises(ValueError, match="expected camera version 1, got None; no camera that splatpainter wrote"):
+        Camera.from_json('{"title": "chair"}', "chair.json")
+
+
 @pytest.mark.parametrize("key", ["width", "height", "fx", "fy", "cx", "cy", "world_to_camera"])
 def test_a_missing_field_is_named(key):
     data = json.loads(skewed().to_json())

@@ -233,7 +233,10 @@ class Camera:
         if not isinstance(data, dict):
             raise ValueError(f"{where}: expected a JSON object, got {type(data).__name__}")
         if data.get("version") != VERSION:
-            raise ValueError(f"{where}: expected camera version {VERSION}, got {repr(data.get('version'))[:80]}")
+            other = "" if "version" in data else "; no camera that splatpainter wrote: give another, or move it away"
+            raise ValueError(f"{where}: expected camera version {VERSION}, got {repr(data.get('version'))[:80]}{other}")
+        if not isinstance(data.get("asset_sha256"), str | None):
+            raise ValueError(f"{where}: expected a text as asset_sha256, got {repr(data['asset_sha256'])[:80]}")
         try:
             offset = data.get("offset", (0.0, 0.0, 0.0))
             return Camera(

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import logging
+import os
 import struct
 import zlib
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from splatpainter.cameras import Camera, look_at
 from splatpainter.image_files import find_camera
@@ -138,3 +140,19 @@ def write_exr_of(path: Path, pixels: np.ndarray) -> None:
     out = oiio.ImageOutput.create(str(path))
     assert out is not None and out.open(str(path), spec) and out.write_image(pixels)
     out.close()
+
+
+@pytest.mark.parametrize("compression", ["tiff_lzw", "tiff_adobe_deflate"])
+def test_a_damaged_tiff_is_one_line_and_nothing_on_stderr(
+    compression: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "a.tif"
+    noise = np.random.default_rng(0).integers(0, 256, (32, 32, 3), np.uint8)
+    Image.fromarray(noise).save(path, compression=compression)
+    data = bytearray(path.read_bytes())
+    data[200:1200] = bytes(byte ^ 0x55 for byte in data[200:1200])
+    path.write_bytes(data)
+    with pytest.raises(ValueError, match="a.tif: damaged picture"):
+        read_picture(path)
+    os.write(2, b"after\n")
+    assert capfd.readouterr().err == "after\n", "and what comes later is printed"

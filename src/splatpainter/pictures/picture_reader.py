@@ -7,7 +7,9 @@ where OpenImageIO is not installed 16-bit colour is read with its upper 8 bits, 
 from __future__ import annotations
 
 import io
+import os
 import tempfile
+import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -272,7 +274,8 @@ def _opened(path: Path, decode: bool = True) -> Iterator[Image]:
                 raise ValueError(f"{path}: expected a PNG, JPEG, WebP or TIFF picture, got {TIFF_NOT_READ}")
             try:
                 if decode:
-                    image.load()
+                    with _quiet_libtiff(image):
+                        image.load()
             except Exception as error:
                 raise ValueError(f"{path}: damaged picture ({_short(error)})") from None
             try:
@@ -281,6 +284,27 @@ def _opened(path: Path, decode: bool = True) -> Iterator[Image]:
                 if isinstance(error, MemoryError) or (type(error) is ValueError and str(path) in str(error)):
                     raise
                 raise ValueError(f"{path}: damaged picture ({_short(error)})") from None
+
+
+@contextmanager
+def _quiet_libtiff(image: Image) -> Iterator[None]:
+    """libtiff prints what is wrong with a TIFF past Python; the one line that is raised says it. In the main thread
+    alone, which is that of commands: standard error is the process's, and a server's other threads write to it."""
+    if image.format != "TIFF" or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    try:
+        stderr = os.dup(2)
+    except OSError:  # a process without one
+        yield
+        return
+    try:
+        with open(os.devnull, "wb") as nothing:
+            os.dup2(nothing.fileno(), 2)
+        yield
+    finally:
+        os.dup2(stderr, 2)
+        os.close(stderr)
 
 
 @contextmanager
