@@ -279,6 +279,7 @@ def test_projects_bookmarks_and_the_folder(studio: Live, tmp_path: Path) -> None
         "file": "mine.splatproj",
         "read_only": False,
         "read_only_reason": "",
+        "is_free": False,
     }
     assert studio.post("project.recent")["files"] == ["mine.splatproj", "other.ply"]
     studio.post("asset.open", file="other.ply")

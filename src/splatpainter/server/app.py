@@ -21,7 +21,7 @@ from starlette.requests import ClientDisconnect
 from starlette.routing import BaseRoute
 
 from splatpainter._version import __version__
-from splatpainter.server import frames
+from splatpainter.server import frames, lock_watch
 from splatpainter.server.batches.batch_routes import add_batch_routes, publish_batches
 from splatpainter.server.client import serve
 from splatpainter.server.commands import COMMANDS
@@ -55,18 +55,21 @@ def create_app(studio: Studio, access: Access | None = None) -> FastAPI:
 
     @contextlib.asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        watching = asyncio.create_task(watched_folder.watch(hub))
+        watches = {"the watched folder": watched_folder.watch(hub), "the project's lock": lock_watch.watch(hub)}
+        watching = {asyncio.create_task(watch): name for name, watch in watches.items()}
         publish_batches(hub)
         # Batches and the folder's pictures concern every page, so they are watched once, not for each connection.
         try:
             yield
         finally:
             # In this order: nothing new may arrive, long work is asked to end, and only then may the session be closed.
-            watching.cancel()
+            for watch in watching:
+                watch.cancel()
             hub.stop()
-            await asyncio.wait([watching, *hub.closing])  # whatever they end with
-            if not watching.cancelled() and watching.exception() is not None:
-                log.error("the watched folder", exc_info=watching.exception())
+            await asyncio.wait([*watching, *hub.closing])  # whatever they end with
+            for watch, name in watching.items():
+                if not watch.cancelled() and watch.exception() is not None:
+                    log.error(name, exc_info=watch.exception())
             await asyncio.to_thread(hub.close)
 
     app = FastAPI(

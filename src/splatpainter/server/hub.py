@@ -145,7 +145,7 @@ class Hub:
         for other in self.clients - {client} if notice else ():
             if other.greeted:
                 other.send(ToastEvent(level="info", message=notice))
-        for line in self.studio.news if handler.writes and opened else ():
+        for line in self.studio.take_news() if handler.writes else ():
             self.publish(ToastEvent(level="warning", message=line))
         return answer.model_copy(update={"seconds": round(seconds, 4)})
 

@@ -287,6 +287,8 @@ class ProjectInfo(Message):
     """Nothing can be changed: somebody else has it open, or it cannot be written."""
     read_only_reason: str = ""
     """Why, one line; "" where it can be changed."""
+    is_free: bool = False
+    """Whether it is read only and nobody else has it open any more: `project.take_over` goes on in it."""
 
 
 class SelectionInfo(Message):

@@ -85,6 +85,8 @@ class Studio:
         self.batches = Batches(self.scratch.path)
         self._scene: tuple[Any, list[SceneAssetInfo]] | None = None
         self._preparing: threading.Thread | None = None
+        self._free: Session | None = None
+        """The session, where it is read only and its project was seen to be open nowhere else any more."""
         # A project that has a picture of this version needs no other.
         self._drawn: int | None = None
         """Version of the session of which its project has a picture; None: it has none."""
@@ -92,7 +94,7 @@ class Studio:
         self._sourced: OrderedDict[str, dict[str, Any]] = OrderedDict()
         """Pictures that a source made: sha256 -> what receipts say of it."""
         self.news: list[str] = []
-        """What `open` found of the project that it closed and of the one that it opened, for people."""
+        """What was found of a project that was closed, opened or taken over, for people."""
         self.written: dict[str, str] = {}
         """Pictures that the studio itself wrote into the folder: name -> sha256, to be told from saved ones."""
         # The folders exist by now, so a session that cannot be described has to leave none of them behind.
@@ -125,6 +127,11 @@ class Studio:
         # Closing may find something out about the old project; only what is new is said to people.
         _close(old, self.projects)
         self.news = [self.public(note) for note in (old.note if old.note != before else "", fresh.note) if note]
+
+    def take_news(self) -> list[str]:
+        """The `news`, which are none afterwards."""
+        news, self.news = self.news, []
+        return news
 
     def prepare_edit(self, camera: Camera) -> None:
         """Make what the next local edit, in this view, needs in a thread of its own, unless one is at it; `close` waits
@@ -198,6 +205,11 @@ class Studio:
         with _one_line_errors(self.name):
             self.state = self._state_of(session, self.session_id, self.name, self._asset, self._lists, self.selection)
 
+    def note_lock(self) -> None:
+        """Look whether a project that is read only could be taken over by now, and say so in `state`."""
+        self._free = self.session if self.session.files.can_be_taken_over else None
+        self.refresh()
+
     def _scene_assets(self, session: Session, name: str) -> list[SceneAssetInfo]:
         """Described anew where something about them changed."""
         # Whatever the description is made of, and nothing else: strokes leave it as it is.
@@ -249,7 +261,11 @@ class Studio:
         file = path.name if path is not None and inside else None
         reason = session.read_only
         id = "" if path is None else path.stem
-        return ProjectInfo(id=id, name=name, file=file, read_only=bool(reason), read_only_reason=self.public(reason))
+        is_free = bool(reason) and session is self._free
+        reason = self.public(reason)
+        return ProjectInfo(
+            id=id, name=name, file=file, read_only=bool(reason), read_only_reason=reason, is_free=is_free
+        )
 
     def _earlier_of(self, session: Session) -> list[RecentInfo]:
         projects = self.projects.of_original(session.opened.sha256, without=session.path)

@@ -246,14 +246,8 @@ class Session:
 
     def refresh(self) -> bool:
         """In a read-only session: show what the writer has done since. False: nothing."""
-        core = self._core
-        with core.lock:
-            steps, cursor = core.project.steps()
-            document = core.project.document(steps[cursor].id)
-            state = core.replay.compose(document)
-            changed = state.key != core.snapshot.state.key or document != core.document
-            core.publish(state, document)
-            return changed
+        with self._core.lock:
+            return self._core.reload()
 
     def close(self) -> None:
         """Leave one file behind (none where it was temporary). Nothing needs to be saved first."""

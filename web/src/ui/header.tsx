@@ -109,6 +109,16 @@ export function Header() {
           read only
         </em>
       )}
+      {now?.project.is_free && (
+        <button
+          type="button"
+          class="button primary"
+          title="Nobody else has this project open any more: go on in it here, with the newest that was done in it"
+          onClick={() => void run("project.take_over", {}, "Edit here")}
+        >
+          Edit here
+        </button>
+      )}
       <CommandButton
         icon="undo"
         command="edit.undo"

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from splatpainter.io import FORMATS, files, read
-from splatpainter.server.commands.context import CommandContext, RawExpr, command, naming_errors, python_line
+from splatpainter.server.commands.context import CommandContext, RawExpr, command, naming_errors, progress, python_line
 from splatpainter.server.protocol import (
     Answer,
     Blob,
@@ -160,6 +160,24 @@ def open_project(context: CommandContext, request: ProjectOpen) -> Answer:
     if studio.session.path is None or path.resolve() != studio.session.path.resolve():
         studio.open(lambda: Session.load(path, **options), name)
     return Answer(python=python_line("session = sp.Session.load", path.name))
+
+
+class ProjectTakeOver(Command):
+    """Go on in a project that is read only because it was open elsewhere, with the newest that was done in it there.
+    Refused while somebody else has it open."""
+
+    NAME = "project.take_over"
+
+
+@command(ProjectTakeOver, writes=True)
+def take_over(context: CommandContext, request: ProjectTakeOver) -> Answer:
+    studio = context.studio
+    with progress(context, "opening"):
+        studio.session.files.take_over()
+    if studio.session.note:
+        studio.news = [studio.public(studio.session.note)]
+    context.notice = f"{studio.name} can be edited now."
+    return Answer(python=python_line("session.files.take_over"))
 
 
 def _open_upload(studio: Studio, blob: StoredBlob, name: str) -> Session:

@@ -12,7 +12,6 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -78,8 +77,7 @@ class SessionCore:
             # Composed before anything is shown: a session that opens at all has a state that can be drawn.
             original = asset_files.restore(project, rule) if splats is None else splats
             table = {**ADJUSTMENTS, **(adjustments or {})}
-            load = partial(asset_files.restore_added, project)
-            self.replay = SceneReplay(original, self.painter, self.transaction, table, load)
+            self.replay = SceneReplay(original, self.painter, self.transaction, table, self._load_added)
             steps, cursor = project.steps()
             document = project.document(steps[cursor].id)
             state = self.replay.compose(document)
@@ -98,6 +96,10 @@ class SessionCore:
                 reason = printable(" ".join(str(error).split()), 300)
                 raise ValueError(f"{project.path}: damaged project file ({reason})") from error
             raise
+
+    def _load_added(self, asset: SceneAsset) -> Splats:
+        # From what is the project by then: under another name, or taken over, it is another object.
+        return asset_files.restore_added(self.project, asset)
 
     # ---- what is shown
 
@@ -203,6 +205,18 @@ class SessionCore:
             for layer in document.layers if computed else ():
                 self.fold(layer.id)
             return True
+
+    def reload(self) -> bool:
+        """Show what the project file holds now. False: it is what was shown."""
+        steps, cursor = self.project.steps()
+        document = self.project.document(steps[cursor].id)
+        state = self.replay.compose(document, self.progress)
+        changed = state.key != self.snapshot.state.key or document != self.document
+        if self.transaction.results:  # of a project that lost some
+            self.project.move(steps[cursor].id, state.results, self.transaction)
+            self.transaction.clear()
+        self.publish(state, document)
+        return changed
 
     def publish(self, state: LayerState, document: Document) -> None:
         """Show a state that is on disk: from now on it is the snapshot."""

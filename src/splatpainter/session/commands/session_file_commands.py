@@ -22,8 +22,11 @@ from splatpainter.session.commands.session_core import SessionCore
 from splatpainter.session.document.document import Document, Layer, add_layer
 from splatpainter.session.document.scene_asset import MAIN_ASSET_ID, find_asset
 from splatpainter.session.project import asset_files
+from splatpainter.session.project.asset_files import ORIGINAL_FACTS
 from splatpainter.session.project.database import SUFFIX
+from splatpainter.session.project.lock import ProjectLock
 from splatpainter.session.project.project_file import Project
+from splatpainter.session.project.project_opening import ELSEWHERE
 from splatpainter.session.project.project_summary import PICTURE_FACT
 from splatpainter.session.project.scene_export import export_scene, scene_receipt
 from splatpainter.session.replay.snapshot import Snapshot
@@ -161,6 +164,37 @@ class SessionFileCommands:
     def save_copy(self, path: str | Path, *, overwrite: bool = False) -> None:
         """A copy of the project in another file; the session stays where it is."""
         self._core.project.copy(project_path(path), overwrite)
+
+    def take_over(self) -> None:
+        """Go on in a project that can only be looked at because it was open elsewhere, once nobody has it open: what is
+        shown is then the newest that was done in it, and it can be changed. Does nothing where it can be changed
+        already. Raises ValueError, and nothing changes: it is open elsewhere still or again, is gone, cannot be
+        written, or is of another original now."""
+        core = self._core
+        with core.lock:
+            old = core.project
+            if not old.read_only:
+                return
+            # Opened, shown and only then let go of: whatever fails before, the session goes on showing what it did.
+            fresh = Project.open(old.path, readonly=False)
+            try:
+                if any(old.fact(name) != fresh.fact(name) for name in ORIGINAL_FACTS):
+                    raise ValueError(f"{old.path}: another project has this name now; open it anew")
+                core.project = core.transaction.project = fresh
+                core.reload()
+            except BaseException:
+                core.project = core.transaction.project = old
+                core.transaction.clear()
+                fresh.close()
+                raise
+            old.close()
+
+    @property
+    def can_be_taken_over(self) -> bool:
+        """Whether the project can only be looked at because it was open elsewhere, and nobody has it open any more.
+        Cheap enough to be asked every few seconds. Raises OSError: its folder cannot be reached."""
+        project = self._core.project
+        return project.read_only == ELSEWHERE and project.path.is_file() and ProjectLock.is_free(project.path)
 
     @property
     def is_in_place(self) -> bool:

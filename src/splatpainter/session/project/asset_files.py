@@ -112,6 +112,10 @@ def file_of(splats: Splats) -> Path | None:
         return None
 
 
+ORIGINAL_FACTS = ("sha256", "color_space", "antialiased", "offset", "frame")
+"""Facts of a project that say what its original's Gaussians are; where it is kept may differ."""
+
+
 def describe(splats: Splats, path: Path | None, embed: bool) -> dict[str, str]:
     """The facts of a project about its original. path: its file, if it has one that still holds them."""
     facts = {"sha256": splats.sha256, "color_space": splats.color_space, "antialiased": str(int(splats.antialiased))}

@@ -155,7 +155,7 @@ def is_unwritable(error: BaseException) -> bool:
     return (getattr(error, "sqlite_errorname", "") or "").startswith(UNWRITABLE)
 
 
-def _uri(path: Path) -> str:
+def file_uri(path: Path) -> str:
     """file:///... of a path. Not `Path.as_uri`, which makes a network folder (//server/share) a server, which SQLite
     refuses."""
     name = path.resolve().as_posix()
@@ -180,7 +180,7 @@ def open_writable(path: Path) -> sqlite3.Connection:
 
 
 def _writable(path: Path, shares_maps: bool) -> sqlite3.Connection:
-    connection = connect(f"{_uri(path)}?mode=rw")
+    connection = connect(f"{file_uri(path)}?mode=rw")
     with closed_on_error(connection):
         if not shares_maps:  # alone, SQLite keeps the index of a log that is there in its own memory
             connection.execute("PRAGMA locking_mode=EXCLUSIVE").fetchall()
@@ -216,7 +216,7 @@ def try_writing(connection: sqlite3.Connection) -> None:
 def open_readable(path: Path) -> sqlite3.Connection:
     """The database for reading only; nothing in its folder is made or changed where it was closed properly.
     Raises sqlite3.Error; ValueError where its log is needed and cannot be read."""
-    uri, why = f"{_uri(path)}?mode=ro", "its folder cannot be written"
+    uri, why = f"{file_uri(path)}?mode=ro", "its folder cannot be written"
     if has_foreign_log(path):
         return _readable(f"{uri}&immutable=1")  # which looks at no log
     try:
@@ -274,7 +274,7 @@ def has_foreign_log(path: Path) -> bool:
         return False
     try:
         # A log that makes the project older than it is alone was brought from elsewhere.
-        together = dict(_facts(path, f"{_uri(path)}?mode=ro"))
+        together = dict(_facts(path, f"{file_uri(path)}?mode=ro"))
         return alone.get("sha256") != together.get("sha256") or _edited(alone) > _edited(together)
     except UnwritableError:
         return False
@@ -304,13 +304,13 @@ def set_log_aside(path: Path) -> str:
 
 def written_last(path: Path) -> list[tuple[Any, ...]]:
     """What tells one state of a project file from another, as the file alone says it. Raises ValueError."""
-    return _facts(path, f"{_uri(path)}?mode=ro&immutable=1")
+    return _facts(path, f"{file_uri(path)}?mode=ro&immutable=1")
 
 
 def _passes_check(path: Path) -> bool:
     """Whether a database is whole without its log."""
     try:
-        with one_line(path), contextlib.closing(_readable(f"{_uri(path)}?mode=ro&immutable=1")) as connection:
+        with one_line(path), contextlib.closing(_readable(f"{file_uri(path)}?mode=ro&immutable=1")) as connection:
             return Database(path, connection).rows("PRAGMA quick_check(1)") == [("ok",)]
     except ValueError:
         return False

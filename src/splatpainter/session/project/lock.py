@@ -16,7 +16,7 @@ import sqlite3
 from pathlib import Path
 
 from splatpainter.io import files
-from splatpainter.session.project.database import is_unwritable
+from splatpainter.session.project.database import connect, file_uri, is_unwritable
 from splatpainter.session.project.disk_probe import LOCAL_DISK, NO_LOCKS, locks_refused, speaks_of_locks
 
 LOCK_ENDING = "-lock"
@@ -47,6 +47,22 @@ class ProjectLock:
                 again.close()
             connection.close()
         raise ValueError(f"{project}: cannot be locked")
+
+    @staticmethod
+    def is_free(project: Path) -> bool:
+        """Whether nobody holds a project file, at this moment. Costs one look for the lock's file, or one try to read
+        it, and makes and changes nothing: any number of those who wait may ask, every few seconds."""
+        path = project.with_name(project.name + LOCK_ENDING)
+        if not path.exists():
+            return True
+        # Of a holder that was killed the file is still there. Reading it takes the lock that readers share, which a
+        # holder refuses; whoever takes the lock in these microseconds is refused too, and looks again later.
+        try:
+            with contextlib.closing(connect(f"{file_uri(path)}?mode=ro", wait_seconds=0)) as connection:
+                connection.execute("SELECT name FROM sqlite_master").fetchall()
+                return True
+        except sqlite3.Error:
+            return not path.exists()
 
     def release(self) -> None:
         """Remove the file and let go. In this order: whoever locks the file in between finds that its name is gone."""
