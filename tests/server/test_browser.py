@@ -307,9 +307,17 @@ def test_a_conflict_is_shown_and_settled(opened: tuple[studio_scenes.Live, Page]
     page.drag((0.45, 0.5), (0.55, 0.5))
     page.wait("the second stroke", lambda: page.state()["layers"][1]["strokes"] == 1)
     page.settled()
+    assert [one["reason"] for one in page.state()["conflicts"]] == [""], "they overlap by a third"
+    assert page.tab.locator(".in-conflict").count() == 0
+    page.drag((0.3, 0.5), (0.7, 0.5))
+    page.wait("the third stroke", lambda: page.state()["layers"][1]["strokes"] == 2)
+    page.settled()
     latest = blueness()
     assert latest > 0.3
-    page.tab.get_by_role("button", name="Layers of different views overlap (1)").click()
+    low, high = page.names()
+    warning = page.tab.locator(".in-conflict")
+    assert warning.inner_text() == f"{high} and {low}, of different views, cover each other"
+    warning.click()
     page.wait("the conflict", lambda: page.tab.get_by_text("painted from another view.").count())
     choice = page.tab.get_by_label("Show", exact=True)
     choice.select_option("first")

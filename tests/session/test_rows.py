@@ -12,6 +12,7 @@ import splatpainter as sp
 from splatpainter.cameras import look_at
 from splatpainter.painter import Edit
 from splatpainter.session import Session
+from splatpainter.session.replay.conflicts import MIN_COVERED_SHARE, MIN_STALE_SHARE
 from tests.support.lift_scenes import db, differing, disk, same_bits, sheet
 from tests.support.session_scenes import BLUE, CAMERA, GREEN, RED, SIZE, dab, flat
 
@@ -208,6 +209,30 @@ def test_policies_decide_conflicts():
             latest.layers.resolve_conflict(a, "77", "first")
         with pytest.raises(ValueError, match="^conflict: expected latest, first or blend"):
             latest.layers.resolve_conflict(a, b, "loudest")  # type: ignore[arg-type]
+
+
+def test_only_conflicts_that_matter_have_a_reason():
+    """Paint on a larger layer, from another view, and strokes that touch are no news; a layer that is replaced is, and
+    one whose pictures show what was painted over since."""
+    with Session(sheet(24, degree=1, opacity=0.95)) as session:
+        decal = session.strokes.paint_new("decal", [dab(RED, radius=9)])
+        above = session.strokes.paint_new("above", [dab(BLUE, radius=3, camera=SIDE)])
+        (conflict,) = session.layers.conflicts()
+        assert conflict.reason == "" and 0.3 < conflict.share_of_smaller < MIN_COVERED_SHARE
+        session.strokes.paint(above.id, [dab(BLUE, radius=8, camera=SIDE)])
+        (conflict,) = session.layers.conflicts()
+        assert conflict.reason == "covered" and conflict.share_of_smaller > MIN_COVERED_SHARE
+        session.undo()
+        session.strokes.paint(decal.id, [dab(GREEN, radius=2)])
+        assert [(one.upper, one.reason) for one in session.layers.conflicts()] == [(above.id, "stale")]
+        session.undo()
+        assert [one.reason for one in session.layers.conflicts()] == [""]
+    with Session(sheet(24, degree=1, opacity=0.95)) as session:
+        lower = session.strokes.paint_new("lower", [dab(RED, 10, radius=6)])
+        session.strokes.paint_new("upper", [dab(BLUE, 24, radius=6, camera=SIDE)])
+        session.strokes.paint(lower.id, [dab(GREEN, 6, radius=2)])
+        (conflict,) = session.layers.conflicts()
+        assert conflict.is_stale and conflict.reason == "" and conflict.share_of_smaller < MIN_STALE_SHARE
 
 
 def test_coverage_says_what_was_seen():

@@ -222,6 +222,7 @@ def conflict_infos(session: Session) -> list[protocol.ConflictInfo]:
             upper_name=names[c.upper],
             gaussians=len(c.gaussian_ids),
             share=min(c.share, 1),
+            reason=c.reason,
             policy=c.policy,
         )
         for c in session.layers.conflicts()

@@ -252,6 +252,8 @@ class ConflictInfo(Message):
     gaussians: int
     share: Unit
     """Share of the Gaussians that the lower layer edited."""
+    reason: Literal["", "stale", "covered"]
+    """Why to warn of it: the lower layer was painted on after the upper one, or one is covered largely; "": nothing."""
     policy: Policy
 
 

@@ -404,13 +404,17 @@ function SpreadSettings({ layer }: { layer: LayerInfo | null }) {
   );
 }
 
-/** Says that layers overwrite each other, and leads to where that is settled. */
+/** Names layers that overwrite each other where it matters, and leads to where that is settled. */
 function InConflict() {
-  const count = state.value?.conflicts.filter((one) => one.policy === "latest").length ?? 0;
-  if (count === 0) return null;
+  const [first, ...more] = (state.value?.conflicts ?? []).filter((one) => one.reason && one.policy === "latest");
+  if (!first) return null;
+  const { upper_name: upper, lower_name: lower } = first;
   return (
     <button type="button" class="in-conflict" onClick={() => (tab.value = "views")}>
-      Layers of different views overlap ({count})
+      {first.reason === "stale"
+        ? `${lower} was painted on under ${upper}, which shows it as it was`
+        : `${upper} and ${lower}, of different views, cover each other`}
+      {more.length > 0 && ` (and ${more.length} more)`}
     </button>
   );
 }
