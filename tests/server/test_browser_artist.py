@@ -207,7 +207,7 @@ def test_forty_steps_of_an_artist_with_a_crash_in_the_middle(studio: tuple[Serve
     tab.get_by_role("checkbox", name="On the surface", exact=True).check()
     page.wait("it on the surface", lambda: page.ask("!!window.studio.placement.value?.anchor"))
     a.stage.press("Enter")
-    a.names("Paint", "Paint 2", "Text: MILK", "stripes.png")
+    a.names("Paint", "Paint 2", "Text: MILK", "stripes")
     a.did("stuck a picture on it")
 
     # 13-17: select, grow, delete, fill
@@ -225,11 +225,11 @@ def test_forty_steps_of_an_artist_with_a_crash_in_the_middle(studio: tuple[Serve
     page.wait("a hole", lambda: page.names()[-1] == "Hide")
     a.did("deleted it", where=(0.59, 0.35))
     keys.press("Control+z")
-    page.wait("it again", lambda: page.names()[-1] == "stripes.png" and a.selected() > lasso)
+    page.wait("it again", lambda: page.names()[-1] == "stripes" and a.selected() > lasso)
     a.did("took that back", where=(0.59, 0.35))
     a.stage.focus()
     keys.press("Shift+F5")
-    a.names("Paint", "Paint 2", "Text: MILK", "stripes.png", "Fill: removed", "Fill")
+    a.names("Paint", "Paint 2", "Text: MILK", "stripes", "Fill: removed", "Fill")
     now = a.did("removed and filled it", changed=False)
     assert np.abs(now - before)[spot(now, 0.59, 0.35)].mean() < 0.1 and a.count() > rows, "as if nothing had been there"
 
@@ -293,13 +293,13 @@ def test_forty_steps_of_an_artist_with_a_crash_in_the_middle(studio: tuple[Serve
     keys.press("Enter")
     a.names(*names[:-1], "Cold")
     a.did("named it", changed=False)
-    a.choose("stripes.png")
+    a.choose("stripes")
     keys.press("Control+j")
-    page.wait("the copy", lambda: "stripes.png copy" in page.names())
+    page.wait("the copy", lambda: "stripes copy" in page.names())
     a.did("copied the sticker", changed=False)
-    tab.locator(".layer-name", has=tab.get_by_text("stripes.png copy", exact=True)).focus()
+    tab.locator(".layer-name", has=tab.get_by_text("stripes copy", exact=True)).focus()
     keys.press("Alt+ArrowDown")
-    page.wait("its place", lambda: page.names().index("stripes.png copy") == 3)
+    page.wait("its place", lambda: page.names().index("stripes copy") == 3)
     a.did("moved the copy down", changed=False)
     panel = tab.get_by_role("tabpanel")
     panel.evaluate("(panel) => (panel.scrollTop = 1e6)")
@@ -332,7 +332,7 @@ def test_forty_steps_of_an_artist_with_a_crash_in_the_middle(studio: tuple[Serve
 
     # 31-36: as if nothing had happened
     keys.press("Control+z")
-    page.wait("the step before the crash taken back", lambda: page.names().index("stripes.png copy") == 4)
+    page.wait("the step before the crash taken back", lambda: page.names().index("stripes copy") == 4)
     keys.press("Control+Shift+z")
     a.names(*listed)
     a.did("undid and redid over the crash", changed=False)
@@ -356,7 +356,7 @@ def test_forty_steps_of_an_artist_with_a_crash_in_the_middle(studio: tuple[Serve
     page.drag((0.42, 0.28), (0.5, 0.3))
     page.wait("a stroke", lambda: a.layer("Paint 2")["strokes"] == 6)
     a.did("drew a line", where=(0.46, 0.29))
-    a.choose("stripes.png copy")
+    a.choose("stripes copy")
     a.button("Delete the layer").click()
     page.wait("eight layers", lambda: len(page.names()) == 8)
     a.did("deleted the copy", changed=False)

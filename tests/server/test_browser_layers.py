@@ -165,10 +165,10 @@ def test_words_and_stickers_are_changed_after_they_were_applied(opened: tuple[st
     page.wait("the sticker", lambda: page.tab.get_by_role("button", name="Apply").count())
     page.tab.get_by_label("On the surface").check()
     page.tab.locator("#stage").press("Enter")  # before the page knows the surface
-    page.wait("its layer", lambda: page.names() == ["Text: MILK", "stripes.png"])
+    page.wait("its layer", lambda: page.names() == ["Text: MILK", "stripes"])
     page.settled()
     assert page.state()["layers"][1]["placed"]["unit"] > 0, "it lies on the surface"
-    page.tab.get_by_role("button", name="Change stripes.png").click()
+    page.tab.get_by_role("button", name="Change stripes").click()
     page.wait("it to be hidden", lambda: not page.state()["layers"][1]["visible"])
     page.wait("it on the surface", lambda: page.ask("!!window.studio.placement.value?.anchor"))
     page.drag((0.5, 0.5), (0.56, 0.5))

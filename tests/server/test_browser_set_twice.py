@@ -257,10 +257,10 @@ def test_a_sticker_is_laid_once_and_saved_when_it_is(
     stage.press("Enter")
     page.wait("the server", lambda: gate.waiting)
     choose("next.png")
-    page.wait("the next one", lambda: page.ask("window.studio.placement.value?.name") == "next.png")
+    page.wait("the next one", lambda: page.ask("window.studio.placement.value?.name") == "next")
     gate.passes.release(2)
-    page.wait("its layer", lambda: page.names() == ["red.png"])
+    page.wait("its layer", lambda: page.names() == ["red"])
     page.settled()
-    assert page.names() == ["red.png"]
-    assert page.ask("window.studio.placement.value?.name") == "next.png", "it waits to be placed"
+    assert page.names() == ["red"]
+    assert page.ask("window.studio.placement.value?.name") == "next", "it waits to be placed"
     stage.press("Escape")

@@ -87,6 +87,7 @@ def test_the_page_spreads_a_stroke_and_shows_how_sure_it_is(browser: Any, tmp_pa
         page.drag((0.42, 0.4), (0.44, 0.6))
         page.wait("the layer", lambda: [layer["mode"] for layer in page.state()["layers"]] == ["spread"])
         page.settled()
+        assert page.names() == ["Paint"], "as the layer of other strokes"
         panel = page.tab.get_by_role("region", name="Layers")
         panel.get_by_label("Show confidence").check()
         page.wait("the overlay", lambda: page.tab.locator("[data-still=confidence]").count())

@@ -101,7 +101,7 @@ def test_a_new_command_drops_what_was_undone():
         session.undo()
         session.undo()
         session.layers.set("1", opacity=0.5)
-        assert [step.label for step in session.history] == ["open", "add a", "set opacity a"]
+        assert [step.label for step in session.history] == ["open", "add a", "set the opacity of a"]
         new = session.layers.add("paint", [dab(GREEN)])
         assert new.id not in ("1", b, "3")  # ids are not used again
         assert session.verify() == []

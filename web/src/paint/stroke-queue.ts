@@ -32,7 +32,7 @@ import { limitsToSend } from "./limits";
 import { selection, selectionSent } from "./selected";
 import { emptyMask, type Mask } from "./raster";
 import { Stroke, type StrokeTarget } from "./stroke";
-import { chosenPaintLayer, FirstPaintLayer } from "./stroke-target";
+import { chosenPaintLayer, FirstPaintLayer, LAYER_OF_STROKES } from "./stroke-target";
 import { mirrorOfStroke } from "./symmetry";
 import type { ViewPixels } from "./view-pixels";
 
@@ -92,6 +92,7 @@ export class StrokeQueue {
       return null;
     }
     const single = target !== undefined;
+    const layerName = target?.spread === undefined ? name : LAYER_OF_STROKES; // of a layer of its own
     const home = state.value!.project.id;
     const first = this.firstLayer.target((free) => this.unused(free));
     this.fitOverlay(now);
@@ -104,7 +105,7 @@ export class StrokeQueue {
       onScreen: () => camera.value !== null && sameView(camera.value, now),
       kind,
       layer: kind === "erase" && !single ? (chosen?.id ?? null) : null,
-      name: single && !target.replaces && !target.layer ? this.unused(name) : name,
+      name: single && !target.replaces && !target.layer ? this.unused(layerName) : name,
       project: home,
       isHome: () => status.value !== "open" || isShown(home),
       newestStep,

@@ -4,6 +4,9 @@ import { brush, maskedLayer, selectedLayer, state } from "../state/store";
 import type { LayerInfo } from "../messages";
 import type { StrokeTarget } from "./stroke";
 
+/** Name of a layer that a stroke makes; more of them are numbered. */
+export const LAYER_OF_STROKES = "Paint";
+
 const chosenLayer = (): LayerInfo | undefined => state.value?.layers.find((one) => one.id === selectedLayer.value);
 
 /** The chosen layer, if it takes strokes. */
@@ -42,7 +45,7 @@ export class FirstPaintLayer {
       const { made } = this;
       const exists = made && state.value?.layers.some((one) => one.id === made.layer);
       if (exists && made.session === session && made.chosen === chosen) return { layer: made.layer };
-      return { into_new: unused("Paint") };
+      return { into_new: unused(LAYER_OF_STROKES) };
     };
     return { ask, note };
   }

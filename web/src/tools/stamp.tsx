@@ -13,14 +13,18 @@ import type { ToolSpec } from "./tool";
 /** Of the view's width and height that a picture takes at first, at most. */
 const FIRST_SIZE = 0.5;
 
-/** Lay a picture on the middle of the view; false (with a toast) where it is none. */
+/** Endings of pictures' files, which say nothing in the name of a layer. */
+const ENDING = /\.(avif|bmp|gif|jpe?g|png|tiff?|webp)$/i;
+
+/** Lay a picture on the middle of the view; false (with a toast) where it is none. `name`: of its file. */
 export async function placePicture(file: Blob, name: string): Promise<boolean> {
   const view = camera.value;
   if (!view) return false;
   try {
     const image = await createImageBitmap(file);
     const scale = Math.min(1, (FIRST_SIZE * view.width) / image.width, (FIRST_SIZE * view.height) / image.height);
-    placement.value = { kind: "picture", image, name, x: view.width / 2, y: view.height / 2, scale, angle: 0 };
+    const [x, y] = [view.width / 2, view.height / 2];
+    placement.value = { kind: "picture", image, name: name.replace(ENDING, "") || name, x, y, scale, angle: 0 };
     return true;
   } catch {
     report(new Error(`${name} is not a picture that this browser reads.`));

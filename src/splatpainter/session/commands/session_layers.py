@@ -343,7 +343,8 @@ class SessionLayers(Sequence[Layer]):
             document = change_layer(core.document, layer, **fields)
             verb = {"visible": "show" if values.get("visible") else "hide", "name": "rename"}
             first = next(iter(values))
-            label = f"{verb.get(first, 'set ' + first)} {core.layer(layer).name}"
+            words = verb.get(first, f"set the {first.replace('_', ' ')} of")  # as "mask of", "in the mask of"
+            label = f"{words} {core.layer(layer).name}"
             core.commit(label, document, gesture=gesture)
             return core.layer(layer)
 
