@@ -1,17 +1,19 @@
-import { expect, it, vi } from "vitest";
+import { afterAll, expect, it, vi } from "vitest";
 
 import type { PictureChecked } from "../src/messages";
-import { addPicture, check, droppedImages, setThreshold } from "../src/state/dropped-images";
 
 /** Checks that the server was sent, and their ends. */
-const server = vi.hoisted(() => ({
+const server = {
   sent: [] as { fields: { picture: string; threshold: number | null }; end: (answer: object) => void }[],
-}));
-vi.mock("../src/net/blobs", () => ({
+};
+
+// Files of tests share their modules: these are loaded anew for this one, with other ends of the connection.
+vi.resetModules();
+vi.doMock("../src/net/blobs", () => ({
   blobUrl: (blob: string) => blob,
   sendBlob: (file: File) => file.text(),
 }));
-vi.mock("../src/editor/editor", () => ({
+vi.doMock("../src/editor/editor", () => ({
   editor: {
     link: {
       do: (_name: string, fields: { picture: string; threshold: number | null }) =>
@@ -21,6 +23,12 @@ vi.mock("../src/editor/editor", () => ({
   report: (error: unknown) => Promise.reject(error),
   run: () => Promise.resolve(null),
 }));
+const { addPicture, check, droppedImages, setThreshold } = await import("../src/state/dropped-images");
+afterAll(() => {
+  vi.doUnmock("../src/net/blobs");
+  vi.doUnmock("../src/editor/editor");
+  vi.resetModules();
+});
 
 const checked = (share: number) => ({ share, camera_source: "chunk" }) as PictureChecked;
 const send = async (content: string): Promise<void> => {

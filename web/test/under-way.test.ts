@@ -1,19 +1,27 @@
-import { beforeEach, describe, expect, it, vi } from "vitest";
+import { afterAll, beforeEach, describe, expect, it, vi } from "vitest";
 
 import type { LayerInfo, SceneAssetInfo, State } from "../src/messages";
-import { assets, draggedAsset, setAsset } from "../src/state/assets";
-import { dragged, duringLayer, isPending, moveLayer, setLayer, shownLayers } from "../src/state/pending-layers";
-import { setUp, shownUp } from "../src/state/shown-up";
-import { state } from "../src/state/store";
-import { during, isUnderWay, withUnderWay } from "../src/state/under-way";
 
 /** Commands that the server was sent, and their ends: null is a refusal. */
-const server = vi.hoisted(() => ({ sent: [] as { fields: object; end: (answer: object | null) => void }[] }));
-vi.mock("../src/editor/editor", () => ({
+const server = { sent: [] as { fields: object; end: (answer: object | null) => void }[] };
+
+// Files of tests share their modules: these are loaded anew for this one, with another editor.
+vi.resetModules();
+vi.doMock("../src/editor/editor", () => ({
   editor: {},
   run: (_name: string, fields: object) =>
     new Promise<object | null>((resolve) => server.sent.push({ fields, end: resolve })),
 }));
+const { assets, draggedAsset, setAsset } = await import("../src/state/assets");
+const { dragged, duringLayer, isPending, moveLayer, setLayer, shownLayers } =
+  await import("../src/state/pending-layers");
+const { setUp, shownUp } = await import("../src/state/shown-up");
+const { state } = await import("../src/state/store");
+const { during, isUnderWay, withUnderWay } = await import("../src/state/under-way");
+afterAll(() => {
+  vi.doUnmock("../src/editor/editor");
+  vi.resetModules();
+});
 
 const layer = (id: string, rest: Partial<LayerInfo> = {}) =>
   ({ id, name: id, opacity: 1, visible: true, blend: "normal", parameters: {}, mask: null, ...rest }) as LayerInfo;
