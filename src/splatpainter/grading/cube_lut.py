@@ -168,7 +168,7 @@ def parse_cube(text: str, where: Path | str) -> CubeLut:
     if largest >= MIN_INTEGER_SCALE and (table == np.round(table)).all():
         raise ValueError(
             f"{where}: its entries are whole numbers up to {largest:g}; expected colours of 0..1: divide them by "
-            f"{2 ** math.ceil(math.log2(largest + 1)) - 1}, or export it again as .cube of floats"
+            f"{(1 << int(largest).bit_length()) - 1}, or export it again as .cube of floats"
         )
     size_1d, size_3d = (int(header.get(name, (0.0,))[0]) for name in SIZES)
     shared = (_three(header.get("DOMAIN_MIN", (0.0,))), _three(header.get("DOMAIN_MAX", (1.0,))))
