@@ -13,6 +13,7 @@ from splatpainter.transforms import (
     fibonacci_sphere,
     inverses,
     matrix_to_quat,
+    nearest_rotation,
     principal_axes,
     quat_to_matrix,
     row_max,
@@ -157,3 +158,13 @@ def test_lengths_of_rows_are_numpys_to_the_last_bit(dtype: type):
         lengths = row_norm(values)
         assert lengths.dtype == dtype
         np.testing.assert_array_equal(lengths, np.linalg.norm(values, axis=1))
+
+
+def test_the_nearest_rotation_is_the_polar_factor():
+    rng = np.random.default_rng(5)
+    for quat in rng.normal(size=(20, 4)):
+        stretch = np.eye(3) + 0.2 * rng.normal(size=(3, 3))
+        matrix = quat_to_matrix((quat / np.linalg.norm(quat))[None])[0] @ (stretch @ stretch.T)
+        left, _, right = np.linalg.svd(matrix)
+        np.testing.assert_allclose(nearest_rotation(matrix), left @ right, atol=1e-12)
+    assert np.array_equal(nearest_rotation(np.eye(3)), np.eye(3))

@@ -314,7 +314,7 @@ def _unwritten_rows(splats: Splats, few: Splats) -> Doubt | None:
         return None
     return Doubt(
         f"{count:,} of {len(splats):,} rows hold zeros alone",
-        "they were probably never written, by a download, a copy or a disk that failed, and a part of the asset lacks",
+        "they were probably never written, by a download, a copy or a disk that failed: a part of the asset is missing",
         "get the file again",
     )
 
@@ -378,7 +378,7 @@ def _other_gaussians(splats: Splats, few: Splats) -> Doubt | None:
         if _has_column(splats, column) and _has_column(splats, beside):
             return Doubt(
                 f"has columns {column}, {beside} ({what})",
-                f"{effect}; these columns are kept, but not effect or edited",
+                f"{effect}; these columns are kept, but neither drawn nor edited",
                 "export one moment of it, or train it, as plain 3D Gaussians",
             )
     return None

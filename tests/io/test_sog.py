@@ -179,6 +179,7 @@ def test_what_we_write(name: str, degree: int, tmp_path: Path, splat_transform: 
     if degree:
         wrong = back.sh[:, 1:] - splats.sh[:, 1:]
         # 3,000 different vectors in 2,048 entries: noise, the worst case.
+        assert back.source is not None and 1024 < len(back.source.detail.palette) <= 2048
         assert math.sqrt((wrong**2).mean()) < 0.5 * splats.sh[:, 1:].std()
 
 

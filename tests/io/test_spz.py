@@ -387,3 +387,26 @@ def test_pieces_are_one_gzip_member_for_any_number_of_threads(size: int, monkeyp
     reader = zlib.decompressobj(wbits=31)
     assert reader.decompress(member) + reader.flush() == body == gzip.decompress(member)
     assert reader.eof and not reader.unused_data, "one member"
+
+
+@pytest.mark.parametrize(
+    ("scale", "extent", "bits"),
+    [
+        (0.1, 1, 12),
+        (2.0**-11, 1, 13),
+        (1.1 * 2.0**-11, 1, 13),
+        (0.9 * 2.0**-11, 1, 14),
+        (2.0**-16, 1023, 12),
+        (2.0**-16, 1025, 11),
+    ],
+)
+def test_positions_have_steps_of_a_quarter_of_small_rows_and_room_for_twice_the_extent(
+    tmp_path: Path, scale: float, extent: float, bits: int
+) -> None:
+    splats = random_splats(50, 0)
+    means = np.clip(splats.means, -0.5, 0.5)
+    means[0] = extent
+    path = tmp_path / "a.spz"
+    write_spz(path, replace(splats, means=means, scales=np.full_like(splats.scales, scale), source=None))
+    source = read_spz(path).source
+    assert source is not None and source.detail.fractional_bits == bits

@@ -134,3 +134,14 @@ GOLDENS = {products: "0cca80f0836e8b87", functions: "bf299f9afad96b27"}
 @pytest.mark.parametrize("case", GOLDENS)
 def test_bytes_are_the_same_everywhere(case, cpu: str, monkeypatch: pytest.MonkeyPatch):
     check(case, GOLDENS[case], cpu, monkeypatch)
+
+
+def test_differences_from_one_are_precise_near_zero():
+    sizes = np.concatenate([10.0 ** np.linspace(-300, 2, 3001), np.linspace(0, 700, 3001)])
+    x = np.concatenate([-sizes, sizes, [np.inf, -np.inf]])
+    with np.errstate(all="ignore"):
+        np.testing.assert_allclose(portable.expm1(x), np.expm1(x), rtol=5e-16)
+        y = x[x > -1]
+        np.testing.assert_allclose(portable.log1p(y), np.log1p(y), rtol=5e-16)
+        ends = portable.log1p(np.array([-1.0, -2.0, np.nan]))
+    assert ends[0] == -np.inf and np.isnan(ends[1:]).all() and np.isnan(portable.expm1(np.nan))

@@ -48,11 +48,15 @@ def test_a_picture_is_read_or_refused_in_one_line(tmp_path: Path, data: bytes) -
 def test_a_tiff_whose_tags_lie_outside_of_it_has_no_camera_and_warns_of_nothing(tmp_path: Path) -> None:
     path = tmp_path / "a.tif"
     tags = [(256, 4, 1, 2), (257, 4, 1000, 9999), (258, 3, 1, 8), (259, 3, 1, 1), (262, 3, 1, 1), (273, 4, 1, 8)]
-    body = b"".join(struct.pack("<HHII", *tag) for tag in tags)
-    path.write_bytes(b"II*\0" + struct.pack("<IH", 8, len(tags)) + body + bytes(8))
+    path.write_bytes(tiff_of(tags))
     with pytest.raises(ValueError) as caught:
         find_camera(path)
     assert type(caught.value) is ValueError and str(path) in str(caught.value)
+
+
+def tiff_of(tags: list[tuple[int, int, int, int]]) -> bytes:
+    """A TIFF of one page: (tag, type, count, value) each, and four bytes of pixels."""
+    return b"II*\0" + struct.pack("<IH", 8, len(tags)) + b"".join(struct.pack("<HHII", *tag) for tag in tags) + bytes(8)
 
 
 def test_a_tiff_of_too_many_samples_is_one_line_and_nothing_on_stderr(
@@ -68,8 +72,7 @@ def test_a_tiff_of_too_many_samples_is_one_line_and_nothing_on_stderr(
         (273, 4, 1, 8),
         (277, 3, 1, 262),
     ]
-    body = b"".join(struct.pack("<HHII", *tag) for tag in tags)
-    path.write_bytes(b"II*\0" + struct.pack("<IH", 8, len(tags)) + body + bytes(8))
+    path.write_bytes(tiff_of(tags))
     monkeypatch.setattr(logging.getLogger("PIL"), "propagate", False)  # pytest listens, a user's process does not
     with pytest.raises(ValueError, match="expected a PNG, JPEG, WebP or TIFF|cannot be read"):
         read_picture(path)
@@ -111,8 +114,7 @@ def test_a_tiff_packed_by_webp_is_one_line_and_nothing_on_stderr(
         (278, 4, 1, 2),
         (279, 4, 1, 4),
     ]
-    body = b"".join(struct.pack("<HHII", *tag) for tag in tags)
-    path.write_bytes(b"II*\0" + struct.pack("<IH", 8, len(tags)) + body + bytes(8))
+    path.write_bytes(tiff_of(tags))
     with pytest.raises(
         ValueError, match=r"a.tif: expected a PNG, JPEG, WebP or TIFF picture, got a TIFF packed by WebP"
     ):

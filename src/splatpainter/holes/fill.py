@@ -300,10 +300,9 @@ def _continued(chart: Chart, border: Border, pixels: np.ndarray) -> tuple[np.nda
 
     border_points = points[reached] if is_sphere else points
     left = border_points[:, 2] - base(border_points[:, :2])
-    aside = float(np.median(left))
     # Of a border that lies on the sphere within its noise a plate would carry the noise into the hole.
-    if is_sphere and float(np.median(np.abs(left - aside))) < FILLING.noise_median * noise:
-        left = np.full(len(left), aside)
+    if is_sphere and float(np.median(np.abs(left - np.median(left)))) < FILLING.noise_median * noise:
+        left = np.zeros(len(left))
     plate = ThinPlate.fit(border_points[:, :2], left, noise)
     low, high = z.min() - border.radius, z.max() + border.radius
 
