@@ -11,7 +11,7 @@ import splatpainter as sp
 from splatpainter.cameras import look_at
 from splatpainter.holes import chart, fill
 from splatpainter.holes.air import in_the_air
-from splatpainter.holes.border import borders_of
+from splatpainter.holes.border import _border, borders_of
 from splatpainter.holes.fill import fill_hole
 from splatpainter.io.axes import move
 from splatpainter.rendering import render
@@ -224,3 +224,12 @@ def test_a_ball_stays_round_however_it_is_turned(turn: int) -> None:
     splats = move(ball(4000, degree=2), axes)
     filled = fill_hole(splats, removed=((splats.means - axes @ (0, 0, -1)) ** 2).sum(1) < 0.7**2)
     assert np.abs(np.linalg.norm(filled.appended.means, axis=1) - 1).max() < 0.02
+
+
+def test_the_normal_of_a_border_is_what_its_gaussians_agree_on() -> None:
+    """Not its shortest extent: they face z, and lie along y and z."""
+    rng = np.random.default_rng(2)
+    splats = plate().take(np.arange(300))
+    means = (rng.uniform(-1, 1, (300, 3)) * (0.1, 2, 1)).astype(np.float32)
+    border = _border(replace(splats, means=means), np.arange(300))
+    assert border.aligned and abs(border.normal[2]) > 0.999 and abs(border.across[1]) > 0.99

@@ -97,6 +97,8 @@ def test_rules_show_by_height_slope_and_coverage() -> None:
         assert upper.sum() < changed(LayerMask(parts=(by_rule("height", 0.6, 1, 0.3),))).sum()
         facing, away = (changed(LayerMask(parts=(by_rule("slope", 0, 90, axis=(0, 0, z)),))) for z in (-1, 1))
         assert facing.any() and not (facing & away).any() and (facing | away).all()
+        tilted = by_rule("slope", 59, 61, axis=(0, 3**0.5 / 2, -0.5))
+        np.testing.assert_array_equal(changed(LayerMask(parts=(tilted,))), facing)
         seen = changed(LayerMask(parts=(by_rule("coverage", 1, 1),)))
         assert 0 < seen.sum() < len(below) and not (seen & changed(LayerMask(parts=(by_rule("coverage", 0, 0),)))).any()
 
