@@ -23,6 +23,7 @@ Representation = Literal["native", "copy"]
 Decoder = Literal["residual", "bounded", "absolute"]
 Inputs = Literal["raw", "normalised"]
 Answers = Literal["all", "teachers"]
+Tokenizer = Literal["linear", "lrm"]
 _Config = TypeVar("_Config")
 
 CHANNELS: dict[str, int] = {"edited": 3, "rays": 6, "render": 3, "geometry": 4, "mask": 1, "normals": 3}
@@ -34,6 +35,7 @@ MISSING_KEY_DEFAULTS: dict[str, Any] = {
     "refine.facts": False,
     "refine.picture_tokens": True,
     "refine.latents": True,
+    "refine.tokenizer": "linear",
 }
 """Keys that older checkpoints lack, and what they mean there."""
 MAX_CONFIG_BYTES = 1 << 20
@@ -130,6 +132,11 @@ class RefineConfig:
     """Attention heads of cross_attention and of image_attention; the TTT layer has one."""
     patch: int = 8
     """Pixels per edge of a picture token."""
+    tokenizer: Tokenizer = "linear"
+    """What makes a token of a picture's patch. linear: a map of its pixels (image_channels) that Stage II trains. lrm
+    (the paper): the LRM's own, as Stage I leaves it, which no edit and no training of Stage II changes; then a linear
+    map to the width of Stage II. It reads what the LRM reads of a view, whatever image_channels says, so it needs an
+    LRM (latents) of patches of this size."""
     image_channels: tuple[ImageChannels, ...] = ("edited", "rays")
     """What a picture token holds: the edited colours, the rays, and beyond the paper the current render, its positions
     and alpha ("geometry"), the edit mask, and the normals of those positions."""
@@ -253,6 +260,12 @@ class ModelConfig:
         if self.compress.dim % self.refine.heads:
             sizes = f"{self.compress.dim} and {self.refine.heads}"
             raise ValueError(f"config: expected compress.dim a multiple of refine.heads, got {sizes}")
+        if self.refine.tokenizer == "lrm":
+            if not (self.refine.latents and self.refine.picture_tokens):
+                raise ValueError("config: expected latents and picture_tokens with tokenizer='lrm'")
+            if self.refine.patch != self.lrm.patch:
+                sizes = f"{self.refine.patch} and {self.lrm.patch}"
+                raise ValueError(f"config: expected refine.patch of lrm.patch with tokenizer='lrm', got {sizes}")
         if not self.refine.latents and (self.refine.inputs != "normalised" or self.representation != "native"):
             raise ValueError("config: expected inputs='normalised' and representation='native' with latents=False")
         if self.refine.base == "lift" and self.decoder == "absolute":

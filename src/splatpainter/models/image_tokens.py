@@ -6,7 +6,7 @@ Knows no network. W pictures of H x W pixels, T tokens, C channels, p pixels per
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import field
+from dataclasses import field, replace
 
 import torch
 from torch import Tensor
@@ -15,7 +15,7 @@ from torch.nn import functional as F
 from splatpainter.cameras import Camera
 from splatpainter.models.config import RefineConfig
 from splatpainter.models.gaussian_groups import GaussianGroups
-from splatpainter.models.lrm import AssetViews, nearest_points, patchify, rays, slants
+from splatpainter.models.lrm import AssetViews, GaussianLrm, nearest_points, patchify, rays, slants
 from splatpainter.system.quick_dataclass import dataclass
 
 MAX_PICTURES = 16
@@ -66,27 +66,37 @@ class PictureTokens:
     """Patches of pictures, those that teach."""
 
     pixels: Tensor = field(repr=False)
-    """[T, p * p * C], patch rows first, channels fastest."""
+    """[T, p * p * C], patch rows first, channels fastest; or, by the LRM's tokenizer, [T, its width]."""
     weights: Tensor = field(repr=False)
     """[T] share of edited pixels, above 0 and at most 1."""
     lengths: Tensor
     """[V] int64 on the host: tokens per picture."""
 
 
-def tokenize(pictures: Pictures, groups: GaussianGroups, config: RefineConfig) -> PictureTokens:
+def tokenize(
+    pictures: Pictures, groups: GaussianGroups, config: RefineConfig, lrm: GaussianLrm | None = None
+) -> PictureTokens:
     """Cut pictures into patches, padding right and below with zeros (and nothing edited) to whole patches. Positions
-    and rays are in the asset's cube (-1..1), so that world units do not matter.
+    and rays are in the asset's cube (-1..1), so that world units do not matter. lrm: whose tokenizer makes the tokens
+    where config.tokenizer is "lrm"; no gradient reaches it.
 
     With config.mask_tokens, patches without an edited pixel are left out: their learning rates would be 0 and nothing
     reads them, so the result is the same and a small edit is fast. Raises ValueError for a picture without what
-    config.image_channels asks for.
+    config.image_channels, or the LRM, asks for.
     """
     patch = config.patch
     mask = pictures.mask
     if mask is None:
         mask = torch.ones_like(pictures.edited[..., :1])
     # A patch weighs by its share of edited pixels: at the mask's edge it teaches less.
-    pixels = _patches(_channels(pictures, mask, groups, config), patch)  # [V, L, p * p * C]
+    views = AssetViews(pictures.cameras, pictures.edited, center=groups.center, half_extent=groups.half_extent)
+    if config.tokenizer == "lrm":
+        assert lrm is not None, "a model with an LRM"
+        with torch.no_grad():  # frozen, as the paper has it
+            tokens = lrm.tokenize(replace(views, depth=pictures.depth, alpha=pictures.alpha))
+        pixels = tokens.unflatten(0, (len(pictures.cameras), -1))
+    else:
+        pixels = _patches(_channels(pictures, views, mask, config), patch)  # [V, L, p * p * C]
     weights = _patches(mask, patch).mean(2)  # [V, L]
     if not config.mask_tokens:
         lengths = torch.full((len(weights),), weights.shape[1], dtype=torch.int64)
@@ -97,12 +107,10 @@ def tokenize(pictures: Pictures, groups: GaussianGroups, config: RefineConfig) -
     return PictureTokens(pixels.flatten(0, 1)[index], weights.flatten()[index], edited.sum(1))
 
 
-def _channels(pictures: Pictures, mask: Tensor, groups: GaussianGroups, config: RefineConfig) -> Tensor:
-    """[V, H, W, C] in the order of config.image_channels."""
-    edited = pictures.edited
-    origins, directions = rays(
-        AssetViews(pictures.cameras, edited, center=groups.center, half_extent=groups.half_extent)
-    )
+def _channels(pictures: Pictures, views: AssetViews, mask: Tensor, config: RefineConfig) -> Tensor:
+    """[V, H, W, C] in the order of config.image_channels. views: the pictures in the asset's cube."""
+    edited, half_extent = pictures.edited, views.half_extent
+    origins, directions = rays(views)
     parts = []
     for name in config.image_channels:
         if name == "edited":
@@ -113,7 +121,7 @@ def _channels(pictures: Pictures, mask: Tensor, groups: GaussianGroups, config: 
             parts.append(2 * _present(pictures.render, name) - 1)
         elif name in ("geometry", "normals"):
             alpha = _present(pictures.alpha, name)
-            along = _present(pictures.depth, name) / (groups.half_extent * slants(pictures.cameras, directions))
+            along = _present(pictures.depth, name) / (half_extent * slants(pictures.cameras, directions))
             position = origins[:, None, None] + directions * along
             if name == "normals":
                 parts.append(_normals(position, alpha, directions))

@@ -115,14 +115,26 @@ class GaussianLrm(nn.Module):
 
     def encode(self, views: AssetViews) -> Tensor:
         """[V * L, D] float32 tokens: what a model of the user's own Gaussians needs. Raises ValueError as forward."""
-        x = patchify(self._channels(views), self.config.patch)
-        with exact(x.device):  # rays and depths; and what the blocks add to stays float32
-            x = self.norm_in(self.patches(x))
+        height, width = views.colors.shape[1:3]
+        if height % self.config.patch or width % self.config.patch:
+            raise ValueError(
+                f"encode: expected views whose size is a multiple of {self.config.patch} pixels, got {width}x{height}"
+            )
+        x = self.tokenize(views)
         groups = Groups.of([len(x)], x.device)  # every token sees all views
         again = self.config.checkpoint_activations and torch.is_grad_enabled()
         for block in self.blocks:
             x = checkpoint(block, x, groups, use_reentrant=False) if again else block(x, groups)
         return x
+
+    def tokenize(self, views: AssetViews) -> Tensor:
+        """[V * L, D] float32 tokens of patches, which know nothing of each other yet. Views of other sizes than whole
+        patches are padded right and below with zeros. Raises ValueError where depth or alpha is missing."""
+        patch, channels = self.config.patch, self._channels(views)
+        height, width = channels.shape[1:3]
+        x = patchify(nn.functional.pad(channels, (0, 0, 0, -width % patch, 0, -height % patch)), patch)
+        with exact(x.device):  # rays and depths; and what the blocks add to stays float32
+            return self.norm_in(self.patches(x))
 
     def decode(self, tokens: Tensor, views: AssetViews) -> Splats[Tensor]:
         """One Gaussian per pixel from tokens [V * L, D] of these views. In training mode centres are clipped to the
@@ -171,11 +183,6 @@ class GaussianLrm(nn.Module):
     def _channels(self, views: AssetViews) -> Tensor:
         """[V, H, W, C]: colour in -1..1, ray direction, the ray's point nearest the cube's centre; with geometry the
         place of the surface along the ray from that point (0 where unknown), and alpha in -1..1."""
-        height, width = views.colors.shape[1:3]
-        if height % self.config.patch or width % self.config.patch:
-            raise ValueError(
-                f"encode: expected views whose size is a multiple of {self.config.patch} pixels, got {width}x{height}"
-            )
         origins, directions = rays(views)
         parts = [2 * views.colors - 1, directions, nearest_points(origins, directions)]
         if self.config.geometry:

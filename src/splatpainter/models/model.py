@@ -26,7 +26,7 @@ from splatpainter.models.compress import Compressor, Latents
 from splatpainter.models.config import ModelConfig
 from splatpainter.models.decode import AttributeHead, init_children
 from splatpainter.models.gaussian_groups import GaussianGroups, TokenLinks
-from splatpainter.models.image_tokens import Pictures, tokenize
+from splatpainter.models.image_tokens import Pictures, PictureTokens, tokenize
 from splatpainter.models.lrm import AssetViews, GaussianLrm
 from splatpainter.models.predictor import Predictor
 from splatpainter.models.refine import LATENTS_PER_CHUNK, Refiner, RefineState
@@ -120,7 +120,7 @@ class SplatPainterModel(nn.Module):
         if config.refine.latents:
             self.lrm = GaussianLrm(config.lrm)
             self.compressor = Compressor(config.compress, config.lrm.dim, config.sh_degree, share)
-        self.refiner = Refiner(config.refine, config.compress.dim)
+        self.refiner = Refiner(config.refine, config.compress.dim, config.lrm.dim)
         self.head = AttributeHead(config.compress.dim, config.sh_degree, config.decoder)
         self.predictor = Predictor(config.predict) if config.predict.features else None
 
@@ -224,7 +224,7 @@ class SplatPainterModel(nn.Module):
         inputs.check(len(chosen))
         original = self.prepared(latents, chosen, inputs)
         teacher_tokens = self._teacher_tokens(latents, chosen, inputs)
-        tokens = tokenize(pictures, latents.groups, self.config.refine) if self.config.refine.picture_tokens else None
+        tokens = self._picture_tokens(pictures, latents)
         state = self.refiner.adapt(state, tokens, teacher_tokens=teacher_tokens, strength=strength)
         values = self.refiner.read(state, original, chunk=chunk)
         detail_latents = None
@@ -279,7 +279,7 @@ class SplatPainterModel(nn.Module):
             return self.prepared(latents, chosen[run], inputs.take(run))
 
         teacher_tokens = self._teacher_tokens(latents, chosen, inputs)
-        tokens = tokenize(pictures, latents.groups, self.config.refine) if self.config.refine.picture_tokens else None
+        tokens = self._picture_tokens(pictures, latents)
         state = self.refiner.adapt(state, tokens, teacher_tokens=teacher_tokens, strength=strength)
         runs = [slice(first, first + LATENTS_PER_CHUNK) for first in range(0, max(len(chosen), 1), LATENTS_PER_CHUNK)]
 
@@ -339,6 +339,13 @@ class SplatPainterModel(nn.Module):
             positions, scale = (inputs.means.to(values) - center) / latents.groups.half_extent, latents.scale
         more = {"scale": scale, "positions": positions, "facts": inputs.facts, "teaching": teaching}
         return self.refiner.prepare(values, inputs.lift, inputs.drift, **more)
+
+    def _picture_tokens(self, pictures: Pictures, latents: Latents) -> PictureTokens | None:
+        """None for a model that pictures do not teach. Raises ValueError as `tokenize`."""
+        refine = self.config.refine
+        if not refine.picture_tokens:
+            return None
+        return tokenize(pictures, latents.groups, refine, self.lrm if refine.tokenizer == "lrm" else None)
 
     def _teacher_tokens(
         self, latents: Latents, chosen: np.ndarray, inputs: GaussianInputs

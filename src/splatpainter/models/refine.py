@@ -259,12 +259,12 @@ class RefineBlock(nn.Module):
 class Refiner(nn.Module):
     """Stage II with its slow weights."""
 
-    def __init__(self, config: RefineConfig, dim: int) -> None:
-        """dim: width of the latents."""
+    def __init__(self, config: RefineConfig, dim: int, token_dim: int = 0) -> None:
+        """dim: width of the latents; token_dim: of the LRM's tokens, for a model that reads those of pictures."""
         super().__init__()
         self.config, self.dim = config, dim
         if config.picture_tokens:
-            self.pictures = linear(config.patch**2 * config.channels, dim)
+            self.pictures = linear(token_dim if config.tokenizer == "lrm" else config.patch**2 * config.channels, dim)
         if config.lift_features:
             self.lift = nn.Linear(LIFT_FEATURES, dim, bias=False)  # torch's own spread: 0.02 would drown 7 numbers
         if config.base == "lift":

@@ -8,6 +8,7 @@ import shlex
 from pathlib import Path
 
 import pytest
+import torch
 
 from splatpainter.cli import main
 from splatpainter.models import checkpoint
@@ -32,6 +33,7 @@ TINY_SIZES = """--model.lrm.dim 16 --model.lrm.layers 1 --model.lrm.heads 2 --mo
  --model.compress.resolution 8 --model.compress.min-opacity 0 --model.refine.blocks 1 --model.refine.hidden 16
  --model.refine.heads 2 --model.refine.fast-hidden 16 --perceptual 0 --steps 1 --batch 1 --workers 0
  --validation-samples 1 --validate-every 1 --device cpu""".split()
+TOKENIZER = ["--model.refine.tokenizer", "lrm"]
 SHARDS = "--rows 80 --surfels 400 --samples 6 --novel-views 2".split()
 
 
@@ -88,6 +90,13 @@ def test_every_command_of_the_route_runs(
         rows = list(csv.DictReader((out / "log.csv").read_text("utf-8").splitlines()))
         assert len(rows) == 1 and not rows[0]["skipped"] and float(rows[0]["loss"]) > 0
         assert "0 samples failed" in output.out and "the warm-up of" in output.err
+    # Tokens of pictures by the LRM's own tokenizer, as the paper has them: on the same Stage I.
+    own = toy([*("runs/own" if word == "runs/refine" else word for word in ROUTE[-1]), *TOKENIZER], 32)
+    assert main(own) == 0, capsys.readouterr().err
+    made = [checkpoint.load(f"runs/{name}/model") for name in ("refine", "own")]
+    assert [one.config.refine.tokenizer for one in made] == ["linear", "lrm"]
+    assert [one.tensors["refiner.pictures.weight"].shape[1] for one in made] == [8 * 8 * 9, 16]
+    assert torch.equal(*(one.tensors["lrm.patches.weight"] for one in made))
     spec = read_index(Path("shards"))["spec"]["recipe"]
     assert (spec["base_views"], spec["novel_views"], spec["sh_degree"]) == (16, 2, 2)
     notes = checkpoint.notes("runs/refine/model")
