@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 COPY, LRM, HIDDEN = "Stage I (copy)", "LRM", "Stage I (hidden colours)"
 MANY_VIEWS = "relight"
 """The kind that is judged with several numbers of edited views."""
+WORTH = ("strength 0", "another edit", "between Gaussians")
+"""Figures of what a network makes of what it is told, in every stage."""
 LOCAL_GOAL, RELIGHT_GOAL, COPY_GOAL = 0.5, 1.0, 0.3
 """dB: gain over the lift near local edits; in relighting at each number of views; loss by Stage I."""
 
@@ -202,6 +204,12 @@ class CopyRow:
     """Mean of ours - reference."""
     difference_low: float | None
     difference_high: float | None
+    strength_zero: float | None = None
+    """Ours of grey pictures, dB."""
+    another_edit: float | None = None
+    """Ours of other pictures: those of other cameras, or of complementary colours."""
+    between_gaussians: float | None = None
+    """Of the power of its tokens, latents or guesses, the share that differs between them, 0..1."""
 
 
 Rows: TypeAlias = Sequence[EditRow] | Sequence[CopyRow]
@@ -280,6 +288,7 @@ def judge_copies(tasks: Mapping[str, Task], samples: Iterable[JudgedSample]) -> 
         for name, score in scores.items():
             stage, figure = {LRM: (LRM, "asset"), COPY: (LRM, "ours"), HIDDEN: (HIDDEN, "mean")}[name]
             numbers = {"reference": scores[stage].numbers[figure], "ours": score.numbers["ours"]}
+            numbers |= {key: score.numbers[key] for key in WORTH if key in score.numbers}
             yield SampleScore(judged.number, sample.name, "", name, None, numbers, score.strip)
 
 
@@ -329,8 +338,8 @@ def copy_rows(scores: Sequence[SampleScore], seed: int = 0) -> list[CopyRow]:
         low, high = interval(differences, [f.name for f in group], seed) or (None, None)
         compared = {LRM: "the asset itself", COPY: "the LRM before compression", HIDDEN: "mean of the shown colours"}
         counts = len(group), len({f.name for f in group})
-        mean_difference = float(np.mean(differences))
-        rows.append(CopyRow(name, *counts, compared[name], mean["reference"], mean["ours"], mean_difference, low, high))
+        figures = [mean["reference"], mean["ours"], float(np.mean(differences)), low, high]
+        rows.append(CopyRow(name, *counts, compared[name], *figures, *(_mean(group, key) for key in WORTH)))
     return rows
 
 
@@ -355,19 +364,21 @@ def gains(rows: Sequence[EditRow]) -> dict[str, float]:
 
 
 def _edit_row(kind: str, views: int | None, group: Sequence[SampleScore], seed: int) -> EditRow:
-    def mean(figure: str) -> float | None:
-        some = [f.numbers[figure] for f in group if figure in f.numbers]
-        return float(np.mean(some)) if some else None
-
     def means(ending: str) -> list[Any]:
-        return [mean(f"{name}{ending}") for name in ("nothing", "lift", "ours")]
+        return [_mean(group, f"{name}{ending}") for name in ("nothing", "lift", "ours")]
 
     counts = len({f.sample for f in group}), len({f.name for f in group})
     gain = float(np.mean([f.numbers["gain"] for f in group]))
     low, high = interval([f.numbers["gain"] for f in group], [f.name for f in group], seed) or (None, None)
     figures: list[Any] = [*means(""), gain, low, high, *means(" SSIM"), *means(" LPIPS-Alex")]
-    figures += [mean(name) for name in ("strength 0", "another edit", "between Gaussians")]
+    figures += [_mean(group, name) for name in WORTH]
     return EditRow(kind, views, *counts, *figures)
+
+
+def _mean(group: Sequence[SampleScore], figure: str) -> float | None:
+    """Of those scores that have it."""
+    some = [f.numbers[figure] for f in group if figure in f.numbers]
+    return float(np.mean(some)) if some else None
 
 
 def table(rows: Rows) -> str:
@@ -447,6 +458,7 @@ def _cells(row: EditRow | CopyRow) -> dict[str, object]:
             "its dB": f"{row.reference_psnr:.2f}",
             "difference dB": f"{row.difference:+.2f}",
             "interval": _range(row.difference_low, row.difference_high),
+            **_worth(row),
         }
     return {
         "edit": row.kind if row.kind not in ("local", "global") else f"all {row.kind}",
@@ -460,6 +472,13 @@ def _cells(row: EditRow | CopyRow) -> dict[str, object]:
         "interval": _range(row.gain_low, row.gain_high),
         "SSIM": _trio(row.nothing_ssim, row.lift_ssim, row.ours_ssim),
         "LPIPS": _trio(row.nothing_lpips, row.lift_lpips, row.ours_lpips),
+        **_worth(row),
+    }
+
+
+def _worth(row: EditRow | CopyRow) -> dict[str, object]:
+    """Cells of WORTH."""
+    return {
         "strength 0 dB": _number(row.strength_zero),
         "another edit dB": _number(row.another_edit),
         "between Gaussians": _number(row.between_gaussians),

@@ -44,6 +44,40 @@ def refine_edit(
     Differentiable in the model's parameters and in the latents; without gradients in chunks. Raises ValueError for
     views of several sizes or without depth and alpha where the model needs them, and for Gaussians that were not
     encoded."""
+    latent_ids, base, known = _known(model, encoded, lifted, facts)
+    state, decoded = model.edit(
+        state,
+        encoded.latents,
+        _pictures(views, str(encoded.latents.values.device)),
+        encoded.gaussians,
+        latent_ids=latent_ids,
+        **known,
+        base=base,
+        detail=lifted.detail and model.config.refine.detail,
+        strength=strength,
+    )
+    # No children are the same as none asked for: what appends them need not look twice.
+    children = decoded.children
+    return state, decoded.splats, children if children is not None and len(children) else None
+
+
+def stage_two_inputs(
+    model: SplatPainterModel, encoded: Encoded, lifted: LiftedEdit, facts: np.ndarray | None = None
+) -> Tensor:
+    """[J, D] what Stage II reads of the Gaussians that may change, before any block. Arguments and ValueError as
+    `refine_edit`."""
+    from splatpainter.models.model import GaussianInputs
+
+    latent_ids, base, known = _known(model, encoded, lifted, facts)
+    means = base.means if model.config.refine.inputs == "normalised" else None
+    return model.prepared(encoded.latents, latent_ids, GaussianInputs(means=means, **known))
+
+
+def _known(
+    model: SplatPainterModel, encoded: Encoded, lifted: LiftedEdit, facts: np.ndarray | None
+) -> tuple[np.ndarray, Splats[Tensor], dict[str, Tensor | None]]:
+    """([J] int64 the latents of the Gaussians that may change, J Gaussians as the lift left them, what is known of them
+    beyond: lift, drift and facts, as of model.GaussianInputs)."""
     import torch
 
     from splatpainter.models.gaussian_groups import drift_features
@@ -61,22 +95,12 @@ def refine_edit(
     drift = None
     if config.base == "lift":
         drift = drift_features(base, encoded.gaussians.take(lifted.parents), encoded.latents.groups.voxel)
-    state, decoded = model.edit(
-        state,
-        encoded.latents,
-        _pictures(views, str(device)),
-        encoded.gaussians,
-        latent_ids=latent_ids,
-        lift=torch.from_numpy(lifted.features).to(device) if config.lift_features else None,
-        drift=drift,
-        facts=None if facts is None else described_facts(torch.from_numpy(facts).to(device)),
-        base=base,
-        detail=lifted.detail and config.detail,
-        strength=strength,
-    )
-    # No children are the same as none asked for: what appends them need not look twice.
-    children = decoded.children
-    return state, decoded.splats, children if children is not None and len(children) else None
+    known = {
+        "lift": torch.from_numpy(lifted.features).to(device) if config.lift_features else None,
+        "drift": drift,
+        "facts": None if facts is None else described_facts(torch.from_numpy(facts).to(device)),
+    }
+    return latent_ids, base, known
 
 
 def assemble(lifted: LiftedEdit, gaussians: Splats[Tensor], children: Splats[Tensor] | None) -> Splats[Any]:

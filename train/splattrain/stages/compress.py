@@ -17,12 +17,13 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from splatpainter.models.gaussian_groups import GaussianGroups, TokenLinks
+from splatpainter.models.lrm import AssetViews
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.system.recent import Recent
 from splatpainter.voxels.grid import voxelize
 from splattrain.loss import PictureLoss
-from splattrain.stages.lrm import asset_tokens, input_views, judged, truth
+from splattrain.stages.lrm import asset_tokens, input_views, judged, truth, worth_of_pictures
 from splattrain.stages.task import Task, ValidationScore, between_share, draw, freeze
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ class CopyTask(Task[SplatPainterModel]):
         freeze(model.lrm, model.refiner, model.predictor)
 
     def losses(self, sample: Sample, seed: int) -> dict[str, Tensor]:
-        copied, _ = self._copy(sample)
+        copied, _, _ = self._copy(input_views(self.model, sample, self.device))
         cameras, target = truth(sample, self.device)
         rendered, _ = draw(copied, cameras, self.device)
         chosen = np.random.default_rng(seed).permutation(len(rendered))[: self.perceptual_views]
@@ -49,17 +50,22 @@ class CopyTask(Task[SplatPainterModel]):
 
     @torch.no_grad()
     def judge(self, sample: Sample) -> ValidationScore:
-        copied, before = self._copy(sample)
-        return judged(copied, sample, input_views(self.model, sample, self.device), self.device, before)
+        """As `judged`, and what the pictures are worth to it (`worth_of_pictures`); `between Gaussians` of latents."""
+        views = input_views(self.model, sample, self.device)
+        copied, before, latents = self._copy(views)
+        score = judged(copied, sample, views, self.device, before)
+        score.numbers.update(worth_of_pictures(score, sample, views, self.device, lambda x: self._copy(x)[0]))
+        score.numbers["between Gaussians"] = between_share(latents)
+        return score
 
-    def _copy(self, sample: Sample) -> tuple[Splats[Tensor], Splats[Tensor]]:
-        """After Stage I, and the LRM's Gaussians before it."""
+    def _copy(self, views: AssetViews) -> tuple[Splats[Tensor], Splats[Tensor], Tensor]:
+        """After Stage I, the LRM's Gaussians before it, and Stage I's latents [K, D]."""
         with self.arithmetic():
             with torch.no_grad():
-                copy = self.model.copied_gaussians(input_views(self.model, sample, self.device))
+                copy = self.model.copied_gaussians(views)
             grid = voxelize(copy.gaussians.numpy(), self.model.config.compress.resolution)
             latents = self.model.compressor(copy.tokens, copy.gaussians, copy.links, self.model.groups(grid))
-        return self.model.decode_latents(latents, copy.gaussians), copy.gaussians
+        return self.model.decode_latents(latents, copy.gaussians), copy.gaussians, latents.values
 
 
 class HiddenColors(Task[SplatPainterModel]):
@@ -80,20 +86,29 @@ class HiddenColors(Task[SplatPainterModel]):
 
     @torch.no_grad()
     def judge(self, sample: Sample) -> ValidationScore:
+        """PSNR of the base colours of hidden Gaussians. `strength 0`: as guessed of a grey asset; `another edit`: of
+        one in complementary colours."""
         guessed, target, visible = self._guess(sample, 0)
-        # Base colours; the floor is what the mean of the colours of the visible Gaussians would get.
+        # The floor is what the mean of the colours of the visible Gaussians would get.
         numbers = {
             "mean": _decibels((visible[:, :3].mean(0) - target[:, :3]) * SH_C0),
             "ours": _decibels((guessed[:, :3] - target[:, :3]) * SH_C0),
-            "between Gaussians": between_share(guessed),
         }
+        for name, factor in (("strength 0", 0.0), ("another edit", -1.0)):
+            numbers[name] = _decibels((self._guess(sample, 0, factor)[0][:, :3] - target[:, :3]) * SH_C0)
+        numbers["adapts"] = numbers["ours"] - numbers["strength 0"]
+        numbers["between Gaussians"] = between_share(guessed)
         return ValidationScore("hidden colours", numbers, ())
 
-    def _guess(self, sample: Sample, seed: int) -> tuple[Tensor, Tensor, Tensor]:
-        """SH [M, 3 K] of the hidden Gaussians as guessed and as they are, and of the visible Gaussians."""
-        tokens, gaussians, links, groups = self._encoded_objects.get(
-            sample.asset.sha256, lambda: self._encode_object(sample.asset.numpy())
-        )
+    def _guess(self, sample: Sample, seed: int, factor: float = 1.0) -> tuple[Tensor, Tensor, Tensor]:
+        """SH [M, 3 K] of the hidden Gaussians as guessed and as they are shown, and of the visible Gaussians. factor:
+        on the SH of the asset that is shown; 0: a grey one."""
+        if factor == 1:
+            encoded = self._encoded_objects.get(sample.asset.sha256, lambda: self._encode_object(sample.asset.numpy()))
+        else:
+            asset = sample.asset.numpy()
+            encoded = self._encode_object(replace(asset, sh=np.float32(factor) * asset.sh))
+        tokens, gaussians, links, groups = encoded
         hidden = torch.from_numpy(np.random.default_rng(seed).random(len(gaussians)) < HIDDEN).to(self.device)
         blind = replace(gaussians, sh=torch.where(hidden[:, None, None], 0, gaussians.sh))
         with self.arithmetic():

@@ -23,6 +23,7 @@ from splatpainter.models.edit_propagation import EncodedGaussians, carry, reader
 from splatpainter.models.encode import encode_asset
 from splatpainter.models.gaussian_facts import gaussian_facts
 from splatpainter.models.model import SplatPainterModel
+from splatpainter.models.predictor import described_facts
 from splatpainter.system.recent import Recent
 from splattrain.data.gaussian_edits import GaussianEdit
 from splattrain.data.lit_assets import LitAsset
@@ -98,12 +99,13 @@ class GaussianEditTask(Task[SplatPainterModel]):
     def judge(self, sample: GaussianEdit) -> ValidationScore:  # type: ignore[override]
         numbers = {"nothing": self.decibels(sample, None), "lift": self.decibels(sample, fixed_ridge(sample))}
         numbers["ours"] = self.decibels(sample, self.answer(sample))
-        if self.options.carrier == "stage2":
-            numbers["strength 0"] = self.decibels(sample, self.answer(sample, strength=0.0))
-            numbers["adapts"] = numbers["ours"] - numbers["strength 0"]
-            other = replace(sample, change=-sample.change[:, ::-1])
-            numbers["another edit"] = self.decibels(sample, self.answer(sample, evidence=other))
-            numbers["between Gaussians"] = between_share(self._read_inputs(sample))
+        # The predictor does not adapt: without strength it is told of no change.
+        silent = None if self.options.carrier == "stage2" else replace(sample, change=0 * sample.change)
+        numbers["strength 0"] = self.decibels(sample, self.answer(sample, strength=0.0, evidence=silent))
+        numbers["adapts"] = numbers["ours"] - numbers["strength 0"]
+        other = replace(sample, change=-sample.change[:, ::-1])
+        numbers["another edit"] = self.decibels(sample, self.answer(sample, evidence=other))
+        numbers["between Gaussians"] = between_share(self._read_inputs(sample))
         numbers["gain"] = numbers["ours"] - numbers["lift"]
         return ValidationScore(f"{sample.kind} {sample.views} {sample.item.kind}", numbers, ())
 
@@ -154,7 +156,12 @@ class GaussianEditTask(Task[SplatPainterModel]):
         return -10 * math.log10(max(float(self.squared(sample, answer, judged(sample))), 1e-12))
 
     def _read_inputs(self, sample: GaussianEdit) -> Tensor:
-        """[U, D] what Stage II reads of the Gaussians `judged`, before any block."""
+        """[U, D] what Stage II reads of the Gaussians `judged`, before any block; or how the predictor describes
+        each."""
+        if self.options.carrier == "predictor":
+            assert self.model.predictor is not None
+            facts = gaussian_facts(sample.item.asset, sample.item.normals, sample.item.transfer)
+            return self.model.predictor.own(described_facts(self._tensor(facts[judged(sample)])))
         with self.arithmetic():
             return reader_tokens(self.model, self.rows(sample.item), torch.from_numpy(judged(sample)).to(self.device))
 

@@ -6,6 +6,7 @@ without (paper) they are pictures of the object.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -61,19 +62,13 @@ class LrmTask(Task[SplatPainterModel]):
         with self.arithmetic():
             output = self.model.lrm(views)
         score = judged(_drawn(output.splats, views, self.model), sample, views, self.device)
-        numbers = score.numbers
-        if "ours" in numbers:
-            cameras, target = truth(sample, self.device)
-            inputs = {"strength 0": torch.full_like(views.colors, 0.5), "another edit": views.colors.roll(1, 0)}
-            for name, colors in inputs.items():
-                other_views = replace(views, colors=colors)
-                with self.arithmetic():
-                    predicted = _drawn(self.model.lrm(other_views).splats, other_views, self.model)
-                value = masked_psnr(draw(predicted, cameras, self.device)[0], target)
-                assert value is not None  # as of "ours", over the same pixels
-                numbers[name] = value
-            numbers["adapts"] = numbers["ours"] - numbers["strength 0"]
-        numbers["between Gaussians"] = between_share(output.tokens)
+
+        def made_of(others: AssetViews) -> Splats[Tensor]:
+            with self.arithmetic():
+                return _drawn(self.model.lrm(others).splats, others, self.model)
+
+        score.numbers.update(worth_of_pictures(score, sample, views, self.device, made_of))
+        score.numbers["between Gaussians"] = between_share(output.tokens)
         return score
 
 
@@ -95,6 +90,33 @@ def judged(
     strip += [(f"{name} {numbers.get(name, float('nan')):.2f} dB", p[0].cpu().numpy()) for name, p in pictures.items()]
     strip.append(("truth", target.colors[0].cpu().numpy()))
     return ValidationScore("reconstruction", numbers, tuple(strip))
+
+
+def worth_of_pictures(
+    score: ValidationScore,
+    sample: Sample,
+    views: AssetViews,
+    device: torch.device,
+    made_of: Callable[[AssetViews], Splats[Tensor]],
+) -> dict[str, float]:
+    """What a reconstruction is without its pictures, dB: of grey ones, and of the same ones shown from each other's
+    cameras. made_of: reconstructs. Figures of which nothing comes out are left out."""
+    numbers: dict[str, float] = {}
+    if "ours" not in score.numbers:
+        return numbers
+    cameras, target = truth(sample, device)
+    inputs = {"strength 0": torch.full_like(views.colors, 0.5), "another edit": views.colors.roll(1, 0)}
+    for name, colors in inputs.items():
+        try:
+            predicted = made_of(replace(views, colors=colors))
+        except ValueError:  # of such pictures it makes no Gaussian that can be seen
+            continue
+        value = masked_psnr(draw(predicted, cameras, device)[0], target)
+        assert value is not None  # as of "ours", over the same pixels
+        numbers[name] = value
+    if "strength 0" in numbers:
+        numbers["adapts"] = score.numbers["ours"] - numbers["strength 0"]
+    return numbers
 
 
 @torch.no_grad()

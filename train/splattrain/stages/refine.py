@@ -23,12 +23,13 @@ from splatpainter.lift.global_edit import Predict
 from splatpainter.lift.options import ResidualBase
 from splatpainter.lighting import prt_transfer
 from splatpainter.metrics.lpips import Lpips
-from splatpainter.models.apply_edit import assemble, refine_edit
-from splatpainter.models.edit_propagation import CarriedEdit
+from splatpainter.models.apply_edit import assemble, refine_edit, stage_two_inputs
+from splatpainter.models.edit_propagation import CarriedEdit, reader_tokens
 from splatpainter.models.encode import Encoded, encode_asset
 from splatpainter.models.gaussian_facts import gaussian_facts
 from splatpainter.models.gaussian_groups import GaussianGroups, TokenLinks
 from splatpainter.models.model import SplatPainterModel
+from splatpainter.models.predictor import described_facts, spread_evenly
 from splatpainter.models.stored_predictor import predicting
 from splatpainter.rendering import render
 from splatpainter.splats import ATTRIBUTES, Splats
@@ -37,7 +38,7 @@ from splatpainter.voxels.grid import VoxelGrid, voxelize
 from splattrain.loss import PictureLoss, PictureTarget, global_target, joined, local_target
 from splattrain.report import figures
 from splattrain.stages.lrm import asset_tokens
-from splattrain.stages.task import Task, ValidationScore, draw, freeze, tensor
+from splattrain.stages.task import Task, ValidationScore, between_share, draw, freeze, tensor
 
 if TYPE_CHECKING:
     from splattrain.data.samples import Sample
@@ -45,6 +46,8 @@ if TYPE_CHECKING:
 Encoder = Literal["nothing", "compress", "all"]
 MIN_VISIBLE_WEIGHT = 0.02
 """Pixels of weight from which a Gaussian counts as shown."""
+MOST_TOLD = 4096
+"""Gaussians of an asset, evenly chosen, that the share of power between them is measured on."""
 MIN_OBJECT_ALPHA = 0.5
 """Alpha from which a pixel is the object's."""
 
@@ -157,7 +160,7 @@ class RefineTask(Task[SplatPainterModel]):
         drawn = {"nothing": prepared.splats, "lift": lifted.splats, "ours": edited}
         if not self._predicted(sample) and self.model.config.refine.mixer == "ttt":
             drawn |= self._not_adapted(prepared, start, views)
-        elif sample.mode == "global" and isinstance(prepared.predict, CarriedEdit):
+        elif self._predicted(sample) and prepared.predict is not None:
             drawn |= self._not_carried(prepared, prepared.predict, views)
         pictures = {name: draw(splats, cameras, self.device)[0] for name, splats in drawn.items()}
         numbers: dict[str, float] = {}
@@ -170,6 +173,8 @@ class RefineTask(Task[SplatPainterModel]):
             numbers["gain"] = numbers["ours"] - numbers["lift"]
         if "strength 0" in numbers:
             numbers["adapts"] = numbers["ours"] - numbers["strength 0"]
+        if (told := self._told(sample, prepared, start)) is not None:
+            numbers["between Gaussians"] = between_share(told)
         best = int(aim.focus.flatten(1).sum(1).argmax())  # the view that shows most of the edit
         strip = [("edited view", tensor(sample.edited.colors, torch.device("cpu"))[0].numpy())]
         strip += [
@@ -196,16 +201,32 @@ class RefineTask(Task[SplatPainterModel]):
                 edits[name] = assemble(start, edited, further)
         return edits
 
-    def _not_carried(
-        self, prepared: PreparedAsset, carried: CarriedEdit, views: Sequence[EditView]
-    ) -> dict[str, Splats]:
-        """As `_not_adapted`, of edits that the lift makes with Stage II's answer where no view shows a Gaussian; the
-        other edit is this one reversed and negated."""
+    def _told(self, sample: Sample, prepared: PreparedAsset, start: LiftedEdit) -> Tensor | None:
+        """[J, D] what the network is told of Gaussians, before any block: those that may change, or, where it answers
+        within the lift, those of the asset. None where no network answers."""
+        with self.arithmetic():
+            if not self._predicted(sample):
+                facts = None if prepared.facts is None else prepared.facts[start.parents]
+                return stage_two_inputs(self.model, self._encoded(prepared, start.parents), start, facts)
+            predict, predictor = prepared.predict, self.model.predictor
+            if isinstance(predict, CarriedEdit):
+                everyone = torch.arange(len(predict.gaussians.colors), device=self.device)
+                return reader_tokens(self.model, predict.gaussians, spread_evenly(everyone, MOST_TOLD))
+            if predict is None or predictor is None:
+                return None
+            splats, normals = prepared.splats, prepared.normals
+            facts = gaussian_facts(splats, normals, prt_transfer(splats.means, normals))
+            return predictor.own(described_facts(torch.from_numpy(facts).to(self.device)))
+
+    def _not_carried(self, prepared: PreparedAsset, predict: Predict, views: Sequence[EditView]) -> dict[str, Splats]:
+        """As `_not_adapted`, of edits that the lift makes with the network's answer where no view shows a Gaussian; the
+        other edit is this one reversed and negated. The predictor does not adapt: it is told of no change."""
 
         def another(change: np.ndarray, weight: np.ndarray) -> np.ndarray:
-            return carried(np.ascontiguousarray(-change[:, ::-1]), weight)
+            return predict(np.ascontiguousarray(-change[:, ::-1]), weight)
 
-        answers = {"strength 0": carried.at_strength(0.0), "another edit": another}
+        still = predict.at_strength(0.0) if isinstance(predict, CarriedEdit) else lambda c, w: predict(0 * c, w)
+        answers: dict[str, Predict] = {"strength 0": still, "another edit": another}
         normals = prepared.normals
         with self.arithmetic():
             return {
