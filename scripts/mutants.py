@@ -14,6 +14,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,8 +25,10 @@ import tyro
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = {"splatpainter": ROOT / "src/splatpainter", "splattrain": ROOT / "train/splattrain"}
 """Packages that are copied; files of the first are named without it."""
-TIMEOUT_SECONDS = 600.0
-"""Of the tests of a mutation; those that hang have noticed it."""
+SLOWEST_SECONDS = 3600.0
+"""Of a file of tests without any mutation."""
+PATIENCE, LEAST_SECONDS = 10.0, 60.0
+"""Tests of a mutation that take this many times as long as without it have noticed it; not before so many seconds."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,8 @@ TURNS = "tests/models/test_edits_in_turn.py"
 COLORS = "tests/lift/test_color_refine.py"
 SHEETS = "tests/lift/test_resurface.py"
 GLOBAL = "tests/lift/test_global.py"
+TOKENIZER = "tests/models/test_picture_tokenizer.py"
+WORTH = "train/tests/test_worth_of_inputs.py"
 MODEL = ("tests/models/test_model.py", GAIN)
 LOCAL = "tests/models/test_local_network.py"
 PAINTED = "train/tests/test_painted_gaussians.py"
@@ -117,6 +122,27 @@ MUTATIONS = (
         "detail_latents = self.refiner.read_detail(state, original)",
         "detail_latents = self.refiner.read_detail(state, values)",
         (GAIN,),
+    ),
+    Mutation(
+        "the LRM's tokenizer is trained by edits",
+        "models/image_tokens.py",
+        "with torch.no_grad():  # frozen",
+        "with torch.enable_grad():  # frozen",
+        (TOKENIZER,),
+    ),
+    Mutation(
+        "the LRM's tokens are those of the picture before",
+        "models/image_tokens.py",
+        "replace(views, depth=pictures.depth",
+        "replace(views, colors=pictures.render, depth=pictures.depth",
+        (TOKENIZER,),
+    ),
+    Mutation(
+        "validation is told the same pictures as grey ones",
+        "splattrain/stages/lrm.py",
+        "torch.full_like(views.colors, 0.5)",
+        "views.colors",
+        (WORTH,),
     ),
     Mutation(
         "an edit does not keep its state",
@@ -446,26 +472,26 @@ def path_of(mutation: Mutation, packages: Mapping[str, Path]) -> Path:
     return packages[first] / rest if first in packages else packages["splatpainter"] / mutation.file
 
 
-def survives(mutation: Mutation, copy: Path) -> bool:
-    """Whether the tests pass with this mistake in `copy`, a folder that holds a copy of the package. Raises ValueError
-    where the text to be changed does not stand there exactly once."""
+def survives(mutation: Mutation, copy: Path, seconds: float = SLOWEST_SECONDS) -> bool:
+    """Whether the tests pass with this mistake in `copy`, a folder that holds a copy of the package. seconds: those
+    that take longer hang. Raises ValueError where the text to be changed does not stand there exactly once."""
     path = path_of(mutation, {name: copy / name for name in PACKAGES})
     text = path.read_text(encoding="utf-8")
     if text.count(mutation.old) != 1:
         raise ValueError(f"{mutation.file}: {mutation.old!r} stands there {text.count(mutation.old)} times, not once")
     path.write_text(text.replace(mutation.old, mutation.new), encoding="utf-8", newline="\n")
     try:
-        return passes(mutation.tests, copy)
+        return passes(mutation.tests, copy, seconds)
     finally:
         path.write_text(text, encoding="utf-8", newline="\n")
 
 
-def passes(tests: Sequence[str], copy: Path) -> bool:
-    """Whether these tests pass with the package in `copy`."""
+def passes(tests: Sequence[str], copy: Path, seconds: float = SLOWEST_SECONDS) -> bool:
+    """Whether these tests pass, within so many seconds, with the package in `copy`."""
     environment = os.environ | {"PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
     words = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider", *tests]
     try:
-        done = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True, timeout=TIMEOUT_SECONDS)
+        done = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True, timeout=seconds)
         return done.returncode == 0
     except subprocess.TimeoutExpired:
         return False
@@ -482,11 +508,15 @@ def main(options: Options) -> int:
         copy = Path(folder)
         for name, package in PACKAGES.items():
             shutil.copytree(package, copy / name, ignore=shutil.ignore_patterns("__pycache__", "static"))
-        if not passes(sorted({test for mutation in chosen for test in mutation.tests}), copy):
-            print("the tests fail without any mutation: make them pass first")
-            return 2
+        took: dict[str, float] = {}
+        for test in sorted({test for mutation in chosen for test in mutation.tests}):
+            begun = time.monotonic()
+            if not passes((test,), copy):
+                print(f"{test} fails without any mutation: make it pass first")
+                return 2
+            took[test] = time.monotonic() - begun
         for mutation in chosen:
-            alive = survives(mutation, copy)
+            alive = survives(mutation, copy, LEAST_SECONDS + PATIENCE * sum(took[test] for test in mutation.tests))
             survivors += [mutation] if alive else []
             print(f"{'SURVIVES' if alive else 'killed':<9} {mutation.file}: {mutation.name}", flush=True)
     print(f"{len(survivors)} of {len(chosen)} survive")
