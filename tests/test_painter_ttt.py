@@ -436,3 +436,14 @@ def test_errors_are_one_line_and_leave_the_asset_alone() -> None:
     with pytest.raises(ValueError, match="none of the 2 Gaussians"):
         painter.encode(SPLATS.take(np.arange(DRAWABLE, DRAWABLE + 2)))
     assert len(canonical_cameras(SPLATS, ASSET_BASE.lrm)) == ASSET_BASE.lrm.views
+
+
+def test_who_asks_for_adaptation_is_told_where_another_method_answers_or_none() -> None:
+    compact = Painter.load("compact")
+    assert compact.choose("ttt", "global") == (
+        "ttt",
+        "preset 'compact' makes global edits by its predictor; preset 'rows' adapts to them",
+    )
+    assert Painter.load("rows").choose("ttt", "global") == ("ttt", "")
+    with pytest.raises(ValueError, match="weights for mode global, and 'local' has those for local edits alone; use"):
+        Painter.load("local").choose("ttt", "global")

@@ -174,6 +174,11 @@ class Painter:
         is not known, or needs a model that is not there."""
         reads_pictures = self.reads_pictures(mode)
         if method == "ttt" and self.model is None and not reads_pictures:
+            if self.local is not None:
+                raise ValueError(
+                    f"method 'ttt' needs a preset with trained weights for mode {mode}, and '{self.preset}' has those "
+                    "for local edits alone; use preset 'rows'"
+                )
             raise ValueError(
                 "method 'ttt' needs a preset with trained weights; use method 'lift' or 'auto' without them"
             )
@@ -201,6 +206,8 @@ class Painter:
             return "lift", self.why or "no trained weights: the analytic lift"
         if method not in ("ttt", "lift", "fit"):
             raise ValueError(f"method: expected auto, ttt, lift or fit, got {method!r}")
+        if method == "ttt" and mode == "global" and not self.encodes(method, mode):
+            return method, f"preset '{self.preset}' makes global edits by its predictor; preset 'rows' adapts to them"
         return method, ""
 
     @cached_property
