@@ -35,7 +35,7 @@ from splattrain.data.meshes import Mesh
 if TYPE_CHECKING:
     from splattrain.data.surfels import Surfels
 
-HELD_OUT_SHARE = 0.5
+JUDGED_SHARE = 0.5
 """Share of the meshes with several materials, by their names: a superset of those that training keeps out. Nothing is
 trained here; the other half is what settings are tuned on."""
 MATERIAL_SHARE = (0.03, 0.85)
@@ -92,7 +92,7 @@ class SpreadCase:
 
 def chosen_names(setup: Setup) -> tuple[str, ...]:
     """Objects, in the order of the setup's seed. Of a folder: meshes that training keeps out, and of those with several
-    materials as many more as make HELD_OUT_SHARE; with held_out False the others."""
+    materials as many more as make JUDGED_SHARE; with held_out False the others."""
     if setup.data is None:
         return objects(setup).names
     from splattrain.data.object_sources import MeshFolder, split
@@ -100,7 +100,7 @@ def chosen_names(setup: Setup) -> tuple[str, ...]:
     folder = MeshFolder(setup.data)
     names = [folder.name(i) for i in range(len(folder))]
     several = {names[i] for i in range(len(names)) if material_count(folder.files[i]) > 1}
-    out = set(split(names)[1]) | (set(split(names, share=HELD_OUT_SHARE)[1]) & several)
+    out = set(split(names)[1]) | (set(split(names, share=JUDGED_SHARE)[1]) & several)
     names = [name for name in names if (name in out) == setup.held_out]
     order = np.random.default_rng([setup.seed, *b"spread"]).permutation(len(names))
     return tuple(names[int(k)] for k in order)

@@ -60,6 +60,14 @@ def to_light(colors: Floats, space: ColorSpace) -> Floats:
     return colors if space == "linear" else srgb_to_linear(np.maximum(colors, 0)).astype(colors.dtype)
 
 
+def display_slope(light: np.ndarray, space: ColorSpace) -> np.ndarray:
+    """Derivative of an asset's colours by linear light >= 0."""
+    if space == "linear":
+        return np.ones_like(light)
+    dark = np.maximum(light, 0.0031308)
+    return np.where(light <= 0.0031308, 12.92, 1.055 / 2.4 * portable.power(dark, 1 / 2.4) / dark)
+
+
 def luminance(colors: FloatsOrTensor) -> FloatsOrTensor:
     """[..., 3] -> [...] Rec. 709 weighted sum."""
     return LUMA[0] * colors[..., 0] + LUMA[1] * colors[..., 1] + LUMA[2] * colors[..., 2]

@@ -38,9 +38,9 @@ def test_tokens_are_the_lrms_before_its_blocks() -> None:
         some = tokenize(edit, groups, CONFIG.refine, model.lrm)
     torch.testing.assert_close(every.pixels, expected.flatten(0, 1), rtol=1e-5, atol=1e-5)
     assert edit.mask is not None
-    shown = F.avg_pool2d(edit.mask.permute(0, 3, 1, 2), CONFIG.lrm.patch).flatten(1) > 0
-    assert 0 < int(shown.sum()) < shown.numel()
-    assert torch.equal(some.pixels, every.pixels[shown.flatten()]) and some.lengths.tolist() == shown.sum(1).tolist()
+    edited = F.avg_pool2d(edit.mask.permute(0, 3, 1, 2), CONFIG.lrm.patch).flatten(1) > 0
+    assert 0 < int(edited.sum()) < edited.numel()
+    assert torch.equal(some.pixels, every.pixels[edited.flatten()]) and some.lengths.tolist() == edited.sum(1).tolist()
 
 
 def test_an_edit_adapts_by_them_and_leaves_the_lrm_frozen() -> None:

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from splatpainter.array_types import Floats
-from splatpainter.color import base_color, luminance, to_light
+from splatpainter.color import base_color, display_slope, luminance, to_light
 from splatpainter.kernels import portable
 from splatpainter.kernels.parallel import each
 from splatpainter.lights.irradiance import LitSurface
@@ -127,14 +127,6 @@ def _neighbourhoods(splats: Splats, rows: np.ndarray) -> np.ndarray:
     for column, size in (*((cells[:, k], 1024) for k in range(3)), *((colors[:, k], 16) for k in range(3))):
         key = key * size + column
     return np.unique(key, return_inverse=True)[1].reshape(-1)
-
-
-def display_slope(light: np.ndarray, color_space: str) -> np.ndarray:
-    """Derivative of display colours by linear light >= 0."""
-    if color_space == "linear":
-        return np.ones_like(light)
-    dark = np.maximum(light, 0.0031308)
-    return np.where(light <= 0.0031308, 12.92, 1.055 / 2.4 * portable.power(dark, 1 / 2.4) / dark)
 
 
 def mirrored_light(coefficients: np.ndarray, normals: np.ndarray) -> np.ndarray:

@@ -18,12 +18,12 @@ from typing import Protocol
 import numpy as np
 
 from splatpainter.cameras import UpAxis
-from splatpainter.color import base_color, linear_to_srgb, luminance, sh_from_color, to_light
+from splatpainter.color import base_color, display_slope, linear_to_srgb, luminance, sh_from_color, to_light
 from splatpainter.kernels import portable
 from splatpainter.kernels.parallel import each
 from splatpainter.lighting import unoccluded_transfer
 from splatpainter.lights.facing import MIN_FLAT_SHARE, ORIENTATION
-from splatpainter.lights.gloss import GLOSS, display_slope, gloss_of, mirrored_light
+from splatpainter.lights.gloss import GLOSS, gloss_of, mirrored_light
 from splatpainter.lights.irradiance import LitSurface
 from splatpainter.lights.lamps import Lamp
 from splatpainter.lights.light_set import Lights, axes_of, turned_sky
@@ -32,7 +32,7 @@ from splatpainter.lights.sky_maps import SkyMap
 from splatpainter.lights.source_light import LIMITS, SourceLight, uniform_coefficients
 from splatpainter.painter import Asset
 from splatpainter.receipts import Receipt, untouched_hashes
-from splatpainter.splats import SH_C0, Splats, changed_rows
+from splatpainter.splats import SH_C0, ColorSpace, Splats, changed_rows
 from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import sh_basis
 
@@ -48,6 +48,8 @@ MAX_SLOPE = 4.0
 BURIED, MIN_COSINE = 0.12, 0.05
 """Share of what can be seen that a lamp reaches, below which it lies inside the object; and the cosine, less what is
 in the way, from which a Gaussian is reached. In a capture of a statue: 0.05 to 0.1 inside, 0.27 and more beside it."""
+DARKEST = 1e-6
+"""Linear colour below which nothing is known of the light on it."""
 MAX_NOTE = 2000
 """Characters of what a receipt says of lights."""
 
@@ -69,12 +71,14 @@ def relight(
     mix: float = 1.0,
     shadows: bool = True,
     source: SkyMap | None = None,
+    unlit: np.ndarray | None = None,
 ) -> Asset:
     """The asset under lights, with its receipt. mix: 0..1 of the new look; shadows: by what of the asset stands in the
-    way, in the light before and now; source: the environment it was captured in (y up, not turned), None: estimated.
-    Raises ValueError: no such lights, a lamp that lights nothing, no surface, a region that reaches nothing."""
+    way, in the light before and now; source: the environment it was captured in (y up, not turned), None: estimated;
+    unlit: [N, 1, 3] SH of its base colours before other lights were put on it, None: as they are. Raises ValueError: no
+    such lights, a lamp that lights nothing, no surface, a region that reaches nothing."""
     lights.check()
-    return _edited(splats, lights, region, mix, shadows, source, "light")
+    return _edited(splats, lights, region, mix, shadows, source, "light", unlit=unlit)
 
 
 light = relight
@@ -82,7 +86,13 @@ light = relight
 
 
 def glance(
-    splats: Splats, lights: Lights, *, mix: float = 1.0, shadows: bool = True, source: SkyMap | None = None
+    splats: Splats,
+    lights: Lights,
+    *,
+    mix: float = 1.0,
+    shadows: bool = True,
+    source: SkyMap | None = None,
+    unlit: np.ndarray | None = None,
 ) -> np.ndarray:
     """[N, 1, 3] float32 SH: the base colours of `relight`, while lights are dragged: shadows of wide suns and of area
     lamps are sharp where they have moved, and are soft again with `relight`. Raises ValueError as `relight`."""
@@ -92,7 +102,7 @@ def glance(
     lamps = tuple(quick_lamp(surface, lamp, splats.offset) for lamp in lights.lamps)
     base = replace(splats, sh=np.ascontiguousarray(splats.sh[:, :1]))
     quick = replace(lights, suns=suns, lamps=lamps)
-    return relight(base, quick, mix=mix, shadows=shadows, source=source).splats.sh
+    return relight(base, quick, mix=mix, shadows=shadows, source=source, unlit=unlit).splats.sh
 
 
 def delight(
@@ -103,9 +113,10 @@ def delight(
     shadows: bool = True,
     source: SkyMap | None = None,
     up: UpAxis = "auto",
+    unlit: np.ndarray | None = None,
 ) -> Asset:
     """As `relight`, under white light from all around that meets no obstacle: the colours of the materials, nearly."""
-    return _edited(splats, Lights(up=up), region, mix, shadows, source, "delight")
+    return _edited(splats, Lights(up=up), region, mix, shadows, source, "delight", unlit=unlit)
 
 
 def transfer(
@@ -133,6 +144,7 @@ def _edited(
     mode: str,
     after: np.ndarray | None = None,
     surface: LitSurface | None = None,
+    unlit: np.ndarray | None = None,
 ) -> Asset:
     if not 0 < mix <= 1:
         raise ValueError(f"{mode}: expected a mix above 0, up to 1, got {mix:g}")
@@ -150,12 +162,16 @@ def _edited(
     axes = axes_of(lights.up)
     # What the asset was captured in is estimated, where nobody says it.
     if source is None:
-        before = captured_light(splats, shadows, lights.up)
+        before = captured_light(splats if unlit is None else replace(splats, sh=unlit), shadows, lights.up)
     elif isinstance(source, SourceLight):
         before = source
     else:
         before = SourceLight(turned_sky(source, axes), 0.0, f"source light: {ascii(source.name)[1:-1]}")
-    old = surface.from_sky(before.coefficients)
+    old, visible = surface.from_sky(before.coefficients), before
+    if unlit is not None:
+        # What other lights have given lies on top of the captured light; gloss shows the sum, as far as colours tell.
+        gain = light_gain(splats.sh, unlit, splats.color_space)
+        old, visible = np.maximum((old + FLOOR) * gain - FLOOR, 0), captured_light(splats, shadows, lights.up)
     if mode == "delight":
         now, new = uniform_coefficients(), np.ones((len(splats), 3))
     elif after is not None:
@@ -164,15 +180,15 @@ def _edited(
         now, new, remarks = _target(surface, lights, axes, chosen, splats.offset)
         notes += remarks
         if lights.add:
-            now, new = before.coefficients + now, old + new
+            now, new = visible.coefficients + now, old + new
     if mode == "light" and _change(surface, old, new, chosen) < LIMITS.telling * before.uncertainty:
         notes.append(
             "these lights differ from the light before by less than that is doubted: "
             "only with a --source-light that is known the look is sure to be another"
         )
     sh = splats.sh.copy()
-    light = Exchange(old, np.maximum(new, 0), before.coefficients, now)
-    shine = gloss_of(splats, surface, before)
+    light = Exchange(old, np.maximum(new, 0), visible.coefficients, now)
+    shine = gloss_of(splats, surface, visible)
 
     def lit(first: int) -> None:
         rows = chosen[first : first + GLOSS.piece]
@@ -185,6 +201,7 @@ def _edited(
     what = [
         lights.describe() if mode == "light" else "delight",
         before.note,
+        "" if unlit is None else "on top of other lights",
         lights.sky.note if lights.sky else "",
         source.note if isinstance(source, SkyMap) else "",
         *notes,
@@ -203,6 +220,13 @@ def _change(surface: LitSurface, old: np.ndarray, new: np.ndarray, chosen: np.nd
     weights = surface.facing.seen[chosen].astype(np.float64)[:, None]
     logs = portable.log((np.maximum(new[chosen], 0) + FLOOR) / (old[chosen] + FLOOR))
     return math.sqrt(float((weights * logs * logs).sum()) / max(3 * float(weights.sum()), 1e-9))
+
+
+def light_gain(sh: np.ndarray, unlit: np.ndarray, space: ColorSpace) -> np.ndarray:
+    """[N, 3] float64 how many times the captured light is on each Gaussian, by its base colours (sh: [N, K, 3]) and
+    those before other lights were put on it (unlit: [N, 1, 3])."""
+    now, before = (to_light(base_color(x).astype(np.float64), space) for x in (sh, unlit))
+    return np.where(np.minimum(now, before) > DARKEST, now / np.maximum(before, DARKEST), 1.0)
 
 
 def color_receipt(splats: Splats, edited: Splats, mode: str, note: str) -> Receipt:
@@ -253,7 +277,8 @@ def _target(
         if lamp.kind in ("point", "sphere") and (share := _share_lit(surface, lamp, received, chosen, offset)) < BURIED:
             spot = ",".join(f"{value:g}" for value in lamp.position)
             remarks.append(
-                f"the {lamp.kind} light at {spot} reaches {share:.0%} of what can be seen: inside the object?"
+                f"the {lamp.kind} light at {spot} reaches {share:.0%} of what can be seen: inside the object"
+                f"{', or around it' if lamp.radius else ''}?"
             )
         total = total + received[:, None] * (lamp.intensity * np.array(lamp.color))
     gain = float(portable.exp(lights.exposure * portable.LN_2))

@@ -44,14 +44,14 @@ def refine_edit(
     Differentiable in the model's parameters and in the latents; without gradients in chunks. Raises ValueError for
     views of several sizes or without depth and alpha where the model needs them, and for Gaussians that were not
     encoded."""
-    latent_ids, base, known = _known(model, encoded, lifted, facts)
+    latent_ids, base, inputs = _inputs_of(model, encoded, lifted, facts)
     state, decoded = model.edit(
         state,
         encoded.latents,
         _pictures(views, str(encoded.latents.values.device)),
         encoded.gaussians,
         latent_ids=latent_ids,
-        **known,
+        **inputs,
         base=base,
         detail=lifted.detail and model.config.refine.detail,
         strength=strength,
@@ -68,12 +68,12 @@ def stage_two_inputs(
     `refine_edit`."""
     from splatpainter.models.model import GaussianInputs
 
-    latent_ids, base, known = _known(model, encoded, lifted, facts)
+    latent_ids, base, inputs = _inputs_of(model, encoded, lifted, facts)
     means = base.means if model.config.refine.inputs == "normalised" else None
-    return model.prepared(encoded.latents, latent_ids, GaussianInputs(means=means, **known))
+    return model.prepared(encoded.latents, latent_ids, GaussianInputs(means=means, **inputs))
 
 
-def _known(
+def _inputs_of(
     model: SplatPainterModel, encoded: Encoded, lifted: LiftedEdit, facts: np.ndarray | None
 ) -> tuple[np.ndarray, Splats[Tensor], dict[str, Tensor | None]]:
     """([J] int64 the latents of the Gaussians that may change, J Gaussians as the lift left them, what is known of them
@@ -95,12 +95,12 @@ def _known(
     drift = None
     if config.base == "lift":
         drift = drift_features(base, encoded.gaussians.take(lifted.parents), encoded.latents.groups.voxel)
-    known = {
+    inputs = {
         "lift": torch.from_numpy(lifted.features).to(device) if config.lift_features else None,
         "drift": drift,
         "facts": None if facts is None else described_facts(torch.from_numpy(facts).to(device)),
     }
-    return latent_ids, base, known
+    return latent_ids, base, inputs
 
 
 def assemble(lifted: LiftedEdit, gaussians: Splats[Tensor], children: Splats[Tensor] | None) -> Splats[Any]:

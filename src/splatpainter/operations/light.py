@@ -66,6 +66,10 @@ class LightBefore(Operation):
     up: UpAxis = "auto"
     """Which way is up for environments and suns; auto: -y, as captures have it."""
 
+    @property
+    def relights(self) -> bool:
+        return True
+
     def check(self, wording: Wording = AS_PYTHON) -> None:
         super().check(wording)
         if self.where:
@@ -101,7 +105,7 @@ class LightBefore(Operation):
             for line in remarks:
                 report.warn(line)
             # Without new lights the old one is only taken out; both ways share what they know of the light before.
-            how = {"mix": self.mix, "shadows": self.shadows, "source": source}
+            how = {"mix": self.mix, "shadows": self.shadows, "source": source, "unlit": tools.unlit}
             if lights is None:
                 edited = delight(asset.splats, region, up=self.up, **how)
             else:
@@ -266,7 +270,7 @@ class Relight(LightBefore):
             return None
         self.check()
         lights, source = self.lights(Report(), tools.held), self.source(tools.held)
-        return glance(splats, lights, mix=self.mix, shadows=self.shadows, source=source)
+        return glance(splats, lights, mix=self.mix, shadows=self.shadows, source=source, unlit=tools.unlit)
 
     def ready(self, tools: Tools) -> ReadyOperation:
         if self.match:

@@ -135,6 +135,9 @@ class Tools:
     cancel: CancelFlag = field(default_factory=_NeverCancelled)
     held: Mapping[str, bytes] = field(default_factory=dict)
     """Option -> what a project holds in place of the file that it names (`Operation.packed`)."""
+    unlit: np.ndarray | None = None
+    """[N, 1, 3] SH of the asset's base colours before other lights were put on it (session/replay/light_below.py);
+    None: as they are."""
     aside: bool = False
     """Score local edits from the side too, for receipts (painter.Painter.aside)."""
     asset: Path | None = None
@@ -222,6 +225,11 @@ class Operation:
         from splatpainter.operations.region import files_of_terms
 
         return (*(Path(path) for path in self._paths("file")), *files_of_terms(words))
+
+    @property
+    def relights(self) -> bool:
+        """Whether it changes the light on an asset, and nothing else: then it is mixed as light."""
+        return False
 
     def outputs(self) -> tuple[Path, ...]:
         """Files that it writes besides the asset."""

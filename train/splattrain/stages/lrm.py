@@ -63,9 +63,9 @@ class LrmTask(Task[SplatPainterModel]):
             output = self.model.lrm(views)
         score = judged(_drawn(output.splats, views, self.model), sample, views, self.device)
 
-        def made_of(others: AssetViews) -> Splats[Tensor]:
+        def made_of(given: AssetViews) -> Splats[Tensor]:
             with self.arithmetic():
-                return _drawn(self.model.lrm(others).splats, others, self.model)
+                return _drawn(self.model.lrm(given).splats, given, self.model)
 
         score.numbers.update(worth_of_pictures(score, sample, views, self.device, made_of))
         score.numbers["between Gaussians"] = between_share(output.tokens)

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 Encoder = Literal["nothing", "compress", "all"]
 MIN_VISIBLE_WEIGHT = 0.02
 """Pixels of weight from which a Gaussian counts as shown."""
-MOST_TOLD = 4096
+MAX_INPUTS = 4096
 """Gaussians of an asset, evenly chosen, that the share of power between them is measured on."""
 MIN_OBJECT_ALPHA = 0.5
 """Alpha from which a pixel is the object's."""
@@ -173,8 +173,8 @@ class RefineTask(Task[SplatPainterModel]):
             numbers["gain"] = numbers["ours"] - numbers["lift"]
         if "strength 0" in numbers:
             numbers["adapts"] = numbers["ours"] - numbers["strength 0"]
-        if (told := self._told(sample, prepared, start)) is not None:
-            numbers["between Gaussians"] = between_share(told)
+        if (inputs := self._network_inputs(sample, prepared, start)) is not None:
+            numbers["between Gaussians"] = between_share(inputs)
         best = int(aim.focus.flatten(1).sum(1).argmax())  # the view that shows most of the edit
         strip = [("edited view", tensor(sample.edited.colors, torch.device("cpu"))[0].numpy())]
         strip += [
@@ -201,7 +201,7 @@ class RefineTask(Task[SplatPainterModel]):
                 edits[name] = assemble(start, edited, further)
         return edits
 
-    def _told(self, sample: Sample, prepared: PreparedAsset, start: LiftedEdit) -> Tensor | None:
+    def _network_inputs(self, sample: Sample, prepared: PreparedAsset, start: LiftedEdit) -> Tensor | None:
         """[J, D] what the network is told of Gaussians, before any block: those that may change, or, where it answers
         within the lift, those of the asset. None where no network answers."""
         with self.arithmetic():
@@ -211,7 +211,7 @@ class RefineTask(Task[SplatPainterModel]):
             predict, predictor = prepared.predict, self.model.predictor
             if isinstance(predict, CarriedEdit):
                 everyone = torch.arange(len(predict.gaussians.colors), device=self.device)
-                return reader_tokens(self.model, predict.gaussians, spread_evenly(everyone, MOST_TOLD))
+                return reader_tokens(self.model, predict.gaussians, spread_evenly(everyone, MAX_INPUTS))
             if predict is None or predictor is None:
                 return None
             splats, normals = prepared.splats, prepared.normals

@@ -91,8 +91,8 @@ def test_every_command_of_the_route_runs(
         assert len(rows) == 1 and not rows[0]["skipped"] and float(rows[0]["loss"]) > 0
         assert "0 samples failed" in output.out and "the warm-up of" in output.err
     # Tokens of pictures by the LRM's own tokenizer, as the paper has them: on the same Stage I.
-    own = toy([*("runs/own" if word == "runs/refine" else word for word in ROUTE[-1]), *TOKENIZER], 32)
-    assert main(own) == 0, capsys.readouterr().err
+    words = toy([*("runs/own" if word == "runs/refine" else word for word in ROUTE[-1]), *TOKENIZER], 32)
+    assert main(words) == 0, capsys.readouterr().err
     made = [checkpoint.load(f"runs/{name}/model") for name in ("refine", "own")]
     assert [one.config.refine.tokenizer for one in made] == ["linear", "lrm"]
     assert [one.tensors["refiner.pictures.weight"].shape[1] for one in made] == [8 * 8 * 9, 16]

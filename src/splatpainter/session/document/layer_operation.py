@@ -78,6 +78,11 @@ class LayerWork(Protocol):
         ...
 
     @property
+    def unlit(self) -> np.ndarray | None:
+        """[N, 1, 3] SH of base colours of `splats` as they would be without light layers; None: there are none."""
+        ...
+
+    @property
     def fades(self) -> bool:
         """Whether the layer mixes with what is below it, by its opacity or blend."""
         ...
@@ -209,6 +214,11 @@ class LayerOperation:
     @property
     def reads_locally(self) -> bool:
         """Whether read_set.py says what it reads of the Gaussians below (on the analytic painter)."""
+        return False
+
+    @property
+    def relights(self) -> bool:
+        """Whether it changes the light on the asset, and nothing else (replay/light_below.py)."""
         return False
 
     @property

@@ -7,6 +7,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import field, replace
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -14,10 +15,12 @@ import numpy as np
 from splatpainter.operations.operation import Operation, Tools, operation_of
 from splatpainter.painter import Asset
 from splatpainter.session.document.layer_operation import Coverage, LayerOperation, LayerWork
-from splatpainter.session.document.layer_view import is_hash
-from splatpainter.session.replay.delta import between, without_source
-from splatpainter.session.replay.layer_blending import mix_sh, mixed
+from splatpainter.session.document.layer_view import Blend, is_hash
+from splatpainter.session.replay.delta import Delta, between, without_source
+from splatpainter.session.replay.layer_blending import blend_delta, mix_sh, mixed
 from splatpainter.session.replay.layer_result import LayerResult
+from splatpainter.session.replay.light_below import mix_light
+from splatpainter.splats import Splats
 from splatpainter.system.jsonio import brief
 from splatpainter.system.quick_dataclass import dataclass
 
@@ -91,6 +94,10 @@ class OperationLayer(LayerOperation):
             raise ValueError(f"{where}: {error}") from None
 
     @property
+    def relights(self) -> bool:
+        return self.operation.relights
+
+    @property
     def needs_masks(self) -> bool:
         return False
 
@@ -106,7 +113,10 @@ class OperationLayer(LayerOperation):
             edited, splats = exact, exact.splats
         else:
             edited = self.operation.apply(asset, tools)
-            splats = mixed(work.selected(self.selection), below, edited.splats)
+            weights = work.selected(self.selection)
+            splats = mixed(weights, below, edited.splats)
+            if self.relights:
+                splats = replace(splats, sh=mix_light(below.sh, edited.splats.sh, weights, "normal", below.color_space))
         note = "" if edited.receipt is None else edited.receipt.note
         return LayerResult(between(below, without_source(splats)), {"note": note} if note else {})
 
@@ -114,7 +124,20 @@ class OperationLayer(LayerOperation):
         sh = self.operation.glance(without_source(work.splats), self._tools(work))
         if sh is None or self.selection is None:
             return sh
-        return mix_sh(work.splats.sh[:, :1], sh, work.selected(self.selection), "normal")
+        weights, space = work.selected(self.selection), work.splats.color_space
+        return mix_light(work.splats.sh[:, :1], sh, weights, "normal", space)
+
+    def mix(
+        self,
+        below: Splats,
+        delta: Delta,
+        opacity: float,
+        blend: Blend,
+        strength: np.ndarray | None,
+        mask: np.ndarray | None,
+    ) -> Delta:
+        mixing = partial(mix_light, space=below.color_space) if self.relights else mix_sh
+        return blend_delta(below, delta, opacity, blend, strength, mask, mixing)
 
     def _tools(self, work: LayerWork) -> Tools:
-        return Tools(held={name: work.blob(sha256) for name, sha256 in self.held.items()})
+        return Tools(held={name: work.blob(sha256) for name, sha256 in self.held.items()}, unlit=work.unlit)

@@ -18,6 +18,7 @@ import json
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -51,6 +52,7 @@ from splatpainter.session.replay.layer_state import (
     lineage,
     nbytes,
 )
+from splatpainter.session.replay.light_below import mix_light, recolored, unlit_after
 from splatpainter.session.replay.mask_weights import MaskWeights
 from splatpainter.session.replay.painter_adapter import PainterAdapter
 from splatpainter.session.replay.read_set import ReadSet, read_set_of, renumber
@@ -173,6 +175,7 @@ class Replay:
             (*below.facts, (layer.id, result.facts)),
             (*below.results, result_key) if stored else below.results,
             below.painter_state if result.painter_state is None else result.painter_state,
+            _unlit(below, splats, delta.parent_ids, layer),
         )
         return self._states.put(key, state)
 
@@ -214,6 +217,7 @@ class Replay:
             (*below.results, result_key),
             painted.state.painter_state,
         )
+        state = replace(state, unlit=_unlit(below, splats, ancestors(state, len(below.splats)), layer))
         return self._states.put(key, state)
 
     def _strokes_delta(self, below: LayerState, painted: StrokesState, layer: Layer) -> Delta:
@@ -385,9 +389,17 @@ class Replay:
             return replace(state, facts=facts)
         delta = self._merged_delta(below, state, layer)
         mask = self._masks.weights(below, delta, layer, state.key)
-        splats = blend_delta(below.splats, delta, layer.opacity, layer.blend, mask=mask).apply(below.splats)
+        lights = all(leaf.operation.relights for leaf in layer.leaves())
+        mixing = partial(mix_light, space=below.splats.color_space) if lights else None
+        splats = blend_delta(below.splats, delta, layer.opacity, layer.blend, mask=mask, mixing=mixing).apply(
+            below.splats
+        )
+        unlit = state.unlit
+        if unlit is not None and not lights:  # what was painted is there by half, and so is its look without light
+            bare = replace(below.splats, sh=below.splats.sh[:, :1] if below.unlit is None else below.unlit)
+            unlit = blend_delta(bare, recolored(delta, unlit), layer.opacity, layer.blend, mask=mask).apply(bare).sh
         key = digest(f"{below.key} merged {state.key} {layer.opacity!r} {layer.blend}{_mask_text(layer)}")
-        return replace(state, key=key, splats=splats, facts=facts)
+        return replace(state, key=key, splats=splats, facts=facts, unlit=unlit)
 
     def _merged_delta(self, below: LayerState, state: LayerState, layer: Layer) -> Delta:
         """What a merged layer did, for another opacity or blend; the latest one is cached, for sliders."""
@@ -544,6 +556,10 @@ class ReplayedWork:
         return self._layer.views
 
     @property
+    def unlit(self) -> np.ndarray | None:
+        return self._below.unlit
+
+    @property
     def fades(self) -> bool:
         return _fades(self._layer)
 
@@ -615,6 +631,14 @@ def _mask_text(layer: Layer) -> str:
     if layer.mask is None or not layer.mask.enabled:
         return ""
     return f" mask {json.dumps(layer.mask.record(), sort_keys=True)}"
+
+
+def _unlit(below: LayerState, splats: Splats, parents: np.ndarray, layer: Layer) -> np.ndarray | None:
+    """LayerState.unlit after a layer that is not merged, which makes `splats`; parents: [A] of those that it appends,
+    counted below."""
+    if layer.operation.relights:
+        return below.splats.sh[:, :1] if below.unlit is None else below.unlit
+    return unlit_after(below.splats, below.unlit, splats, parents)
 
 
 def _has_base(layer: Layer) -> bool:

@@ -58,10 +58,12 @@ def blend_delta(
     blend: Blend = "normal",
     strength: np.ndarray | None = None,
     mask: np.ndarray | None = None,
+    mixing: Callable[[np.ndarray, np.ndarray, np.ndarray, Blend], np.ndarray] | None = None,
 ) -> Delta:
     """What is left of a delta at an opacity of 0..1. strength: [N] 0..1, a factor of the opacity per Gaussian
     (appended ones take their parents'); those without any are left out. mask: [T + A] 0..1, another factor, of the
-    changed and the appended Gaussians themselves: where it is 0 their geometry stays and looks as what is below."""
+    changed and the appended Gaussians themselves: where it is 0 their geometry stays and looks as what is below.
+    mixing: of colours, as `mix_sh`, which is the default."""
     if opacity == 1 and blend == "normal" and strength is None and mask is None:
         return delta
     if mask is not None and not mask.any():
@@ -88,14 +90,15 @@ def blend_delta(
     opacities = np.where(exact, new.opacities, faded).astype(np.float32)
     count = len(delta.gaussian_ids)
     old_sh = old.sh if delta.base is None else delta.base[:count][some]
-    values = replace(new, opacities=opacities, sh=mix_sh(old_sh, new.sh, share[some], blend))
+    mixing = mixing or mix_sh
+    values = replace(new, opacities=opacities, sh=mixing(old_sh, new.sh, share[some], blend))
     # New Gaussians start from the look of what they were made from: at a small share they are hardly seen.
     tail = delta.appended.take(some_tail)
     if delta.base is not None:
         parent_sh = delta.base[count:][some_tail]
     else:
         parent_sh = np.where((parent_ids >= 0)[:, None, None], below.sh[np.maximum(parent_ids, 0)], tail.sh)
-    tail = replace(tail, sh=mix_sh(parent_sh, tail.sh, tail_share[some_tail], blend))
+    tail = replace(tail, sh=mixing(parent_sh, tail.sh, tail_share[some_tail], blend))
     return Delta(delta.count, gaussian_ids, values, tail, parent_ids)
 
 

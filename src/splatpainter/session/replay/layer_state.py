@@ -44,6 +44,8 @@ class LayerState:
     results: tuple[str, ...] = ()
     """Keys of the cached results it was made of."""
     painter_state: Any = field(default=None, repr=False)
+    unlit: np.ndarray | None = field(default=None, repr=False)
+    """[N, 1, 3] SH of base colours as they would be without its light layers (light_below.py); None: it has none."""
 
 
 Progress = Callable[[int, int, str], None]
