@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import shutil
 import sys
 from dataclasses import replace
@@ -12,10 +13,12 @@ from types import ModuleType
 import pytest
 import torch
 
-from splatpainter.models import checkpoint
+from splatpainter.models import checkpoint, weights
 from splatpainter.models.config import PredictConfig
 from splatpainter.models.local_network import LocalNetwork
 from splatpainter.models.model import SplatPainterModel
+from splattrain import recipes
+from splattrain.data.held_out import HeldOut
 from tests.models.test_edit_propagation import CARRYING
 from tests.models.test_local_network import CONFIG as LOCAL_CONFIG
 
@@ -91,3 +94,25 @@ def test_a_local_network_is_a_preset_and_other_weights_do_not_ship(script: Modul
     SplatPainterModel(CARRYING).save(tmp_path / "whole/model")
     with pytest.raises(ValueError, match="expected a predictor and a Stage II"):
         script.ship(tmp_path / "whole/model", tmp_path / "core", tmp_path / "networks")
+
+
+@pytest.mark.parametrize(("preset", "recipe"), [("compact", "compact"), ("rows", "compact"), ("local", "paint")])
+def test_what_ships_was_made_by_its_recipe_in_one_go(preset: str, recipe: str) -> None:
+    """`splatpainter train rows --recipe ...` on the data of the model card makes it again."""
+    notes = checkpoint.notes(weights.PACKAGED / preset)
+    made = recipes.parse(json.dumps(notes["recipe"]), "rows")
+    expected = recipes.load(recipe, "rows")
+    assert replace(made, validate_every=expected.validate_every) == expected
+    assert notes["step"] == expected.steps and "lengths" not in notes
+    assert notes["held_out"] == HeldOut().note()
+    assert [past["stage"] for past in notes.get("history", [])] == (["predict"] if preset != "local" else [])
+
+
+def test_the_predictor_that_ships_was_made_by_its_recipe() -> None:
+    (past,) = checkpoint.notes(weights.PACKAGED / "compact")["history"]
+    expected = replace(recipes.load("compact", "predict"), seed=12)  # as docs/TRAINING.md says
+    assert past["step"] == expected.steps and past["recipe"]["seed"] == expected.seed
+    noted = {key: value for key, value in past["recipe"].items() if key != "samples"}
+    assert noted and {key: expected.to_dict()[key] for key in noted} == noted
+    kinds = {kind: weight for kind, weight in past["recipe"]["samples"]["kinds"].items() if weight}
+    assert kinds == {kind: weight for kind, weight in expected.samples.kinds.items() if weight}
