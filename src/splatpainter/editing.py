@@ -11,6 +11,7 @@ import numpy as np
 import splatpainter.session  # noqa: F401 - whose files regions and looks may name
 from splatpainter.cameras import Camera
 from splatpainter.decals.decals import Decal
+from splatpainter.lights.unlit import unlit_after
 from splatpainter.operations.decal import LayDecal
 from splatpainter.operations.operation import Operation, Report, Tools
 from splatpainter.operations.paint import Paint
@@ -51,6 +52,8 @@ def edit(
             edits = step.views(asset) if isinstance(step, Decal) else step
             kind = LayDecal(method=method) if is_decal else Paint(mode=mode, method=method)
             result = painter.apply(asset, edits, how, by)
+            if asset.unlit is not None:
+                result = replace(result, unlit=unlit_after(asset.splats, asset.unlit, result.splats))
         assert result.receipt is not None
         asset = result
         steps.append(AppliedOperation(kind, result.receipt))

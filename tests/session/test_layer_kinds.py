@@ -124,7 +124,9 @@ def test_light_is_a_layer(tmp_path: Path) -> None:
         once = light.apply(session._core.painter.encode(splats)).splats
         np.testing.assert_array_equal(lit.sh, once.sh)  # as the command line lights a file
         session.layers.set(layer.id, opacity=0.25)
-        np.testing.assert_allclose(session.splats.sh, before.sh + 0.25 * (lit.sh - before.sh), atol=1e-6)
+        # Its opacity is the share of the new light, in linear light: the option `mix`.
+        quarter = replace(light, mix=0.25).apply(session._core.painter.encode(splats)).splats
+        np.testing.assert_allclose(session.splats.sh, quarter.sh, atol=1e-6)
         session.layers.set(layer.id, opacity=1.0, sun=("220,30",))
         assert (session.splats.sh != lit.sh).any()
         session.layers.add("delight", mix=0.5)

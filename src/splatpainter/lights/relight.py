@@ -30,9 +30,10 @@ from splatpainter.lights.light_set import Lights, axes_of, turned_sky
 from splatpainter.lights.prepared import captured_light, from_lamp, from_sun, lit_surface, quick_lamp, quick_sun
 from splatpainter.lights.sky_maps import SkyMap
 from splatpainter.lights.source_light import LIMITS, SourceLight, uniform_coefficients
+from splatpainter.lights.unlit import light_gain
 from splatpainter.painter import Asset
 from splatpainter.receipts import Receipt, untouched_hashes
-from splatpainter.splats import SH_C0, ColorSpace, Splats, changed_rows
+from splatpainter.splats import SH_C0, Splats, changed_rows
 from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import sh_basis
 
@@ -48,8 +49,6 @@ MAX_SLOPE = 4.0
 BURIED, MIN_COSINE = 0.12, 0.05
 """Share of what can be seen that a lamp reaches, below which it lies inside the object; and the cosine, less what is
 in the way, from which a Gaussian is reached. In a capture of a statue: 0.05 to 0.1 inside, 0.27 and more beside it."""
-DARKEST = 1e-6
-"""Linear colour below which nothing is known of the light on it."""
 MAX_NOTE = 2000
 """Characters of what a receipt says of lights."""
 
@@ -212,7 +211,7 @@ def _edited(
     ]
     receipt = color_receipt(splats, edited, mode, "; ".join(filter(None, what)))
     receipt = replace(receipt, seconds={"light": time.perf_counter() - clock})
-    return Asset(edited, receipt, original=splats)
+    return Asset(edited, receipt, original=splats, unlit=splats.sh[:, :1] if unlit is None else unlit)
 
 
 def _change(surface: LitSurface, old: np.ndarray, new: np.ndarray, chosen: np.ndarray) -> float:
@@ -220,13 +219,6 @@ def _change(surface: LitSurface, old: np.ndarray, new: np.ndarray, chosen: np.nd
     weights = surface.facing.seen[chosen].astype(np.float64)[:, None]
     logs = portable.log((np.maximum(new[chosen], 0) + FLOOR) / (old[chosen] + FLOOR))
     return math.sqrt(float((weights * logs * logs).sum()) / max(3 * float(weights.sum()), 1e-9))
-
-
-def light_gain(sh: np.ndarray, unlit: np.ndarray, space: ColorSpace) -> np.ndarray:
-    """[N, 3] float64 how many times the captured light is on each Gaussian, by its base colours (sh: [N, K, 3]) and
-    those before other lights were put on it (unlit: [N, 1, 3])."""
-    now, before = (to_light(base_color(x).astype(np.float64), space) for x in (sh, unlit))
-    return np.where(np.minimum(now, before) > DARKEST, now / np.maximum(before, DARKEST), 1.0)
 
 
 def color_receipt(splats: Splats, edited: Splats, mode: str, note: str) -> Receipt:

@@ -105,7 +105,7 @@ class LightBefore(Operation):
             for line in remarks:
                 report.warn(line)
             # Without new lights the old one is only taken out; both ways share what they know of the light before.
-            how = {"mix": self.mix, "shadows": self.shadows, "source": source, "unlit": tools.unlit}
+            how = {"mix": self.mix, "shadows": self.shadows, "source": source, "unlit": asset.unlit}
             if lights is None:
                 edited = delight(asset.splats, region, up=self.up, **how)
             else:

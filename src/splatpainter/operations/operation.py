@@ -136,8 +136,7 @@ class Tools:
     held: Mapping[str, bytes] = field(default_factory=dict)
     """Option -> what a project holds in place of the file that it names (`Operation.packed`)."""
     unlit: np.ndarray | None = None
-    """[N, 1, 3] SH of the asset's base colours before other lights were put on it (session/replay/light_below.py);
-    None: as they are."""
+    """Of `glance`, as Asset.unlit."""
     aside: bool = False
     """Score local edits from the side too, for receipts (painter.Painter.aside)."""
     asset: Path | None = None
@@ -213,7 +212,16 @@ class Operation:
         options, files, or an operation that this asset cannot have."""
         # Checked here too: from Python nobody has called `check` before.
         self.check()
-        return self.ready(tools or Tools())(asset, report or Report())
+        return self.act(self.ready(tools or Tools()), asset, report or Report())
+
+    def act(self, ready: ReadyOperation, asset: Asset, report: Report) -> Asset:
+        """What `ready` makes of an asset; what is known of it without the lights that were put on it stays known."""
+        edited = ready(asset, report)
+        if asset.unlit is None or self.relights:
+            return edited
+        from splatpainter.lights.unlit import unlit_after
+
+        return dataclasses.replace(edited, unlit=unlit_after(asset.splats, asset.unlit, edited.splats))
 
     def files(self) -> tuple[Path, ...]:
         """The files that it reads, also those that terms of its regions name."""

@@ -139,7 +139,7 @@ def apply_to_asset(
     for operation, act in zip(operations, ready, strict=True):
         stage(operation.kind)
         heard = Report(report.warn)
-        edited = act(edited, heard)
+        edited = operation.act(act, edited, heard)
         assert edited.receipt is not None
         steps.append(AppliedOperation(operation, edited.receipt, tuple(heard.views)))
         report.views += heard.views

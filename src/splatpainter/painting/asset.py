@@ -36,6 +36,8 @@ class Asset:
     original: Splats | None = field(default=None, repr=False)
     """The first Gaussians of `splats` as they were before all edits, on whose surface sheets are laid; None: `splats`,
     which has not been edited yet."""
+    unlit: Floats | None = field(default=None, repr=False, compare=False)
+    """[N, 1, 3] SH of its base colours before lights were put on it (lights/unlit.py); None: there were none."""
     make_grid: Callable[[Splats], VoxelGrid] | None = field(default=None, repr=False, compare=False)
     """Where voxels of Gaussians come from; None: they are made (`voxelize`)."""
 

@@ -104,7 +104,7 @@ class OperationLayer(LayerOperation):
     def result(self, work: LayerWork) -> LayerResult:
         # Numbered from 0, as a file's rows are: what it appends then says which Gaussian below it came from.
         below = replace(without_source(work.splats), origin=np.arange(len(work.splats)))
-        asset = Asset(below, original=without_source(work.original))
+        asset = Asset(below, original=without_source(work.original), unlit=work.unlit if self.relights else None)
         tools = self._tools(work)
         if self.selection is None:
             edited = self.operation.apply(asset, tools)

@@ -27,6 +27,7 @@ from splatpainter.cameras import Camera
 from splatpainter.grading.color_transfer import with_table
 from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.lift.sheets.view_limits import coarse_surface, left_out
+from splatpainter.lights.unlit import unlit_after
 from splatpainter.painter import Asset, Edit, Method, Mode, Painter
 from splatpainter.session.document.document import Document, Layer, digest
 from splatpainter.session.document.layer_factory import decode_mask, decode_picture, is_cut_out
@@ -52,7 +53,7 @@ from splatpainter.session.replay.layer_state import (
     lineage,
     nbytes,
 )
-from splatpainter.session.replay.light_below import mix_light, recolored, unlit_after
+from splatpainter.session.replay.light_below import mix_light, recolored
 from splatpainter.session.replay.mask_weights import MaskWeights
 from splatpainter.session.replay.painter_adapter import PainterAdapter
 from splatpainter.session.replay.read_set import ReadSet, read_set_of, renumber

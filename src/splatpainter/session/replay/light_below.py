@@ -2,9 +2,9 @@
 
 A light layer is lit by the ratio of light now and before. Where other light layers lie below, the light before is the
 captured one times what these have made of it, so that what they give stays and is not taken for the asset's own. For
-that each state keeps its base colours as they would be without light layers: two lamps that are added then give the sum
-of what each gives alone, and a sky over a sky gives what it gives alone. Opacity and masks mix linear light, as a
-dimmer does. Pure. N Gaussians, K SH coefficients.
+that each state keeps its base colours as they would be without light layers (lights/unlit.py): two lamps that are added
+then give the sum of what each gives alone, and a sky over a sky gives what it gives alone. Opacity and masks mix linear
+light, as a dimmer does. Pure. N Gaussians, K SH coefficients.
 """
 
 from __future__ import annotations
@@ -14,32 +14,10 @@ from dataclasses import replace
 import numpy as np
 
 from splatpainter.color import base_color, display_slope, linear_to_srgb, sh_from_color, to_light
-from splatpainter.lights.relight import light_gain
 from splatpainter.session.document.layer_view import Blend
 from splatpainter.session.replay.delta import Delta
 from splatpainter.session.replay.layer_blending import mix_sh
-from splatpainter.splats import ColorSpace, Splats
-
-
-def unlit_after(below: Splats, unlit: np.ndarray | None, after: Splats, parents: np.ndarray) -> np.ndarray | None:
-    """[N + A, 1, 3] SH of base colours without light layers, after a layer that is none: what it painted lies in the
-    light that is there. unlit: [N, 1, 3] of the Gaussians below it, None: as they are; parents: [A] of those below that
-    each new one was made from, -1: none."""
-    if unlit is None:
-        return None
-    count = len(below)
-    source = np.concatenate([np.arange(count), parents])
-    colors_unlit = np.concatenate([unlit, np.zeros((len(parents), 1, 3), np.float32)])
-    changed = np.ones(len(after), bool)
-    changed[:count] = (below.sh[:, 0] != after.sh[:count, 0]).any(1)
-    rows = np.flatnonzero(changed)
-    of = np.maximum(source[rows], 0)
-    gain = light_gain(below.sh[of], unlit[of], below.color_space)
-    gain[source[rows] < 0] = 1
-    colors = to_light(base_color(after.sh[rows]).astype(np.float64), after.color_space) / gain
-    display = colors if after.color_space == "linear" else linear_to_srgb(colors)
-    colors_unlit[rows, 0] = sh_from_color(display)
-    return colors_unlit
+from splatpainter.splats import ColorSpace
 
 
 def recolored(delta: Delta, sh: np.ndarray) -> Delta:

@@ -1,0 +1,64 @@
+"""Lights put on an asset one after the other, in one list of operations: what each gives adds up."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import splatpainter as sp
+from splatpainter.color import base_color, sh_from_color, srgb_to_linear
+from splatpainter.operations.operation import Operation
+from splatpainter.operations.to_file import apply_to_file
+from splatpainter.splats import Splats
+from tests.support.studio_scenes import ball
+
+SUN = sp.Relight(sun=("60,30,#ffd0a0,0.4",), fill=0.0, add=True)
+LAMP = sp.Relight(point=("0.3,-1.8,0.2,#a0c0ff,0.5",), fill=0.0, add=True)
+EXACT = 2e-5
+
+
+@pytest.fixture
+def asset() -> Splats:
+    dark = ball()
+    sh = dark.sh.copy()
+    sh[:, 0] = sh_from_color(0.25 + 0.1 * np.sin(3 * dark.means))
+    return replace(dark, sh=sh)
+
+
+def light(splats: Splats) -> np.ndarray:
+    return srgb_to_linear(np.maximum(base_color(splats.sh).astype(np.float64), 0))
+
+
+def lit(asset: Splats, *operations: Operation) -> np.ndarray:
+    return light(sp.edit(asset, operations).splats)
+
+
+def test_lights_of_a_list_are_the_sum_of_each(asset: Splats, tmp_path: Path) -> None:
+    dark, sun, lamp = light(asset), lit(asset, SUN), lit(asset, LAMP)
+    both = lit(asset, SUN, LAMP)
+    assert min(float((each - dark).max()) for each in (sun, lamp)) > 0.01
+    np.testing.assert_allclose(both, sun + lamp - dark, atol=EXACT)
+    np.testing.assert_allclose(lit(asset, LAMP, SUN), both, atol=EXACT)
+    sp.write(tmp_path / "a.ply", asset)
+    apply_to_file(tmp_path / "a.ply", [SUN, LAMP], tmp_path / "b.ply")
+    np.testing.assert_allclose(light(sp.read(tmp_path / "b.ply")), both, atol=EXACT)
+
+
+def test_an_asset_that_came_back_knows_its_lights(asset: Splats) -> None:
+    first = sp.edit(asset, [SUN])
+    np.testing.assert_allclose(light(sp.edit(first, [LAMP]).splats), lit(asset, SUN, LAMP), atol=EXACT)
+
+
+def test_a_sky_takes_the_place_of_lights_before_it_and_delight_takes_them_out(asset: Splats) -> None:
+    for last in (sp.Relight(hdri="dawn", exposure=-1.0), sp.Delight()):
+        np.testing.assert_allclose(lit(asset, SUN, LAMP, last), lit(asset, last), atol=EXACT)
+
+
+def test_a_grade_between_lights_is_seen_as_it_was_made(asset: Splats) -> None:
+    grade = sp.Grade(exposure=-0.3)
+    between = lit(asset, SUN, grade, LAMP)
+    expected = lit(asset, SUN, grade) * lit(asset, SUN, LAMP) / lit(asset, SUN)
+    np.testing.assert_allclose(between, expected, atol=5e-3)
