@@ -54,6 +54,9 @@ SHEETS = "tests/lift/test_resurface.py"
 GLOBAL = "tests/lift/test_global.py"
 TOKENIZER = "tests/models/test_picture_tokenizer.py"
 WORTH = "train/tests/test_worth_of_inputs.py"
+LIGHTS = "tests/lights/test_lights.py"
+UNLIT = "tests/lights/test_unlit.py"
+LIGHT_LAYERS = "tests/session/test_light_layers.py"
 MODEL = ("tests/models/test_model.py", GAIN)
 LOCAL = "tests/models/test_local_network.py"
 PAINTED = "train/tests/test_painted_gaussians.py"
@@ -438,6 +441,41 @@ MUTATIONS = (
         "if step and not self._used:",
         "if step and False:",
         ("train/tests/test_stages.py",),
+    ),
+    Mutation(
+        "light upside down",
+        "lights/relight.py",
+        "np.clip((new + FLOOR) / (old + FLOOR)",
+        "np.clip((old + FLOOR) / (new + FLOOR)",
+        (LIGHTS,),
+    ),
+    Mutation(
+        "light may leave nothing",
+        "lights/relight.py",
+        "np.clip((new + FLOOR) / (old + FLOOR)",
+        "np.clip(new / (old + FLOOR)",
+        (LIGHTS,),
+    ),
+    Mutation(
+        "light of other lights is taken for the captured one",
+        "lights/relight.py",
+        "np.maximum((old + FLOOR) * gain - FLOOR, 0)",
+        "old",
+        (UNLIT,),
+    ),
+    Mutation(
+        "light of layers fades as display colours do",
+        "session/kinds/operation_layers.py",
+        "if self.relights else mix_sh",
+        "if False else mix_sh",
+        (LIGHT_LAYERS,),
+    ),
+    Mutation(
+        "light on what was painted is that on nothing",
+        "lights/unlit.py",
+        "gain[source[rows] < 0] = 1",
+        "gain[:] = 1",
+        (UNLIT, LIGHT_LAYERS),
     ),
     Mutation(
         "a changed row is not seen",
