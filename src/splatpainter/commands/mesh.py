@@ -14,10 +14,12 @@ from splatpainter.commands.parts.asset_doubts import warn_of_doubts
 from splatpainter.commands.parts.option_parsing import AssetFile, InAxesOption
 from splatpainter.commands.parts.terminal import count, stages
 from splatpainter.extras import require
+from splatpainter.image_files import encode_png
 from splatpainter.io import files, read
 from splatpainter.io.axes import AXES
 from splatpainter.io.gltf_mesh import mesh_glb
 from splatpainter.output_paths import check_target
+from splatpainter.surface.mesh_texture import MAX_TEXTURE_PX, bake_texture
 from splatpainter.surface.proxy_mesh import MIN_TRIANGLES, PROXY, proxy_mesh
 from splatpainter.system.quick_dataclass import dataclass
 
@@ -33,6 +35,7 @@ class Config:
       splatpainter mesh vase.ply --out proxy.glb
       splatpainter mesh vase.ply --triangles 5000 --colors --out proxy.glb
       splatpainter mesh vase.ply --triangles 500 --decimate --out light.glb
+      splatpainter mesh vase.ply --triangles 5000 --texture 1024 --out preview.glb
     """
 
     asset: AssetFile
@@ -46,6 +49,9 @@ class Config:
     (needs fast-simplification, the extra `mesh`)."""
     colors: bool = False
     """Colours of the asset at the vertices."""
+    texture: Annotated[int, arg(metavar="PX")] = 0
+    """The asset's look on the mesh, as a picture of so many pixels inside the file; its triangles then share no
+    vertices. 0: none."""
     axes: Literal["rub", "rdf"] = "rub"
     """Axes of the numbers: rub is y up, as glTF wants it; rdf those of a PLY."""
     in_axes: InAxesOption = "auto"
@@ -67,6 +73,10 @@ def run(config: Config) -> Outcome:
     if config.triangles < least:
         hint = "" if config.decimate else f"; with --decimate {PROXY.min_decimated}"
         raise ValueError(f"splatpainter: expected --triangles of {least} or more{hint}, got {config.triangles}")
+    if config.colors and config.texture:
+        raise ValueError("splatpainter: expected --colors or --texture, got both")
+    if config.texture and not 64 <= config.texture <= MAX_TEXTURE_PX:
+        raise ValueError(f"splatpainter: expected --texture from 64 to {MAX_TEXTURE_PX} pixels, got {config.texture}")
     if config.decimate:
         require("fast_simplification", "--decimate")
     # Refused before the asset is read and meshed.
@@ -83,12 +93,21 @@ def run(config: Config) -> Outcome:
         triangles = mesh.triangles if signs.prod() > 0 else mesh.triangles[:, ::-1]
         # The offset stays apart, as a translation: the vertices keep small numbers.
         x, y, z = (float(value * sign) for value, sign in zip(splats.offset, signs, strict=True))
+        vertices, normals, texture = mesh.vertices, mesh.normals, None
+        if config.texture:
+            baked = bake_texture(splats, mesh, config.texture)
+            corners = mesh.triangles.reshape(-1)
+            vertices, normals = vertices[corners], normals[corners]
+            texture = (baked.uv.reshape(-1, 2), encode_png(baked.picture))
+            triangles = np.arange(len(corners)).reshape(-1, 3)
+            triangles = triangles if signs.prod() > 0 else triangles[:, ::-1]
         # glTF wants linear colours at the vertices.
         data = mesh_glb(
-            mesh.vertices * signs,
+            vertices * signs,
             triangles,
-            mesh.normals * signs,
+            normals * signs,
             srgb_to_linear(mesh.colors) if config.colors else None,
+            texture=texture,
             name=config.asset.name.split(".")[0] or "proxy",
             translation=(x, y, z),
         )
@@ -100,7 +119,7 @@ def run(config: Config) -> Outcome:
             "file": config.out,
             "bytes": len(data),
             "triangles": len(triangles),
-            "vertices": len(mesh.vertices),
+            "vertices": len(vertices),
             "voxel": mesh.voxel,
             "cut_triangles": mesh.cut_triangles,
         },
@@ -109,7 +128,7 @@ def run(config: Config) -> Outcome:
     of = f" of {mesh.cut_triangles:,}" if len(triangles) < mesh.cut_triangles else ""
     lines = [
         f"{config.asset} -> {config.out}",
-        f"{count(len(triangles), 'triangle')}{of}, {count(len(mesh.vertices), 'vertex', 'vertices')}",
+        f"{count(len(triangles), 'triangle')}{of}, {count(len(vertices), 'vertex', 'vertices')}",
         f"finest detail: {mesh.voxel:.3g} world units",
     ]
     return Outcome(record, lines)
