@@ -20,20 +20,25 @@ def light_gain(sh: np.ndarray, unlit: np.ndarray, space: ColorSpace) -> np.ndarr
 
 
 def unlit_after(
-    below: Splats, unlit: np.ndarray | None, after: Splats, parents: np.ndarray | None = None
+    below: Splats,
+    unlit: np.ndarray | None,
+    after: Splats,
+    parents: np.ndarray | None = None,
+    changed: np.ndarray | None = None,
 ) -> np.ndarray | None:
     """[N + A, 1, 3] SH of base colours without the lights, after an edit that is none: what it painted lies in the
     light that is there. unlit: [N, 1, 3] of the Gaussians below it, None: as they are; parents: [A] of those below that
-    each new one was made from, -1: none; None: not known, and they count as lit by the captured light alone."""
+    each new one was made from, -1: none; None: not known, and they count as lit by the captured light alone; changed:
+    [T] those below that may have changed, None: any."""
     if unlit is None:
         return None
     count = len(below)
     parents = np.full(len(after) - count, -1) if parents is None else parents
     source = np.concatenate([np.arange(count), parents])
     colors_unlit = np.concatenate([unlit, np.zeros((len(parents), 1, 3), np.float32)])
-    changed = np.ones(len(after), bool)
-    changed[:count] = (below.sh[:, 0] != after.sh[:count, 0]).any(1)
-    rows = np.flatnonzero(changed)
+    ids = np.arange(count) if changed is None else changed[changed < count]
+    ids = ids[(below.sh[ids, 0] != after.sh[ids, 0]).any(1)]
+    rows = np.concatenate([ids, np.arange(count, len(after))])
     of = np.maximum(source[rows], 0)
     gain = light_gain(below.sh[of], unlit[of], below.color_space)
     gain[source[rows] < 0] = 1

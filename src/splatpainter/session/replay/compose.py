@@ -176,7 +176,7 @@ class Replay:
             (*below.facts, (layer.id, result.facts)),
             (*below.results, result_key) if stored else below.results,
             below.painter_state if result.painter_state is None else result.painter_state,
-            _unlit(below, splats, delta.parent_ids, layer),
+            _unlit(below, splats, delta.parent_ids, layer, delta.gaussian_ids),
         )
         return self._states.put(key, state)
 
@@ -218,7 +218,9 @@ class Replay:
             (*below.results, result_key),
             painted.state.painter_state,
         )
-        state = replace(state, unlit=_unlit(below, splats, ancestors(state, len(below.splats)), layer))
+        if below.unlit is not None:
+            parents = ancestors(state, len(below.splats))
+            state = replace(state, unlit=unlit_after(below.splats, below.unlit, splats, parents, changed))
         return self._states.put(key, state)
 
     def _strokes_delta(self, below: LayerState, painted: StrokesState, layer: Layer) -> Delta:
@@ -634,12 +636,14 @@ def _mask_text(layer: Layer) -> str:
     return f" mask {json.dumps(layer.mask.record(), sort_keys=True)}"
 
 
-def _unlit(below: LayerState, splats: Splats, parents: np.ndarray, layer: Layer) -> np.ndarray | None:
+def _unlit(
+    below: LayerState, splats: Splats, parents: np.ndarray, layer: Layer, changed: np.ndarray
+) -> np.ndarray | None:
     """LayerState.unlit after a layer that is not merged, which makes `splats`; parents: [A] of those that it appends,
-    counted below."""
+    counted below; changed: [T] those below that it changed."""
     if layer.operation.relights:
         return below.splats.sh[:, :1] if below.unlit is None else below.unlit
-    return unlit_after(below.splats, below.unlit, splats, parents)
+    return unlit_after(below.splats, below.unlit, splats, parents, changed)
 
 
 def _has_base(layer: Layer) -> bool:
