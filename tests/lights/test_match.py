@@ -61,7 +61,7 @@ def test_the_new_light_is_found_in_pictures(count: int) -> None:
     level = matched.after[0].mean() * SH_C0
     assert level == pytest.approx(0.8, rel=0.25)
     assert matched.chosen == "light" and matched.asset.receipt is not None
-    assert "matched to" in matched.asset.receipt.note
+    assert f"matched to {count} picture{'s' * (count > 1)} by" in matched.asset.receipt.note
 
 
 def test_a_match_is_mixed_as_light_and_kept_to_its_region() -> None:

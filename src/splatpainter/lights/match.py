@@ -160,7 +160,8 @@ def match_light(
     edited = _faded(splats, asset.splats, region, mix)
     where = (f"; mix {mix:g}" if mix != 1 else "") + (f"; where {region.text}" if region else "")
     listed = ", ".join(f"{name} {value:.1f}" for name, value in scores.items())
-    note = f"light matched to {len(edits)} pictures by {names[0]}" + (f" (held back, dB: {listed})" if listed else "")
+    count = "1 picture" if len(edits) == 1 else f"{len(edits)} pictures"
+    note = f"light matched to {count} by {names[0]}" + (f" (held back, dB: {listed})" if listed else "")
     # The scores stand in the receipt, so that one can see how narrow the choice was.
     note += f"; {environment.text}" if environment else ""
     receipt = color_receipt(splats, edited, "light", f"{note}; {lights.before.note}{where}")
