@@ -28,7 +28,7 @@ MAX_TEXTURE_PX = 8192
 
 
 @dataclass(frozen=True)
-class TextureThresholds:
+class BakingThresholds:
     """Source: taste, tried on the demo asset and captures."""
 
     views: int = 26
@@ -48,7 +48,7 @@ class TextureThresholds:
     """Pixels of the texture that are looked up together."""
 
 
-TEXTURE = TextureThresholds()
+BAKING = BakingThresholds()
 
 
 @dataclass(frozen=True)
@@ -84,9 +84,9 @@ def bake_texture(splats: Splats, mesh: ProxyMesh, size: int) -> MeshTexture:
     u, v = (np.where(second, square - 1 - t, t) / leg for t in (x, y))
     shares = np.stack([1 - u - v, u, v], 1)
     colors = np.empty((len(inside), 3))
-    views = _views(splats, mesh, min(max(size, 64), TEXTURE.most_view_px))
-    for first in range(0, len(inside), TEXTURE.points_at_once):
-        chosen = inside[first : first + TEXTURE.points_at_once]
+    views = _views(splats, mesh, min(max(size, 64), BAKING.most_view_px))
+    for first in range(0, len(inside), BAKING.points_at_once):
+        chosen = inside[first : first + BAKING.points_at_once]
         corners, share = mesh.triangles[triangle[chosen]], shares[chosen][..., None]
         points, normals, near = (
             (values[corners] * share).sum(1) for values in (mesh.vertices, mesh.normals, mesh.colors)
@@ -114,15 +114,15 @@ View = tuple[Camera, np.ndarray, np.ndarray]
 def _views(splats: Splats, mesh: ProxyMesh, size: int) -> list[View]:
     low, high = mesh.vertices.min(0).astype(np.float64), mesh.vertices.max(0).astype(np.float64)
     center, radius = (low + high) / 2, float(portable.length(high - low)) / 2
-    distance = TEXTURE.margin * radius / float(portable.sin(np.deg2rad(TEXTURE.fov / 2)))
+    distance = BAKING.margin * radius / float(portable.sin(np.deg2rad(BAKING.fov / 2)))
     views = []
-    for away in fibonacci_sphere(TEXTURE.views):
+    for away in fibonacci_sphere(BAKING.views):
         up = (0.0, 0.0, 1.0) if abs(away[1]) > 0.9 else (0.0, -1.0, 0.0)
-        camera = look_at(center + distance * away, center, up, width=size, height=size, fov=TEXTURE.fov).local
+        camera = look_at(center + distance * away, center, up, width=size, height=size, fov=BAKING.fov).local
         drawn = render(splats, [camera])
         alpha = np.asarray(drawn.alphas)[0, ..., 0]
-        seen = alpha > TEXTURE.min_alpha
-        colors = np.asarray(drawn.colors)[0] / np.maximum(alpha, TEXTURE.min_alpha)[..., None]
+        seen = alpha > BAKING.min_alpha
+        colors = np.asarray(drawn.colors)[0] / np.maximum(alpha, BAKING.min_alpha)[..., None]
         depth = np.where(seen, np.asarray(drawn.depths)[0, ..., 0], np.inf)
         views.append((camera, to_display(colors, splats.color_space), depth))
     return views
@@ -142,10 +142,10 @@ def _colors(points: np.ndarray, normals: np.ndarray, near: np.ndarray, views: li
             np.floor(t).astype(np.int64) for t in (camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy)
         )
         height, width = depth.shape
-        visible = (facing > TEXTURE.grazing) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        visible = (facing > BAKING.grazing) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
         some = np.flatnonzero(visible)
         at = row[some], column[some]
-        some = some[np.abs(depth[at] - z[some]) < TEXTURE.depth_voxels * voxel]
+        some = some[np.abs(depth[at] - z[some]) < BAKING.depth_voxels * voxel]
         share = facing[some] ** 4
         total[some] += share[:, None] * colors[row[some], column[some]]
         weight[some] += share
