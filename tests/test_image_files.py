@@ -312,3 +312,25 @@ def test_light_and_display_are_inverse_and_light_goes_beyond_white() -> None:
     assert np.abs(to_display(to_light(colors, "srgb"), "linear") - colors).max() < 1e-6
     assert to_light(np.array([2.0]), "srgb")[0] == pytest.approx(((2 + 0.055) / 1.055) ** 2.4)
     assert to_light(np.array([2.0]), "linear")[0] == 2
+
+
+def test_two_cameras_in_one_png_are_not_one_of_them(tmp_path: Path) -> None:
+    """The last won without a word: pictures that were put together carry both."""
+    one, other = (look_at((0, 0, distance), (0, 0, 0), width=9, height=8).to_json() for distance in (3, 4))
+    head, *rest = chunks_of(encode_png(RNG.integers(0, 255, (8, 9, 3), np.uint8)))
+    path = tmp_path / "a.png"
+
+    def text(words: str) -> tuple[bytes, bytes]:
+        return b"tEXt", b"splatpainter\0" + words.encode()
+
+    for chunks in ([head, text(one), text(other), *rest], [head, text(one), *rest[:-1], text(other), rest[-1]]):
+        path.write_bytes(png_of_chunks(chunks))
+        with pytest.raises(ValueError, match=r"a.png: has 2 cameras that differ .*--camera"):
+            find_camera(path)
+        (tmp_path / "mine.json").write_text(other)
+        assert find_camera(path, tmp_path / "mine.json").to_json() == other
+    # The same one twice, however it is packed, says one thing.
+    international = b"iTXt", b"splatpainter\0\0\0\0\0" + one.encode()
+    packed = b"zTXt", b"splatpainter\0\0" + zlib.compress(one.encode())
+    path.write_bytes(png_of_chunks([head, text(one), international, *rest[:-1], packed, text(one), rest[-1]]))
+    assert find_camera(path).to_json() == one

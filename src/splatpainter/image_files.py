@@ -16,6 +16,7 @@ import os
 import struct
 import tempfile
 import warnings
+import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -52,6 +53,9 @@ MAX_CHANNELS = 1024
 SEVERAL_PAGES = "expected one picture, got a TIFF of several pages or layers; flatten it, or save a PNG"
 CAMERA_KEYWORD = "splatpainter"
 """Keyword of the PNG tEXt chunk, or name of the OpenEXR header attribute, that carries a camera."""
+_CAMERA_KEY = CAMERA_KEYWORD.encode() + b"\0"
+MAX_CAMERA_CHUNK = 1 << 16
+"""Bytes of a camera's chunk that are compared with those of another."""
 SRGB_INTENT = b"\0"
 """Contents of a PNG's sRGB chunk: colours are sRGB, to be shown perceptually."""
 MAX_PICTURE_PIXELS = 1 << 26
@@ -494,13 +498,15 @@ def _camera_text(picture: Path, explicit: Path | None) -> tuple[str | None, str]
                 with Image.open(picture) as image:
                     # `text` decodes the picture, to look for chunks behind it: only where some stand there alone.
                     text = image.info.get(CAMERA_KEYWORD)
-                    if not text and image.format == "PNG" and _may_say_more(picture):
+                    if image.format == "PNG" and _may_say_more(picture) and not text:
                         text = getattr(image, "text", {}).get(CAMERA_KEYWORD)
         except UnidentifiedImageError:  # of layers, or of floats: it may have a sidecar
             if not picture.is_file():
                 raise ValueError(f"{picture}: cannot be read as a picture (no regular file)") from None
             text = None
         except Exception as error:  # decoders of damaged files raise anything
+            if type(error) is ValueError and str(picture) in str(error):
+                raise
             raise ValueError(f"{picture}: cannot be read as a picture ({_reason(error)})") from None
     if text:
         return text, f"{picture} ({kind})"
@@ -509,19 +515,42 @@ def _camera_text(picture: Path, explicit: Path | None) -> tuple[str | None, str]
 
 
 def _may_say_more(png: Path) -> bool:
-    """Whether chunks of text stand behind a PNG's first pixels; also where the chunks do not end as they should."""
-    has_pixels = False
+    """Whether chunks of text stand behind a PNG's first pixels; also where the chunks do not end as they should. Raises
+    ValueError: it has several cameras, of which a reader would take any one."""
+    has_pixels = says_more = False
+    cameras: set[bytes] = set()
     with open(png, "rb") as file:
         file.seek(len(PNG_MAGIC))
         while len(head := file.read(8)) == 8:
             size, kind = struct.unpack(">I4s", head)
             if kind == b"IEND":
-                return False
-            if has_pixels and kind in TEXT_CHUNKS:
-                return True
+                return says_more
+            after = file.tell() + size + 4
+            if kind in TEXT_CHUNKS:
+                says_more = says_more or has_pixels
+                if file.read(len(_CAMERA_KEY)) == _CAMERA_KEY:
+                    cameras.add(_chunk_text(kind, file.read(min(size - len(_CAMERA_KEY), MAX_CAMERA_CHUNK))))
+                if len(cameras) > 1:
+                    raise ValueError(
+                        f"{png}: has {len(cameras)} cameras that differ ({CAMERA_KEYWORD} chunks; pictures put together, "
+                        "or saved over?); say which is meant with --camera"
+                    )
             has_pixels = has_pixels or kind == b"IDAT"
-            file.seek(size + 4, os.SEEK_CUR)
+            file.seek(after)
     return True
+
+
+def _chunk_text(kind: bytes, rest: bytes) -> bytes:
+    """What a chunk of text says behind its keyword, unpacked; what cannot be is left as it is."""
+    packed = kind == b"zTXt"
+    if kind == b"iTXt":
+        packed, rest = rest[:1] == b"\1", b"\0" + rest[2:].split(b"\0", 2)[-1]
+    if not packed:
+        return rest.removeprefix(b"\0")
+    try:
+        return zlib.decompressobj().decompress(rest[1:], MAX_CAMERA_CHUNK)
+    except zlib.error:
+        return rest
 
 
 def _read_text(path: Path) -> str:

@@ -158,3 +158,71 @@ def test_a_damaged_tiff_is_one_line_and_nothing_on_stderr(
         read_picture(path)
     os.write(2, b"after\n")
     assert capfd.readouterr().err == "after\n", "and what comes later is printed"
+
+
+def packed_tiff(path: Path, *, tiled: bool = False, bits: str = "uint8") -> bytes:
+    """A TIFF of PackBits, half of it flat, by libtiff; 16 bits are read by OpenImageIO."""
+    oiio = pytest.importorskip("OpenImageIO")
+    pixels = np.full((48, 64, 3), 0.75, np.float32)
+    pixels[16:32, 8:40] = np.random.default_rng(0).uniform(size=(16, 32, 3))
+    spec = oiio.ImageSpec(64, 48, 3, bits)
+    spec.attribute("compression", "packbits")
+    if tiled:
+        spec.tile_width = spec.tile_height = 16
+    out = oiio.ImageOutput.create(str(path))
+    assert out is not None and out.open(str(path), spec) and out.write_image(pixels)
+    out.close()
+    return path.read_bytes()
+
+
+def first_part(tiff: bytes) -> int:
+    """Where the first strip or tile of a little-endian TIFF begins."""
+    (at,) = struct.unpack_from("<I", tiff, 4)
+    (count,) = struct.unpack_from("<H", tiff, at)
+    tags = {tag: rest for tag, _, *rest in struct.iter_unpack("<HHII", tiff[at + 2 : at + 2 + 12 * count])}
+    number, value = tags.get(324) or tags[273]
+    return value if number == 1 else struct.unpack_from("<I", tiff, value)[0]
+
+
+@pytest.mark.parametrize(("tiled", "bits"), [(False, "uint8"), (True, "uint8"), (False, "uint16")])
+def test_packbits_that_unpack_to_another_size_are_no_paint(tmp_path: Path, tiled: bool, bits: str) -> None:
+    """libtiff fills a row up, or cuts it, and says nothing: everything behind the damaged byte lies elsewhere."""
+    path = tmp_path / "a.tif"
+    data = packed_tiff(path, tiled=tiled, bits=bits)
+    assert read_picture(path).size == (64, 48)
+    at = first_part(data)
+    path.write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
+    with pytest.raises(ValueError, match=r"a.tif: damaged picture \((strip|tile) 0 unpacks to [\d,]+ bytes, expected"):
+        read_picture(path)
+
+
+@pytest.mark.parametrize("ending", ["jpg", "webp", "tif"])
+@pytest.mark.parametrize("zeros", [False, True])
+def test_a_download_that_was_not_finished_is_one_line(ending: str, zeros: bool, tmp_path: Path) -> None:
+    """A lossy WebP whose second half was never written is decoded all the same."""
+    path = tmp_path / f"a.{ending}"
+    noise = np.random.default_rng(0).integers(0, 256, (96, 96, 3), np.uint8)
+    Image.fromarray(noise).save(path)
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2] + bytes(len(data) - len(data) // 2 if zeros and ending != "tif" else 0))
+    with pytest.raises(ValueError, match=f"a.{ending}: (damaged picture|cannot be read)"):
+        read_picture(path)
+
+
+def test_a_tiff_whose_page_list_is_missing_is_called_cut_off(tmp_path: Path) -> None:
+    """It was called a TIFF that is packed in a way that is not read."""
+    path = tmp_path / "a.tif"
+    Image.fromarray(np.zeros((64, 64, 3), np.uint8)).save(path, compression="tiff_lzw")
+    data = path.read_bytes()
+    path.write_bytes(data[:8] + data[8 : len(data) // 4])
+    with pytest.raises(ValueError, match=r"a.tif: damaged picture \(cut off: .*get it again"):
+        read_picture(path)
+
+
+@pytest.mark.parametrize("ending", ["jpg", "webp"])
+def test_zeros_behind_the_end_of_a_picture_are_no_damage(ending: str, tmp_path: Path) -> None:
+    """Some cameras and disks pad files."""
+    path = tmp_path / f"a.{ending}"
+    Image.fromarray(np.full((32, 32, 3), 90, np.uint8)).save(path)
+    path.write_bytes(path.read_bytes() + bytes(70_000))
+    assert read_picture(path).size == (32, 32)

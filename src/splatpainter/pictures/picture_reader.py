@@ -51,6 +51,7 @@ from splatpainter.pictures.layered_files import (
     psd_size,
     read_psd,
 )
+from splatpainter.pictures.whole_files import TIFF_MAGICS, check_whole
 from splatpainter.system.quick_dataclass import dataclass
 
 if TYPE_CHECKING:
@@ -64,7 +65,6 @@ PICTURE_KINDS = ("PNG", "JPEG", "WEBP", "TIFF")
 LOSSY_KINDS = ("JPEG", "WebP")
 EMPTY_MASK = "empty mask; expected some pixels that are not black (or not transparent)"
 """What is wrong with a mask that selects nothing."""
-TIFF_MAGICS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 TIFF_NOT_READ = "a TIFF packed by WebP, which few programs read; export it as PNG"
 UNUSABLE = "its colour profile cannot be used"
 INKS = ("CMYK", "LAB")
@@ -122,6 +122,7 @@ def read_picture(path: Path, *, inks: bool = True) -> Picture:
             return read_picture(merged, inks=inks)
     if is_psd(path):
         return _composite(path)
+    check_whole(path)
     if _is_tiff_beyond_pillow(path):
         return _beyond_pillow(read_deep(path, MAX_PICTURE_PIXELS))
     with _opened(path) as image:
