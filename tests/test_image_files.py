@@ -325,7 +325,7 @@ def test_two_cameras_in_one_png_are_not_one_of_them(tmp_path: Path) -> None:
 
     for chunks in ([head, text(one), text(other), *rest], [head, text(one), *rest[:-1], text(other), rest[-1]]):
         path.write_bytes(png_of_chunks(chunks))
-        with pytest.raises(ValueError, match=r"a.png: has 2 cameras that differ .*--camera"):
+        with pytest.raises(ValueError, match=r"a.png: expected one camera, got 2 cameras that differ .*--camera"):
             find_camera(path)
         (tmp_path / "mine.json").write_text(other)
         assert find_camera(path, tmp_path / "mine.json").to_json() == other

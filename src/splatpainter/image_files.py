@@ -12,7 +12,6 @@ import importlib.util
 import io
 import json
 import logging
-import os
 import struct
 import tempfile
 import warnings
@@ -531,10 +530,8 @@ def _may_say_more(png: Path) -> bool:
                 if file.read(len(_CAMERA_KEY)) == _CAMERA_KEY:
                     cameras.add(_chunk_text(kind, file.read(min(size - len(_CAMERA_KEY), MAX_CAMERA_CHUNK))))
                 if len(cameras) > 1:
-                    raise ValueError(
-                        f"{png}: has {len(cameras)} cameras that differ ({CAMERA_KEYWORD} chunks; pictures put together, "
-                        "or saved over?); say which is meant with --camera"
-                    )
+                    actual = f"{len(cameras)} cameras that differ ({CAMERA_KEYWORD} chunks)"
+                    raise ValueError(f"{png}: expected one camera, got {actual}; say which is meant with --camera")
             has_pixels = has_pixels or kind == b"IDAT"
             file.seek(after)
     return True

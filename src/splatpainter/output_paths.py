@@ -107,6 +107,21 @@ def make_folder(path: Path) -> None:
 
 
 @contextlib.contextmanager
+def made_folder(path: Path) -> Iterator[None]:
+    """A folder, made with those above it. Where the block raises, those that were made and are empty are removed: a
+    command that is refused leaves nothing. Raises ValueError."""
+    made = [folder for folder in (path, *path.parents) if not folder.exists()]
+    make_folder(path)
+    try:
+        yield
+    except BaseException:
+        with contextlib.suppress(OSError):  # the first that holds something ends it
+            for folder in made:
+                folder.rmdir()
+        raise
+
+
+@contextlib.contextmanager
 def placed(path: Path) -> Iterator[Path]:
     """A name beside `path` of the same format, to write and to check; it becomes `path` when the block ends well and
     is removed otherwise. An existing file keeps its permissions, a link keeps pointing where it points."""

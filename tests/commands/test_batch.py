@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import sqlite3
 import sys
 from collections.abc import Iterator
 from dataclasses import fields
@@ -271,6 +272,23 @@ def test_two_batches_do_not_write_into_one_folder(folder: Path, capfd: Capture) 
     assert lock is not None
     assert "another batch is writing there" in run(capfd, "batch", jobs_file(folder, GRADES)).error
     lock.release()
+
+
+def test_a_batch_that_cannot_lock_its_folder_leaves_none(
+    folder: Path, capfd: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a disk that refuses locks an empty folder stayed."""
+    from splatpainter.session.project import lock
+
+    def refused(*_: object, **__: object) -> None:
+        raise sqlite3.OperationalError("disk I/O error")
+
+    monkeypatch.setattr(lock.sqlite3, "connect", refused)
+    jobs = jobs_file(folder, GRADES)
+    before = sorted(folder.rglob("*"))
+    done = run(capfd, "batch", jobs)
+    assert done.code == 2 and "cannot be locked (disk I/O error)" in done.error and "\n" not in done.error
+    assert sorted(folder.rglob("*")) == before
 
 
 @pytest.mark.parametrize(

@@ -65,7 +65,7 @@ def run(config: Config) -> Outcome:
     """Plan, lock the folder, work, summarise."""
     from splatpainter.batch.plan import read_jobs
     from splatpainter.commands.batch.work import COMMON, BatchWork
-    from splatpainter.output_paths import check_folder, make_folder
+    from splatpainter.output_paths import check_folder, made_folder
 
     # Options that do not go together are refused before the file of jobs is read.
     if config.workers < 1:
@@ -83,9 +83,8 @@ def run(config: Config) -> Outcome:
     from splatpainter.commands.batch.page import require_jinja, write_page
 
     require_jinja()
-    make_folder(plan.out)
     # Two batches in one folder would take each other's half-done steps for their own.
-    with _locked(plan.out):
+    with made_folder(plan.out), _locked(plan.out):
         work = BatchWork(plan.jobs)
         records = follow_jobs(work, plan.jobs, config) if config.events else run_jobs(work, plan.jobs, config)
         write_summary(plan, records)
