@@ -14,6 +14,7 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.image_files import write_png
 from splatpainter.io import FORMATS, Format, asset_file, files, format_of_name
+from splatpainter.io.folders import inside
 from splatpainter.io.formats.sog_container import META
 from splatpainter.system.atomic import MAX_NAME_BYTES, brief_name, check_name, copy_mode, write_text
 from splatpainter.system.plain_words import reason
@@ -133,7 +134,7 @@ def placed(path: Path) -> Iterator[Path]:
     try:
         if is_folder:
             make_folder(partial)
-        yield partial / target.name if is_folder else partial
+        yield partial / META if is_folder else partial
         try:
             # A folder cannot replace one that has files in it: they are moved in one by one.
             if is_folder and final.exists():
@@ -155,9 +156,9 @@ def placed(path: Path) -> Iterator[Path]:
 
 
 def _move_into(partial: Path, final: Path) -> None:
-    """Planes first, the meta.json that names them last."""
+    """Planes first, the meta.json that names them last; what is there keeps the capitals of its name."""
     for file in sorted(partial.iterdir(), key=lambda file: file.name == META):
-        files.replace(file, final / file.name)
+        files.replace(file, inside(final, file.name))
     files.sync_folder(final)
 
 

@@ -392,6 +392,30 @@ def test_names_as_other_packers_write_them(begin: str, tmp_path: Path) -> None:
     assert len(io.read(tmp_path / "c.sog")) == 200
 
 
+@pytest.mark.parametrize("begin", ["", "Scene/"])
+@pytest.mark.parametrize("capitals", [("META.JSON",), ("META.JSON", "MEANS_L.WEBP", "SH0.WEBP"), ("Quats.webp",)])
+def test_capitals_of_other_disks(begin: str, capitals: tuple[str, ...], tmp_path: Path) -> None:
+    """FAT and some sync programs change them; meta.json names the planes as they were."""
+    io.write(tmp_path / "a.sog", random_splats(200, 1))
+    called = {name.lower(): name for name in capitals}
+    with zipfile.ZipFile(tmp_path / "a.sog") as archive:
+        planes = {called.get(name, name): archive.read(name) for name in archive.namelist()}
+    (tmp_path / "b.sog").write_bytes(zipped({begin + name: data for name, data in planes.items()}))
+    (tmp_path / "planes").mkdir()
+    for name, data in planes.items():
+        (tmp_path / "planes" / name).write_bytes(data)
+    expected = io.read(tmp_path / "a.sog")
+    for path in (tmp_path / "b.sog", tmp_path / "planes"):
+        splats = io.read(path)
+        assert same_bits(splats, expected), path
+    assert sog_container.declared_rows(tmp_path / "b.sog") == 200
+    # Written over, nothing is there twice.
+    changed = replace(expected, opacities=expected.opacities[::-1].copy())
+    io.write(tmp_path / "planes" / called.get("meta.json", "meta.json"), changed, overwrite=True)
+    assert sorted(path.name for path in (tmp_path / "planes").iterdir()) == sorted(planes)
+    assert not same_bits(io.read(tmp_path / "planes"), expected)
+
+
 def test_a_zipped_ply_is_named(tmp_path: Path) -> None:
     (tmp_path / "b.zip").write_bytes(zipped({"scene/point_cloud.ply": b"ply"}))
     with pytest.raises(ValueError, match="unpack it, then open scene/point_cloud.ply"):

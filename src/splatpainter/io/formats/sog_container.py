@@ -75,7 +75,7 @@ def store(path: Path, entries: dict[str, bytes], prefix: str = "", bundle_bytes:
         with contextlib.ExitStack() as stack:
             # Files appear when the stack unwinds, the last entered first: meta.json, entered first, appears last.
             for name in sorted((name for name in entries if "/" not in name), key=lambda name: name != META):
-                stack.enter_context(files.writing(folder / name)).write(entries[name])
+                stack.enter_context(files.writing(inside(folder, name))).write(entries[name])
         return
     if path.suffix.lower() != ".sog":
         raise ValueError(f"{path}: expected a name ending in .sog, or meta.json for a folder of planes")
@@ -115,7 +115,7 @@ def declared_rows(path: Path) -> int:
     """The row count that the meta.json of a bundle speaks of; nothing else is unpacked. Raises ValueError."""
     data = files.read_all(path)
     entries = {entry.filename: entry for entry in _entries(data, path)}
-    entry = entries[_prefix(list(entries), path) + META]
+    entry = entries[_meta_entry(list(entries), path)]
     if entry.file_size > jsonio.MAX_JSON_BYTES:
         raise ValueError(f"{path}: {META} claims {entry.file_size} bytes; expected {jsonio.MAX_JSON_BYTES} at most")
     return jsonio.integer(_parse_meta(_unpacked(data, entry, path), path).get("count"), path, "count")
@@ -126,7 +126,7 @@ def _load_folder(path: Path) -> tuple[Container, dict[str, Any]]:
     contents = {META: files.read_all(inside(folder, META))}
     meta = _parse_meta(contents[META], folder)
     for name in named_files(meta, folder):
-        contents[name] = files.read_all(folder / name)
+        contents[name] = files.read_all(inside(folder, name))
     digest = files.sha256(b"".join(name.encode() + b"\0" + contents[name] for name in sorted(contents)))
     return Container(contents, True, digest, b""), meta
 
@@ -138,27 +138,40 @@ def _load_bundle(path: Path) -> tuple[Container, dict[str, Any]]:
     allow(len(data), sum(entry.file_size for entry in entries), path, "the bundle")
     if sum(entry.compress_size for entry in entries) > len(data):
         raise ValueError(f"{path}: damaged bundle (its files need more bytes than it has)")
-    prefix = _prefix([entry.filename for entry in entries], path)
+    listed = _meta_entry([entry.filename for entry in entries], path)
+    prefix = listed[: -len(META)]
     contents = {posixpath.relpath(entry.filename, prefix or "."): _unpacked(data, entry, path) for entry in entries}
+    contents = _renamed(contents, META)
     meta = _parse_meta(contents[META], path)
+    # From here on files are called as meta.json calls them, whatever capitals the bundle has.
     for name in named_files(meta, path):
+        contents = _renamed(contents, name)
         if name not in contents:
             raise ValueError(f"{path}: {META} names {files.printable(name)}, which is not in the bundle")
     return Container(contents, False, files.sha256(data), data, prefix), meta
 
 
-def _prefix(names: list[str], path: Path) -> str:
-    """The folder of a bundle that its meta.json lies in, with a slash behind it: "" or that of the only one. Raises
-    ValueError: none, several, or a streamed SOG."""
+def _renamed(contents: dict[str, bytes], name: str) -> dict[str, bytes]:
+    """The same files, in order, with that one called `name` that is called so but for capitals, if it is the only
+    one."""
+    alike = [] if name in contents else [one for one in contents if one.lower() == name.lower()]
+    return {name if [one] == alike else one: data for one, data in contents.items()} if alike else contents
+
+
+def _meta_entry(names: list[str], path: Path) -> str:
+    """A bundle's meta.json, in any capitals: at the top or in the only folder that has one. Raises ValueError: none,
+    several, or a streamed SOG."""
     if META in names:
-        return ""
+        return META
     visible = [name for name in names if name.split("/")[0] != APPLE_FOLDER]
     streamed = next((name for name in visible if name.rpartition("/")[2] == LOD_META), None)
     if streamed is not None:
         raise ValueError(streamed_reason(path, f"{files.printable(streamed)} in it"))
-    folders = [name.removesuffix(META) for name in visible if name.endswith(f"/{META}")]
-    if len(folders) == 1:
-        return folders[0]
+    found = [name for name in visible if name.lower() == META]
+    found = found or [name for name in visible if name.lower().endswith(f"/{META}")]
+    if len(found) == 1:
+        return found[0]
+    folders = [name[: -len(META)] or META for name in found]
     listed = files.printable(", ".join(sorted(folders or visible)[:5])) or "nothing"
     expected = f"{META} in one folder of the bundle" if folders else f"{META} in the bundle"
     inside = next((name for name in visible if name.lower().endswith((".ply", ".spz", ".splat", ".ksplat"))), None)

@@ -143,7 +143,7 @@ class SessionScene:
                 placement = Placement(shift_to_the_right(existing, new))
             _check_reach(title, splats, placement, main.offset)
             # Bytes and original go along with the step: until it is committed the project knows neither.
-            stored = META if path.is_dir() else path.name
+            stored = META if path.is_dir() or path.name.lower() == META else path.name
             added = SceneAsset(
                 str(document.next_id),
                 title,

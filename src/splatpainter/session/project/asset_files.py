@@ -38,6 +38,7 @@ from splatpainter.io import (
     write,
     written_axes,
 )
+from splatpainter.io.folders import inside
 from splatpainter.io.formats.sog_container import META
 from splatpainter.io.positions import NO_OFFSET, Offset
 from splatpainter.io.write_options import AS_IT_IS, WriteOptions
@@ -347,7 +348,7 @@ def _unpacked(project: Project, name: str, axes: Axes, stored_under: str = "", o
 def _members(path: Path) -> list[Path]:
     """The files of an asset: itself, or meta.json and the planes beside it."""
     if path.is_dir():
-        path = path / META
+        path = inside(path, META)
     if path.name.lower() != META:
         return [path]
     return [path, *sorted(plane for plane in path.parent.iterdir() if plane.suffix.lower() == ".webp")]
