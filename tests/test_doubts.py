@@ -202,15 +202,34 @@ def test_rotations_of_a_sog_without_their_alpha(tmp_path: Path) -> None:
     assert "transparency" not in lines(tmp_path / "e")
 
 
-@pytest.mark.parametrize("ending", ["ply", "splat"])
-def test_rows_that_were_never_written(ending: str, tmp_path: Path, capfd: Capture) -> None:
-    """A download whose disk space was set aside, and which ended half-way."""
-    asset = saved(tmp_path / f"a.{ending}", ball(600))
+@pytest.mark.parametrize("share", [0.5, 0.95])
+@pytest.mark.parametrize("ending", ["ply", "splat", "compressed.ply", "glb"])
+def test_rows_that_were_never_written(ending: str, share: float, tmp_path: Path, capfd: Capture) -> None:
+    """A download whose disk space was set aside, and which ended half-way. In GLB attributes lie behind each other, in
+    compressed PLY SH behind all rows: so what is missing differs."""
+    asset = saved(tmp_path / f"a.{ending}", random_splats(600, 1))
     assert "zeros" not in lines(asset)
     data = asset.read_bytes()
-    asset.write_bytes(data[: len(data) // 2] + bytes(len(data) - len(data) // 2))
+    written = int(share * len(data))
+    asset.write_bytes(data[:written] + bytes(len(data) - written))
     done = run(capfd, "render", asset, "--out", tmp_path / "v", "--views", 1, "--size", 32)
     assert done.code == 0 and " of 600 rows hold zeros alone: they were probably never written" in done.err
+
+
+def test_zeros_that_are_written_are_no_missing_rows(tmp_path: Path) -> None:
+    """SH bands that the last rows lack, as of sheets and merged assets; rows that were emptied; one grey colour."""
+    splats = random_splats(600, 2)
+    sh, opacities = splats.sh.copy(), splats.opacities.copy()
+    sh[300:, 1:], opacities[500:] = 0, 0
+    for name, changed in {
+        "bands": replace(splats, sh=sh),
+        "empty": replace(splats, sh=sh, opacities=opacities),
+        "grey": replace(splats, sh=np.zeros_like(sh)),
+        "plain": replace(splats, sh=np.zeros_like(sh[:, :1]), means=splats.means * np.float32([1, 0, 1])),
+    }.items():
+        for ending in ("ply", "splat", "compressed.ply", "glb", "spz"):
+            asset = saved(tmp_path / f"{name}.{ending}", changed)
+            assert "zeros" not in lines(asset), asset.name
 
 
 @pytest.mark.parametrize("kind", ["int", "uint", "ushort", "float", "uchar"])

@@ -15,6 +15,7 @@ from splatpainter.cameras import Camera
 from splatpainter.color import base_color
 from splatpainter.io import positions
 from splatpainter.io.formats.ply import PlyFile
+from splatpainter.io.formats.unwritten import unwritten_rows
 from splatpainter.order_statistics import median, quantile
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.system.quick_dataclass import dataclass
@@ -89,7 +90,7 @@ def doubts(splats: Splats) -> tuple[Doubt, ...]:
         # Where nothing is drawn, every other doubt is about numbers that nobody sees.
         nothing = _nothing_drawn(splats)
         if nothing is not None:  # and why, where a file says it
-            reason = _log_scales_in_glb(splats, splats)
+            reason = _unwritten_rows(splats, splats) or _log_scales_in_glb(splats, splats)
             return (nothing,) if reason is None else (reason, nothing)
         few = _sample(splats)
         looks = (
@@ -304,13 +305,8 @@ def _transform_left_out(splats: Splats, few: Splats) -> Doubt | None:
 
 def _unwritten_rows(splats: Splats, few: Splats) -> Doubt | None:
     """Rows of zeros: of a download or copy that was not finished, whose disk space was set aside before."""
-    source = splats.source
-    if source is None or source.format not in ("ply", "splat") or any(splats.offset):
-        return None
-    arrays = splats.numpy()
-    empty = (arrays.means == 0).all(1) & ((arrays.quats == 0).all(1) | (arrays.scales == 0).all(1))
-    count = int(empty.sum())
-    if count < DOUBTS.min_rows:
+    count = unwritten_rows(splats)
+    if not count:
         return None
     return Doubt(
         f"{count:,} of {len(splats):,} rows hold zeros alone",
