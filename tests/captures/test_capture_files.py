@@ -20,6 +20,7 @@ from splatpainter.captures import CapturedView, capture_of, captured_views, is_c
 from splatpainter.captures.colmap import read_model, read_points
 from splatpainter.captures.inria import TrainingArguments, training_arguments
 from splatpainter.captures.lenses import PolynomialLens
+from splatpainter.image_files import write_png
 from tests.support.capture_folders import angle_of, opengl_pose, write_colmap, write_inria, write_table
 
 POINTS = np.array([[0.1, 0.2, 0.3], [-0.4, 0.1, 0.2], [0.3, -0.3, -0.1]])
@@ -581,6 +582,18 @@ def test_a_missing_name_lists_what_there_is(tmp_path: Path) -> None:
         with pytest.raises(ValueError) as refused:
             named_views(tmp_path / f"cameras.json:{selector}")
         assert problem in str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["cam.json", "view.png"])
+def test_one_camera_takes_no_selector(name: str, tmp_path: Path) -> None:
+    """It was called no capture, where leaving :0 out is all that helps."""
+    camera = some_cameras()[0]
+    (tmp_path / "cam.json").write_text(camera.to_json())
+    write_png(tmp_path / "view.png", np.zeros((camera.height, camera.width, 3)), camera)
+    with pytest.raises(ValueError, match=rf"{name}:0: {name} holds one camera, not a list of them; leave :0 out"):
+        named_views(tmp_path / f"{name}:0")
+    write_inria(tmp_path, some_cameras(), ["a.jpg", "b.jpg", "c.jpg"])
+    assert named_views(tmp_path / "cameras.json:0")
 
 
 def test_a_view_of_another_size_sees_the_same() -> None:

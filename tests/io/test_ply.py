@@ -293,3 +293,22 @@ def test_every_truncation_is_refused(tmp_path: Path) -> None:
     for size in range(len(data)):
         with pytest.raises(ValueError):
             io.read(save(tmp_path, data[:size]))
+
+
+def test_integers_of_a_text_beyond_their_type_are_told(tmp_path: Path) -> None:
+    """Other programs wrap or cut them, so that they show another colour."""
+    names = ["x", "y", "z", "red", "green", "blue", "opacity", *(f"scale_{k}" for k in range(3))]
+    names += [f"rot_{k}" for k in range(4)]
+    kinds = {name: "uchar" if name in ("red", "green", "blue") else "float" for name in names}
+    head = ["ply", "format ascii 1.0", "element vertex 3", *(f"property {kinds[name]} {name}" for name in names)]
+    rows = [[k, 0, 0, 10, 255, 0, 1, -3, -3, -3, 1, 0, 0, 0] for k in range(3)]
+    path = tmp_path / "a.ply"
+
+    def problems() -> str:
+        body = [" ".join(map(str, row)) for row in rows]
+        path.write_text("\n".join([*head, "end_header", *body, ""]))
+        return " ".join(io.read(path).source.problems)  # type: ignore[union-attr]
+
+    assert "beyond" not in problems()
+    rows[1][4], rows[2][5] = 300, -1
+    assert "2 integers beyond their type (row 1: green is 300, expected 0 to 255): read as they stand" in problems()

@@ -11,6 +11,7 @@ from pathlib import Path
 from splatpainter.captures import colmap, inria, nerfstudio
 from splatpainter.captures.captured_view import CapturedView
 from splatpainter.captures.nerfstudio import MAX_TABLE_BYTES, TABLES, splat_frame
+from splatpainter.image_files import find_camera
 from splatpainter.io import files
 from splatpainter.io.folders import POINT_CLOUD, inside
 from splatpainter.io.foreign_captures import foreign_capture
@@ -85,6 +86,8 @@ def named_views(path: Path, asset: Path | None = None, picture: Path | None = No
     name chooses where no N does; all again where none has it. asset, Raises: as `captured_views`, and for an N that is
     no index and no name."""
     capture, selector = split_selector(path)
+    if selector and _is_one_camera(capture):
+        raise ValueError(f"{path}: {capture.name} holds one camera, not a list of them; leave :{selector[:40]} out")
     views = captured_views(capture, asset)
     if selector:
         return [views[_chosen(views, selector, capture)]]
@@ -95,6 +98,18 @@ def named_views(path: Path, asset: Path | None = None, picture: Path | None = No
         if len(exact or named) == 1:
             return exact or named
     return views
+
+
+def _is_one_camera(path: Path) -> bool:
+    """Whether a file is a camera of splatpainter's, or a picture that carries one."""
+    try:
+        if not os.path.isfile(path) or is_capture(path):
+            return False
+        is_text = path.suffix.lower() == ".json"
+        find_camera(path, path if is_text else None)
+        return True
+    except ValueError:
+        return False
 
 
 def _chosen(views: list[CapturedView], selector: str, capture: Path) -> int:

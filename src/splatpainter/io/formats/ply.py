@@ -96,8 +96,26 @@ def read_ply(path: Path, lenient: bool = False, offset: positions.Offset | None 
             problems.append(f"extra elements (kept as they are): {_named(other_elements)}")
         problems += row_problems(splats)
         problems += _rounding_problem(record, splats)
+        problems += _range_problem(record, vertex)
         source = Source(str(path), "ply", splats, digest.result(), record, tuple(problems))
     return replace(splats, source=source, origin=np.arange(len(splats), dtype=np.int64))
+
+
+def _range_problem(record: PlyFile, vertex: Element) -> list[str]:
+    """Numbers of a text that their type does not hold: other programs read others there."""
+    integers = [one for one in vertex.properties if one.type[0] in "iu"]
+    if record.header.format != "ascii" or not integers:
+        return []
+    values = record.rows.doubles([one.name for one in integers])
+    limits = [np.iinfo(one.type) for one in integers]
+    low, high = (np.array([getattr(limit, side) for limit in limits], np.float64) for side in ("min", "max"))
+    beyond = (values < low) | (values > high)
+    if not beyond.any():
+        return []
+    row, column = (int(index) for index in np.argwhere(beyond)[0])
+    what = f"row {row}: {integers[column].name} is {values[row, column]:.6g}"
+    limit = f"{limits[column].min} to {limits[column].max}"
+    return [f"{int(beyond.sum())} integers beyond their type ({what}, expected {limit}): read as they stand"]
 
 
 def write_ply(path: Path, splats: Splats) -> None:

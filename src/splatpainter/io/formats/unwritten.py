@@ -1,5 +1,5 @@
-"""Rows of an asset's file that were never written: zeros, where a download or a copy ended whose disk space was set aside
-before. Formats with checksums or streams of their own (SOG, SPZ) do not open so.
+"""Rows of an asset's file that were never written: zeros, where a download or a copy ended for which disk space was set
+aside before. Formats with checksums or streams of their own (SOG, SPZ) do not open so.
 
 N rows. Honest files have zeros, too: bands of SH that an asset lacks are zero in all its rows, or in its last ones, and
 what counts here is only what no program writes.
@@ -43,7 +43,7 @@ def unwritten_rows(splats: Splats) -> int:
 
 
 def _of_compressed_ply(record: CompressedPlyFile) -> int:
-    # Words of zeros: transparent, and with three components of the rotation that are too long to be one; bytes of zeros:
+    # Words of zeros: transparent, and three components of a rotation that are too long to be of one; bytes of zeros:
     # each coefficient of SH as far below 0 as there is.
     empty = np.zeros(len(record.tables["vertex"]), bool)
     for name in ("vertex", "sh"):
