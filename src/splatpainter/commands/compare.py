@@ -19,7 +19,7 @@ from splatpainter.commands.parts.terminal import count, decibels, progress, to_j
 from splatpainter.commands.parts.view_options import BACKGROUND, MAX_VIEWS, check_ranges, color, given_cameras, rgb
 from splatpainter.image_files import to_uint8
 from splatpainter.io import axes_news, read
-from splatpainter.output_paths import check_folder, check_target, make_folder
+from splatpainter.output_paths import check_folder, check_target, made_folder
 from splatpainter.rendering import MAX_SIDE_PX, render
 from splatpainter.rendering.profiles import Profile
 from splatpainter.splats import Splats
@@ -128,8 +128,8 @@ def run(config: Config) -> Outcome:
     # A background that is asked for holds against what cameras carry.
     if given and config.background is not None:
         cameras = [replace(camera, background=color(config.background, first)) for camera in cameras]
-    make_folder(config.out)
-    results, thumbs = _compared(config, first, second, cameras, names)
+    with made_folder(config.out):
+        results, thumbs = _compared(config, first, second, cameras, names)
     # By the views' own decibels: the sheet has room for few, and the worst are those to look at.
     worst = sorted(range(total), key=lambda k: results[k].psnr)
     _save_sheet(config, results, names, thumbs, sorted(worst[:MAX_SHEET_VIEWS]))

@@ -17,7 +17,7 @@ from splatpainter.commands.parts.demo_paint import evening, painted
 from splatpainter.commands.parts.demo_sheet import Panel, animation, overview
 from splatpainter.commands.parts.terminal import decibels, size, stages
 from splatpainter.io import files, read, write
-from splatpainter.output_paths import check_folder, make_folder, save_picture
+from splatpainter.output_paths import check_folder, made_folder, save_picture
 from splatpainter.splats import Splats
 from splatpainter.system.quick_dataclass import dataclass
 
@@ -58,10 +58,9 @@ def run(config: Config) -> Outcome:
     if not 64 <= config.size <= 2048:
         raise ValueError(f"splatpainter demo: expected --size from 64 to 2048, got {config.size}")
     check_folder(config.out)
-    make_folder(config.out)
     out, clock = config.out, _Steps()
     # Each step is timed apart, for the demo is also what people judge the speed by.
-    with stages(6) as bar:
+    with made_folder(config.out), stages(6) as bar:
         bar.enter("asset")
         # As files of captures lie: the demo takes the way that the user's own files take.
         asset = clock.timed("unpack the asset", lambda: flip(demo_asset(), HALF_TURN))

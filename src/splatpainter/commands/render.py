@@ -23,7 +23,7 @@ from splatpainter.commands.parts.view_options import (
     ring_of_views,
 )
 from splatpainter.io import axes_news, files, read
-from splatpainter.output_paths import check_folder, check_target, make_folder
+from splatpainter.output_paths import check_folder, check_target, made_folder
 from splatpainter.rendering import check_views
 from splatpainter.rendering.profiles import Profile
 from splatpainter.splats import Splats
@@ -118,9 +118,9 @@ def run(config: Config) -> Outcome:
     # With the views at hand: some doubts are about a view and not about the asset.
     doubtful = warn_of_doubts(splats, config.asset, list(zip(stems, cameras, strict=True)))
     # The folder is made last, so that a refusal leaves none behind.
-    make_folder(config.out)
-    for _ in progress(_save_all(splats, cameras, stems, config.out, options), len(cameras), "rendering"):
-        pass
+    with made_folder(config.out):
+        for _ in progress(_save_all(splats, cameras, stems, config.out, options), len(cameras), "rendering"):
+            pass
     hidden = int((~splats.drawable).sum())
     record = {
         "asset": {"file": config.asset, "sha256": splats.sha256, "rows": len(splats), "rows_not_drawn": hidden},

@@ -26,6 +26,7 @@ from splatpainter.session.project.disk_probe import (
     locks_refused,
     speaks_of_locks,
     speaks_of_maps,
+    why_not_written,
 )
 
 APPLICATION_ID = 0x53504C50
@@ -146,7 +147,10 @@ def one_line(path: Path) -> Iterator[None]:
             message = f"{NO_LOCKS}; {LOCAL_DISK}"
             raise UnwritableError(f"{path}: cannot be read or written, and nothing was changed: {message}") from None
         if is_unwritable(error):
-            raise UnwritableError(f"{path}: cannot be read or written ({message}); nothing was changed") from None
+            # Of a full disk SQLite knows; of all else it says "disk I/O error".
+            vague = (getattr(error, "sqlite_errorname", "") or "").startswith("SQLITE_IOERR")
+            reason = (why_not_written(path.parent) if vague else "") or message
+            raise UnwritableError(f"{path}: cannot be read or written ({reason}); nothing was changed") from None
         raise ValueError(f"{path}: damaged project file ({message})") from None
 
 

@@ -9,6 +9,7 @@ would lose the locks that this process has on it: so POSIX has it.
 from __future__ import annotations
 
 import contextlib
+import os
 import secrets
 import sqlite3
 from pathlib import Path
@@ -30,6 +31,8 @@ LOCK_ERRORS = (
     "SQLITE_IOERR_CHECKRESERVEDLOCK",
 )
 """Beginnings of the names of errors that locking raises; BUSY stands for ENOLCK, EACCES, EAGAIN and ETIMEDOUT too."""
+PROBE_BYTES = 1 << 16
+"""Bytes of a file that is written to see what the system says."""
 MAP_ERRORS = ("SQLITE_IOERR_SHM", "SQLITE_READONLY_CANTINIT", "SQLITE_PROTOCOL")
 """Beginnings of the names of errors of a log (WAL) whose index cannot be shared."""
 
@@ -42,6 +45,23 @@ def speaks_of_locks(error: BaseException) -> bool:
 def speaks_of_maps(error: BaseException) -> bool:
     """Whether SQLite was refused memory that processes share."""
     return (getattr(error, "sqlite_errorname", "") or "").startswith(MAP_ERRORS)
+
+
+def why_not_written(folder: Path) -> str:
+    """What the system says to a file that is written in a folder: SQLite calls a quota that is used up, a disk that
+    failed and one that became read-only by one name. "" where it can be written."""
+    path = folder / f".locks.{secrets.token_hex(4)}.part"  # a name that `scratch.sweep_folder` knows
+    try:
+        with open(path, "xb") as file:
+            file.write(bytes(PROBE_BYTES))
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        return error.strerror or str(error)
+    finally:
+        with contextlib.suppress(OSError):
+            path.unlink(missing_ok=True)
+    return ""
 
 
 def locks_refused(folder: Path) -> bool | None:
