@@ -178,7 +178,7 @@ def test_where_maps_cannot_be_shared_everything_works(path: Path, monkeypatch: p
         assert session._core.project._db.execute("PRAGMA synchronous").fetchall() == [
             (3,)
         ]  # EXTRA: the folder is synced
-        assert names(path.parent) == [path.name, f"{path.name}-lock"]
+        assert names(path.parent) == [path.name, f"{path.name}-host", f"{path.name}-lock"]
         with load(path) as reader:
             assert print_of(reader) == print_of(session) and reader.read_only.startswith("open elsewhere")
             session.layers.add("paint", [dab(BLUE, 19)], name="blue")

@@ -30,8 +30,8 @@ from splatpainter.session.document.document import (
     check_stroke,
 )
 from splatpainter.session.document.scene_asset import MAIN_ASSET_ID, SceneAsset, parse_assets
-from splatpainter.session.project import database
-from splatpainter.session.project.database import ContentError, Database, is_unwritable
+from splatpainter.session.project import database, holder
+from splatpainter.session.project.database import ContentError, Database, UnwritableError, is_unwritable
 from splatpainter.session.project.lock import ProjectLock
 from splatpainter.session.project.open_file import OpenFile, spare_copy, without_log
 from splatpainter.session.project.project_opening import (
@@ -79,6 +79,8 @@ class Project:
         self.path, self.read_only, self.note = bounded.path, read_only, note
         self._database, self._db, self._lock = bounded, bounded.connection, lock
         self._file = None if lock is None else OpenFile(bounded.path)
+        if lock is not None:
+            holder.take_note(self.path)
         self._spare: bytes | None = None
         """The file as it was left last, where it has at most MAX_SPARE_BYTES: once another program wrote into it,
         SQLite reads only that."""
@@ -175,6 +177,7 @@ class Project:
                 for ending in ("-wal", "-shm"):
                     files.remove(self.path.with_name(self.path.name + ending))
             if self._lock is not None:
+                holder.drop_note(self.path)
                 self._lock.release()
                 self._lock = None
 
@@ -194,6 +197,10 @@ class Project:
         if self._file is not None:
             with self._mutex:
                 self._file.check(self._spare is not None)
+                # Two that opened it before either could see the other's note.
+                if other := holder.other_holder(self.path):
+                    problem = f"was opened on {other} too, and nothing was changed"
+                    raise UnwritableError(f"{self.path}: {problem}; save_as another name keeps all that is open here")
 
     def _fold(self) -> None:
         """Fold the log into the file, where no reader needs it. A full disk: all is in the log."""

@@ -7,7 +7,7 @@ import sqlite3
 from pathlib import Path
 
 from splatpainter.io import files
-from splatpainter.session.project import database
+from splatpainter.session.project import database, holder
 from splatpainter.session.project.database import Database, closed_on_error
 from splatpainter.session.project.lock import ProjectLock
 from splatpainter.system.atomic import MAX_NAME_BYTES
@@ -36,7 +36,13 @@ def lock_or_reason(path: Path) -> tuple[ProjectLock | None, str]:
     except ValueError as error:
         reason = str(error).removeprefix(f"{path}: ").partition("; ")[0]
         return None, UNWRITABLE.format(reason.removeprefix("cannot be locked (").removesuffix(")"))
-    return lock, "" if lock else ELSEWHERE
+    if lock is None:
+        return None, ELSEWHERE
+    # A lock that was given says nothing of other computers where locks do not reach them.
+    if other := holder.other_holder(path):
+        lock.release()
+        return None, holder.OPEN_THERE.format(other, holder.note_of(path).name)
+    return lock, ""
 
 
 def check_free(path: Path, overwrite: bool) -> None:
@@ -55,6 +61,9 @@ def lock_target(path: Path, overwrite: bool) -> ProjectLock:
     lock = ProjectLock.take(path)
     if lock is None:
         raise ValueError(f"{path}: is open elsewhere; close it there or choose another name")
+    if other := holder.other_holder(path):
+        lock.release()
+        raise ValueError(f"{path}: is open on {other}, or was not closed there; choose another name")
     return lock
 
 

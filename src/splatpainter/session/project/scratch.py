@@ -19,6 +19,7 @@ from pathlib import Path
 
 from splatpainter.session.project.database import SUFFIX
 from splatpainter.session.project.disk_probe import locks_refused
+from splatpainter.session.project.holder import drop_note
 from splatpainter.session.project.lock import LOCK_ENDING, ProjectLock
 
 SCRATCH_FOLDER = re.compile(r"splatpainter-(original|session|studio|blobs|verify)-[a-z0-9_]{8}")
@@ -126,6 +127,7 @@ def sweep_folder(folder: Path, old_seconds: float = OLD_SECONDS) -> list[str]:
                         if half_made:
                             path.unlink(missing_ok=True)
                     finally:
+                        drop_note(project)
                         lock.release()  # removes the lock's file
                     swept.append(name)
         elif PARTIAL_FILE.fullmatch(name) and _is_old(entry, old_seconds):

@@ -1,0 +1,101 @@
+"""One project on two computers whose locks do not reach each other: network folders without a lock daemon, folders that
+are synchronised."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from splatpainter.session.project import holder
+from splatpainter.session.project.database import UnwritableError
+from splatpainter.session.project.holder import Computer, note_of, other_holder
+from splatpainter.session.project.scratch import sweep_folder
+from tests.support.session_scenes import BLUE, RED, dab, flat, load, print_of, two_layers
+
+OTHER = Computer("studio-2", "another start of another system")
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "work.splatproj"
+
+
+def note(path: Path, computer: Computer) -> None:
+    note_of(path).write_text(json.dumps({"name": computer.name, "boot": computer.boot}))
+
+
+def test_what_another_computer_has_open_is_read_only(path: Path) -> None:
+    state = two_layers(path)
+    assert not note_of(path).exists(), "it was closed"
+    data = path.read_bytes()
+    note(path, OTHER)
+    with load(path) as session:
+        assert session.read_only.startswith("open on studio-2, or was not closed there: this copy is read-only")
+        assert "remove work.splatproj-host" in session.read_only and print_of(session) == state
+        assert not session.files.can_be_taken_over
+        with pytest.raises(ValueError, match="studio-2"):
+            session.undo()
+        with pytest.raises(ValueError, match="studio-2"):
+            session.files.take_over()
+        note_of(path).unlink()  # its user knows that it is not open there
+        session.files.take_over()
+        session.layers.add("paint", [dab(BLUE)])
+    for write in (lambda: load(path, readonly=False), lambda: flat(project=path, overwrite=True)):
+        note(path, OTHER)
+        before = path.read_bytes()
+        with pytest.raises(ValueError, match=r"work.splatproj: (is )?open on studio-2, or was not closed there"):
+            write()
+        assert path.read_bytes() == before != data
+        assert other_holder(path) == "studio-2", "the other one's note stays"
+    assert sorted(entry.name for entry in path.parent.iterdir()) == [path.name, f"{path.name}-host"]
+
+
+def test_two_that_opened_it_at_once(path: Path) -> None:
+    """A synchronised folder brings the other's note later: nothing more is acknowledged."""
+    with flat(project=path) as session:
+        assert other_holder(path) == "" and note_of(path).is_file()
+        session.layers.add("paint", [dab(RED)])
+        state = print_of(session)
+        note(path, OTHER)
+        with pytest.raises(UnwritableError, match="was opened on studio-2 too, and nothing was changed; save_as"):
+            session.layers.add("paint", [dab(BLUE)])
+        assert print_of(session) == state
+        session.files.save_as(path.with_name("mine.splatproj"))
+        session.layers.add("paint", [dab(BLUE)])
+    assert other_holder(path) == "studio-2"
+    with load(path.with_name("mine.splatproj")) as session:
+        assert len(session.layers) == 2 and session.verify() == []
+
+
+@pytest.mark.parametrize("same", ["name", "boot"])
+def test_what_this_computer_did_not_close_is_opened(path: Path, same: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It was killed; containers have another name each time, and the system's start in common."""
+    monkeypatch.setattr(holder, "this_computer", lambda: Computer("here", "this start"))
+    two_layers(path)
+    note(path, Computer("here", "a start before") if same == "name" else Computer("a container", "this start"))
+    with load(path) as session:
+        assert session.read_only == ""
+        session.undo()
+    assert not note_of(path).exists()
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"name": 1, "boot": ""}', '"' * 5000])
+def test_a_note_that_says_nothing_is_none(path: Path, text: str) -> None:
+    two_layers(path)
+    note_of(path).write_text(text)
+    with load(path) as session:
+        assert session.read_only == ""
+    assert not note_of(path).exists()
+
+
+def test_notes_of_killed_processes_are_swept_with_their_locks(path: Path) -> None:
+    two_layers(path)
+    for computer, left in ((holder.this_computer(), [path.name]), (OTHER, [path.name, f"{path.name}-host"])):
+        note(path, computer)
+        path.with_name(path.name + "-lock").touch()
+        os.utime(path.with_name(path.name + "-lock"), (1, 1))
+        sweep_folder(path.parent)
+        assert sorted(entry.name for entry in path.parent.iterdir()) == left
