@@ -584,6 +584,20 @@ def test_a_missing_name_lists_what_there_is(tmp_path: Path) -> None:
         assert problem in str(refused.value)
 
 
+def test_a_name_in_other_capitals_is_the_same_photograph(tmp_path: Path) -> None:
+    """Where two differ in capitals alone, the exact one is meant."""
+    write_inria(tmp_path, some_cameras(), ["IMG_1.JPG", "img_2.jpg", "IMG_2.JPG"])
+    (view,) = named_views(tmp_path / "cameras.json:img_1.jpg")
+    assert view.name.startswith("IMG_1")
+    (view,) = named_views(tmp_path / "cameras.json", picture=Path("Img_1.jpg"))
+    assert view.name.startswith("IMG_1")
+    for name in ("img_2.jpg", "IMG_2.JPG"):
+        (view,) = named_views(tmp_path / "cameras.json", picture=Path(name))
+        assert view.name == name
+    with pytest.raises(ValueError, match="several views of a picture called 'Img_2.JPG'"):
+        named_views(tmp_path / "cameras.json:Img_2.JPG")
+
+
 @pytest.mark.parametrize("name", ["cam.json", "view.png"])
 def test_one_camera_takes_no_selector(name: str, tmp_path: Path) -> None:
     """It was called no capture, where leaving :0 out is all that helps."""

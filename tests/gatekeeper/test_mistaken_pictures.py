@@ -182,9 +182,15 @@ def bent(colors: np.ndarray, source: Callable[[float, float], tuple[float, float
     return np.asarray(bent_picture, np.float32) / 255
 
 
-def lens(k: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Brown's first radial term."""
-    return lambda p: bent(p, lambda x, y: (x * (1 + k * (x * x + y * y)), y * (1 + k * (x * x + y * y))))
+def lens(k1: float, k2: float = 0.0) -> Callable[[np.ndarray], np.ndarray]:
+    """Brown's radial terms."""
+
+    def source(x: float, y: float) -> tuple[float, float]:
+        square = x * x + y * y
+        scale = 1 + k1 * square + k2 * square * square
+        return x * scale, y * scale
+
+    return lambda p: bent(p, source)
 
 
 def aberrated(colors: np.ndarray) -> np.ndarray:
@@ -240,6 +246,19 @@ def test_small_bends_are_named(across: float, down: float) -> None:
     picture = eight_bits(bent(VIEW, lambda x, y: (x * (1 - across + down * y), y)))
     explanation = explain(picture, VIEW, ALPHA)
     assert explanation is not None and explanation.cause == "moved" and not explanation.may_be_meant
+
+
+@pytest.mark.parametrize(("k1", "k2"), [(-0.15, 0.15), (0.15, -0.15), (0.0, -0.15), (-0.25, 0.07)])
+def test_lenses_with_k2_are_named_and_put_right(k1: float, k2: float) -> None:
+    """Moustaches, what bends the rim alone, an action camera: no polynomial of degree 3 is near enough."""
+    picture = eight_bits(lens(k1, k2)(VIEW))
+    explanation = explain(picture, VIEW, ALPHA)
+    assert explanation is not None and "distorted by a lens" in explanation.words and not explanation.may_be_meant
+    assert explanation.mistake is not None and explanation.mistake.undone is not None
+    before, after = (
+        np.abs(one - VIEW)[ALPHA > 0.5].mean() for one in (picture, np.asarray(explanation.mistake.undone(picture)))
+    )
+    assert after < 0.4 * before
 
 
 @pytest.mark.shared
@@ -337,6 +356,53 @@ def test_paint_does_not_lie_beside_its_view(name: str) -> None:
     assert moved_a_little(eight_bits(PAINT[name]()), VIEW, ALPHA, 0.0) is None
 
 
+PLAIN_ALPHA = np.clip(70 - np.hypot(*(np.mgrid[:240, :240] - 115.5)), 0, 1).astype(np.float32)
+LIGHT = (0.8 + 0.2 * np.linspace(-1, 1, 240))[:, None, None] * np.array([0.7, 0.5, 0.2])
+PLAIN = (0.25 + PLAIN_ALPHA[..., None] * (LIGHT - 0.25)).astype(np.float32)
+"""A ball of one colour: all that tells where it lies is its outline."""
+
+
+def padded(colors: np.ndarray, rim: int) -> np.ndarray:
+    picture = Image.fromarray((colors * 255).round().astype(np.uint8))
+    larger = Image.new("RGB", (240 + 2 * rim, 240 + 2 * rim))
+    larger.paste(picture, (rim, rim))
+    return np.asarray(larger.resize((240, 240), Image.Resampling.LANCZOS), np.float32) / 255
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        lambda p: cropped(p, 4),
+        lambda p: cropped(p, 2),
+        lambda p: padded(p, 4),
+        lambda p: padded(p, 8),
+        lambda p: np.roll(p, 3, 1),
+    ],
+    ids=["cropped by 4", "cropped by 2", "padded by 4", "padded by 8", "shifted by 3"],
+)
+def test_a_plain_asset_that_was_moved_is_told_by_its_outline(made: Callable[[np.ndarray], np.ndarray]) -> None:
+    explanation = explain(eight_bits(made(PLAIN)), PLAIN, PLAIN_ALPHA)
+    assert explanation is not None and explanation.cause == "moved" and not explanation.may_be_meant
+
+
+@pytest.mark.parametrize("width", [4, 12])
+def test_paint_along_the_outline_of_a_plain_asset_is_no_move(width: int) -> None:
+    """A line all around, half of it, a glow, and the asset's own colour drawn over its edge on one side."""
+    away = np.hypot(*(np.mgrid[:240, :240] - 115.5)) - 70
+    ring = (np.abs(away) < width)[..., None]
+    glow = 0.7 * np.exp(-((away / width) ** 2))[..., None]
+    left = np.arange(240)[None, :, None] < 115
+    for picture in (
+        np.where(ring, (0.1, 0.5, 0.2), PLAIN),
+        np.where(ring & left, (0.1, 0.5, 0.2), PLAIN),
+        np.where(ring & left, LIGHT, PLAIN),
+        np.where(ring & left, 0.25, PLAIN),
+        PLAIN + glow * (np.array([0.9, 0.8, 0.2]) - PLAIN),
+    ):
+        explanation = explain(eight_bits(picture), PLAIN, PLAIN_ALPHA)
+        assert explanation is None or explanation.may_be_meant, explanation
+
+
 def test_a_soft_brush_over_the_background_is_no_other_asset() -> None:
     """It darkens a third of the background and all of the asset, more in the middle."""
     brush = np.exp(-((np.hypot(*np.mgrid[-120:120, -120:120]) / 130) ** 2))[..., None]
@@ -364,6 +430,19 @@ def test_a_dark_glaze_in_the_background_s_colour_is_no_other_asset() -> None:
 
 def on_the_asset(graded: np.ndarray) -> np.ndarray:
     return eight_bits(np.where(ALPHA[..., None] > 0, graded, VIEW))
+
+
+@pytest.mark.parametrize("gain", [0.5, 0.7])
+@pytest.mark.parametrize("channels", ["each its own", "all one"])
+def test_lower_contrast_of_the_asset_alone_is_a_mistake(gain: float, channels: str) -> None:
+    """About the asset's own mean, as sliders of contrast have it: no glaze, whose colour somebody chose."""
+    mean = VIEW[ALPHA > 0.5].mean(0)
+    middle = mean if channels == "each its own" else np.full(3, float(mean @ np.array([0.2126, 0.7152, 0.0722])))
+    explanation = explain(on_the_asset(middle + gain * (VIEW - middle)), VIEW, ALPHA)
+    assert explanation is not None and not explanation.may_be_meant and "lower contrast" in explanation.words
+    # A glaze of another grey may be meant.
+    glazed = explain(on_the_asset(middle + 0.08 + gain * (VIEW - middle - 0.08)), VIEW, ALPHA)
+    assert glazed is not None and glazed.cause == "look"
 
 
 @pytest.mark.parametrize("color", [(0.7, 0.2, 0.1), (0.1, 0.3, 0.8), (0.5, 0.5, 0.5)])

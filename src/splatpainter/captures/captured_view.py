@@ -79,10 +79,10 @@ class CapturedView:
                     yield data / copies / (name.name + ending)
 
     def is_called(self, name: str) -> bool:
-        """Whether a photograph's name, with or without folders and ending, is this one's. Captures may leave the ending
-        out, old cameras.json all behind the first dot."""
-        # Macs write an umlaut as two characters, others as one.
-        texts = (unicodedata.normalize("NFC", text.replace("\\", "/")) for text in (self.name, name))
+        """Whether a photograph's name, with or without folders and ending, in any capitals, is this one's. Captures may
+        leave the ending out, old cameras.json all behind the first dot."""
+        # Macs write an umlaut as two characters, others as one; programs of Windows call IMG_1.JPG img_1.jpg.
+        texts = (unicodedata.normalize("NFC", text.replace("\\", "/")).casefold() for text in (self.name, name))
         one, other = (PurePosixPath(text) for text in texts)
         alike = other.name in (one.name, one.stem) or one.name in (other.stem, other.name.split(".")[0])
         return bool(self.name) and (alike or one.stem == other.stem)

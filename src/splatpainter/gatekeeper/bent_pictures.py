@@ -2,7 +2,7 @@
 
 A polynomial of the place says by how much each pixel lies beside where it was rendered: Gauss-Newton steps on a pyramid
 as in registration.py, with more and more unknowns: an affine move, what cameras do (a homography and radial distortion,
-Brown 1966: r^2 times the place), any polynomial of degree 3. What it says has to be judged.
+Brown 1966: r^2 and r^4 times the place), any polynomial of degree 3 and r^4. What it says has to be judged.
 Pure. H, W: pixels of the render; colours are display sRGB 0..1; places are -1..1 along the longer side.
 """
 
@@ -38,9 +38,12 @@ class BendThresholds:
     """A step that moves no pixel by more ends a level, pixels of the level."""
     max_halvings: int = 3
     """How often a step that leaves more than before is halved."""
-    first_radial: tuple[float, ...] = (0.0, -0.1, -0.04, 0.04, 0.1)
-    """Radial distortions of which the best is started from: fine detail that lies beside itself by more than its own
-    size draws descents from no motion the wrong way (two of twelve views at 0.03 and 0.05)."""
+    first_radial: tuple[tuple[float, float], ...] = (
+        *((0.0, 0.0), (-0.1, 0.0), (-0.04, 0.0), (0.04, 0.0), (0.1, 0.0), (-0.25, 0.0), (0.25, 0.0)),
+        *((-0.1, 0.1), (0.1, -0.1), (-0.3, 0.1), (0.3, -0.1), (0.0, -0.1), (0.0, 0.1)),
+    )
+    """Radial distortions, of r^2 and r^4, of which the best is started from: fine detail that lies beside itself by
+    more than its own size draws descents from no motion the wrong way (two of twelve views at 0.03 and 0.05)."""
     min_cutoff: float = 0.7
     """Least error, in deviations of a pixel's surroundings, from which a pixel does not count: where half of the
     texture hardly moves, the middle error says little of the rest."""
@@ -86,7 +89,7 @@ def bend_of(picture: np.ndarray, render: np.ndarray) -> Bend | None:
     was not."""
     frame = np.array([[1.0, 0, 0], [0, 1, 0]])
     weight = np.ones(render.shape[:2], np.float32)
-    coefficients = np.zeros((len(_POWERS), 2))
+    coefficients = np.zeros((TERMS, 2))
     for number, longer_px in enumerate(BENDS.levels_px):
         if longer_px > BENDS.levels_px[0] and max(render.shape[:2]) <= longer_px / 2:
             break
@@ -94,7 +97,8 @@ def bend_of(picture: np.ndarray, render: np.ndarray) -> Bend | None:
         if textured is None:
             return None
         if number == 0:
-            coefficients = min((radial * _RADIAL for radial in BENDS.first_radial), key=textured.loss)
+            starts = (second * _RADIAL + fourth * _RADIAL_4 for second, fourth in BENDS.first_radial)
+            coefficients = min(starts, key=textured.loss)
         coefficients = textured.descended(coefficients)
         # Most pictures that come here are not bent at all: the smallest size tells most of them.
         if textured.error_left(coefficients) > BENDS.max_error_left[number]:
@@ -104,11 +108,13 @@ def bend_of(picture: np.ndarray, render: np.ndarray) -> Bend | None:
 
 _POWERS = tuple((across, down) for across in range(BENDS.degree + 1) for down in range(BENDS.degree + 1 - across))
 """Exponents of right and down of the polynomial's terms."""
+TERMS = len(_POWERS) + 2
+"""And r^4 times the place, right and down: what lenses do beyond degree 3."""
 
 
 def _field(*terms: tuple[Literal["right", "down"], int, int]) -> np.ndarray:
     """[T, 2] a shift to the right and down that is the sum of these terms."""
-    out = np.zeros((len(_POWERS), 2))
+    out = np.zeros((TERMS, 2))
     for direction, across, down in terms:
         out[_POWERS.index((across, down)), direction == "down"] = 1
     return out
@@ -117,10 +123,12 @@ def _field(*terms: tuple[Literal["right", "down"], int, int]) -> np.ndarray:
 _AFFINE = tuple(_field((direction, *power)) for direction in ("right", "down") for power in ((0, 0), (1, 0), (0, 1)))
 _KEYSTONES = _field(("right", 2, 0), ("down", 1, 1)), _field(("right", 1, 1), ("down", 0, 2))
 _RADIAL = _field(("right", 3, 0), ("right", 1, 2), ("down", 2, 1), ("down", 0, 3))
+_RADIAL_4 = np.zeros((TERMS, 2))
+_RADIAL_4[-2, 0] = _RADIAL_4[-1, 1] = 1
 _STAGES = (
     np.stack(_AFFINE),
-    np.stack([*_AFFINE, *_KEYSTONES, _RADIAL]),
-    np.eye(2 * len(_POWERS)).reshape(-1, len(_POWERS), 2),
+    np.stack([*_AFFINE, *_KEYSTONES, _RADIAL, _RADIAL_4]),
+    np.concatenate([np.eye(2 * TERMS).reshape(-1, TERMS, 2)[:-4], _RADIAL_4[None]]),
 )
 """[U, T, 2] each: fields whose sum is sought. With all unknowns at once the few edges of a small asset are explained by
 a wild bend."""
@@ -131,7 +139,8 @@ def _terms(width: int, height: int) -> np.ndarray:
     reach = max(width, height) / 2
     y, x = np.mgrid[:height, :width] + 0.5
     x, y = (x - width / 2) / reach, (y - height / 2) / reach
-    return np.stack([x**across * y**down for across, down in _POWERS], -1)
+    r4 = (x**2 + y**2) ** 2
+    return np.stack([*(x**across * y**down for across, down in _POWERS), x * r4, y * r4], -1)
 
 
 @dataclass(frozen=True)

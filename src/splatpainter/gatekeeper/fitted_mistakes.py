@@ -80,6 +80,8 @@ class FitThresholds:
     """By how much it may change such a mean."""
     min_still: float = 0.6
     """Share of the asset whose means have to be so."""
+    max_outline_still: float = 0.05
+    """Share of what a move of the outline changes that may be as it was rendered."""
     max_moved_px: int = 1024
     """Longer side of the copies on which it is looked for."""
 
@@ -252,12 +254,8 @@ def laid_softly(view: SmallView) -> Explanation | None:
 def moved_a_little(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray, agreeing: float) -> Explanation | None:
     """A picture [H, W, 3] that lies beside its render [H, W, 3] by some pixels, degrees or per cent: what that changes
     is nowhere as it was rendered, and nearly everywhere as it makes it. alpha: [H, W]."""
-    # Larger pictures are looked at smaller: a pixel of a large one is half of one there, which is seen as well.
+    picture, render, alpha = _not_too_large(picture, render, alpha)
     height, width = alpha.shape
-    shrink = max(height, width) / FITS.max_moved_px
-    if shrink > 1:
-        width, height = max(round(width / shrink), 1), max(round(height / shrink), 1)
-        picture, render, alpha = (resample(np.clip(one, 0, 1), width, height) for one in (picture, render, alpha))
     # A small move leaves the means of colours where they are; paint over much of it does not. It is cheap.
     solid = alpha > COPIES.min_cover
     reach = max(round(max(height, width) * FITS.mean_reach), 1)
@@ -275,6 +273,36 @@ def moved_a_little(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray, a
         if agrees[moved].mean() >= FITS.min_moved_explained:
             return Explanation("moved", words, agreeing, float(agrees[asset].mean()), mistake)
     return None
+
+
+def moved_outline(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray, agreeing: float) -> Explanation | None:
+    """A picture [H, W, 3] of a plain asset that was cropped, padded or shifted: all that it shows is the outline, and
+    that lies elsewhere than in the render [H, W, 3], on all sides as one motion has it. alpha: [H, W]."""
+    from splatpainter.gatekeeper.registration import small_motion, warped
+
+    picture, render, alpha = _not_too_large(picture, render, alpha)
+    motion = small_motion(picture, render)
+    if motion is None:
+        return None
+    height, width = alpha.shape
+    made, inside = warped(render, np.linalg.inv(np.vstack([motion, [0, 0, 1]]))[:2], (width, height))
+    predicted = inside & (mean_difference(made, render) > COPIES.min_predicted)
+    if predicted.sum() <= FITS.min_moved_share * (alpha > COPIES.min_cover).sum():
+        return None
+    # Paint on the outline leaves the rest of it where it was.
+    still = mean_difference(picture, render)[predicted] <= COPIES.max_unchanged
+    agrees = mean_difference(picture, made) <= COPIES.max_difference
+    if still.mean() > FITS.max_outline_still or agrees[predicted].mean() < FITS.min_moved_explained:
+        return None
+    return Explanation("moved", MOVED_WORDS, agreeing, float(agrees[inside].mean()))
+
+
+def _not_too_large(*images: np.ndarray) -> Iterator[np.ndarray]:
+    """Larger pictures are looked at smaller: a pixel of a large one is half of one there, which is seen as well."""
+    height, width = images[0].shape[:2]
+    shrink = max(max(height, width) / FITS.max_moved_px, 1.0)
+    width, height = max(round(width / shrink), 1), max(round(height / shrink), 1)
+    return (resample(np.clip(one, 0, 1), width, height) if shrink > 1 else one for one in images)
 
 
 def _displacements(

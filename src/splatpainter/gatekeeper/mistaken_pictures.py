@@ -13,7 +13,14 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from splatpainter.color import LUMA, linear_to_srgb, srgb_to_linear
-from splatpainter.gatekeeper.fitted_mistakes import FITS, MOVED_WORDS, fitted_mistakes, laid_softly, moved_a_little
+from splatpainter.gatekeeper.fitted_mistakes import (
+    FITS,
+    MOVED_WORDS,
+    fitted_mistakes,
+    laid_softly,
+    moved_a_little,
+    moved_outline,
+)
 from splatpainter.gatekeeper.small_copies import (
     COPIES,
     Change,
@@ -105,6 +112,10 @@ class MistakeThresholds:
     """The same down to which the asset shows through a colour."""
     min_glazed: float = 0.9
     """Share of the asset that such a colour must explain."""
+    max_off_mean: float = 0.02
+    """How far such a colour may lie from the mean of the asset, up to which only the contrast was lowered."""
+    min_spread: float = 0.06
+    """Deviation of the asset's colours from which its mean is no colour that a brush would take."""
     min_registered_px: int = 16
     """Pixels of the shorter side of a small copy from which it is looked where it lies."""
     min_moved_score: float = 0.6
@@ -122,6 +133,7 @@ GRADED_WORDS = (
     "graded, or glazed with one colour, as a whole, but for its background: its other sides stay as they are; --mode "
     "global carries the look all around"
 )
+FLATTER_WORDS = "of lower contrast as a whole, but for its background"
 PAINTED_OVER_WORDS = "painted over everywhere; if it is not, it is of another view or asset"
 SMOOTHED_WORDS = "blurred, denoised or smoothed as a whole"
 SHARPENED_WORDS = "sharpened, or detail or noise was added, all over: all of it is painted anew"
@@ -229,6 +241,8 @@ def explain(
             return likeliest
     # By a pixel or a degree small copies hardly move: that is looked for at full size, where little is intact.
     moved = moved_a_little(picture, render, alpha, view.agreeing) if _may_be_moved(view, intact) else None
+    if moved is None and view.outline_is_elsewhere and min(view.alpha.shape) >= MISTAKES.min_registered_px:
+        moved = moved_outline(picture, render, alpha, view.agreeing)
     if moved is not None or view.agreeing > MISTAKES.min_alike:
         return moved
     # Much of it agrees: it was painted on, unless its outline says that it was moved.
@@ -359,7 +373,9 @@ def _graded(view: SmallView) -> Explanation | None:
         return None
     changed = largest_channel(np.abs(box_mean(view.picture - view.render, MISTAKES.tone_px)))[solid]
     contrast_ratio = view.picture[solid].std(0).mean() / max(float(view.render[solid].std(0).mean()), 1e-6)
-    if view.paint_is_on_asset and _is_glaze(view, solid):
+    if view.paint_is_on_asset and (glaze := _glaze_color(view, solid)) is not None:
+        if _is_own_mean(glaze, view.render[solid]):
+            return Explanation("tone", FLATTER_WORDS, view.agreeing, 1.0)
         return Explanation("look", GRADED_WORDS, view.agreeing, 1.0)
     # Noise, or one flat colour over the asset: paint, though a (constant) function explains it.
     if np.median(changed) < COPIES.max_difference or contrast_ratio < MISTAKES.min_tone_contrast:
@@ -392,9 +408,9 @@ def _graded(view: SmallView) -> Explanation | None:
     return Explanation("tone", words, view.agreeing, after, Mistake("tone", words, lambda colors: colors, undone))
 
 
-def _is_glaze(view: SmallView, solid: np.ndarray) -> bool:
-    """Whether one colour may have been laid over all solid pixels ([h, w] bool), through which they still show: then
-    all channels lose the same share of their contrast. Lower contrast is a glaze of grey."""
+def _glaze_color(view: SmallView, solid: np.ndarray) -> np.ndarray | None:
+    """[3] the one colour that may have been laid over all solid pixels ([h, w] bool), through which they still show:
+    then all channels lose the same share of their contrast. Lower contrast is a glaze of grey. None: none was."""
     before, after = (image[solid].astype(np.float64) for image in (view.render, view.picture))
     away = before - before.mean(0)
     gains = (away * (after - after.mean(0))).sum(0) / np.maximum((away**2).sum(0), 1e-9)
@@ -402,7 +418,16 @@ def _is_glaze(view: SmallView, solid: np.ndarray) -> bool:
     color = (after.mean(0) - gain * before.mean(0)) / max(1 - gain, 1e-3)
     left = np.abs(gain * before + (1 - gain) * color - after).max(1)
     possible = MISTAKES.min_glaze_gain <= gain < MISTAKES.max_glaze_gain and color.min() > -0.1 and color.max() < 1.1
-    return bool(possible and (left <= COPIES.max_difference).mean() > MISTAKES.min_glazed)
+    return color if possible and (left <= COPIES.max_difference).mean() > MISTAKES.min_glazed else None
+
+
+def _is_own_mean(color: np.ndarray, before: np.ndarray) -> bool:
+    """Whether a glaze's colour [3] is the mean of what lies under it ([P, 3] colours), or the grey of that: sliders of
+    contrast turn about it, and nobody picks just this colour to paint with, where there are many."""
+    mean, spread = before.mean(0), float(before.std(0).mean())
+    grey = np.full(3, float(mean @ np.asarray(LUMA)))
+    off = min(float(np.abs(color - middle).max()) for middle in (mean, grey))
+    return spread >= MISTAKES.min_spread and off <= MISTAKES.max_off_mean
 
 
 def _moved(view: SmallView) -> Explanation | None:

@@ -59,6 +59,9 @@ class CopyThresholds:
     """Share of the bare background that differs up to which all paint lies on the asset: it may be all painted over."""
     min_bare_share: float = 0.03
     """Share of a picture that must be bare background to say that."""
+    max_outline_unchanged: float = 0.5
+    """Share of the pixels of the asset's outline that may be as they were rendered where it was moved. A shift to one
+    side leaves the parts that run along it."""
     max_erased: float = 0.05
     """Share of the asset where a picture may show nothing but the background."""
     min_cover: float = 0.5
@@ -163,6 +166,15 @@ class SmallView:
             return True
         near = largest_channel(np.abs(change - np.median(change, axis=0))) <= COPIES.max_unchanged
         return bool(near.mean() >= COPIES.min_uniform)
+
+    @property
+    def outline_is_elsewhere(self) -> bool:
+        """Whether most of the asset's outline is not as it was rendered, where it can be seen against the
+        background."""
+        if self.bare.mean() < COPIES.min_bare_share:
+            return False
+        outline = dilated(self.solid, 1) & dilated(~self.solid, 1)
+        return bool(outline.any() and self.unchanged[outline].mean() < COPIES.max_outline_unchanged)
 
     @property
     def has_other_outline(self) -> bool:
