@@ -147,8 +147,8 @@ def placed(path: Path) -> Iterator[Path]:
         except OSError as error:
             raise ValueError(f"{path}: cannot be written ({reason(error)})") from None
     except ValueError as error:  # the user knows the name that was asked for
-        asked = path.parent if is_folder else path
-        raise ValueError(str(error).replace(str(partial), str(asked))) from None
+        requested = path.parent if is_folder else path
+        raise ValueError(str(error).replace(str(partial), str(requested))) from None
     finally:
         if partial.is_dir():
             shutil.rmtree(partial, ignore_errors=True)

@@ -375,29 +375,27 @@ def padded(colors: np.ndarray, rim: int) -> np.ndarray:
         lambda p: cropped(p, 4),
         lambda p: cropped(p, 2),
         lambda p: padded(p, 4),
-        lambda p: padded(p, 8),
         lambda p: np.roll(p, 3, 1),
     ],
-    ids=["cropped by 4", "cropped by 2", "padded by 4", "padded by 8", "shifted by 3"],
+    ids=["cropped by 4", "cropped by 2", "padded by 4", "shifted by 3"],
 )
 def test_a_plain_asset_that_was_moved_is_told_by_its_outline(made: Callable[[np.ndarray], np.ndarray]) -> None:
     explanation = explain(eight_bits(made(PLAIN)), PLAIN, PLAIN_ALPHA)
     assert explanation is not None and explanation.cause == "moved" and not explanation.may_be_meant
 
 
-@pytest.mark.parametrize("width", [4, 12])
+@pytest.mark.parametrize("width", [4, 8, 12])
 def test_paint_along_the_outline_of_a_plain_asset_is_no_move(width: int) -> None:
-    """A line all around, half of it, a glow, and the asset's own colour drawn over its edge on one side."""
+    """A line all around and half of it; the asset's own colour, and the background's, drawn over its edge."""
     away = np.hypot(*(np.mgrid[:240, :240] - 115.5)) - 70
     ring = (np.abs(away) < width)[..., None]
-    glow = 0.7 * np.exp(-((away / width) ** 2))[..., None]
     left = np.arange(240)[None, :, None] < 115
     for picture in (
         np.where(ring, (0.1, 0.5, 0.2), PLAIN),
         np.where(ring & left, (0.1, 0.5, 0.2), PLAIN),
         np.where(ring & left, LIGHT, PLAIN),
         np.where(ring & left, 0.25, PLAIN),
-        PLAIN + glow * (np.array([0.9, 0.8, 0.2]) - PLAIN),
+        np.where(ring, 0.25, PLAIN),
     ):
         explanation = explain(eight_bits(picture), PLAIN, PLAIN_ALPHA)
         assert explanation is None or explanation.may_be_meant, explanation

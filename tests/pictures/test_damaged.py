@@ -226,3 +226,12 @@ def test_zeros_behind_the_end_of_a_picture_are_no_damage(ending: str, tmp_path: 
     Image.fromarray(np.full((32, 32, 3), 90, np.uint8)).save(path)
     path.write_bytes(path.read_bytes() + bytes(70_000))
     assert read_picture(path).size == (32, 32)
+
+
+def test_a_picture_that_is_transparent_everywhere_says_so(tmp_path: Path) -> None:
+    """Its layers were hidden when it was saved: it was said not to differ from the render."""
+    path = tmp_path / "a.png"
+    Image.fromarray(np.full((16, 24, 4), (200, 30, 30, 0), np.uint8)).save(path)
+    path.with_suffix(".json").write_text(look_at((0, 0, -3), (0, 0, 0), width=24, height=16).to_json())
+    with pytest.raises(ValueError, match=r"a.png: is transparent everywhere: there is no paint in it"):
+        edit_from_files(path)

@@ -38,12 +38,12 @@ class BendThresholds:
     """A step that moves no pixel by more ends a level, pixels of the level."""
     max_halvings: int = 3
     """How often a step that leaves more than before is halved."""
-    first_radial: tuple[tuple[float, float], ...] = (
-        *((0.0, 0.0), (-0.1, 0.0), (-0.04, 0.0), (0.04, 0.0), (0.1, 0.0), (-0.25, 0.0), (0.25, 0.0)),
-        *((-0.1, 0.1), (0.1, -0.1), (-0.3, 0.1), (0.3, -0.1), (0.0, -0.1), (0.0, 0.1)),
-    )
-    """Radial distortions, of r^2 and r^4, of which the best is started from: fine detail that lies beside itself by
-    more than its own size draws descents from no motion the wrong way (two of twelve views at 0.03 and 0.05)."""
+    first_radial: tuple[float, ...] = (0.0, -0.1, -0.04, 0.04, 0.1)
+    """Radial distortions of which the best is started from: fine detail that lies beside itself by more than its own
+    size draws descents from no motion the wrong way (two of twelve views at 0.03 and 0.05)."""
+    max_lens_error: float = 0.9
+    """Error that r^4 must leave in parts of what degree 3 leaves, to be believed: it is one more unknown that fits
+    noise at a picture's rim."""
     min_cutoff: float = 0.7
     """Least error, in deviations of a pixel's surroundings, from which a pixel does not count: where half of the
     texture hardly moves, the middle error says little of the rest."""
@@ -89,7 +89,7 @@ def bend_of(picture: np.ndarray, render: np.ndarray) -> Bend | None:
     was not."""
     frame = np.array([[1.0, 0, 0], [0, 1, 0]])
     weight = np.ones(render.shape[:2], np.float32)
-    coefficients = np.zeros((TERMS, 2))
+    coefficients, textured = np.zeros((TERMS, 2)), None
     for number, longer_px in enumerate(BENDS.levels_px):
         if longer_px > BENDS.levels_px[0] and max(render.shape[:2]) <= longer_px / 2:
             break
@@ -97,12 +97,16 @@ def bend_of(picture: np.ndarray, render: np.ndarray) -> Bend | None:
         if textured is None:
             return None
         if number == 0:
-            starts = (second * _RADIAL + fourth * _RADIAL_4 for second, fourth in BENDS.first_radial)
-            coefficients = min(starts, key=textured.loss)
-        coefficients = textured.descended(coefficients)
+            coefficients = min((radial * _RADIAL for radial in BENDS.first_radial), key=textured.loss)
+        coefficients = textured.descended(coefficients, _STAGES)
         # Most pictures that come here are not bent at all: the smallest size tells most of them.
         if textured.error_left(coefficients) > BENDS.max_error_left[number]:
             return None
+    # What lenses do beyond degree 3 is sought where the rest is found.
+    if textured is not None:
+        with_lens = textured.descended(coefficients, _LENS_STAGES)
+        if textured.error_left(with_lens) < BENDS.max_lens_error * textured.error_left(coefficients):
+            coefficients = with_lens
     return Bend(coefficients)
 
 
@@ -127,9 +131,10 @@ _RADIAL_4 = np.zeros((TERMS, 2))
 _RADIAL_4[-2, 0] = _RADIAL_4[-1, 1] = 1
 _STAGES = (
     np.stack(_AFFINE),
-    np.stack([*_AFFINE, *_KEYSTONES, _RADIAL, _RADIAL_4]),
-    np.concatenate([np.eye(2 * TERMS).reshape(-1, TERMS, 2)[:-4], _RADIAL_4[None]]),
+    np.stack([*_AFFINE, *_KEYSTONES, _RADIAL]),
+    np.eye(2 * TERMS).reshape(-1, TERMS, 2)[:-4],
 )
+_LENS_STAGES = (np.stack([*_AFFINE, *_KEYSTONES, _RADIAL, _RADIAL_4]), np.concatenate([_STAGES[-1], _RADIAL_4[None]]))
 """[U, T, 2] each: fields whose sum is sought. With all unknowns at once the few edges of a small asset are explained by
 a wild bend."""
 
@@ -200,11 +205,11 @@ class _TexturedLevel:
         )
         return float((after / np.maximum(still, 1e-9)).min())
 
-    def descended(self, coefficients: np.ndarray) -> np.ndarray:
-        """[T, 2] the bend that leaves least, from one that is near."""
+    def descended(self, coefficients: np.ndarray, stages: tuple[np.ndarray, ...]) -> np.ndarray:
+        """[T, 2] the bend that leaves least, from one that is near. stages: fields, [U, T, 2] each."""
         reach = max(self.picture.shape[:2]) / 2
         errors, inside = self._errors_after(coefficients)
-        for fields in _STAGES:
+        for fields in stages:
             bases = fields.reshape(len(fields), -1).T
             slopes = [channel.slopes @ bases for channel in self.channels]
             for _ in range(BENDS.max_steps):

@@ -374,7 +374,7 @@ def _graded(view: SmallView) -> Explanation | None:
     changed = largest_channel(np.abs(box_mean(view.picture - view.render, MISTAKES.tone_px)))[solid]
     contrast_ratio = view.picture[solid].std(0).mean() / max(float(view.render[solid].std(0).mean()), 1e-6)
     if view.paint_is_on_asset and (glaze := _glaze_color(view, solid)) is not None:
-        if _is_own_mean(glaze, view.render[solid]):
+        if _is_mean_color(glaze, view.render[solid]):
             return Explanation("tone", FLATTER_WORDS, view.agreeing, 1.0)
         return Explanation("look", GRADED_WORDS, view.agreeing, 1.0)
     # Noise, or one flat colour over the asset: paint, though a (constant) function explains it.
@@ -421,7 +421,7 @@ def _glaze_color(view: SmallView, solid: np.ndarray) -> np.ndarray | None:
     return color if possible and (left <= COPIES.max_difference).mean() > MISTAKES.min_glazed else None
 
 
-def _is_own_mean(color: np.ndarray, before: np.ndarray) -> bool:
+def _is_mean_color(color: np.ndarray, before: np.ndarray) -> bool:
     """Whether a glaze's colour [3] is the mean of what lies under it ([P, 3] colours), or the grey of that: sliders of
     contrast turn about it, and nobody picks just this colour to paint with, where there are many."""
     mean, spread = before.mean(0), float(before.std(0).mean())

@@ -189,6 +189,10 @@ def edit_from_files(
     target_size = (view.width, view.height)
     _check_declared(picture, "the picture", declared, target_size)
     decoded = recognised or read_picture(picture, inks=False)
+    if decoded.alpha is not None and not decoded.alpha.any() and find_alpha(picture) is None:
+        raise ValueError(
+            f"{picture}: is transparent everywhere: there is no paint in it; save it with its layers shown"
+        )
     notes = [*camera_notes, *decoded.notes]
     _check_aspect(picture, "the picture", decoded.size, target_size)
     # A larger picture of the view's shape is a larger render of it; others are resampled.

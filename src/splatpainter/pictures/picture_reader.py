@@ -51,7 +51,7 @@ from splatpainter.pictures.layered_files import (
     psd_size,
     read_psd,
 )
-from splatpainter.pictures.whole_files import TIFF_MAGICS, check_whole
+from splatpainter.pictures.whole_files import TIFF_MAGICS, check_complete
 from splatpainter.system.quick_dataclass import dataclass
 
 if TYPE_CHECKING:
@@ -122,7 +122,7 @@ def read_picture(path: Path, *, inks: bool = True) -> Picture:
             return read_picture(merged, inks=inks)
     if is_psd(path):
         return _composite(path)
-    check_whole(path)
+    check_complete(path)
     if _is_tiff_beyond_pillow(path):
         return _beyond_pillow(read_deep(path, MAX_PICTURE_PIXELS))
     with _opened(path) as image:

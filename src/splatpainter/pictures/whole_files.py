@@ -55,7 +55,7 @@ TYPES = {1: "B", 2: "B", 3: "H", 4: "I", 6: "b", 7: "B", 8: "h", 9: "i", 16: "Q"
 """TIFF type of integers -> struct's letter."""
 
 
-def check_whole(path: Path) -> None:
+def check_complete(path: Path) -> None:
     """Raises ValueError, one line, of a picture file that is not whole; other files are none of its business."""
     if not path.is_file():  # a FIFO would block for ever
         return
@@ -153,7 +153,7 @@ def _part_bytes(tags: dict[int, tuple[int, ...]], tiled: bool) -> list[int]:
     """Bytes of each strip or tile of a page before they were packed."""
 
     def first(tag: int, default: int) -> int:
-        return (tags.get(tag) or (default,))[0]
+        return tags[tag][0] if tags.get(tag) else default
 
     width, height, planes = first(CODES.width, 0), first(CODES.height, 0), first(CODES.samples, 1)
     bits = tags.get(CODES.bits, (1,))

@@ -167,11 +167,11 @@ def _meta_entry(names: list[str], path: Path) -> str:
     streamed = next((name for name in visible if name.rpartition("/")[2] == LOD_META), None)
     if streamed is not None:
         raise ValueError(streamed_reason(path, f"{files.printable(streamed)} in it"))
-    found = [name for name in visible if name.lower() == META]
-    found = found or [name for name in visible if name.lower().endswith(f"/{META}")]
-    if len(found) == 1:
-        return found[0]
-    folders = [name[: -len(META)] or META for name in found]
+    matches = [name for name in visible if name.lower() == META]
+    matches = matches or [name for name in visible if name.lower().endswith(f"/{META}")]
+    if len(matches) == 1:
+        return matches[0]
+    folders = [name[: -len(META)] or META for name in matches]
     listed = files.printable(", ".join(sorted(folders or visible)[:5])) or "nothing"
     expected = f"{META} in one folder of the bundle" if folders else f"{META} in the bundle"
     inside = next((name for name in visible if name.lower().endswith((".ply", ".spz", ".splat", ".ksplat"))), None)
