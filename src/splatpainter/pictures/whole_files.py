@@ -158,7 +158,7 @@ def _part_bytes(tags: dict[int, tuple[int, ...]], tiled: bool) -> list[int]:
     width, height, planes = first(CODES.width, 0), first(CODES.height, 0), first(CODES.samples, 1)
     bits = tags.get(CODES.bits, (1,))
     one_plane = first(CODES.planar, 1) == 1
-    pixel_bits = (sum(bits) if len(bits) > 1 else bits[0] * planes) if one_plane else bits[0]
+    pixel_bits = (sum(bits) if len(bits) > 1 else first(CODES.bits, 1) * planes) if one_plane else first(CODES.bits, 1)
     count = len(tags.get(CODES.tile_offsets if tiled else CODES.strip_offsets, ()))
     if tiled:
         row = -(-first(CODES.tile_width, 0) * pixel_bits // 8)
