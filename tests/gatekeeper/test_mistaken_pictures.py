@@ -16,6 +16,7 @@ from splatpainter.gatekeeper.bent_pictures import bend_of
 from splatpainter.gatekeeper.fitted_mistakes import moved_a_little
 from splatpainter.gatekeeper.gatekeeper import admit
 from splatpainter.gatekeeper.mistaken_pictures import explain, filtered
+from splatpainter.gatekeeper.small_copies import visible_after
 from splatpainter.io import read
 from splatpainter.lift.masks import box_mean, contrast
 from splatpainter.pictures.edit_files import draw
@@ -330,6 +331,16 @@ def test_what_was_resampled_to_put_it_right_is_no_paint(name: str) -> None:
     """A dab on a picture that was bent: only the dab is taken, as resampling alone changes every edge."""
     beside = taken_beside_a_dab(VIEW, name)
     assert beside["resampled"] <= 0.2 * beside["unknown"] + 20, beside
+
+
+def test_what_was_pushed_over_the_rim_is_not_known() -> None:
+    """A pincushion's rim is not in the picture any more; what stands there repeats its last pixels."""
+    explanation = explain(eight_bits(lens(-0.1)(VIEW)), VIEW, ALPHA)
+    assert explanation is not None and explanation.mistake is not None and explanation.mistake.undone is not None
+    visible = visible_after(explanation.mistake.undone, VIEW.shape)
+    # Its first term moves the corners by a fifth of their distance, the middles of the sides by a tenth.
+    assert visible[40:200, 40:200].all() and not visible[:4].any() and not visible[:, -4:].any()
+    assert 0.6 < visible.mean() < 0.9
 
 
 @pytest.mark.parametrize("name", ["barrel", "keystone", "stretched"])

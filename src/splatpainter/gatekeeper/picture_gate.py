@@ -17,6 +17,7 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.color import to_display
 from splatpainter.gatekeeper.mistaken_pictures import Explanation, Size, explain, filtered
+from splatpainter.gatekeeper.small_copies import visible_after
 from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.image_files import find_camera
 from splatpainter.painter import Mode
@@ -191,6 +192,9 @@ def _corrected(
         if explanation.cause == "moved":  # what resampling alone changes is told from paint
             resampled = np.ascontiguousarray(mistake.undone(mistake.made(view.render)), np.float32)
         colors = np.ascontiguousarray(mistake.undone(colors), np.float32)
+        if resampled is not None:  # what was pushed over the picture's rim is not known, so it is as it was rendered
+            visible = visible_after(mistake.undone, colors.shape)[..., None]
+            colors, resampled = np.where(visible, colors, view.render), np.where(visible, resampled, view.render)
         notes.append(f"put right: it was {mistake.words}")
     mask = source.at_view().mask
 

@@ -193,6 +193,14 @@ class SmallView:
         return bool(erased or not self.paint_is_on_asset)
 
 
+def visible_after(undone: Change, shape: tuple[int, ...]) -> np.ndarray:
+    """[H, W] bool: where a picture [H, W, 3] shows something after a move of it was taken back. What lies beyond its
+    rim repeats that, which a dark rim on white tells."""
+    framed = np.zeros(shape, np.float32)
+    framed[1:-1, 1:-1] = 1
+    return np.asarray(undone(framed)).min(-1) > 0.99
+
+
 def small_copy(values: np.ndarray) -> np.ndarray:
     """[h, w(, C)] of [H, W(, C)], cut to 0..1."""
     height, width = values.shape[:2]
