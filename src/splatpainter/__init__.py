@@ -6,6 +6,7 @@ Names are imported on first use, so `import splatpainter` costs nothing and need
 from __future__ import annotations
 
 import importlib
+import os
 from typing import TYPE_CHECKING, Any
 
 from splatpainter._version import __version__ as __version__
@@ -62,6 +63,11 @@ if TYPE_CHECKING:
     from splatpainter.source_edits.fill import fill as fill
     from splatpainter.source_edits.view_edit import SourceBrief as SourceBrief
     from splatpainter.splats import Splats as Splats
+
+# torch's threads wait for their next work by counting, 5 ms long, on the CPUs that the kernels want: a quarter of the
+# CPU time of a picture with gradients. Read when OpenMP is loaded; whoever chose a way of waiting keeps it.
+if not {"OMP_WAIT_POLICY", "GOMP_SPINCOUNT", "KMP_BLOCKTIME"} & os.environ.keys():
+    os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
 
 _HOME = {
     "Splats": "splats",
