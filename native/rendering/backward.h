@@ -53,11 +53,11 @@ void rasterize_backward_tiles(Rows<const F, COLUMNS> projected, Array1<const i32
     alignas(64) Field<F> state[BACKWARD_FIELDS];
     alignas(64) F lanes[GRADIENT_FIELDS][LANES];
     for (Turn turn(tile_ids.shape[0], thread, threads); turn.k < tile_ids.shape[0]; turn.next()) {
-        const i64 k = turn.k;
+        const i64 k = turn.k, begin = isect_offsets(k), end = ends(k);
+        if (begin == isect_offsets(k + 1)) continue;
         const Pixel first = open_tile<F>(tile_ids(k), alpha.shape[1], alpha.shape[0], state, BACKWARD_FIELDS);
         load_gradients(pictures, first, state);
         BlockSet open = ALL_BLOCKS;
-        const i64 begin = isect_offsets(k), end = ends(k);
         const auto gather = [&](i64 p, Footprint<F> g) {
             const i64 ahead = min_of(p + PREFETCH_ENTRIES, end - 1);
             prefetch_row(sums, pair_ids(ahead));

@@ -195,7 +195,10 @@ void project_gaussians_backward(Rows<const F, 3> means, Rows<const F, 4> quats, 
             // The next LANES that are drawn; what is left of the last vector is its first one again.
             int lanes = 0;
             for (; next < end && lanes < LANES; ++next) {
+                // Entries are in another order than Gaussians: where sums lie has to be read before they are asked for.
+                const i32 later = entries(min_of(next + 2 * PREFETCH_GAUSSIANS, count - 1));
                 const i32 soon = entries(min_of(next + PREFETCH_GAUSSIANS, count - 1)), i = entries(next);
+                if (later >= 0) __builtin_prefetch(&pair_offsets(later), 0, 3);
                 if (soon >= 0) {
                     prefetch_row(projected, soon);
                     prefetch_row(sums, pair_offsets(soon));
