@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from splatpainter.order_statistics import median, quantile
+from splatpainter.order_statistics import distinct, median, quantile, without
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
@@ -23,6 +23,19 @@ def test_they_are_the_bits_of_numpy(dtype: type, count: int, shape: tuple[int, .
             expected = np.quantile(values, share, axis=0)
             result = quantile(values, share)
             assert result.dtype == expected.dtype and np.array_equal(result, expected), share
+
+            # A share in double precision makes the result double, as an array of shares does.
+            in_doubles = quantile(values, np.float64(share))
+            expected = np.quantile(values, [float(share)], axis=0)[0]
+            assert in_doubles.dtype == expected.dtype and np.array_equal(in_doubles, expected), share
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 100])
+def test_distinct_values_are_those_of_numpy(count: int) -> None:
+    values, excluded = np.random.default_rng(count).integers(-20, 20, (2, count))
+    for one, two in ((values, excluded), (excluded, values[:0]), (values, values)):
+        assert np.array_equal(distinct(one), np.unique(one)) and distinct(one).dtype == one.dtype
+        assert np.array_equal(without(one, two), np.setdiff1d(one, two))
 
 
 def test_one_nan_makes_its_column_nan() -> None:
@@ -40,15 +53,22 @@ def test_infinities_are_numbers() -> None:
     assert median(values) == 1.5 and quantile(values, 0.5) == 1.5
 
 
-def test_short_commands_do_without_masked_arrays(tmp_path) -> None:
+def test_short_commands_and_edits_do_without_masked_arrays(tmp_path) -> None:
     program = (
         "import sys\n"
+        "from pathlib import Path\n"
         "from splatpainter.cli import main\n"
-        "from splatpainter.demo_asset import demo_asset\n"
+        "from splatpainter.demo_asset import demo_asset, demo_view\n"
         "from splatpainter.io import write\n"
+        "from splatpainter.output_paths import save_picture\n"
+        "from splatpainter.rendering import render\n"
         "write('asset.ply', demo_asset())\n"
-        "codes = [main(['info', 'asset.ply']), main(['convert', 'asset.ply', 'copy.ply'])]\n"
+        "picture = render(demo_asset(), demo_view(256)).colors[0].copy()\n"
+        "picture[100:140, 100:140] = (0.1, 0.8, 0.2)\n"
+        "save_picture(Path('view.png'), picture, demo_view(256))\n"
+        "edit = ['edit', 'asset.ply', 'view.png', '--out', 'painted.ply']\n"
+        "codes = [main(words) for words in (['info', 'asset.ply'], ['convert', 'asset.ply', 'copy.ply'], edit)]\n"
         "print(codes, 'numpy.ma' in sys.modules, file=sys.stderr)\n"
     )
     done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, encoding="utf-8")
-    assert done.stderr.splitlines()[-1] == "[0, 0] False"
+    assert done.stderr.splitlines()[-1] == "[0, 0, 0] False"

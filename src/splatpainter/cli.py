@@ -29,8 +29,10 @@ DEBUG = "SPLATPAINTER_DEBUG"
 BLAS_THREADS = "OPENBLAS_NUM_THREADS"
 """What numpy's wheels are asked by how many threads a matrix product takes."""
 BAD_INPUT, FAULT, INTERRUPTED, TERMINATED = 2, 70, 130, 143
-GARBAGE_OBJECTS = 10_000
-"""Made since the last collection, after which the garbage collector looks at the young ones."""
+GARBAGE_OBJECTS = {"studio": 10_000}
+"""Made since the last collection, after which the garbage collector looks at the young ones, by command."""
+MOST_GARBAGE_OBJECTS = 100_000
+"""The same of the others, which end soon: an edit makes as many, most of them parts of modules that stay."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -39,7 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     # A process of its own may be tuned; a caller in Python keeps its settings.
     words = list(sys.argv[1:] if argv is None else argv)
     if argv is None:
-        _collect_garbage_seldom()
+        _collect_garbage_seldom(words)
         _keep_blas_to_one_thread(words)
     _write_what_the_terminal_can()
     try:
@@ -66,10 +68,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         return FAULT
 
 
-def _collect_garbage_seldom() -> None:
+def _collect_garbage_seldom(words: list[str]) -> None:
     """A third of the time of a small edit went into walks through the objects of imported libraries, most of it at the
     end of the process, which frees its memory without them."""
-    gc.set_threshold(GARBAGE_OBJECTS, 10, 10)
+    gc.set_threshold(GARBAGE_OBJECTS.get(words[0] if words else "", MOST_GARBAGE_OBJECTS), 10, 10)
     atexit.register(_leave_garbage)  # registered first, so it comes last: after it nothing is left to walk through
 
 

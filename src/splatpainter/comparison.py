@@ -18,6 +18,7 @@ from splatpainter.io import FORMATS, option, read, write
 from splatpainter.io.contents import Contents, contents, fields_differ, rows_differ
 from splatpainter.io.formats.ply_rows import TextRows
 from splatpainter.io.write_options import AS_IT_IS, WriteOptions
+from splatpainter.order_statistics import distinct, without
 from splatpainter.splats import Source, Splats, changed_rows
 from splatpainter.system.quick_dataclass import dataclass
 
@@ -166,7 +167,7 @@ def _stored_rows(
         if one.first != two.first:  # of another row: values tell
             continue
         differing = rows_differ(one, two, min(len(one), len(two)))
-        rows = np.union1d(rows, one.first + differing)
+        rows = distinct(np.concatenate([rows, one.first + differing]))
         for name, where in fields_differ(one, two, differing).items():
             if name in one.edited:
                 names.append(name)
@@ -239,8 +240,8 @@ def _chunk_problems(
         return [f"{name}: {old.shape[1]} bytes a row became {new.shape[1]}"]
     # Extremes of a chunk follow its rows. They may change where one of its rows did, or where rows were appended to it.
     differing = np.flatnonzero((old[:count] != new[:count]).any(1))
-    moved = np.append(np.unique(rows // CHUNK_ROWS), [before // CHUNK_ROWS] if after != before else [])
-    unexpected = np.setdiff1d(differing, moved)
+    moved = np.append(distinct(rows // CHUNK_ROWS), [before // CHUNK_ROWS] if after != before else [])
+    unexpected = without(differing, moved)
     return (
         [f"{name}: its rows {listed(unexpected)} differ although no Gaussian of them does"] if len(unexpected) else []
     )

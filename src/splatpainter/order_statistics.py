@@ -1,5 +1,5 @@
-"""Medians and quantiles, of numpy's bits without numpy's way there: its own functions import `numpy.ma`, a twentieth of
-the time of a short command, to ask whether an array is masked."""
+"""Medians, quantiles and distinct values, of numpy's bits without numpy's way there: its own functions import
+`numpy.ma`, a twentieth of the time of a short command, to ask whether an array is masked."""
 
 from __future__ import annotations
 
@@ -29,6 +29,18 @@ def quantile(values: np.ndarray, share: float) -> Any:
     # From the nearer end, so that a weight of 1 gives the upper one itself.
     out = high - (high - low) * (1 - weight) if weight >= 0.5 else low + (high - low) * weight
     return _nan_where_there_is_one(out, ordered[-1])
+
+
+def distinct(values: np.ndarray) -> np.ndarray:
+    """Of [N] integers, ascending, as np.unique(values)."""
+    ordered = np.sort(values)
+    return ordered[np.append(np.ones(min(len(ordered), 1), bool), ordered[1:] != ordered[:-1])]
+
+
+def without(values: np.ndarray, excluded: np.ndarray) -> np.ndarray:
+    """Of [N] integers those that are none of [M], distinct and ascending, as np.setdiff1d(values, excluded)."""
+    left = distinct(values)
+    return left[np.isin(left, distinct(excluded), assume_unique=True, invert=True)]
 
 
 def _nan_where_there_is_one(values: Any, last: Any) -> Any:

@@ -35,6 +35,7 @@ from splatpainter.io.write_options import AS_IT_IS, WriteOptions
 from splatpainter.kernels import library
 from splatpainter.kernels.arrays import set_pixels
 from splatpainter.kernels.row_bits import differing
+from splatpainter.order_statistics import without
 from splatpainter.splats import ATTRIBUTES, Axes, Splats, row_blocks, rows_sha256
 from splatpainter.system.old_names import formerly, formerly_called
 from splatpainter.system.quick_dataclass import dataclass
@@ -485,7 +486,7 @@ def check(comparison: Comparison, receipt: Receipt | None = None) -> Verificatio
         problems.append(f"{missing} rows are missing")
     # A row that differs is no fault; that the receipt does not list it is.
     elif receipt is not None:
-        unlisted = np.setdiff1d(differs, receipt.touched)
+        unlisted = without(differs, receipt.touched)
         if len(unlisted):
             problems.append(f"{len(unlisted)} rows differ that the receipt does not list: {listed(unlisted)}")
         if -missing != receipt.appended_rows:
@@ -551,7 +552,7 @@ def prove(
     assert edited.source is not None
     entry = FORMATS[edited.source.format]
     comparison = compare(original, edited, receipt.options)
-    rounded = np.setdiff1d(comparison.differs, receipt.touched)
+    rounded = without(comparison.differs, receipt.touched)
     notes = [receipt.note, *receipt.options.lines(original)]
     if len(rounded) and entry.lossy:
         touched = np.union1d(receipt.touched, rounded)

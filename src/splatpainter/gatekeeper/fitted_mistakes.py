@@ -14,6 +14,7 @@ import numpy as np
 from splatpainter.color import LUMA
 from splatpainter.gatekeeper.small_copies import COPIES, Explanation, Mistake, SmallView, explained_by, mean_difference
 from splatpainter.lift.masks import box_mean, dilated, largest_channel
+from splatpainter.order_statistics import median
 from splatpainter.pictures.picture_reader import resample
 from splatpainter.system.quick_dataclass import dataclass
 
@@ -134,7 +135,7 @@ def _mixed_channels(view: SmallView) -> tuple[Mistake, np.ndarray] | None:
         normal += 1e-6 * np.trace(normal) * np.eye(2)
         mixture = np.linalg.solve(normal, (away * weight[:, None]).T @ gained)
         left = np.abs(gained - away @ mixture).max(1)
-        weight = 1 / (1 + (left / max(float(np.median(left)), FITS.min_deviation)) ** 2)
+        weight = 1 / (1 + (left / max(float(median(left)), FITS.min_deviation)) ** 2)
     # Rows of the full matrix sum to one: (r - g) and (b - g) times the mixture.
     full = np.eye(3) + np.stack([mixture[0], -mixture[0] - mixture[1], mixture[1]])
     made = np.clip(view.render @ full, 0, 1).astype(np.float32)
@@ -194,7 +195,7 @@ def _rings(left: np.ndarray, lit: np.ndarray, radius: np.ndarray) -> np.ndarray 
         inside = lit & (ring == number)
         if inside.sum() >= FITS.min_ring_px:
             centers.append((number + 0.5) / FITS.rings)
-            values.append(float(np.median(left[inside])))
+            values.append(float(median(left[inside])))
     if len(values) < FITS.rings // 2:
         return None
     profile = np.asarray(values)
@@ -215,7 +216,7 @@ def _slope(left: np.ndarray, lit: np.ndarray, x: np.ndarray, y: np.ndarray) -> n
         normal = (samples * weight[:, None]).T @ samples + 1e-6 * np.eye(3)
         plane = np.linalg.solve(normal, (samples * weight[:, None]).T @ values)
         error = np.abs(values - samples @ plane)
-        weight = 1 / (1 + (error / max(float(np.median(error)), FITS.min_deviation)) ** 2)
+        weight = 1 / (1 + (error / max(float(median(error)), FITS.min_deviation)) ** 2)
     return terms @ plane if np.abs(plane[1:]).sum() >= FITS.min_corner_shade / 2 else None
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from splatpainter.lift.edit_views import EditView
 from splatpainter.lift.masks import dilated
 from splatpainter.lift.warping import MAX_DEPTH_DIFFERENCE, seen_in_both
+from splatpainter.order_statistics import median
 
 SPILL_PX = 1
 """Pixels around a mask that its paint reaches, as another view has them at other places."""
@@ -21,9 +22,7 @@ def paint_of_other_views(views: Sequence[EditView], depths: Sequence[np.ndarray]
     of each view before the edit, 0 where there is nothing, at least where it may have changed something."""
     # How exactly depths are known is a matter of the asset: a camera that stands close knows them no better.
     painted_depths = [depth[view.mask & (depth > 0)] for view, depth in zip(views, depths, strict=True)]
-    tolerance = MAX_DEPTH_DIFFERENCE * max(
-        (float(np.median(part)) for part in painted_depths if len(part)), default=0.0
-    )
+    tolerance = MAX_DEPTH_DIFFERENCE * max((float(median(part)) for part in painted_depths if len(part)), default=0.0)
     out = []
     for k, (view, depth) in enumerate(zip(views, depths, strict=True)):
         shared = np.zeros(view.mask.shape, bool)

@@ -22,6 +22,7 @@ from splatpainter.lift.depth_normals import surface
 from splatpainter.lift.edit_views import EditView
 from splatpainter.lift.masks import box_mean, dilated
 from splatpainter.lift.warping import ViewedChange, bilinear, seen_in_both, shrunk
+from splatpainter.order_statistics import median
 from splatpainter.rendering.cpu.projected_view import project, tiles_of_mask
 from splatpainter.splats import Splats
 from splatpainter.system.quick_dataclass import dataclass
@@ -146,7 +147,7 @@ class _Window:
         if not (mask > SIDE_VIEWS.min_edited).any():
             return None
         # Side cameras turn about the middle of the paint.
-        center = np.median(camera.unproject(depth)[mask > SIDE_VIEWS.min_edited], axis=0)
+        center = median(camera.unproject(depth)[mask > SIDE_VIEWS.min_edited])
         return _Window(ViewedChange(camera, change, mask, depth), center)
 
     def turned(self, right: float, up: float) -> Camera:

@@ -22,6 +22,7 @@ from splatpainter.lift.masks import (
     exact_share,
     largest_channel,
 )
+from splatpainter.order_statistics import distinct, median
 from splatpainter.pictures.color_profiles import ColorStatement
 from splatpainter.system.quick_dataclass import dataclass
 
@@ -279,10 +280,10 @@ def few_colors(picture: np.ndarray) -> np.ndarray | None:
     pixels = picture.reshape(-1, 3)
     for part in (pixels[:: max(1, len(pixels) // 4096)], pixels):  # most pictures have more in a few thousand
         levels = np.round(np.clip(part, 0, 1) * 255).astype(np.uint32)
-        distinct = np.unique(levels[:, 0] << 16 | levels[:, 1] << 8 | levels[:, 2])
-        if len(distinct) > MAX_PALETTE:
+        colors = distinct(levels[:, 0] << 16 | levels[:, 1] << 8 | levels[:, 2])
+        if len(colors) > MAX_PALETTE:
             return None
-    return np.stack([distinct >> 16, distinct >> 8 & 255, distinct & 255], -1).astype(np.uint8)
+    return np.stack([colors >> 16, colors >> 8 & 255, colors & 255], -1).astype(np.uint8)
 
 
 def detailed(render: np.ndarray, solid: np.ndarray) -> np.ndarray:
@@ -290,7 +291,7 @@ def detailed(render: np.ndarray, solid: np.ndarray) -> np.ndarray:
     if not solid.any():
         return solid
     detail = box_mean(contrast(render), 1)
-    return solid & (detail >= np.median(detail[solid]))
+    return solid & (detail >= median(detail[solid]))
 
 
 def busiest(alpha: np.ndarray, side: int) -> tuple[slice, slice]:

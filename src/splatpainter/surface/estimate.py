@@ -24,6 +24,7 @@ import numpy as np
 from splatpainter.array_types import Floats
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
+from splatpainter.order_statistics import median
 from splatpainter.splats import Splats
 from splatpainter.surface.surface_samples import SCALES, SurfaceSamples
 from splatpainter.system.quick_dataclass import dataclass
@@ -64,7 +65,7 @@ class Surface:
     def typical_width(self) -> float:
         """Median width sqrt(s0 s1) of the patches, world units; 0 where there are none."""
         scales = self.samples.patches[:, SCALES]
-        return float(np.median(np.sqrt(scales[:, 0] * scales[:, 1]))) if len(scales) else 0.0
+        return float(median(np.sqrt(scales[:, 0] * scales[:, 1]))) if len(scales) else 0.0
 
     def at(self, points: np.ndarray, directions: np.ndarray, widths: np.ndarray) -> SurfacePoints:
         """The surface on the lines through `points` [Q, 3] along `directions` [Q, 3] (unit, away from the viewer).

@@ -15,6 +15,7 @@ from splatpainter.kernels import portable
 from splatpainter.kernels.arrays import aligned, readonly
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
+from splatpainter.order_statistics import distinct, quantile
 from splatpainter.splats import Splats
 from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import row_max
@@ -61,9 +62,9 @@ class SurfaceSamples:
         if not len(ids):
             nothing, no_keys = np.zeros((0, PATCH_COLUMNS), np.float32), np.zeros(0, np.int64)
             return SurfaceSamples(nothing, no_keys, np.zeros(1, np.int64), np.zeros(0), np.zeros(0), np.zeros(3))
-        low, high = np.quantile(means, [0.001, 0.999], axis=0).astype(np.float64)
+        low, high = (quantile(means, np.float64(share)) for share in (0.001, 0.999))
         # No smaller than indices can tell apart over the asset without its outliers.
-        smallest = max(2 * float(np.quantile(longest, 0.1)), float((high - low).max()) / (1 << (CELL_BITS - 1)))
+        smallest = max(2 * float(quantile(longest, 0.1)), float((high - low).max()) / (1 << (CELL_BITS - 1)))
         # Level by length: a cell is at least twice as wide as its patches, so few cells have to be visited.
         doublings = portable.log(np.maximum(2 * longest.astype(np.float64) / smallest, 1)) / portable.LN_2
         level = np.ceil(doublings - 1e-9)
@@ -76,7 +77,7 @@ class SurfaceSamples:
         # By level, then by cell: a query's neighbours are runs of one array.
         rank = _order_of(level, keys)
         level = level[rank]
-        present = np.unique(level)
+        present = distinct(level)
         starts = np.append(np.searchsorted(level, present), len(level))
         patches = aligned((len(ids), PATCH_COLUMNS), np.dtype(np.float32))
         attributes = (arrays.means, arrays.quats, arrays.scales, arrays.opacities)

@@ -16,6 +16,7 @@ from splatpainter.kernels import portable
 from splatpainter.kernels.arrays import readonly, set_pixels
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
+from splatpainter.order_statistics import median
 from splatpainter.rendering.cpu.projected_view import ProjectedView
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface, SurfacePoints
@@ -226,7 +227,7 @@ def _lattice_step(splats: Splats, view: ProjectedView, entry: np.ndarray) -> int
         return 1
     scales = np.sort(splats.scales[view.gaussian_ids[seen]], 1)
     widths = np.sqrt(scales[:, 1] * scales[:, 2]) * view.camera.fx / np.maximum(view.depths[seen], 1e-9)
-    return int(np.clip(VISIBLE.step_widths * np.median(widths), 1, VISIBLE.max_step_px))
+    return int(np.clip(VISIBLE.step_widths * median(widths), 1, VISIBLE.max_step_px))
 
 
 def _lattice(entry: np.ndarray, step: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

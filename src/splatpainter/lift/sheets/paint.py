@@ -25,6 +25,7 @@ from splatpainter.lift.sheets.resurface import RESURFACING, RING_PX, resurface
 from splatpainter.lift.sheets.rounding import rounded
 from splatpainter.lift.sheets.sparse_edit import SparseEdit
 from splatpainter.lift.sheets.view_limits import paintable
+from splatpainter.order_statistics import distinct
 from splatpainter.rendering.cpu.projected_view import MaskSums, ProjectedView, project, tiles_of_mask
 from splatpainter.rendering.cpu.recent_views import recent_view
 from splatpainter.splats import ATTRIBUTES, Splats
@@ -297,5 +298,5 @@ def _then_split(
     ancestry = np.append(np.arange(count), edit.parents)
     parents = np.concatenate([edit.parents, ancestry[lifted.parents]])
     removed = first.removed[lifted.splats.opacities[first.removed] == 0]
-    edit = SparseEdit.of(lifted.splats, np.union1d(edit.touched(splats), touched), parents)
+    edit = SparseEdit.of(lifted.splats, distinct(np.concatenate([edit.touched(splats), touched])), parents)
     return replace(first, edit=edit, removed=removed)
