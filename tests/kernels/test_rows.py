@@ -24,6 +24,20 @@ def asset(seed: int = 0) -> Splats:
 
 
 @pytest.mark.parametrize("threads", ["1", "3"])
+def test_blocks_are_all_rows_once(threads: str, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("SPLATPAINTER_THREADS", threads)
+    for count in (0, 1, 10, rows.MIN_ROWS, rows.BLOCK_ROWS, 3 * rows.BLOCK_ROWS + 1):
+        seen = np.zeros(count, int)
+
+        def count_up(block: slice, seen: np.ndarray = seen) -> None:
+            assert block.stop - block.start <= rows.BLOCK_ROWS
+            seen[block] += 1
+
+        rows.by_blocks(count_up, count)
+        assert (seen == 1).all()
+
+
+@pytest.mark.parametrize("threads", ["1", "3"])
 def test_many_rows_are_taken_as_few_are(threads: str, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("SPLATPAINTER_THREADS", threads)
     monkeypatch.setattr(rows, "MIN_ROWS", 0)

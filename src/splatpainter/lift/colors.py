@@ -21,6 +21,7 @@ from splatpainter.cameras import Camera
 from splatpainter.kernels.arrays import aligned
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
+from splatpainter.kernels.rows import by_blocks
 from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.rendering.cpu.geometry import STEP_SIZES
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
@@ -166,7 +167,12 @@ def joint_change(
         for now, view in zip(drawn, views, strict=True):
             now.add_gains(change, view, gain)
         run(kernels.step_changes, gain, total, hold, limit, change)
-    return np.where(total[:, None] > MIN_SEEN_PX, change, 0)
+
+    def clear(block: slice) -> None:
+        change[block][~(total[block] > MIN_SEEN_PX)] = 0
+
+    by_blocks(clear, len(change))
+    return change
 
 
 @dataclass(frozen=True)

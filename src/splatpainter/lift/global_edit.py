@@ -12,16 +12,18 @@ from dataclasses import field, replace
 
 import numpy as np
 
-from splatpainter.array_types import Floats
+from splatpainter.array_types import Floats, Ids
 from splatpainter.cameras import Camera
 from splatpainter.color import base_color, sh_from_color
 from splatpainter.kernels import portable
 from splatpainter.kernels.arrays import readonly
 from splatpainter.kernels.library import kernels
-from splatpainter.kernels.parallel import run
+from splatpainter.kernels.parallel import each, run
+from splatpainter.kernels.rows import by_blocks
 from splatpainter.lift.colors import MAX_COLOR, MIN_SEEN_PX, SolidView, ViewInRounds, joint_change, total_weight
 from splatpainter.lift.depth_normals import outward_normals, scattered
 from splatpainter.lift.options import GLOBAL_DEFAULTS, GlobalOptions
+from splatpainter.order_statistics import median
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import row_norm
@@ -77,31 +79,40 @@ def lift_global(
         sh[drawable] = part.splats.sh
         values = (part.confidence, part.seen, part.predicted, part.normals)
         return GlobalLift(replace(splats, sh=sh), *(scattered(value, drawable) for value in values))
-    old = base_color(splats.sh)  # [N, 3]
+    old = np.empty((len(splats), 3), splats.sh.dtype)
+    by_blocks(lambda block: np.copyto(old[block], base_color(splats.sh[block])), len(old))
     # First what the views show: colours towards all of them at once, as a local lift does.
     solid = _solid_views(splats, views)
     weight = total_weight(solid)
     drawn = [ViewInRounds.of(view.projected) for view in solid]
     change = joint_change(solid, options.rounds, drawn=drawn)
-    seen = weight > MIN_SEEN_PX
-    if not seen.any():
+    visible = np.flatnonzero(weight > MIN_SEEN_PX)
+    if not len(visible):
         raise ValueError(
             "edit: the views show no solid part of the asset (alpha above 0.9); check the cameras and masks"
         )
     # Then what no view shows: the same change as a function of old colour and normal.
     features = regression_features(np.clip(old, 0, 1), normals)
-    solution, inverse = ridge(features[seen], change[seen], weight[seen], options)
+    seen_changes, seen_weights = change.take(visible, 0), weight.take(visible)
+    solution, inverse = ridge(features.take(visible, 0), seen_changes, seen_weights, options)
     # [N, 3] change of base colour
     predicted = portable.matmul(features, solution) if predict is None else predict(change, weight)
     if options.far_side:
         # Light that came to the front went from the back; see GlobalOptions.far_side for when this is believed.
-        predicted = predicted - _far_side(splats, solid, change, weight, options)
+        back = _far_side(splats, solid, visible, seen_changes, seen_weights, weight, options)
+        guess, predicted = predicted, np.empty_like(predicted)
+        by_blocks(lambda block: np.subtract(guess[block], back(block), out=predicted[block]), len(predicted))
     # What was seen replaces the prediction by degrees: a pixel's worth of sight is not yet certain.
     share = (weight / (weight + options.half_seen))[:, None]
     # Colours outside the drawn range stay as far outside as they were, no farther.
-    new = np.clip(old + predicted, np.minimum(old, 0), np.maximum(old, MAX_COLOR))
-    sh = splats.sh.copy()
-    sh[:, 0] = sh_from_color(new)
+    sh, regressed_colors = np.empty_like(splats.sh), np.empty(old.shape, np.float32)
+
+    def regrade(block: slice) -> None:
+        before, after = old[block], old[block] + predicted[block]
+        sh[block], regressed_colors[block] = splats.sh[block], after
+        sh[block, 0] = sh_from_color(np.clip(after, np.minimum(before, 0), np.maximum(before, MAX_COLOR)))
+
+    by_blocks(regrade, len(old))
     if sh.shape[1] > 1:
         # View dependence is turned by the derivative of the same map: a red light makes highlights red, too.
         run(kernels.turn_bands, features, _linear(solution), sh)
@@ -115,10 +126,10 @@ def lift_global(
     # How far a Gaussian's features are from all that was seen (leverage of the regression): far ones are guesses.
     leverage = np.empty(len(features), np.float32)
     run(kernels.measure_leverage, features, readonly(inverse, np.float32), leverage)
-    typical = np.maximum(np.average(leverage[seen], weights=weight[seen]), 1e-12)
+    typical = np.maximum(np.average(leverage.take(visible), weights=seen_weights), 1e-12)
     certain = share[:, 0] + (1 - share[:, 0]) * 0.5 / (1 + leverage / (4 * typical))
-    values = (certain, share[:, 0], old + predicted, normals)
-    return GlobalLift(result, *(value.astype(np.float32) for value in values))
+    confidence, seen = (value.astype(np.float32) for value in (certain, share[:, 0]))
+    return GlobalLift(result, confidence, seen, regressed_colors, normals.astype(np.float32, copy=False))
 
 
 def seen_change(
@@ -147,25 +158,36 @@ def regressed(
 
 
 def _far_side(
-    splats: Splats, views: Sequence[SolidView], change: np.ndarray, weight: np.ndarray, options: GlobalOptions
-) -> Floats:
-    """[N, 3] float32 to be taken from the predicted change (`GlobalOptions.far_side`). splats: all drawable; change,
-    weight: of `seen_change`."""
-    seen = weight > MIN_SEEN_PX
+    splats: Splats,
+    views: Sequence[SolidView],
+    visible: Ids,
+    change: np.ndarray,
+    seen_weights: np.ndarray,
+    weight: np.ndarray,
+    options: GlobalOptions,
+) -> Callable[[slice], np.ndarray]:
+    """What is to be taken from the predicted change of a block of M Gaussians ([M, 3] float32; see
+    `GlobalOptions.far_side`). splats: all drawable; visible: [S] those that are seen; change, seen_weights: [S, 3] and [S] of these, weight: [N], as of
+    `seen_change`."""
     low, high = options.unexplained
-    unexplained = unexplained_by_color(0.5 + SH_C0 * splats.sh[seen, 0], change[seen], weight[seen], options)
+    unexplained = unexplained_by_color(0.5 + SH_C0 * splats.sh[visible, 0], change, seen_weights, options)
     share = options.far_side * one_sided(splats, [view.camera for view in views])
     # A change that is a function of colour is a look, and goes all around: nothing is taken back.
     share *= float(np.clip((unexplained - low) / (high - low), 0, 1))
-    mean = np.average(change[seen], axis=0, weights=np.minimum(weight[seen], MAX_WEIGHT_PX))
-    hidden = options.half_hidden_px / (weight + options.half_hidden_px)
-    return (share * hidden[:, None] * mean).astype(np.float32)
+    mean = np.average(change, axis=0, weights=np.minimum(seen_weights, MAX_WEIGHT_PX))
+
+    def back(block: slice) -> np.ndarray:
+        hidden = options.half_hidden_px / (weight[block] + options.half_hidden_px)
+        return (share * hidden[:, None] * mean).astype(np.float32)
+
+    return back
 
 
 def one_sided(splats: Splats, cameras: Sequence[Camera]) -> float:
     """0..1: 1 where all views come from one side of the asset, 0 where they surround it. splats: all drawable."""
     # The mean of unit directions is long where all views come from one side, and 0 where they surround the asset.
-    away = np.stack([camera.position for camera in cameras]) - np.median(splats.means, 0)
+    center = np.stack(each(lambda axis: median(np.ascontiguousarray(splats.means[:, axis])), range(3)))
+    away = np.stack([camera.position for camera in cameras]) - center
     lines = away / np.maximum(row_norm(away)[:, None], 1e-12)
     return float((lines.mean(0) ** 2).sum())
 
@@ -199,8 +221,15 @@ def light_share(
 def _color_terms(colors: np.ndarray) -> np.ndarray:
     """[S, 10] float64: all quadratic monomials of the colours [S, 3], enough for curves and crosstalk of common
     looks."""
-    r, g, b = np.clip(colors, 0, 1).astype(np.float64).T
-    return np.stack([np.ones_like(r), r, g, b, r * r, g * g, b * b, r * g, g * b, b * r], 1)
+    out = np.empty((len(colors), 10))
+
+    def fill(block: slice) -> None:
+        r, g, b = np.clip(colors[block], 0, 1).astype(np.float64).T
+        for column, term in enumerate((1, r, g, b, r * r, g * g, b * b, r * g, g * b, b * r)):
+            out[block, column] = term
+
+    by_blocks(fill, len(out))
+    return out
 
 
 def _unexplained(terms: np.ndarray, change: np.ndarray, weight: np.ndarray, options: GlobalOptions) -> float:
@@ -209,7 +238,14 @@ def _unexplained(terms: np.ndarray, change: np.ndarray, weight: np.ndarray, opti
     gram = portable.gram(terms, capped[:, 0]) + options.ridge * capped.sum() * np.eye(terms.shape[1])
     solution = portable.solved(gram, portable.transposed_product(terms * capped, change))
     rest = change - portable.matmul(terms, solution)
-    return float((capped * rest**2).sum() / max((capped * change.astype(np.float64) ** 2).sum(), 1e-12))
+    left, all_of_it = np.empty(rest.shape), np.empty(rest.shape)
+
+    def square(block: slice) -> None:
+        left[block] = capped[block] * rest[block] ** 2
+        all_of_it[block] = capped[block] * change[block].astype(np.float64) ** 2
+
+    by_blocks(square, len(rest))
+    return float(left.sum() / max(all_of_it.sum(), 1e-12))
 
 
 def _solid_views(splats: Splats, views: Sequence[tuple[Camera, np.ndarray, np.ndarray]]) -> list[SolidView]:
