@@ -586,14 +586,16 @@ def prove(
 
 def score(pixels: np.ndarray, other: np.ndarray, mask: np.ndarray) -> float | None:
     """PSNR in dB over the masked pixels of two [H, W, 3] pictures, clipped to 0..1; inf if equal, None if empty."""
-    if not mask.any():
+    masked = np.flatnonzero(mask.any(1))
+    if not len(masked):
         return None
     # The masked pixels that differ alone, in the rows that have any: around a dab they are a few of a million.
-    differs = pixels != other
-    rows = np.flatnonzero(mask.any(1) & differs.reshape(len(mask), -1).any(1))
+    first, last = int(masked[0]), int(masked[-1]) + 1
+    differs, some = pixels[first:last] != other[first:last], mask[first:last]
+    rows = np.flatnonzero(some.any(1) & differs.reshape(len(some), -1).any(1))
     channels = differs[rows]
-    row, column = set_pixels(mask[rows] & (channels[..., 0] | channels[..., 1] | channels[..., 2]))
-    at = rows[row] * mask.shape[1] + column
+    row, column = set_pixels(some[rows] & (channels[..., 0] | channels[..., 1] | channels[..., 2]))
+    at = (first + rows[row]) * mask.shape[1] + column
     one, two = (np.clip(picture.reshape(-1, 3).take(at, 0), 0, 1).astype(np.float64) for picture in (pixels, other))
     error = float(((one - two) ** 2).sum()) / (3 * int(mask.sum()))
     return math.inf if error == 0 else -10 * math.log10(error)

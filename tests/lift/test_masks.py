@@ -13,7 +13,15 @@ import splatpainter as sp
 from splatpainter.cameras import orbit
 from splatpainter.kernels import library
 from splatpainter.kernels.arrays import set_pixels
-from splatpainter.lift.masks import box_mean, change_mask, contrast, dilated, largest_difference, paste
+from splatpainter.lift.masks import (
+    box_mean,
+    change_mask,
+    contrast,
+    dilated,
+    largest_difference,
+    paste,
+    window_around,
+)
 from tests.support.kernel_goldens import CPUS, Numbers
 from tests.support.lift_scenes import disk, front, sheet
 
@@ -234,3 +242,20 @@ def test_masks_as_pixels_grown_and_pasted(where: tuple[int, int]):
     expected, source = np.where(mask[..., None], other, one), other.copy()
     paste(one, other, mask)
     assert np.array_equal(one, expected) and np.array_equal(other, source)
+
+
+@pytest.mark.parametrize("reach", [0, 1, 3])
+def test_a_window_holds_all_within_reach(reach: int):
+    rng = np.random.default_rng(reach)
+    for _ in range(30):
+        mask = np.zeros(tuple(rng.integers(1, 12, 2)), bool)
+        for _ in range(rng.integers(0, 3)):
+            mask[rng.integers(mask.shape[0]), rng.integers(mask.shape[1])] = True
+        window = np.zeros_like(mask)
+        window[window_around(mask, reach)] = True
+        rows, columns = (np.flatnonzero(dilated(mask, reach).any(axis)) for axis in (1, 0))
+        expected = np.zeros_like(mask)
+        expected[np.ix_(rows, columns)] = True
+        if len(rows):
+            expected[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] = True
+        assert np.array_equal(window, expected)

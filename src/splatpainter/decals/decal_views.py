@@ -323,7 +323,8 @@ def mapped_view(
     if seen.visible is not None and len(seen.ys):
         drawn[:] = False
         drawn[seen.ys, seen.xs] = True
-        clear, *_ = clear_pixels(asset.splats, view, NearSurface.of(seen.visible, drawn), drawn)
+        everywhere = (slice(None), slice(None))  # samples are filled in beyond what is drawn
+        clear, *_ = clear_pixels(asset.splats, view, NearSurface.of(seen.visible, drawn), drawn, everywhere)
     # The place of every pixel on the decal.
     coordinates, nearest = samples.at(points, normals)
     if painting and (nearest >= 0).any():

@@ -167,8 +167,8 @@ def _far_side(
     options: GlobalOptions,
 ) -> Callable[[slice], np.ndarray]:
     """What is to be taken from the predicted change of a block of M Gaussians ([M, 3] float32; see
-    `GlobalOptions.far_side`). splats: all drawable; visible: [S] those that are seen; change, seen_weights: [S, 3] and [S] of these, weight: [N], as of
-    `seen_change`."""
+    `GlobalOptions.far_side`). splats: all drawable; visible: [S] those that are seen; change, seen_weights: [S, 3] and
+    [S] of these, weight: [N], as of `seen_change`."""
     low, high = options.unexplained
     unexplained = unexplained_by_color(0.5 + SH_C0 * splats.sh[visible, 0], change, seen_weights, options)
     share = options.far_side * one_sided(splats, [view.camera for view in views])

@@ -186,14 +186,20 @@ def median_change(edited: np.ndarray, render: np.ndarray, alpha: np.ndarray) -> 
     return float(np.median(largest_difference(edited, render)[solid]))
 
 
+def window_around(mask: np.ndarray, reach: int) -> tuple[slice, slice]:
+    """Rows and columns of the rectangle of pixels within `reach` of a set one ([H, W] bool); none where none is set."""
+    rows = np.flatnonzero(mask.any(1))
+    if not len(rows):
+        return slice(0, 0), slice(0, 0)
+    columns = np.flatnonzero(mask[rows[0] : rows[-1] + 1].any(0))
+    top, bottom, left, right = (int(at) for at in (rows[0], rows[-1], columns[0], columns[-1]))
+    return slice(max(top - reach, 0), bottom + reach + 1), slice(max(left - reach, 0), right + reach + 1)
+
+
 def dilated(mask: np.ndarray, reach: int) -> Bools:
     """[H, W] bool: pixels within `reach` of a set one along x and y."""
-    out = mask.copy()
-    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    if not len(rows):
-        return out
+    out, window = mask.copy(), window_around(mask, reach)
     # Only around the set pixels; most masks are small.
-    window = tuple(slice(max(int(at[0]) - reach, 0), int(at[-1]) + reach + 1) for at in (rows, columns))
     for axis in (0, 1):
         source, target = np.moveaxis(out[window].copy(), axis, 0), np.moveaxis(out[window], axis, 0)
         # Along one axis, then along the other: a square, in 2 reach steps an axis.

@@ -21,7 +21,7 @@ from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
 from splatpainter.lift.colors import MIN_CHANGE, lift_colors, recolor
 from splatpainter.lift.local.split import Lattice, projected_sizes
-from splatpainter.lift.masks import box_mean, dilated, paste
+from splatpainter.lift.masks import box_mean, dilated, paste, window_around
 from splatpainter.lift.nearest import nearest_pixels
 from splatpainter.lift.options import LocalOptions
 from splatpainter.lift.sheets.fringe import FringedSurface, fringe_of, fringe_paint
@@ -131,7 +131,8 @@ def resurface(
         return None
     # ... whose light comes from Gaussians that the sheet can replace.
     near = NearSurface.of(visible, covered)
-    clear, sums, footprints = clear_pixels(splats, view, near, covered)
+    window = window_around(covered, RESURFACING.clear_radius_px)  # of the whole picture: most sheets are small
+    clear, sums, footprints = clear_pixels(splats, view, near, covered, window)
     clear &= covered
     if clear.sum() < RESURFACING.min_clear * covered.sum():
         return None
@@ -194,22 +195,20 @@ def resurface(
 
 def without_islands(mask: np.ndarray) -> Bools:
     """[H, W] bool without parts that nowhere hold a 3 x 3 block (those parts' surroundings within 3 pixels stay)."""
-    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    core = np.zeros(mask.shape, bool)
+    core, window = np.zeros(mask.shape, bool), window_around(mask, 1)
     # Only around the set pixels; most masks are small.
-    if len(rows):
-        window = tuple(slice(max(int(at[0]) - 1, 0), int(at[-1]) + 2) for at in (rows, columns))
-        core[window] = ~dilated(~mask[window], 1)
+    core[window] = ~dilated(~mask[window], 1)
     return mask & dilated(core, 3)
 
 
 def clear_pixels(
-    splats: Splats, view: ProjectedView, near: NearSurface, covered: np.ndarray
+    splats: Splats, view: ProjectedView, near: NearSurface, covered: np.ndarray, window: tuple[slice, slice]
 ) -> tuple[np.ndarray, MaskSums, np.ndarray]:
-    """([H, W] bool pixels most of whose light comes from Gaussians that a sheet can take the place of: they lie on the
-    surface, and under the sheet, or are small enough to be cut at its edge; elsewhere, in the fog of captures, a veil
-    would stay before the sheet; how much of each of the view's Gaussians the covered pixels show; [M] the alpha of each
-    summed over the drawn tiles)."""
+    """([H, W] bool pixels most of whose light comes from Gaussians that a sheet can take the place of: they lie
+    on the surface, and under the sheet, or are small enough to be cut at its edge; elsewhere, in the fog of captures, a
+    veil would stay before the sheet; how much of each of the view's Gaussians the covered pixels show; [M] the alpha of
+    each summed over the drawn tiles). window: rows and columns of the pixels that are asked for, and of those within
+    RESURFACING.clear_radius_px around them; others are not clear."""
     ids = view.gaussian_ids
     sums, everywhere = view.mask_sums(covered, np.ones(covered.shape, bool))
     share = sums.alpha / np.maximum(everywhere.alpha, 1e-9)
@@ -225,9 +224,12 @@ def clear_pixels(
     colors = np.zeros((len(ids), 3), np.float32)
     colors[reached, 0], colors[reached, 1] = handled[reached] & (sides == TOUCHES), sides == FAR_BEHIND
     image, alpha, _ = view.rasterize(colors)
+    clear = np.zeros(covered.shape, bool)
+    image, alpha = image[window], alpha[window]
     weight, hidden = image[..., 0] - image[..., 2], image[..., 1] - image[..., 2]  # over black
-    clear = (weight > RESURFACING.min_handled * (alpha - hidden)) & (weight > RESURFACING.min_touching * alpha)
-    return box_mean(clear.astype(np.float32), RESURFACING.clear_radius_px) > 0.5, sums, everywhere.alpha
+    light = (weight > RESURFACING.min_handled * (alpha - hidden)) & (weight > RESURFACING.min_touching * alpha)
+    clear[window] = box_mean(light.astype(np.float32), RESURFACING.clear_radius_px) > 0.5
+    return clear, sums, everywhere.alpha
 
 
 def _footprints(around: ProjectedView, tiles: np.ndarray) -> np.ndarray:
