@@ -106,16 +106,21 @@ def recolor(
 
     One view cannot know view dependence: bands above the first are kept, but scaled down to `damping` as the change
     approaches `full_change` (0..1), so that a repainted highlight does not shine through the paint from other sides."""
-    # The fraction of the old view dependence that stays falls with the size of the change.
-    change = row_max(np.abs(target - before))  # [M]
-    keep = (1 - (1 - damping) * np.clip(change / full_change, 0, 1))[:, None]  # [M, 1]
-    constant = SH_C0 * sh[:, 0]
-    varying = before - 0.5 - constant  # what bands >= 1 add towards this view
-    # Along all bands at once: rows of three numbers take numpy three times as long.
-    out = (sh.reshape(len(sh), math.prod(sh.shape[1:])) * keep).reshape(sh.shape)
-    # The constant band takes what the kept bands do not give, so that this view shows the target exactly.
-    out[:, 0] = (target - 0.5 - keep * varying) / SH_C0
-    return out.astype(sh.dtype, copy=False)
+    out, size = np.empty_like(sh), math.prod(sh.shape[1:])
+
+    def fill(block: slice) -> None:
+        # The fraction of the old view dependence that stays falls with the size of the change.
+        change = row_max(np.abs(target[block] - before[block]))  # [M]
+        keep = (1 - (1 - damping) * np.clip(change / full_change, 0, 1))[:, None]  # [M, 1]
+        constant = SH_C0 * sh[block, 0]
+        varying = before[block] - 0.5 - constant  # what bands >= 1 add towards this view
+        # Along all bands at once: rows of three numbers take numpy three times as long.
+        out[block] = (sh[block].reshape(len(keep), size) * keep).reshape(len(keep), *sh.shape[1:])
+        # The constant band takes what the kept bands do not give, so that this view shows the target exactly.
+        out[block, 0] = (target[block] - 0.5 - keep * varying) / SH_C0
+
+    by_blocks(fill, len(sh))
+    return out
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from dataclasses import field, replace
 import numpy as np
 
 from splatpainter.array_types import Bools, Ids
+from splatpainter.kernels.rows import take
 from splatpainter.lift.local.split import Lattice
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.splats import Splats
@@ -42,7 +43,7 @@ class Pieces:
         ids = np.flatnonzero(self.left)
         parent_ids = np.concatenate([ids, self.parent_ids])
         order = np.argsort(parent_ids, kind="stable")
-        return base.take(ids).append(self.splats).take(order), parent_ids[order]
+        return take(base.take(ids).append(self.splats), order), parent_ids[order]
 
 
 def joined_view(pieces: Pieces, new: Splats, around: ProjectedView, tiles: np.ndarray) -> ProjectedView:

@@ -19,6 +19,7 @@ from splatpainter.kernels import portable
 from splatpainter.kernels.arrays import readonly
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
+from splatpainter.kernels.rows import take
 from splatpainter.lift.colors import MIN_CHANGE, lift_colors, recolor
 from splatpainter.lift.local.split import Lattice, projected_sizes
 from splatpainter.lift.masks import box_mean, dilated, paste, window_around
@@ -322,7 +323,7 @@ def _sheet(
         hidden_ids = heaviest.ravel()[nearest[ys, xs]]
     toward = np.zeros((len(hidden), 3), np.float32)
     toward[view.gaussian_ids] = view.unclamped_colors
-    parents, dtype = hidden.take(hidden_ids), hidden.means.dtype
+    parents, dtype = take(hidden, hidden_ids), hidden.means.dtype
     sheet = Splats(
         _within_horizon(hidden, hidden_ids, heaviest, geometry, cells.centers, camera).astype(dtype),
         geometry.quats.astype(dtype),
@@ -446,11 +447,11 @@ def _assemble(
     removed = np.flatnonzero(emptied)
 
     slots = np.flatnonzero(pieces.slot)
-    written_gaussians = fresh.take(np.concatenate([slots, first + placed]))
+    written_gaussians = take(fresh, np.concatenate([slots, first + placed]))
     recolored = replace(splats.take(painted.ids), sh=painted.sh)
     written = np.concatenate([painted.ids, pieces.parent_ids[slots], index[placed]])
     order = np.argsort(written, kind="stable")
-    written, values = written[order], recolored.append(written_gaussians).take(order)
+    written, values = written[order], take(recolored.append(written_gaussians), order)
     # Bits, not values: -0.0 and NaN count as what they are in the file.
     differs = np.zeros(len(written), bool)
     for name in ATTRIBUTES:
@@ -458,5 +459,5 @@ def _assemble(
         differs |= (bits != old).reshape(len(written), -1).any(1)
     tail = np.concatenate([np.flatnonzero(~pieces.slot), first + np.flatnonzero(index < 0)])
     parents = np.concatenate([pieces.parent_ids[~pieces.slot], parent_ids[index < 0]])
-    edit = SparseEdit(written[differs], values.take(differs), removed, fresh.take(tail), parents)
+    edit = SparseEdit(written[differs], take(values, np.flatnonzero(differs)), removed, take(fresh, tail), parents)
     return Resurfaced(edit, np.sort(index[placed]), covered)
