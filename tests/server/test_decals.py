@@ -13,8 +13,10 @@ import pytest
 from PIL import Image
 
 from splatpainter.cameras import look_at
+from splatpainter.decals import decal_placement
 from splatpainter.rendering import render
 from splatpainter.server.protocol import CameraInfo
+from splatpainter.splats import ATTRIBUTES
 from tests.support import studio_scenes, surface_shapes
 from tests.support.studio_scenes import Live, view
 
@@ -109,3 +111,43 @@ def test_what_is_shown_before_is_where_it_is_laid(live: Live) -> None:
         assert area.sum() > 100 and (area & changed).sum() > 0.85 * (area | changed).sum()
     nowhere = live.http.post("/api/do/decal.show", json={**fields, "x": 2, "columns": 4, "rows": 4, "view": CAMERA})
     assert nowhere.status_code == 400 and "no surface" in nowhere.json()["error"]["message"]
+
+
+def test_what_was_shown_is_not_surveyed_again(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where it lies is found out once for preview and laying, whatever the picture shows, and anew for another place,
+    size of the picture or state of the asset."""
+    surveys = []
+    survey = decal_placement.survey
+    monkeypatch.setattr(decal_placement, "survey", lambda *args: surveys.append(args) or survey(*args))
+    at = {"camera": CAMERA, "x": 56.0, "y": 44.0, "width": 0.7, "angle": 20.0}
+    request = {**at, "columns": 24, "rows": 12, "view": CAMERA}
+    live.post("decal.show", **request)
+    assert len(surveys) == 1
+    live.post("decal.show", **request)
+    live.post("decal.show", **request, replaces=None)
+    layer = live.post("decal.lay", picture=live.send(label((255, 0, 0))), **at)["layer"]["id"]
+    assert len(surveys) == 1
+    # Changed afterwards it lies on what is below it, which is as it was.
+    live.post("decal.show", **request, replaces=layer)
+    live.post("decal.lay", picture=live.send(label((0, 0, 255))), replaces=layer, **at)
+    assert len(surveys) == 1
+    for other in ({"x": 57.0}, {"angle": 21.0}, {"columns": 36}, {"width": 0.69}):
+        before = len(surveys)
+        live.post("decal.show", **{**request, **other}, replaces=layer)
+        assert len(surveys) == before + 1, other
+    live.post("decal.show", **request)
+    assert len(surveys) == 6, "on the decal that is there now"
+
+
+def test_a_shared_survey_lays_the_same(live: Live) -> None:
+    """Rows of the layer with and without a preview before it."""
+    at = {"camera": CAMERA, "x": 56.0, "y": 44.0, "width": 0.7}
+    states = []
+    for preview in (False, True):
+        if preview:
+            live.post("decal.show", **at, columns=24, rows=12, view=CAMERA)
+        live.post("decal.lay", picture=live.send(label((255, 0, 0))), **at)
+        states.append(live.studio.session.splats)
+        live.post("undo")
+    for name in ATTRIBUTES:
+        np.testing.assert_array_equal(getattr(states[0], name), getattr(states[1], name))

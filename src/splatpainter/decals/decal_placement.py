@@ -111,10 +111,11 @@ def decal_placement(
     level: np.ndarray | None = None,
 ) -> DecalPlacement:
     """at: pixel (x, y) of the camera (of the asset's own space); size: (width, height), world units; longer_px: pixels
-    of the picture's longer side; angle: degrees, counter-clockwise from outside; wrap: degrees; level: [3] world
-    direction that is up, None: the view's. Raises ValueError where there is no surface under the pixel."""
+    of the picture's longer side, as it will be painted; angle: degrees, counter-clockwise from outside; wrap: degrees;
+    level: [3] world direction that is up, None: the view's. Raises ValueError where there is no surface under the
+    pixel."""
     width, height = size
-    pixel = max(size) / int(np.clip(longer_px, PLACEMENT.min_decal_px, MAX_DECAL_PX))
+    pixel = max(size) / longer_px
     # Samples as fine as the picture needs, as the Gaussians can tell, and as time allows.
     spacing = max(
         math.sqrt(width * height / PLACEMENT.samples), 1.5 * pixel, PLACEMENT.spacing_widths * surface.typical_width

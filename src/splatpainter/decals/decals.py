@@ -108,17 +108,18 @@ class Decal:
         Raises ValueError: no surface under the pixel, nothing of the decal on the asset, too large a decal."""
         return list(self.laid(asset, surface).edits)
 
-    def laid(self, asset: Asset, surface: Surface | None = None) -> LaidDecal:
-        """`views`, with what there is to say about them."""
+    def laid(
+        self, asset: Asset, surface: Surface | None = None, placement: DecalPlacement | None = None
+    ) -> LaidDecal:
+        """`views`, with what there is to say about them. placement: of `placed`, if at hand."""
         assert isinstance(self.picture, Picture)
         surface = surface or Surface.of(asset.splats)
         # Where it lies, in how many pixels, and which samples it paints at all.
-        placement = self.placed(asset, surface)
+        placement = placement or self.placed(asset, surface)
         patch, up, (width, height) = placement.patch, placement.up, placement.size
-        longer = int(np.clip(max(self.picture.size), PLACEMENT.min_decal_px, MAX_DECAL_PX))
-        pixel = max(width, height) / longer
+        pixel = max(width, height) / self.longer_px
         if patch.smoothing:
-            pixel = max(width, height) / rough_length_px(self.picture, longer)
+            pixel = max(width, height) / rough_length_px(self.picture, self.longer_px)
         texture = _texture(self.picture, max(round(width / pixel), 1), max(round(height / pixel), 1))
         alpha = _sampled(texture, patch.samples.uv, (width, height), soft=2 * placement.spacing)[:, 3]
         painted = patch.under & (alpha > DECALS.min_paint_alpha)
@@ -141,9 +142,15 @@ class Decal:
         assert isinstance(self.picture, Picture)
         surface = surface or Surface.of(asset.splats)
         level = None if self.level is None else np.array(self.level, np.float64)
-        camera, longer = self.camera.within(asset.splats.offset), max(self.picture.size)
+        camera = self.camera.within(asset.splats.offset)
         size, turns = self.size(asset), {"angle": self.angle, "wrap": self.wrap}
-        return decal_placement(asset, surface, camera, self.at, size, longer, level=level, **turns)
+        return decal_placement(asset, surface, camera, self.at, size, self.longer_px, level=level, **turns)
+
+    @property
+    def longer_px(self) -> int:
+        """Pixels of its longer side in the views that paint it, but on rough surface."""
+        assert isinstance(self.picture, Picture)
+        return int(np.clip(max(self.picture.size), PLACEMENT.min_decal_px, MAX_DECAL_PX))
 
     def _edit(self, asset: Asset, part: FacedPart, texture: np.ndarray, size: tuple[float, float]) -> Edit | None:
         layer = _sampled(texture, part.uv, size)

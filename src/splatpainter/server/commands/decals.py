@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from splatpainter.decals.decal_placement import MAX_DECAL_PX, blocks_of
+from splatpainter.decals.decal_placement import blocks_of
 from splatpainter.decals.decals import LITTLE_COVERAGE, Decal
 from splatpainter.operations.decal import LayDecal
 from splatpainter.painter import Method
-from splatpainter.pictures.picture_reader import read_picture
+from splatpainter.pictures.picture_reader import Picture, read_picture
 from splatpainter.server.commands.context import (
     CommandContext,
     RawExpr,
@@ -156,12 +156,11 @@ class DecalShow(PlacedDecal):
 @command(DecalShow, background=True)
 def show_decal(context: CommandContext, request: DecalShow) -> DecalMap:
     session = context.studio.session
-    # Only the picture's shape, and its size as far as that is used, say where it lies.
-    factor = min(1.0, MAX_DECAL_PX / max(request.columns, request.rows))
-    shape = tuple(max(round(side * factor), 1) for side in (request.rows, request.columns))
+    # Only the picture's size says where it lies: just as when it is laid, so that both are surveyed once.
+    plain = Picture(np.broadcast_to(np.float32(1), (request.rows, request.columns, 3)), None)
     camera, level = request.camera.to_camera(), up_axis(session)
     at, width = (request.x, request.y), request.width
-    decal = Decal(np.ones((*shape, 3), np.float32), at, camera, width, request.angle, request.wrap, level=level)
+    decal = Decal(plain, at, camera, width, request.angle, request.wrap, level=level)
     view, block = blocks_of(request.view.to_camera())
     # On blocks: the page needs the place of each to draw the preview, not every pixel's.
     table = session.surface.decal_map(decal, view, replaces=request.replaces)

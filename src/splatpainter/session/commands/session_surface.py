@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.painter import Asset
 from splatpainter.session.commands.session_core import SessionCore
 from splatpainter.session.replay.delta import without_source
 
 if TYPE_CHECKING:
     from splatpainter.decals.decals import Decal, LaidDecal
+    from splatpainter.decals.recent_surveys import RecentSurveys
+    from splatpainter.painter import Asset
     from splatpainter.surface.estimate import Surface
 
 
@@ -67,13 +69,13 @@ class SessionSurface:
         """A decal on the asset as it is now, or on what is below a layer: its edits, for `layers.add("paint",
         laid.edits)` or `layers.replace_views(replaces, laid.edits)`. Raises ValueError as Decal.laid does."""
         asset, surface = self._under_decal(replaces)
-        return decal.laid(asset, surface)
+        return decal.laid(asset, surface, self._surveys.placement(decal, asset, surface))
 
     def decal_map(self, decal: Decal, camera: Camera, *, replaces: str | None = None) -> np.ndarray:
         """[H, W, 2] where `laid` would put it, as a view shows it: places of the decal, world units right and up of its
         middle, NaN beside it. Raises ValueError as Decal.laid does."""
         asset, surface = self._under_decal(replaces)
-        return decal.placed(asset, surface).map_on(asset, surface, camera.within(asset.splats.offset))
+        return self._surveys.placement(decal, asset, surface).map_on(asset, surface, camera.within(asset.splats.offset))
 
     def _under_decal(self, replaces: str | None) -> tuple[Asset, Surface]:
         """What a decal is laid on; replaces: the layer that it takes the place of, which is not there then."""
@@ -84,7 +86,12 @@ class SessionSurface:
             with core.lock:
                 splats = core.replay.compose(core.document.below(replaces)).splats
         surfaces = core.replay.surfaces(core.document)
-        asset = Asset(
-            replace(without_source(splats), origin=np.arange(len(splats))), original=without_source(surfaces.original)
-        )
+        splats = replace(without_source(splats), origin=np.arange(len(splats)))
+        asset = self._surveys.asset(splats, without_source(surfaces.original), surfaces.surface)
         return asset, surfaces.surface
+
+    @cached_property
+    def _surveys(self) -> RecentSurveys:
+        from splatpainter.decals.recent_surveys import RecentSurveys  # which loads what only decals need
+
+        return RecentSurveys()
