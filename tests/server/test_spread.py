@@ -13,6 +13,10 @@ from PIL import Image
 from splatbench.studio_client import encoded, wire
 
 from splatpainter.image_files import encode_png, to_uint8
+from splatpainter.lift.edit_views import EditView
+from splatpainter.session.document.layer_factory import decode_cover, decode_mask
+from splatpainter.splats import ColorSpace
+from splatpainter.spread import spread
 from tests.support.lift_scenes import differing
 from tests.support.spread_scenes import CAMERA, SIDE, board, left_half, painted_picture
 from tests.support.studio_pages import opened_page
@@ -53,6 +57,41 @@ def test_a_stroke_that_spreads_is_a_layer_with_a_threshold(studio: Live) -> None
     assert behind(studio) == 0
     studio.post("undo")
     assert behind(studio) == count and studio.post("verify")["proved"]
+
+
+def test_a_soft_brush_is_kept_as_thick_as_it_was(studio: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What spreads asks how far each pixel was covered, also when the layer is computed anew; of a glaze, over its
+    thickest."""
+    covers_of_views = []
+    paint_alone = spread.paint_alone
+
+    def spied(view: EditView, space: ColorSpace) -> EditView:
+        covers_of_views.append(view.cover)
+        return paint_alone(view, space)
+
+    monkeypatch.setattr(spread, "paint_alone", spied)
+    alpha = np.where(left_half(), 120, 0)
+    alpha[:, :20] = np.where(left_half(), 30, 0)[:, :20]
+    for thickness in (1, 2):
+        name = studio.post("paint.begin", camera=wire(CAMERA))["stroke"]
+        rgba = np.dstack([to_uint8(painted_picture(board())), thickness * alpha]).astype(np.uint8)
+        studio.post("paint.dab", stroke=name, x=0, y=0, width=72, height=72, rgba=encoded(rgba))
+        layer = studio.post("paint.end", stroke=name, spread=0.5)["layer"]["id"]
+        session = studio.studio.session
+        (view,) = session.layers.by_id(layer).views
+        data = session._core.project.blob(view.mask or "")
+        np.testing.assert_array_equal(decode_mask(data, view.camera, "mask"), left_half())
+        covers = [decode_cover(data, view.camera, "mask"), covers_of_views[-1]]
+        for cover in covers:
+            np.testing.assert_allclose(cover[left_half()], alpha[left_half()] / 120, atol=0.005)
+        assert behind(studio) > 250
+        studio.post("undo")
+    # What stays where it is painted has a mask as ever.
+    name = studio.post("paint.begin", camera=wire(CAMERA))["stroke"]
+    studio.post("paint.dab", stroke=name, x=0, y=0, width=72, height=72, rgba=encoded(rgba))
+    layer = studio.post("paint.end", stroke=name)["layer"]["id"]
+    (view,) = session.layers.by_id(layer).views
+    assert decode_cover(session._core.project.blob(view.mask or ""), view.camera, "mask") is None
 
 
 def test_a_picture_is_spread(studio: Live) -> None:

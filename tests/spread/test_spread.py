@@ -7,12 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from splatpainter.cameras import look_at
+from splatpainter.color import from_display, to_display
 from splatpainter.kernels.parallel import THREADS_VARIABLE
+from splatpainter.lift.edit_views import EditView
 from splatpainter.lift.masks import dilated
 from splatpainter.painter import Asset, Edit, EditSettings, Painter
 from splatpainter.rendering import render
-from splatpainter.splats import SH_C0, Splats
+from splatpainter.splats import ATTRIBUTES, SH_C0, ColorSpace, Splats
 from splatpainter.spread.options import SpreadOptions
+from splatpainter.spread.soft_edges import MIN_TEACHING_COVER, on_other_ground, paint_alone
 from tests.support.lift_scenes import db, differing
 from tests.support.spread_scenes import CAMERA, PAINT, SIDE, board, left_half, lit, painted_picture
 
@@ -66,6 +70,60 @@ def test_the_edited_view_shows_the_picture_and_no_rim_of_old_colour(mask: np.nda
     assert one.psnr_after is not None and other.psnr_after is not None and other.psnr_after > one.psnr_after - 1
     inner = left_half() & ~dilated(~left_half(), 3)
     assert db(np.clip(render(result.splats, CAMERA).colors[0], 0, 1), picture, inner) > 27
+
+
+def soft(mask: np.ndarray, width: int) -> np.ndarray:
+    """[H, W] float32 cover that rises from a mask's edge inwards, over `width` pixels."""
+    rings = np.stack([~dilated(~mask, k) for k in range(width)])
+    return np.asarray(rings.mean(0), np.float32)
+
+
+@pytest.mark.parametrize("mask", [left_half(), stroke()], ids=["all of it", "a stroke"])
+def test_a_soft_edge_is_no_rim_of_old_colour_and_teaches_no_weaker_one(mask: np.ndarray) -> None:
+    """Taken for the paint itself, mixtures are a rim beside the colour that was spread: 19 and 13 dB there."""
+    splats, picture = board(), painted_picture(board())
+    before, cover = render(splats, CAMERA).colors[0], soft(mask, 7)
+    mixed = (before + cover[..., None] * (picture - before)).astype(np.float32)
+    painter = Painter()
+    edit = Edit(mixed, CAMERA, mask, cover=cover)
+    result = painter.apply(painter.encode(splats), [edit], "spread")
+    inner = mask & (cover < 1) & left_half() & ~dilated(~left_half(), 3)
+    assert inner.sum() > 100
+    assert db(np.clip(render(result.splats, CAMERA).colors[0], 0, 1), picture, inner) > 28
+    ids = np.flatnonzero((splats.means[:, 0] < -0.1) & BACK)
+    light = (0.4 + 0.15 * splats.means[ids, 1])[:, None]
+    assert np.abs(0.5 + SH_C0 * result.splats.sh[ids, 0] - lit(PAINT, light)).mean() < 0.035
+
+
+def test_full_cover_changes_nothing() -> None:
+    splats, picture = board(), painted_picture(board())
+    painter, ones = Painter(), np.ones((CAMERA.height, CAMERA.width))
+    edits = [Edit(picture, CAMERA, stroke(), cover=cover) for cover in (None, ones)]
+    first, second = (painter.apply(painter.encode(splats), [edit], "spread").splats for edit in edits)
+    for name in ATTRIBUTES:
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+    local = [painter.apply(painter.encode(splats), [replace(e, cover=0.5 * ones)]).splats for e in edits[:1]]
+    np.testing.assert_array_equal(local[0].sh, painter.apply(painter.encode(splats), edits[:1]).splats.sh)
+
+
+@pytest.mark.parametrize("space", ["srgb", "linear"])
+def test_paint_over_other_ground_is_what_the_brush_would_have_made(space: ColorSpace) -> None:
+    rng = np.random.default_rng(0)
+    ground, other, paint = (from_display(rng.uniform(0.2, 0.8, (20, 20, 3)), space) for _ in range(3))
+    cover = rng.uniform(0, 1, (20, 20)).astype(np.float32)
+
+    def brushed(below: np.ndarray) -> np.ndarray:
+        old, new = to_display(below, space), to_display(paint, space)
+        return from_display(old + cover[..., None] * (new - old), space)
+
+    mask = np.ones((20, 20), bool)
+    view = EditView(look_at((0, 0, 1), (0, 0, 0), width=20, height=20), brushed(ground), mask, ground, cover=cover)
+    np.testing.assert_allclose(on_other_ground(view, other, space).edited, brushed(other), atol=1e-5)
+    alone = paint_alone(view, space)
+    np.testing.assert_array_equal(alone.mask, cover >= MIN_TEACHING_COVER)
+    np.testing.assert_allclose(alone.edited[alone.mask], paint[alone.mask], atol=1e-5)
+    faint = replace(view, cover=0.4 * cover)
+    assert paint_alone(faint, space) is faint, "nothing says what the paint is"
 
 
 def test_a_lower_threshold_reaches_more_and_one_reaches_nothing() -> None:

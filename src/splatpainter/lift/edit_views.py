@@ -44,6 +44,8 @@ class EditView:
     lifts ask for no others."""
     projected: ProjectedView | None = field(default=None, repr=False, compare=False)
     """The asset in at least these tiles, if at hand."""
+    cover: Floats | None = field(default=None, repr=False)
+    """[H, W] float32 as of `Edit`."""
 
     @property
     def target(self) -> np.ndarray:

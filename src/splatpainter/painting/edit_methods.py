@@ -119,6 +119,7 @@ class SpreadMethod(EditMethod):
 
     def lift(self, asset: Asset, views: Sequence[EditView]) -> LiftedEdit:
         from splatpainter.rendering import render
+        from splatpainter.spread.soft_edges import on_other_ground
         from splatpainter.spread.spread import SPREAD_DEFAULTS, spread
 
         result = spread(asset.splats, views, self.settings.spread_options or SPREAD_DEFAULTS)
@@ -127,8 +128,9 @@ class SpreadMethod(EditMethod):
             asset, splats=result.splats, original=asset.original or asset.splats, make_grid=lambda _: asset.grid
         )
         vars(below)["surface"] = asset.surface
-        # A view at hand holds the colours of the asset before.
-        again = [replace(view, before=render(result.splats, view.camera).colors[0], projected=None) for view in views]
+        # A view at hand holds the colours of the asset before; soft edges of its paint lie over those of now.
+        pictures = [(view, render(result.splats, view.camera).colors[0]) for view in views]
+        again = [on_other_ground(view, after, asset.splats.color_space) for view, after in pictures]
         return result.with_lift(lift_locally(below, again, self.settings))
 
 

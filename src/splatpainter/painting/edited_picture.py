@@ -32,6 +32,9 @@ class Edit:
     current render."""
     name: str = "edit"
     """What errors call it, e.g. its file."""
+    cover: np.ndarray | None = field(default=None, repr=False)
+    """[H, W] 0..1 how far the paint covers what was there, 1 where it does so as far as anywhere: less along the edge
+    of a soft brush. Kept as float32. None: not known, taken for all. What spreads is asked of it."""
 
     def __post_init__(self) -> None:
         image = np.asarray(self.image)
@@ -54,6 +57,11 @@ class Edit:
             if mask.shape != size:
                 raise ValueError(f"edit: expected a mask of shape {list(size)}, got {list(mask.shape)}")
             object.__setattr__(self, "mask", mask > 0)
+        if self.cover is not None:
+            cover = np.asarray(self.cover, np.float32)
+            if cover.shape != size or not ((cover >= 0) & (cover <= 1)).all():
+                raise ValueError(f"edit: expected a cover of shape {list(size)}, each 0..1")
+            object.__setattr__(self, "cover", cover)
 
     def relative_to(self, offset: tuple[float, float, float]) -> Edit:
         """This edit with its camera relative to the offset of an asset (Splats.offset)."""

@@ -54,7 +54,8 @@ def _prepare(asset: Asset, edit: Edit, mode: Mode, partly: bool, keep: bool) -> 
             what = unchanged if edit.mask is None else "the mask is empty"
             raise ValueError(f"edit: nothing to do, {what}")
     return EditView(
-        edit.camera, edit.image, mask, drawn.colors, drawn.depths, drawn.alphas, edit.name, drawn.tiles, drawn.view
+        *(edit.camera, edit.image, mask, drawn.colors, drawn.depths, drawn.alphas, edit.name, drawn.tiles, drawn.view),
+        cover=edit.cover,
     )
 
 

@@ -16,6 +16,7 @@ from splatpainter.lift.masks import box_mean, dilated
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import Splats
 from splatpainter.spread.descriptors import UNITS
+from splatpainter.spread.soft_edges import well_covered
 from splatpainter.system.quick_dataclass import dataclass
 
 
@@ -73,13 +74,16 @@ class Examples:
             # How much of each Gaussian the view shows, and how much of that is painted.
             everywhere = projected.backproject(black, np.ones(view.mask.shape, np.float32))
             painted = projected.backproject(black, view.mask.astype(np.float32)).weight
+            # A faint edge says neither that this is the material nor that it is not.
+            well = well_covered(view)
+            thick = painted if well is view.mask else projected.backproject(black, well.astype(np.float32)).weight
             visible_px[ids] += everywhere.weight
             alpha[ids] += everywhere.alpha
             visible = (everywhere.weight > EXAMPLES.min_seen_px) & (
                 everywhere.weight > EXAMPLES.min_visibility * everywhere.alpha
             )
-            share = painted / np.maximum(everywhere.weight, 1e-9)
-            positive[ids[visible & (share > EXAMPLES.positive)]] = True
+            share, thick_share = (weight / np.maximum(everywhere.weight, 1e-9) for weight in (painted, thick))
+            positive[ids[visible & (thick_share > EXAMPLES.positive)]] = True
             # Unpainted counts against the material only if the paint ends where the material ends.
             unpainted = ids[visible & (share < EXAMPLES.negative)]
             (other if open_share(view, splats) >= EXAMPLES.min_open_share else complete)[unpainted] = True

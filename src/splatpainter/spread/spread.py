@@ -31,6 +31,7 @@ from splatpainter.spread.descriptors import DESCRIPTOR_CHANNELS, Descriptors
 from splatpainter.spread.examples import Examples
 from splatpainter.spread.nearest_neighbours import smoothed
 from splatpainter.spread.options import SPREAD_DEFAULTS, SpreadOptions
+from splatpainter.spread.soft_edges import paint_alone
 from splatpainter.system.quick_dataclass import dataclass
 
 
@@ -212,7 +213,8 @@ def _color_change(splats: Splats, views: Sequence[EditView], confidence: np.ndar
     """What the views make of the material's colours. Raises ValueError where they show no solid part of it."""
     drawn = np.flatnonzero(splats.drawable)
     part = splats.take(drawn)
-    change, weight = seen_change(part, [(view.camera, view.edited, view.mask) for view in views])
+    pictures = [paint_alone(view, splats.color_space) for view in views]
+    change, weight = seen_change(part, [(view.camera, view.edited, view.mask) for view in pictures])
     # Sure examples first; any that the paint shows where there are none.
     for painted in ((weight > SPREADING.min_painted_px) & (confidence[drawn] > SPREADING.sure_confidence), weight > 0):
         if painted.any():

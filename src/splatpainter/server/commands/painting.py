@@ -235,7 +235,8 @@ def end(context: CommandContext, request: PaintEnd) -> LayerMade:
         else:
             picture = stroke.over(render_display(splats, stroke.camera))
         image = from_display(picture.astype(np.float32), splats.color_space)
-        edits = [Edit(image, stroke.camera, stroke.mask, request.name)]
+        cover = None if request.spread is None else stroke.cover
+        edits = [Edit(image, stroke.camera, stroke.mask, request.name, cover)]
         half = context.page.mirrored.get(request.stroke) if request.spread is None else None  # it goes all around
         # Under the other half there may be nothing of the asset to paint on.
         if half is not None and (half.mask & (render_alpha(splats, half.camera) > MIN_MIRRORED_ALPHA)).any():

@@ -244,6 +244,13 @@ class Stroke:
         """[H, W] bool: painted pixels."""
         return self.rgba[..., 3] > 0
 
+    @property
+    def cover(self) -> np.ndarray:
+        """[H, W] float32 0..1 how thick the paint is, over the thickest: less along soft edges, not for all of a
+        glaze."""
+        alpha = self.rgba[..., 3].astype(np.float32)
+        return alpha / max(float(alpha.max()), 1.0)
+
     def picture(self, splats: Splats, original: Splats, version: int) -> np.ndarray:
         """[H, W, 3] display colours 0..1: the stroke over the asset's own render."""
         self.prepare(splats, original, version)

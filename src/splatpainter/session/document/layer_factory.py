@@ -30,6 +30,8 @@ MAX_RECENT_BYTES = 1 << 22
 """Most bytes of pixels that were encoded lately and are at hand when they are asked for, each."""
 _recent: deque[tuple[bytes, np.ndarray]] = deque(maxlen=3)
 """(bytes, pixels) of the latest picture, its mask, and a third one."""
+LEAST_COVERED = 128
+"""Level of a mask's picture from which a pixel is in it; what lies above says how far it is covered."""
 THUMBNAIL_PX = 96
 """Longer side of a thumbnail."""
 THUMBNAIL_COLORS = 64
@@ -75,7 +77,7 @@ def new_layer(
         # Hashed as they will be stored: replay computes from these bytes, not from the floats that came in.
         inside = mask if cut_out else None
         picture = put(encode_picture(edit.image, splats.color_space, inside)) if operation.takes_pictures else None
-        views.append(View(edit.camera, picture, None if mask is None else put(encode_mask(mask))))
+        views.append(View(edit.camera, picture, None if mask is None else put(encode_mask(mask, edit.cover))))
         # The first view is what people know the layer by; of one without pictures that is its mask.
         if small is None:
             image = to_display(edit.image, splats.color_space)
@@ -101,9 +103,11 @@ def is_cut_out(data: bytes, camera: Camera, where: str) -> bool:
     return bool((_pixels(data, camera, where, "RGBA")[..., 3] == 0).any())
 
 
-def encode_mask(mask: np.ndarray) -> bytes:
-    """[H, W] bool -> PNG of 0 and 255."""
-    return _png(np.where(mask, 255, 0).astype(np.uint8))
+def encode_mask(mask: np.ndarray, cover: np.ndarray | None = None) -> bytes:
+    """[H, W] bool -> PNG of 0 and 255; with a cover ([H, W] 0..1, as of Edit) of 128 to 255 in place of 255, which is a
+    mask to whoever knows none."""
+    inside = 255 if cover is None else LEAST_COVERED + np.rint((255 - LEAST_COVERED) * cover)
+    return _png(np.where(mask, inside, 0).astype(np.uint8))
 
 
 def decode_picture(data: bytes, camera: Camera, where: str, space: ColorSpace = "srgb") -> np.ndarray:
@@ -126,7 +130,18 @@ def decode_mask_part(data: bytes, camera: Camera, where: str) -> np.ndarray:
 
 def decode_mask(data: bytes, camera: Camera, where: str) -> np.ndarray:
     """[H, W] bool. Raises ValueError as `decode_picture`."""
-    return _pixels(data, camera, where, "L") > 127
+    return _pixels(data, camera, where, "L") >= LEAST_COVERED
+
+
+def decode_cover(data: bytes, camera: Camera, where: str) -> np.ndarray | None:
+    """[H, W] float32 0..1, 1 beside the mask, too; None where it covers fully. Raises ValueError as
+    `decode_picture`."""
+    levels = _pixels(data, camera, where, "L")
+    inside = levels >= LEAST_COVERED
+    if (levels[inside] == 255).all():
+        return None
+    part = (levels.astype(np.float32) - LEAST_COVERED) / (255 - LEAST_COVERED)
+    return np.where(inside, part, 1).astype(np.float32)
 
 
 def thumbnail(image: np.ndarray, mask: np.ndarray | None, few_colors: bool = False) -> bytes:

@@ -30,7 +30,7 @@ from splatpainter.lift.sheets.view_limits import coarse_surface, left_out
 from splatpainter.lights.unlit import unlit_after
 from splatpainter.painter import Asset, Edit, Method, Mode, Painter
 from splatpainter.session.document.document import Document, Layer, digest
-from splatpainter.session.document.layer_factory import decode_mask, decode_picture, is_cut_out
+from splatpainter.session.document.layer_factory import decode_cover, decode_mask, decode_picture, is_cut_out
 from splatpainter.session.document.layer_view import View
 from splatpainter.session.replay.appearance import base_of_parents, picture_of, with_base
 from splatpainter.session.replay.conflicts import EditedIds, policy_strength
@@ -493,7 +493,9 @@ class Replay:
         image = decode_picture(data, view.camera, where, self.original.color_space)
         if below is not None and view.mask is not None and is_cut_out(data, view.camera, where):
             image = np.where(self.mask(view)[..., None], image, picture_of(below, view.camera))
-        return Edit(image, view.camera, None if view.mask is None else self.mask(view), layer.name)
+        mask = None if view.mask is None else self.mask(view)
+        cover = None if view.mask is None else decode_cover(self.store.blob(view.mask), view.camera, where)
+        return Edit(image, view.camera, mask, layer.name, cover)
 
     def mask(self, view: View) -> np.ndarray:
         """[H, W] bool mask of a view; all of it where it has none."""

@@ -46,7 +46,7 @@ def split_edits(scene: Scene, edits: Sequence[Edit], masked: bool = True) -> lis
             # Pixels of no asset stay with each: paint may reach a little beyond a silhouette.
             inside = mask & ((owner == k) | (owner < 0))
             if (inside & (owner == k)).any():
-                pieces.append(Edit(edit.image, part.camera(edit.camera), inside, edit.name))
+                pieces.append(Edit(edit.image, part.camera(edit.camera), inside, edit.name, edit.cover))
         out.append((part, pieces))
     return out
 
