@@ -86,6 +86,67 @@ def test_a_place_of_the_picture_is_held_once() -> None:
     assert not decal_survey.laid_twice(same_way).any(), "a fold that faces the same way"
 
 
+def test_small_pieces_that_nothing_joins_to_the_middle_are_crumbs() -> None:
+    """A plane of 41 x 41 samples; parts of it lie elsewhere, as on another body, though the picture goes on there."""
+    step = 0.02
+    u, v = (axis.ravel() for axis in np.meshgrid(np.arange(-20, 21) * step, np.arange(-20, 21) * step))
+    middle_first = np.argsort(u**2 + v**2, kind="stable")
+    u, v = u[middle_first], v[middle_first]
+    plane = unwrap(np.stack([u, v, 0 * u], 1), np.tile(AHEAD, (len(u), 1)), np.array([0, 1.0, 0]), step, (0.35, 0.35))
+    within = plane.reached
+    under = within & (np.abs(plane.uv) < 0.35).all(1)
+    assert under.sum() == 35**2 and not decal_survey.crumbs(plane, within, under).any()
+
+    def crumbs_where(elsewhere: np.ndarray) -> np.ndarray:
+        points = plane.points + np.where(elsewhere[:, None], (0, 0, -8 * step), 0)
+        return decal_survey.crumbs(replace(plane, points=points), within, under)
+
+    corner = (u > 0.21) & (v > 0.21)
+    assert 20 < (corner & under).sum() < 0.05 * under.sum() < under.sum() - (corner & under).sum()
+    np.testing.assert_array_equal(crumbs_where(corner), corner & within)
+    assert not crumbs_where(u > 0.1).any(), "the other side of a gap"
+    middle = (np.abs(u) < 0.05) & (np.abs(v) < 0.05)
+    assert not crumbs_where(middle).any(), "what was clicked stays, however small"
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.5], ids=["surveyed", "fused"])
+def test_crumbs_are_neither_shown_nor_laid(noise: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    asset = Painter().encode(surface_shapes.box(8_000, noise=noise))
+    decal = Decal(SQUARE, MIDDLE, FRONT, 0.6)
+    monkeypatch.setattr(decal_survey, "crumbs", lambda samples, within, under: within & (samples.points[:, 0] > 0.15))
+    placement = decal.placed(asset)
+    assert bool(placement.patch.smoothing) == (noise > 0)
+    part = placement.map_on(asset, asset.surface, FRONT)
+    ys, xs = np.nonzero(np.isfinite(part[..., 0]))
+    points = FRONT.unproject(sp.render(asset.splats, FRONT).depths[0, ..., 0][ys, xs], np.stack([xs, ys], 1) + 0.5)
+    assert points[:, 0].min() < -0.25 and 0.1 < points[:, 0].max() < 0.22
+    masks = [(edit.camera, np.nonzero(edit.mask)) for edit in decal.views(asset) if edit.mask is not None]
+    for camera, (ys, xs) in masks:
+        seen = sp.render(asset.splats, camera).depths[0, ..., 0][ys, xs]
+        assert camera.unproject(seen, np.stack([xs, ys], 1) + 0.5)[:, 0].max() < 0.25
+
+
+def test_a_body_before_foggy_surface_does_not_show_its_decal() -> None:
+    """A plate as near before a rough box as fog may be, at a slant: it is trusted to be where it is, so it is none."""
+    aslant = looking(np.array([0.1, 0, 0.5]), np.array([0.87, 0, 0.5]))
+    box = surface_shapes.box(20_000, noise=0.5)
+    patch = Decal(SQUARE, MIDDLE, FRONT, 0.8).placed(Painter().encode(box)).patch
+    away = 0.85 * patch.smoothing
+    x, y = (axis.ravel() for axis in np.meshgrid(np.linspace(0, 0.3, 50), np.linspace(-0.15, 0.15, 50)))
+    plate = facing(np.stack([x, y, np.full(len(x), 0.5 + away)], 1), 0.006)
+    pixels, _ = aslant.project(plate.means.astype(np.float64))
+    columns, rows = pixels.astype(int).T
+    inner = slice(rows.min() + 5, rows.max() - 5), slice(columns.min() + 5, columns.max() - 5)
+    shares = []
+    for splats in (box, box.append(plate)):
+        asset = Painter().encode(splats)
+        view = decal_views.mapped_view(asset, asset.surface, patch, patch.under, aslant)
+        on = np.zeros((aslant.height, aslant.width), bool)
+        on[view.ys, view.xs] = True
+        shares.append(float(on[inner].mean()))
+    assert patch.smoothing and shares[0] > 0.95 and shares[1] < 0.05, shares
+
+
 def windowed_plate() -> sp.Splats:
     """A thin rough plate with a window in it, frame and all: the way through the window leads to its back."""
     plate = surface_shapes.box(20_000, (0.6, 0.6, 0.12), noise=0.5)

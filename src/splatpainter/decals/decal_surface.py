@@ -97,14 +97,14 @@ def surface_pixels(
 def rough_pixels(
     asset: Asset, surface: Surface, view: ProjectedView, pixels: np.ndarray, depth: np.ndarray
 ) -> SurfacePixels:
-    """Some pixels ([H, W] bool) as if they faced the camera: where the surface is trusted, at its depth, else at the
-    rendered one ([H, W] z), into which all fog before and behind it goes."""
+    """Some pixels ([H, W] bool) as if they faced the camera: where the surface is trusted, at its depth, else (rough)
+    at the rendered one ([H, W] z), into which all fog before and behind it goes."""
     camera = view.camera
     ys, xs = np.nonzero(pixels)
     trusted = visible_surface(surface, asset.splats, view, pixels).at(np.stack([xs, ys], 1) + 0.5).depth
     points = camera.unproject(np.where(trusted > 0, trusted, depth[ys, xs]), np.stack([xs, ys], 1) + 0.5)
     line = camera.position - points
-    return SurfacePixels(ys, xs, points, line / np.linalg.norm(line, axis=1, keepdims=True), np.ones(len(ys), bool))
+    return SurfacePixels(ys, xs, points, line / np.linalg.norm(line, axis=1, keepdims=True), trusted <= 0)
 
 
 def _fitted_normals(

@@ -38,6 +38,10 @@ class DecalViewThresholds:
     ray_rounds: int = 2
     """How often it is moved, each time back onto its line of sight: all views find the same letters at the same
     place."""
+    max_pull: float = 1.0
+    """How far a pixel of trusted surface is moved onto the fused one, in radii of the smoothing. Two decals on
+    st-peter, outside of the preview, without a limit and with this: 11.1 -> 9.9 and 4.1 -> 3.4 %; massa's pedestal with
+    0.5: 9.1 -> 16.9."""
     min_slope: float = 0.2
     """Cosine of the angle at which a line of sight must meet the surface for that."""
     min_rim_alpha: float = 0.15
@@ -327,6 +331,11 @@ def mapped_view(
         clear, *_ = clear_pixels(asset.splats, view, NearSurface.of(seen.visible, drawn), drawn, everywhere)
     # The place of every pixel on the decal.
     coordinates, nearest = samples.at(points, normals)
+    if patch.smoothing:
+        # What is trusted to lie elsewhere is another body, before the decal or behind it, and not fog.
+        pull = np.linalg.norm(points - seen.points, axis=1)
+        elsewhere = ~seen.rough & (pull > DECAL_VIEWS.max_pull * patch.smoothing)
+        coordinates[elsewhere], nearest[elsewhere] = np.nan, -1
     if painting and (nearest >= 0).any():
         # A speck is where another body, and what is behind it, have the depth of the surface in their mean.
         speck = _specks(seen, coordinates, region.shape, DECAL_VIEWS.speck_reach_px * pixel)

@@ -108,9 +108,7 @@ class Decal:
         Raises ValueError: no surface under the pixel, nothing of the decal on the asset, too large a decal."""
         return list(self.laid(asset, surface).edits)
 
-    def laid(
-        self, asset: Asset, surface: Surface | None = None, placement: DecalPlacement | None = None
-    ) -> LaidDecal:
+    def laid(self, asset: Asset, surface: Surface | None = None, placement: DecalPlacement | None = None) -> LaidDecal:
         """`views`, with what there is to say about them. placement: of `placed`, if at hand."""
         assert isinstance(self.picture, Picture)
         surface = surface or Surface.of(asset.splats)

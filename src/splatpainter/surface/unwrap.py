@@ -13,7 +13,7 @@ So nothing steps through a thin wall, or across a gap in depth (native/surface/u
 from __future__ import annotations
 
 import math
-from dataclasses import field
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -60,6 +60,12 @@ class Unwrapped:
     def reached(self) -> Bools:
         """[S] bool."""
         return np.isfinite(self.distances)
+
+    def without(self, chosen: np.ndarray) -> Unwrapped:
+        """The samples as if some ([S] bool) had not been reached."""
+        uv, distances = self.uv.copy(), self.distances.copy()
+        uv[chosen], distances[chosen] = np.nan, np.inf
+        return replace(self, uv=uv, distances=distances)
 
     def at(self, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(uv [Q, 2], nearest [Q] int64 the sample that each point took most from) at other points of the surface,

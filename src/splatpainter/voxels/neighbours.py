@@ -58,6 +58,27 @@ def components(points: np.ndarray, size: float) -> np.ndarray:
     return rank[labels]
 
 
+def near_pairs(points: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """([K] int64, [K] int64) all pairs of points ([P, 3]) that are at most `radius` apart, each once."""
+    if not len(points):
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    keys, order = _sorted(_cells(points, np.median(points, axis=0), radius))
+    first, second = [], []
+    for x, y, z in np.ndindex(3, 3, 3):
+        # Where the cube one step on begins and ends among the sorted points.
+        step = ((x - 1) << 2 * CELL_BITS) + ((y - 1) << CELL_BITS) + z - 1
+        begin, end = (np.searchsorted(keys, keys + step, side) for side in ("left", "right"))
+        count = end - begin
+        one = np.repeat(np.arange(len(keys)), count)
+        two = np.arange(len(one)) - np.repeat(np.cumsum(count) - count, count) + np.repeat(begin, count)
+        keep = one < two
+        first.append(order[one[keep]])
+        second.append(order[two[keep]])
+    one, two = np.concatenate(first), np.concatenate(second)
+    near = ((points[one] - points[two]) ** 2).sum(1) <= radius**2
+    return one[near], two[near]
+
+
 def _cells(points: np.ndarray, middle: np.ndarray, size: float) -> np.ndarray:
     """[P, 3] int64 cubes, the outermost ones left free."""
     with np.errstate(invalid="ignore", over="ignore"):
