@@ -87,6 +87,7 @@ def test_a_soft_edge_is_no_rim_of_old_colour_and_teaches_no_weaker_one(mask: np.
     painter = Painter()
     edit = Edit(mixed, CAMERA, mask, cover=cover)
     result = painter.apply(painter.encode(splats), [edit], "spread")
+    assert result.receipt is not None and (result.receipt.views[0].psnr_after or 0) > 29, "judged where all is paint"
     inner = mask & (cover < 1) & left_half() & ~dilated(~left_half(), 3)
     assert inner.sum() > 100
     assert db(np.clip(render(result.splats, CAMERA).colors[0], 0, 1), picture, inner) > 28

@@ -26,6 +26,8 @@ LOW_ASIDE_DB = 20.0
 """Paint that scores less from the side is said to; sound paint on 24 held-out meshes has 29 on average."""
 MIN_ASIDE_COVERED = 0.25
 """Share of the paint that side views must be able to check for that."""
+FULL_COVER = 0.98
+"""Cover of a pixel from which nothing shows through its paint: 8 bits and a little."""
 MIN_NAMED_SHARE = 0.01
 """Of the edited pixels, that must be out of reach before a note says so."""
 
@@ -116,9 +118,14 @@ def _before_and_after(
 
 
 def _scored(view: EditView) -> Bools:
-    """[H, W] bool: edited pixels that the asset covers at all."""
+    """[H, W] bool: edited pixels that the asset covers at all; not those that paint covers in part, where there are
+    others: what shows through it may have changed, too."""
     assert view.alpha is not None
-    return view.mask & (view.alpha > 0.5)
+    scored = view.mask & (view.alpha > 0.5)
+    if view.cover is None:
+        return scored
+    full = scored & (view.cover >= FULL_COVER)
+    return full if full.any() else scored
 
 
 def _beside(views: Sequence[EditView]) -> str:
