@@ -385,8 +385,8 @@ MUTATIONS = (
     Mutation(
         "highlights shine through paint",
         "lift/colors.py",
-        "math.prod(sh.shape[1:])) * keep).reshape",
-        "math.prod(sh.shape[1:])) * 1).reshape",
+        "size) * keep).reshape",
+        "size) * 1).reshape",
         (COLORS, "tests/lift/test_local.py"),
     ),
     Mutation(

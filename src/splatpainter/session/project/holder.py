@@ -41,7 +41,7 @@ class Computer:
 def this_computer() -> Computer:
     """That of this process."""
     try:
-        boot = BOOT_ID.read_text().strip()
+        boot = BOOT_ID.read_text(encoding="ascii").strip()
     except OSError:
         boot = ""
     return Computer(platform.node(), boot)
