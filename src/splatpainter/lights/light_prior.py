@@ -39,19 +39,14 @@ def likely_light(estimate: np.ndarray, variance: float, up: UpAxis) -> tuple[np.
     """([8] coefficients of bands 1 and 2 of luminance over that of band 0 in the mean of what is likely, [8, 8] their
     covariance, 0..1 how much of the estimate is left in them). estimate: [8] from an asset's colours alone; variance:
     of each of its coefficients. "auto": the ways up that are usual, each as far as the estimate speaks for it."""
-    ways: Sequence[tuple[UpAxis, float]] = SKIES_SEEN.auto_ups if up == "auto" else ((up, 1.0),)
-    means, spreads, chances, belief = [], [], [], 0.0
-    for way, chance in ways:
-        mean, spread = _from_above(np.array(UPS[way], np.float64))
-        off = (estimate - mean)[:, None]
-        # Kalman's gain: both covariances are known, that of the estimate is `variance` times one.
-        weighed = portable.solved(spread + variance * np.eye(8), np.concatenate([off, spread], 1))
+    means, spreads, belief = [], [], 0.0
+    ways = likely_ways(estimate, variance, up)
+    for way, _ in ways:
+        mean, spread, weighed = _weighed(estimate, variance, way)
         means.append(mean + portable.matmul(spread, weighed[:, :1])[:, 0])
         spreads.append(spread - portable.matmul(spread, weighed[:, 1:]))
         belief = float(np.diag(weighed[:, 1:]).mean())
-        # Turns change no determinant, so that distances alone tell how likely a way is.
-        chances.append(chance * float(portable.exp(-0.5 * float((off * weighed[:, :1]).sum()))) + 1e-12)
-    shares = np.array(chances) / sum(chances)
+    shares = np.array([share for _, share in ways])
     mean = (shares[:, None] * np.stack(means)).sum(0)
     covariance = np.zeros((8, 8))
     for share, center, spread in zip(shares, means, spreads, strict=True):
@@ -59,9 +54,36 @@ def likely_light(estimate: np.ndarray, variance: float, up: UpAxis) -> tuple[np.
     return mean, covariance, belief
 
 
+def likely_ways(estimate: np.ndarray, variance: float, up: UpAxis) -> list[tuple[np.ndarray, float]]:
+    """([3] unit way up, its chance) for each that is possible; arguments as of `likely_light`."""
+    ways: Sequence[tuple[UpAxis, float]] = SKIES_SEEN.auto_ups if up == "auto" else ((up, 1.0),)
+    axes, chances = [np.array(UPS[way], np.float64) for way, _ in ways], []
+    for (_, chance), axis in zip(ways, axes, strict=True):
+        mean, _, weighed = _weighed(estimate, variance, axis)
+        # Turns change no determinant, so that distances alone tell how likely a way is.
+        distance = float(((estimate - mean) * weighed[:, 0]).sum())
+        chances.append(chance * float(portable.exp(-0.5 * distance)) + 1e-12)
+    total = sum(chances)
+    return [(axis, chance / total) for axis, chance in zip(axes, chances, strict=True)]
+
+
+def _weighed(estimate: np.ndarray, variance: float, up: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """([8] mean and [8, 8] covariance of usual light, [8, 9] the inverse of all doubt times what the estimate is off
+    the mean, and times the covariance: Kalman's gain, as both covariances are known)."""
+    mean, spread = _from_above(up)
+    off = (estimate - mean)[:, None]
+    return mean, spread, portable.solved(spread + variance * np.eye(8), np.concatenate([off, spread], 1))
+
+
 def _from_above(up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """([8] mean, [8, 8] covariance) in axes in which unit `up` [3] is the way up."""
-    table = SKIES_SEEN
+    mean, covariance = usual_light(SKIES_SEEN)
+    _, turn = upright(up)
+    return portable.matmul(turn, mean[:, None])[:, 0], portable.matmul(portable.matmul(turn, covariance), turn.T)
+
+
+def usual_light(table: SkyStatistics) -> tuple[np.ndarray, np.ndarray]:
+    """([8] mean, [8, 8] covariance) with z up."""
     mean, deviation = np.zeros(8), np.empty(8)
     mean[[1, 5]] = table.mean
     orders = np.array([1, 0, 1, 2, 1, 0, 1, 2])  # |m| of coefficients
@@ -69,11 +91,15 @@ def _from_above(up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     alike = np.eye(8)
     for low, high in ((0, 4), (1, 5), (2, 6)):
         alike[low, high] = alike[high, low] = table.correlation
-    covariance = alike * deviation * deviation[:, None]
-    # Any frame with its z along up will do: the statistics know no azimuth.
+    return mean, alike * deviation * deviation[:, None]
+
+
+def upright(up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """([3, 3] axes whose last column is unit `up` [3], [8, 8] that turns coefficients of bands 1 and 2 from them)."""
+    # Any frame with its z along up will do: what is told in it knows no azimuth.
     side = np.cross(up, np.eye(3)[np.abs(up).argmin()])
     side = side / portable.length(side)
-    first, second = sh_rotations(np.stack([side, np.cross(up, side), up], 1), 2)[1:]
+    axes = np.stack([side, np.cross(up, side), up], 1)
     turn = np.zeros((8, 8))
-    turn[:3, :3], turn[3:, 3:] = first, second
-    return portable.matmul(turn, mean[:, None])[:, 0], portable.matmul(portable.matmul(turn, covariance), turn.T)
+    turn[:3, :3], turn[3:, 3:] = sh_rotations(axes, 2)[1:]
+    return axes, turn

@@ -106,9 +106,17 @@ def _received(surface: LitSurface, key: tuple[Any, ...], make: Callable[[], np.n
 
 
 def _estimate(splats: Splats, surface: LitSurface, up: UpAxis) -> SourceLight:
-    pixels = surface.facing.surface_pixels
-    if pixels is None:
+    if surface.facing.surface_pixels is None:
         return uniform_source("source light: uniform grey, for want of a surface that was looked at")
+    # Where patches know their normals the first reading is the better one: of five clean tuning assets the second takes
+    # 0.26 dB, and what it is made of was learnt on fitted ones.
+    return estimate_source(*source_witnesses(splats, surface), up, both=not surface.facing.oriented)
+
+
+def source_witnesses(splats: Splats, surface: LitSurface) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Arguments of `estimate_source` of an asset of this surface, which was looked at (`Facing.surface_pixels`)."""
+    pixels = surface.facing.surface_pixels
+    assert pixels is not None
     # Of pixels, not of Gaussians: several make the colour of each, and their own are what a fit left them.
     sides = surface.facing
     # Oriented patches know their normals better than a view does: 18 clean tuning assets, two lights each, are 2.79 dB
@@ -123,7 +131,7 @@ def _estimate(splats: Splats, surface: LitSurface, up: UpAxis) -> SourceLight:
     turned = unoccluded_transfer(normals) - unoccluded_transfer(pixels.normals.astype(np.float64))
     transfer = surface.pixel_transfer + turned / np.pi
     transfer[:, 0] += SH_C0 * BLOCKER_RADIANCE * surface.pixel_closed  # as `LitSurface.from_sky` lights them
-    return estimate_source(light, transfer, pixels.points, usable, up)
+    return light, transfer, pixels.points, usable
 
 
 def _shape_hash(splats: Splats) -> bytes:
