@@ -54,7 +54,7 @@ class FieldNumbers:
     skies: SkyStatistics = SkyStatistics((0.347, -0.121), (0.264, 1.18), (0.68, 0.636, 0.54), 0.815)
     """The light before an asset is looked at: what makes the answer best, which is no statistics of skies."""
     count: int = 128
-    """Observations, those of most members. 256 have the same error."""
+    """Observations, those of most members. 256 have the same error within 0.002 of 0.37 (rms over irradiance)."""
     least: int = 40
     """Observations below which there is no second reading."""
     cell: float = 0.3
@@ -66,14 +66,14 @@ class FieldNumbers:
     directions: int = 64
     """Parts of the sphere of normals."""
     rounds: int = 4
-    """Of Gauss and Newton; the last changes coefficients by less than 0.01."""
+    """Of Gauss and Newton, after which coefficients are within 0.03 of where more of them end."""
     step: float = 0.7
     """Of them, but for the last: a full step overshoots on logarithms."""
     darkest: float = 0.06
     """Irradiance over its mean that is believed, as in `source_light`."""
     farthest: float = 0.5
     """Length of the coefficients by which the second reading may differ from the first: farther off it is most often
-    wrong. Of 103 tuning objects the one that loses most loses 2.5 dB in place of 3.3."""
+    wrong. Of 103 tuning objects the one that loses most loses 2.5 dB in place of 3.3. Chosen on these."""
 
 
 FIELD = FieldNumbers()
