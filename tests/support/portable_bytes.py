@@ -9,6 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from splatpainter.gatekeeper.bent_pictures import bend_of
+from splatpainter.gatekeeper.color_drift import estimate_drift
+from splatpainter.gatekeeper.registration import register, resampled_at, warped
 from splatpainter.grading.color_match import AffineMap, monge_kantorovitch, statistics
 from splatpainter.holes.fill import fill_hole
 from splatpainter.io import read, write
@@ -41,6 +44,22 @@ def digest(splats: Splats) -> str:
     return state.hexdigest()[:16]
 
 
+def laid_over() -> str:
+    """What registration, bends and drifts of colour say of a picture that came back turned, bent and darker."""
+    y, x = np.mgrid[:200, :240] / 40
+    steps = (np.floor(x * k % 2) + np.floor(y * k % 3) for k in (1.0, 1.4, 0.8))
+    render = np.round(np.stack([0.2 + 0.15 * one for one in steps], -1), 3).astype(np.float32)
+    turned = np.array([[0.99, 0.02, -1.5], [-0.02, 0.99, 3]])
+    bent = np.stack([x - 3, y - 2.5], -1) * ((x - 3) ** 2 + (y - 2.5) ** 2)[..., None] * 0.1
+    darker = (0.8 * render).astype(np.float32)
+    bend = bend_of(resampled_at(darker, bent)[0], render)
+    assert bend is not None
+    found = register(warped(darker, turned, (240, 200))[0], render).matrix, bend.coefficients
+    drift = estimate_drift(darker, render, np.ones(render.shape[:2], bool), certain=True)
+    assert drift.kind != "none" and abs(found[0][0, 1]) > 0.01
+    return " ".join(hashlib.sha256(of.tobytes()).hexdigest()[:16] for of in (*found, drift.matrix))
+
+
 def main() -> None:
     splats = bumpy_plate()
     with tempfile.TemporaryDirectory() as folder:
@@ -56,6 +75,7 @@ def main() -> None:
     colors = 0.5 + SH_C0 * splats.sh[:, 0]
     (mean, one), (target, other) = statistics(colors, splats.opacities), statistics(colors**2, splats.scales[:, 0])
     matched = AffineMap(monge_kantorovitch(one, other), mean, target)
+    print("laid over", laid_over())
     print("matched", hashlib.sha256(repr(matched).encode()).hexdigest()[:16])
 
 

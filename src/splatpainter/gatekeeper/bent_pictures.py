@@ -8,11 +8,13 @@ Pure. H, W: pixels of the render; colours are display sRGB 0..1; places are -1..
 
 from __future__ import annotations
 
+from itertools import accumulate
 from typing import Literal
 
 import numpy as np
 
 from splatpainter.gatekeeper.registration import REGISTRATION, PyramidLevel, resampled_at
+from splatpainter.kernels.portable import gram, matmul, solved, transposed_product
 from splatpainter.system.quick_dataclass import dataclass
 
 
@@ -66,7 +68,7 @@ class Bend:
 
     def shift(self, width: int, height: int) -> np.ndarray:
         """[H, W, 2] pixels by which each point of a render of that size lies further right and down in the picture."""
-        return (_terms(width, height) @ self.coefficients) * max(width, height) / 2
+        return matmul(_terms(width, height), self.coefficients) * max(width, height) / 2
 
     def undone(self, picture: np.ndarray) -> np.ndarray:
         """The picture [H, W, C] as it was before it was bent."""
@@ -145,7 +147,9 @@ def _terms(width: int, height: int) -> np.ndarray:
     y, x = np.mgrid[:height, :width] + 0.5
     x, y = (x - width / 2) / reach, (y - height / 2) / reach
     r4 = (x**2 + y**2) ** 2
-    return np.stack([*(x**across * y**down for across, down in _POWERS), x * r4, y * r4], -1)
+    # numpy's powers depend on the CPU from the third on.
+    rights, downs = (list(accumulate([np.ones_like(v), *[v] * BENDS.degree], np.multiply)) for v in (x, y))
+    return np.stack([*(rights[across] * downs[down] for across, down in _POWERS), x * r4, y * r4], -1)
 
 
 @dataclass(frozen=True)
@@ -211,18 +215,18 @@ class _TexturedLevel:
         errors, inside = self._errors_after(coefficients)
         for fields in stages:
             bases = fields.reshape(len(fields), -1).T
-            slopes = [channel.slopes @ bases for channel in self.channels]
+            slopes = [matmul(channel.slopes, bases) for channel in self.channels]
             for _ in range(BENDS.max_steps):
                 # Tukey's weights: what was painted over does not count.
                 cutoffs = [max(REGISTRATION.tukey * 1.4826 * _middle(error), BENDS.min_cutoff) for error in errors]
-                normal, gain = np.zeros((len(fields), len(fields))), np.zeros(len(fields))
+                normal, gain = np.zeros((len(fields), len(fields))), np.zeros((len(fields), 1))
                 for channel, error, cutoff, slope in zip(self.channels, errors, cutoffs, slopes, strict=True):
                     share = np.maximum(1 - (error / cutoff) ** 2, 0) ** 2 / cutoff**2
-                    scaled = slope * (share * inside.flat[channel.steep])[:, None]
-                    normal += scaled.T @ slope
-                    gain += scaled.T @ error
+                    share = share * inside.flat[channel.steep]
+                    normal += gram(slope, share)
+                    gain += transposed_product(slope, (share * error)[:, None])
                 normal += BENDS.ridge * np.trace(normal) / len(normal) * np.eye(len(normal))
-                step = (bases @ np.linalg.solve(normal, gain)).reshape(-1, 2)
+                step = matmul(bases, solved(normal, gain)).reshape(-1, 2)
                 before = _loss(errors, cutoffs)
                 for _ in range(BENDS.max_halvings):
                     after, inside_after = self._errors_after(coefficients - step)
@@ -232,14 +236,14 @@ class _TexturedLevel:
                 else:  # no step along this direction leaves less
                     break
                 coefficients, errors, inside = coefficients - step, after, inside_after
-                if np.abs(self.terms @ step).max() * reach < BENDS.still_px:
+                if np.abs(matmul(self.terms, step)).max() * reach < BENDS.still_px:
                     break
         return coefficients
 
     def _errors_after(self, coefficients: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
         """([P] error of each channel after a bend is undone, [H, W] bool where the picture shows anything)."""
         height, width = self.picture.shape[:2]
-        shift = (self.terms @ coefficients).reshape(height, width, 2) * (max(width, height) / 2)
+        shift = matmul(self.terms, coefficients).reshape(height, width, 2) * (max(width, height) / 2)
         image, inside = resampled_at(self.picture, shift)
         return [image[..., one.number].flat[one.steep] - one.target for one in self.channels], inside
 
@@ -250,7 +254,5 @@ def _middle(error: np.ndarray) -> float:
 
 def _loss(errors: list[np.ndarray], cutoffs: list[float]) -> float:
     """Tukey's loss of all errors, each over its cutoff."""
-    return sum(
-        float((1 - np.maximum(1 - (error / cutoff) ** 2, 0) ** 3).mean())
-        for error, cutoff in zip(errors, cutoffs, strict=True)
-    )
+    shares = (np.maximum(1 - (error / cutoff) ** 2, 0) for error, cutoff in zip(errors, cutoffs, strict=True))
+    return sum(float((1 - share * share * share).mean()) for share in shares)

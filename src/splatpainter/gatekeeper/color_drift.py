@@ -14,8 +14,10 @@ from typing import Literal
 import numpy as np
 
 from splatpainter.color import linear_to_srgb, srgb_to_linear
+from splatpainter.kernels.portable import gram, matmul, solved, transposed_product
 from splatpainter.lift.masks import box_mean, largest_channel
 from splatpainter.system.quick_dataclass import dataclass
+from splatpainter.transforms import principal_axes
 
 DriftKind = Literal["none", "gain", "gain and offset", "matrix"]
 
@@ -91,7 +93,7 @@ class ColorDrift:
     def strength(self) -> float:
         """The largest change of a channel of mid grey, in stops."""
         grey = 0.18
-        after = np.maximum(self.matrix @ np.array([grey, grey, grey, 1.0]), 1e-3)
+        after = np.maximum((self.matrix * np.array([grey, grey, grey, 1.0])).sum(1), 1e-3)
         return float(np.abs(np.log2(after / grey)).max())
 
     def corrected(self, colors: np.ndarray) -> np.ndarray:
@@ -99,7 +101,7 @@ class ColorDrift:
         if self.kind == "none":
             return colors
         light = srgb_to_linear(np.clip(colors, 0, 1).astype(np.float32))
-        out = light @ self.matrix[:, :3].T.astype(np.float32) + self.matrix[:, 3].astype(np.float32)
+        out = matmul(light, self.matrix[:, :3].T.astype(np.float32)) + self.matrix[:, 3].astype(np.float32)
         return linear_to_srgb(np.clip(out, 0, 1)).astype(np.float32)
 
     def record(self) -> dict:
@@ -169,14 +171,13 @@ def expected_tone(picture: np.ndarray, render: np.ndarray, reference: np.ndarray
     coefficients = np.zeros((source.shape[1], 3))
     # The polynomial is linear in its coefficients, so fewer rounds settle it.
     for _ in range(DRIFT.max_reweightings // 3):
-        weighted = source * share[:, None]
-        normal = weighted.T @ source
+        normal = gram(source, share)
         normal += 1e-6 * np.trace(normal) / len(normal) * np.eye(len(normal))
-        coefficients = np.linalg.solve(normal, weighted.T @ target)
-        distance = np.linalg.norm(source @ coefficients - target, axis=1)
+        coefficients = solved(normal, transposed_product(source * share[:, None], target))
+        distance = np.linalg.norm(matmul(source, coefficients) - target, axis=1)
         spread = max(float(np.median(distance)), DRIFT.min_spread)
         share = np.maximum(1 - (distance / (DRIFT.tukey * spread)) ** 2, 0) ** 2
-    expected = np.clip(_powers(render.reshape(-1, 3)) @ coefficients, 0, 1).reshape(render.shape)
+    expected = np.clip(matmul(_powers(render.reshape(-1, 3)), coefficients), 0, 1).reshape(render.shape)
     # Means over 3 x 3 pixels: compression averages out, a repainted patch does not.
     left = largest_channel(np.abs(box_mean((picture - expected) * reference[..., None], 1))) > DRIFT.max_tone_error
     left &= reference
@@ -191,7 +192,8 @@ def expected_tone(picture: np.ndarray, render: np.ndarray, reference: np.ndarray
 def _powers(colors: np.ndarray) -> np.ndarray:
     """[P, 13] the terms of a cubic polynomial without mixed cubes; colors: [P, 3]."""
     r, g, b = colors.astype(np.float64).T
-    return np.stack([np.ones_like(r), r, g, b, r * r, g * g, b * b, r * g, r * b, g * b, r**3, g**3, b**3], 1)
+    cubes = (r * r * r, g * g * g, b * b * b)
+    return np.stack([np.ones_like(r), r, g, b, r * r, g * g, b * b, r * g, r * b, g * b, *cubes], 1)
 
 
 def _samples(ids: np.ndarray, render: np.ndarray) -> np.ndarray:
@@ -213,9 +215,15 @@ def _models(source: np.ndarray) -> list[DriftKind]:
     out: list[DriftKind] = ["gain"]
     if source.std(0).min() > DRIFT.min_gain_range:
         out.append("gain and offset")
-        if math.sqrt(max(float(np.linalg.eigvalsh(np.cov(source.T))[0]), 0)) > DRIFT.min_matrix_range:
+        if math.sqrt(max(_least_variance(source), 0)) > DRIFT.min_matrix_range:
             out.append("matrix")
     return out
+
+
+def _least_variance(source: np.ndarray) -> float:
+    """Of colours [P, 3] along the direction in which they differ least."""
+    away = source - source.mean(0)
+    return float(principal_axes(transposed_product(away, away)[None] / (len(source) - 1))[0][0, 0])
 
 
 def _fitted(source: np.ndarray, target: np.ndarray, kind: DriftKind) -> np.ndarray:
@@ -227,7 +235,7 @@ def _fitted(source: np.ndarray, target: np.ndarray, kind: DriftKind) -> np.ndarr
         matrix = _fitted(source, target, "gain")
     homogeneous = np.concatenate([source, np.ones((len(source), 1))], 1)
     for _ in range(DRIFT.max_reweightings):
-        error = homogeneous @ matrix.T - target
+        error = matmul(homogeneous, matrix.T) - target
         distance = np.linalg.norm(error, axis=1)
         # Scale from the median, so that half of the pixels may be painted over.
         spread = max(float(np.median(distance)), DRIFT.min_spread)
@@ -246,9 +254,9 @@ def _least_squares(source: np.ndarray, target: np.ndarray, share: np.ndarray, ki
         # Each channel by itself: which columns it may use is what tells the models apart.
         free = {"gain": [channel], "gain and offset": [channel, 3]}.get(kind, [0, 1, 2, 3])
         fixed = np.eye(4)[channel][free]
-        normal = weighted[:, free].T @ source[:, free]
+        normal = gram(source[:, free], share)
         ridge = 1e-5 * np.trace(normal) * np.eye(len(free))
-        gain = weighted[:, free].T @ target[:, channel] + ridge @ fixed
+        gain = transposed_product(weighted[:, free], target[:, [channel]]) + matmul(ridge, fixed[:, None])
         out[channel] = 0
-        out[channel, free] = np.linalg.solve(normal + ridge, gain)
+        out[channel, free] = solved(normal + ridge, gain)[:, 0]
     return out

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from splatpainter.kernels import portable
 from splatpainter.pictures.picture_reader import resample
 from splatpainter.system.quick_dataclass import dataclass
 
@@ -78,7 +79,7 @@ def undo_shift(picture: np.ndarray, render: np.ndarray, right: int, down: int) -
 
 def _edges(image: np.ndarray) -> np.ndarray:
     grey = np.clip(image, 0, 1).mean(-1)
-    return np.hypot(np.diff(grey, axis=1, prepend=grey[:, :1]), np.diff(grey, axis=0, prepend=grey[:1]))
+    return portable.hypot(np.diff(grey, axis=1, prepend=grey[:, :1]), np.diff(grey, axis=0, prepend=grey[:1]))
 
 
 def _disagreement(picture: np.ndarray, render: np.ndarray) -> float:
@@ -134,7 +135,7 @@ class _EdgePoints:
 
     def __init__(self, picture: np.ndarray) -> None:
         grey = np.clip(picture, 0, 1).mean(-1)
-        edges = np.hypot(np.gradient(grey, axis=0), np.gradient(grey, axis=1))
+        edges = portable.hypot(np.gradient(grey, axis=0), np.gradient(grey, axis=1))
         chosen = []
         for lines in np.array_split(np.arange(grey.shape[0]), CROPS.point_blocks):
             for columns in np.array_split(np.arange(grey.shape[1]), CROPS.point_blocks):

@@ -13,6 +13,8 @@ import numpy as np
 
 from splatpainter.color import LUMA
 from splatpainter.gatekeeper.small_copies import COPIES, Explanation, Mistake, SmallView, explained_by, mean_difference
+from splatpainter.kernels import portable
+from splatpainter.kernels.portable import gram, matmul, solved, transposed_product
 from splatpainter.lift.masks import box_mean, dilated, largest_channel
 from splatpainter.order_statistics import median
 from splatpainter.pictures.picture_reader import resample
@@ -131,17 +133,27 @@ def _mixed_channels(view: SmallView) -> tuple[Mistake, np.ndarray] | None:
     weight = np.ones(len(away))
     mixture = np.zeros((2, 3))
     for _ in range(FITS.reweightings):
-        normal = (away * weight[:, None]).T @ away
+        normal = gram(away, weight)
         normal += 1e-6 * np.trace(normal) * np.eye(2)
-        mixture = np.linalg.solve(normal, (away * weight[:, None]).T @ gained)
-        left = np.abs(gained - away @ mixture).max(1)
+        mixture = solved(normal, transposed_product(away * weight[:, None], gained))
+        left = np.abs(gained - matmul(away, mixture)).max(1)
         weight = 1 / (1 + (left / max(float(median(left)), FITS.min_deviation)) ** 2)
     # Rows of the full matrix sum to one: (r - g) and (b - g) times the mixture.
     full = np.eye(3) + np.stack([mixture[0], -mixture[0] - mixture[1], mixture[1]])
-    made = np.clip(view.render @ full, 0, 1).astype(np.float32)
-    inverse = np.linalg.inv(full) if abs(np.linalg.det(full)) > 0.05 else None
-    undone = None if inverse is None else lambda colors: np.clip(colors @ inverse, 0, 1)
-    return Mistake("colors", _mixture_words(full), lambda colors: np.clip(colors @ full, 0, 1), undone, "grey"), made
+    made = np.clip(matmul(view.render, full), 0, 1).astype(np.float32)
+    inverse = _unmixed(full)
+    undone = None if inverse is None else lambda colors: np.clip(matmul(colors, inverse), 0, 1)
+    return Mistake(
+        "colors", _mixture_words(full), lambda colors: np.clip(matmul(colors, full), 0, 1), undone, "grey"
+    ), made
+
+
+def _unmixed(full: np.ndarray) -> np.ndarray | None:
+    """[3, 3] the inverse of a mixture of channels; None where too little of a colour is left."""
+    # Rows of the adjugate are cross products of columns.
+    adjugate = np.cross(full[:, (1, 2, 0)], full[:, (2, 0, 1)], axis=0).T
+    determinant = float((adjugate[0] * full[:, 0]).sum())
+    return adjugate / determinant if abs(determinant) > 0.05 else None
 
 
 def _mixture_words(full: np.ndarray) -> str:
@@ -163,7 +175,8 @@ def _shadings(view: SmallView) -> Iterator[tuple[tuple[Mistake, np.ndarray], flo
     height, width = view.alpha.shape
     y, x = np.mgrid[:height, :width] + 0.5
     x, y = 2 * x / width - 1, 2 * y / height - 1
-    oval, round_ = np.hypot(x, y) / math.sqrt(2), np.hypot(x * width, y * height) / math.hypot(width, height)
+    oval = portable.hypot(x, y) / math.sqrt(2)
+    round_ = portable.hypot(x * width, y * height) / portable.hypot(width, height)
     for dark in (True, False):
         # Towards white is what towards black is of the negative.
         before, after = (image if dark else 1 - image for image in (view.render, view.picture))
@@ -202,7 +215,7 @@ def _rings(left: np.ndarray, lit: np.ndarray, radius: np.ndarray) -> np.ndarray 
     falls = np.diff(profile).max() <= FITS.max_ring_rise
     if not falls or abs(1 - profile[0]) > FITS.max_middle_shade or profile[0] - profile[-1] < FITS.min_corner_shade:
         return None
-    return np.interp(radius, centers, profile)
+    return portable.interp(radius, centers, profile)
 
 
 def _slope(left: np.ndarray, lit: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray | None:
@@ -211,13 +224,13 @@ def _slope(left: np.ndarray, lit: np.ndarray, x: np.ndarray, y: np.ndarray) -> n
     samples, values, weight = terms[lit], left[lit], np.ones(int(lit.sum()))
     if len(values) < FITS.min_colored:
         return None
-    plane = np.zeros(3)
+    plane = np.zeros((3, 1))
     for _ in range(FITS.reweightings):
-        normal = (samples * weight[:, None]).T @ samples + 1e-6 * np.eye(3)
-        plane = np.linalg.solve(normal, (samples * weight[:, None]).T @ values)
-        error = np.abs(values - samples @ plane)
+        normal = gram(samples, weight) + 1e-6 * np.eye(3)
+        plane = solved(normal, transposed_product(samples, (weight * values)[:, None]))
+        error = np.abs(values - matmul(samples, plane)[:, 0])
         weight = 1 / (1 + (error / max(float(median(error)), FITS.min_deviation)) ** 2)
-    return terms @ plane if np.abs(plane[1:]).sum() >= FITS.min_corner_shade / 2 else None
+    return matmul(terms, plane)[..., 0] if np.abs(plane[1:]).sum() >= FITS.min_corner_shade / 2 else None
 
 
 def _is_on_background(made: np.ndarray, view: SmallView) -> bool:
@@ -285,14 +298,14 @@ def moved_a_little(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray, a
 def moved_outline(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray, agreeing: float) -> Explanation | None:
     """A picture [H, W, 3] of a plain asset that was cropped, padded or shifted: all that it shows is the outline, and
     that lies elsewhere than in the render [H, W, 3], on all sides as one motion has it. alpha: [H, W]."""
-    from splatpainter.gatekeeper.registration import small_motion, warped
+    from splatpainter.gatekeeper.registration import inverse_map, small_motion, warped
 
     picture, render, alpha = _not_too_large(picture, render, alpha)
     motion = small_motion(picture, render)
     if motion is None:
         return None
     height, width = alpha.shape
-    made, inside = warped(render, np.linalg.inv(np.vstack([motion, [0, 0, 1]]))[:2], (width, height))
+    made, inside = warped(render, inverse_map(motion)[:2], (width, height))
     predicted = inside & (mean_difference(made, render) > COPIES.min_predicted)
     if predicted.sum() <= FITS.min_moved_share * (alpha > COPIES.min_cover).sum():
         return None
@@ -321,12 +334,12 @@ def _displacements(
     """How a picture [H, W, 3] may lie beside its render [H, W, 3], cheapest first: words, the mistake where it can be
     taken back, what that makes of the render [H, W, 3], and [H, W] bool where that is known."""
     from splatpainter.gatekeeper.bent_pictures import bend_of  # few pictures come so far
-    from splatpainter.gatekeeper.registration import small_motion, warped
+    from splatpainter.gatekeeper.registration import inverse_map, small_motion, warped
 
     height, width = render.shape[:2]
     motion = small_motion(picture, render)
     if motion is not None:
-        inverse = np.linalg.inv(np.vstack([motion, [0, 0, 1]]))[:2]
+        inverse = inverse_map(motion)[:2]
         yield MOVED_WORDS, None, *warped(render, inverse, (width, height))
     bend = bend_of(picture, render)
     if bend is not None:

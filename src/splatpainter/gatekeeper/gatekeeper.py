@@ -22,7 +22,7 @@ from functools import cached_property
 import numpy as np
 
 from splatpainter.gatekeeper.color_drift import DRIFT, NO_DRIFT, ColorDrift, estimate_drift, tone_change
-from splatpainter.gatekeeper.registration import Registration, edge_strength, register, warped
+from splatpainter.gatekeeper.registration import Registration, edge_strength, inverse_map, register, warped
 from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.lift.masks import MASKS, box_mean, change_mask, change_mask_beyond, dilated, largest_channel
 from splatpainter.pictures.picture_reader import resample
@@ -301,7 +301,7 @@ class _Task:
         """The same at `factor` times the view's size, its means over the view's pixels the render's where nothing
         changed. base: the render at that size; changed: [H, W] bool, at the view's size."""
         height, width = self.render.shape[:2]
-        finer = matrix @ np.diag([1 / factor, 1 / factor, 1])
+        finer = matrix * np.array([1 / factor, 1 / factor, 1])
         aligned, inside = self.laid(finer, (width * factor, height * factor), still)
         aligned = _corrected(drift, aligned, base)
         edited = changed if self.mask is not None else _edited(pooled(aligned, factor), self.render)
@@ -464,7 +464,7 @@ def _like(render: np.ndarray, registration: Registration, shape: tuple[int, ...]
     if still:
         return render if size == (width, height) else resample(resample(render, *size), width, height)
     # Moved pictures were resampled once; the render goes the same way and back, so that both are equally soft.
-    inverse = np.linalg.inv(np.vstack([registration.matrix, [0, 0, 1]]))[:2]
+    inverse = inverse_map(registration.matrix)[:2]
     values, inside = warped(render, inverse, size)
     back = warped(values, registration.matrix, (width, height))[0]
     covered = warped(inside.astype(np.float32), registration.matrix, (width, height))[0] > 0.999

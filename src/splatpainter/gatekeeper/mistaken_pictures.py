@@ -31,6 +31,7 @@ from splatpainter.gatekeeper.small_copies import (
     explained_by,
     mean_difference,
 )
+from splatpainter.kernels.portable import dot, matmul, power
 from splatpainter.lift.masks import box_mean, contrast, largest_channel, largest_difference
 from splatpainter.pictures.encodings import busiest, detailed, few_colors
 from splatpainter.system.quick_dataclass import dataclass
@@ -141,8 +142,14 @@ SHARPENED_WORDS = "sharpened, or detail or noise was added, all over: all of it 
 
 SRGB_TO_P3 = np.array([[0.8224621, 0.1775380, 0], [0.0331941, 0.9668058, 0], [0.0170827, 0.0723974, 0.9105199]])
 """Linear sRGB to linear Display P3 (both D65)."""
+P3_TO_SRGB = np.array(
+    [[1.22493995, -0.2249401, 0], [-0.04205682, 1.04205693, 0], [-0.01963766, -0.07863598, 1.09827363]]
+)
+"""Its inverse."""
 SRGB_TO_ADOBE = np.array([[0.7151256, 0.2848744, 0], [0, 1, 0], [0, 0.0411619, 0.9588381]])
 """Linear sRGB to linear Adobe RGB (1998) (both D65)."""
+ADOBE_TO_SRGB = np.array([[1.39835576, -0.39835576, 0], [0, 1, 0], [0, -0.04292894, 1.04292894]])
+"""Its inverse."""
 LUMA_601 = (0.299, 0.587, 0.114)
 """Weights of Rec. 601, by which many programs make grey."""
 ADOBE_GAMMA = 563 / 256
@@ -151,7 +158,7 @@ VIDEO_BLACK, VIDEO_RANGE = 16 / 255, 219 / 255
 
 
 def _primaries(matrix: np.ndarray, encode: Change, decode: Change) -> Change:
-    return lambda colors: encode(np.clip(decode(colors) @ matrix.T, 0, 1))
+    return lambda colors: encode(np.clip(matmul(decode(colors), matrix.T), 0, 1))
 
 
 def _linear(colors: np.ndarray) -> np.ndarray:
@@ -163,12 +170,12 @@ def _encoded(light: np.ndarray) -> np.ndarray:
 
 
 def _power(exponent: float) -> Change:
-    return lambda colors: np.clip(colors, 0, 1) ** exponent
+    return lambda colors: power(np.clip(colors, 0, 1), exponent)
 
 
 def _grey(weights: tuple[float, float, float], linear: bool = False) -> Change:
     def made(colors: np.ndarray) -> np.ndarray:
-        values = (_linear(colors) if linear else colors) @ np.asarray(weights, colors.dtype)
+        values = matmul(_linear(colors) if linear else colors, np.asarray(weights, colors.dtype)[:, None])[..., 0]
         return np.repeat((_encoded(values) if linear else values)[..., None], 3, -1)
 
     return made
@@ -183,9 +190,9 @@ def _video(levels: np.ndarray) -> np.ndarray:
 
 
 _to_p3 = _primaries(SRGB_TO_P3, _encoded, _linear)
-_from_p3 = _primaries(np.linalg.inv(SRGB_TO_P3), _encoded, _linear)
+_from_p3 = _primaries(P3_TO_SRGB, _encoded, _linear)
 _to_adobe = _primaries(SRGB_TO_ADOBE, _power(1 / ADOBE_GAMMA), _linear)
-_from_adobe = _primaries(np.linalg.inv(SRGB_TO_ADOBE), _encoded, _power(ADOBE_GAMMA))
+_from_adobe = _primaries(ADOBE_TO_SRGB, _encoded, _power(ADOBE_GAMMA))
 TURNS = (
     Mistake("turned", "mirrored from left to right", lambda p: p[:, ::-1], lambda p: p[:, ::-1]),
     Mistake("turned", "mirrored from top to bottom", lambda p: p[::-1], lambda p: p[::-1]),
@@ -425,7 +432,7 @@ def _is_mean_color(color: np.ndarray, before: np.ndarray) -> bool:
     """Whether a glaze's colour [3] is the mean of what lies under it ([P, 3] colours), or the grey of that: sliders of
     contrast turn about it, and nobody picks just this colour to paint with, where there are many."""
     mean, spread = before.mean(0), float(before.std(0).mean())
-    grey = np.full(3, float(mean @ np.asarray(LUMA)))
+    grey = np.full(3, dot(mean, np.asarray(LUMA)))
     off = min(float(np.abs(color - middle).max()) for middle in (mean, grey))
     return spread >= MISTAKES.min_spread and off <= MISTAKES.max_off_mean
 
@@ -434,7 +441,7 @@ def _moved(view: SmallView) -> Explanation | None:
     if min(view.alpha.shape) < MISTAKES.min_registered_px:
         return None
     # Judged at the small size: a shift below a small pixel is not what makes everything differ.
-    from splatpainter.gatekeeper.registration import register, warped  # few pictures come so far
+    from splatpainter.gatekeeper.registration import inverse_map, register, warped  # few pictures come so far
 
     laid = register(view.picture, view.render)
     reach = max(view.alpha.shape) / 2
@@ -444,7 +451,7 @@ def _moved(view: SmallView) -> Explanation | None:
     if laid.framing != "full":
         return Explanation("moved", f"{laid.framing} within its frame", view.agreeing, laid.score)
     # Parts that are still where they were rendered were left out by a hand.
-    made, inside = warped(view.render, np.linalg.inv(np.vstack([laid.matrix, [0, 0, 1]]))[:2], view.alpha.shape[::-1])
+    made, inside = warped(view.render, inverse_map(laid.matrix)[:2], view.alpha.shape[::-1])
     predicted = inside & view.solid & (mean_difference(made, view.render) > COPIES.min_predicted)
     if predicted.any() and view.unchanged[predicted].mean() > MISTAKES.max_left_behind:
         return None

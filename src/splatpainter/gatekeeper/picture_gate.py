@@ -20,6 +20,7 @@ from splatpainter.gatekeeper.mistaken_pictures import Explanation, Size, explain
 from splatpainter.gatekeeper.small_copies import visible_after
 from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.image_files import find_camera
+from splatpainter.kernels.portable import matmul
 from splatpainter.painter import Mode
 from splatpainter.pictures.edit_files import PictureFile, draw, over_render
 from splatpainter.pictures.encodings import guessed_encoding
@@ -169,7 +170,7 @@ def _with_other_axes(splats: Splats, camera: Camera, size: Size) -> Iterator[tup
     for words, turn in OTHER_AXES:
         world = np.eye(4)
         world[:3, :3] = turn
-        drawn, _ = draw(splats, replace(small, world_to_camera=camera.world_to_camera @ world))
+        drawn, _ = draw(splats, replace(small, world_to_camera=matmul(camera.world_to_camera, world)))
         yield words, np.clip(to_display(drawn, splats.color_space), 0, 1)
 
 

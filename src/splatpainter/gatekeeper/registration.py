@@ -13,12 +13,16 @@ Pure. H, W: pixels of the render; colours are display sRGB 0..1; pixel centres a
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Iterator
+from functools import reduce
+from itertools import accumulate
 from typing import Literal
 
 import numpy as np
 
 from splatpainter.gatekeeper.crop_search import find_crop
+from splatpainter.kernels.portable import arctan2, cos, gram, hypot, matmul, sin, solved, transposed_product
 from splatpainter.lift.masks import box_mean, largest_channel
 from splatpainter.pictures.edit_files import MAX_ASPECT_ERROR
 from splatpainter.pictures.picture_reader import resample
@@ -66,7 +70,9 @@ class RegistrationThresholds:
 REGISTRATION = RegistrationThresholds()
 
 
-GRID_SCALES = tuple(np.exp(np.linspace(math.log(0.8), math.log(1.25), 13)).tolist())
+GRID_RATIO = 1.0378908155562134
+"""The sixth root of 1.25: of a scale of the grid to the one before."""
+GRID_SCALES = tuple(accumulate([0.8, *[GRID_RATIO] * 12], operator.mul))
 
 FramingKind = Literal["full", "stretched", "cropped", "padded", "part"]
 """full: the picture shows what the render shows; stretched: too, at another aspect ratio; cropped: margins of the
@@ -97,9 +103,9 @@ class Registration:
 
     def is_moved(self, width: int, height: int) -> bool:
         """Whether the picture of a render of this size was moved, turned or scaled within its framing."""
-        reach = math.hypot(width, height) / 2
+        reach = hypot(width, height) / 2
         turned = reach * max(abs(self.scale - 1), abs(math.radians(self.rotation)))
-        return math.hypot(self.right, self.down) + turned >= REGISTRATION.identity_px
+        return hypot(self.right, self.down) + turned >= REGISTRATION.identity_px
 
     def is_still(self, width: int, height: int) -> bool:
         """Whether the picture shows all of a render of this size, and that where it was."""
@@ -108,7 +114,7 @@ class Registration:
     @property
     def pixel_scale(self) -> float:
         """Pixels of the picture per pixel of the render."""
-        return math.sqrt(abs(np.linalg.det(self.matrix[:, :2])))
+        return math.sqrt(abs(_determinant(self.matrix)))
 
 
 def register(
@@ -145,7 +151,7 @@ def register(
                 return best
     # The rest of the pyramid, from the best start alone.
     frame = next(frame for kind, frame in framings if kind == best.framing)
-    start = np.linalg.inv(_square(frame)) @ _square(best.matrix)
+    start = matmul(inverse_map(frame), _square(best.matrix))
     final = scorer.scored(
         _refined(picture, render, weight, valid, frame, start, REGISTRATION.levels_px[1:]), frame, best.framing
     )
@@ -165,7 +171,7 @@ def small_motion(picture: np.ndarray, render: np.ndarray) -> np.ndarray | None:
     motion = _refined(picture, render, weight, None, frame, _NOT_MOVED, REGISTRATION.levels_px[:1])
     height, width = render.shape[:2]
     corners = np.array([[0, 0, 1], [width, 0, 1], [0, height, 1], [width, height, 1]]).T
-    moved = float(np.abs((motion - _NOT_MOVED) @ corners).max())
+    moved = float(np.abs(matmul(motion - _NOT_MOVED, corners)).max())
     if moved * REGISTRATION.levels_px[0] / max(width, height) < REGISTRATION.still_px * 4:
         return None
     return _refined(picture, render, weight, None, frame, motion, REGISTRATION.levels_px[1:])[:2]
@@ -176,12 +182,12 @@ def warped(picture: np.ndarray, matrix: np.ndarray, size: tuple[int, int]) -> tu
     [H, W] bool where it shows anything). matrix: of a Registration. Bicubic (Catmull and Rom), after Lanczos where it
     shrinks."""
     height, width = picture.shape[:2]
-    shrink = math.sqrt(abs(np.linalg.det(matrix[:, :2])))
+    shrink = math.sqrt(abs(_determinant(matrix)))
     # Point samples of a much larger picture would alias.
     if shrink > 1.25:
         small = max(1, round(width / shrink)), max(1, round(height / shrink))
         picture = resample(np.clip(picture, 0, 1), *small)
-        matrix = np.diag([small[0] / width, small[1] / height]) @ matrix
+        matrix = np.array([[small[0] / width], [small[1] / height]]) * matrix
     values = np.clip(_sampled(picture, matrix, size, cubic=True), 0, 1)
     inside = _sampled(np.ones(picture.shape[:2], np.float32), matrix, size, cubic=False) > 0.999
     return values, inside
@@ -222,6 +228,27 @@ _NOT_MOVED = np.eye(3)
 
 def _square(matrix: np.ndarray) -> np.ndarray:
     return np.vstack([matrix, [0, 0, 1]])
+
+
+def _product(*matrices: np.ndarray) -> np.ndarray:
+    return reduce(matmul, matrices)
+
+
+def _determinant(matrix: np.ndarray) -> float:
+    return float(matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0])
+
+
+def inverse_map(matrix: np.ndarray) -> np.ndarray:
+    """[3, 3] of an affine map [2, 3] or [3, 3], of points (x, y, 1)."""
+    (a, b, right), (c, d, down) = matrix[:2].tolist()
+    determinant = a * d - b * c
+    return np.array(
+        [
+            [d / determinant, -b / determinant, (b * down - d * right) / determinant],
+            [-c / determinant, a / determinant, (c * right - a * down) / determinant],
+            [0, 0, 1],
+        ]
+    )
 
 
 def _frame(across: float, along: float, left: float = 0.0, top: float = 0.0) -> np.ndarray:
@@ -300,7 +327,7 @@ def _features(image: np.ndarray) -> np.ndarray:
 
 def edge_strength(image: np.ndarray) -> np.ndarray:
     """[H, W] length of the gradient in the channel where it is steepest."""
-    steps = np.hypot(np.gradient(image, axis=0), np.gradient(image, axis=1))
+    steps = hypot(np.gradient(image, axis=0), np.gradient(image, axis=1))
     return largest_channel(steps)
 
 
@@ -339,17 +366,17 @@ def _descended(level: PyramidLevel, frame: np.ndarray, motion: np.ndarray) -> np
         down, across = np.gradient(target[..., channel])
         slopes.append(np.stack([(across * x + down * y) / reach, (down * x - across * y) / reach, across, down], -1))
     strong = [(slope[..., 2:] ** 2).sum(-1) > 0.01 for slope in slopes]
-    to_level = np.linalg.inv(level.to_render)
-    full = level.to_picture @ _square(frame)
+    to_level = inverse_map(level.to_render)
+    full = matmul(level.to_picture, _square(frame))
     rim = np.zeros((height, width), bool)
     rim[1:-1, 1:-1] = True
     for _ in range(REGISTRATION.max_steps):
-        matrix = (full @ motion @ to_level)[:2]
+        matrix = _product(full, motion, to_level)[:2]
         # Where the picture shows nothing, and at its rim, nothing can be compared.
         seen = _sampled(level.valid, matrix, (width, height), cubic=False) > 0.9
         trust = np.where(seen & rim, level.weight, 0)
         image = _sampled(level.picture, matrix, (width, height), cubic=False)
-        normal, gain = np.zeros((4, 4)), np.zeros(4)
+        normal, gain = np.zeros((4, 4)), np.zeros((4, 1))
         for channel, slope in enumerate(slopes):
             error = image[..., channel] - target[..., channel]
             steep = strong[channel] & (trust > 0.5)
@@ -359,20 +386,19 @@ def _descended(level: PyramidLevel, frame: np.ndarray, motion: np.ndarray) -> np
             spread = 1.4826 * float(np.median(np.abs(error[steep]))) + 1e-3
             share = trust * np.maximum(1 - (error / (REGISTRATION.tukey * spread)) ** 2, 0) ** 2 / spread**2
             flat = slope.reshape(-1, 4)
-            scaled = flat * share.reshape(-1, 1)
-            normal += scaled.T @ flat
-            gain += scaled.T @ error.ravel()
+            normal += gram(flat, share.ravel())
+            gain += transposed_product(flat, (share * error).reshape(-1, 1))
         if not np.trace(normal) > 0:
             break
         # A weak ridge where texture leaves a direction open, and a bound on a step from a bad start.
-        step = np.linalg.solve(normal + 1e-6 * np.trace(normal) * np.eye(4), gain)
+        step = solved(normal + 1e-6 * np.trace(normal) * np.eye(4), gain)[:, 0]
         step = np.clip(step, -8, 8)
         about = np.array([[1, 0, width / 2], [0, 1, height / 2], [0, 0, 1]], np.float64)
         grow, turn = step[0] / reach, step[1] / reach
         change = np.array([[1 + grow, -turn, step[2]], [turn, 1 + grow, step[3]], [0, 0, 1]])
-        change = about @ change @ np.linalg.inv(about)
+        change = _product(about, change, inverse_map(about))
         # Composed inversely: the step was found on the render's side.
-        motion = motion @ to_level @ np.linalg.inv(change) @ level.to_render
+        motion = _product(motion, to_level, inverse_map(change), level.to_render)
         if np.abs(step).max() < REGISTRATION.still_px:
             break
     return motion
@@ -389,11 +415,11 @@ def _searched(
     padded = (2 * height, 2 * width)
     spectrum = np.conj(np.fft.rfft2(target, padded))
     energy = np.conj(np.fft.rfft2(level.weight, padded))
-    to_level, full = np.linalg.inv(level.to_render), level.to_picture @ _square(frame)
+    to_level, full = inverse_map(level.to_render), matmul(level.to_picture, _square(frame))
     best, motion = -math.inf, _NOT_MOVED
     for similarity in _grid(width, height):
         edges = np.maximum(
-            _sampled(level.picture[..., 1], (full @ to_level @ similarity)[:2], (width, height), False), 0
+            _sampled(level.picture[..., 1], _product(full, to_level, similarity)[:2], (width, height), False), 0
         )
         # correlation over shifts of the picture: sum_p target(p) edges(p + shift) / its length under the weight
         product = np.fft.irfft2(np.fft.rfft2(edges, padded) * spectrum, padded)
@@ -405,7 +431,7 @@ def _searched(
             best = float(scores[down, right])
             down, right = (v - 2 * size if v > size else v for v, size in ((down, height), (right, width)))
             shift = np.array([[1, 0, right], [0, 1, down], [0, 0, 1]], np.float64)
-            motion = to_level @ similarity @ shift @ level.to_render
+            motion = _product(to_level, similarity, shift, level.to_render)
     return motion
 
 
@@ -414,9 +440,9 @@ def _grid(width: int, height: int) -> Iterator[np.ndarray]:
     about = np.array([[1, 0, width / 2], [0, 1, height / 2], [0, 0, 1]], np.float64)
     for scale in GRID_SCALES:
         for degrees in REGISTRATION.grid_degrees:
-            sine, cosine = scale * math.sin(math.radians(degrees)), scale * math.cos(math.radians(degrees))
+            sine, cosine = (scale * of(math.radians(degrees)) for of in (sin, cos))
             turn = np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
-            yield about @ turn @ np.linalg.inv(about)
+            yield _product(about, turn, inverse_map(about))
 
 
 def _block_shares(mask: np.ndarray) -> np.ndarray:
@@ -460,11 +486,11 @@ class _Scorer:
         return out
 
     def scored(self, motion: np.ndarray, frame: np.ndarray, framing: FramingKind) -> Registration:
-        matrix = (_square(frame) @ motion)[:2]
-        image, inside = warped(self.picture, (_square(matrix) @ self.to_full)[:2], self.size)
+        matrix = matmul(_square(frame), motion)[:2]
+        image, inside = warped(self.picture, matmul(_square(matrix), self.to_full)[:2], self.size)
         content = np.ones_like(inside)
         if self.valid is not None:
-            content = warped(self.valid, (_square(matrix) @ self.to_full)[:2], self.size)[0] > 0.9
+            content = warped(self.valid, matmul(_square(matrix), self.to_full)[:2], self.size)[0] > 0.9
         edges = box_mean(edge_strength(image), 1)
         usable, scores = self.counted & inside & content, []
         empty, used = _block_shares(inside & ~content), _block_shares(usable)
@@ -480,9 +506,9 @@ class _Scorer:
             one, other = self.edges[block][use], edges[block][use]
             one, other = one - one.mean(), other - other.mean()
             scores.append(float((one * other).sum() / max(math.sqrt((one**2).sum() * (other**2).sum()), 1e-9)))
-        moved = motion @ self.center - self.center
-        scale = math.sqrt(abs(np.linalg.det(motion[:2, :2])))
-        turn = math.degrees(math.atan2(motion[1, 0], motion[0, 0]))
+        moved = matmul(motion, self.center[:, None])[:, 0] - self.center
+        scale = math.sqrt(abs(_determinant(motion)))
+        turn = math.degrees(arctan2(motion[1, 0], motion[0, 0]))
         return Registration(
             matrix,
             framing,
