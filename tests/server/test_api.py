@@ -280,6 +280,7 @@ def test_projects_bookmarks_and_the_folder(studio: Live, tmp_path: Path) -> None
         "read_only": False,
         "read_only_reason": "",
         "is_free": False,
+        "noted_computer": "",
     }
     assert studio.post("project.recent")["files"] == ["mine.splatproj", "other.ply"]
     studio.post("asset.open", file="other.ply")

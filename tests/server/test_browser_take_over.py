@@ -16,6 +16,7 @@ from splatpainter.painter import Edit
 from splatpainter.server import lock_watch
 from splatpainter.server.studio import Studio, StudioOptions
 from splatpainter.session import Session
+from splatpainter.session.project.holder import note_of
 from tests.support import studio_scenes
 from tests.support.studio_pages import Page, window
 from tests.support.studio_process import Server
@@ -53,6 +54,29 @@ def edit_here(page: Page) -> Any:
 
 def toasts(page: Page) -> str:
     return " ".join(page.tab.locator(".toasts").all_inner_texts())
+
+
+@pytest.mark.slow
+def test_a_project_with_a_note_of_another_computer_is_edited_once_its_user_says_so(
+    browser: Any, tmp_path: Path
+) -> None:
+    path = tmp_path / "own.splatproj"
+    Session(studio_scenes.ball(), path).close()
+    note_of(path).write_text('{"name": "studio-2", "boot": "another"}')
+    studio = Studio(Session.load(path), "ball", StudioOptions(None, tmp_path / "projects"))
+    with studio_scenes.live(studio) as live, window(browser, live.url, still=True) as page:
+        ask = page.tab.get_by_role("button", name="Edit here...")
+        page.wait("that it is asked", ask.count)
+        assert page.ask(STATE)["read_only"]
+        for answer, stays in (("Cancel", True), ("It is not open there", False)):
+            ask.click()
+            assert "studio-2" in page.tab.locator("dialog").inner_text()
+            page.tab.get_by_role("button", name=answer).click()
+            page.wait(answer, lambda stays=stays: page.ask(STATE)["read_only"] == stays)
+        assert ask.count() == 0 and page.problems == [] and studio.session.read_only == ""
+        painted(studio.session, 0.9)
+    studio.session.close()
+    assert not note_of(path).exists()
 
 
 @pytest.mark.slow

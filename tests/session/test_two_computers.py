@@ -14,6 +14,7 @@ from splatpainter.session.project.database import UnwritableError
 from splatpainter.session.project.holder import Computer, note_of, other_holder
 from splatpainter.session.project.scratch import sweep_folder
 from tests.support.session_scenes import BLUE, RED, dab, flat, load, print_of, two_layers
+from tests.support.systems import posix_only
 
 OTHER = Computer("studio-2", "another start of another system")
 
@@ -51,6 +52,50 @@ def test_what_another_computer_has_open_is_read_only(path: Path) -> None:
         assert path.read_bytes() == before != data
         assert other_holder(path) == "studio-2", "the other one's note stays"
     assert sorted(entry.name for entry in path.parent.iterdir()) == [path.name, f"{path.name}-host"]
+
+
+def test_who_knows_better_takes_it_over_despite_the_note(path: Path) -> None:
+    """A computer that left a note may be gone for good; where it does have the project open it sees who took it."""
+    state = two_layers(path)
+    note(path, OTHER)
+    with load(path) as session:
+        assert session.files.noted_computer == "studio-2"
+        with load(path, readonly=True) as looking:
+            assert looking.files.noted_computer == "", "it was to be read only"
+        session.files.take_over(despite_note=True)
+        assert session.read_only == session.files.noted_computer == "" and print_of(session) == state
+        assert json.loads(note_of(path).read_text())["name"] == holder.this_computer().name
+        session.layers.add("paint", [dab(BLUE)])
+        with load(path) as second, pytest.raises(ValueError, match="open elsewhere"):
+            second.files.take_over(despite_note=True)  # a lock is no note
+    assert not note_of(path).exists()
+
+
+def test_what_another_computer_closed_can_be_taken_over(path: Path) -> None:
+    two_layers(path)
+    note(path, OTHER)
+    with load(path) as session:
+        assert not session.files.can_be_taken_over
+        note_of(path).unlink()
+        assert session.files.can_be_taken_over and session.files.noted_computer == ""
+
+
+@posix_only
+@pytest.mark.parametrize("kind", ["link", "pipe", "folder"])
+def test_a_note_is_written_into_nothing_that_has_its_name(path: Path, kind: str) -> None:
+    """A folder of strangers may have a link there to any file of this user."""
+    two_layers(path)
+    other = path.with_name("other")
+    other.write_text("dear")
+    if kind == "link":
+        note_of(path).symlink_to(other)
+    elif kind == "pipe":
+        os.mkfifo(note_of(path))  # writing to it would wait for a reader
+    else:
+        note_of(path).mkdir()
+    with load(path) as session:
+        assert session.read_only == "" and session.undo()
+    assert other.read_text() == "dear" and note_of(path).is_dir() == (kind == "folder")
 
 
 def test_two_that_opened_it_at_once(path: Path) -> None:

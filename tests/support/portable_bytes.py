@@ -54,10 +54,10 @@ def laid_over() -> str:
     darker = (0.8 * render).astype(np.float32)
     bend = bend_of(resampled_at(darker, bent)[0], render)
     assert bend is not None
-    found = register(warped(darker, turned, (240, 200))[0], render).matrix, bend.coefficients
+    laid = register(warped(darker, turned, (240, 200))[0], render).matrix, bend.coefficients
     drift = estimate_drift(darker, render, np.ones(render.shape[:2], bool), certain=True)
-    assert drift.kind != "none" and abs(found[0][0, 1]) > 0.01
-    return " ".join(hashlib.sha256(of.tobytes()).hexdigest()[:16] for of in (*found, drift.matrix))
+    assert drift.kind != "none" and abs(laid[0][0, 1]) > 0.01
+    return " ".join(hashlib.sha256(of.tobytes()).hexdigest()[:16] for of in (*laid, drift.matrix))
 
 
 def main() -> None:

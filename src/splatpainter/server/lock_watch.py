@@ -29,7 +29,9 @@ async def watch(hub: Hub, look_seconds: float = LOOK_SECONDS) -> None:
 
 async def _look(hub: Hub) -> None:
     studio, before = hub.studio, hub.studio.state
-    if await asyncio.to_thread(lambda: studio.session.files.can_be_taken_over) == before.project.is_free:
+    files = studio.session.files
+    holding = await asyncio.to_thread(lambda: (files.can_be_taken_over, files.noted_computer))
+    if holding == (before.project.is_free, before.project.noted_computer):
         return
     # Looked at again by the thread that changes the state: by then it may be taken over, or another project be open.
     await hub.queue.run("write", studio.note_lock, Ticket())

@@ -291,6 +291,9 @@ class ProjectInfo(Message):
     """Why, one line; "" where it can be changed."""
     is_free: bool = False
     """Whether it is read only and nobody else has it open any more: `project.take_over` goes on in it."""
+    noted_computer: str = ""
+    """Name of the computer that, as a note says, has it open or did not close it, where nobody here has; "": none. Its
+    user decides: `project.take_over` with `despite_note` goes on in it."""
 
 
 class SelectionInfo(Message):

@@ -85,8 +85,8 @@ class Studio:
         self.batches = Batches(self.scratch.path)
         self._scene: tuple[Any, list[SceneAssetInfo]] | None = None
         self._preparing: threading.Thread | None = None
-        self._free: Session | None = None
-        """The session, where it is read only and its project was seen to be open nowhere else any more."""
+        self._looked: tuple[Session | None, bool, str] = (None, False, "")
+        """Of which session it was seen whether its project could be taken over, and whose note says that it cannot."""
         # A project that has a picture of this version needs no other.
         self._drawn: int | None = None
         """Version of the session of which its project has a picture; None: it has none."""
@@ -207,7 +207,8 @@ class Studio:
 
     def note_lock(self) -> None:
         """Look whether a project that is read only could be taken over by now, and say so in `state`."""
-        self._free = self.session if self.session.files.can_be_taken_over else None
+        files = self.session.files
+        self._looked = (self.session, files.can_be_taken_over, files.noted_computer)
         self.refresh()
 
     def _scene_assets(self, session: Session, name: str) -> list[SceneAssetInfo]:
@@ -261,10 +262,17 @@ class Studio:
         file = path.name if path is not None and inside else None
         reason = session.read_only
         id = "" if path is None else path.stem
-        is_free = bool(reason) and session is self._free
+        looked, is_free, noted = self._looked
+        is_free, noted = (is_free, noted) if reason and session is looked else (False, "")
         reason = self.public(reason)
         return ProjectInfo(
-            id=id, name=name, file=file, read_only=bool(reason), read_only_reason=reason, is_free=is_free
+            id=id,
+            name=name,
+            file=file,
+            read_only=bool(reason),
+            read_only_reason=reason,
+            is_free=is_free,
+            noted_computer=self.public(noted),
         )
 
     def _earlier_of(self, session: Session) -> list[RecentInfo]:

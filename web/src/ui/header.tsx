@@ -24,8 +24,10 @@ import { frame, zoomLens, type Vec3 } from "../view/camera";
 import { penInput } from "../tools/pen-input";
 import { OverflowBar } from "./overflow-bar";
 import { CommandButton } from "./command-button";
-import { Button, Choice, Slider } from "./parts";
+import { Button, Choice, Dialog, Slider } from "./parts";
 
+/** Whether it is asked if a project may be edited that a note says is open on another computer. */
+const noteOpen = signal(false);
 export const filesOpen = signal<"open" | "save" | null>(null);
 
 const BACKGROUNDS: readonly (readonly [string, string])[] = [
@@ -119,6 +121,17 @@ export function Header() {
           Edit here
         </button>
       )}
+      {now?.project.noted_computer && (
+        <button
+          type="button"
+          class="button"
+          title={now.project.read_only_reason}
+          onClick={() => (noteOpen.value = true)}
+        >
+          Edit here...
+        </button>
+      )}
+      {noteOpen.value && now?.project.noted_computer && <NoteDialog computer={now.project.noted_computer} />}
       <CommandButton
         icon="undo"
         command="edit.undo"
@@ -218,5 +231,31 @@ function Connection() {
       <i aria-hidden="true" />
       <span class="quiet">{status.value === "open" ? now : words}</span>
     </span>
+  );
+}
+
+/** Only its user knows whether a project is open on a computer that left a note beside it. */
+function NoteDialog({ computer }: { computer: string }) {
+  const close = () => (noteOpen.value = false);
+  const takeOver = () => {
+    close();
+    void run("project.take_over", { despite_note: true }, "Edit here");
+  };
+  return (
+    <Dialog title="Edit here" onClose={close}>
+      <p>
+        A note beside this project says that it is open on {computer}, or was not closed there. If it is open there,
+        close it there: what two computers do in one file at once would be lost.
+      </p>
+      <p class="row">
+        <Button label="It stays read only here" text="Cancel" onClick={close} />
+        <Button
+          label={`It is not open on ${computer}: edit it here`}
+          text="It is not open there"
+          primary
+          onClick={takeOver}
+        />
+      </p>
+    </Dialog>
   );
 }

@@ -167,17 +167,20 @@ class ProjectTakeOver(Command):
     Refused while somebody else has it open."""
 
     NAME = "project.take_over"
+    despite_note: bool = False
+    """Also where a note says that another computer has it open: its user knows that it is not."""
 
 
 @command(ProjectTakeOver, writes=True)
 def take_over(context: CommandContext, request: ProjectTakeOver) -> Answer:
     studio = context.studio
     with progress(context, "opening"):
-        studio.session.files.take_over()
+        studio.session.files.take_over(despite_note=request.despite_note)
     if studio.session.note:
         studio.news = [studio.public(studio.session.note)]
     context.notice = f"{studio.name} can be edited now."
-    return Answer(python=python_line("session.files.take_over"))
+    options = {"despite_note": True} if request.despite_note else {}
+    return Answer(python=python_line("session.files.take_over", **options))
 
 
 def _open_upload(studio: Studio, blob: StoredBlob, name: str) -> Session:

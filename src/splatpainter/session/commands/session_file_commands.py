@@ -24,9 +24,10 @@ from splatpainter.session.document.scene_asset import MAIN_ASSET_ID, find_asset
 from splatpainter.session.project import asset_files
 from splatpainter.session.project.asset_files import ORIGINAL_FACTS
 from splatpainter.session.project.database import SUFFIX
+from splatpainter.session.project.holder import other_holder
 from splatpainter.session.project.lock import ProjectLock
 from splatpainter.session.project.project_file import Project
-from splatpainter.session.project.project_opening import ELSEWHERE
+from splatpainter.session.project.project_opening import was_held
 from splatpainter.session.project.project_summary import PICTURE_FACT
 from splatpainter.session.project.scene_export import export_scene, scene_receipt
 from splatpainter.session.replay.snapshot import Snapshot
@@ -165,18 +166,19 @@ class SessionFileCommands:
         """A copy of the project in another file; the session stays where it is."""
         self._core.project.copy(project_path(path), overwrite)
 
-    def take_over(self) -> None:
+    def take_over(self, despite_note: bool = False) -> None:
         """Go on in a project that can only be looked at because it was open elsewhere, once nobody has it open: what is
         shown is then the newest that was done in it, and it can be changed. Does nothing where it can be changed
-        already. Raises ValueError, and nothing changes: it is open elsewhere still or again, is gone, cannot be
-        written, or is of another original now."""
+        already. despite_note: also where a note says that another computer has it open (`noted_computer`), as its user
+        knows better; one that does have it open acknowledges nothing more. Raises ValueError, and nothing changes: it
+        is open elsewhere still or again, is gone, cannot be written, or is of another original now."""
         core = self._core
         with core.lock:
             old = core.project
             if not old.read_only:
                 return
             # Opened, shown and only then let go of: whatever fails before, the session goes on showing what it did.
-            fresh = Project.open(old.path, readonly=False)
+            fresh = Project.open(old.path, readonly=False, despite_note=despite_note)
             try:
                 if any(old.fact(name) != fresh.fact(name) for name in ORIGINAL_FACTS):
                     raise ValueError(f"{old.path}: another project has this name now; open it anew")
@@ -193,8 +195,18 @@ class SessionFileCommands:
     def can_be_taken_over(self) -> bool:
         """Whether the project can only be looked at because it was open elsewhere, and nobody has it open any more.
         Cheap enough to be asked every few seconds. Raises OSError: its folder cannot be reached."""
+        return self._was_let_go_of and not other_holder(self._core.project.path)
+
+    @property
+    def noted_computer(self) -> str:
+        """Name of the computer that, as a note says, has a project open that can only be looked at here, or did not
+        close it, while nobody here has it open; "": none. Whether it is open there its user knows."""
+        return other_holder(self._core.project.path) if self._was_let_go_of else ""
+
+    @property
+    def _was_let_go_of(self) -> bool:
         project = self._core.project
-        return project.read_only == ELSEWHERE and project.path.is_file() and ProjectLock.is_free(project.path)
+        return was_held(project.read_only) and project.path.is_file() and ProjectLock.is_free(project.path)
 
     @property
     def is_in_place(self) -> bool:

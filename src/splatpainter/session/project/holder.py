@@ -60,9 +60,13 @@ def other_holder(project: Path) -> str:
 
 def take_note(project: Path) -> None:
     """Note that this computer has a project open. Its lock is held. Where the folder takes no file there is none."""
-    computer = this_computer()
+    computer, path = this_computer(), note_of(project)
+    record = json.dumps({"name": computer.name, "boot": computer.boot})
     with contextlib.suppress(OSError):
-        note_of(project).write_text(json.dumps({"name": computer.name, "boot": computer.boot}), encoding="utf-8")
+        # A new file: what has its name may be a link to any file of this user, or a pipe, which nobody may read.
+        path.unlink(missing_ok=True)
+        with open(path, "x", encoding="utf-8") as file:
+            file.write(record)
 
 
 def drop_note(project: Path) -> None:

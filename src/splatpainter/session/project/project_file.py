@@ -122,17 +122,19 @@ class Project:
                     files.remove(path.with_name(path.name + ending))
                 raise
         except BaseException:
+            holder.drop_note(path)
             lock.release()
             raise
 
     @staticmethod
-    def open(path: Path, readonly: bool | None = None) -> Project:
+    def open(path: Path, readonly: bool | None = None, despite_note: bool = False) -> Project:
         """Open a project file. readonly None: only where it is open elsewhere or cannot be written; False: then it is
-        an error. Raises ValueError: missing, damaged, no project, of another version."""
+        an error. despite_note: its user knows that it is not open on the computer whose note lies beside it. Raises
+        ValueError: missing, damaged, no project, of another version."""
         database.check_head(path)
         lock, reason, note = None, "opened for reading only", ""
         if not readonly:
-            lock, reason = lock_or_reason(path)
+            lock, reason = lock_or_reason(path, despite_note)
         try:
             if lock is not None and (unused := database.set_log_aside(path)):
                 note = f"{path}: a log of another state of this file lay beside it; it is not used, and is now {unused}"
@@ -154,6 +156,7 @@ class Project:
                 return Project(bounded, lock, reason, note)._settled()
         except BaseException:
             if lock is not None:
+                holder.drop_note(path)
                 lock.release()
             raise
 

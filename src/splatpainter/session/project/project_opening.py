@@ -29,8 +29,14 @@ def open_database(path: Path, readonly: bool) -> Database:
         return bounded
 
 
-def lock_or_reason(path: Path) -> tuple[ProjectLock | None, str]:
-    """(the lock of a project, "") or (None, why it cannot be written)."""
+def was_held(reason: str) -> bool:
+    """Whether this, why a project cannot be written, is that somebody else had it open."""
+    return reason == ELSEWHERE or reason.startswith(holder.OPEN_THERE.partition("{")[0])
+
+
+def lock_or_reason(path: Path, despite_note: bool = False) -> tuple[ProjectLock | None, str]:
+    """(the lock of a project, "") or (None, why it cannot be written). despite_note: also where another computer's note
+    says that it is open there."""
     try:
         lock = ProjectLock.take(path)
     except ValueError as error:
@@ -39,7 +45,7 @@ def lock_or_reason(path: Path) -> tuple[ProjectLock | None, str]:
     if lock is None:
         return None, ELSEWHERE
     # A lock that was given says nothing of other computers where locks do not reach them.
-    if other := holder.other_holder(path):
+    if not despite_note and (other := holder.other_holder(path)):
         lock.release()
         return None, holder.OPEN_THERE.format(other, holder.note_of(path).name)
     return lock, ""
