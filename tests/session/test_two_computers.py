@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -134,6 +136,29 @@ def test_a_note_that_says_nothing_is_none(path: Path, text: str) -> None:
     with load(path) as session:
         assert session.read_only == ""
     assert not note_of(path).exists()
+
+
+@posix_only
+def test_a_script_that_closes_nothing_leaves_no_note(path: Path) -> None:
+    """Other computers would find the project open here. A fork that ends leaves its parent's note."""
+    two_layers(path)
+    script = f"""
+import os, sys; sys.path.insert(0, {str(Path(__file__).parents[2])!r})
+from pathlib import Path
+from splatpainter.session.project.holder import note_of
+from tests.support.session_scenes import BLUE, dab, load
+session = load(Path(sys.argv[1]))
+session.layers.add("paint", [dab(BLUE)])
+if os.fork() == 0:
+    sys.exit()
+os.wait()
+print(note_of(Path(sys.argv[1])).is_file())
+"""
+    done = subprocess.run([sys.executable, "-c", script, str(path)], capture_output=True, text=True, check=True)
+    assert done.stdout == "True\n" and not note_of(path).exists()
+    session = load(path)
+    assert note_of(path).is_file() and len(session.layers) == 3
+    session.close()
 
 
 def test_notes_of_killed_processes_are_swept_with_their_locks(path: Path) -> None:

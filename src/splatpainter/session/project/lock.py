@@ -27,7 +27,7 @@ class ProjectLock:
     """Held from `take` until `release`."""
 
     def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
-        self._connection, self._path = connection, path
+        self._connection, self._path, self.is_held = connection, path, True
 
     @staticmethod
     def take(project: Path) -> ProjectLock | None:
@@ -66,7 +66,7 @@ class ProjectLock:
 
     def release(self) -> None:
         """Remove the file and let go. In this order: whoever locks the file in between finds that its name is gone."""
-        removed = False
+        removed, self.is_held = False, False
         with contextlib.suppress(OSError):
             self._path.unlink(missing_ok=True)
             removed = True

@@ -10,10 +10,12 @@ from __future__ import annotations
 import contextlib
 import itertools
 import json
+import os
 import sqlite3
 import threading
 import time
 import warnings
+import weakref
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -81,6 +83,7 @@ class Project:
         self._file = None if lock is None else OpenFile(bounded.path)
         if lock is not None:
             holder.take_note(self.path)
+            weakref.finalize(self, _drop_note, self.path, lock, os.getpid())
         self._spare: bytes | None = None
         """The file as it was left last, where it has at most MAX_SPARE_BYTES: once another program wrote into it,
         SQLite reads only that."""
@@ -574,3 +577,9 @@ def _policies(pairs: Any) -> tuple[tuple[str, str, Policy], ...]:
             raise ValueError(f"unexpected policy {pair!r:.80}")
         out.append((lower, upper, policy))
     return tuple(out)
+
+
+def _drop_note(path: Path, lock: ProjectLock, process: int) -> None:
+    """Of a project that was not closed: its process ended, as scripts do, or nobody refers to it any more."""
+    if lock.is_held and os.getpid() == process:  # a fork of it leaves the note alone
+        holder.drop_note(path)
