@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,8 @@ from splatpainter.kernels.parallel import THREADS_VARIABLE
 from splatpainter.lift.edit_views import EditView
 from splatpainter.lift.masks import dilated
 from splatpainter.painter import Asset, Edit, EditSettings, Painter
+from splatpainter.pictures.edit_files import MAX_CLEAR_ALPHA, PictureFile
+from splatpainter.pictures.picture_reader import Picture
 from splatpainter.rendering import render
 from splatpainter.splats import ATTRIBUTES, SH_C0, ColorSpace, Splats
 from splatpainter.spread.options import SpreadOptions
@@ -94,6 +97,23 @@ def test_a_soft_edge_is_no_rim_of_old_colour_and_teaches_no_weaker_one(mask: np.
     ids = np.flatnonzero((splats.means[:, 0] < -0.1) & BACK)
     light = (0.4 + 0.15 * splats.means[ids, 1])[:, None]
     assert np.abs(0.5 + SH_C0 * result.splats.sh[ids, 0] - lit(PAINT, light)).mean() < 0.035
+
+
+def test_a_transparent_picture_over_the_view_says_how_thick_its_paint_is() -> None:
+    """As an image editor exports a layer of paint: the same as a brush, whose cover is known."""
+    splats, mask = board(), left_half()
+    paint, cover = painted_picture(splats), soft(left_half(), 7)
+    picture = PictureFile(Path("paint.png"), Picture(paint, 0.6 * cover), (72, 72), CAMERA, None, ("",))
+    edit = picture.edit(splats, "spread")
+    assert edit.cover is not None and edit.mask is not None
+    np.testing.assert_allclose(edit.cover, cover, atol=1e-6)
+    np.testing.assert_array_equal(edit.mask, 0.6 * cover > MAX_CLEAR_ALPHA)
+    assert picture.edit(splats).cover is None and replace(picture, cut_out=True).edit(splats, "spread").cover is None
+    picture = replace(picture, picture=replace(picture.picture, alpha=cover))
+    painter = Painter()
+    result = painter.apply(painter.encode(splats), [picture.edit(splats, "spread")], "spread")
+    inner = mask & (cover < 1) & (cover > 0) & ~dilated(~mask, 3)
+    assert db(np.clip(render(result.splats, CAMERA).colors[0], 0, 1), paint, inner) > 28, "a rim of the old colour"
 
 
 def test_full_cover_changes_nothing() -> None:

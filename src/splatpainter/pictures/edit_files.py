@@ -108,6 +108,10 @@ class PictureFile:
         resized = self.view is not None or self.original_size != (self.camera.width, self.camera.height)
         colors = from_display(self.picture.colors, splats.color_space)
         unmasked = mask is None and (mode == "local" if resized else self.is_lossy and mode != "global")
+        # A layer of paint says itself how thick it is along its soft edges, and where it is.
+        thickness = None
+        if mode == "spread" and alpha is not None and not self.cut_out and (alpha > MAX_CLEAR_ALPHA).any():
+            thickness, unmasked = np.clip(alpha / alpha.max(), 0, 1), False
         if alpha is not None or unmasked:
             # Drawn once, for both reasons.
             render, cover = draw(splats, self.camera)
@@ -123,9 +127,9 @@ class PictureFile:
                         f"{self.picture.encoding.words} does"
                     )
             # What is transparent was not painted, whatever its colour.
-            if alpha is not None and (mask is not None or mode == "global"):
+            if alpha is not None and (mask is not None or thickness is not None or mode == "global"):
                 mask = (alpha > MAX_CLEAR_ALPHA) & (True if mask is None else mask)
-        return Edit(np.ascontiguousarray(colors, np.float32), self.camera, mask, str(self.path))
+        return Edit(np.ascontiguousarray(colors, np.float32), self.camera, mask, str(self.path), thickness)
 
     @property
     def is_lossy(self) -> bool:

@@ -287,7 +287,8 @@ def _committed(context: CommandContext, request: PaintEnd, edits: list[Edit], er
     """(id of the layer that a stroke is in now, the Python line)."""
     session, kind = context.studio.session, "erase" if erase else "paint"
     how: dict[str, Any] = {} if erase else {"method": request.method, **request.limits.options()}
-    words = [RawExpr(f"sp.Edit(picture{k or ''}, camera{k or ''}, mask{k or ''})") for k in range(len(edits))]
+    thick = "" if edits[0].cover is None else ", cover=cover"
+    words = [RawExpr(f"sp.Edit(picture{k or ''}, camera{k or ''}, mask{k or ''}{thick})") for k in range(len(edits))]
     attached: list[bytes] = []
     # A text's picture is stored with it, so that it can be changed when the upload is gone.
     if request.placed is not None:
