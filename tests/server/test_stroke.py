@@ -10,14 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from splatpainter.lift.colors import recolor
 from splatpainter.lift.sheets.paint import paint_view
 from splatpainter.rendering import render
 from splatpainter.server.protocol import CameraInfo
+from splatpainter.server.strokes import stroke as stroke_module
 from splatpainter.server.strokes.mirrored_stroke import MirroredStroke
-from splatpainter.server.strokes.stroke import Stroke
+from splatpainter.server.strokes.stroke import MIN_COLOR_CHANGE, Stroke
 from splatpainter.session.measures.mirror_plane import mirrored_camera, parsed_plane
-from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.splats import ATTRIBUTES, SH_C0, Splats
 from splatpainter.surface.estimate import Surface, SurfacePoints
+from splatpainter.transforms import row_max
 from tests.support import studio_scenes
 from tests.support.studio_scenes import ball, view
 
@@ -39,6 +42,29 @@ def square(color=(200, 40, 40, 255), width: int = BOX[2], height: int = BOX[3]) 
 
 def shot(splats: Splats) -> np.ndarray:
     return np.clip(render(splats, view(SIZE)).colors[0], 0, 1)
+
+
+def test_previews_compare_what_moved_alone_and_leave_nothing_unsent(monkeypatch: pytest.MonkeyPatch) -> None:
+    splats, compared = ball(3000), []
+
+    def counted(values: np.ndarray) -> np.ndarray:
+        compared.append(len(values))
+        return row_max(values)
+
+    monkeypatch.setattr(stroke_module, "row_max", counted)
+    stroke, visible = Stroke(view(SIZE)), splats
+    stroke.prepare(splats, splats, 1)
+    for x in range(BOX[0], BOX[0] + 24, 6):
+        visible = with_preview(visible, stroke.preview(splats, splats, 1, stroke.patch(x, *BOX[1:], square())))
+    canvas = stroke._canvas
+    assert canvas is not None and len(compared) == 4
+    # Far fewer than the view's, and never more than may move.
+    assert 0 < max(compared) <= canvas.movable.sum() < len(canvas.view) // 2
+    assert np.abs(canvas.colors - canvas.sent).max() <= MIN_COLOR_CHANGE
+    # What a page put together from the previews is what the stroke has.
+    ids = canvas.view.gaussian_ids[canvas.movable]
+    everything = recolor(splats.sh[ids], canvas.view.unclamped_colors[canvas.movable], canvas.colors[canvas.movable])
+    assert np.abs(visible.sh[ids] - everything).max() <= MIN_COLOR_CHANGE / SH_C0
 
 
 def test_a_preview_brings_the_view_towards_the_paint_and_little_else() -> None:

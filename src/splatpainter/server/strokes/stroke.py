@@ -29,6 +29,7 @@ from splatpainter.surface.recent_sights import note_sight
 from splatpainter.surface.visible import SightEstimates
 from splatpainter.system.jsonio import brief
 from splatpainter.system.quick_dataclass import dataclass
+from splatpainter.transforms import row_max
 
 SIRT_STEPS = 3
 """Per dab; the next dab beside it continues them."""
@@ -179,9 +180,10 @@ class Stroke:
         if not self.erase:
             painted = from_display(self.rgba[inside][..., :3].astype(np.float32) / 255, splats.color_space)
         canvas.target[inside] = (1 - alpha) * canvas.base[inside] + alpha * painted
-        entries = self._lift(canvas, _grown(box, self.camera))
-        # Only what changed visibly is sent: previews go out with every dab.
-        changed = entries[np.abs(canvas.colors[entries] - canvas.sent[entries]).max(1) > MIN_COLOR_CHANGE]
+        moved = self._lift(canvas, _grown(box, self.camera))
+        # Only what changed visibly is sent: previews go out with every dab. The others have the colours of before, and
+        # were judged then.
+        changed = moved[row_max(np.abs(canvas.colors[moved] - canvas.sent[moved])) > MIN_COLOR_CHANGE]
         canvas.sent[changed] = canvas.colors[changed]
         # Frames want their Gaussians in ascending order.
         changed = changed[np.argsort(view.gaussian_ids[changed])]
@@ -189,7 +191,7 @@ class Stroke:
         return ids, recolor(splats.sh[ids], view.unclamped_colors[changed], canvas.colors[changed])
 
     def _lift(self, canvas: _Canvas, box: Box) -> np.ndarray:
-        """SIRT steps on the colours within a window of the view. Returns [E] the view's entries that it shows."""
+        """SIRT steps on the colours within a window of the view. Returns [E] the view's entries that they moved."""
         view, window = canvas.view, _slices(box)
         everywhere, painted = np.zeros((2, *self.rgba.shape[:2]), np.float32)
         # The window limits the work, the painted pixels what is to change.
@@ -198,12 +200,14 @@ class Stroke:
         tiles[box[1] // TILE : -(-box[3] // TILE), box[0] // TILE : -(-box[2] // TILE)] = True
         # Only the tiles around the dab: the rest of the view has not changed.
         small = view.part(tiles=tiles)
-        entries, target = canvas.entries[small.gaussian_ids], canvas.target
+        entries, target = canvas.entries.take(small.gaussian_ids), canvas.target
         sums = small.backproject(target, painted)
         # A Gaussian moves if the paint reaches it visibly and enough of it lies inside; else colour would leak.
-        reached = (sums.peak > MIN_PIXEL_SHARE) & (sums.weight > MIN_VISIBLE_SHARE * sums.alpha)
-        canvas.movable[entries] |= reached & (sums.weight > MIN_INSIDE_SMALL * canvas.weights[entries])
-        movable = canvas.movable[entries]
+        reached = np.flatnonzero((sums.peak > MIN_PIXEL_SHARE) & (sums.weight > MIN_VISIBLE_SHARE * sums.alpha))
+        weights = canvas.weights.take(entries.take(reached))
+        reached = reached[sums.weight.take(reached) > MIN_INSIDE_SMALL * weights]
+        canvas.movable[entries.take(reached)] = True
+        movable = canvas.movable.take(entries)
         sirt = sirt_steps(small, target, everywhere, movable)
         step, moved = 1 / np.maximum(sirt.weight, 1e-6)[:, None], entries[movable]
         colors, ceiling = canvas.colors[moved], np.maximum(view.unclamped_colors[moved], MAX_COLOR)
@@ -211,7 +215,7 @@ class Stroke:
         for _ in range(SIRT_STEPS):
             colors = np.clip(colors + step * sirt.residual(colors), 0, ceiling).astype(np.float32)
         canvas.colors[moved] = colors
-        return entries
+        return moved
 
     @property
     def has_grown(self) -> bool:
