@@ -6,6 +6,7 @@ import asyncio
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -17,6 +18,7 @@ from splatbench.studio_client import Browser, after
 
 from splatpainter.cameras import Camera
 from splatpainter.io import write
+from splatpainter.kernels import spare_copies
 from splatpainter.server import page_state
 from splatpainter.server.client import BACKPRESSURE_MESSAGES, MAX_QUEUED_COMMANDS, Client
 from splatpainter.server.commands.context import HANDLERS, CommandContext, Handler
@@ -28,7 +30,7 @@ from splatpainter.server.strokes.stroke import Stroke
 from splatpainter.session.commands.session_layers import SessionLayers
 from splatpainter.session.commands.session_surface import SessionSurface
 from splatpainter.session.project import project_file
-from splatpainter.splats import rows_sha256
+from splatpainter.splats import ATTRIBUTES, rows_sha256
 from splatpainter.surface.estimate import Surface
 from tests.support.studio_scenes import Live, Mirror, ball, dab, live, make_studio, view, wire
 
@@ -522,6 +524,32 @@ def test_the_surface_is_looked_at_while_a_stroke_is_drawn(studio: Live, monkeypa
             if looked.wait(0.1):
                 return
     raise AssertionError("nobody looked")
+
+
+def test_a_stroke_writes_into_copies_that_were_made_while_it_was_drawn(
+    studio: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a million Gaussians copying what a stroke leaves alone took a tenth of the wait for it."""
+    monkeypatch.setattr(spare_copies, "SPARE_LIMITS", replace(spare_copies.SPARE_LIMITS, smallest_bytes=0, room=4))
+    copied, addresses, copy_ahead = threading.Event(), [], Stroke.copy_ahead
+
+    def noted(stroke: Stroke) -> None:
+        copy_ahead(stroke)
+        addresses.extend(address(copy._copies[0]) for copy in stroke._copies)
+        copied.set()
+
+    def address(array: np.ndarray) -> int:
+        return array.__array_interface__["data"][0]
+
+    monkeypatch.setattr(Stroke, "copy_ahead", noted)
+    with studio.greeted() as one:
+        started = one.do("paint.begin", camera=wire(view()))
+        assert copied.wait(60)
+        one.do("paint.dab", stroke=started["stroke"], rgba=dab(24, RED), x=36, y=36, width=24, height=24)
+        one.do("paint.end", stroke=started["stroke"])
+    splats = studio.studio.session.splats
+    assert len(addresses) == len(ATTRIBUTES)
+    assert [address(getattr(splats, name)) for name in ATTRIBUTES] == addresses
 
 
 def test_a_closed_studio_leaves_no_thread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

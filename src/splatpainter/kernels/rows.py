@@ -12,6 +12,7 @@ from splatpainter.kernels.arrays import aligned, readonly
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import each, run, threads
 from splatpainter.kernels.row_bits import row_bits
+from splatpainter.kernels.spare_copies import spare_copy_of
 from splatpainter.splats import ATTRIBUTES, Splats
 
 MIN_ROWS = 1 << 13
@@ -45,8 +46,13 @@ def take(splats: Splats, ids: np.ndarray) -> Splats:
 
 
 def extended(values: np.ndarray, tail: np.ndarray) -> np.ndarray:
-    """[N + A, ...] of [N, ...] and [A, ...]: `np.concatenate`, large arrays by all threads."""
+    """[N + A, ...] of [N, ...] and [A, ...]: `np.concatenate`, large arrays by all threads, or into a copy that was
+    made ahead (spare_copies.py)."""
     n = len(values)
+    spare = spare_copy_of(values, n + len(tail)) if values.dtype == tail.dtype else None
+    if spare is not None:
+        spare[n:] = tail
+        return spare
     if n < MIN_ROWS or values.dtype != tail.dtype:
         return np.concatenate([values, tail])
     out = aligned((n + len(tail), *values.shape[1:]), values.dtype)

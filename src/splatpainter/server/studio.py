@@ -133,15 +133,21 @@ class Studio:
         news, self.news = self.news, []
         return news
 
-    def prepare_edit(self, camera: Camera) -> None:
+    def prepare_edit(self, camera: Camera, stroke: Stroke | None = None) -> None:
         """Make what the next local edit, in this view, needs in a thread of its own, unless one is at it; `close` waits
-        for it."""
+        for it. stroke: whose edit it will be, where it is one's; of several assets its edit is made of other arrays."""
         # One at a time: preparing only saves time, and an edit does without it as well.
-        if self._preparing is None or not self._preparing.is_alive():
-            self._preparing = threading.Thread(
-                target=self.session.surface.prepare, args=(camera,), name="studio-prepare", daemon=True
-            )
-            self._preparing.start()
+        if self._preparing is not None and self._preparing.is_alive():
+            return
+        surface, alone_there = self.session.surface, len(self.session.scene.assets) == 1
+
+        def work() -> None:
+            surface.prepare(camera)
+            if stroke is not None and alone_there:
+                stroke.copy_ahead()
+
+        self._preparing = threading.Thread(target=work, name="studio-prepare", daemon=True)
+        self._preparing.start()
 
     def look_under(self, stroke: Stroke) -> None:
         """Estimate the surface under a stroke in a thread of its own while the stroke is drawn, unless one is at it;

@@ -109,7 +109,7 @@ def begin(context: CommandContext, request: PaintBegin) -> StrokeStarted:
     snapshot = session.snapshot
     # Projected when the pen goes down, so that the first dab is as quick as the others.
     stroke.prepare(snapshot.splats, session.original, snapshot.version)
-    context.studio.prepare_edit(camera)  # ready when the pen goes up
+    context.studio.prepare_edit(camera, stroke)  # ready when the pen goes up
     context.clear_preview = True
     name = secrets.token_hex(6)
     # One stroke for each page: a new one replaces what was not ended.

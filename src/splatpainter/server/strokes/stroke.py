@@ -14,6 +14,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.color import from_display, to_display
+from splatpainter.kernels.spare_copies import SpareCopy, spare_copies
 from splatpainter.lift.colors import MAX_COLOR, recolor
 from splatpainter.lift.local.local_edit import MIN_VISIBLE_SHARE
 from splatpainter.lift.local.patch import MIN_INSIDE_SMALL, MIN_PIXEL_SHARE
@@ -102,6 +103,7 @@ class Stroke:
         self.rgba = np.zeros((camera.height, camera.width, 4), np.uint8)
         self._canvas: _Canvas | None = None
         self._sight: SightEstimates | None = None
+        self._copies: tuple[SpareCopy, ...] = ()
         self._patches = self._looked = 0
         """Patches so far, and when the surface was looked at last."""
         self._grows = True
@@ -236,6 +238,13 @@ class Stroke:
             self._sight = sight
             note_sight(surface, canvas.view.camera, sight)
         return True
+
+    def copy_ahead(self) -> None:
+        """Copy the large arrays that the edit at the end will write into, beside the thread that draws. The edit finds
+        the copies as long as this stroke is there."""
+        canvas = self._canvas
+        if canvas is not None and not (self.erase or self.masks):
+            self._copies = spare_copies(canvas.splats)
 
     @property
     def base(self) -> np.ndarray:
