@@ -67,6 +67,15 @@ def test_previews_compare_what_moved_alone_and_leave_nothing_unsent(monkeypatch:
     assert np.abs(visible.sh[ids] - everything).max() <= MIN_COLOR_CHANGE / SH_C0
 
 
+def test_a_stroke_over_a_picture_leaves_what_it_does_not_cover() -> None:
+    stroke, rng = Stroke(view(SIZE)), np.random.default_rng(0)
+    stroke.patch(*BOX, rng.integers(0, 256, (BOX[3], BOX[2], 4), np.uint8).tobytes())
+    render = rng.random((SIZE, SIZE, 3)).astype(np.float32) * 1.2  # over a picture that is brighter than white, too
+    alpha = stroke.rgba[..., 3:].astype(np.float32) / 255
+    expected = np.clip(render * (1 - alpha) + stroke.rgba[..., :3].astype(np.float32) / 255 * alpha, 0, 1)
+    np.testing.assert_array_equal(stroke.over(render), expected)
+
+
 def test_a_preview_brings_the_view_towards_the_paint_and_little_else() -> None:
     splats, before = ball(3000), shot(ball(3000))
     stroke = Stroke(view(SIZE))

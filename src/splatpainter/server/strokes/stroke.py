@@ -272,8 +272,13 @@ class Stroke:
 
     def over(self, render: np.ndarray) -> np.ndarray:
         """[H, W, 3] display colours 0..1: the stroke over a picture of the view ([H, W, 3] display colours)."""
-        alpha = self.rgba[..., 3:].astype(np.float32) / 255
-        return np.clip(render * (1 - alpha) + self.rgba[..., :3].astype(np.float32) / 255 * alpha, 0, 1)
+        out = np.ascontiguousarray(np.clip(render, 0, 1))
+        # A stroke covers little of the view; the rest is the picture as it is.
+        at = np.flatnonzero(self.rgba[..., 3])
+        rgba = self.rgba.reshape(-1, 4).take(at, 0).astype(np.float32) / 255
+        alpha, below = rgba[:, 3:], render.reshape(-1, 3).take(at, 0)
+        out.reshape(-1, 3)[at] = np.clip(below * (1 - alpha) + rgba[:, :3] * alpha, 0, 1)
+        return out
 
 
 def _slices(box: Box) -> tuple[slice, slice]:

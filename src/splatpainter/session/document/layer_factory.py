@@ -8,6 +8,7 @@ import io
 import warnings
 from collections import deque
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +17,7 @@ from splatpainter.cameras import Camera
 from splatpainter.color import from_display, to_display
 from splatpainter.image_files import MAX_PICTURE_PIXELS, to_uint8
 from splatpainter.io import files
+from splatpainter.kernels.parallel import beside
 from splatpainter.lift.masks import edited_mask
 from splatpainter.painter import MAX_VIEWS, Edit
 from splatpainter.session.document.document import Layer
@@ -76,14 +78,20 @@ def new_layer(
             raise ValueError(f"{edit.name}: expected a mask for a view of kind {kind}")
         # Hashed as they will be stored: replay computes from these bytes, not from the floats that came in.
         inside = mask if cut_out else None
-        picture = put(encode_picture(edit.image, splats.color_space, inside)) if operation.takes_pictures else None
-        views.append(View(edit.camera, picture, None if mask is None else put(encode_mask(mask, edit.cover))))
+        encoding = None
+        if operation.takes_pictures:
+            # Packing pixels leaves Python alone: the mask and the thumbnail are made meanwhile.
+            encoding = beside(partial(encode_picture, edit.image, splats.color_space, inside))
+        packed_mask, thumb = None if mask is None else encode_mask(mask, edit.cover), None
         # The first view is what people know the layer by; of one without pictures that is its mask.
         if small is None:
             image = to_display(edit.image, splats.color_space)
             if not operation.takes_pictures:
                 image = np.repeat(np.asarray(mask, np.float32)[..., None], 3, -1)
-            small = put(thumbnail(image, mask, few_colors=cut_out))
+            thumb = thumbnail(image, mask, few_colors=cut_out)
+        picture = None if encoding is None else put(encoding())
+        views.append(View(edit.camera, picture, None if packed_mask is None else put(packed_mask)))
+        small = small if thumb is None else put(thumb)
     title = name or kind.capitalize()
     return Layer("", title, operation, tuple(views), opacity=opacity, blend=blend, thumbnail=small), blobs
 
@@ -91,11 +99,13 @@ def new_layer(
 def encode_picture(image: np.ndarray, space: ColorSpace = "srgb", mask: np.ndarray | None = None) -> bytes:
     """[H, W, 3] floats 0..1 in the asset's colour space -> PNG of display colours. Encoded fast rather than small.
     mask: [H, W] bool, what is beside it is transparent and black."""
-    pixels = to_uint8(to_display(image, space))
     if mask is None:
-        return _png(pixels)
-    alpha = np.where(mask, 255, 0).astype(np.uint8)[..., None]
-    return _png(np.concatenate([np.where(mask[..., None], pixels, 0), alpha], 2))
+        return _png(to_uint8(to_display(image, space)))
+    # Of a stroke most of the view is left out, and is not converted first.
+    at, pixels = np.flatnonzero(mask), np.zeros((*mask.shape, 4), np.uint8)
+    inside = to_uint8(to_display(image.reshape(-1, 3).take(at, 0), space))
+    pixels.reshape(-1, 4)[at] = np.concatenate([inside, np.full((len(at), 1), 255, np.uint8)], 1)
+    return _png(pixels)
 
 
 def is_cut_out(data: bytes, camera: Camera, where: str) -> bool:
