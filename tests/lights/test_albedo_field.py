@@ -9,7 +9,7 @@ import pytest
 
 from splatpainter.color import luminance
 from splatpainter.lighting import unoccluded_transfer
-from splatpainter.lights import albedo_field
+from splatpainter.lights import albedo_field, source_light
 from splatpainter.lights.albedo_field import (
     BLEND,
     FIELD,
@@ -20,6 +20,7 @@ from splatpainter.lights.albedo_field import (
 from splatpainter.lights.irradiance import LitSurface
 from splatpainter.lights.light_prior import upright, usual_light
 from splatpainter.lights.light_set import turned_sky
+from splatpainter.lights.prepared import _estimate
 from splatpainter.lights.skies import sky
 from splatpainter.lights.source_light import by_patches, estimate_source, unclipped
 from splatpainter.splats import SH_C0
@@ -169,3 +170,38 @@ def test_paint_that_goes_with_height_misleads_less(name: str) -> None:
         errors.append([((shape(c.coefficients) - shape(light)) ** 2).mean() for c in (first, both)])
     single, together = np.sqrt(np.array(errors)).mean(0)
     assert together < 0.8 * single
+
+
+def test_flat_oriented_patches_keep_the_first_reading(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their normals are known, and what the second reading is made of was learnt where they are not."""
+    asked = []
+
+    def witnesses_of(*arguments: np.ndarray) -> None:
+        asked.append(arguments)
+
+    monkeypatch.setattr(source_light, "field_witnesses", witnesses_of)
+    splats = ball(3000)
+    surface = LitSurface.of(splats)
+    for oriented in (True, False):
+        part = replace(surface, facing=replace(surface.facing, oriented=oriented))
+        _estimate(splats, part, "+y")
+        assert bool(asked) != oriented
+
+
+def test_what_the_first_reading_is_sure_of_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One grey paint under grey light leaves no doubt; spotted, it does."""
+    rng, count = np.random.default_rng(0), 4000
+    normals = fibonacci_sphere(count)
+    transfer = unoccluded_transfer(normals).astype(np.float64) / np.pi
+    received = transfer @ np.repeat([[1.0], [0.3], [0.2], *([[0.0]] * 6)], 3, 1) / SH_C0
+    second = np.array([0.0, 0.2, 0, 0, 0, 0, 0, 0])
+    monkeypatch.setattr(source_light, "both_readings", lambda first, seen, up: first + second)
+    moves = []
+    for spots in (0.0, 0.3):
+        colors = 0.3 * np.exp(spots * rng.normal(size=(count, 1))) * received
+        first, both = (
+            estimate_source(colors, transfer, normals, np.ones(count, bool), "+y", both=asked).coefficients
+            for asked in (False, True)
+        )
+        moves.append(float(np.abs(luminance(both - first)).max() / luminance(first)[0]))
+    assert moves[0] < 0.02 and moves[1] > 0.15, moves
