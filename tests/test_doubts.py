@@ -225,7 +225,7 @@ def test_zeros_that_are_written_are_no_missing_rows(tmp_path: Path) -> None:
         "bands": replace(splats, sh=sh),
         "empty": replace(splats, sh=sh, opacities=opacities),
         "grey": replace(splats, sh=np.zeros_like(sh)),
-        "plain": replace(splats, sh=np.zeros_like(sh[:, :1]), means=splats.means * np.float32([1, 0, 1])),
+        "plain": replace(splats, sh=np.zeros_like(sh[:, :1]), means=splats.means * np.array([1, 0, 1], np.float32)),
     }.items():
         for ending in ("ply", "splat", "compressed.ply", "glb", "spz"):
             asset = saved(tmp_path / f"{name}.{ending}", changed)

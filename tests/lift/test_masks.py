@@ -248,9 +248,10 @@ def test_masks_as_pixels_grown_and_pasted(where: tuple[int, int]):
 def test_a_window_holds_all_within_reach(reach: int):
     rng = np.random.default_rng(reach)
     for _ in range(30):
-        mask = np.zeros(tuple(rng.integers(1, 12, 2)), bool)
+        height, width = rng.integers(1, 12, 2).tolist()
+        mask = np.zeros((height, width), bool)
         for _ in range(rng.integers(0, 3)):
-            mask[rng.integers(mask.shape[0]), rng.integers(mask.shape[1])] = True
+            mask[rng.integers(height), rng.integers(width)] = True
         window = np.zeros_like(mask)
         window[window_around(mask, reach)] = True
         rows, columns = (np.flatnonzero(dilated(mask, reach).any(axis)) for axis in (1, 0))
