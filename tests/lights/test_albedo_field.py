@@ -174,10 +174,10 @@ def test_paint_that_goes_with_height_misleads_less(name: str) -> None:
 
 def test_flat_oriented_patches_keep_the_first_reading(monkeypatch: pytest.MonkeyPatch) -> None:
     """Their normals are known, and what the second reading is made of was learnt where they are not."""
-    asked = []
+    calls = []
 
     def witnesses_of(*arguments: np.ndarray) -> None:
-        asked.append(arguments)
+        calls.append(arguments)
 
     monkeypatch.setattr(source_light, "field_witnesses", witnesses_of)
     splats = ball(3000)
@@ -185,7 +185,7 @@ def test_flat_oriented_patches_keep_the_first_reading(monkeypatch: pytest.Monkey
     for oriented in (True, False):
         part = replace(surface, facing=replace(surface.facing, oriented=oriented))
         _estimate(splats, part, "+y")
-        assert bool(asked) != oriented
+        assert bool(calls) != oriented
 
 
 def test_what_the_first_reading_is_sure_of_stays(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -200,8 +200,8 @@ def test_what_the_first_reading_is_sure_of_stays(monkeypatch: pytest.MonkeyPatch
     for spots in (0.0, 0.3):
         colors = 0.3 * np.exp(spots * rng.normal(size=(count, 1))) * received
         first, both = (
-            estimate_source(colors, transfer, normals, np.ones(count, bool), "+y", both=asked).coefficients
-            for asked in (False, True)
+            estimate_source(colors, transfer, normals, np.ones(count, bool), "+y", both=with_second).coefficients
+            for with_second in (False, True)
         )
         moves.append(float(np.abs(luminance(both - first)).max() / luminance(first)[0]))
     assert moves[0] < 0.02 and moves[1] > 0.15, moves
