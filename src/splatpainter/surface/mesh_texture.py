@@ -135,12 +135,9 @@ def _colors(points: np.ndarray, normals: np.ndarray, near: np.ndarray, views: li
     for camera, colors, depth in views:
         away = camera.position - points
         facing = (normals * away).sum(1) / np.maximum(np.sqrt((away * away).sum(1)), 1e-9)
-        turn = camera.world_to_camera
-        x, y, z = ((points * turn[k, :3]).sum(1) + turn[k, 3] for k in range(3))
-        z = np.maximum(z, 1e-9)
-        column, row = (
-            np.floor(t).astype(np.int64) for t in (camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy)
-        )
+        pixels, z = camera.project(points)
+        # What lies behind a camera does not face it, and its pixels mean nothing.
+        column, row = np.floor(np.where(z[:, None] > 0, pixels, -1)).astype(np.int64).T
         height, width = depth.shape
         visible = (facing > BAKING.grazing) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
         some = np.flatnonzero(visible)
