@@ -143,7 +143,7 @@ def body_or_selection(splats: Splats, selected: np.ndarray) -> tuple[np.ndarray,
     body = body_of(splats, selected)
     if body is None:
         return selected, "only what was selected was removed: it is a part of something larger"
-    return body, f"removed the whole body of what was selected: {int(body.sum()):,} Gaussians"
+    return body, f"removed what hangs together with what was selected: {int(body.sum()):,} Gaussians"
 
 
 @dataclass(frozen=True)
