@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import splatpainter as sp
-from splatpainter.color import base_color, sh_from_color, srgb_to_linear
+from splatpainter.color import base_color, linear_to_srgb, sh_from_color, srgb_to_linear
+from splatpainter.lights.unlit import unlit_after
 from splatpainter.operations.operation import Operation
 from splatpainter.operations.to_file import apply_to_file
 from splatpainter.splats import Splats
@@ -64,3 +65,18 @@ def test_a_grade_between_lights_is_seen_as_it_was_made(asset: Splats) -> None:
     gained, expected = lit(asset, sun, grade, LAMP) - graded, graded * (lit(asset, sun, LAMP) / lit(asset, sun) - 1)
     assert float(expected.max()) > 0.02
     assert float(np.abs(gained - expected).max()) < 0.1 * float(expected.max())
+
+
+def test_new_gaussians_of_no_known_parent_count_as_lit_by_the_captured_light_alone(asset: Splats) -> None:
+    """Others lie in the light of the one that each was made from, here twice the captured one on the first."""
+
+    def colored(colors: np.ndarray) -> Splats:
+        return replace(asset.take(np.arange(len(colors))), sh=sh_from_color(colors)[:, None].astype(np.float32))
+
+    dark, paint = np.array([[0.2, 0.3, 0.4], [0.1, 0.1, 0.1]]), np.array([[0.5, 0.6, 0.7]])
+    below = np.concatenate([linear_to_srgb(2 * srgb_to_linear(dark[:1])), dark[1:]])
+    after = np.concatenate([below, paint, paint])
+    unlit = unlit_after(colored(below), colored(dark).sh, colored(after), np.array([0, -1]))
+    assert unlit is not None
+    expected = np.concatenate([dark, linear_to_srgb(srgb_to_linear(paint) / 2), paint])
+    np.testing.assert_allclose(base_color(unlit), expected, atol=1e-5)
