@@ -78,6 +78,19 @@ SP_INLINE void sums_of(const F (*lanes)[LANES], F* out) {
     __builtin_memcpy(out, &all, sizeof all);
 }
 
+// The largest of 16 lanes, none of them NaN; they are aligned.
+template <class F>
+SP_INLINE F largest_of(const F* lanes) {
+    using V = typename LanesOf<F>::eight;
+    V low, high;
+    __builtin_memcpy(&low, lanes, sizeof low);
+    __builtin_memcpy(&high, lanes + 8, sizeof high);
+    V most = larger_of(low, high);
+    most = larger_of(most, __builtin_shufflevector(most, most, 4, 5, 6, 7, 0, 1, 2, 3));
+    most = larger_of(most, __builtin_shufflevector(most, most, 2, 3, 0, 1, 6, 7, 4, 5));
+    return max_of(most[0], most[1]);
+}
+
 // exp(x) for x <= 0 in single precision: 2^n times a polynomial (Cephes' exp2f coefficients); relative error about
 // 1e-7, 2^-126 below, and for NaN.
 SP_INLINE Wide<float> exp_of_negative(Wide<float> x) {

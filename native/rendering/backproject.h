@@ -17,22 +17,49 @@ enum { MASKED_VALUES = TRANSMITTANCE + 1, SECOND_MASK = MASKED_VALUES, MASK = MA
 
 // values: sums of one mask with values; masks: of two masks.
 enum class Gathered { values, masks };
+// After so many list entries a tile's blocks are asked again whether they are open.
+constexpr i64 OPEN_ENTRIES = 32;
+
 template <Gathered gathered>
 SP_INLINE constexpr bool is_peak(int column) {
     return column == PEAK || (gathered == Gathered::masks && column == PEAK_SECOND);
 }
 
-// sums[pair_ids[p]] for list entries [begin, end) from the fields of the tile. way: `through` also counts the alpha of
-// Gaussians behind the point where all pixels stop. Returns one past the last entry used.
-template <Profile profile, Gathered gathered, Walk way, class F>
-SP_INLINE i64 backproject_tile(const Rows<const F, COLUMNS>& projected, const Array1<const i32>& flatten_ids,
-                               const Array1<const i32>& pair_ids, i64 begin, i64 end, Pixel first,
-                               Field<F>* __restrict state, BlockSet& open, const Rows<F, SUMS>& sums) {
+// sums[pair_ids[p]] for list entries [begin, end) from the fields of the tile; Gaussians behind the point where all
+// pixels stop have no weight, and the alpha of every one is counted.
+template <Profile profile, Gathered gathered, class F>
+SP_INLINE void backproject_tile(const Rows<const F, COLUMNS>& projected, const Array1<const i32>& flatten_ids,
+                                const Array1<const i32>& pair_ids, i64 begin, i64 end, Pixel first,
+                                Field<F>* __restrict state, BlockSet masked, const Rows<F, SUMS>& sums) {
     alignas(64) F lanes[GATHERED_COLUMNS][LANES];
-    return walk<way>(projected, flatten_ids, begin, end, first, state, open, [&](i64 p, Footprint<F> g) {
+    BlockSet open = masked;  // in the others no pixel accepts more: what is drawn there is hidden
+    i64 asked = begin;
+    walk<Walk::through>(projected, flatten_ids, begin, end, first, state, masked, [&](i64 p, Footprint<F> g) {
         const i64 ahead = min_of(p + PREFETCH_ENTRIES, end - 1);
         prefetch_row(sums, pair_ids(ahead));
-        const BlockSet drawn = g.blocks & open;
+        F* out = sums.row(pair_ids(p));
+        const BlockSet drawn = g.blocks & masked;
+        if (!drawn) {
+            __builtin_memset(out, 0, SUMS * sizeof(F));
+            return;
+        }
+        if (open && p - asked >= OPEN_ENTRIES) open = still_open<F>(state[TRANSMITTANCE], open), asked = p;
+        const BlockSet seen = drawn & open;
+        if (!seen) {
+            SP_LANES(F, l) {
+                Wide<F> s[GATHERED_COLUMNS] = {};
+                over_blocks(drawn, [&](int b) {
+                    const Wide<F> alpha = alpha_of<profile>(g, b, l);
+                    if constexpr (gathered == Gathered::masks)
+                        s[ALPHA_SECOND] = fused(alpha, load(&state[SECOND_MASK][b][l]), s[ALPHA_SECOND]);
+                    s[ALPHA_MASK] = fused(alpha, load(&state[MASK][b][l]), s[ALPHA_MASK]);
+                });
+                for (int c = 0; c < PEAK; ++c) store(&lanes[c][l], s[c]);
+            }
+            sums_of<PEAK, F>(lanes, out);
+            if constexpr (gathered == Gathered::masks) out[PEAK_SECOND] = F(0);
+            return;
+        }
         SP_LANES(F, l) {
             Wide<F> s[GATHERED_COLUMNS] = {};
             over_blocks(drawn, [&](int b) {
@@ -55,14 +82,9 @@ SP_INLINE i64 backproject_tile(const Rows<const F, COLUMNS>& projected, const Ar
             for (int c = 0; c < GATHERED_COLUMNS; ++c) store(&lanes[c][l], s[c]);
         }
         // All but the last are sums over the lanes; what is a peak is put right after.
-        F* out = sums.row(pair_ids(p));
         sums_of<PEAK, F>(lanes, out);
-        for (int c = 0; c < GATHERED_COLUMNS; ++c) {
-            if (!is_peak<gathered>(c)) continue;
-            F peak = F(0);
-            for (int l = 0; l < LANES; ++l) peak = max_of(peak, lanes[c][l]);
-            out[c] = peak;
-        }
+        for (int c = 0; c < GATHERED_COLUMNS; ++c)
+            if (is_peak<gathered>(c)) out[c] = largest_of(lanes[c]);
     });
 }
 
@@ -94,8 +116,8 @@ void backproject_tiles_as(Rows<const F, COLUMNS> projected, Array1<const i32> fl
     for (i64 k = thread; k < tile_ids.shape[0]; k += threads) {
         const Pixel first = open_tile<F>(tile_ids(k), width, height, state, MASKED_FIELDS);
         const i64 begin = isect_offsets(k), end = isect_offsets(k + 1);
-        BlockSet open = load_mask<F>(mask, first, state[MASK]);
-        if (!open) {
+        const BlockSet masked = load_mask<F>(mask, first, state[MASK]);
+        if (!masked) {
             clear(pair_ids, begin, end, sums);
             continue;
         }
@@ -106,8 +128,8 @@ void backproject_tiles_as(Rows<const F, COLUMNS> projected, Array1<const i32> fl
                 if (m > F(0))
                     for (int c = 0; c < 3; ++c) state[MASKED_VALUES + c][b][l] = m * values(y, x, c);
             }
-        backproject_tile<profile, Gathered::values, Walk::through>(projected, flatten_ids, pair_ids, begin, end, first,
-                                                                   state, open, sums);
+        backproject_tile<profile, Gathered::values>(projected, flatten_ids, pair_ids, begin, end, first, state, masked,
+                                                    sums);
     }
 }
 
@@ -129,13 +151,14 @@ void mask_sums_tiles(Rows<const F, COLUMNS> projected, Array1<const i32> flatten
     for (i64 k = thread; k < tile_ids.shape[0]; k += threads) {
         const Pixel first = open_tile<F>(tile_ids(k), mask.shape[1], mask.shape[0], state, MASKED_FIELDS);
         const i64 begin = isect_offsets(k), end = isect_offsets(k + 1);
-        BlockSet open = load_mask<F>(mask, first, state[MASK]) | load_mask<F>(mask2, first, state[SECOND_MASK]);
-        if (!open) {
+        const BlockSet masked =
+            load_mask<F>(mask, first, state[MASK]) | load_mask<F>(mask2, first, state[SECOND_MASK]);
+        if (!masked) {
             clear(pair_ids, begin, end, sums);
             continue;
         }
-        backproject_tile<Profile::inria, Gathered::masks, Walk::through>(projected, flatten_ids, pair_ids, begin, end,
-                                                                         first, state, open, sums);
+        backproject_tile<Profile::inria, Gathered::masks>(projected, flatten_ids, pair_ids, begin, end, first, state,
+                                                          masked, sums);
     }
 }
 
