@@ -44,22 +44,20 @@ SP_INLINE void backproject_tile(const Rows<const F, COLUMNS>& projected, const A
             return;
         }
         if (open && p - asked >= OPEN_ENTRIES) open = still_open<F>(state[TRANSMITTANCE], open), asked = p;
-        const BlockSet seen = drawn & open;
-        if (!seen) {
-            SP_LANES(F, l) {
-                Wide<F> s[GATHERED_COLUMNS] = {};
-                over_blocks(drawn, [&](int b) {
-                    const Wide<F> alpha = alpha_of<profile>(g, b, l);
-                    if constexpr (gathered == Gathered::masks)
+        if constexpr (gathered == Gathered::masks)  // the walk that large edits wait for
+            if (!(drawn & open)) {
+                SP_LANES(F, l) {
+                    Wide<F> s[PEAK] = {};
+                    over_blocks(drawn, [&](int b) {
+                        const Wide<F> alpha = alpha_of<profile>(g, b, l);
                         s[ALPHA_SECOND] = fused(alpha, load(&state[SECOND_MASK][b][l]), s[ALPHA_SECOND]);
-                    s[ALPHA_MASK] = fused(alpha, load(&state[MASK][b][l]), s[ALPHA_MASK]);
-                });
-                for (int c = 0; c < PEAK; ++c) store(&lanes[c][l], s[c]);
+                        s[ALPHA_MASK] = fused(alpha, load(&state[MASK][b][l]), s[ALPHA_MASK]);
+                    });
+                    for (int c = 0; c < PEAK; ++c) store(&lanes[c][l], s[c]);
+                }
+                sums_of<PEAK, F>(lanes, out);
+                return;
             }
-            sums_of<PEAK, F>(lanes, out);
-            if constexpr (gathered == Gathered::masks) out[PEAK_SECOND] = F(0);
-            return;
-        }
         SP_LANES(F, l) {
             Wide<F> s[GATHERED_COLUMNS] = {};
             over_blocks(drawn, [&](int b) {

@@ -267,37 +267,102 @@ void mark_tiles(Rows<const F, COLUMNS> projected, Array1<const bool> selected, A
         }
 }
 
-// Pairs in the tiles in use ([T]) of selected entries ([M], or [0]: all): added to per_entry [M], which begins as
-// zeros, and per_tile [T].
+// The tiles of a thread's share of the pairs in use, in order: as many pairs for each as whole tiles allow.
+SP_INLINE Share tiles_of_share(const Array1<const i64>& isect_offsets, const Array1<const bool>& used, i64 share,
+                               i64 shares) {
+    const i64 tiles = used.shape[0];
+    i64 total = 0;
+    for (i64 k = 0; k < tiles; ++k) total += used(k) ? isect_offsets(k + 1) - isect_offsets(k) : 0;
+    const auto first_beyond = [&](i64 part) {
+        i64 k = 0;
+        for (i64 before = 0; k < tiles && before < total * part / shares; ++k)
+            before += used(k) ? isect_offsets(k + 1) - isect_offsets(k) : 0;
+        return k;
+    };
+    return {first_beyond(share), share + 1 == shares ? tiles : first_beyond(share + 1)};
+}
+
+// Pairs in the tiles in use ([T]) of selected Gaussians ([N], or [0]: all): of each share of the tiles per entry into
+// counts [shares, M], and per_tile [T].
 void count_pairs(Array1<const i32> flatten_ids, Array1<const i64> isect_offsets, Array1<const bool> used,
-                 Array1<const bool> selected, Array1<i32> per_entry, Array1<i64> per_tile, i64 thread, i64) {
-    if (thread != 0) return;
-    for (i64 k = 0; k < used.shape[0]; ++k) {
-        per_tile(k) = 0;
-        if (!used(k)) continue;
-        for (i64 p = isect_offsets(k); p < isect_offsets(k + 1); ++p) {
-            const i32 i = flatten_ids(p);
-            if (!selected.empty() && !selected(i)) continue;
-            ++per_entry(i);
-            ++per_tile(k);
+                 Array1<const i64> gaussian_ids, Array1<const bool> selected, Array2<i32> counts,
+                 Array1<i64> per_tile, i64 thread, i64 threads) {
+    const i64 shares = counts.shape[0], m = counts.shape[1];
+    for (i64 share = thread; share < shares; share += threads) {
+        __builtin_memset(counts.data + share * m, 0, m * sizeof(i32));
+        const Share part = tiles_of_share(isect_offsets, used, share, shares);
+        for (i64 k = part.begin; k < part.end; ++k) {
+            per_tile(k) = 0;
+            if (!used(k)) continue;
+            for (i64 p = isect_offsets(k); p < isect_offsets(k + 1); ++p) {
+                const i32 i = flatten_ids(p);
+                if (!selected.empty() && !selected(gaussian_ids(i))) continue;
+                ++counts(share, i);
+                ++per_tile(k);
+            }
         }
     }
 }
 
-// These pairs, tile after tile: their entries' new numbers [M] into `to`, their own into `pairs`. at [M]: where the
-// pairs of each entry begin; pairs of one entry are in the order of their tiles.
+// Entries with pairs, and these pairs, of each share of the entries: totals [shares, 2].
+void count_entries(Array2<const i32> counts, Array2<i64> totals, i64 thread, i64 threads) {
+    const i64 shares = totals.shape[0], m = counts.shape[1];
+    for (i64 share = thread; share < shares; share += threads) {
+        const Share part = share_of(m, share, shares);
+        i64 entries = 0, pairs = 0;
+        for (i64 i = part.begin; i < part.end; ++i) {
+            i32 some = 0;
+            for (i64 k = 0; k < counts.shape[0]; ++k) some += counts(k, i);
+            entries += some != 0, pairs += some;
+        }
+        totals(share, 0) = entries, totals(share, 1) = pairs;
+    }
+}
+
+// Numbers the entries with pairs, M' of M: at [M'], which they are; new_entry [M], the number of each, -1: none;
+// pair_offsets [M' + 1], where their pairs begin; counts become where those of each share of the tiles do.
+void number_entries(Array2<const i64> totals, Array2<i32> counts, Array1<i64> at, Array1<i32> new_entry,
+                    Array1<i64> pair_offsets, i64 thread, i64 threads) {
+    const i64 shares = totals.shape[0], m = counts.shape[1];
+    for (i64 share = thread; share < shares; share += threads) {
+        const Share part = share_of(m, share, shares);
+        i64 number = 0, pair = 0;
+        for (i64 k = 0; k < share; ++k) number += totals(k, 0), pair += totals(k, 1);
+        for (i64 i = part.begin; i < part.end; ++i) {
+            const i64 first = pair;
+            for (i64 k = 0; k < counts.shape[0]; ++k) {
+                const i32 some = counts(k, i);
+                counts(k, i) = (i32)pair;
+                pair += some;
+            }
+            new_entry(i) = pair == first ? -1 : (i32)number;
+            if (pair == first) continue;
+            at(number) = i;
+            pair_offsets(number++) = first;
+        }
+        if (share + 1 == shares) pair_offsets(number) = pair;
+    }
+}
+
+// These pairs, tile after tile: their entries' new numbers [M] into `to`, their own into `pairs`. begins [shares, M]:
+// where the pairs of each entry begin in each share of the tiles, moved on here; so pairs of one entry are in the order
+// of their tiles.
 void take_pairs(Array1<const i32> flatten_ids, Array1<const i64> isect_offsets, Array1<const bool> used,
-                Array1<const bool> selected, Array1<const i32> new_entry, Array1<i32> at, Array1<i32> to,
-                Array1<i32> pairs, i64 thread, i64) {
-    if (thread != 0) return;
-    i64 q = 0;
-    for (i64 k = 0; k < used.shape[0]; ++k) {
-        if (!used(k)) continue;
-        for (i64 p = isect_offsets(k); p < isect_offsets(k + 1); ++p) {
-            const i32 i = flatten_ids(p);
-            if (!selected.empty() && !selected(i)) continue;
-            to(q) = new_entry(i);
-            pairs(q++) = at(i)++;
+                Array1<const i64> per_tile, Array1<const i32> new_entry, Array2<i32> begins, Array1<i32> to,
+                Array1<i32> pairs, i64 thread, i64 threads) {
+    const i64 shares = begins.shape[0];
+    for (i64 share = thread; share < shares; share += threads) {
+        const Share part = tiles_of_share(isect_offsets, used, share, shares);
+        i64 q = 0;
+        for (i64 k = 0; k < part.begin; ++k) q += per_tile(k);
+        for (i64 k = part.begin; k < part.end; ++k) {
+            if (!used(k)) continue;
+            for (i64 p = isect_offsets(k); p < isect_offsets(k + 1); ++p) {
+                const i32 i = flatten_ids(p), entry = new_entry(i);
+                if (entry < 0) continue;
+                to(q) = entry;
+                pairs(q++) = begins(share, i)++;
+            }
         }
     }
 }
@@ -315,18 +380,24 @@ void put_entries(Array1<const i64> at, Array1<const i32> entry, Rows<const F, CO
     }
 }
 
-// Numbers of the entries of two views in the depth order of both, ties by id, and where their pairs begin.
+// Numbers of the entries of two views in the depth order of both, ties by id, and where their pairs begin. at [M']: the
+// entries of the first one that are meant; ids2 [M2]: what stands for those of the second.
 template <class F>
-void merge_entries(Array1<const F> depths, Array1<const i64> ids, Array1<const i64> offsets, Array1<const F> depths2,
-                   Array1<const i64> ids2, Array1<const i64> offsets2, Array1<i32> entry, Array1<i32> entry2,
-                   Array1<i64> new_offsets, i64 thread, i64) {
+void merge_entries(Rows<const F, COLUMNS> projected, Array1<const i64> ids, Array1<const i64> at,
+                   Array1<const i64> offsets, Rows<const F, COLUMNS> projected2, Array1<const i64> ids2,
+                   Array1<const i64> offsets2, Array1<i32> entry, Array1<i32> entry2, Array1<i64> new_offsets,
+                   i64 thread, i64) {
     if (thread != 0) return;
-    const i64 m = ids.shape[0], m2 = ids2.shape[0];
+    const i64 m = at.shape[0], m2 = ids2.shape[0];
     i64 a = 0, b = 0, pairs = 0;
     for (i64 k = 0; k < m + m2; ++k) {
         new_offsets(k) = pairs;
         bool first = b == m2;
-        if (a < m && b < m2) first = depths(a) < depths2(b) || (depths(a) == depths2(b) && ids(a) < ids2(b));
+        if (a < m && b < m2) {
+            prefetch_row(projected, at(min_of(a + SORT_PREFETCH, m - 1)));
+            const F z = projected.row(at(a))[DEPTH], z2 = projected2.row(b)[DEPTH];
+            first = z < z2 || (z == z2 && ids(at(a)) < ids2(b));
+        }
         if (first) {
             entry(a) = (i32)k;
             pairs += offsets(a + 1) - offsets(a);

@@ -328,7 +328,7 @@ def mapped_view(
         drawn[:] = False
         drawn[seen.ys, seen.xs] = True
         everywhere = (slice(None), slice(None))  # samples are filled in beyond what is drawn
-        clear, *_ = clear_pixels(asset.splats, view, NearSurface.of(seen.visible, drawn), drawn, everywhere)
+        clear = clear_pixels(asset.splats, view, NearSurface.of(seen.visible, drawn), drawn, everywhere)
     # The place of every pixel on the decal.
     coordinates, nearest = samples.at(points, normals)
     if patch.smoothing:

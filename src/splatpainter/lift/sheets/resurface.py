@@ -30,8 +30,7 @@ from splatpainter.lift.sheets.near_surface import FAR_BEHIND, TOUCHES, NearSurfa
 from splatpainter.lift.sheets.pieces import Pieces, joined_view
 from splatpainter.lift.sheets.sheet import SHEET, Cells, SheetGeometry, flat_cells, sheet_geometry
 from splatpainter.lift.sheets.sparse_edit import SparseEdit
-from splatpainter.rendering.cpu.geometry import TILE
-from splatpainter.rendering.cpu.projected_view import MaskSums, ProjectedView, project, tiles_of_mask
+from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
 from splatpainter.splats import ATTRIBUTES, Splats, float_bits
 from splatpainter.surface.visible import VisibleSurface, depths_along
 from splatpainter.system.quick_dataclass import dataclass
@@ -133,7 +132,7 @@ def resurface(
     # ... whose light comes from Gaussians that the sheet can replace.
     near = NearSurface.of(visible, covered)
     window = window_around(covered, RESURFACING.clear_radius_px)  # of the whole picture: most sheets are small
-    clear, sums, footprints = clear_pixels(splats, view, near, covered, window)
+    clear = clear_pixels(splats, view, near, covered, window)
     clear &= covered
     if clear.sum() < RESURFACING.min_clear * covered.sum():
         return None
@@ -152,24 +151,18 @@ def resurface(
         covered, near = covered | fringe, None
         at = np.flatnonzero(fringe)
         depth.ravel()[at] = surface.at_centers(at).depth
-    # Which Gaussians lie under it, and by which share of their footprint.
-    if near is None:
-        near, sums = NearSurface.of(surface, covered), view.backproject(np.zeros_like(before), covered)
-    (inside, total), (candidates, seen) = np.zeros((2, len(splats)), sums.alpha.dtype), np.zeros((2, len(splats)), bool)
-    inside[view.gaussian_ids], total[view.gaussian_ids] = sums.alpha, footprints
-    candidates[view.gaussian_ids[sums.alpha > 0]] = True
-    seen[view.gaussian_ids[sums.peak > options.min_share]] = True
-    tiles = view.touched_tiles(sums.alpha > 0) | tiles_of_mask(pixels)
-    # Footprints reach out of the tiles at hand: their sums need the tiles around.
-    if (tiles & ~view.tiles).any():
-        total = _footprints(around, tiles)
-    ids = np.flatnonzero(candidates)
-    share = (inside[ids] / np.maximum(total[ids], 1e-9)).astype(np.float64)
+    near = NearSurface.of(surface, covered) if near is None else near
+    # Which Gaussians lie under it, and by which share of their footprint, which may reach out of the view's tiles.
+    under, everywhere = around.mask_sums(covered, np.ones(covered.shape, bool))
+    tiles = around.touched_tiles(under.alpha > 0) | tiles_of_mask(pixels)
+    share, seen = np.zeros(len(splats), under.alpha.dtype), np.zeros(len(splats), bool)
+    share[around.gaussian_ids] = under.alpha / np.maximum(everywhere.alpha, 1e-9)
+    seen[around.gaussian_ids[under.peak > options.min_share]] = True
     # Those across the edge are halved; each piece is then clearly under the sheet or beside it.
-    lattice, gone = _cut(splats, ids, share, camera, tiles, seen, near, covered, options)
+    lattice, gone = _cut(splats, share, camera, tiles, seen, near, covered, options)
     pieces = Pieces.of(lattice, gone)
     # What is read no more goes at once: whole pictures, and at the end of all this an edit needs the most memory.
-    del near, differs, total, inside, seen, sums
+    del near, differs, under, everywhere, share, seen
     # The sheet's own Gaussians, as large as flat paint allows.
     cells = flat_cells(target, covered, depth, camera.fx)
     del depth
@@ -204,11 +197,10 @@ def without_islands(mask: np.ndarray) -> Bools:
 
 def clear_pixels(
     splats: Splats, view: ProjectedView, near: NearSurface, covered: np.ndarray, window: tuple[slice, slice]
-) -> tuple[np.ndarray, MaskSums, np.ndarray]:
-    """([H, W] bool pixels most of whose light comes from Gaussians that a sheet can take the place of: they lie
-    on the surface, and under the sheet, or are small enough to be cut at its edge; elsewhere, in the fog of captures, a
-    veil would stay before the sheet; how much of each of the view's Gaussians the covered pixels show; [M] the alpha of
-    each summed over the drawn tiles). window: rows and columns of the pixels that are asked for, and of those within
+) -> np.ndarray:
+    """[H, W] bool pixels most of whose light comes from Gaussians that a sheet can take the place of: they lie on the
+    surface, and under the sheet, or are small enough to be cut at its edge; elsewhere, in the fog of captures, a veil
+    would stay before the sheet. window: rows and columns of the pixels that are asked for, and of those within
     RESURFACING.clear_radius_px around them; others are not clear."""
     ids = view.gaussian_ids
     sums, everywhere = view.mask_sums(covered, np.ones(covered.shape, bool))
@@ -230,15 +222,7 @@ def clear_pixels(
     weight, hidden = image[..., 0] - image[..., 2], image[..., 1] - image[..., 2]  # over black
     light = (weight > RESURFACING.min_handled * (alpha - hidden)) & (weight > RESURFACING.min_touching * alpha)
     clear[window] = box_mean(light.astype(np.float32), RESURFACING.clear_radius_px) > 0.5
-    return clear, sums, everywhere.alpha
-
-
-def _footprints(around: ProjectedView, tiles: np.ndarray) -> np.ndarray:
-    """[N] the alpha of each Gaussian summed over some drawn tiles ([TH, TW] bool)."""
-    pixels, out = _pixels_of(tiles, around.camera), np.zeros(around.num_gaussians, around.projected.dtype)
-    zeros = np.zeros((*pixels.shape, 3), np.float32)
-    out[around.gaussian_ids] = around.backproject(zeros, pixels.astype(np.float32)).alpha
-    return out
+    return clear
 
 
 def _goal(
@@ -254,14 +238,8 @@ def _goal(
     return before
 
 
-def _pixels_of(tiles: np.ndarray, camera: Camera) -> Bools:
-    """[H, W] bool pixels of some tiles ([TH, TW] bool)."""
-    return tiles.repeat(TILE, 0).repeat(TILE, 1)[: camera.height, : camera.width]
-
-
 def _cut(
     splats: Splats,
-    ids: Ids,
     share: np.ndarray,
     camera: Camera,
     tiles: Bools,
@@ -270,15 +248,14 @@ def _cut(
     covered: np.ndarray,
     options: LocalOptions,
 ) -> tuple[Lattice, np.ndarray]:
-    """Halve Gaussians that lie across the sheet's edge: (the lattice, [S] bool those that go). ids: [C] int64 ascending
-    those of `splats` that make covered pixels; share: [C] of each one's footprint under the sheet; tiles: [TH, TW] bool
-    all that they touch; seen: [N] bool, those that make the picture: what is hidden behind them goes or stays as
-    one."""
-    # Touching the surface is asked only of those that reach far enough under the sheet.
-    chosen = np.flatnonzero(share > RESURFACING.max_untouched_share)
-    touching = np.zeros(len(ids), bool)
-    touching[chosen] = near.touches(splats, ids[chosen])
-    across = touching & (share < RESURFACING.min_replaced_share)
+    """Halve Gaussians that lie across the sheet's edge: (the lattice of those that touch the surface under the sheet,
+    [S] bool those that go). share: [N] of each one's footprint under the sheet; tiles: [TH, TW] bool all that those
+    under it touch; seen: [N] bool, those that make the picture: what is hidden behind them goes or stays as one."""
+    # Touching the surface is asked only of those that reach far enough under the sheet; all others stay as they are.
+    ids = np.flatnonzero(share > RESURFACING.max_untouched_share)
+    ids = ids[near.touches(splats, ids)]
+    share, touching = share[ids].astype(np.float64), np.ones(len(ids), bool)
+    across = share < RESURFACING.min_replaced_share
     # Hidden ones behind the surface are not cut: nobody sees where they end.
     wide = across & seen[ids]
     lattice = Lattice.of(splats, camera, ids, ids[wide])

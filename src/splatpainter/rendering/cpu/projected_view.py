@@ -9,13 +9,14 @@ of the splats. `values[view.gaussian_ids]` goes from the N Gaussians to these, `
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from splatpainter.array_types import Bools, Ids
 from splatpainter.cameras import Camera
 from splatpainter.kernels.arrays import aligned, readonly
-from splatpainter.kernels.library import kernels
+from splatpainter.kernels.library import Kernel, kernels
 from splatpainter.kernels.parallel import run, threads
 from splatpainter.rendering.cpu import geometry
 from splatpainter.rendering.cpu.geometry import (
@@ -32,6 +33,8 @@ from splatpainter.system.quick_dataclass import dataclass
 
 MIN_PRESELECTED = 1 << 16
 """Gaussians from which on a first pass finds those that may touch the drawn tiles, where not all tiles are."""
+MIN_SHARED_PAIRS = 1 << 17
+"""Pairs of a Gaussian and a tile in a part of a view from which on its lists are made by all threads."""
 INT32, INT64 = np.dtype(np.int32), np.dtype(np.int64)
 MAX_PAIRS = 1 << 30
 """Pairs of a Gaussian and a tile in one view, 12 GiB of lists; beyond 2^31 their numbers would not fit into int32."""
@@ -152,17 +155,19 @@ class ProjectedView:
         if gaussian_mask is None and np.array_equal(tiles, self.tiles) and (np.diff(self.pair_offsets) > 0).all():
             return np.arange(len(self)), self
         used = tiles.ravel()[self.tile_ids]  # [T]
-        selected = np.zeros(0, bool) if gaussian_mask is None else gaussian_mask.take(self.gaussian_ids)
-        lists = (self.flatten_ids, self.isect_offsets, used, selected)
-        per_entry, new_entry, begins = aligned((3, len(self)), INT32)
-        per_entry[:], per_tile = 0, np.empty(len(used), np.int64)
-        kernels.count_pairs(*lists, per_entry, per_tile, 0, 1)
-        at = np.flatnonzero(per_entry != 0)  # numpy looks for set bits sooner than for numbers
-        total = int(per_tile.sum())
-        pair_offsets = np.append(0, np.cumsum(per_entry[at], dtype=np.int64))
-        new_entry[at], begins[at] = np.arange(len(at)), pair_offsets[:-1]
+        shares = threads() if np.diff(self.isect_offsets)[used].sum() >= MIN_SHARED_PAIRS else 1
+        selected = None if gaussian_mask is None else readonly(gaussian_mask, np.bool_)
+        # Counted and placed by shares of the tiles, so that pairs of one entry are in the order of their tiles.
+        counts, per_tile = aligned((shares, len(self)), INT32), np.empty(len(used), np.int64)
+        lists = (self.flatten_ids, self.isect_offsets, used)
+        _run_shared(shares, kernels.count_pairs, *lists, self.gaussian_ids, selected, counts, per_tile)
+        totals, new_entry = np.empty((shares, 2), np.int64), aligned((len(self),), INT32)
+        _run_shared(shares, kernels.count_entries, counts, totals)
+        m, total = (int(column.sum()) for column in totals.T)
+        at, pair_offsets = np.empty(m, np.int64), np.empty(m + 1, np.int64)
+        _run_shared(shares, kernels.number_entries, totals, counts, at, new_entry, pair_offsets)
         flatten_ids, pair_ids = np.empty((2, total), np.int32)
-        kernels.take_pairs(*lists, new_entry, begins, flatten_ids, pair_ids, 0, 1)
+        _run_shared(shares, kernels.take_pairs, *lists, per_tile, new_entry, counts, flatten_ids, pair_ids)
         part = replace(
             self,
             tiles=tiles,
@@ -190,9 +195,8 @@ class ProjectedView:
         m, dtype = len(at) + len(other), self.projected.dtype
         entry, entry2 = np.empty(len(at), np.int32), np.empty(len(other), np.int32)
         pair_offsets = np.empty(m + 1, np.int64)
-        first_entries = (self.depths[at], self.gaussian_ids[at], part.pair_offsets)
-        ties = other.gaussian_ids if ties is None else ties
-        other_entries = (np.ascontiguousarray(other.depths), ties, other.pair_offsets)
+        first_entries = (self.projected, self.gaussian_ids, at, part.pair_offsets)
+        other_entries = (other.projected, other.gaussian_ids if ties is None else ties, other.pair_offsets)
         kernels.merge_entries(*first_entries, *other_entries, entry, entry2, pair_offsets, 0, 1)
         projected, gaussian_ids = aligned((m, COLUMNS), dtype), np.empty(m, np.int64)
         for view, taken, numbers in ((self, at, entry), (other, np.arange(len(other)), entry2)):
@@ -509,6 +513,14 @@ def _depth_order(keys: np.ndarray, counts: np.ndarray, tile_counts: np.ndarray) 
     order = slots[np.argsort(keys[slots], kind="stable")].astype(np.int32)
     edges = np.arange(shares + 1) * total // shares
     return order, np.diff(np.append(0, np.cumsum(tile_counts[order], dtype=np.int64))[edges])
+
+
+def _run_shared(shares: int, kernel: Kernel, *args: Any) -> None:
+    """A kernel over as many shares by all threads, over one by this thread."""
+    if shares == 1:
+        kernel(*args, 0, 1)
+    else:
+        run(kernel, *args)
 
 
 def _profile_number(profile: Profile) -> int:
