@@ -108,7 +108,7 @@ void look_up_bytes(Array2<const u8> records, i64 first, Array1<const float> tabl
 
 } }  // namespace sp
 
-SP_KERNELS(rows,
+SP_KERNELS_TO_V3(rows,
     ONE(pack_splat_rows),
     ONE(look_up_bytes),
     ONE(take_rows),

@@ -39,12 +39,9 @@ SP_INLINE void backproject_tile(const Rows<const F, COLUMNS>& projected, const A
         prefetch_row(sums, pair_ids(ahead));
         F* out = sums.row(pair_ids(p));
         const BlockSet drawn = g.blocks & masked;
-        if (!drawn) {
-            __builtin_memset(out, 0, SUMS * sizeof(F));
-            return;
-        }
-        if (open && p - asked >= OPEN_ENTRIES) open = still_open<F>(state[TRANSMITTANCE], open), asked = p;
-        if constexpr (gathered == Gathered::masks)  // the walk that large edits wait for
+        // Of what is hidden the alpha alone is counted, where large edits wait for it.
+        if constexpr (gathered == Gathered::masks && sizeof(F) == 4 && !FUSED_IS_EMULATED) {
+            if (open && p - asked >= OPEN_ENTRIES) open = still_open<F>(state[TRANSMITTANCE], open), asked = p;
             if (!(drawn & open)) {
                 SP_LANES(F, l) {
                     Wide<F> s[PEAK] = {};
@@ -58,6 +55,7 @@ SP_INLINE void backproject_tile(const Rows<const F, COLUMNS>& projected, const A
                 sums_of<PEAK, F>(lanes, out);
                 return;
             }
+        }
         SP_LANES(F, l) {
             Wide<F> s[GATHERED_COLUMNS] = {};
             over_blocks(drawn, [&](int b) {

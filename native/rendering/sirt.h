@@ -49,6 +49,30 @@ SP_INLINE void cache_tile(const Rows<const F, COLUMNS>& projected, const Array1<
     for (i64 k = block_offsets(q); k < block_offsets(last); ++k) __builtin_memset(weights.row(k), 0, LANES * sizeof(F));
 }
 
+// Blocks of their tiles that the boxes of some pairs touch: boxes [Q, 4], rows and columns from, to; at least one of
+// each. pairs [Q]: where in flatten_ids they stand; begins [T + 1]: where those of each tile begin; across: tiles of a
+// row of the picture.
+template <class F>
+void find_block_boxes(Rows<const F, COLUMNS> projected, Array1<const i32> flatten_ids, Array1<const i32> tile_ids,
+                      i64 across, Array1<const i64> pairs, Array1<const i64> begins, Rows<i64, 4> boxes, i64 thread,
+                      i64 threads) {
+    const F limit = F(TILE - 1);
+    for (i64 k = thread; k < tile_ids.shape[0]; k += threads) {
+        const i64 row = tile_ids(k) / across, column = tile_ids(k) - row * across;
+        const F x0 = F(F(column * TILE) + F(0.5)), y0 = F(F(row * TILE) + F(0.5));
+        for (i64 q = begins(k); q < begins(k + 1); ++q) {
+            const F* p = projected.row(flatten_ids(pairs(q)));
+            const F mean[2] = {p[MEAN_Y] - y0, p[MEAN_X] - x0}, extent[2] = {p[EXTENT_Y], p[EXTENT_X]};
+            for (int side = 0; side < 2; ++side) {
+                // In this order of arguments NaN becomes the bound: casts of NaN are undefined.
+                const F low = min_of(limit, max_of(F(0), mean[side] - extent[side]));
+                const F high = min_of(limit, max_of(F(0), mean[side] + extent[side]));
+                boxes.row(q)[2 * side] = (i64)low >> 2, boxes.row(q)[2 * side + 1] = ((i64)high >> 2) + 1;
+            }
+        }
+    }
+}
+
 // Q pairs of movable Gaussians: pairs [Q], where in flatten_ids they stand; begins [T + 1] of each tile in these; boxes
 // [Q, 4] blocks that each touches; block_offsets [Q + 1] of each pair's blocks in the weights. Out: weights [B, 16]
 // (aligned to 64 bytes), remainder [T, 4, 16, 16]: target minus what the other Gaussians make, and m.

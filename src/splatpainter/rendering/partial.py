@@ -80,11 +80,9 @@ class PartialRender:
         count, tiles = len(self.splats), np.zeros(self.tiles.shape, bool)
         old, new = changed, np.concatenate([changed, np.arange(count, len(splats))])
         if self.view is not None:
-            left = np.zeros(count, bool)
-            left[changed] = True
-            tiles |= self.view.touched_tiles(left[self.view.gaussian_ids])
-            left[self.view.gaussian_ids] = False
-            old = np.flatnonzero(left)
+            entries = self.view.entries.take(changed)
+            tiles |= self.view.touched_tiles(entries[entries >= 0])
+            old = changed[entries < 0]
         view = self._recolored(splats, old)
         if view is not None:
             before = self.with_tiles(tiles)

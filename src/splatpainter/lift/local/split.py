@@ -21,6 +21,7 @@ import numpy as np
 from splatpainter.array_types import Bools, Floats, Ids
 from splatpainter.cameras import Camera
 from splatpainter.kernels import portable
+from splatpainter.kernels.rows import take
 from splatpainter.splats import Splats
 from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import quat_to_matrix, turned
@@ -128,7 +129,7 @@ class Lattice:
 
     def splats(self) -> Splats:
         """The S Gaussians. Those that were never halved have their parent's bits."""
-        out = self.base.take(self.parent)
+        out = take(self.base, self.parent)
         halved = np.flatnonzero(self.level.any(1))
         if not len(halved):
             return out

@@ -9,15 +9,16 @@ of the splats. `values[view.gaussian_ids]` goes from the N Gaussians to these, `
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from functools import cached_property
 
 import numpy as np
 
 from splatpainter.array_types import Bools, Ids
 from splatpainter.cameras import Camera
 from splatpainter.kernels.arrays import aligned, readonly
-from splatpainter.kernels.library import Kernel, kernels
+from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run, threads
+from splatpainter.kernels.rows import by_blocks
 from splatpainter.rendering.cpu import geometry
 from splatpainter.rendering.cpu.geometry import (
     COLUMNS,
@@ -33,8 +34,6 @@ from splatpainter.system.quick_dataclass import dataclass
 
 MIN_PRESELECTED = 1 << 16
 """Gaussians from which on a first pass finds those that may touch the drawn tiles, where not all tiles are."""
-MIN_SHARED_PAIRS = 1 << 17
-"""Pairs of a Gaussian and a tile in a part of a view from which on its lists are made by all threads."""
 INT32, INT64 = np.dtype(np.int32), np.dtype(np.int64)
 MAX_PAIRS = 1 << 30
 """Pairs of a Gaussian and a tile in one view, 12 GiB of lists; beyond 2^31 their numbers would not fit into int32."""
@@ -132,11 +131,20 @@ class ProjectedView:
         out[self.tile_ids[hit]] = True
         return out.reshape(self.tiles.shape)
 
+    @cached_property
+    def entries(self) -> Ids:
+        """[N] int32 entry of each Gaussian, -1: it is not in the view."""
+        entries = np.full(self.num_gaussians, -1, np.int32)
+        entries[self.gaussian_ids] = np.arange(len(self), dtype=np.int32)
+        return entries
+
     def touched_tiles(self, entries: np.ndarray) -> Bools:
-        """[TH, TW] bool: all tiles, drawn or not, that the ellipses of these entries ([M] bool) touch."""
+        """[TH, TW] bool: all tiles, drawn or not, that the ellipses of these entries ([M] bool, or [K] int64 their
+        numbers) touch."""
+        entries = np.flatnonzero(entries) if entries.dtype == bool else entries
         grid = np.array([0, self.tiles.shape[1], 0, self.tiles.shape[0]])
         hit = np.zeros((threads(), self.tiles.size), bool)
-        run(kernels.mark_tiles, self.projected, readonly(entries, np.bool_), grid, hit)
+        run(kernels.mark_tiles, self.projected, readonly(entries, np.int64), grid, hit)
         return np.any(hit, axis=0).reshape(self.tiles.shape)
 
     def part(self, *, tiles: np.ndarray | None = None, gaussian_mask: np.ndarray | None = None) -> ProjectedView:
@@ -155,19 +163,18 @@ class ProjectedView:
         if gaussian_mask is None and np.array_equal(tiles, self.tiles) and (np.diff(self.pair_offsets) > 0).all():
             return np.arange(len(self)), self
         used = tiles.ravel()[self.tile_ids]  # [T]
-        shares = threads() if np.diff(self.isect_offsets)[used].sum() >= MIN_SHARED_PAIRS else 1
         selected = None if gaussian_mask is None else readonly(gaussian_mask, np.bool_)
-        # Counted and placed by shares of the tiles, so that pairs of one entry are in the order of their tiles.
-        counts, per_tile = aligned((shares, len(self)), INT32), np.empty(len(used), np.int64)
         lists = (self.flatten_ids, self.isect_offsets, used)
-        _run_shared(shares, kernels.count_pairs, *lists, self.gaussian_ids, selected, counts, per_tile)
-        totals, new_entry = np.empty((shares, 2), np.int64), aligned((len(self),), INT32)
-        _run_shared(shares, kernels.count_entries, counts, totals)
-        m, total = (int(column.sum()) for column in totals.T)
-        at, pair_offsets = np.empty(m, np.int64), np.empty(m + 1, np.int64)
-        _run_shared(shares, kernels.number_entries, totals, counts, at, new_entry, pair_offsets)
+        words, per_tile = -(-len(self) // 64), np.empty(len(used), np.int64)
+        some, counts = np.empty(words, np.uint64), aligned((len(self),), INT32)
+        kernels.count_pairs(*lists, self.gaussian_ids, selected, some, counts, per_tile, 0, 1)
+        total = int(per_tile.sum())
+        at, pair_offsets = np.empty((2, min(len(self), total) + 1), np.int64)
+        before, number = np.empty(words, np.int32), np.empty(1, np.int64)
+        kernels.number_entries(some, counts, before, at, pair_offsets, number, 0, 1)
+        at, pair_offsets = at[: number[0]], pair_offsets[: number[0] + 1]
         flatten_ids, pair_ids = np.empty((2, total), np.int32)
-        _run_shared(shares, kernels.take_pairs, *lists, per_tile, new_entry, counts, flatten_ids, pair_ids)
+        kernels.take_pairs(*lists, some, before, counts, flatten_ids, pair_ids, 0, 1)
         part = replace(
             self,
             tiles=tiles,
@@ -273,15 +280,13 @@ class ProjectedView:
         that of `sh` may have no rows, and is then left out. splats: those that were projected; sums: of
         `rasterize_backward`."""
         attributes = [readonly(getattr(splats, name), sums.dtype) for name in ATTRIBUTES]
-        entries = np.full(len(splats), -1, np.int32)
-        entries[self.gaussian_ids] = np.arange(len(self), dtype=np.int32)
         camera = geometry.camera_vector(self.camera, np.zeros(4), sums.dtype)
         settings = (splats.sh_degree, camera, bool(splats.antialiased))
         run(
             kernels.project_gaussians_backward,
             *attributes,
             *settings,
-            entries,
+            self.entries,
             self.projected,
             self.pair_offsets,
             sums,
@@ -357,8 +362,12 @@ class ProjectedView:
             return self.projected
         assert colors.shape == (len(self), 3), f"colors: expected [{len(self)}, 3], got {colors.shape}"
         projected = aligned(self.projected.shape, self.projected.dtype)
-        projected[:] = self.projected
-        projected[:, geometry.RED : geometry.BLUE + 1] = colors
+
+        def fill(block: slice) -> None:
+            projected[block] = self.projected[block]
+            projected[block, geometry.RED : geometry.BLUE + 1] = colors[block]
+
+        by_blocks(fill, len(self))
         return readonly(projected, projected.dtype)
 
     def recolored(self, splats: Splats, space: np.ndarray | None = None) -> ProjectedView | None:
@@ -513,14 +522,6 @@ def _depth_order(keys: np.ndarray, counts: np.ndarray, tile_counts: np.ndarray) 
     order = slots[np.argsort(keys[slots], kind="stable")].astype(np.int32)
     edges = np.arange(shares + 1) * total // shares
     return order, np.diff(np.append(0, np.cumsum(tile_counts[order], dtype=np.int64))[edges])
-
-
-def _run_shared(shares: int, kernel: Kernel, *args: Any) -> None:
-    """A kernel over as many shares by all threads, over one by this thread."""
-    if shares == 1:
-        kernel(*args, 0, 1)
-    else:
-        run(kernel, *args)
 
 
 def _profile_number(profile: Profile) -> int:

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from splatpainter.array_types import Bools, Ids
+from splatpainter.array_types import Bools
 from splatpainter.kernels.arrays import aligned, readonly
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
-from splatpainter.rendering.cpu.geometry import EXTENT_X, EXTENT_Y, MEAN_X, MEAN_Y, SUMS, TILE
+from splatpainter.rendering.cpu.geometry import SUMS
 from splatpainter.rendering.cpu.projected_view import ProjectedView
 from splatpainter.system.quick_dataclass import dataclass
 
@@ -67,8 +67,9 @@ class CachedWeights:
         target, mask = readonly(target, dtype), readonly(mask, dtype)
         pairs = np.flatnonzero(movable.take(view.flatten_ids))
         begins = np.searchsorted(pairs, view.isect_offsets)
-        tile = np.repeat(view.tile_ids, np.diff(begins))
-        boxes = _block_boxes(view, view.flatten_ids[pairs], tile)
+        boxes = np.empty((len(pairs), 4), np.int64)
+        places = (view.projected, view.flatten_ids, view.tile_ids, view.tiles.shape[1], pairs, begins)
+        run(kernels.find_block_boxes, *places, boxes)
         hit = (boxes[:, 1] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 2])
         block_offsets = np.concatenate([[0], np.cumsum(hit)])
         if block_offsets[-1] > MAX_CACHED_BLOCKS:
@@ -87,7 +88,7 @@ class CachedWeights:
             weights,
             remainder,
         )
-        entries = (np.cumsum(movable) - 1).take(view.flatten_ids[pairs])
+        entries = (np.cumsum(movable) - 1).take(view.flatten_ids.take(pairs))
         pair_ids = np.empty(len(pairs), np.int64)
         pair_ids[np.argsort(entries, kind="stable")] = np.arange(len(pairs))
         num_movable = int(movable.sum())
@@ -99,21 +100,6 @@ class CachedWeights:
     def residual(self, colors: np.ndarray) -> np.ndarray:
         """[C, 3] sum_p w_ip m_p (target_p - image_p) with these colours ([C, 3], in the view's order)."""
         return _step_sums(self._lists, self._remainder, self._num_pairs, self._pair_offsets, colors)[:, :3]
-
-
-def _block_boxes(view: ProjectedView, entries: np.ndarray, tile: np.ndarray) -> Ids:
-    """[Q, 4] int64 blocks of each pair's tile that its ellipse touches, rows and columns from, to (see blocks_hit)."""
-    projected, (row, column) = view.projected, np.divmod(tile, view.tiles.shape[1])
-    out = np.empty((len(entries), 4), np.int64)
-    for k, (mean, extent, first) in enumerate([(MEAN_Y, EXTENT_Y, row), (MEAN_X, EXTENT_X, column)]):
-        # A column is gathered alone: a pair's row is a whole cache line.
-        m, e = (np.ascontiguousarray(projected[:, number]).take(entries) for number in (mean, extent))
-        m -= (first * TILE + 0.5).astype(projected.dtype)
-        for side, edge in enumerate((m - e, m + e)):
-            out[:, 2 * k + side] = np.clip(edge, 0, TILE - 1, out=edge)
-    out >>= 2
-    out[:, 1::2] += 1
-    return out
 
 
 def _step_sums(

@@ -127,8 +127,7 @@ class Stroke:
         everywhere = np.ones(base.shape[:2], np.float32)
         weights = view.backproject(np.zeros_like(base), everywhere).weight
         colors = np.maximum(view.unclamped_colors, 0)
-        movable, entries = np.zeros(len(view), bool), np.empty(len(splats), np.int32)
-        entries[view.gaussian_ids] = np.arange(len(view))
+        movable = np.zeros(len(view), bool)
         self._canvas = _Canvas(
             version,
             view,
@@ -141,7 +140,7 @@ class Stroke:
             colors.copy(),
             colors.copy(),
             movable,
-            entries,
+            view.entries,
         )
 
     def patch(self, x: int, y: int, width: int, height: int, rgba: bytes) -> Box:

@@ -58,6 +58,7 @@ class PainterAdapter:
         mode spread. Raises ValueError as Painter.apply does."""
         # Numbered anew below every layer: `origin` then says the parent in what this layer was given.
         numbered = replace(without_source(below), origin=np.arange(len(below)))
+        vars(numbered)["extremes"] = below.extremes  # of the same arrays; found when a stroke began
         asset = Asset(numbered, original=self._original, make_grid=self.grid)
         # The surface of the original, computed once: paint lies on it, whatever was painted before.
         if mode != "global":
