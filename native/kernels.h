@@ -39,6 +39,14 @@ struct Text {
     }
 };
 
+// As many characters as there are: the library holds one for each kernel.
+template <int SIZE> struct Trimmed { char text[SIZE] = {}; };
+template <int SIZE> constexpr Trimmed<SIZE> trimmed(const Text& from) {
+    Trimmed<SIZE> out;
+    for (int k = 0; k < SIZE; ++k) out.text[k] = from.text[k];
+    return out;
+}
+
 // One parameter: how it is read from an Argument, and its word in the signature.
 template <class T> struct Parameter {  // i64 or bool
     static T read(const Argument& a) { return (T)a.shape[0]; }
@@ -97,7 +105,7 @@ template <auto function, class... P> struct Entry<function, void (*)(P...)> {
     SP_SMALL static void call_small(const Argument* a, i64 thread, i64 threads) {
         unpack(a, thread, threads, Bare{}, typename CountTo<COUNT>::type{});
     }
-    static constexpr Text signature = text_of(Bare{});
+    static constexpr auto signature = trimmed<text_of(Bare{}).size + 1>(text_of(Bare{}));
 };
 
 template <auto function> constexpr Kernel kernel(const char* name) {

@@ -10,13 +10,17 @@ SP_INLINE bool same_bits(const float* a, const float* b, i64 n) {
     return !bits;
 }
 
-SP_INLINE void widen(float* range, float value) {
-    if (value < range[0]) range[0] = value;
-    if (value > range[1]) range[1] = value;
-}
+struct Span {
+    float low, high;
+    SP_INLINE void widen(const float* values, i64 count) {
+        for (i64 k = 0; k < count; ++k) {
+            low = values[k] < low ? values[k] : low;
+            high = values[k] > high ? values[k] : high;
+        }
+    }
+};
 
-// Coefficients of row i: those of [n, K, 3] as [n, 3 K].
-SP_INLINE float entry(const float* row, i64 width, i64 k) { return k < width ? row[k] : 0.0f; }
+SP_INLINE void add_square(float off, double* energy) { *energy += (double)off * (double)off; }
 
 // Rows i of `counted` get a column of `errors` (in order: distance by size, base colour, squared SH beyond it, opacity,
 // largest ratio of scales, squared chord of quaternions), and `differs` where any bit differs (`comparable`: else all
@@ -28,15 +32,22 @@ void row_losses(Array1<const bool> counted, bool comparable, Array1<const double
                 Array2<const float> sh1, Array2<double> errors, Array1<bool> differs, Rows<float, 8> ranges,
                 i64 thread, i64 threads) {
     const Share share = share_of(counted.shape[0], thread, threads);
-    const i64 width0 = sh0.shape[1], width1 = sh1.shape[1], width = width0 > width1 ? width0 : width1;
-    float* spans = ranges.row(thread);
+    const i64 width0 = sh0.shape[1], width1 = sh1.shape[1];
+    const bool in_place = shift(0) == shift(3) && shift(1) == shift(4) && shift(2) == shift(5);
+    const i64 both = width0 < width1 ? width0 : width1;
+    float* range = ranges.row(thread);
+    Span spans[4];
+    for (int k = 0; k < 4; ++k) spans[k] = {range[2 * k], range[2 * k + 1]};
     for (i64 i = share.begin; i < share.end; ++i) {
         differs(i) = false;
         if (!counted(i)) continue;
         const float *m0 = means0.row(i), *m1 = means1.row(i), *q0 = quats0.row(i), *q1 = quats1.row(i);
         const float *s0 = scales0.row(i), *s1 = scales1.row(i), *c0 = sh0.row(i), *c1 = sh1.row(i);
-        if (comparable && same_bits(m0, m1, 3) && same_bits(q0, q1, 4) && same_bits(s0, s1, 3) &&
-            bits_of<u32>(opacities0(i)) == bits_of<u32>(opacities1(i)) && same_bits(c0, c1, width))
+        // Formats round some attributes and keep others: of equal bits nothing is computed.
+        const bool stays = in_place && same_bits(m0, m1, 3), turns = !same_bits(q0, q1, 4);
+        const bool grows = !same_bits(s0, s1, 3);
+        if (comparable && stays && !turns && !grows && bits_of<u32>(opacities0(i)) == bits_of<u32>(opacities1(i)) &&
+            same_bits(c0, c1, width0))
             continue;
         differs(i) = true;
 
@@ -44,37 +55,43 @@ void row_losses(Array1<const bool> counted, bool comparable, Array1<const double
         for (int k = 0; k < 3; ++k) {
             if (s0[k] > size) size = s0[k];
             if (s0[k] < smallest) smallest = s0[k];
+        }
+        for (int k = 0; k < 3 && !stays; ++k) {
             const double move = ((double)m1[k] + shift(3 + k)) - ((double)m0[k] + shift(k));
             squares += move * move;
         }
-        errors(0, i) = sqrt_of(squares) / size;
-        for (int k = 0; k < 3; ++k) {
+        errors(0, i) = stays ? 0 : sqrt_of(squares) / size;
+        for (int k = 0; k < 3 && grows; ++k) {
             if (!(s0[k] >= thin * size)) continue;
             const double one = (double)s1[k] / s0[k], two = one < 1 ? 1 / one : one;
             if (two > ratio) ratio = two;
         }
         errors(4, i) = ratio;
 
+        // Coefficients of [n, K, 3] are [n, 3 K]; those that one side lacks are 0 there.
         double color = 0, energy[3] = {0, 0, 0};
-        for (i64 k = 0; k < width; ++k) {
-            const float before = entry(c0, width0, k), after = entry(c1, width1, k);
-            const double off = after - before;
-            if (k < 3) {
-                const double size_of_it = off < 0 ? -off : off;
-                if (size_of_it > color) color = size_of_it;
-            } else {
-                energy[k % 3] += off * off;
-            }
+        for (int k = 0; k < 3; ++k) {
+            const double off = c1[k] - c0[k], size_of_it = off < 0 ? -off : off;
+            if (size_of_it > color) color = size_of_it;
         }
+        for (i64 k = 3; k < both; k += 3)
+            for (int c = 0; c < 3; ++c) add_square(c1[k + c] - c0[k + c], energy + c);
+        for (i64 k = both; k < width0; k += 3)
+            for (int c = 0; c < 3; ++c) add_square(0.0f - c0[k + c], energy + c);
+        for (i64 k = both; k < width1; k += 3)
+            for (int c = 0; c < 3; ++c) add_square(c1[k + c], energy + c);
         errors(1, i) = color;
         const double most = energy[0] > energy[1] ? energy[0] : energy[1];
         errors(2, i) = energy[2] > most ? energy[2] : most;
-        for (i64 k = 0; k < width0; ++k) widen(spans + (k < 3 ? 0 : 2), c0[k]);
-        for (i64 k = 0; k < width1; ++k) widen(spans + (k < 3 ? 4 : 6), c1[k]);
+        spans[0].widen(c0, 3), spans[1].widen(c0 + 3, width0 - 3);
+        spans[2].widen(c1, 3), spans[3].widen(c1 + 3, width1 - 3);
 
         const double fade = (double)opacities1(i) - opacities0(i);
         errors(3, i) = fade < 0 ? -fade : fade;
 
+        const bool is_seen = turns && size > (double)(anisotropy * (float)smallest);
+        errors(5, i) = 0;
+        if (!is_seen) continue;
         double norm0 = 0, norm1 = 0, apart = 0, mirrored = 0;
         for (int k = 0; k < 4; ++k) norm0 += (double)q0[k] * q0[k], norm1 += (double)q1[k] * q1[k];
         norm0 = sqrt_of(norm0), norm1 = sqrt_of(norm1);
@@ -82,8 +99,9 @@ void row_losses(Array1<const bool> counted, bool comparable, Array1<const double
             const double a = q0[k] / norm0, b = q1[k] / norm1;
             apart += (a - b) * (a - b), mirrored += (a + b) * (a + b);
         }
-        errors(5, i) = size > (double)(anisotropy * (float)smallest) ? (apart < mirrored ? apart : mirrored) : 0;
+        errors(5, i) = apart < mirrored ? apart : mirrored;
     }
+    for (int k = 0; k < 4; ++k) range[2 * k] = spans[k].low, range[2 * k + 1] = spans[k].high;
 }
 
 } }  // namespace sp

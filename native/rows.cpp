@@ -27,20 +27,7 @@ void compare_rows(Array2<const u32> before, Array2<const u32> after, Array1<cons
     }
 }
 
-// Columns of records, side by side.
-void pick_columns(Array2<const u32> records, Array1<const i64> columns, Array2<u32> out, i64 thread, i64 threads) {
-    const i64 width = columns.shape[0];
-    checked(width - 1, out.shape[1]);
-    for (i64 c = 0; c < width; ++c) checked(columns(c), records.shape[1]);
-    const Share share = share_of(out.shape[0], thread, threads);
-    for (i64 k = share.begin; k < share.end; ++k) {
-        const u32* from = records.row(k);
-        u32* to = out.row(k);
-        for (i64 c = 0; c < width; ++c) to[c] = from[columns(c)];
-    }
-}
-
-// The other way, of the values that differ from what a row (-1: none) of `before` holds.
+// Columns of records take the values that differ from what a row (-1: none) of `before` holds.
 void put_columns(Array2<const u32> values, Array2<const u32> before, Array1<const i64> rows,
                  Array1<const i64> columns, Array2<u32> records, i64 thread, i64 threads) {
     const i64 width = columns.shape[0];
@@ -113,6 +100,5 @@ SP_KERNELS_TO_V3(rows,
     ONE(look_up_bytes),
     ONE(take_rows),
     ONE(compare_rows),
-    ONE(pick_columns),
     ONE(put_columns)
 )

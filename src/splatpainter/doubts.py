@@ -146,7 +146,8 @@ def _drawn(splats: Splats) -> np.ndarray:
 def _sample(splats: Splats) -> Splats:
     """Some of what is drawn, with its base colours alone: the other bands would be most of what is copied."""
     rows, arrays = np.flatnonzero(_drawn(splats)), splats.numpy()
-    return replace(arrays, sh=arrays.sh[:, :1]).take(rows[:: max(1, len(rows) // DOUBTS.max_sample)])
+    rows = rows[:: max(1, len(rows) // DOUBTS.max_sample)]
+    return replace(arrays.geometry(rows), sh=arrays.sh[rows, :1])
 
 
 def _nothing_drawn(splats: Splats) -> Doubt | None:

@@ -32,9 +32,24 @@ def quantile(values: np.ndarray, share: float) -> Any:
 
 
 def distinct(values: np.ndarray) -> np.ndarray:
-    """Of [N] integers, ascending, as np.unique(values)."""
+    """Of [N] numbers without NaN, ascending, as np.unique(values)."""
     ordered = np.sort(values)
-    return ordered[np.append(np.ones(min(len(ordered), 1), bool), ordered[1:] != ordered[:-1])]
+    return ordered[_begins(ordered)]
+
+
+def groups(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of [N] keys without NaN, by ascending key: ([K] first index of each key, [N] number of each one's key, [K] how
+    many have it), as np.unique tells."""
+    order = keys.argsort(kind="stable")
+    begins = _begins(keys[order])
+    numbers = np.empty(len(keys), np.int64)
+    numbers[order] = np.cumsum(begins) - 1
+    return order[begins], numbers, np.diff(np.append(np.flatnonzero(begins), len(keys)))
+
+
+def _begins(ordered: np.ndarray) -> np.ndarray:
+    """[N] bool: which of ordered keys differ from the one before them."""
+    return np.append(np.ones(min(len(ordered), 1), bool), ordered[1:] != ordered[:-1])
 
 
 def without(values: np.ndarray, excluded: np.ndarray) -> np.ndarray:

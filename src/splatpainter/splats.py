@@ -21,6 +21,8 @@ from splatpainter.system.quick_dataclass import dataclass
 if TYPE_CHECKING:
     import torch
 
+    from splatpainter.kernels.row_checks import RowChecks
+
 ColorSpace = Literal["srgb", "linear"]
 Axes = Literal["auto", "rub", "rdf"]
 """Axes of a file's numbers: right-up-back, right-down-front (as INRIA's PLY files and everything in memory), or auto:
@@ -160,37 +162,23 @@ class Splats(Generic[ArrayT]):
         low, high = (np.array([f(column) for column in arrays.means.T], np.float64) for f in (np.min, np.max))
         return low, high, max(float(column.max()) for column in arrays.scales.T)
 
-    @cached_property
+    @property
     def drawable(self) -> Bools:
         """[N] bool: Gaussians that can be drawn (every attribute finite and in its range, as said at each above). The
         others are counted by `info` and `render`, keep their bytes, and are drawn by no renderer of this package."""
+        return self.row_checks.drawable
+
+    @cached_property
+    def row_checks(self) -> RowChecks:
+        """Which Gaussians can be drawn, and how many cannot for which reason."""
         # Of an asset as it was read they were looked for when it was read.
         if self.source is not None and self.source.splats is not self and self._is_as_read:
-            return self.source.splats.drawable
+            return self.source.splats.row_checks
+        from splatpainter.kernels.row_checks import checked  # readers need it, other users may not
+
         arrays = self.numpy()
-        ok = np.ones(len(arrays), bool)
-        with np.errstate(invalid="ignore"):
-            for name, low, high in (
-                ("means", -MAX_MAGNITUDE, MAX_MAGNITUDE),
-                ("quats", -MAX_MAGNITUDE, MAX_MAGNITUDE),
-                ("scales", 0, MAX_MAGNITUDE),
-                ("opacities", 0, 1),
-            ):
-                values = getattr(arrays, name)
-                # The extremes of all first: one pass without a temporary, which is all that most assets need.
-                if values.size and not (values.min() >= low and values.max() <= high):
-                    ok &= ((values >= low) & (values <= high)).all(tuple(range(1, values.ndim)))
-            # As a sum, which kernels take many at a time. No sum of values below a hundredth can exceed it.
-            if arrays.sh.size and not max(-arrays.sh.min(), arrays.sh.max()) <= MAX_MAGNITUDE / 100:
-                with np.errstate(over="ignore"):
-                    ok &= np.abs(arrays.sh).sum((1, 2)) <= MAX_MAGNITUDE
-            # Column by column: along so short an axis numpy's own reduction takes several times longer.
-            turned = np.zeros(len(arrays), bool)
-            for component in arrays.quats.T:
-                turned |= np.abs(component) >= MIN_QUAT
-            for scale in arrays.scales.T:
-                ok &= scale > 0
-            return ok & turned
+        values = (arrays.means, arrays.quats, arrays.scales, arrays.opacities, arrays.sh)
+        return checked(*values, most=MAX_MAGNITUDE, least_quat=MIN_QUAT)
 
     @cached_property
     def sha256(self) -> str:

@@ -303,7 +303,7 @@ def test_many_rows_are_decoded_as_few_are(tmp_path: Path, monkeypatch: pytest.Mo
     """Of many rows the words are decoded, not the rows."""
     write_sog(tmp_path / "a.sog", random_splats(300, 1))
     expected = read_sog(tmp_path / "a.sog")
-    monkeypatch.setattr(sog, "BLOCK_ROWS", 64)
+    monkeypatch.setattr(sog, "MIN_ROWS_BY_WORD", 64)
     assert same_bits(read_sog(tmp_path / "a.sog"), expected)
 
 

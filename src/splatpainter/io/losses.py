@@ -21,7 +21,7 @@ from splatpainter.io.formats.reuse import drawable_rows
 from splatpainter.io.size_estimate import sample
 from splatpainter.kernels.arrays import readonly
 from splatpainter.kernels.library import kernels
-from splatpainter.kernels.parallel import each, run, threads
+from splatpainter.kernels.parallel import each, run
 from splatpainter.order_statistics import quantile
 from splatpainter.splats import ATTRIBUTES, SH_C0, Splats
 from splatpainter.system.quick_dataclass import dataclass
@@ -36,7 +36,7 @@ class LossThresholds:
     """What of an asset a format loses, and from when on that is told. Source: steps of the formats, as each entry says;
     else taste."""
 
-    block_rows: int = 1 << 16
+    block_rows: int = 1 << 14
     """Rows measured at a time, to bound the float64 intermediates."""
     cut_tolerance: float = 0.05
     """SH coefficients: a value beyond all that came back is cut if it is beyond them by more than this, which is more
@@ -176,22 +176,18 @@ def measure(before: Splats, after: Splats) -> Losses:
     total = int(counted.sum())
     if not total or old is new:  # read and written alike
         return Losses(compared=total)
-    rows, joined, base, rest = _row_errors(old, new, counted)
-    moves = np.zeros(count)
-    moves[rows] = joined["move"]
+    errors = _errors(old, new, counted)
+    moves = errors.moves
     if new.source is not None and new.source.format != "ply":  # there the stored numbers go along
         moves = np.maximum(moves, _moves_from_file(old, new))
     moves = moves[counted]
-    if not len(rows):
+    if not errors.differs.any():
         return Losses(compared=total, **_moved(moves))
+    base, rest = errors.base, errors.rest
     with np.errstate(all="ignore"):
-        base_cut, rest_cut = (_cut_rows(old, rows, part, span) for part, span in ((0, base), (1, rest)))
-
-    def reach(values: np.ndarray) -> tuple[float, float]:  # of a million rows every pass counts
-        return float(values.max()), math.sqrt(float((values * values).sum()) / total)
-
-    ends = dict(zip(joined, each(reach, list(joined.values())), strict=True))
-    largest, rms = ({name: end[k] for name, end in ends.items()} for k in (0, 1))
+        base_cut, rest_cut = (_cut_rows(old, errors.differs, part, span) for part, span in ((0, base), (1, rest)))
+    largest = errors.largest
+    rms = {name: math.sqrt(squares / total) for name, squares in errors.squares.items()}
     return Losses(
         compared=total,
         **_moved(moves),
@@ -243,14 +239,27 @@ def _moves_from_file(old: Splats, new: Splats) -> np.ndarray:
     return moves
 
 
-def _row_errors(
-    old: Splats, new: Splats, counted: np.ndarray
-) -> tuple[np.ndarray, dict[str, np.ndarray], _Range, _Range]:
-    """([n] of the `counted` rows those that are not as they were, what is off -> [n] errors, ranges of base colours and
-    of the coefficients beyond them)."""
-    count, spans = len(counted), np.full((threads(), 8), np.inf, np.float32)
-    spans[:, 1::2] = -np.inf
-    errors, differs = np.empty((6, count)), np.empty(count, bool)
+@dataclass(frozen=True)
+class _Errors:
+    """What is off of N Gaussians."""
+
+    differs: np.ndarray
+    """[N] bool: those that are counted and not as they were."""
+    moves: np.ndarray
+    """[N] float64 sizes of the Gaussian."""
+    largest: dict[str, float]
+    """What is off -> the largest error."""
+    squares: dict[str, float]
+    """The sum of their squares."""
+    base: _Range
+    """Of base colours' coefficients."""
+    rest: _Range
+    """Of those beyond them."""
+
+
+def _errors(old: Splats, new: Splats, counted: np.ndarray) -> _Errors:
+    """Of the `counted` rows ([N] bool)."""
+    count, kinds = len(counted), range(len(ERRORS))
     # Rows relative to other offsets, or of another SH degree, cannot be as they were.
     comparable = old.offset == new.offset and old.sh.shape[1] == new.sh.shape[1]
     pairs: list[np.ndarray] = []
@@ -259,29 +268,53 @@ def _row_errors(
             values = getattr(splats, name)[:count]
             pairs.append(readonly(values.reshape(count, -1) if name == "sh" else values, np.float32))
     shift = readonly(np.array([*old.offset, *new.offset], np.float64), np.float64)
-    run(
-        kernels.row_losses, readonly(counted, bool), comparable, shift, LOSSES.thin_share, LOSSES.min_anisotropy,
-        *pairs, errors, differs, spans,
-    )  # fmt: skip
-    rows = np.flatnonzero(differs)
-    joined: dict[str, np.ndarray] = dict(zip(ERRORS, errors[:, rows] if len(rows) < count else errors, strict=True))
+    counted = readonly(counted, bool)
+    differs, moves = np.empty(count, bool), np.zeros(count)
 
-    def finish(name: str) -> None:
-        values = joined[name]
-        if name == "color":
-            values *= SH_C0
-        elif name == "sh":
-            # The mean over the sphere of a squared basis function is 1 / (4 pi), of a product of two of them 0.
-            np.sqrt(np.divide(values, 4 * np.pi, out=values), out=values)
-        elif name == "scale":
-            np.log(values, out=values)
-        elif name == "rotation":
-            # Of the chord, as the arc cosine of a number near 1 has no digits left.
-            np.minimum(np.divide(np.sqrt(values, out=values), 2, out=values), 1, out=values)
-            np.degrees(np.multiply(4, np.arcsin(values, out=values), out=values), out=values)
+    def look(start: int) -> tuple[list[float], list[float], np.ndarray]:
+        block = slice(start, min(start + LOSSES.block_rows, count))
+        errors, span = np.empty((len(ERRORS), block.stop - start)), np.full((1, 8), np.inf, np.float32)
+        span[:, 1::2] = -np.inf
+        run(
+            kernels.row_losses, counted[block], comparable, shift, LOSSES.thin_share, LOSSES.min_anisotropy,
+            *(values[block] for values in pairs), errors, differs[block], span,
+        )  # fmt: skip
+        rows = np.flatnonzero(differs[block])
+        if not len(rows):
+            return [0.0 for _ in kinds], [0.0 for _ in kinds], span
+        values = errors[:, rows] if len(rows) < errors.shape[1] else errors
+        moves[start + rows] = values[0]
+        with np.errstate(all="ignore"):
+            for k in kinds:
+                _finish(ERRORS[k], values[k])
+            return [float(row.max()) for row in values], [float((row * row).sum()) for row in values], span
 
-    each(finish, ("rotation", "scale", "sh", "color"))
-    return rows, joined, _Range.of(spans[:, [0, 1, 4, 5]]), _Range.of(spans[:, [2, 3, 6, 7]])
+    # Blocks stay in the cache, and of a million rows every pass over new memory counts.
+    largest, squares, spans = zip(*each(look, range(0, count, LOSSES.block_rows)), strict=True)
+    span = np.concatenate(spans)
+    return _Errors(
+        differs,
+        moves,
+        {ERRORS[k]: max(block[k] for block in largest) for k in kinds},
+        {ERRORS[k]: sum(block[k] for block in squares) for k in kinds},
+        _Range.of(span[:, [0, 1, 4, 5]]),
+        _Range.of(span[:, [2, 3, 6, 7]]),
+    )
+
+
+def _finish(name: str, values: np.ndarray) -> None:
+    """Errors of one kind, as the kernel has them, in the units of `Losses` (of scales the logarithm), in place."""
+    if name == "color":
+        values *= SH_C0
+    elif name == "sh":
+        # The mean over the sphere of a squared basis function is 1 / (4 pi), of a product of two of them 0.
+        np.sqrt(np.divide(values, 4 * np.pi, out=values), out=values)
+    elif name == "scale":
+        np.log(values, out=values)
+    elif name == "rotation":
+        # Of the chord, as the arc cosine of a number near 1 has no digits left.
+        np.minimum(np.divide(np.sqrt(values, out=values), 2, out=values), 1, out=values)
+        np.degrees(np.multiply(4, np.arcsin(values, out=values), out=values), out=values)
 
 
 @dataclass
@@ -294,19 +327,19 @@ class _Range:
 
     @staticmethod
     def of(spans: np.ndarray) -> _Range:
-        """Of [threads, 4] least and largest before, least and largest after."""
+        """Of [blocks, 4] least and largest before, least and largest after."""
         low0, high0, low1, high1 = spans[:, 0].min(), spans[:, 1].max(), spans[:, 2].min(), spans[:, 3].max()
         if not (low0 <= high0 and low1 <= high1):  # no coefficients
             return _Range()
         return _Range((float(low0), float(high0)), (float(low1), float(high1)), True)
 
 
-def _cut_rows(old: Splats, rows: np.ndarray, part: int, span: _Range) -> int:
-    """How many of the rows have a coefficient beyond all that came back. part: 0 the base colour, 1 the others."""
+def _cut_rows(old: Splats, differs: np.ndarray, part: int, span: _Range) -> int:
+    """How many of the rows that differ have a coefficient beyond all that came back. part: 0 the base, 1 others."""
     low, high = span.after[0] - LOSSES.cut_tolerance, span.after[1] + LOSSES.cut_tolerance
     if not span.started or (span.before[0] >= low and span.before[1] <= high):
         return 0
-    cut = 0
+    cut, rows = 0, np.flatnonzero(differs)
     for start in range(0, len(rows), LOSSES.block_rows):
         block = old.sh[rows[start : start + LOSSES.block_rows]]
         sh = block[:, 1:] if part else block[:, :1]
@@ -349,11 +382,12 @@ def spread_sample(splats: Splats, count: int = LOSSES.sample_rows) -> Splats:
     """About `count` Gaussians from all over the rows, those at the ends of each axis among them, in their order and
     without their file: they span what all of them span."""
     arrays = replace(splats.numpy(), source=None, origin=None)
-    rows = np.flatnonzero(arrays.drawable & (arrays.opacities >= MIN_DRAWN_OPACITY))
+    rows = np.flatnonzero(splats.drawable & (arrays.opacities >= MIN_DRAWN_OPACITY))
     if len(rows) <= count:
         return arrays.take(rows)
-    means = arrays.means[rows]
-    ends = np.concatenate([means.argmin(0), means.argmax(0)])
+    # Axis by axis: numpy's own way along the longer axis takes several times longer.
+    axes = [axis if len(rows) == len(arrays) else axis.take(rows) for axis in arrays.means.T]
+    ends = np.array([*(axis.argmin() for axis in axes), *(axis.argmax() for axis in axes)])
     taken = np.zeros(len(rows), bool)
     taken[np.linspace(0, len(rows) - 1, count).astype(np.int64)] = taken[ends] = True
     return arrays.take(rows[taken])

@@ -12,7 +12,6 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, ClassVar, TypeVar
 
 from splatpainter.kernels.library import Kernel
@@ -20,7 +19,6 @@ from splatpainter.kernels.library import Kernel
 THREADS_VARIABLE = "SPLATPAINTER_THREADS"
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-_pool: ThreadPoolExecutor | None = None
 _local = threading.local()
 
 
@@ -94,7 +92,28 @@ def beside(function: Callable[[], Result]) -> Callable[[], Result]:
     """Begin function() on a thread beside the caller's, for long work that leaves Python alone (hashes, files, large
     arrays); the call that is returned waits for its result, and raises what it raised. With one thread function()
     runs when the result is asked for."""
-    return function if threads() == 1 else _workers().submit(function).result
+    if threads() == 1:
+        return function
+    results: list[Result] = []
+    errors: list[BaseException] = []
+
+    def work() -> None:
+        try:
+            results.append(function())
+        except BaseException as error:  # raised by whoever waits for it
+            errors.append(error)
+
+    # A thread of its own: an executor would import logging, and this begins a few times in a process.
+    worker = threading.Thread(target=work, name="splatpainter beside")
+    worker.start()
+
+    def result() -> Result:
+        worker.join()
+        for error in errors:
+            raise error
+        return results[0]
+
+    return result
 
 
 class _Helper:
@@ -143,17 +162,8 @@ class _Helper:
             self._ended.release()
 
 
-def _workers() -> ThreadPoolExecutor:
-    global _pool
-    if _pool is None:
-        _pool = ThreadPoolExecutor(max(32, cpus()), thread_name_prefix="splatpainter")
-    return _pool
-
-
 def _forget() -> None:
     """A forked child has none of its parent's threads: waiting for them would hang."""
-    global _pool
-    _pool = None
     _Helper.idle.clear()
 
 

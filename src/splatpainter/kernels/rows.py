@@ -67,11 +67,6 @@ def extended(values: np.ndarray, tail: np.ndarray) -> np.ndarray:
     return out
 
 
-def pick(records: np.ndarray, columns: np.ndarray, out: np.ndarray) -> None:
-    """Columns ([C] int64) of [N, P] float32 into [N, C] float32, every bit of them."""
-    run(kernels.pick_columns, row_bits(records), readonly(columns, np.int64), out.view(np.uint32))
-
-
 def put(records: np.ndarray, columns: np.ndarray, values: np.ndarray, before: np.ndarray, rows: np.ndarray) -> None:
     """Put values ([M, C] float32) into columns ([C] int64) of records ([M, P] float32), but for those with the bits
     of `before` ([N, C]) in rows ([M] int64; -1: none)."""

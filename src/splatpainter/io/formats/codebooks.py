@@ -10,6 +10,7 @@ import heapq
 import numpy as np
 
 from splatpainter.array_types import Bools
+from splatpainter.order_statistics import distinct, groups
 
 CODEBOOK_SIZE = 256
 
@@ -21,9 +22,9 @@ def fit(values: np.ndarray, size: int = CODEBOOK_SIZE) -> np.ndarray:
     values get their own), then Lloyd's iteration. Exact where there are at most `size` values.
     """
     ordered = np.sort(values.reshape(-1).astype(np.float64))
-    distinct = np.unique(ordered)
-    if len(distinct) <= size:
-        return np.concatenate([distinct, np.full(size - len(distinct), distinct[-1] if len(distinct) else 0.0)])
+    few = distinct(ordered)
+    if len(few) <= size:
+        return np.concatenate([few, np.full(size - len(few), few[-1] if len(few) else 0.0)])
     middle = ordered.mean()  # prefix sums of centred values keep their digits
     sums = np.concatenate([[0], np.cumsum(ordered - middle)])
     squares = np.concatenate([[0], np.cumsum((ordered - middle) ** 2)])
@@ -134,10 +135,10 @@ def adapt_palette(
     """
     free = np.flatnonzero(~in_use)
     new, labels = palette(vectors, max(len(free), 1))
-    if len(free) < min(len(np.unique(labels)), 1024):
+    if len(free) < min(len(distinct(labels)), 1024):
         return None
     used = np.zeros(CODEBOOK_SIZE, bool)
-    used[np.unique(codes[in_use[: len(codes)]])] = True
+    used[distinct(codes[in_use[: len(codes)]].reshape(-1))] = True
     padded = np.concatenate([codebook, np.zeros(CODEBOOK_SIZE - len(codebook))])
     extended = next((book for t in tolerances if (book := extend(padded, used, new, t)) is not None), None)
     if extended is None:
@@ -152,7 +153,7 @@ def adapt_palette(
 
 def _cover(entries: np.ndarray, values: np.ndarray, tolerance: float) -> np.ndarray:
     """Fewest new entries so that every value lies within `tolerance` of an old or a new one."""
-    uncovered = np.unique(values)
+    uncovered = distinct(values.reshape(-1))
     if len(entries):
         ordered = np.sort(entries)
         at = np.searchsorted((ordered[1:] + ordered[:-1]) / 2, uncovered)
@@ -221,8 +222,8 @@ def _quota(shares: np.ndarray, spread: np.ndarray, size: int) -> np.ndarray:
 def _distinct(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rows = np.ascontiguousarray(vectors, np.float32) + np.float32(0)  # -0.0 and 0.0 are one value
     keys = rows.view(np.dtype((np.void, rows.shape[1] * 4)))[:, 0]
-    _, first, inverse, counts = np.unique(keys, return_index=True, return_inverse=True, return_counts=True)
-    return rows[first], inverse.astype(np.int64), counts
+    first, numbers, counts = groups(keys)
+    return rows[first], numbers, counts
 
 
 def _kmeans(points: np.ndarray, centres: np.ndarray, weights: np.ndarray | None, rounds: int) -> np.ndarray:

@@ -13,11 +13,11 @@ encoded anew where, and only where, its value in `Splats` differs in any bit fro
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
@@ -30,7 +30,11 @@ from splatpainter.io.formats import activations
 from splatpainter.io.formats.ply_header import Element, Header, element_size, make_header, read_header
 from splatpainter.io.formats.ply_rows import BinaryRows, Rows, text_rows
 from splatpainter.io.formats.reuse import differs, row_problems
-from splatpainter.splats import SH_COUNTS, ColorSpace, Source, Splats
+from splatpainter.kernels.arrays import readonly
+from splatpainter.kernels.library import kernels
+from splatpainter.kernels.parallel import beside, run
+from splatpainter.kernels.row_bits import row_bits
+from splatpainter.splats import ATTRIBUTES, SH_COUNTS, ColorSpace, Source, Splats
 from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import row_max
 
@@ -46,6 +50,8 @@ MIN_BYTE_COLOR = 16.0
 """Largest colour of float properties from which they are taken as 0..255: light of a display is 1, of HDR a few."""
 BLOCK_ROWS = 1 << 13
 """Rows encoded at a time when writing: 2 MB at SH degree 3, which stay in the cache."""
+NEW_BLOCK_ROWS = 1 << 15
+"""The same of Gaussians that were in no file."""
 
 
 @dataclass(frozen=True)
@@ -81,23 +87,22 @@ def read_ply(path: Path, lenient: bool = False, offset: positions.Offset | None 
             raise ValueError(f"{path}: element 'vertex' has a list property; expected single values only")
         record, problems = _read_body(file, header, vertex, path, lenient)
         record = replace(record, color_span=_color_span(record.rows, plan["sh"], vertex))
-    with ThreadPoolExecutor(1) as pool:
-        # Hashing lets go of the GIL, so it runs beside the decoding.
-        digest = pool.submit(_sha256, record)
-        splats = _decode(record, plan, offset)
-        # What is kept but not understood is told, so that nobody has to wonder where it went.
-        gaussian_names = {name for names in plan.values() for name in names} | {"nx", "ny", "nz"}
-        extra = [name for name in vertex.names if name not in gaussian_names]
-        if extra:
-            listed = _named(extra) + (", ..." if len(extra) > 8 else "")
-            problems.append(f"extra vertex properties (kept as they are): {listed}")
-        other_elements = [e.name for e in header.elements if e.name != "vertex"]
-        if other_elements:
-            problems.append(f"extra elements (kept as they are): {_named(other_elements)}")
-        problems += row_problems(splats)
-        problems += _rounding_problem(record, splats)
-        problems += _range_problem(record, vertex)
-        source = Source(str(path), "ply", splats, digest.result(), record, tuple(problems))
+    # Hashing lets go of the GIL, so it runs beside the decoding.
+    digest = beside(functools.partial(_sha256, record))
+    splats = _decode(record, plan, offset)
+    # What is kept but not understood is told, so that nobody has to wonder where it went.
+    gaussian_names = {name for names in plan.values() for name in names} | {"nx", "ny", "nz"}
+    extra = [name for name in vertex.names if name not in gaussian_names]
+    if extra:
+        listed = _named(extra) + (", ..." if len(extra) > 8 else "")
+        problems.append(f"extra vertex properties (kept as they are): {listed}")
+    other_elements = [e.name for e in header.elements if e.name != "vertex"]
+    if other_elements:
+        problems.append(f"extra elements (kept as they are): {_named(other_elements)}")
+    problems += row_problems(splats)
+    problems += _rounding_problem(record, splats)
+    problems += _range_problem(record, vertex)
+    source = Source(str(path), "ply", splats, digest(), record, tuple(problems))
     return replace(splats, source=source, origin=np.arange(len(splats), dtype=np.int64))
 
 
@@ -292,8 +297,8 @@ def _sha256(record: PlyFile) -> str:
 def _decode(record: PlyFile, plan: Mapping[str, tuple[str, ...]], offset: positions.Offset | None) -> Splats:
     # Positions that float32 cannot hold are read again as doubles, relative to a point amid them.
     rows, span = record.rows, record.color_span
-    values = rows.columns(plan)
-    scales = activations.exp(values["scales"])
+    values = _activated(rows, plan)
+    scales = values["scales"]
     if offset is None:
         coarse = positions.is_coarse(values["means"], scales)
         offset = positions.offset_of(rows.doubles(plan["means"]), scales) if coarse else positions.NO_OFFSET
@@ -307,12 +312,31 @@ def _decode(record: PlyFile, plan: Mapping[str, tuple[str, ...]], offset: positi
         means=values["means"],
         quats=values["quats"],
         scales=scales,
-        opacities=activations.sigmoid(values["opacities"][:, 0]),
+        opacities=values["opacities"],
         sh=sh.reshape(len(rows), len(plan["sh"]) // 3, 3),
         antialiased=antialiased,
         color_space=space,
         offset=offset,
     )
+
+
+def _activated(rows: Rows, plan: Mapping[str, tuple[str, ...]]) -> dict[str, np.ndarray]:
+    """Attribute -> values of the rows: scales and opacities activated, the others as the file has them."""
+    if not isinstance(rows, BinaryRows) or (matrix := rows.floats()) is None:
+        values = rows.columns(plan)
+        scales, opacities = activations.exp(values["scales"]), activations.sigmoid(values["opacities"][:, 0])
+        return values | {"scales": scales, "opacities": opacities}
+    # As nearly every file is: all of a row while it is at hand.
+    out = {name: np.empty((len(rows), len(names)), np.float32) for name, names in plan.items()}
+    out["opacities"] = out["opacities"][:, 0]
+    bits = [out[name] if name in ("scales", "opacities") else out[name].view(np.uint32) for name in ATTRIBUTES]
+    run(kernels.unpack_ply_rows, row_bits(matrix), rows.column_numbers(_in_order(plan)), *bits)
+    return out
+
+
+def _in_order(plan: Mapping[str, tuple[str, ...]]) -> list[str]:
+    """The properties of a plan, attribute by attribute."""
+    return [name for attribute in ATTRIBUTES for name in plan[attribute]]
 
 
 def _rounding_problem(record: PlyFile, splats: Splats) -> list[str]:
@@ -351,6 +375,9 @@ def _encode(
     assert vertex is not None
     plan = columns_of(vertex.names, Path("source"))
     span = record.color_span
+    if len(splats) and old is None and span is None and splats.offset == positions.NO_OFFSET:
+        yield from _encode_new(splats, plan, record.rows)
+        return
     # Block by block: first the bytes that rows have from the source, then over them the values that changed.
     for start in range(0, len(splats), BLOCK_ROWS):
         rows = origin[start : start + BLOCK_ROWS]
@@ -377,6 +404,30 @@ def _encode(
                     values = values.astype(np.float64) + splats.offset[k]
                 block.put(names[k], where, values)
         yield start + BLOCK_ROWS >= len(splats), block.stored()
+
+
+def _encode_new(splats: Splats, plan: Mapping[str, tuple[str, ...]], layout: Rows) -> Iterator[tuple[bool, memoryview]]:
+    """The same of Gaussians of no file, in float properties: a block is made while the one before it is written."""
+    assert isinstance(layout, BinaryRows)
+    columns, width = layout.column_numbers(_in_order(plan)), len(layout.records.dtype.names or ())
+    buffers = [np.zeros((min(len(splats), NEW_BLOCK_ROWS), width), np.uint32) for _ in range(2)]
+    limits = (activations.MIN_SCALE, activations.MIN_OPACITY, activations.MAX_OPACITY)
+
+    def made(start: int) -> np.ndarray:
+        rows = slice(start, start + NEW_BLOCK_ROWS)
+        means, quats, scales, opacities, sh = (readonly(getattr(splats, name)[rows], np.float32) for name in ATTRIBUTES)
+        colors = sh.reshape(len(sh), sh.shape[1] * sh.shape[2])
+        records = buffers[start // NEW_BLOCK_ROWS % 2][: len(means)]
+        bits = means.view(np.uint32), quats.view(np.uint32), scales, opacities, colors.view(np.uint32)
+        run(kernels.pack_ply_rows, *bits, columns, *limits, records)
+        return records
+
+    following = beside(functools.partial(made, 0))
+    for end in range(NEW_BLOCK_ROWS, len(splats) + NEW_BLOCK_ROWS, NEW_BLOCK_ROWS):
+        records, is_last = following(), end >= len(splats)
+        if not is_last:
+            following = beside(functools.partial(made, end))
+        yield is_last, records.view(np.uint8).data
 
 
 def _is_stored_as_it_is(attribute: str, splats: Splats, span: float | None) -> bool:

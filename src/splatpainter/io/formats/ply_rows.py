@@ -26,8 +26,6 @@ MAX_NUMBER_CHARACTERS = 512
 _IS_BLANK = np.isin(np.arange(256), np.frombuffer(b" \t\n\r\v\f", np.uint8))
 BLOCK_ROWS = 4096
 """Rows handled at a time: a block of wide rows (248 bytes at SH degree 3) stays in the cache while it is split."""
-PICKED_ROWS = 1 << 12
-"""Rows that a thread splits into columns at a time: 1 MB at SH degree 3."""
 
 
 class Block(Protocol):
@@ -83,23 +81,16 @@ class BinaryRows:
     def __len__(self) -> int:
         return len(self.records)
 
+    def floats(self) -> Floats | None:
+        """[N, P] float32 view of rows that hold nothing else in this machine's byte order; None for others."""
+        return _as_floats(self.records)
+
+    def column_numbers(self, names: Sequence[str]) -> Ids:
+        """[K] int64 columns of properties, counted from 0."""
+        return _column_numbers(self.records, names)
+
     def columns(self, plan: Mapping[str, Sequence[str]]) -> dict[str, np.ndarray]:
-        matrix = _as_floats(self.records)
-        if matrix is None:
-            return {key: self._columns(names) for key, names in plan.items()}
-        from splatpainter.kernels.parallel import each
-        from splatpainter.kernels.rows import pick
-
-        picks = {key: _column_numbers(self.records, names) for key, names in plan.items()}
-        out = {key: np.empty((len(self), len(names)), np.float32) for key, names in plan.items()}
-
-        def split(start: int) -> None:  # so that every record is fetched once for all columns
-            part = slice(start, start + PICKED_ROWS)
-            for key, columns in picks.items():
-                pick(matrix[part], columns, out[key][part])
-
-        each(split, range(0, len(self), PICKED_ROWS))
-        return out
+        return {key: self._columns(names) for key, names in plan.items()}
 
     def _columns(self, names: Sequence[str]) -> np.ndarray:
         out = np.empty((len(self), len(names)), np.float32)

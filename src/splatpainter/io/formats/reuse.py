@@ -7,7 +7,6 @@ bit for bit, the value that was decoded from those bytes.
 
 from __future__ import annotations
 
-import functools
 from dataclasses import replace
 
 import numpy as np
@@ -103,31 +102,14 @@ def differs(new: np.ndarray, old: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(new).view(np.uint32) != np.ascontiguousarray(old).view(np.uint32)
 
 
-def _of_each_row(combine: np.ufunc, columns: np.ndarray) -> np.ndarray:
-    """[N] bool of [N, C]; numpy's own reduction along so short an axis takes several times longer."""
-    return functools.reduce(combine, columns.T)
-
-
 def row_problems(splats: Splats) -> list[str]:
     """One line for each kind of row that cannot be drawn as it stands."""
-    lines = []
-    finite = np.ones(len(splats), bool)
-    with np.errstate(all="ignore"):  # signalling NaNs raise floating-point flags wherever they are touched
-        for name in ATTRIBUTES:
-            values = getattr(splats, name)
-            # One NaN or infinity makes the sum NaN or infinite: one cheap pass settles the usual, clean file.
-            if not np.isfinite(values.sum()):
-                finite &= np.isfinite(values.reshape(len(splats), -1)).all(1)
-        hidden = (
-            (~finite, "with NaN or infinite values"),
-            (_of_each_row(np.logical_and, splats.quats == 0), "with a zero rotation quaternion"),
-            (_of_each_row(np.logical_or, splats.scales <= 0), "with a scale that is not positive"),
-            ((splats.opacities < 0) | (splats.opacities > 1), "with an opacity outside 0..1"),
-        )
-        beyond = ~splats.drawable
-        for rows, _ in hidden:
-            beyond &= ~rows
-    for rows, text in (*hidden, (beyond, f"with values beyond +-{MAX_MAGNITUDE:g}, or a quaternion near zero")):
-        if count := np.count_nonzero(rows):
-            lines.append(f"{count} {'row' if count == 1 else 'rows'} {text} (kept, not drawn)")
-    return lines
+    checks = splats.row_checks
+    kinds = (
+        (checks.endless, "with NaN or infinite values"),
+        (checks.unturned, "with a zero rotation quaternion"),
+        (checks.flat, "with a scale that is not positive"),
+        (checks.outside, "with an opacity outside 0..1"),
+        (checks.beyond, f"with values beyond +-{MAX_MAGNITUDE:g}, or a quaternion near zero"),
+    )
+    return [f"{count} {'row' if count == 1 else 'rows'} {text} (kept, not drawn)" for count, text in kinds if count]

@@ -49,7 +49,9 @@ from splatpainter.io.formats import activations, codebooks, packing
 from splatpainter.io.formats.reuse import Unchanged, drawable_rows, row_problems, unchanged
 from splatpainter.io.formats.sog_container import META, Container, load, named_files, store
 from splatpainter.kernels import portable
-from splatpainter.kernels.parallel import each
+from splatpainter.kernels.arrays import readonly
+from splatpainter.kernels.library import kernels
+from splatpainter.kernels.parallel import run, threads
 from splatpainter.splats import SH_C0, SH_COUNTS, Source, Splats
 from splatpainter.system import jsonio
 from splatpainter.system.jsonio import brief, integer, object_at
@@ -61,8 +63,8 @@ BANDS = {1: 3, 2: 8, 3: 15}
 PALETTE_LINE = 64
 MAX_PALETTE = 65536
 """Entries that a label of two bytes can name."""
-BLOCK_ROWS = 1 << 16
-"""Rows decoded at a time, to bound the float64 intermediates."""
+MIN_ROWS_BY_WORD = 1 << 16
+"""Rows beyond which positions are taken from a table of all 16-bit words."""
 EXTRAS = "splatpainter"
 PLANES = {
     "means": ("means_l", "means_u"),
@@ -217,7 +219,6 @@ def _decode(file: SogFile, path: Path, problems: list[str]) -> Splats:
         table = file.codebooks["shN"].astype(np.float32)[file.palette]
     antialiased, linear = flags(file.meta)
     count = len(file.pixels["means_l"])
-    # The result is allocated whole and filled in blocks, so that float64 copies stay as small as a block.
     out = Splats(
         np.empty((count, 3), np.float32),
         np.empty((count, 4), np.float32),
@@ -233,35 +234,24 @@ def _decode(file: SogFile, path: Path, problems: list[str]) -> Splats:
         with np.errstate(over="ignore", invalid="ignore"):  # such rows are reported by who reads
             return (np.sign(logs) * portable.expm1(np.abs(logs))).astype(np.float32)
 
+    pixels = {key: readonly(values, np.uint8) for key, values in file.pixels.items()}
     # Of many rows every word comes again and again: all of them are decoded once.
-    decoded = positions(np.arange(1 << 16, dtype=np.float64)[:, None]).T.copy() if count > BLOCK_ROWS else None
-
-    def fill(start: int) -> tuple[int, int]:  # (rows without a rotation, rows that name no entry of the palette)
-        block = slice(start, start + BLOCK_ROWS)
-        pixels = {key: values[block] for key, values in file.pixels.items()}
-        # Positions: two planes of bytes are 16 bits.
-        words = pixels["means_l"][:, :3].astype(np.int64) + 256 * pixels["means_u"][:, :3].astype(np.int64)
-        if decoded is None:
-            out.means[block] = positions(words)
-        else:
-            for axis, coordinates in enumerate(decoded):
-                out.means[block, axis] = coordinates.take(words[:, axis])
-        out.quats[block] = _unpack_quats(pixels["quats"])
-        out.scales[block] = scales.take(pixels["scales"][:, :3])
-        out.opacities[block] = pixels["sh0"][:, 3].astype(np.float64) / 255
-        out.sh[block, 0] = base.take(pixels["sh0"][:, :3])
-        missing = 0
-        if file.palette is not None:
-            # Higher bands: a row names an entry of a palette, which a damaged file may not have.
-            labels = pixels["labels"][:, 0].astype(np.int64) + 256 * pixels["labels"][:, 1].astype(np.int64)
-            wrong = labels >= len(table)
-            out.sh[block, 1:] = table.take(np.where(wrong, 0, labels), 0)
-            out.sh[block, 1:][wrong] = 0
-            missing = int(wrong.sum())
-        return int((pixels["quats"][:, 3] < 252).sum()), missing
-
-    done = each(fill, range(0, count, BLOCK_ROWS))
-    invalid_rotations, missing = (sum(numbers) for numbers in zip(*done, strict=True))
+    by_word = np.empty((0, 0), np.float32)
+    if count > MIN_ROWS_BY_WORD:
+        by_word = positions(np.arange(1 << 16, dtype=np.float64)[:, None]).T.copy()
+    else:
+        low_bytes, high_bytes = (pixels[key][:, :3].astype(np.int64) for key in ("means_l", "means_u"))
+        out.means[:] = positions(low_bytes + 256 * high_bytes)
+    # Rows without a rotation, and rows that name an entry which the palette of a damaged file has not.
+    guessed = np.zeros((threads(), 2), np.int64)
+    run(
+        kernels.unpack_sog_rows,
+        *(pixels[key] for key in ("means_l", "means_u", "quats", "scales", "sh0")),
+        pixels.get("labels", np.empty((0, 4), np.uint8)),
+        by_word, scales, base, table.reshape(len(table), -1),
+        out.means, out.quats, out.scales, out.opacities, out.sh.reshape(count, -1), guessed,
+    )  # fmt: skip
+    invalid_rotations, missing = (int(number) for number in guessed.sum(0))
     # What had to be guessed is told; the rows stay.
     if invalid_rotations:
         problems.append(f"rows without a valid rotation, not turned: {invalid_rotations}")
@@ -287,19 +277,6 @@ def flags(meta: dict[str, Any]) -> tuple[bool, bool]:
     ours = extras.get(EXTRAS) if isinstance(extras, dict) else None
     linear = isinstance(ours, dict) and ours.get("color_space") == "linear"
     return meta.get("antialias") is True or meta.get("model") == "antialiased", linear
-
-
-def _unpack_quats(pixels: np.ndarray) -> np.ndarray:
-    """[N, 4] pixels -> [N, 4] w, x, y, z; a tag below 252 is no rotation."""
-    # The largest of four components is left out, as the others give it: at most 1 / sqrt(2) each.
-    small = (pixels[:, :3].astype(np.float64) / 255 * 2 - 1) / math.sqrt(2)
-    largest = np.maximum(pixels[:, 3].astype(np.int64) - 252, 0)
-    quats = np.zeros((len(pixels), 4))
-    smaller = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])[largest]
-    np.put_along_axis(quats, smaller, small, 1)
-    np.put_along_axis(quats, largest[:, None], np.sqrt(np.maximum(0, 1 - (small * small).sum(1)))[:, None], 1)
-    quats[pixels[:, 3] < 252] = (1, 0, 0, 0)
-    return quats.astype(np.float32)
 
 
 # ---- writing

@@ -34,8 +34,10 @@ def unwritten_rows(splats: Splats) -> int:
         file = source.detail
         count = sum(_of_primitive(file.glb, one.mesh, one.index) for one in file.primitives)
     elif source.format in ("ply", "splat") and not any(splats.offset):
-        arrays = splats.numpy()
-        empty = (arrays.means == 0).all(1) & ((arrays.quats == 0).all(1) | (arrays.scales == 0).all(1))
+        # No such row can be drawn, and of most assets every one can.
+        arrays, rows = splats.numpy(), np.flatnonzero(~splats.drawable)
+        means, quats, scales = (values.take(rows, 0) == 0 for values in (arrays.means, arrays.quats, arrays.scales))
+        empty = means.all(1) & (quats.all(1) | scales.all(1))
         count = int(empty.sum())
     else:
         count = 0
