@@ -7,6 +7,7 @@ Knows no files, no cameras and no network. All values are *activated* (what the 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Generic, Literal, cast
@@ -211,8 +212,8 @@ class Source:
     splats: Splats = field(repr=False)
     """The rows as first decoded (without source): an attribute of a Gaussian is untouched if it equals this, bit for
     bit."""
-    sha256: str
-    """Hex SHA-256 of the file (of a folder: of its files' names and bytes, in name order)."""
+    hashed: str | Callable[[], str] = field(repr=False)
+    """`sha256`, or what computes it: of a large file it takes as long as reading it, and not everybody asks."""
     detail: Any = field(default=None, repr=False)
     """The reader's own record (header bytes, row block, tail, codebooks ...); opaque outside its io module."""
     problems: tuple[str, ...] = ()
@@ -223,6 +224,12 @@ class Source:
     """Who says so: the file itself, its format by default, or whoever opened it."""
     flips: tuple[int, int, int] = (1, 1, 1)
     """Axes reversed (-1) since the reader of the format had its say, because axes were chosen."""
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hex SHA-256 of the file (of a folder: of its files' names and bytes, in name order)."""
+        return self.hashed if isinstance(self.hashed, str) else self.hashed()
+
     frame = formerly_called("axes")
     frame_from = formerly_called("axes_from")
 

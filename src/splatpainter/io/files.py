@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
+import numpy as np
+
+from splatpainter.kernels.parallel import each
 from splatpainter.system.atomic import remove, replace, sync_folder, writing
 
 __all__ = [
     "file_sha256",
+    "holds",
     "read_all",
+    "read_array",
     "read_head",
     "reading",
     "remove",
@@ -30,6 +36,8 @@ MAX_HEADER_BYTES = 1 << 20
 """Bytes; no honest text header is longer, and a hostile one must not be searched to its end."""
 PIECE_BYTES = 1 << 20
 """Read at a time of a file that is hashed."""
+SHARED_BYTES = 1 << 22
+"""Read at a time by each of several threads."""
 
 
 @contextlib.contextmanager
@@ -75,6 +83,49 @@ def read_all(path: Path) -> bytes:
     """The whole file."""
     with reading(path) as file:
         return file.read()
+
+
+def read_array(file: BinaryIO, dtype: np.dtype, count: int) -> np.ndarray:
+    """[count] of `dtype` from where the file stands, or fewer where it ends; the file then stands behind them. As
+    np.fromfile, by all threads: what takes long is that the system clears the new memory."""
+    out = np.empty(count, dtype)
+    data = out.view(np.uint8).data if out.nbytes else memoryview(b"")
+    start, fill = file.tell(), getattr(os, "preadv", None)  # Windows has none
+    if fill is None or len(data) <= SHARED_BYTES:
+        done = file.readinto(data) if len(data) else 0  # pyright: ignore[reportAttributeAccessIssue]
+    else:
+
+        def read(first: int) -> int:
+            part, size = data[first : first + SHARED_BYTES], 0
+            while size < len(part) and (more := fill(file.fileno(), [part[size:]], start + first + size)):
+                size += more
+            return size
+
+        done = sum(each(read, range(0, len(data), SHARED_BYTES)))
+    file.seek(start + done)
+    return out if done == len(data) else out[: done // dtype.itemsize]
+
+
+def holds(path: Path, pieces: Sequence[bytes | memoryview]) -> bool:
+    """Whether a file holds these bytes, one piece after the other, and no others. Raises ValueError: as `reading`."""
+    starts = [0]
+    for piece in pieces:
+        starts.append(starts[-1] + len(piece))
+    with reading(path) as file:
+        if os.fstat(file.fileno()).st_size != starts[-1]:
+            return False
+
+    def is_equal(part: tuple[int, memoryview]) -> bool:
+        with reading(path) as file:
+            file.seek(part[0])
+            return np.array_equal(np.frombuffer(file.read(len(part[1])), np.uint8), np.frombuffer(part[1], np.uint8))
+
+    parts = [
+        (start + first, memoryview(piece)[first : first + SHARED_BYTES])
+        for start, piece in zip(starts, pieces, strict=False)
+        for first in range(0, len(piece), SHARED_BYTES)
+    ]
+    return all(each(is_equal, parts))
 
 
 def sha256(data: bytes | memoryview) -> str:

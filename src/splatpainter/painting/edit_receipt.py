@@ -53,18 +53,21 @@ def edit_receipt(
     among = lifted.ids[: np.searchsorted(lifted.ids, len(asset.splats))] if trusted else None
     touched = changed_rows(asset.splats, result.splats, among)
 
-    # All rows are read for their hashes while views are drawn.
-    proof = settings.proof
-    hashing = beside(
-        lambda: untouched_hashes(asset.splats, result.splats, touched, compared=True) if proof else ("", "")
-    )
+    # All rows are read for their hashes while views are drawn, and so are the bytes of the asset's file.
+    def hashed() -> tuple[tuple[str, str], str]:
+        if not settings.proof:
+            return ("", ""), ""
+        return untouched_hashes(asset.splats, result.splats, touched, compared=True), asset.splats.sha256
+
+    hashing = beside(hashed)
 
     # How near it came: in the edited views, and from the side, where paint on a wrong depth comes apart.
     aside = _side_scores(asset, result, views) if settings.aside and mode != "global" else ()
     notes.append(_seen_aside(aside))
-    judged, hashes = _judged(asset, result, views, touched), hashing()
+    judged = _judged(asset, result, views, touched)
+    hashes, asset_sha256 = hashing()
     return Receipt(
-        asset_sha256=asset.splats.sha256 if settings.proof else "",
+        asset_sha256=asset_sha256,
         asset_rows=len(asset.splats),
         output_sha256="",
         output_rows=len(result.splats),

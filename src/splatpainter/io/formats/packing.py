@@ -121,7 +121,7 @@ def _decoded(data: bytes, where: Path | str) -> Bytes:
         with Image.open(io.BytesIO(data), formats=("WEBP", "PNG")) as image:
             if image.size != expected:
                 raise ValueError(f"its header says {expected}, its content {image.size} pixels")
-            return np.asarray(image.convert("RGBA"))
+            return np.asarray(image if image.mode == "RGBA" else image.convert("RGBA"))
     except (
         OSError,
         ValueError,

@@ -87,8 +87,6 @@ def read_ply(path: Path, lenient: bool = False, offset: positions.Offset | None 
             raise ValueError(f"{path}: element 'vertex' has a list property; expected single values only")
         record, problems = _read_body(file, header, vertex, path, lenient)
         record = replace(record, color_span=_color_span(record.rows, plan["sh"], vertex))
-    # Hashing lets go of the GIL, so it runs beside the decoding.
-    digest = beside(functools.partial(_sha256, record))
     splats = _decode(record, plan, offset)
     # What is kept but not understood is told, so that nobody has to wonder where it went.
     gaussian_names = {name for names in plan.values() for name in names} | {"nx", "ny", "nz"}
@@ -102,7 +100,7 @@ def read_ply(path: Path, lenient: bool = False, offset: positions.Offset | None 
     problems += row_problems(splats)
     problems += _rounding_problem(record, splats)
     problems += _range_problem(record, vertex)
-    source = Source(str(path), "ply", splats, digest(), record, tuple(problems))
+    source = Source(str(path), "ply", splats, functools.partial(_sha256, record), record, tuple(problems))
     return replace(splats, source=source, origin=np.arange(len(splats), dtype=np.int64))
 
 
@@ -255,8 +253,8 @@ def _read_body(file: BinaryIO, header: Header, vertex: Element, path: Path, leni
     size = element_size(file, header, vertex, available - skipped, path)
     file.seek(start)
     before = file.read(skipped)
-    # fromfile gives memory of its own: aligned, and safe when this very file is later replaced by a save.
-    records = np.fromfile(file, vertex.dtype(header.order), vertex.count)
+    # In memory of its own: aligned, and safe when this very file is later replaced by a save.
+    records = files.read_array(file, vertex.dtype(header.order), vertex.count)
     # All rows are there. What is cut off behind them may be forgiven.
     rest = available - skipped - size
     for element in behind:
@@ -285,13 +283,23 @@ def _named(names: Sequence[str]) -> str:
     return ", ".join(files.printable(name, 40) for name in names[:8])
 
 
-def _sha256(record: PlyFile) -> str:
-    digest = hashlib.sha256(record.header.raw)
-    digest.update(record.before)
+def _pieces(record: PlyFile) -> list[bytes | memoryview]:
+    """The bytes of the file, one piece after the other."""
     stored = record.rows.stored()
-    digest.update(stored[: -len(record.header.newline)] if record.unended else stored)
-    digest.update(record.after)
+    stored = stored[: -len(record.header.newline)] if record.unended else stored
+    return [record.header.raw, record.before, stored, record.after]
+
+
+def _sha256(record: PlyFile) -> str:
+    digest = hashlib.sha256()
+    for piece in _pieces(record):
+        digest.update(piece)
     return digest.hexdigest()
+
+
+def is_copy(record: PlyFile, path: Path) -> bool:
+    """Whether a file holds the very bytes of the one that this was read from. Raises ValueError: it cannot be read."""
+    return files.holds(path, _pieces(record))
 
 
 def _decode(record: PlyFile, plan: Mapping[str, tuple[str, ...]], offset: positions.Offset | None) -> Splats:
