@@ -33,12 +33,12 @@ void mark_tiles(Rows<const F, COLUMNS> projected, Array1<const i64> entries, Arr
     }
 }
 
-// Pairs in the tiles in use ([T]) of selected Gaussians ([N], or [0]: all): per_tile [T], and per entry counts [M] of
+// Pairs in the tiles in use ([T]) of selected entries ([M], or [0]: all): per_tile [T], and per entry counts [M] of
 // those whose bits are set in `some` [M / 64, rounded up]; no other is written. Like the two kernels after it by one
 // thread, which waits for memory: two take nearly as long.
 void count_pairs(Array1<const i32> flatten_ids, Array1<const i64> isect_offsets, Array1<const bool> used,
-                 Array1<const i64> gaussian_ids, Array1<const bool> selected, Array1<u64> some, Array1<i32> counts,
-                 Array1<i64> per_tile, i64 thread, i64) {
+                 Array1<const bool> selected, Array1<u64> some, Array1<i32> counts, Array1<i64> per_tile, i64 thread,
+                 i64) {
     if (thread != 0) return;
     for (i64 w = 0; w < some.shape[0]; ++w) some(w) = 0;
     for (i64 k = 0; k < used.shape[0]; ++k) {
@@ -46,7 +46,7 @@ void count_pairs(Array1<const i32> flatten_ids, Array1<const i64> isect_offsets,
         if (!used(k)) continue;
         for (i64 p = isect_offsets(k); p < isect_offsets(k + 1); ++p) {
             const i32 i = flatten_ids(p);
-            if (!selected.empty() && !selected(gaussian_ids(i))) continue;
+            if (!selected.empty() && !selected(i)) continue;
             const u64 word = some(i >> 6), bit = u64(1) << (i & 63);
             counts(i) = (word & bit ? counts(i) : 0) + 1;
             some(i >> 6) = word | bit;

@@ -31,6 +31,13 @@ def by_blocks(function: Callable[[slice], object], count: int) -> None:
         each(function, blocks)
 
 
+def taken(values: np.ndarray, ids: np.ndarray) -> np.ndarray:
+    """`values.take(ids)` by all threads. values: [N]; ids: [M] int64, all of them of entries that there are."""
+    out = np.empty(len(ids), values.dtype)
+    by_blocks(lambda block: values.take(ids[block], out=out[block], mode="clip"), len(ids))
+    return out
+
+
 def take(splats: Splats, ids: np.ndarray) -> Splats:
     """`Splats.take` of numpy Gaussians. ids: [M] int64, none of them negative."""
     # Few rows, or float64 ones, are numpy's.

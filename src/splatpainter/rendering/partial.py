@@ -96,11 +96,9 @@ class PartialRender:
         if not tiles.any():
             return before, replace(before, splats=splats)
         if self.view is not None and self._has(self.view, tiles):
-            same = np.ones(count, bool)
-            same[changed] = False
             fresh = fresh.part(tiles=tiles)
             fresh = replace(fresh, gaussian_ids=new[fresh.gaussian_ids], num_gaussians=len(splats))
-            view = self.view.merged(fresh, tiles=tiles, gaussian_mask=same)
+            view = self.view.merged(fresh, tiles=tiles, without=changed)
         return before, before._redrawn(splats, tiles, view)
 
     def _recolored(self, splats: Splats, unseen: np.ndarray) -> ProjectedView | None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from splatpainter.array_types import Bools, Floats, Ids
 from splatpainter.cameras import Camera
-from splatpainter.kernels.rows import take
+from splatpainter.kernels.rows import take, taken
 from splatpainter.lift.local.local_edit import (
     NOTHING_THERE,
     NothingPaintableError,
@@ -119,8 +119,8 @@ def paint_view(
     present[around.gaussian_ids] = True
     ids = np.flatnonzero(present)
     number[ids] = np.arange(len(ids))
-    view = replace(local, gaussian_ids=number[local.gaussian_ids], num_gaussians=len(ids))
-    around = replace(around, gaussian_ids=number[around.gaussian_ids], num_gaussians=len(ids))
+    view = replace(local, gaussian_ids=taken(number, local.gaussian_ids), num_gaussians=len(ids))
+    around = replace(around, gaussian_ids=taken(number, around.gaussian_ids), num_gaussians=len(ids))
     originals = len(splats) if first_appended is None else first_appended
     # Where the original's Gaussians end among those in work.
     first = int(np.searchsorted(ids, originals))

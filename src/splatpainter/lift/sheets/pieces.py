@@ -19,8 +19,8 @@ from splatpainter.system.quick_dataclass import dataclass
 class Pieces:
     """What remains beside a sheet of the N Gaussians: P pieces of those that were cut, and the others as they were."""
 
-    left: Bools = field(repr=False)
-    """[N] bool: those that are as they were."""
+    taken: Ids = field(repr=False)
+    """[K] int64 those that are no more as they were, some of them several times."""
     parent_ids: Ids = field(repr=False)
     """[P] int64 ascending: the Gaussian that each piece is of."""
     slot: Bools = field(repr=False)
@@ -33,14 +33,14 @@ class Pieces:
         """lattice: of some of the Gaussians that are its base; gone: [S] bool, which the sheet replaces."""
         # Halved ones are replaced by their pieces; those that go leave nothing.
         halved = (lattice.level[:, 0] | lattice.level[:, 1]) > 0
-        left = np.ones(len(lattice.base), bool)
-        left[lattice.parent[halved | gone]] = False
         pieces = lattice.take(np.flatnonzero(halved & ~gone))
-        return Pieces(left, pieces.parent, pieces.slot, pieces.splats())
+        return Pieces(lattice.parent[halved | gone], pieces.parent, pieces.slot, pieces.splats())
 
     def remaining_gaussians(self, base: Splats) -> tuple[Splats, np.ndarray]:
         """(all that remain, in the order of these, [R] int64 the Gaussian of the base that each is or is of)."""
-        ids = np.flatnonzero(self.left)
+        left = np.ones(len(base), bool)
+        left[self.taken] = False
+        ids = np.flatnonzero(left)
         parent_ids = np.concatenate([ids, self.parent_ids])
         order = np.argsort(parent_ids, kind="stable")
         return take(base.take(ids).append(self.splats), order), parent_ids[order]
@@ -50,10 +50,10 @@ def joined_view(pieces: Pieces, new: Splats, around: ProjectedView, tiles: np.nd
     """Some tiles of a view of N Gaussians with what remains of these, pieces in the place of those that were cut, and
     with the sheet behind them all; numbered: those of the N as they were, pieces from N on, then the sheet. new: the
     pieces, then the sheet."""
-    count, fresh = len(pieces.left), project(new, around.camera, tiles=tiles)
+    count, fresh = around.num_gaussians, project(new, around.camera, tiles=tiles)
     sheet = np.arange(len(new) - len(pieces.parent_ids))
     order = np.concatenate([pieces.parent_ids, count + sheet])  # of Gaussians at equal depths
     ties = order[fresh.gaussian_ids]
     fresh = replace(fresh, gaussian_ids=count + fresh.gaussian_ids, num_gaussians=count + len(order))
     # Only what is new is projected; the lists of the rest are cut out of the view at hand.
-    return around.merged(fresh, tiles=tiles, gaussian_mask=pieces.left, ties=ties)
+    return around.merged(fresh, tiles=tiles, without=pieces.taken, ties=ties)

@@ -204,11 +204,11 @@ def clear_pixels(
     RESURFACING.clear_radius_px around them; others are not clear."""
     ids = view.gaussian_ids
     sums, everywhere = view.mask_sums(covered, np.ones(covered.shape, bool))
-    share = sums.alpha / np.maximum(everywhere.alpha, 1e-9)
     handled = sums.weight > 0
-    # Long Gaussians that are only partly under the sheet cannot be cut, and would stay as a veil.
-    unsure = np.flatnonzero(handled & (share <= RESURFACING.min_replaced_share))
     reached = np.flatnonzero(handled)
+    share = sums.alpha.take(reached) / np.maximum(everywhere.alpha.take(reached), 1e-9)
+    # Long Gaussians that are only partly under the sheet cannot be cut, and would stay as a veil.
+    unsure = reached[share <= RESURFACING.min_replaced_share]
     handled[unsure] = row_max(projected_sizes(splats.geometry(ids[unsure]), view.camera)) < RESURFACING.max_cut_px
     sides = near.sides(splats, ids[reached])
     # One channel for their light, one for that of what the sheet will hide, one for what nothing stops.

@@ -150,30 +150,30 @@ class ProjectedView:
     def part(self, *, tiles: np.ndarray | None = None, gaussian_mask: np.ndarray | None = None) -> ProjectedView:
         """What `project` would give for some of the drawn tiles ([TH, TW] bool; None: all of them) and for some of the
         Gaussians ([N] bool; None: all of them), bit for bit, without those that touch none of these tiles."""
-        at, part = self._lists_of(tiles, gaussian_mask)
+        at, part = self._lists_of(tiles, None if gaussian_mask is None else gaussian_mask.take(self.gaussian_ids))
         if part is self:
             return self
-        projected, gaussian_ids = aligned((len(at), COLUMNS), self.projected.dtype), np.empty(len(at), np.int64)
+        projected, gaussian_ids = aligned((len(at), COLUMNS), self.projected.dtype), aligned((len(at),), INT64)
         run(kernels.put_entries, at, None, self.projected, self.gaussian_ids, projected, gaussian_ids)
         return replace(part, gaussian_ids=gaussian_ids, projected=readonly(projected, projected.dtype))
 
-    def _lists_of(self, tiles: np.ndarray | None, gaussian_mask: np.ndarray | None) -> tuple[np.ndarray, ProjectedView]:
-        """([M'] int64 entries of a part, the lists of the part beside the entries of this view)."""
+    def _lists_of(self, tiles: np.ndarray | None, selected: np.ndarray | None) -> tuple[np.ndarray, ProjectedView]:
+        """([M'] int64 entries of a part, the lists of the part beside the entries of this view). selected: [M] bool,
+        entries that it may have; None: all of them."""
         tiles = self.tiles if tiles is None else tiles & self.tiles
-        if gaussian_mask is None and np.array_equal(tiles, self.tiles) and (np.diff(self.pair_offsets) > 0).all():
+        if selected is None and np.array_equal(tiles, self.tiles) and (np.diff(self.pair_offsets) > 0).all():
             return np.arange(len(self)), self
         used = tiles.ravel()[self.tile_ids]  # [T]
-        selected = None if gaussian_mask is None else readonly(gaussian_mask, np.bool_)
         lists = (self.flatten_ids, self.isect_offsets, used)
         words, per_tile = -(-len(self) // 64), np.empty(len(used), np.int64)
         some, counts = np.empty(words, np.uint64), aligned((len(self),), INT32)
-        kernels.count_pairs(*lists, self.gaussian_ids, selected, some, counts, per_tile, 0, 1)
+        kernels.count_pairs(*lists, selected, some, counts, per_tile, 0, 1)
         total = int(per_tile.sum())
-        at, pair_offsets = np.empty((2, min(len(self), total) + 1), np.int64)
+        at, pair_offsets = aligned((2, min(len(self), total) + 1), INT64)
         before, number = np.empty(words, np.int32), np.empty(1, np.int64)
         kernels.number_entries(some, counts, before, at, pair_offsets, number, 0, 1)
         at, pair_offsets = at[: number[0]], pair_offsets[: number[0] + 1]
-        flatten_ids, pair_ids = np.empty((2, total), np.int32)
+        flatten_ids, pair_ids = aligned((2, total), INT32)
         kernels.take_pairs(*lists, some, before, counts, flatten_ids, pair_ids, 0, 1)
         part = replace(
             self,
@@ -191,24 +191,29 @@ class ProjectedView:
         other: ProjectedView,
         *,
         tiles: np.ndarray | None = None,
-        gaussian_mask: np.ndarray | None = None,
+        without: np.ndarray | None = None,
         ties: np.ndarray | None = None,
     ) -> ProjectedView:
-        """What `project` would give for a part of this view (`part`; its entries are copied once) and for the Gaussians
-        of another one, bit for bit. other: of other Gaussians, numbered from the same N or beyond, with the same camera
-        and tiles; ties: [M2] ascending where depths are equal, what stands for its `gaussian_ids` where one of each
-        view lie at equal depths."""
-        at, part = self._lists_of(tiles, gaussian_mask)
+        """What `project` would give for a part of this view (its entries are copied once) and for the Gaussians of
+        another one, bit for bit. other: of other Gaussians, numbered from the same N or beyond, with the same camera
+        and tiles; tiles: as of `part`; without: [K] int64 Gaussians of this view that are left out; ties: [M2]
+        ascending where depths are equal, what stands for its `gaussian_ids` where one of each view lie at equal
+        depths."""
+        selected = None
+        if without is not None:
+            left_out, selected = self.entries.take(without), np.ones(len(self), bool)
+            selected[left_out[left_out >= 0]] = False
+        at, part = self._lists_of(tiles, selected)
         m, dtype = len(at) + len(other), self.projected.dtype
         entry, entry2 = np.empty(len(at), np.int32), np.empty(len(other), np.int32)
         pair_offsets = np.empty(m + 1, np.int64)
         first_entries = (self.projected, self.gaussian_ids, at, part.pair_offsets)
         other_entries = (other.projected, other.gaussian_ids if ties is None else ties, other.pair_offsets)
         kernels.merge_entries(*first_entries, *other_entries, entry, entry2, pair_offsets, 0, 1)
-        projected, gaussian_ids = aligned((m, COLUMNS), dtype), np.empty(m, np.int64)
+        projected, gaussian_ids = aligned((m, COLUMNS), dtype), aligned((m,), INT64)
         for view, taken, numbers in ((self, at, entry), (other, np.arange(len(other)), entry2)):
             run(kernels.put_entries, taken, numbers, view.projected, view.gaussian_ids, projected, gaussian_ids)
-        flatten_ids, pair_ids = np.empty((2, len(part.flatten_ids) + len(other.flatten_ids)), np.int32)
+        flatten_ids, pair_ids = aligned((2, len(part.flatten_ids) + len(other.flatten_ids)), INT32)
         lists = [(v.flatten_ids, v.pair_ids, v.isect_offsets, v.pair_offsets) for v in (part, other)]
         run(kernels.merge_pairs, *lists[0], entry, *lists[1], entry2, pair_offsets, flatten_ids, pair_ids)
         return replace(
