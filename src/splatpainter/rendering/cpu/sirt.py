@@ -68,8 +68,8 @@ class CachedWeights:
         pairs = np.flatnonzero(movable.take(view.flatten_ids))
         begins = np.searchsorted(pairs, view.isect_offsets)
         boxes = np.empty((len(pairs), 4), np.int64)
-        places = (view.projected, view.flatten_ids, view.tile_ids, view.tiles.shape[1], pairs, begins)
-        run(kernels.find_block_boxes, *places, boxes)
+        tables = (view.projected, view.flatten_ids, view.tile_ids, view.tiles.shape[1], pairs, begins)
+        run(kernels.find_block_boxes, *tables, boxes)
         hit = (boxes[:, 1] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 2])
         block_offsets = np.concatenate([[0], np.cumsum(hit)])
         if block_offsets[-1] > MAX_CACHED_BLOCKS:
