@@ -14,13 +14,14 @@ SP_INLINE i64 pixel(double x, i64 size) { return integer_of<i64>(x, 0, size - 1)
 
 // means, quats, scales: [N, ...]; ids: [Q]; turn: [4, 4] world to camera; lens: fx, fy, cx, cy; nearest: [H, W] flat
 // index of the nearest covered pixel; entry: [H, W] entry of each covered pixel in depths [C], normals [C, 3] (camera
-// space), windows [C], residuals [C] (world units). All in double precision, whatever the Gaussians are in.
+// space), windows [C], residuals [C] (world units); touching: only TOUCHES is asked for, and FAR_BEHIND not said. All in
+// double precision, whatever the Gaussians are in.
 template <class F>
 void classify_sides(Rows<const F, 3> means, Rows<const F, 4> quats, Rows<const F, 3> scales, Array1<const i64> ids,
                     Rows<const double, 4> turn, Array1<const double> lens, Array2<const i32> nearest,
                     Array2<const i64> entry, Array1<const double> depths, Rows<const double, 3> normals,
-                    Array1<const double> windows, Array1<const double> residuals, Array1<u8> out, i64 thread,
-                    i64 threads) {
+                    Array1<const double> windows, Array1<const double> residuals, bool touching, Array1<u8> out,
+                    i64 thread, i64 threads) {
     using namespace near_surface;
     const i64 height = nearest.shape[0], width = nearest.shape[1], count = ids.shape[0];
     const double fx = lens(0), fy = lens(1), cx = lens(2), cy = lens(3);
@@ -45,7 +46,7 @@ void classify_sides(Rows<const F, 3> means, Rows<const F, 4> quats, Rows<const F
         }
         // Most of an asset lies far before the surface or far behind: the longest axis alone decides.
         const double sx = scales(i, 0), sy = scales(i, 1), sz = scales(i, 2), longest = max_of(sx, max_of(sy, sz));
-        if (h > 1.000001 * NORMAL_SIGMAS * longest + near) continue;
+        if ((touching ? abs_of(h) : h) > 1.000001 * NORMAL_SIGMAS * longest + near) continue;
         // The normal in world axes, then along each axis of the Gaussian.
         const double wx = turn(0, 0) * nx + turn(1, 0) * ny + turn(2, 0) * nz;
         const double wy = turn(0, 1) * nx + turn(1, 1) * ny + turn(2, 1) * nz;

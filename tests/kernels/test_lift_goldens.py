@@ -119,7 +119,8 @@ def sides() -> list[np.ndarray]:
     normals = r.uniform(-0.3, 0.3, height * width, 3) - np.array([0, 0, 0.9])
     surface = (r.uniform(2.8, 3.2, height * width), normals, *r.uniform(0, 0.2, 2, height * width))
     lens, out = np.array([40.0, 42, 20, 15]), np.empty(count, np.uint8)
-    run(kernels.classify_sides, means, quats, scales, r.order(count), np.eye(4), lens, nearest, entry, *surface, out)
+    tables = (r.order(count), np.eye(4), lens, nearest, entry, *surface)
+    run(kernels.classify_sides, means, quats, scales, *tables, False, out)
     assert len(np.unique(out)) == 3
     return [out]
 

@@ -24,6 +24,15 @@ def asset(seed: int = 0) -> Splats:
 
 
 @pytest.mark.parametrize("threads", ["1", "3"])
+def test_taken_is_numpys_take(threads: str, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("SPLATPAINTER_THREADS", threads)
+    values, rng = np.arange(1000) * 7, np.random.default_rng(0)
+    for count in (0, 3, 2 * rows.BLOCK_ROWS + 5):
+        ids = rng.integers(0, len(values), count)
+        np.testing.assert_array_equal(rows.taken(values, ids), values[ids])
+
+
+@pytest.mark.parametrize("threads", ["1", "3"])
 def test_blocks_are_all_rows_once(threads: str, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("SPLATPAINTER_THREADS", threads)
     for count in (0, 1, 10, rows.MIN_ROWS, rows.BLOCK_ROWS, 3 * rows.BLOCK_ROWS + 1):

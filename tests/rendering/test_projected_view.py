@@ -10,7 +10,8 @@ import torch
 
 import splatpainter as sp
 from splatpainter.cameras import look_at
-from splatpainter.kernels.parallel import THREADS_VARIABLE
+from splatpainter.kernels.library import kernels
+from splatpainter.kernels.parallel import THREADS_VARIABLE, run
 from splatpainter.rendering import reference
 from splatpainter.rendering.cpu import projected_view, sirt
 from splatpainter.rendering.cpu.geometry import GAUSSIANS_PER_BLOCK, StepSizes
@@ -66,6 +67,24 @@ def test_two_masks_in_one_walk_are_two_walks(share: float):
         for name in ("weight", "alpha", "peak"):
             np.testing.assert_allclose(getattr(sums, name), getattr(expected, name), rtol=1e-6, atol=1e-7)
     assert both[1].peak.max() > 0.5
+
+
+def test_two_masks_are_two_walks_where_most_is_hidden():
+    """Behind the point where all pixels stop a walk of two masks counts alphas alone."""
+    near, far = opaque_stack(40, np.float32), scene(400, 0, 7, dtype=np.float32)
+    far.means[:, 2] += 3
+    far.scales[:] *= 3
+    splats, camera = near.append(far), cameras(70, 50)[0]
+    view, rng = project(splats, camera), np.random.default_rng(3)
+    masks = [(rng.random((50, 70)) < 0.7).astype(np.float32), np.ones((50, 70), np.float32)]
+    masks[0][:, 40:] = 0
+    hidden = []
+    for mask, sums in zip(masks, view.mask_sums(*masks), strict=True):
+        expected = view.backproject(np.zeros((50, 70, 3), np.float32), mask)  # which walks all the way
+        for name in ("weight", "alpha", "peak"):
+            np.testing.assert_array_equal(getattr(sums, name), getattr(expected, name), name)
+        hidden.append(int(((sums.weight == 0) & (sums.alpha > 0)).sum()))
+    assert min(hidden) > 30
 
 
 def test_a_hidden_gaussian_has_alpha_but_no_weight():
@@ -179,8 +198,35 @@ def test_touched_tiles_are_also_those_that_are_not_drawn():
     mask = np.zeros(len(splats), bool)
     mask[part.gaussian_ids[chosen]] = True
     touched = part.touched_tiles(chosen)
+    np.testing.assert_array_equal(part.touched_tiles(np.flatnonzero(chosen)[::-1]), touched)
     np.testing.assert_array_equal(touched, project(splats, camera, gaussian_mask=mask).tiles_of(mask))
     assert (touched & ~tiles).any()
+
+
+def test_entries_are_the_places_of_gaussians_in_a_view():
+    splats, camera = scene(200, seed=5, dtype=np.float32), cameras(150, 110)[0]
+    tiles = np.zeros(tile_shape(camera), bool)
+    tiles[2:4] = True
+    view = project(splats, camera, tiles=tiles)
+    expected = [list(view.gaussian_ids).index(i) if i in view.gaussian_ids else -1 for i in range(len(splats))]
+    np.testing.assert_array_equal(view.entries, expected)
+    assert 0 < len(view) < len(splats)
+
+
+def test_blocks_of_movable_gaussians_are_those_of_their_boxes():
+    splats, camera = scene(150, seed=8, dtype=np.float32), cameras(150, 110)[0]
+    view = project(splats, camera)
+    pairs = np.arange(0, len(view.flatten_ids), 2)
+    begins, boxes = np.searchsorted(pairs, view.isect_offsets), np.empty((len(pairs), 4), np.int64)
+    lists = (view.projected, view.flatten_ids, view.tile_ids, view.tiles.shape[1], pairs, begins)
+    run(kernels.find_block_boxes, *lists, boxes)
+    tile = np.repeat(view.tile_ids, np.diff(view.isect_offsets))[pairs]
+    entries, corners = view.flatten_ids[pairs], np.stack(np.divmod(tile, view.tiles.shape[1]), 1) * 16
+    middle = view.means2d[entries][:, ::-1] - (corners + 0.5).astype(np.float32)
+    reach = view.extents[entries][:, ::-1]
+    low, high = (np.clip(edge, 0, 15).astype(int) // 4 for edge in (middle - reach, middle + reach))
+    np.testing.assert_array_equal(boxes, np.stack([low[:, 0], high[:, 0] + 1, low[:, 1], high[:, 1] + 1], 1))
+    assert len(np.unique(boxes, axis=0)) > 20
 
 
 def test_what_a_frame_exposes():
