@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -13,9 +14,10 @@ from splatpainter.lift.nearest import nearest_pixels
 from splatpainter.lift.options import LOCAL_DEFAULTS, LocalOptions
 from splatpainter.lift.sheets.fringe import FringedSurface, fringe_paint
 from splatpainter.lift.sheets.paint import PaintedView, paint_view
+from splatpainter.lift.sheets.resurface import _cut
 from splatpainter.lift.sheets.sheet import SHEET, flat_cells
 from splatpainter.lift.sheets.view_limits import paintable
-from splatpainter.rendering.cpu.projected_view import project
+from splatpainter.rendering.cpu.projected_view import project, tile_shape
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import VisibleSurface, visible_surface
@@ -346,3 +348,35 @@ def test_edges_of_the_picture_are_sharp_from_near():
     assert len(result.replaced) > 300, "a sheet"
     larger, there = (np.repeat(np.repeat(x, 3, 0), 3, 1) for x in (picture, inner))
     assert db(draw(result.splats, near), larger, there) > 17.7
+
+
+def test_what_lies_across_the_edge_is_halved_where_it_is_seen():
+    """Wide Gaussians that touch: beside the sheet, across its edge and seen, across and hidden, more or less than half
+    of them under it, and under it."""
+
+    class Touching:
+        def touches(self, splats: Splats, ids: np.ndarray) -> np.ndarray:
+            return np.ones(len(ids), bool)
+
+    camera, count = look_at((0, 0, -4), (0, 0, 0), width=96, height=96), 5
+    pixels = np.array([(80, 20), (48, 48), (46, 80), (50, 20), (16, 80)], float)
+    means = camera.unproject(np.full(count, 4.0), pixels).astype(np.float32)
+    ones = np.ones((count, 4), np.float32)
+    quats, scales = ones * np.array([1, 0, 0, 0], np.float32), ones[:, :3] * np.float32(0.15)
+    splats = Splats(means, quats, scales, ones[:, 0] * np.float32(0.9), np.zeros((count, 1, 3), np.float32))
+    seen, covered = np.array([True, True, False, False, True]), np.zeros((96, 96), bool)
+    covered[:, :48] = True
+    tiles, view = np.ones(tile_shape(camera), bool), project(splats, camera)
+    under, everywhere = view.mask_sums(covered, np.ones_like(covered))
+    share = np.zeros(count, np.float32)
+    share[view.gaussian_ids] = under.alpha / everywhere.alpha
+    assert share[0] == 0 and share[4] == 1 and 0.5 < share[2] < 0.85 and 0.1 < share[3] < 0.5
+    lattice, gone = _cut(splats, share, camera, tiles, seen, cast("Any", Touching()), covered, LOCAL_DEFAULTS)
+    parents, counts = np.unique(lattice.parent, return_counts=True)
+    assert parents.tolist() == [1, 2, 3, 4] and counts[1:].tolist() == [1, 1, 1] and counts[0] > 10
+    assert gone[lattice.parent == 2] and not gone[lattice.parent == 3] and gone[lattice.parent == 4]
+    pieces = lattice.take(np.flatnonzero(lattice.parent == 1)).splats()
+    side = camera.project(pieces.means.astype(np.float64))[0][:, 0] - 48
+    clear = np.abs(side) > 4
+    np.testing.assert_array_equal(gone[lattice.parent == 1][clear], side[clear] < 0)
+    assert (side[clear] < 0).sum() > 3 and (side[clear] > 0).sum() > 3
