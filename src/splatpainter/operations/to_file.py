@@ -34,6 +34,7 @@ from splatpainter.output_paths import placed, receipt_of
 from splatpainter.painter import Asset
 from splatpainter.receipts import Receipt, Verification, prove, read_receipt
 from splatpainter.splats import Axes, Splats
+from splatpainter.system.memory import return_idle_memory
 from splatpainter.system.quick_dataclass import dataclass
 
 MODE_OF_SEVERAL, MAX_NOTE = "operations", 2000
@@ -214,6 +215,8 @@ def write_proved(
         write(partial, edited.splats, axes=axes)
         written = time.perf_counter()
         stage("verifying")
+        # What the edit has left amid the heap is nearly as much as the file that is read now.
+        return_idle_memory()
         receipt, verification = prove(original, partial, edited.receipt, axes, edited.splats)
         timings = {"write": written - clock, "verify": time.perf_counter() - written}
         # An asset that has a history keeps it: the receipt beside it is carried on.
