@@ -43,3 +43,32 @@ def test_large_arrays_go_back_to_the_system():
     assert limited[0] > 80 > unlimited[0]
     # The pages of smaller ones are there for the next.
     assert limited[1] < 10 * 512
+
+
+HOLES = """
+import sys
+import numpy as np
+from splatpainter.system.memory import return_idle_memory, return_large_arrays
+
+if sys.argv[1] == "returned":
+    return_large_arrays()
+
+def resident():
+    return int(open("/proc/self/statm").read().split()[1]) * 4096 >> 20
+
+np.ones(3 << 20)  # 24 MiB: glibc keeps smaller ones from now on
+arrays = [np.ones(1 << 16) for _ in range(160)]  # of 0.5 MiB each, one after the other in the heap
+del arrays[:-1]
+before = resident()
+return_idle_memory()
+print(before - resident())
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="what glibc does")
+def test_free_pieces_amid_the_heap_go_back_where_large_arrays_do():
+    sizes = [
+        int(subprocess.run([sys.executable, "-c", HOLES, mode], capture_output=True, check=True).stdout)
+        for mode in ("returned", "kept")
+    ]
+    assert sizes[0] > 40 and sizes[1] == 0

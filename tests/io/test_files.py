@@ -99,3 +99,10 @@ def test_losses_of_many_rows_are_those_of_few(threads: str, monkeypatch: pytest.
         monkeypatch.setattr(losses, "LOSSES", replace(losses.LOSSES, block_rows=rows))
         for name, value in losses.measure(before, after).record().items():
             assert value == pytest.approx(getattr(expected, name), rel=1e-12), name
+
+
+def test_equal_numbers_at_other_places_have_moved() -> None:
+    before = replace(random_splats(20, 0), source=None, origin=None)
+    moved = losses.measure(before, replace(before, offset=(0.0, 2.0, 0.0)))
+    assert moved.move_largest == pytest.approx(float((2 / before.scales.max(1)).max()))
+    assert moved.moved_share == float((2 / before.scales.max(1) > 1).mean())
