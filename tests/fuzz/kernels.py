@@ -471,7 +471,7 @@ def files(rng: np.random.Generator, dtype: type) -> None:
 
     splats = shell(rng, int(rng.integers(1, 200)), rng.choice([0, 0.01, 0.1]))
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, "a" + str(rng.choice([".ply", ".spz", ".splat", ".compressed.ply"])))
+        path = Path(folder, "a" + str(rng.choice([".ply", ".spz", ".splat", ".sog", ".compressed.ply"])))
         write(path, splats)
         again = read(path)
         measure(splats, again)
