@@ -351,6 +351,30 @@ def test_holds_tables_plots_and_sheets_that_are_there(tmp_path):
     assert not (out.parent / "results" / "refine-of-an-earlier-run.svg").exists()
 
 
+def test_two_runs_of_a_table_stand_apart(tmp_path):
+    """Each has its heading, its pictures and its anchor; runs that cannot be told apart are refused."""
+    folders = [
+        plain_run(tmp_path / "more-objects" / "refine"),
+        write(tmp_path / "optimisers" / "refine", [record("lift", "ant", 20.0), record("3dgs", "ant", 21.0)]),
+    ]
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / "refine.webp").write_bytes(b"of a run that had the table for itself")
+    text = write_markdown(folders, tmp_path / "RESULTS.md", "", TABLES, METHODS).read_text()
+    headings = [line for line in text.splitlines() if line.startswith("## ")]
+    assert headings == ["## Made up (Tab. 1): more objects", "## Made up (Tab. 1): optimisers"]
+    first, second = text.split(headings[1])
+    assert "3 objects, 3 cases" in first and "VoxHammer" in first and "VoxHammer" not in second
+    links = [re.findall(r"!\[[^\]]+\]\(results/([^)]+)\)", part) for part in (first, second)]
+    assert all(link.startswith("refine-more-objects") for link in links[0]) and len(links[0]) >= 2
+    assert all(link.startswith("refine-optimisers") for link in links[1]) and "refine-optimisers.webp" in links[1]
+    assert {path.name for path in (tmp_path / "results").iterdir()} == {*links[0], *links[1]}
+    page = Page(write_page(folders, tmp_path / "page", TABLES, METHODS).read_text())
+    assert [one["id"] for one in page.all("section")] == ["refine-more-objects", "refine-optimisers"]
+    twins = [write(tmp_path / part / "run" / "refine", [record("lift", "ant", 20.0)]) for part in "ab"]
+    with pytest.raises(ValueError, match=r"^report: expected runs of a table in folders of different names"):
+        write_page(twins, tmp_path / "page", TABLES, METHODS)
+
+
 def test_folders_without_records_are_left_out_and_none_at_all_is_an_error(tmp_path):
     with pytest.raises(ValueError, match=r"^report: expected records of .* in .*relight, found none$"):
         write_markdown([tmp_path / "relight"], tmp_path / "RESULTS.md", "", TABLES, METHODS)

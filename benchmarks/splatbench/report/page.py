@@ -10,6 +10,7 @@ import base64
 import hashlib
 import io
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,6 +60,17 @@ class ReportSection:
     run: StoredRun
     names: MethodNames
     """Names of the whole report, so that a method has one mark on all of the page."""
+    which: str = ""
+    """Which of several runs of this table, by the name of its OUT; "" where there is one."""
+
+    @property
+    def key(self) -> str:
+        """Its name in links and files."""
+        return "-".join([self.name, *filter(None, [_slug(self.which)])])
+
+    @property
+    def title(self) -> str:
+        return self.table.title + (f": {self.which.replace('-', ' ')}" if self.which else "")
 
     @property
     def count(self) -> str:
@@ -87,7 +99,8 @@ def write_page(
     """OUT/index.html of the tables whose results lie in `folders` (each OUT/TABLE, as the runner leaves them).
 
     tables, methods: by name, in order; None: those of this package. Folders without a record are left out. Raises
-    ValueError where no folder has a record, where a record cannot be read, and for a folder that is no table's.
+    ValueError where no folder has a record, where a record cannot be read, for a folder that is no table's, and for two
+    runs of a table that cannot be told apart by the name of their OUT.
     """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
@@ -129,26 +142,26 @@ def write_markdown(
     beside = out.with_name(out.stem.lower())
     beside.mkdir(parents=True, exist_ok=True)
     parts = [about.strip(), "Measured on:", "\n".join(f"- {machine}" for machine in machines(sections))]
+    stale = {path for name in {s.name for s in sections} for path in beside.glob(f"{name}[.-]*")}
     for section in sections:
         names = method_names(section.run.records, methods, section.run.labels)
-        parts += [f"## {section.table.title}", f"`splatpainter bench {section.name}`: {section.count}."]
+        parts += [f"## {section.title}", f"`splatpainter bench {section.name}`: {section.count}."]
         parts.append(markdown(section.grid()))
-        stale = set(beside.glob(f"{section.name}-*.svg"))
         for chart in charts(section.run.records, section.table, names):
-            slug = re.sub(r"[^a-z0-9]+", "-", chart.title.lower()).strip("-")[:60]
-            path = beside / f"{section.name}-{slug}.svg"
+            path = beside / f"{section.key}-{_slug(chart.title)[:60]}.svg"
             with files.writing(path) as file:
                 file.write(draw(chart, WIDE_PX).encode())
             parts.append(f"![{chart.title}]({beside.name}/{path.name})\n\n*{chart.title}*")
             stale.discard(path)
-        for path in stale:  # of an earlier run
-            path.unlink()
-        sheet = write_contact_sheet(section.folder, beside / f"{section.name}.webp", tables, methods)
+        sheet = write_contact_sheet(section.folder, beside / f"{section.key}.webp", tables, methods)
         if sheet is not None:
+            stale.discard(sheet)
             parts.append(f"![Input, answers with their errors, and truth of some cases]({beside.name}/{sheet.name})")
         if section.notes():
             listed = "\n".join(f"- {note}" for note in section.notes())
             parts.append(f"<details><summary>Notes</summary>\n\n{listed}\n\n</details>")
+    for path in stale:  # of an earlier run
+        path.unlink()
     with files.writing(out) as file:
         file.write(("\n\n".join(part for part in parts if part) + "\n").encode())
     return out
@@ -189,8 +202,20 @@ def _sections(
         listed = ", ".join(map(str, folders)) or "no folder"
         raise ValueError(f"report: expected records of `splatpainter bench` in {listed}, found none")
     records = [r for _, _, run in runs for r in run.records]
-    names = [method_names(records, methods, run.labels) for _, _, run in runs]
-    return [ReportSection(f.name, f, table, run, part) for (f, table, run), part in zip(runs, names, strict=True)]
+    several = {name for name, count in Counter(folder.name for folder, _, _ in runs).items() if count > 1}
+    sections = []
+    for folder, table, run in runs:
+        which = folder.absolute().parent.name if folder.name in several else ""
+        names = method_names(records, methods, run.labels)
+        sections.append(ReportSection(folder.name, folder, table, run, names, which))
+    keys = [section.key for section in sections]
+    if len(set(keys)) < len(keys):
+        raise ValueError(f"report: expected runs of a table in folders of different names, got {keys}")
+    return sections
+
+
+def _slug(text: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")
 
 
 # ---- what the template shows
@@ -200,8 +225,8 @@ def _section_view(section: ReportSection) -> dict[str, object]:
     rows = picture_rows(section.folder, section.run.records, section.names, section.table)
     intervals = any(figure.low is not None for row in section.rows() for figure in row.figures.values())
     return {
-        "name": section.name,
-        "title": section.table.title,
+        "name": section.key,
+        "title": section.title,
         "count": section.count,
         "intervals": intervals,
         "grid": section.grid(),
