@@ -167,6 +167,22 @@ def test_cross_attention_wants_a_model_of_its_kind(tmp_path: Path) -> None:
     assert done.state.encoding.state.blocks[0].shape[1] == config.compress.dim  # tokens, not fast weights
 
 
+def test_cross_attention_is_stage_two_beside_a_predictor(tmp_path: Path) -> None:
+    """As `train rows` leaves it: global edits are those of the same Stage II in a model without a predictor."""
+    config = with_refine(
+        LIFT, mixer="cross_attention", answers="teachers", picture_tokens=False, row_tokens=64, base="own"
+    )
+    both = built(replace(config, predict=PredictConfig(features=8, hidden=16, alone=True)), awake=AWAKE)
+    stage2 = SplatPainterModel(config)
+    stage2.load_state_dict({k: v for k, v in both.state_dict().items() if not k.startswith("predictor.")})
+    task = work(grade(thing()), "global")
+    done = row_of("cross-attention").edit(task, Budget(weights={"cross-attention": saved(both, tmp_path / "both")}))
+    assert "predictor" not in done.note
+    assert same(done.splats, painted(Painter(model=stage2.eval()), "ttt", task).splats)
+    assert not same(done.splats, row_of("lift").edit(task, Budget()).splats)
+    assert not same(done.splats, painted(Painter(model=both), "ttt", task).splats), "which is the predictor's"
+
+
 def test_versions_follow_the_weights_and_nothing_else(tmp_path: Path) -> None:
     model, needed = built(LIFT), SHIPPED
     budget = Budget(weights={"compact": saved(model, tmp_path)})

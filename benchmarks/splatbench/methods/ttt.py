@@ -9,6 +9,9 @@ a new asset costs.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from typing import TYPE_CHECKING
 
 from splatbench.cases import Budget
 from splatbench.methods import EditResult, EditTask, Method
@@ -16,6 +19,9 @@ from splatbench.methods.lift import TABLES, painted
 from splatbench.methods.weights import COMPACT, SHIPPED, Weights
 from splatpainter.models.local_config import LocalConfig
 from splatpainter.painter import EditSettings, Painter
+
+if TYPE_CHECKING:
+    from splatpainter.models.model import SplatPainterModel
 
 CROSS = Weights(
     ("cross-attention",),
@@ -34,6 +40,22 @@ def refined(weights: Weights, *, polish: bool = False) -> Callable[[EditTask, Bu
         return painted(Painter(model=weights.load(budget), settings=EditSettings(polish=polish)), "ttt", task)
 
     return edit
+
+
+@cache
+def stage2_alone(model: SplatPainterModel) -> SplatPainterModel:
+    """The model without its predictor, so that Stage II makes global edits (as preset `rows` is of `compact`)."""
+    if model.predictor is None:
+        return model
+    predict = replace(model.config.predict, features=0, alone=False)
+    alone = type(model)(replace(model.config, predict=predict))
+    alone.load_state_dict({name: x for name, x in model.state_dict().items() if not name.startswith("predictor.")})
+    return alone.to(next(model.parameters()).device).eval()
+
+
+def by_cross_attention(task: EditTask, budget: Budget) -> EditResult:
+    """`train rows` leaves a predictor beside the Stage II that it trains; the row is Stage II's."""
+    return painted(Painter(model=stage2_alone(CROSS.load(budget))), "ttt", task)
 
 
 PREDICTOR = Weights(
@@ -80,10 +102,9 @@ def local_network(task: EditTask, budget: Budget) -> EditResult:
     return painted(Painter(local=LOCAL.load(budget)), "ttt", task)
 
 
-def _method(name: str, label: str, weights: Weights, tables: tuple[str, ...] = (), **options: bool) -> Method:
-    """tables: that it has a row in by default; of weights that are given, none."""
-    edit = refined(weights, **options)
-    return Method(name, label, edit, tables, missing=weights.missing, version=weights.version)
+def _method(name: str, label: str, weights: Weights, **options: bool) -> Method:
+    """In no table by default."""
+    return Method(name, label, refined(weights, **options), (), missing=weights.missing, version=weights.version)
 
 
 def _auto_version(budget: Budget) -> str:
@@ -102,7 +123,14 @@ METHODS = (
     ),
     _method("ttt", "Ours (TTT)", SHIPPED),
     _method("ttt-polish", "Ours (TTT + polish)", SHIPPED, polish=True),
-    _method("cross-attention", "Ours (cross-attention)", CROSS, ("relight",)),
+    Method(
+        "cross-attention",
+        "Ours (cross-attention)",
+        by_cross_attention,
+        ("relight",),
+        missing=CROSS.missing,
+        version=CROSS.version,
+    ),
     Method(
         "ttt-global",
         "Ours (TTT, global)",
