@@ -264,7 +264,7 @@ MUTATIONS = (
         "models/refine.py",
         "/ scale.rms + position_waves(positions, latents.shape[1])",
         "/ scale.rms",
-        (CARRY, "tests/models/test_refine.py"),
+        (GAIN,),
     ),
     Mutation(
         "patches are all of one cell",

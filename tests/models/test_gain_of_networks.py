@@ -3,6 +3,7 @@ truth than without adaptation, and than after another light. And what makes that
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from typing import Any
 
@@ -122,6 +123,22 @@ def test_readers_are_not_told_the_lifts_answer_and_teachers_are() -> None:
         teachers = [refiner.prepare(latents, x, teaching=True, **inputs) for x in (lift, other)]
     assert torch.equal(*readers)
     assert float((teachers[0] - teachers[1]).abs().min(1).values.max()) > 0.01
+
+
+def test_gaussians_alike_are_told_apart_by_their_place() -> None:
+    """Terms are added, so what a place adds is the difference: first of all a sine along x, four half edges long."""
+    torch.manual_seed(0)
+    refiner = Refiner(CARRYING.refine, 24).eval()
+    alike: dict[str, Any] = {
+        "latents": torch.randn(1, 24).expand(3, -1),
+        "lift": torch.rand(1, LIFT_FEATURES).expand(3, -1),
+    }
+    alike |= {"facts": torch.randn(1, 56).expand(3, -1), "positions": torch.tensor([[0.0] * 3, [0.0] * 3, [0.3, 0, 0]])}
+    with torch.no_grad():
+        told = refiner.prepare(**alike, scale=LatentScale.of(torch.randn(9, 24)))
+    assert torch.equal(told[0], told[1])
+    sine = math.sqrt(2) * math.sin(2 * math.pi * 0.3 / 4)
+    assert abs(float(told[2, 0] - told[0, 0]) - sine) < 1e-4
 
 
 def test_the_extra_layer_learns_from_refined_latents() -> None:
