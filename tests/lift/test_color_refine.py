@@ -38,6 +38,15 @@ def test_a_local_round_is_the_written_out_formula(rounds: int) -> None:
     assert refine_colors_local(SHEET, [(CAMERAS[0], target_picture)], np.zeros(len(SHEET), bool)) is SHEET
 
 
+def test_faint_gaussians_before_a_bright_picture_stop_at_the_bound() -> None:
+    """A third of a pixel is theirs, so that white asks for more than they may have."""
+    faint = sheet(14, opacity=0.33)
+    white, rows = np.ones((40, 40, 3), np.float32), np.ones(len(faint), bool)
+    bright = base_colors(refine_colors_local(faint, [(CAMERAS[0], white)], rows, 12))
+    np.testing.assert_allclose(bright.max(0), 1.3, atol=2e-3)
+    assert (bright > 1.29).mean() > 0.2
+
+
 def test_of_two_local_pictures_the_latest_wins() -> None:
     rows = np.ones(len(SHEET), bool)
     red, blue = (np.broadcast_to(np.array(c, np.float32), (40, 40, 3)) for c in ((0.9, 0.1, 0.1), (0.1, 0.1, 0.9)))
