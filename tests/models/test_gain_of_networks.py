@@ -135,10 +135,10 @@ def test_gaussians_alike_are_told_apart_by_their_place() -> None:
     }
     alike |= {"facts": torch.randn(1, 56).expand(3, -1), "positions": torch.tensor([[0.0] * 3, [0.0] * 3, [0.3, 0, 0]])}
     with torch.no_grad():
-        told = refiner.prepare(**alike, scale=LatentScale.of(torch.randn(9, 24)))
-    assert torch.equal(told[0], told[1])
+        tokens = refiner.prepare(**alike, scale=LatentScale.of(torch.randn(9, 24)))
+    assert torch.equal(tokens[0], tokens[1])
     sine = math.sqrt(2) * math.sin(2 * math.pi * 0.3 / 4)
-    assert abs(float(told[2, 0] - told[0, 0]) - sine) < 1e-4
+    assert abs(float(tokens[2, 0] - tokens[0, 0]) - sine) < 1e-4
 
 
 def test_the_extra_layer_learns_from_refined_latents() -> None:
