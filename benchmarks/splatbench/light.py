@@ -62,7 +62,8 @@ NOTES = (
     "irradiance of the true first light, clamped to 0..1, times the second's, as other programs do. `ours`: the first "
     "light estimated. `ours, true normals`: with those of the mesh. Columns are dB over the object in novel views; "
     "`lpips`: LPIPS-Alex of its window; `albedo`: the first light taken out, dB to the albedo in linear light with the "
-    "best gain per channel; `specks`: pixels in 10,000 of the object.",
+    "best gain per channel; `specks`: pixels in 10,000 of the object; `noiseless`: dB of the error that is left "
+    "without the noise of the truth's paths, all views as one.",
 )
 
 
@@ -120,6 +121,8 @@ class LightCase:
     """([S, 3] points of the mesh, [S, 3] their normals)."""
     albedo: np.ndarray = field(repr=False)
     """[W, H, W, 3] display colours of the base colours, without any light."""
+    again: np.ndarray = field(repr=False)
+    """[W, H, W, 3] the truth with noise of its own."""
 
 
 @dataclass(frozen=True)
@@ -130,6 +133,7 @@ class LightScore:
     asset: str
     row: str
     psnr: float
+    noiseless: float
     lpips: float | None
     albedo: float | None
     specks: float
@@ -146,6 +150,8 @@ class LightMeans:
     psnr: float
     gain: float
     worst_gain: float
+    noiseless: float
+    noiseless_gain: float
     lpips: float | None
     albedo: float | None
     specks: float
@@ -223,7 +229,7 @@ def _cases_of(name: str, lights: Sequence[str], setup: Setup, kinds: Sequence[As
     rng = generator(setup.seed, "light", name)
     base_cameras, novel = truth.ring(setup.base_views, rng), truth.ring(setup.novel_views, rng)
     base = truth.render(base_cameras, "base")
-    after = relit.render(novel, "novel")
+    after, again = relit.render(novel, "novel"), relit.render(novel, "novel again")
     if not after.masks.any():
         raise ValueError("nothing of it can be seen")
     noise = _speckled(after.images.colors, after.masks)
@@ -241,6 +247,7 @@ def _cases_of(name: str, lights: Sequence[str], setup: Setup, kinds: Sequence[As
             after.masks,
             _surface_of(truth),
             _albedo_of(truth, novel),
+            again.images.colors,
         )
 
 
@@ -278,7 +285,7 @@ def measure_case(case: LightCase, perceptual: Any | None = None) -> tuple[list[L
             seconds = time.process_time() - start
             views = _drawn(edited, case.cameras)
         near = compared(views, case.truth, case.masks, perceptual)["lpips"] if perceptual else None
-        figures = psnr(views, case), near, albedo_psnr(row, case), specks(views, case)
+        figures = psnr(views, case), noiseless_psnr(views, case), near, albedo_psnr(row, case), specks(views, case)
         line = LightScore(case.name, case.kind, row, *figures, seconds)
         lines.append(line)
         strips.append(Strip(f"{row}: {line.psnr:.1f} dB, specks {line.specks:.0f}", _cells(views)))
@@ -340,6 +347,14 @@ def psnr(views: np.ndarray, case: LightCase) -> float:
             error = float(((view[mask].astype(np.float64) - truth[mask]) ** 2).mean())
             values.append(-10 * np.log10(max(error, 1e-8)))
     return float(np.mean(values))
+
+
+def noiseless_psnr(views: np.ndarray, case: LightCase) -> float:
+    """dB over the object in all novel views, without the noise of the truth: errors to two truths whose noise is
+    independent, multiplied, are in the mean the square of the error to what they are the mean of."""
+    drawn = views[case.masks].astype(np.float64)
+    error = float(((drawn - case.truth[case.masks]) * (drawn - case.again[case.masks])).mean())
+    return float(-10 * np.log10(max(error, 1e-8)))
 
 
 def specks(views: np.ndarray, case: LightCase) -> float:
@@ -443,10 +458,11 @@ def mean_scores(scores: Sequence[LightScore]) -> list[LightMeans]:
     """A line per kind of asset and row."""
     out = []
     for kind in dict.fromkeys(score.asset for score in scores):
-        base = {s.object: s.psnr for s in scores if s.asset == kind and s.row == "nothing"}
+        base = {s.object: s for s in scores if s.asset == kind and s.row == "nothing"}
         for row in dict.fromkeys(score.row for score in scores):
             group = [score for score in scores if score.asset == kind and score.row == row]
-            gains = [score.psnr - base[score.object] for score in group]
+            gains = [score.psnr - base[score.object].psnr for score in group]
+            clear = [score.noiseless - base[score.object].noiseless for score in group]
 
             def mean(values: Sequence[Any]) -> float:
                 return float(np.mean(values))
@@ -456,7 +472,8 @@ def mean_scores(scores: Sequence[LightScore]) -> list[LightMeans]:
                 return mean(there) if there else None
 
             dB = mean([s.psnr for s in group]), mean(gains), float(np.min(gains))
+            noiseless = mean([s.noiseless for s in group]), mean(clear)
             near = mean_of_some([s.lpips for s in group]), mean_of_some([s.albedo for s in group])
             costs = mean([s.specks for s in group]), mean([s.seconds for s in group])
-            out.append(LightMeans(kind, row, len(group), *dB, *near, *costs))
+            out.append(LightMeans(kind, row, len(group), *dB, *noiseless, *near, *costs))
     return out
