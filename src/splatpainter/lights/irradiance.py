@@ -20,7 +20,9 @@ from splatpainter.splats import SH_C0, Splats
 from splatpainter.system.quick_dataclass import dataclass
 
 BLOCKER_RADIANCE = 0.3
-"""Radiance of what blocks a direction over the mean radiance around: its albedo (a half) times its share of light."""
+"""Radiance of what blocks a direction over the mean radiance around: its albedo (a half) times its share of light. 42
+path traced tuning meshes under true lights, dB: black ones -0.02 +- 0.01 (fitted) and -0.06 +- 0.02 (coarse); ones that
+are lit from where they face, by bands (one bounce), -0.01 +- 0.01 and -0.02 to -0.05, so that they are not."""
 MIN_BLOCKER_ALPHA = 0.25
 """Fainter Gaussians cast no shadow."""
 NORMAL_LIFT = 2.2 * 1.25

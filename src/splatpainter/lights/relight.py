@@ -39,7 +39,9 @@ from splatpainter.transforms import sh_basis
 
 FLOOR = 0.02
 """Irradiance, over that of white light from all around, that counts as there before and after: no ratio is without
-bounds, and the way back is exact."""
+bounds, and the way back is exact. With 0.05 those 42 meshes (`irradiance.BLOCKER_RADIANCE`) lose 0.07 +- 0.02 dB fitted
+and 0.01 +- 0.04 coarse; with ratio^0.9 0.09 and 0.06, with bands 1 and 2 times 0.9 0.09 and 0.05: no contrast is to be
+taken off for normals that are noise."""
 MAX_RATIO = 100.0
 """Of irradiance now and before, either way."""
 MAX_LEVEL = 4.0
