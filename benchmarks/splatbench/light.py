@@ -4,6 +4,10 @@ Truth is path traced (or, quicker, dense surfels); assets are coarse surfels of 
 3DGS to views in the first light. Methods know both environments, but for those that estimate the first. PSNR is over
 the object in novel views; specks are pixels that are much darker or lighter than those around them where the truth is
 smooth, which PSNR hardly sees.
+
+The truth has the noise of its paths, which no method can know: at 16 paths fitted assets lit by the true ratio gain
+2.97 dB with it and 3.85 without it (35 held-out pairs). So it is path traced twice: the product of the errors to both
+has no noise in the mean.
 """
 
 from __future__ import annotations
