@@ -64,7 +64,9 @@ def test_what_is_selected_is_removed_and_filled_and_coloured_by_a_source(studio:
     assert "nothing is selected" in refused(studio, "fill.selection")
     assert circle(studio, 14) > 10
     assert "there is no hole" in refused(studio, "fill.selection")
-    layer = studio.post("fill.selection", remove=True)["layer"]
+    made = studio.post("fill.selection", remove=True)
+    layer, part = made["layer"], "only what was selected was removed: it is a part of something larger; "
+    assert made["note"] == part + layer["note"], "a disc in the middle of one thing"
     assert layer["kind"] == "fill" and layer["gaussians_appended"] > 10 and "filled" in layer["note"]
     assert [one.kind for one in session.layers] == ["hide", "fill"] and not studio.studio.selection
     plain = session.splats

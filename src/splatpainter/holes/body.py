@@ -3,12 +3,14 @@ ground on which it stands. Pure.
 
     body = body_of(splats, weights > 0.5)  # None: what is selected is a part of something larger
 
-Gaussians are gathered into small pieces of surface of one place, direction and colour. Neighbouring pieces hang
-together the better, the more their colours and normals agree: over a contact ring, where a thing stands on the ground,
-hardly. A random walk over them (Grady, "Random walks for image segmentation", 2006) that may end anywhere, more rarely
-where nothing is selected (BODY.selected_share), has from all of one body about the same chance to end at the selection:
-the body is what lies above the level of chances that cuts the fewest links. A strip of ground within a lasso is not of
-it, as it hangs together with all the ground around.
+Gaussians are gathered into small pieces of surface of one place and direction, of one colour too where neighbours are
+alike. Pieces that touch hang together the better, the more their colours and normals agree: over a contact ring, where
+a thing stands on the ground, hardly. A random walk over them (Grady, "Random walks for image segmentation", 2006) that
+may end anywhere, more rarely where nothing is selected (BODY.selected_share), has from all of one body about the same
+chance to end at the selection: the body is what lies above a level of chances whose border is weak, and about the same
+above many levels. A strip of ground within a lasso is not of it: it hangs together with all the ground around, and a
+plane that goes on all around the foot of a thing is its ground (support.py). A border that is no weaker than the
+surface itself would be a cut through it: then there is no body.
 """
 
 from __future__ import annotations
@@ -18,20 +20,32 @@ import numpy as np
 from splatpainter.array_types import Bools, Ids
 from splatpainter.color import base_color, oklab, to_display
 from splatpainter.holes.border import cell_of
+from splatpainter.holes.support import below, support_of
 from splatpainter.kernels import portable
 from splatpainter.splats import Splats
 from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import quat_to_matrix
-from splatpainter.voxels.neighbours import joined_labels
+from splatpainter.voxels.neighbours import joined_labels, near_pairs
 
 
 @dataclass(frozen=True)
 class BodyThresholds:
-    """Which Gaussians hang together with what is selected. Measured on a lemon on a board and on spots of a pot where
-    an entry says so, else taste."""
+    """Which Gaussians hang together with what is selected. Measured by scripts/removal_survey.py (things of meshes on
+    boards, even, rough and fitted; statues), on a lemon on a board and spots of a pot where an entry says so."""
 
-    piece_cells: float = 1.5
-    """Edge of the cubes in which Gaussians are gathered at first, in distances between neighbours."""
+    fine_cells: float = 1.5
+    """Edge of the cubes in which Gaussians are gathered where neighbours are alike, in distances between neighbours."""
+    coarse_cells: float = 2.5
+    """The same where they are not, as in captures: single Gaussians say little of the surface that they are of."""
+    pieces_across: float = 8.0
+    """Such cubes in the radius of what is selected, at least; they are never smaller than the fine ones."""
+    smooth_link: float = 0.25
+    """How well neighbours among what is selected hang together (median) from which they are alike."""
+    touch_cells: float = 2.0
+    """Distance within which Gaussians touch, in distances between neighbours. Cubes side by side in its place join what
+    lies up to 5 apart: a thing and the underside of its board."""
+    same_place_cells: float = 0.5
+    """Edge of the cubes in which one Gaussian of a piece stands for the others, in distances between neighbours."""
     max_pieces: int = 60_000
     """Pieces, at most."""
     coarser: float = 1.5
@@ -53,18 +67,32 @@ class BodyThresholds:
     least_link: float = 1e-5
     """Of neighbours, whatever they look like."""
     color_steps: int = 3
-    """Parts of each channel's range; pieces have Gaussians of one."""
+    """Parts of each channel's range; fine pieces have Gaussians of one."""
     max_steps: int = 400
     """Steps of conjugate gradients, at most."""
     max_residual_share: float = 1e-5
     """Share of the first residual at which they end."""
     levels: int = 60
     """Chances that are tried as the least of a body."""
-    level_shares: tuple[float, float] = (0.4, 0.8)
+    level_shares: tuple[float, float] = (0.05, 0.85)
     """Those chances lie between these shares of the largest one."""
-    level_shares_noisy: tuple[float, float] = (0.1, 0.8)
-    """The same where captured colours and normals are noisy: what is behind a captured statue has less of a chance (0.3
-    of the largest one, its pedestal 0.05), as its own noise cuts links."""
+    min_covered_share: float = 0.35
+    """Share of what is selected, without ground, that a body has, at least."""
+    same_share: float = 0.05
+    """Gaussians, over those of a body, by which one at another level may differ and is the same."""
+    support_cells: float = 0.6
+    """Distance from a plane within which a piece is of it, in edges of pieces."""
+    support_link: float = 0.1
+    """Factor of links between what a thing stands on and all else."""
+    support_end: float = 0.05
+    """How strongly a piece on which a thing stands is ground."""
+    sure_end: float = 1.0
+    """How strongly a piece off the border is what it is, where the border is found anew."""
+    unsure_end: float = 1e-6
+    """How strongly all of them are ground there."""
+    max_border: float = 0.15
+    """Mean link over the border of a body, over that within it, up to which it is one. Whole things have 0 to 0.13,
+    most of them less than 0.05; cuts through the mantle of a bust 0.3 to 1."""
     box_share: float = 0.9
     """Share of the Gaussians of a part that touches nothing but the body, within the body's box, from which it goes
     with it: what a shell holds, and slivers that the walk left hanging in the air."""
@@ -72,16 +100,14 @@ class BodyThresholds:
     """Quantile of the chances of what is selected that counts as the largest one. Specks of a colour of their own have
     larger ones."""
     max_crumb_share: float = 0.05
-    """Gaussians, over those of the body, up to which a part of it by itself is none, and a part of what is left is
-    body."""
+    """Gaussians, over those of the body, up to which a part of it by itself is none."""
+    max_held_share: float = 0.25
+    """The same up to which a part of what is left that touches only the body goes with it: the handle of a mug."""
     min_selected_share: float = 0.12
     """Share of its Gaussians by which a body is selected, at least: a spot on a pot is not the pot."""
     max_cut: float = 0.02
-    """Links between a body and what is left over those within it, up to which it is one (a lemon on a board: 0.003);
-    above, the cut runs through a surface (a spot on the board: 0.09)."""
-    max_cut_noisy: float = 0.003
-    """The same where captured colours and normals are noisy: statues on their pedestals 0.0001 to 0.0006, spots on them
-    0.006 and more."""
+    """Links between a body and what is left, over those within the smaller of them, up to which it is one (a lemon on a
+    board: 0.003); above, the cut runs through a surface (a spot on the board: 0.09)."""
     max_evenness: float = 0.7
     """Mean agreement of the normals along the cut, up to which it is one (a lemon: 0.38); above, it is a painted figure
     (of the pot: 0.97)."""
@@ -100,31 +126,51 @@ def body_of(splats: Splats, selected: np.ndarray) -> Bools | None:
     means = splats.means.astype(np.float64)
     # Only what is near enough can be of the body: a walk over a whole capture would take minutes.
     middle = np.median(means[seeds], axis=0)
-    reach = BODY.reach_radii * float(np.quantile(np.linalg.norm(means[seeds] - middle, axis=1), BODY.radius_quantile))
+    radius = float(np.quantile(np.linalg.norm(means[seeds] - middle, axis=1), BODY.radius_quantile))
+    reach = BODY.reach_radii * radius
     away = np.linalg.norm(means - middle, axis=1)
     ids = np.flatnonzero(visible & ((away < reach) | selected))
-    edge = BODY.piece_cells * cell_of(splats, seeds)
     # Pieces, not Gaussians: tens of thousands of nodes whatever the asset has.
-    pieces = _Pieces.of(splats, ids, edge)
-    while len(pieces.counts) > BODY.max_pieces:
-        edge *= BODY.coarser
-        pieces = _Pieces.of(splats, ids, edge)
-    # The walk: it starts anywhere and ends where something is selected, rarely elsewhere, surely far away.
+    cell = cell_of(splats, seeds)
+    fine = _Pieces.of(splats, ids, BODY.fine_cells * cell, BODY.color_steps)
+    while len(fine.counts) > BODY.max_pieces:
+        cell *= BODY.coarser
+        fine = _Pieces.of(splats, ids, BODY.fine_cells * cell, BODY.color_steps)
+    pairs = _near(means[ids], fine, cell)
+    # Small pieces where neighbours are alike; where single Gaussians say little of a surface, larger ones average them.
+    pieces, edge = fine, BODY.fine_cells * cell
+    one, two = pieces.touching(pairs)
     chosen = pieces.mean(selected[ids].astype(np.float64))
-    one, two, links, evenness, is_noisy = pieces.links(chosen > 0.5)
+    if pieces.typical_link(one, two, chosen > 0.5) < BODY.smooth_link:
+        edge = min(BODY.coarse_cells * cell, max(edge, radius / BODY.pieces_across))
+        pieces = _Pieces.of(splats, ids, edge, 1)
+        one, two = pieces.touching(pairs)
+        chosen = pieces.mean(selected[ids].astype(np.float64))
+    links, evenness = pieces.links(one, two, chosen > 0.5)
+    # What a thing stands on is no part of it, within a lasso or not.
+    middles = pieces.mean(means[ids])
+    support, upwards = support_of(middles, pieces.normals, chosen > 0.5, (one, two, links), BODY.support_cells * edge)
+    chosen = np.where(support, 0, chosen)
+    links = links * np.where(support[one] != support[two], BODY.support_link, 1)
+    is_seed = selected[ids] & ~support[pieces.piece]
     beyond = pieces.mean((away[ids] > BODY.far_share * reach).astype(np.float64)) > 0.5
-    ends = BODY.end_chance * (chosen + BODY.selected_share * (1 - chosen)) + beyond
+    # The walk: it starts anywhere and ends where something is selected, rarely elsewhere, surely far away.
+    ends = BODY.end_chance * (chosen + BODY.selected_share * (1 - chosen)) + beyond + BODY.support_end * support
     chances = _walked(one, two, links, BODY.end_chance * chosen, ends)
-    # The cut: the level of chances at which the fewest links are cut for what lies within.
-    most = float(np.quantile(chances[pieces.piece][selected[ids]], BODY.top_quantile))
-    shares = BODY.level_shares_noisy if is_noisy else BODY.level_shares
-    is_body = _swept(one, two, links, np.where(beyond, 0, chances), np.linspace(*shares, BODY.levels) * most)
+    # The cut: a level of chances at which few and weak links are cut for what lies within.
+    of_selected = chances[pieces.piece][is_seed]
+    most, least = (float(np.quantile(of_selected, q)) for q in (BODY.top_quantile, 1 - BODY.min_covered_share))
+    low, high = BODY.level_shares[0] * most, min(BODY.level_shares[1] * most, least)
+    levels = np.linspace(low, max(low, high), BODY.levels)
+    counts = pieces.counts, np.bincount(pieces.piece, is_seed, len(pieces.counts))
+    is_body = _swept(one, two, links, np.where(beyond, 0, chances), levels, counts)
     is_body = _without_crumbs(one, two, is_body, pieces.counts)
     # Doubts: a cut through a surface, or along a painted figure, is no body's border.
     crossing = is_body[one] != is_body[two]
     inner = is_body[one] & is_body[two]
-    most_cut = BODY.max_cut_noisy if is_noisy else BODY.max_cut
-    if not is_body.any() or float(links[crossing].sum()) > most_cut * float(links[inner].sum()):
+    if not is_body.any() or float(links[crossing].sum()) > BODY.max_cut * float(links[inner].sum()):
+        return None
+    if crossing.any() and float(links[crossing].mean()) > BODY.max_border * float(links[inner].mean()):
         return None
     if crossing.any() and float(evenness[crossing].mean()) > BODY.max_evenness:
         return None
@@ -132,9 +178,25 @@ def body_of(splats: Splats, selected: np.ndarray) -> Bools | None:
     within = is_body[pieces.piece]
     if selected[ids][within].mean() < BODY.min_selected_share:
         return None
+    within |= _enclosed(means[ids], pieces, (one, two), is_body, beyond)
     body = np.zeros(len(splats), bool)
-    body[ids] = within | _enclosed(means[ids], pieces, (one, two), is_body, beyond)
+    # Its border once more, between smaller pieces.
+    at_border = np.zeros(len(is_body), bool)
+    at_border[one[crossing]], at_border[two[crossing]] = True, True
+    at_border |= support & below(middles, is_body, upwards, edge)
+    body[ids] = _refined(fine, pairs, within, at_border[pieces.piece])
     return body
+
+
+def _refined(fine: _Pieces, pairs: tuple[np.ndarray, np.ndarray], within: Bools, unsure: Bools) -> Bools:
+    """[G] bool: a body ([G]) whose border ([G] bool: unsure) is found anew between smaller pieces."""
+    one, two = fine.touching(pairs)
+    body, ground = (fine.mean((of & ~unsure).astype(np.float64)) > 0.5 for of in (within, ~within))
+    links, _ = fine.links(one, two, body)
+    chances = _walked(one, two, links, BODY.sure_end * body, BODY.sure_end * (body | ground) + BODY.unsure_end)
+    is_body = np.where(unsure, (chances > 0.5)[fine.piece], within)
+    share = fine.mean(is_body.astype(np.float64)) > 0.5
+    return np.where(unsure, _without_crumbs(one, two, share, fine.counts)[fine.piece], is_body)
 
 
 def body_or_selection(splats: Splats, selected: np.ndarray) -> tuple[np.ndarray, str]:
@@ -154,16 +216,14 @@ class _Pieces:
     """[G] int64."""
     counts: np.ndarray
     """[P]."""
-    cells: Ids
-    """[P, 3] int64 cube of each."""
     normals: np.ndarray
     """[P, 6] mean of n n^T: xx yy zz, and the others times the root of 2, so that products are squared cosines."""
     colors: np.ndarray
     """[P, 3] OKLab."""
 
     @staticmethod
-    def of(splats: Splats, ids: np.ndarray, edge: float) -> _Pieces:
-        """edge: of the cubes, world units."""
+    def of(splats: Splats, ids: np.ndarray, edge: float, color_steps: int) -> _Pieces:
+        """edge: of the cubes, world units; color_steps: parts of a channel's range, of which a piece has one."""
         means, scales = splats.means[ids].astype(np.float64), splats.scales[ids]
         axes = quat_to_matrix(splats.quats[ids].astype(np.float64))
         x, y, z = axes[np.arange(len(ids)), :, scales.argmin(1)].T
@@ -171,15 +231,15 @@ class _Pieces:
         # Normals have no sign, so their outer products are averaged; six numbers hold them.
         outer = np.stack([x * x, y * y, z * z, root * x * y, root * x * z, root * y * z], 1)
         colors = to_display(np.clip(base_color(splats.sh[ids]), 0, 1), splats.color_space)
-        step = np.minimum((colors * BODY.color_steps).astype(np.int64), BODY.color_steps - 1)
+        step = np.minimum((colors * color_steps).astype(np.int64), color_steps - 1)
         cells = np.floor((means - means.min(0)) / edge).astype(np.int64)
         facing = np.abs(np.stack([x, y, z], 1)).argmax(1)
         # One piece is one place, one direction and one colour, so a corner or a colour edge never lies within one.
         keys = np.concatenate([cells, facing[:, None], step], 1)
-        _, first, piece, counts = np.unique(keys, axis=0, return_index=True, return_inverse=True, return_counts=True)
+        _, piece, counts = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
         piece = piece.ravel()
-        empty = _Pieces(piece, counts, cells[first], np.zeros(0), np.zeros(0))
-        return _Pieces(piece, counts, cells[first], empty.mean(outer), oklab(empty.mean(colors).astype(np.float32)))
+        empty = _Pieces(piece, counts, np.zeros(0), np.zeros(0))
+        return _Pieces(piece, counts, empty.mean(outer), oklab(empty.mean(colors).astype(np.float32)))
 
     def mean(self, values: np.ndarray) -> np.ndarray:
         """[P] or [P, C] of [G] or [G, C]."""
@@ -187,41 +247,50 @@ class _Pieces:
         sums = [np.bincount(self.piece, column, len(self.counts)) for column in columns]
         return (np.stack(sums, 1) / self.counts[:, None]).reshape(len(self.counts), *values.shape[1:])
 
-    def links(self, selected: Bools) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, bool]:
-        """(one, two: [E] int64 pieces of one cube or of two that touch; [E] how well they hang together, 0..1; [E] how
-        well their normals agree, 0..1; whether the asset is noisy). selected: [P] bool; where neighbours among these
-        differ by more than the thresholds of colours and normals, as in captures, their median takes their place."""
-        spans = self.cells.max(0) + 3
-        keys = ((self.cells[:, 0] + 1) * spans[1] + self.cells[:, 1] + 1) * spans[2] + self.cells[:, 2] + 1
-        order = np.argsort(keys, kind="stable")
-        ordered = keys[order]
-        ones, twos = [], []
-        # Half of the 26 neighbours and the cube itself: each pair once.
-        for x in (0, 1):
-            for y in (-1, 0, 1) if x else (0, 1):
-                for z in (-1, 0, 1) if x or y else (0, 1):
-                    there = keys + (x * spans[1] + y) * spans[2] + z
-                    start = np.searchsorted(ordered, there, "left")
-                    count = np.searchsorted(ordered, there, "right") - start
-                    one = np.repeat(np.arange(len(keys)), count)
-                    turn = np.arange(len(one)) - np.repeat(np.cumsum(count) - count, count)
-                    two = order[np.repeat(start, count) + turn]
-                    different = one < two if not (x or y or z) else slice(None)
-                    ones.append(one[different])
-                    twos.append(two[different])
-        one, two = np.concatenate(ones), np.concatenate(twos)
+    def touching(self, pairs: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """([E] int64, [E] int64) pieces that hold both Gaussians of a pair, each two once."""
+        one, two = (self.piece[of] for of in pairs)
+        low, high = np.minimum(one, two), np.maximum(one, two)
+        keys = np.unique((low * np.int64(len(self.counts)) + high)[low != high])
+        return keys // len(self.counts), keys % len(self.counts)
+
+    def differences(self, one: np.ndarray, two: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """([E] squared distance of colours in OKLab, [E] squared sine between normals) of pairs of pieces."""
         away = ((self.colors[one] - self.colors[two]) ** 2).sum(1)
         cosine = (self.normals[one] * self.normals[two]).sum(1)  # squared; less where normals scatter
         # Against the scatter of normals in each piece: fog must not count as a crease.
         even = np.sqrt((self.normals[one] ** 2).sum(1) * (self.normals[two] ** 2).sum(1))
-        turned = np.clip(even - cosine, 0, 1)
+        return away, np.clip(even - cosine, 0, 1)
+
+    def typical_link(self, one: np.ndarray, two: np.ndarray, selected: Bools) -> float:
+        """How well neighbours among the selected ([P] bool) hang together, 0..1: the median."""
+        among = selected[one] & selected[two]
+        if not among.any():
+            return 0.0
+        away, turned = self.differences(one[among], two[among])
+        return float(np.median(portable.exp(-away / BODY.color_distance**2 - turned / BODY.squared_sine)))
+
+    def links(self, one: np.ndarray, two: np.ndarray, selected: Bools) -> tuple[np.ndarray, np.ndarray]:
+        """([E] how well pieces that touch hang together, 0..1; [E] how well their normals agree, 0..1). selected: [P]
+        bool; where neighbours among these differ by more than the thresholds of colours and normals, as in captures,
+        their median takes their place."""
+        away, turned = self.differences(one, two)
         # A capture's own noise must not cut it into pieces: what neighbours differ by within it counts as nothing.
         among = selected[one] & selected[two]
         noise, roughness = (float(np.median(of[among])) if among.any() else 0.0 for of in (away, turned))
         evenness = portable.exp(-turned / max(BODY.squared_sine, roughness))
         links = portable.exp(-away / max(BODY.color_distance**2, noise)) * evenness
-        is_noisy = noise > BODY.color_distance**2 or roughness > BODY.squared_sine
-        return one, two, np.maximum(links, BODY.least_link), evenness, is_noisy
+        return np.maximum(links, BODY.least_link), evenness
+
+
+def _near(means: np.ndarray, fine: _Pieces, cell: float) -> tuple[np.ndarray, np.ndarray]:
+    """([K] int64, [K] int64) pairs of Gaussians ([G, 3]) that are near; of those in one place one stands for all of its
+    piece. cell: distance between neighbours."""
+    cubes = np.floor((means - np.median(means, axis=0)) / (BODY.same_place_cells * cell))
+    # A clump of thousands must not have millions of pairs.
+    _, first = np.unique(np.concatenate([cubes, fine.piece[:, None]], 1), axis=0, return_index=True)
+    one, two = near_pairs(means[first], BODY.touch_cells * cell)
+    return first[one], first[two]
 
 
 def _walked(one: np.ndarray, two: np.ndarray, links: np.ndarray, source: np.ndarray, ends: np.ndarray) -> np.ndarray:
@@ -252,35 +321,61 @@ def _walked(one: np.ndarray, two: np.ndarray, links: np.ndarray, source: np.ndar
     return p
 
 
-def _swept(one: np.ndarray, two: np.ndarray, links: np.ndarray, chances: np.ndarray, levels: np.ndarray) -> Bools:
-    """[P] bool: pieces with chances above that of some levels (ascending) which gives the least cut for what is within,
-    or for what is left where that is less (as Andersen, Chung, Lang, "Local graph partitioning using PageRank vectors",
-    2006); where more than crumbs can be left, they are."""
+def _swept(
+    one: np.ndarray,
+    two: np.ndarray,
+    links: np.ndarray,
+    chances: np.ndarray,
+    levels: np.ndarray,
+    counts: tuple[np.ndarray, np.ndarray],
+) -> Bools:
+    """[P] bool: pieces with chances above that of some levels (ascending), whose border cuts few links and weak ones;
+    of several such bodies that which is the same at the most levels and the most selected; none where every border cuts
+    through a surface. counts: [P] Gaussians of each piece, and those of them that are selected."""
     low, high = (np.searchsorted(levels, f(chances[one], chances[two]), "left") for f in (np.minimum, np.maximum))
     # A piece is within at levels below its chance: an edge is cut at those between its ends.
-    begins, ends = (np.bincount(of, links, len(levels) + 1)[: len(levels)] for of in (low, high))
-    cut = np.cumsum(begins - ends)
-    left = np.cumsum(begins + ends)
+    count = len(levels)
+    begins, ends = (np.bincount(of, links, count + 1)[:count] for of in (low, high))
+    begun, ended = (np.bincount(of, minlength=count + 1)[:count] for of in (low, high))
+    cut, left = np.cumsum(begins - ends), np.cumsum(begins + ends)
+    crossing, edges = np.cumsum(begun - ended), len(one) - np.cumsum(begun)
     within = 2 * links.sum() - left
+    # As Andersen, Chung, Lang, "Local graph partitioning using PageRank vectors", 2006: over the smaller side.
     share = cut / np.maximum(np.minimum(within, left), 1e-30)
+    inner = (within - cut) / 2
+    border = cut / np.maximum(crossing, 1) * edges / np.maximum(inner, 1e-30)
+    fits = (share <= BODY.max_cut) & (border <= BODY.max_border) & (edges > 0)
     # All but the last crumbs of a capture hang by next to nothing on these, and would be the best body.
     crumbs = left < BODY.max_crumb_share * within
-    return chances > levels[int(np.where(crumbs & ~crumbs.all(), np.inf, share).argmin())]
+    if (fits & ~crumbs).any():
+        fits &= ~crumbs
+    if not fits.any():
+        return np.zeros(len(chances), bool)
+    inside = np.searchsorted(levels, chances, "left")  # at how many levels each piece is within
+    sizes, selected = (of.sum() - np.cumsum(np.bincount(inside, of, count + 1))[:count] for of in counts)
+    same = np.abs(sizes - sizes[:, None]) <= BODY.same_share * sizes[:, None]
+    weak = 1 - border / BODY.max_border
+    lasting = (same & fits).sum(1) * np.sqrt(selected / np.maximum(sizes, 1)) * weak
+    among = fits & same[int(np.where(fits, lasting, 0).argmax())]
+    return chances > levels[int(np.where(among, share, np.inf).argmin())]
 
 
 def _without_crumbs(one: np.ndarray, two: np.ndarray, is_body: np.ndarray, counts: np.ndarray) -> Bools:
-    """[P] bool: a body without small parts that lie apart, and with the small parts that only it touches. counts: [P]
-    Gaussians of each piece."""
+    """[P] bool: a body without small parts that lie apart, and with parts that only it touches. counts: [P] Gaussians
+    of each piece."""
     for side in (True, False):
         same = (is_body[one] == side) & (is_body[two] == side)
-        # First crumbs of the body go to the ground, then crumbs of the ground that only it touches to the body.
+        # First crumbs of the body go to the ground, then what of the ground only the body holds goes to the body.
         labels = joined_labels(len(counts), one[same], two[same])
-        sizes = np.bincount(labels, counts, len(counts))
-        limit = BODY.max_crumb_share * (sizes[labels[is_body]].max(initial=0) if side else counts[is_body].sum())
+        sizes = np.bincount(labels, np.where(is_body == side, counts, 0), len(counts))
+        share = BODY.max_crumb_share if side else BODY.max_held_share
+        limit = share * (sizes.max() if side else counts[is_body].sum())
         touching = np.zeros(len(counts), bool)
         crossing = is_body[one] != is_body[two]
         touching[labels[one[crossing]]], touching[labels[two[crossing]]] = True, True
         crumbs = (is_body == side) & (sizes[labels] < limit) & (touching[labels] | side)
+        # What most of the rest hangs together with is ground, however small.
+        crumbs &= labels != int(sizes.argmax())
         is_body = is_body ^ crumbs
     return is_body
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import numpy as np
+
+from splatpainter.holes.body import body_or_selection
 from splatpainter.server.commands.context import CommandContext, RawExpr, command, layer_made, progress, python_line
 from splatpainter.server.commands.source_edit import SourceCommand, SourceWords, TicketFlag, within_limits
 from splatpainter.server.describe import layer_info
 from splatpainter.server.protocol import CameraInfo, Command, LayerMade, Name
 from splatpainter.server.work_queue import Cancelled
 from splatpainter.source_edits.edit import source_record
-from splatpainter.source_edits.fill import ask_for_fill
+from splatpainter.source_edits.fill import SELECTED, ask_for_fill
 from splatpainter.source_edits.view_edit import SourceBrief
 from splatpainter.sources.picture_source import SourceCancelled
 from splatpainter.sources.registry import open_source
@@ -16,7 +19,8 @@ from splatpainter.sources.registry import open_source
 
 class FillMade(LayerMade):
     note: str = ""
-    """What was removed and filled, one line; "" where only a hole was filled."""
+    """What was removed, and whether it is a part of something larger, and filled, one line; "" where only a hole was
+    filled."""
 
 
 class FillSelection(Command):
@@ -39,8 +43,17 @@ def fill_selection(context: CommandContext, request: FillSelection) -> FillMade:
     weights = current.weights()
     if weights is None:
         raise ValueError("selection: nothing is selected; select something first")
+    part = ""
     with progress(context, request.name):
-        layer = session.layers.fill(weights, remove=request.remove, body=request.body, name=request.name)
+        if request.remove and request.body:
+            # Found here and not by the session, which does not tell that it was a part.
+            chosen = weights >= SELECTED
+            body, words = body_or_selection(session.splats.numpy(), chosen)
+            if body is chosen:
+                part = words
+            else:
+                weights = body.astype(np.float32)
+        layer = session.layers.fill(weights, remove=request.remove, name=request.name)
     # The part that was selected is hidden or covered now.
     current.choose(None)
     # Only what differs from the defaults belongs in the line.
@@ -48,7 +61,7 @@ def fill_selection(context: CommandContext, request: FillSelection) -> FillMade:
     body = True if request.remove and request.body else None
     line = python_line("session.layers.fill", RawExpr("weights"), remove=remove, body=body)
     info = layer_info(session, layer)
-    return FillMade(layer=info, python=line, note=info.note if request.remove else "")
+    return FillMade(layer=info, python=line, note="; ".join(filter(None, (part, info.note if request.remove else ""))))
 
 
 class FillSurroundings(Command):
