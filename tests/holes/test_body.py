@@ -149,7 +149,7 @@ def test_a_pedestal_stays_though_its_crumbs_hang_by_less_than_the_statue() -> No
     """Pieces of a statue, of its pedestal, and one crumb below, which nearly nothing holds."""
     rows = [(a, b, 10.0) for first in (0, 10) for a in range(first, first + 10) for b in range(a + 1, first + 10)]
     one, two, links = (np.array(part) for part in zip(*rows, (9, 10, 1.0), (19, 20, 0.01), strict=True))
-    chances, counts = np.repeat([0.9, 0.6, 0.45], [10, 10, 1]), (np.ones(21), np.ones(21))
+    chances, counts = np.repeat([0.9, 0.6, 0.45], [10, 10, 1]), np.ones(21)
     is_body = _swept(one.astype(int), two.astype(int), links, chances, 0.9 * np.linspace(0.4, 0.8, 60), counts)
     assert np.array_equal(is_body, np.arange(21) < 10)
     alone = one < 9  # the statue alone goes whole, crumbs or not
@@ -164,6 +164,6 @@ def test_a_cut_counts_by_the_smaller_of_its_sides() -> None:
     parts = [(0, 10), (10, 20), (20, 25)]
     rows = [(a, b, 10.0) for first, last in parts for a in range(first, last) for b in range(a + 1, last)]
     one, two, links = (np.array(part) for part in zip(*rows, (9, 10, 1.0), (19, 20, 1.5), strict=True))
-    chances, counts = np.repeat([0.9, 0.6, 0.45], [10, 10, 5]), (np.ones(25), np.ones(25))
+    chances, counts = np.repeat([0.9, 0.6, 0.45], [10, 10, 5]), np.ones(25)
     is_body = _swept(one.astype(int), two.astype(int), links, chances, 0.9 * np.linspace(0.4, 0.8, 60), counts)
     assert np.array_equal(is_body, np.arange(25) < 10)

@@ -103,11 +103,11 @@ class BodyThresholds:
     """Gaussians, over those of the body, up to which a part of it by itself is none."""
     max_held_share: float = 0.25
     """The same up to which a part of what is left that touches only the body goes with it: the handle of a mug."""
-    min_selected_share: float = 0.12
+    min_selected_share: float = 0.2
     """Share of its Gaussians by which a body is selected, at least: a spot on a pot is not the pot."""
-    max_cut: float = 0.02
+    max_cut: float = 0.006
     """Links between a body and what is left, over those within the smaller of them, up to which it is one (a lemon on a
-    board: 0.003); above, the cut runs through a surface (a spot on the board: 0.09)."""
+    board: 0.003, things that were fitted: up to 0.005); above, the cut runs through a surface (spots: to 0.09)."""
     max_evenness: float = 0.7
     """Mean agreement of the normals along the cut, up to which it is one (a lemon: 0.38); above, it is a painted figure
     (of the pot: 0.97)."""
@@ -162,8 +162,7 @@ def body_of(splats: Splats, selected: np.ndarray) -> Bools | None:
     most, least = (float(np.quantile(of_selected, q)) for q in (BODY.top_quantile, 1 - BODY.min_covered_share))
     low, high = BODY.level_shares[0] * most, min(BODY.level_shares[1] * most, least)
     levels = np.linspace(low, max(low, high), BODY.levels)
-    counts = pieces.counts, np.bincount(pieces.piece, is_seed, len(pieces.counts))
-    is_body = _swept(one, two, links, np.where(beyond, 0, chances), levels, counts)
+    is_body = _swept(one, two, links, np.where(beyond, 0, chances), levels, pieces.counts)
     is_body = _without_crumbs(one, two, is_body, pieces.counts)
     # Doubts: a cut through a surface, or along a painted figure, is no body's border.
     crossing = is_body[one] != is_body[two]
@@ -327,11 +326,11 @@ def _swept(
     links: np.ndarray,
     chances: np.ndarray,
     levels: np.ndarray,
-    counts: tuple[np.ndarray, np.ndarray],
+    counts: np.ndarray,
 ) -> Bools:
     """[P] bool: pieces with chances above that of some levels (ascending), whose border cuts few links and weak ones;
-    of several such bodies that which is the same at the most levels and the most selected; none where every border cuts
-    through a surface. counts: [P] Gaussians of each piece, and those of them that are selected."""
+    of several such bodies that which is the same at the most levels; none where every border cuts through a surface.
+    counts: [P] Gaussians of each piece."""
     low, high = (np.searchsorted(levels, f(chances[one], chances[two]), "left") for f in (np.minimum, np.maximum))
     # A piece is within at levels below its chance: an edge is cut at those between its ends.
     count = len(levels)
@@ -352,10 +351,10 @@ def _swept(
     if not fits.any():
         return np.zeros(len(chances), bool)
     inside = np.searchsorted(levels, chances, "left")  # at how many levels each piece is within
-    sizes, selected = (of.sum() - np.cumsum(np.bincount(inside, of, count + 1))[:count] for of in counts)
+    sizes = counts.sum() - np.cumsum(np.bincount(inside, counts, count + 1))[:count]
     same = np.abs(sizes - sizes[:, None]) <= BODY.same_share * sizes[:, None]
     weak = 1 - border / BODY.max_border
-    lasting = (same & fits).sum(1) * np.sqrt(selected / np.maximum(sizes, 1)) * weak
+    lasting = (same & fits).sum(1) * weak
     among = fits & same[int(np.where(fits, lasting, 0).argmax())]
     return chances > levels[int(np.where(among, share, np.inf).argmin())]
 
