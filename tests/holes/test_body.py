@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from splatpainter import io
 from splatpainter.demo_asset import demo_asset, demo_view
 from splatpainter.holes.body import _swept, body_of, body_or_selection
 from splatpainter.session.selection.selection import in_mask
@@ -167,3 +169,57 @@ def test_a_cut_counts_by_the_smaller_of_its_sides() -> None:
     chances, counts = np.repeat([0.9, 0.6, 0.45], [10, 10, 5]), np.ones(25)
     is_body = _swept(one.astype(int), two.astype(int), links, chances, 0.9 * np.linspace(0.4, 0.8, 60), counts)
     assert np.array_equal(is_body, np.arange(25) < 10)
+
+
+def tube(radius: float, thickness: float, color: tuple[float, float, float]) -> Splats:
+    """Half a ring about z, open towards -x: a handle."""
+    turns, around = np.meshgrid(
+        np.linspace(-np.pi / 2, np.pi / 2, int(np.pi * radius / SPACING)),
+        np.linspace(0, 2 * np.pi, int(2 * np.pi * thickness / SPACING), endpoint=False),
+    )
+    turns, around = turns.ravel(), around.ravel()
+    normals = np.stack([np.cos(around) * np.cos(turns), np.cos(around) * np.sin(turns), np.sin(around)], 1)
+    middle = radius * np.stack([np.cos(turns), np.sin(turns), 0 * turns], 1)
+    return flat(middle + thickness * normals, normals, color)
+
+
+def test_a_handle_goes_with_what_holds_it() -> None:
+    """Of another colour, and not selected: only the ball touches it."""
+    floor, ball = ground((0.35, 0.2, 0.1)), sphere(0.5, (0.7, 0.7, 0.7))
+    handle = moved(tube(0.22, 0.06, (0.1, 0.2, 0.7)), (0.46, 0.5, 0))
+    splats = floor.append(ball).append(handle)
+    is_handle = np.arange(len(splats)) >= len(floor) + len(ball)
+    body = body_of(splats, seen_from_front(splats, 0.0) & ~is_handle)
+    assert body is not None
+    assert body[len(floor) :].all() and not body[: len(floor)].any()
+
+
+@pytest.mark.parametrize(("depth", "room"), [(0.0, 0.5), (0.05, 0.3)])
+def test_the_plane_on_which_a_thing_stands_stays_within_a_wide_lasso(depth: float, room: float) -> None:
+    """A ball of the ground's own colour, sunk into it: told apart by the plane that goes on around its foot."""
+    floor, ball = ground((0.5, 0.5, 0.5)), moved(sphere(0.5, (0.5, 0.5, 0.5)), (0, -depth, 0))
+    splats = floor.append(ball)
+    is_ball = np.arange(len(splats)) >= len(floor)
+    selected = seen_from_front(splats, room)
+    assert (selected & ~is_ball).sum() > 0.1 * is_ball.sum()
+    body = body_of(splats, selected)
+    assert body is not None
+    assert body[is_ball & (splats.means[:, 1] > 0.1)].all() and not body[~is_ball].any()
+
+
+@pytest.mark.parametrize(
+    ("center", "radius", "result"), [((0.04, -1.0, 0), 0.35, "part"), ((0.04, -0.75, 0), 0.62, "whole")]
+)
+def test_a_captured_bust_goes_whole_or_only_as_far_as_it_is_selected(
+    shared: Path, center: tuple[float, float, float], radius: float, result: str
+) -> None:
+    """A ball around its chest took head, beard and half of the mantle; one around all of it left a part of its base."""
+    splats = io.read(shared / "data" / "splats" / "massa.sog").numpy()
+    selected = np.linalg.norm(splats.means - center, axis=1) < radius
+    chosen, words = body_or_selection(splats, selected)
+    if result == "whole":
+        solid, height = splats.opacities > 0.05, splats.means[:, 1]  # y is down, the pedestal's top at 0
+        assert chosen[solid & (height < -0.06)].mean() > 0.95
+        assert (chosen & solid & (height > 0.06)).sum() < 0.06 * chosen.sum()
+    else:
+        assert np.array_equal(chosen, selected) and "part of something larger" in words
