@@ -91,8 +91,8 @@ class BodyThresholds:
     unsure_end: float = 1e-6
     """How strongly all of them are ground there."""
     max_border: float = 0.15
-    """Mean link over the border of a body, over that within it, up to which it is one. Most whole things have 0 to 0.13,
-    one hat 0.19; cuts through the mantle of a bust 0.3 to 1."""
+    """Mean link over the border of a body, over that within it, up to which it is one. Most whole things have 0 to
+    0.13, one hat 0.19; cuts through the mantle of a bust 0.3 to 1."""
     box_share: float = 0.9
     """Share of the Gaussians of a part that touches nothing but the body, within the body's box, from which it goes
     with it: what a shell holds, and slivers that the walk left hanging in the air."""
@@ -107,7 +107,8 @@ class BodyThresholds:
     """Share of its Gaussians by which a body is selected, at least: a spot on a pot is not the pot."""
     max_cut: float = 0.006
     """Links between a body and what is left, over those within the smaller of them, up to which it is one (a lemon on a
-    board: 0.003, things that were fitted: mostly up to 0.005); above, the cut runs through a surface (spots: to 0.09)."""
+    board: 0.003, things that were fitted: mostly up to 0.005); above, the cut runs through a surface (spots: up to
+    0.09)."""
     max_evenness: float = 0.7
     """Mean agreement of the normals along the cut, up to which it is one (a lemon: 0.38); above, it is a painted figure
     (of the pot: 0.97)."""
