@@ -16,7 +16,9 @@ from websockets.sync.client import connect
 
 import splatpainter as sp
 from splatpainter.cli import main
+from splatpainter.commands.studio import Config, run
 from splatpainter.io import write
+from splatpainter.server import launch
 from splatpainter.server.launch import address, listen
 from splatpainter.server.security import Access
 from splatpainter.server.uploads.storage import demo
@@ -121,3 +123,22 @@ def test_a_notebook_keeps_its_session_beside_the_page(tmp_path: Path) -> None:
     with pytest.raises(httpx.ConnectError):
         httpx.get(running.url)
     assert len(list(tmp_path.glob("*.splatproj"))) == 1
+
+
+@pytest.mark.parametrize("step", ["make_server", "warm"])
+def test_what_ends_it_before_it_listens_leaves_nothing_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    """A SIGTERM in its first moments: the note of the project's holder and the empty project stayed."""
+    home = tmp_path / "projects"
+    write(tmp_path / "ball.ply", ball(50))
+
+    def terminated(*_: object) -> None:
+        assert list(home.glob("*.splatproj-host"))
+        raise SystemExit(143)
+
+    monkeypatch.setenv("SPLATPAINTER_PROJECTS", str(home))
+    monkeypatch.setattr(launch, step, terminated)
+    with pytest.raises(SystemExit):
+        run(Config(tmp_path / "ball.ply", port=0, no_browser=True))
+    assert not list(home.iterdir())

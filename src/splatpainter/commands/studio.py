@@ -75,21 +75,26 @@ def run(config: Config) -> Outcome:
         raise
     # The address is printed when it answers and holds the token: only whoever sees it may come in.
     url = address(access, bound)
-    server = make_server(studio, access)
-    warming = warm()
-    lines = (f"splatpainter studio: {url}", "Every edit is saved at once; Ctrl-C ends the studio.")
-    print(*lines, sep="\n", file=sys.stderr, flush=True)
-    # A moment later, when the server is listening.
-    if not config.no_browser:
-        import webbrowser
-
-        threading.Timer(0.5, webbrowser.open, [url]).start()
-    # Ctrl-C is the usual end and no error; everything is saved already.
+    warming = None
     try:
+        server = make_server(studio, access)
+        warming = warm()
+        lines = (f"splatpainter studio: {url}", "Every edit is saved at once; Ctrl-C ends the studio.")
+        print(*lines, sep="\n", file=sys.stderr, flush=True)
+        # A moment later, when the server is listening.
+        if not config.no_browser:
+            import webbrowser
+
+            threading.Timer(0.5, webbrowser.open, [url]).start()
+        # Ctrl-C is the usual end and no error; everything is saved already.
         server.run(sockets=[bound])
     except KeyboardInterrupt:  # uvicorn hands the signal on when all is closed
         pass
     finally:
-        warming.join()
+        if warming is not None:
+            warming.join()
+        # Whatever stops it before it listens ends it without the shutdown that closes all of this.
+        studio.close()
+        bound.close()
     # Without the token: the record may end in a log.
     return Outcome({"address": url.partition("?")[0]}, ["stopped; everything is saved"])

@@ -85,6 +85,7 @@ class Studio:
         self.batches = Batches(self.scratch.path)
         self._scene: tuple[Any, list[SceneAssetInfo]] | None = None
         self._preparing: threading.Thread | None = None
+        self._is_closed = False
         self._looked: tuple[Session | None, bool, str] = (None, False, "")
         """Of which session it was seen whether its project could be taken over, and whose note says that it cannot."""
         # A project that has a picture of this version needs no other.
@@ -361,7 +362,10 @@ class Studio:
         raise ValueError(f"blob {sha256[:12]}...: no longer available")
 
     def close(self) -> None:
-        """Leave nothing but the project file: no thread and no program either."""
+        """Leave nothing but the project file: no thread and no program either. Closing twice does nothing."""
+        if self._is_closed:
+            return
+        self._is_closed = True
         # Programs and threads first, for they may still use the files that go next.
         self.batches.close()
         if self._preparing is not None:
