@@ -14,8 +14,8 @@ SP_INLINE i64 pixel(double x, i64 size) { return integer_of<i64>(x, 0, size - 1)
 
 // means, quats, scales: [N, ...]; ids: [Q]; turn: [4, 4] world to camera; lens: fx, fy, cx, cy; nearest: [H, W] flat
 // index of the nearest covered pixel; entry: [H, W] entry of each covered pixel in depths [C], normals [C, 3] (camera
-// space), windows [C], residuals [C] (world units); touching: only TOUCHES is asked for, and FAR_BEHIND not said. All in
-// double precision, whatever the Gaussians are in.
+// space), windows [C], residuals [C] (world units); touching: only TOUCHES is asked for, and FAR_BEHIND not said. All
+// in double precision, whatever the Gaussians are in.
 template <class F>
 void classify_sides(Rows<const F, 3> means, Rows<const F, 4> quats, Rows<const F, 3> scales, Array1<const i64> ids,
                     Rows<const double, 4> turn, Array1<const double> lens, Array2<const i32> nearest,
