@@ -14,14 +14,18 @@ SP_INLINE double log1p_of(double x) {  // as precise near 0 (Kahan)
     return up == 1 ? x : is_finite(near) ? near : log_of(up);
 }
 
+// Where the properties of `width` SH values stand in records of `count` columns.
+SP_INLINE const i64* places_of(const Array1<const i64>& columns, i64 width, i64 count) {
+    checked(SH + width - 1, columns.shape[0]);
+    for (i64 c = 0; c < columns.shape[0]; ++c) checked(columns(c), count);
+    return columns.data;
+}
+
 // The properties of each record, of which `columns` says where they stand; scales from their logarithms, opacities from
 // their logits.
 void unpack_ply_rows(Array2<const u32> records, Array1<const i64> columns, Rows<u32, 3> means, Rows<u32, 4> quats,
                      Rows<float, 3> scales, Array1<float> opacities, Array2<u32> sh, i64 thread, i64 threads) {
-    const i64 width = sh.shape[1];
-    checked(SH + width - 1, columns.shape[0]);
-    for (i64 c = 0; c < columns.shape[0]; ++c) checked(columns(c), records.shape[1]);
-    const i64* at = columns.data;
+    const i64 width = sh.shape[1], *at = places_of(columns, width, records.shape[1]);
     const Share share = share_of(records.shape[0], thread, threads);
     for (i64 first = share.begin; first < share.end; first += BLOCK_ROWS) {
         const i64 count = first + BLOCK_ROWS < share.end ? BLOCK_ROWS : share.end - first;
@@ -46,10 +50,7 @@ void unpack_ply_rows(Array2<const u32> records, Array1<const i64> columns, Rows<
 void pack_ply_rows(Rows<const u32, 3> means, Rows<const u32, 4> quats, Rows<const float, 3> scales,
                    Array1<const float> opacities, Array2<const u32> sh, Array1<const i64> columns, double min_scale,
                    double min_opacity, double max_opacity, Array2<u32> records, i64 thread, i64 threads) {
-    const i64 width = sh.shape[1];
-    checked(SH + width - 1, columns.shape[0]);
-    for (i64 c = 0; c < columns.shape[0]; ++c) checked(columns(c), records.shape[1]);
-    const i64* at = columns.data;
+    const i64 width = sh.shape[1], *at = places_of(columns, width, records.shape[1]);
     const Share share = share_of(records.shape[0], thread, threads);
     for (i64 first = share.begin; first < share.end; first += BLOCK_ROWS) {
         const i64 count = first + BLOCK_ROWS < share.end ? BLOCK_ROWS : share.end - first;

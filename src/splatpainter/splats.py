@@ -212,7 +212,7 @@ class Source:
     splats: Splats = field(repr=False)
     """The rows as first decoded (without source): an attribute of a Gaussian is untouched if it equals this, bit for
     bit."""
-    hashed: str | Callable[[], str] = field(repr=False)
+    digest: str | Callable[[], str] = field(repr=False)
     """`sha256`, or what computes it: of a large file it takes as long as reading it, and not everybody asks."""
     detail: Any = field(default=None, repr=False)
     """The reader's own record (header bytes, row block, tail, codebooks ...); opaque outside its io module."""
@@ -228,7 +228,7 @@ class Source:
     @cached_property
     def sha256(self) -> str:
         """Hex SHA-256 of the file (of a folder: of its files' names and bytes, in name order)."""
-        return self.hashed if isinstance(self.hashed, str) else self.hashed()
+        return self.digest if isinstance(self.digest, str) else self.digest()
 
     frame = formerly_called("axes")
     frame_from = formerly_called("axes_from")

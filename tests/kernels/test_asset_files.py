@@ -123,5 +123,5 @@ def test_which_rows_can_be_drawn_and_why_others_cannot(cpu: str) -> None:
     assert not checks.drawable[[5, 6, 8]].any() and checks.drawable.any()
     beyond = ~(drawable | ~finite | unturned | flat | outside)
     counts = [int(kind.sum()) for kind in (~finite, unturned, flat, outside, beyond)]
-    assert [checks.endless, checks.unturned, checks.flat, checks.outside, checks.beyond] == counts
+    assert [checks.not_finite, checks.zero_rotation, checks.flat_scale, checks.opacity_outside, checks.beyond] == counts
     assert min(counts) > 0

@@ -380,3 +380,11 @@ def test_what_lies_across_the_edge_is_halved_where_it_is_seen():
     clear = np.abs(side) > 4
     np.testing.assert_array_equal(gone[lattice.parent == 1][clear], side[clear] < 0)
     assert (side[clear] < 0).sum() > 3 and (side[clear] > 0).sum() > 3
+
+
+def test_what_is_hidden_close_behind_goes_or_stays_as_one():
+    splats, count = wall(0.02), 45 * 45
+    result = paint(splats, disk(FRONT, 64, 64, 20))
+    assert (result.touched >= count).sum() > 100, "what lies under the sheet goes"
+    assert (result.parents < count).all(), "nothing that nobody sees is cut"
+    assert np.isin(result.parents, result.replaced, invert=True).any(), "of what is seen there are pieces"

@@ -17,13 +17,13 @@ class RowChecks(NamedTuple):
 
     drawable: Bools
     """[N] as `Splats.drawable`."""
-    endless: int
+    not_finite: int
     """With values that are NaN or infinite."""
-    unturned: int
+    zero_rotation: int
     """With a rotation of zeros."""
-    flat: int
+    flat_scale: int
     """With a scale that is not positive."""
-    outside: int
+    opacity_outside: int
     """With an opacity outside 0..1."""
     beyond: int
     """Not drawable for another reason."""

@@ -54,12 +54,12 @@ def edit_receipt(
     touched = changed_rows(asset.splats, result.splats, among)
 
     # All rows are read for their hashes while views are drawn, and so are the bytes of the asset's file.
-    def hashed() -> tuple[tuple[str, str], str]:
+    def digests() -> tuple[tuple[str, str], str]:
         if not settings.proof:
             return ("", ""), ""
         return untouched_hashes(asset.splats, result.splats, touched, compared=True), asset.splats.sha256
 
-    hashing = beside(hashed)
+    hashing = beside(digests)
 
     # How near it came: in the edited views, and from the side, where paint on a wrong depth comes apart.
     aside = _side_scores(asset, result, views) if settings.aside and mode != "global" else ()

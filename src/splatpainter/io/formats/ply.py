@@ -421,7 +421,7 @@ def _encode_new(splats: Splats, plan: Mapping[str, tuple[str, ...]], layout: Row
     buffers = [np.zeros((min(len(splats), NEW_BLOCK_ROWS), width), np.uint32) for _ in range(2)]
     limits = (activations.MIN_SCALE, activations.MIN_OPACITY, activations.MAX_OPACITY)
 
-    def made(start: int) -> np.ndarray:
+    def packed_rows(start: int) -> np.ndarray:
         rows = slice(start, start + NEW_BLOCK_ROWS)
         means, quats, scales, opacities, sh = (readonly(getattr(splats, name)[rows], np.float32) for name in ATTRIBUTES)
         colors = sh.reshape(len(sh), sh.shape[1] * sh.shape[2])
@@ -430,11 +430,11 @@ def _encode_new(splats: Splats, plan: Mapping[str, tuple[str, ...]], layout: Row
         run(kernels.pack_ply_rows, *bits, columns, *limits, records)
         return records
 
-    following = beside(functools.partial(made, 0))
+    next_rows = beside(functools.partial(packed_rows, 0))
     for end in range(NEW_BLOCK_ROWS, len(splats) + NEW_BLOCK_ROWS, NEW_BLOCK_ROWS):
-        records, is_last = following(), end >= len(splats)
+        records, is_last = next_rows(), end >= len(splats)
         if not is_last:
-            following = beside(functools.partial(made, end))
+            next_rows = beside(functools.partial(packed_rows, end))
         yield is_last, records.view(np.uint8).data
 
 

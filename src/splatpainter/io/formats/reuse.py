@@ -106,10 +106,10 @@ def row_problems(splats: Splats) -> list[str]:
     """One line for each kind of row that cannot be drawn as it stands."""
     checks = splats.row_checks
     kinds = (
-        (checks.endless, "with NaN or infinite values"),
-        (checks.unturned, "with a zero rotation quaternion"),
-        (checks.flat, "with a scale that is not positive"),
-        (checks.outside, "with an opacity outside 0..1"),
+        (checks.not_finite, "with NaN or infinite values"),
+        (checks.zero_rotation, "with a zero rotation quaternion"),
+        (checks.flat_scale, "with a scale that is not positive"),
+        (checks.opacity_outside, "with an opacity outside 0..1"),
         (checks.beyond, f"with values beyond +-{MAX_MAGNITUDE:g}, or a quaternion near zero"),
     )
     return [f"{count} {'row' if count == 1 else 'rows'} {text} (kept, not drawn)" for count, text in kinds if count]

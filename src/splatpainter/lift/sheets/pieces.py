@@ -19,7 +19,7 @@ from splatpainter.system.quick_dataclass import dataclass
 class Pieces:
     """What remains beside a sheet of the N Gaussians: P pieces of those that were cut, and the others as they were."""
 
-    taken: Ids = field(repr=False)
+    cut_ids: Ids = field(repr=False)
     """[K] int64 those that are no more as they were, some of them several times."""
     parent_ids: Ids = field(repr=False)
     """[P] int64 ascending: the Gaussian that each piece is of."""
@@ -39,7 +39,7 @@ class Pieces:
     def remaining_gaussians(self, base: Splats) -> tuple[Splats, np.ndarray]:
         """(all that remain, in the order of these, [R] int64 the Gaussian of the base that each is or is of)."""
         left = np.ones(len(base), bool)
-        left[self.taken] = False
+        left[self.cut_ids] = False
         ids = np.flatnonzero(left)
         parent_ids = np.concatenate([ids, self.parent_ids])
         order = np.argsort(parent_ids, kind="stable")
@@ -56,4 +56,4 @@ def joined_view(pieces: Pieces, new: Splats, around: ProjectedView, tiles: np.nd
     ties = order[fresh.gaussian_ids]
     fresh = replace(fresh, gaussian_ids=count + fresh.gaussian_ids, num_gaussians=count + len(order))
     # Only what is new is projected; the lists of the rest are cut out of the view at hand.
-    return around.merged(fresh, tiles=tiles, without=pieces.taken, ties=ties)
+    return around.merged(fresh, tiles=tiles, without=pieces.cut_ids, ties=ties)

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from splatpainter.holes.body import body_or_selection
 from splatpainter.server.commands.context import CommandContext, RawExpr, command, layer_made, progress, python_line
 from splatpainter.server.commands.source_edit import SourceCommand, SourceWords, TicketFlag, within_limits
 from splatpainter.server.describe import layer_info
 from splatpainter.server.protocol import CameraInfo, Command, LayerMade, Name
 from splatpainter.server.work_queue import Cancelled
 from splatpainter.source_edits.edit import source_record
-from splatpainter.source_edits.fill import SELECTED, ask_for_fill
+from splatpainter.source_edits.fill import ask_for_fill
 from splatpainter.source_edits.view_edit import SourceBrief
 from splatpainter.sources.picture_source import SourceCancelled
 from splatpainter.sources.registry import open_source
@@ -46,13 +43,8 @@ def fill_selection(context: CommandContext, request: FillSelection) -> FillMade:
     part = ""
     with progress(context, request.name):
         if request.remove and request.body:
-            # Found here and not by the session, which does not tell that it was a part.
-            chosen = weights >= SELECTED
-            body, words = body_or_selection(session.splats.numpy(), chosen)
-            if body is chosen:
-                part = words
-            else:
-                weights = body.astype(np.float32)
+            # Asked for apart, as the layer's own note counts a body but does not say that it is a part.
+            weights, part = session.layers.body(weights)
         layer = session.layers.fill(weights, remove=request.remove, name=request.name)
     # The part that was selected is hidden or covered now.
     current.choose(None)

@@ -16,7 +16,7 @@ from typing import Any, overload
 
 import numpy as np
 
-from splatpainter.holes.body import body_of
+from splatpainter.holes.body import body_or_selection
 from splatpainter.io import files
 from splatpainter.operations.light import Relight
 from splatpainter.operations.operation import Operation
@@ -283,6 +283,14 @@ class SessionLayers(Sequence[Layer]):
             core.commit(f"add {layer.name}", document, strict=layer.id)
             return layer
 
+    def body(self, weights: np.ndarray) -> tuple[np.ndarray, str]:
+        """([N] 0..1 weights of the whole connected body that a selection is of, ""), or, where that is a part of
+        something larger, the weights themselves and a line that says so. weights: [N] 0..1 of `Session.splats`."""
+        weights = self._core.checked_weights(weights)
+        selected = weights >= SELECTED
+        chosen, words = body_or_selection(self._core.splats.numpy(), selected)
+        return (weights, words) if chosen is selected else (chosen.astype(np.float32), "")
+
     def fill(self, weights: np.ndarray, *, remove: bool = False, body: bool = False, name: str = "Fill") -> Layer:
         """A layer of new Gaussians that continue the surface over a hole, in colours of what surrounds it
         (holes/fill.py); nothing else changes. weights: [N] 0..1 of `Session.splats`: Gaussians around the hole, as
@@ -298,8 +306,7 @@ class SessionLayers(Sequence[Layer]):
         # The layer keeps which it was: a removed body and a circled hole are found in different ways on replay.
         where: FillWhere = "removed" if remove else "around"
         if remove and body:
-            chosen = body_of(core.splats.numpy(), weights >= SELECTED)
-            weights = weights if chosen is None else chosen.astype(np.float32)
+            weights, _ = self.body(weights)
         with core.command():
             document, added = core.document, []
             # What is removed goes from every asset that it is selected on; a circled hole is in one.
