@@ -149,7 +149,7 @@ def test_the_lemon_of_the_demo_asset_goes_and_its_board_stays() -> None:
 
 def test_a_pedestal_stays_though_its_crumbs_hang_by_less_than_the_statue() -> None:
     """Pieces of a statue, of its pedestal, and one crumb below, which nearly nothing holds."""
-    rows = [(a, b, 10.0) for first in (0, 10) for a in range(first, first + 10) for b in range(a + 1, first + 10)]
+    rows = [(a, b, 5.0) for first in (0, 10) for a in range(first, first + 10) for b in range(a + 1, first + 10)]
     one, two, links = (np.array(part) for part in zip(*rows, (9, 10, 1.0), (19, 20, 0.01), strict=True))
     chances, counts = np.repeat([0.9, 0.6, 0.45], [10, 10, 1]), np.ones(21)
     is_body = _swept(one.astype(int), two.astype(int), links, chances, 0.9 * np.linspace(0.4, 0.8, 60), counts)
@@ -164,7 +164,7 @@ def test_a_cut_counts_by_the_smaller_of_its_sides() -> None:
     """A statue of ten pieces, its pedestal of ten, and five below: the cut below the pedestal is hardly longer, and
     there is twice as much above it."""
     parts = [(0, 10), (10, 20), (20, 25)]
-    rows = [(a, b, 10.0) for first, last in parts for a in range(first, last) for b in range(a + 1, last)]
+    rows = [(a, b, 5.0) for first, last in parts for a in range(first, last) for b in range(a + 1, last)]
     one, two, links = (np.array(part) for part in zip(*rows, (9, 10, 1.0), (19, 20, 1.5), strict=True))
     chances, counts = np.repeat([0.9, 0.6, 0.45], [10, 10, 5]), np.ones(25)
     is_body = _swept(one.astype(int), two.astype(int), links, chances, 0.9 * np.linspace(0.4, 0.8, 60), counts)
@@ -223,3 +223,13 @@ def test_a_captured_bust_goes_whole_or_only_as_far_as_it_is_selected(
         assert (chosen & solid & (height > 0.06)).sum() < 0.06 * chosen.sum()
     else:
         assert np.array_equal(chosen, selected) and "part of something larger" in words
+
+
+def test_a_small_plate_stays_though_only_the_thing_on_it_touches_it() -> None:
+    plate, ball = ground((0.35, 0.2, 0.1)), sphere(0.5, (0.7, 0.7, 0.7))
+    plate = plate.take(np.flatnonzero(np.hypot(*plate.means[:, ::2].T) < 0.35))
+    splats = plate.append(ball)
+    is_ball = np.arange(len(splats)) >= len(plate)
+    assert len(plate) < 0.2 * len(ball)
+    body = body_of(splats, seen_from_front(splats, 0.0) & is_ball)
+    assert body is not None and body[is_ball].mean() > 0.95 and body[~is_ball].mean() < 0.2

@@ -7,9 +7,9 @@ Gaussians are gathered into small pieces of surface of one place and direction, 
 alike. Pieces that touch hang together the better, the more their colours and normals agree: over a contact ring, where
 a thing stands on the ground, hardly. A random walk over them (Grady, "Random walks for image segmentation", 2006) that
 may end anywhere, more rarely where nothing is selected (BODY.selected_share), has from all of one body about the same
-chance to end at the selection: the body is what lies above a level of chances whose border is weak, and about the same
-above many levels. A strip of ground within a lasso is not of it: it hangs together with all the ground around, and a
-plane that goes on all around the foot of a thing is its ground (support.py). A border that is no weaker than the
+chance to end at the selection: the body is what lies above a level of chances whose border cuts few links, about the
+same above many levels. A strip of ground within a lasso is not of it: it hangs together with all the ground around, and
+a plane that goes on all around the foot of a thing is its ground (support.py). A border that is no weaker than the
 surface itself would be a cut through it: then there is no body.
 """
 
@@ -150,7 +150,7 @@ def body_of(splats: Splats, selected: np.ndarray) -> Bools | None:
     links, evenness = pieces.links(one, two, chosen > 0.5)
     # What a thing stands on is no part of it, within a lasso or not.
     middles = pieces.mean(means[ids])
-    support, upwards = support_of(middles, pieces.normals, chosen > 0.5, (one, two, links), BODY.support_cells * edge)
+    support, upwards = support_of(middles, pieces.normals, chosen > 0.5, (one, two), BODY.support_cells * edge)
     chosen = np.where(support, 0, chosen)
     links = links * np.where(support[one] != support[two], BODY.support_link, 1)
     is_seed = selected[ids] & ~support[pieces.piece]
@@ -329,22 +329,18 @@ def _swept(
     levels: np.ndarray,
     counts: np.ndarray,
 ) -> Bools:
-    """[P] bool: pieces with chances above that of some levels (ascending), whose border cuts few links and weak ones;
-    of several such bodies that which is the same at the most levels; none where every border cuts through a surface.
-    counts: [P] Gaussians of each piece."""
+    """[P] bool: pieces with chances above that of some levels (ascending), whose border cuts few links; of several such
+    bodies that which is the same at the most levels; none where every border cuts many. counts: [P] Gaussians of each
+    piece."""
     low, high = (np.searchsorted(levels, f(chances[one], chances[two]), "left") for f in (np.minimum, np.maximum))
     # A piece is within at levels below its chance: an edge is cut at those between its ends.
     count = len(levels)
     begins, ends = (np.bincount(of, links, count + 1)[:count] for of in (low, high))
-    begun, ended = (np.bincount(of, minlength=count + 1)[:count] for of in (low, high))
     cut, left = np.cumsum(begins - ends), np.cumsum(begins + ends)
-    crossing, edges = np.cumsum(begun - ended), len(one) - np.cumsum(begun)
     within = 2 * links.sum() - left
     # As Andersen, Chung, Lang, "Local graph partitioning using PageRank vectors", 2006: over the smaller side.
     share = cut / np.maximum(np.minimum(within, left), 1e-30)
-    inner = (within - cut) / 2
-    border = cut / np.maximum(crossing, 1) * edges / np.maximum(inner, 1e-30)
-    fits = (share <= BODY.max_cut) & (border <= BODY.max_border) & (edges > 0)
+    fits = (share <= BODY.max_cut) & (within > cut)
     # All but the last crumbs of a capture hang by next to nothing on these, and would be the best body.
     crumbs = left < BODY.max_crumb_share * within
     if (fits & ~crumbs).any():
@@ -354,9 +350,8 @@ def _swept(
     inside = np.searchsorted(levels, chances, "left")  # at how many levels each piece is within
     sizes = counts.sum() - np.cumsum(np.bincount(inside, counts, count + 1))[:count]
     same = np.abs(sizes - sizes[:, None]) <= BODY.same_share * sizes[:, None]
-    weak = 1 - border / BODY.max_border
-    lasting = (same & fits).sum(1) * weak
-    among = fits & same[int(np.where(fits, lasting, 0).argmax())]
+    lasting = np.where(fits, (same & fits).sum(1), 0)
+    among = fits & same[int(lasting.argmax())]
     return chances > levels[int(np.where(among, share, np.inf).argmin())]
 
 

@@ -7,7 +7,6 @@ import numpy as np
 from splatpainter.array_types import Bools
 from splatpainter.kernels import portable
 from splatpainter.system.quick_dataclass import dataclass
-from splatpainter.voxels.neighbours import joined_labels
 
 
 @dataclass(frozen=True)
@@ -22,8 +21,6 @@ class SupportThresholds:
     """Share of these that lie on the plane, at least."""
     min_cosine_squared: float = 0.5
     """Mean squared cosine between a piece's normals and the plane's from which it is of it."""
-    min_link: float = 0.1
-    """How well two pieces of it hang together, at least."""
     foot: float = 4.0
     """Height above the plane up to which a thing is its foot, in tolerances."""
     directions: int = 16
@@ -45,14 +42,14 @@ def support_of(
     middles: np.ndarray,
     normals: np.ndarray,
     chosen: Bools,
-    edges: tuple[np.ndarray, np.ndarray, np.ndarray],
+    edges: tuple[np.ndarray, np.ndarray],
     tolerance: float,
 ) -> tuple[Bools, np.ndarray]:
     """([P] bool pieces of surface (middles [P, 3], normals [P, 6] as of _Pieces) on the plane on which what is chosen
-    ([P] bool) stands, none where there is no such plane; [3] its normal). edges: pairs of pieces that touch, and how
-    well they hang together; tolerance: world units."""
+    ([P] bool) stands, none where there is no such plane; [3] its normal). edges: pairs of pieces that touch; tolerance:
+    world units."""
     none = np.zeros(len(middles), bool)
-    one, two, links = edges
+    one, two = edges
     crossing = chosen[one] != chosen[two]
     outline = np.unique(np.concatenate([one[crossing], two[crossing]]))
     if len(outline) < SUPPORT.min_outline:
@@ -71,12 +68,6 @@ def support_of(
     middle = middles[best] - middles[best][0]
     origin = middles[best][0] + float(np.median((middle * normal).sum(1))) * normal
     members = _members(middles, normals, origin, normal, tolerance)
-    # Of one look with what the outline crosses: a thing's underside is not its ground.
-    same = members[one] & members[two] & (links > SUPPORT.min_link)
-    labels = joined_labels(len(middles), one[same], two[same])
-    is_crossed = np.zeros(len(middles), bool)
-    is_crossed[labels[outline[members[outline]]]] = True
-    members &= is_crossed[labels]
     # Something stands on it, on one side, and it goes on all around the foot of that.
     heights = ((middles - origin) * normal).sum(1)
     standing = chosen & ~members
