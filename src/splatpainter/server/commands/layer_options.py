@@ -8,7 +8,7 @@ from types import NoneType, UnionType
 from typing import Any, Literal, get_args, get_origin
 
 from splatpainter.server.commands.context import CommandContext, command
-from splatpainter.server.message import Message, layer_options, option_docs
+from splatpainter.server.message import Message, field_docs, layer_options
 from splatpainter.server.protocol import Answer, Command
 from splatpainter.system.jsonio import field_types
 from splatpainter.system.ranges import bounds_of
@@ -75,7 +75,7 @@ def list_layer_options(context: CommandContext, request: LayerOptions) -> LayerO
 
 def option_infos(options: Any) -> list[OptionInfo]:
     """The options of a dataclass that a page has a control for."""
-    types, texts, names = field_types(type(options)), option_docs(type(options)), layer_options(type(options))
+    types, texts, names = field_types(type(options)), field_docs(type(options)), layer_options(type(options))
     out = []
     for entry in dataclasses.fields(options):
         spelled, optional = _without_none(entry.metadata.get("words") or types[entry.name])
