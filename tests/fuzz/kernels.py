@@ -597,13 +597,16 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, help="the first")
     parser.add_argument("--cases", default=ALL, help=", ".join(CASES))
     parser.add_argument("--sanitize", default="", help="address,undefined: sanitizers in place of checked indices")
+    parser.add_argument(
+        "--base", action="store_true", help="the copy for the oldest machines: a third of the compiling"
+    )
     parser.add_argument("--single", action="store_true", help="float32 only")
     parser.add_argument(f"--{STARTED}", action="store_true", help=argparse.SUPPRESS)
     config = parser.parse_args()
     if config.inside:
         names = config.cases.split(",")
         return min(inside(names, config.seconds, config.count, config.seed, not config.single), 100)
-    library = build(config.sanitize)
+    library = build(config.sanitize, config.base)
     environment = {
         **os.environ,
         "SPLATPAINTER_KERNELS": str(library),
@@ -624,10 +627,11 @@ def main() -> int:
     return 1 if code < 0 else code
 
 
-def build(sanitize: str) -> Path:
+def build(sanitize: str, only_base: bool) -> Path:
     """The library with checked indices, from the sources as they are; nothing is compiled where it is there already."""
     kind = ["--sanitize", sanitize, "--compiler", os.environ.get("CXX", "g++")] if sanitize else ["--checked"]
-    folder = CHECKED / (sanitize.replace(",", "-") or "checked")
+    kind += ["--base"] if only_base else []
+    folder = CHECKED / ((sanitize.replace(",", "-") or "checked") + ("-base" if only_base else ""))
     command = [sys.executable, str(ROOT / "native" / "build.py"), "--out", str(folder), *kind]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     return next(folder.glob("splatpainter_kernels.*"))

@@ -10,7 +10,7 @@ SCRIPT = Path(__file__).with_name("kernels.py")
 
 
 def test_extreme_values_stay_within_bounds():
-    arguments = ["--cases", "forward,cubes", "--single", "--count", "60", "--seed", "7"]
+    arguments = ["--cases", "forward,cubes", "--base", "--single", "--count", "60", "--seed", "7"]
     command = [sys.executable, str(SCRIPT), *arguments]
     run = subprocess.run(command, capture_output=True, text=True, timeout=600)
     assert run.returncode == 0, run.stderr[-3000:]
