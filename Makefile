@@ -6,7 +6,7 @@
 PY := .venv/bin/python
 PIP := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: demo studio native test quick fuzz check check-types check-systems check-web check-docs docs format clean
+.PHONY: demo studio native test test-web test-python quick fuzz check check-types check-systems check-web check-docs docs format clean
 .DEFAULT_GOAL := demo
 
 demo: .venv/installed
@@ -20,11 +20,14 @@ native: .venv/installed
 	$(PIP) ziglang
 	$(PY) native/build.py
 
-# One more worker than cores (conftest.py): tests that wait for a browser, a cluster or a program leave theirs idle.
-# Workers take tests from each other when they have none left.
+# The page's tests beside Python's. One more worker than cores (conftest.py): tests that wait for a browser, a cluster or
+# a program leave theirs idle. Workers take tests from each other when they have none left.
 WORKERS ?= auto
 test: .venv/installed-dev
+	$(MAKE) --no-print-directory --jobs 2 test-web test-python
+test-web:
 	scripts/web test
+test-python:
 	OMP_NUM_THREADS=1 $(PY) -m pytest -n $(WORKERS) --dist worksteal
 
 # Hostile inputs for all readers, projects and the studio: make fuzz SECONDS=3600 JOBS=2 TARGETS=ply,spz SEED=7
